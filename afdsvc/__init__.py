@@ -1,0 +1,25 @@
+"""afdsvc: active fault diagnosis for closed-loop machines, and why a model disagrees with its recordings.
+
+The rooms, from thinking (pure) over knowing how (swappable) to doing (bytes, time, processes):
+
+- `lti`: state-space algebra: coprime factors, J_K, LFT, S(theta), whitening, reduction, frequency response
+- `api`: the nouns and protocols everybody agrees on
+- `excite`: designing the question: bursts, efficiency, budgets
+- `detect`: the statistics detectors share
+- `identify`: estimating the answer: closed-loop identification
+- `gap`: where simulation and recordings part: locate, name, model, improve
+- `plants`: physics with named parameters and units
+- `plugins`: hook specifications, manager, controllers, faults, detectors, physics
+- `hal`: simulator, replay, rig drivers under one contract
+- `wire`: protobuf codec and every zenoh key
+- `record`: MCAP recordings, tables and model files
+- `runtime`: clock, scheduler, bursts, safety, transport
+- `review`: Rerun logging and blueprint
+- `report`: tables, figures, HTML
+- `service`: the only place that joins concrete parts
+- `cli`: arguments, nothing else
+- `testing`: the conformance suites and fixtures shipped to plugin authors
+- `errors`: every deliberate error
+"""
+
+__version__ = "0.1.0"

@@ -1,0 +1,1 @@
+"""The nouns and protocols everybody agrees on."""

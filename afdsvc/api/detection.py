@@ -1,0 +1,109 @@
+"""The contract between residuals and detectors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from afdsvc.api.bursts import Burst
+from afdsvc.api.evidence import Evidence
+from afdsvc.lti.lft import AugmentedPlant
+from afdsvc.lti.statespace import Array, StateSpace
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FalseAlarms:
+    """The promised alarm rate of one detector: per burst for burst detectors, per hour for those that run always."""
+
+    per_burst: float = 1e-3
+    per_hour: float = 1 / (24 * 30)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectionProblem:
+    """Everything a detector may know when it is designed.
+
+    ``plant`` is the nominal discrete plant G, ``augmented`` its LFT over the named faults (``fault_names``),
+    ``interconnection`` the controller as J_K (inputs ``[y, alpha]``, outputs ``[u, beta]``), ``innovations`` the filter
+    from ``[y; u]`` to the white residual r, ``covariance`` that of r, shape ``(p, p)``. ``residual_gain`` is the system
+    from beta to r. ``output_names`` has length p, ``severity_range`` the bounds of every fault.
+    """
+
+    machine: str
+    plant: StateSpace
+    augmented: AugmentedPlant
+    interconnection: StateSpace
+    innovations: StateSpace
+    whitening: StateSpace
+    covariance: Array
+    output_names: tuple[str, ...]
+    false_alarms: FalseAlarms
+    input_names: tuple[str, ...] = ()
+    severity_range: tuple[float, float] = (-1.0, 0.0)
+    uncertainty: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def fault_names(self) -> tuple[str, ...]:
+        """Names of the faults, in the order of the LFT's diagonal."""
+        return self.augmented.fault_names
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResidualBlock:
+    """Consecutive samples seen by a detector: whitened residual ``r (n, p)``, ``beta (n, p)`` (empty when the machine has
+    none), ``u (n, m)``, ``y (n, p)``, ``alpha (n, m)``, ``aux`` by label. ``burst`` is the burst playing (None when
+    quiet), ``burst_start`` the index of its first sample. ``gap`` is True when samples are missing before this block:
+    whatever was being accumulated must be thrown away.
+    """
+
+    k0: int
+    dt: float
+    r: Array
+    beta: Array
+    u: Array
+    y: Array
+    alpha: Array
+    burst: Burst | None = None
+    burst_name: str = ""
+    burst_start: int = 0
+    gap: bool = False
+    aux: Mapping[str, Array] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return self.r.shape[0]
+
+
+class Detector(Protocol):
+    """A streaming detector: settings are frozen inside, state is a value, a step is a function.
+
+    ``step`` must not modify its arguments; its cost per sample is constant and its state bounded.
+    """
+
+    name: str
+
+    def start(self) -> Any:
+        """Return the initial state."""
+        ...
+
+    def step(self, state: Any, block: ResidualBlock) -> tuple[Any, Sequence[Evidence]]:
+        """Return the state after the block and the decisions that fell inside it (usually none)."""
+        ...
+
+
+class DetectorDesign(Protocol):
+    """What a detector plugin hands out: a name and a way to design the detector for one machine."""
+
+    name: str
+    summary: str
+
+    def design(self, problem: DetectionProblem, settings: Mapping[str, Any]) -> Detector:
+        """Return a detector; raises `BadInput` naming a setting that is unknown or out of range."""
+        ...
+
+
+def empty(n: int) -> Array:
+    """Return an array for a role the machine does not have, shape ``(n, 0)``."""
+    return np.zeros((n, 0))

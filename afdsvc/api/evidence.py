@@ -1,0 +1,44 @@
+"""What detectors say: evidence, never a bare verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class Severity:
+    """An estimated fault severity (0 healthy, -1 total loss) with its standard error."""
+
+    value: float
+    sd: float
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """One decision of one detector, with everything it rests on.
+
+    ``statistic`` against ``threshold`` decides ``detected``; ``weights`` are the posterior weights of the fault
+    hypotheses (with ``none_of_these`` when no fault fits), ``fault`` the likeliest or None when nothing was detected or
+    the weights do not single one out. ``output`` names the output the statistic was computed from, "" for all together.
+    ``trustworthy`` is False when a gate failed (residual not white, saturated actuator, excitation absent); then
+    ``reason`` says which, in one sentence, and ``detected`` must not raise an alarm. ``k`` is the sample index of the
+    decision, ``seconds`` its time since the session started, ``p_white`` the p-value of the whiteness test.
+    """
+
+    detector: str
+    machine: str
+    k: int
+    seconds: float
+    statistic: float
+    threshold: float
+    detected: bool
+    burst: str = ""
+    output: str = ""
+    fault: str | None = None
+    severity: Severity | None = None
+    weights: Mapping[str, float] = field(default_factory=dict)
+    trustworthy: bool = True
+    reason: str = ""
+    p_white: float | None = None
+    parts: Mapping[str, float] = field(default_factory=dict)

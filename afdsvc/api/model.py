@@ -1,0 +1,62 @@
+"""What the simulation believes: the content of a MODEL.toml as a value."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from afdsvc.lti.statespace import Array, StateSpace
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A physical parameter: value, unit, and how well its owner knows it (relative standard deviation)."""
+
+    value: float
+    unit: str = ""
+    relative_sd: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A named input, output or state; ``rate_of`` names the state this one is the time derivative of."""
+
+    name: str
+    unit: str = ""
+    rate_of: str | None = None
+
+
+class Dynamics(Protocol):
+    """A Python simulator: ``dx/dt = f(t, x, u, p)`` (or ``x+ = f``) and ``y = h(t, x, u, p)``, ``p`` by name."""
+
+    f: Callable[[float, Array, Array, Mapping[str, float]], Array]
+    h: Callable[[float, Array, Array, Mapping[str, float]], Array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """A nominal model: linear matrices or a Python simulator, with names, uncertainty, noise and controller.
+
+    ``plant`` is the linear system (``dt`` 0 when continuous); for a model with ``dynamics`` it is None.
+    ``entry_sd`` holds absolute standard deviations of the entries of A, B, C, D (same shapes), as the owner states them.
+    ``output_sd`` is the standard deviation of the output noise, shape ``(p,)``, or None when nobody stated it.
+    ``controller`` closes the loop in positive feedback ``u = K (y - ref)``; None when unknown.
+    ``origin`` is the path the model came from ("" when made in memory) and ``raw`` the text it was read from.
+    """
+
+    name: str
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    states: tuple[Variable, ...]
+    plant: StateSpace | None
+    dynamics: Dynamics | None = None
+    sample_time: float = 0.0
+    parameters: Mapping[str, Quantity] = field(default_factory=dict)
+    entry_sd: Mapping[str, Array] = field(default_factory=dict)
+    output_sd: Array | None = None
+    process_cov: Array | None = None
+    controller: StateSpace | None = None
+    origin: str = ""
+    raw: str = ""
+    extra: Mapping[str, Any] = field(default_factory=dict)

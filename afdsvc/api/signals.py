@@ -1,0 +1,130 @@
+"""What machines say: channels with roles and units, blocks of samples, and whole traces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from afdsvc.errors import BadInput
+from afdsvc.lti.statespace import Array
+
+ROLES = ("u", "y", "alpha", "beta", "ref", "aux")
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One measured signal. The role is the part of the name before the first underscore: ``u_force``, ``y_position``."""
+
+    name: str
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        if self.name.split("_", 1)[0] not in ROLES or "_" not in self.name:
+            wanted = ", ".join(f"{r}_<name>" for r in ROLES)
+            raise BadInput(f"column '{self.name}' has no role; a name like {wanted} is wanted")
+
+    @property
+    def role(self) -> str:
+        """One of `ROLES`: u input, y output, alpha excitation, beta residual, ref reference, aux anything else."""
+        return self.name.split("_", 1)[0]
+
+    @property
+    def label(self) -> str:
+        """The name without its role."""
+        return self.name.split("_", 1)[1]
+
+
+def of_role(channels: Iterable[Channel], role: str) -> list[int]:
+    """Return the column numbers of the channels with this role, in order."""
+    return [i for i, c in enumerate(channels) if c.role == role]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """Consecutive samples of one machine.
+
+    ``values`` has shape ``(n samples, n channels)``. ``k0`` is the index of the first sample since the rig started
+    (``session`` names that start), ``seq`` counts blocks without gaps, ``t0_ns`` is the Unix time of the first sample.
+    ``burst`` names the burst playing during this block ("" when none); a block never spans the edge of a burst.
+    ``late`` counts the control samples of this block that missed their deadline.
+    """
+
+    machine: str
+    session: str
+    seq: int
+    k0: int
+    dt: float
+    t0_ns: int
+    channels: tuple[Channel, ...]
+    values: Array
+    burst: str = ""
+    late: int = 0
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 2 or self.values.shape[1] != len(self.channels):
+            raise BadInput(
+                f"block {self.seq} of machine '{self.machine}' holds an array of shape {self.values.shape}; "
+                f"(samples, {len(self.channels)} channels) is wanted"
+            )
+
+    def __len__(self) -> int:
+        return self.values.shape[0]
+
+    def role(self, role: str) -> Array:
+        """Return the samples of one role, shape ``(n, channels of that role)``."""
+        return self.values[:, of_role(self.channels, role)]
+
+    def column(self, name: str) -> Array:
+        """Return one channel by name, shape ``(n,)``; raises `BadInput` when it is missing."""
+        for i, c in enumerate(self.channels):
+            if c.name == name:
+                return self.values[:, i]
+        raise BadInput(f"block has no channel '{name}'; it has {', '.join(c.name for c in self.channels)}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """A recording in memory: uniformly sampled, without gaps.
+
+    ``values`` has shape ``(n, channels)``, ``dt`` is the sample time in seconds, ``name`` says where it came from.
+    """
+
+    name: str
+    dt: float
+    channels: tuple[Channel, ...]
+    values: Array
+    t0: float = 0.0
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 2 or self.values.shape[1] != len(self.channels):
+            raise BadInput(f"{self.name}: shape {self.values.shape} does not fit {len(self.channels)} channels")
+
+    def __len__(self) -> int:
+        return self.values.shape[0]
+
+    @property
+    def t(self) -> Array:
+        """Times of the samples in seconds, shape ``(n,)``."""
+        return self.t0 + self.dt * np.arange(len(self))
+
+    def role(self, role: str) -> Array:
+        """Return the samples of one role, shape ``(n, channels of that role)``."""
+        return self.values[:, of_role(self.channels, role)]
+
+    def has(self, name: str) -> bool:
+        """Whether the trace holds a channel of this name."""
+        return any(c.name == name for c in self.channels)
+
+    def column(self, name: str) -> Array:
+        """Return one channel by name, shape ``(n,)``; raises `BadInput` when it is missing."""
+        for i, c in enumerate(self.channels):
+            if c.name == name:
+                return self.values[:, i]
+        raise BadInput(f"{self.name}: no column '{name}'; it has {', '.join(c.name for c in self.channels)}")
+
+    def span(self, start: int, stop: int) -> Trace:
+        """Return samples ``start`` to ``stop`` (exclusive) as a trace of its own."""
+        return Trace(self.name, self.dt, self.channels, self.values[start:stop], self.t0 + start * self.dt, self.notes)

@@ -1,0 +1,1 @@
+"""The statistics detectors share: residuals, demodulation, thresholds, detection probability, fault curves."""

@@ -1,0 +1,27 @@
+"""Every deliberate error of afdsvc.
+
+A user reads one sentence that says what was found, where, and what was wanted. `BadInput` is the caller's to mend (the
+command line exits with 2), `Refused` is a request that would break a limit or a rule, everything else is unexpected.
+"""
+
+from __future__ import annotations
+
+
+class AfdsvcError(Exception):
+    """Base of every deliberate error."""
+
+
+class BadInput(AfdsvcError):
+    """Something handed in cannot be used; the message names file or argument, value found and value wanted."""
+
+
+class Refused(AfdsvcError):
+    """A request that would break a limit or a rule; the message is the reason, told to whoever asked."""
+
+
+class NotStabilising(BadInput):
+    """The controller does not stabilise the plant; the message carries the offending pole."""
+
+
+class IllConditioned(BadInput):
+    """The numbers do not allow a trustworthy answer; the message carries the condition number and the limit."""

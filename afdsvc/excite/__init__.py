@@ -1,0 +1,1 @@
+"""Designing the question: efficiency, bursts, amplitude and energy budgets."""

@@ -1,0 +1,1 @@
+"""Where simulation and recordings part: locate, name, model, improve."""

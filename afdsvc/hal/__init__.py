@@ -1,0 +1,1 @@
+"""Simulator, replay and rig drivers under one contract."""

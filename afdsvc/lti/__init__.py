@@ -1,0 +1,1 @@
+"""State-space algebra: coprime factors, J_K, LFT, S(theta), whitening, reduction, frequency response."""

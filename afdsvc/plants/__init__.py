@@ -1,0 +1,1 @@
+"""Physics with named parameters and units."""

@@ -1,0 +1,1 @@
+"""Hook specifications, the manager, and the families of plugins."""

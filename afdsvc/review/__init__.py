@@ -1,0 +1,1 @@
+"""Rerun logging and blueprint."""

@@ -1,0 +1,1 @@
+"""Clock, scheduler, bursts, safety, transport, recorder thread."""

@@ -1,0 +1,1 @@
+"""Shipped to plugin authors: conformance suites and fixtures."""
