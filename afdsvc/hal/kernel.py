@@ -1,0 +1,115 @@
+"""The control sample: the one place where a controller in J_K form meets its limits, compiled.
+
+`control_sample` is called once per sample by the loop around real hardware, and `closed_loop` runs it against a linear
+plant for a slice of samples; both therefore enforce the limits in the same way, inside the sample.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+NO_CAUSE, OUTPUT_LIMIT, INPUT_LIMIT, BAD_SAMPLE = 0, 1, 2, 3
+
+
+@njit(cache=True)
+def control_sample(A, B, C, D, xk, y, alpha, armed, output_limit, input_limit, u, beta):  # type: ignore[no-untyped-def]
+    """Advance J_K by one sample and return why excitation must end (`NO_CAUSE` when it may go on).
+
+    Writes the plant input ``u (m,)`` and the residual ``beta (p,)``, advances ``xk`` in place, and zeroes ``alpha`` in
+    place, in this very sample, when a limit is met while ``armed``. ``u`` is always inside ``input_limit``. A sample with
+    NaN in y leaves the controller state alone and holds u.
+    """
+    p, m, nk = y.size, u.size, xk.size
+    for i in range(p):
+        if not np.isfinite(y[i]):
+            alpha[:] = 0.0
+            beta[:] = np.nan
+            return BAD_SAMPLE
+    cause = NO_CAUSE
+    if armed:
+        for i in range(p):
+            if abs(y[i]) > output_limit[i]:
+                cause = OUTPUT_LIMIT
+        if cause != NO_CAUSE:
+            alpha[:] = 0.0
+    over = _outputs(C, D, xk, y, alpha, input_limit, u, beta, m, p, nk)
+    if over and armed and cause == NO_CAUSE:
+        cause = INPUT_LIMIT
+        alpha[:] = 0.0
+        _outputs(C, D, xk, y, alpha, input_limit, u, beta, m, p, nk)
+    new = np.zeros(nk)
+    for i in range(nk):
+        s = 0.0
+        for j in range(nk):
+            s += A[i, j] * xk[j]
+        for j in range(p):
+            s += B[i, j] * y[j]
+        for j in range(m):
+            s += B[i, p + j] * alpha[j]
+        new[i] = s
+    xk[:] = new
+    return cause
+
+
+@njit(cache=True)
+def _outputs(C, D, xk, y, alpha, input_limit, u, beta, m, p, nk):  # type: ignore[no-untyped-def]
+    """Write u (clipped to its limit) and beta; return whether u had to be clipped."""
+    over = False
+    for i in range(m + p):
+        s = 0.0
+        for j in range(nk):
+            s += C[i, j] * xk[j]
+        for j in range(p):
+            s += D[i, j] * y[j]
+        for j in range(m):
+            s += D[i, p + j] * alpha[j]
+        if i >= m:
+            beta[i - m] = s
+        elif abs(s) > input_limit[i]:
+            over = True
+            u[i] = np.sign(s) * input_limit[i]
+        else:
+            u[i] = s
+    return over
+
+
+@njit(cache=True)
+def closed_loop(  # type: ignore[no-untyped-def]
+    A, B, C, x, KA, KB, KC, KD, xk, alpha, disturbance, noise, armed, output_limit, input_limit, u_hold, u, y, beta
+):
+    """Run plant and controller for the samples of ``alpha (n, m)``; return (cause, index of the sample it fell in).
+
+    The plant is ``x+ = A x + B (u + disturbance), y = C x + noise`` (``disturbance (n, m)``, ``noise (n, p)``). From the
+    sample a limit was met on, alpha is zero. ``x``, ``xk``, ``u_hold`` and ``alpha`` are changed in place; u, y, beta are filled.
+    """
+    n, m = alpha.shape
+    p, nx = noise.shape[1], x.size
+    cause, at = NO_CAUSE, -1
+    new = np.zeros(nx)
+    yk, bk = np.zeros(p), np.zeros(p)
+    for k in range(n):
+        for i in range(p):
+            s = noise[k, i]
+            for j in range(nx):
+                s += C[i, j] * x[j]
+            yk[i] = s
+        if cause != NO_CAUSE:
+            alpha[k, :] = 0.0
+        found = control_sample(
+            KA, KB, KC, KD, xk, yk, alpha[k], armed and cause == NO_CAUSE, output_limit, input_limit, u_hold, bk
+        )
+        if armed and found != NO_CAUSE and cause == NO_CAUSE:
+            cause, at = found, k
+        for i in range(nx):
+            s = 0.0
+            for j in range(nx):
+                s += A[i, j] * x[j]
+            for j in range(m):
+                s += B[i, j] * (u_hold[j] + disturbance[k, j])
+            new[i] = s
+        x[:] = new
+        u[k, :] = u_hold
+        y[k, :] = yk
+        beta[k, :] = bk
+    return cause, at

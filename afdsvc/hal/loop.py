@@ -1,0 +1,210 @@
+"""What simulator and rig share: blocks cut at the edges of bursts, arming, counters."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from afdsvc.api.bursts import Burst, Limits
+from afdsvc.api.clock import Clock
+from afdsvc.api.port import PortStatus
+from afdsvc.api.signals import Block, Channel
+from afdsvc.errors import BadInput, Refused
+from afdsvc.hal import kernel
+from afdsvc.hal.excitation import Excitation
+from afdsvc.lti.statespace import Array, StateSpace
+
+CAUSES = {
+    kernel.OUTPUT_LIMIT: "an output reached its limit",
+    kernel.INPUT_LIMIT: "an actuator reached its limit",
+    kernel.BAD_SAMPLE: "a sensor returned NaN",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LoopSettings:
+    """How a control loop is cut into blocks: ``block`` samples a message, ``slice`` samples between two looks at the clock."""
+
+    machine: str
+    session: str
+    block: int = 250
+    slice: int = 50
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """What one run of the loop produced: u, y, beta, alpha with n rows each, extra columns, cause and place of an abort."""
+
+    u: Array
+    y: Array
+    beta: Array
+    alpha: Array
+    aux: Array
+    cause: int
+    at: int
+
+    def values(self) -> Array:
+        """Return all columns in the order of the channels."""
+        return np.hstack([self.u, self.y, self.alpha, self.beta, self.aux])
+
+
+class ControlLoop(ABC):
+    """A machine in closed loop with a controller in J_K form; subclasses say how a run of samples comes about.
+
+    ``interconnection`` is J_K with inputs ``[y, alpha]`` and outputs ``[u, beta]``.
+    """
+
+    def __init__(
+        self, interconnection: StateSpace, channels: tuple[Channel, ...], limits: Limits, settings: LoopSettings, clock: Clock
+    ) -> None:
+        self.m, self.p = len(limits.input), len(limits.output)
+        if (interconnection.inputs, interconnection.outputs) != (self.p + self.m, self.m + self.p):
+            raise BadInput(
+                f"J_K is {interconnection.outputs} x {interconnection.inputs}; "
+                f"{self.m + self.p} x {self.p + self.m} is wanted for {self.m} inputs and {self.p} outputs"
+            )
+        self._K = interconnection
+        self._xk = np.zeros(interconnection.order)
+        self._u = np.zeros(self.m)
+        self._channels, self._limits, self._settings, self._clock = channels, limits, settings, clock
+        self._excitation = Excitation(self.m)
+        self._armed: Limits | None = None
+        self._ready: deque[Block] = deque()
+        self._k = self._seq = self._late = 0
+        self._start_ns = self._start = None  # type: ignore[assignment]
+        self._busy = 0.0
+        self._head_room = 1.0
+        self._closed = False
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Channels of every block."""
+        return self._channels
+
+    @property
+    def dt(self) -> float:
+        """Sample time in seconds."""
+        return self._K.dt
+
+    def status(self) -> PortStatus:
+        """Return the counters."""
+        return PortStatus(self._k, self._late, self._head_room)
+
+    def close(self) -> None:
+        """Bring the machine to rest; harmless when called twice."""
+        self._closed = True
+
+    def read(self) -> Block | None:
+        """Return the next block; blocks are cut where a burst starts or ends, so none spans such an edge."""
+        if self._closed:
+            return None
+        if not self._ready:
+            self._ready.extend(self._next_blocks())
+        return self._ready.popleft() if self._ready else None
+
+    @contextmanager
+    def arm(self, limits: Limits) -> Iterator[_Drive]:
+        """Hand out the drive; whatever happens inside, alpha is zero and the nominal controller on afterwards."""
+        if self._armed is not None:
+            raise Refused("the machine is armed already; one drive at a time")
+        if self._closed:
+            raise Refused("the machine is closed")
+        self._armed = tightest(self._limits, limits)
+        try:
+            yield _Drive(self)
+        finally:
+            self._excitation.cut(self._excitation.ended_because or "disarmed")
+            self._armed = None
+
+    @abstractmethod
+    def _run(self, alpha: Array, limits: Limits | None) -> Samples:
+        """Run the loop for the samples of alpha."""
+
+    def _next_blocks(self) -> list[Block]:
+        """Run until a block is full or a burst ends; an abort inside splits it in two."""
+        name = self._excitation.name if self._excitation.playing else ""
+        n = min(self._settings.block, self._excitation.left) if name else self._settings.block
+        parts: list[Samples] = []
+        late0, done, edge = self._late, 0, n
+        while done < n:
+            step = min(self._settings.slice, n - done)
+            alpha = self._excitation.take(step) if name and edge == n else np.zeros((step, self.m))
+            part = self._paced(alpha)
+            if part.cause != kernel.NO_CAUSE and edge == n and name:
+                edge = done + part.at
+                self._excitation.cut(f"{CAUSES[part.cause]} at sample {self._k - step + part.at}")
+            parts.append(part)
+            done += step
+        return self._cut(np.vstack([s.values() for s in parts]), edge, name, self._late - late0)
+
+    def _cut(self, values: Array, edge: int, name: str, late: int) -> list[Block]:
+        pieces = [(0, edge, name), (edge, len(values), "")] if edge < len(values) else [(0, len(values), name)]
+        k0 = self._k - len(values)
+        return [self._block(values[a:b], k0 + a, label, late if b == len(values) else 0) for a, b, label in pieces if b > a]
+
+    def _block(self, values: Array, k0: int, burst: str, late: int) -> Block:
+        assert self._start_ns is not None  # noqa: S101 - set by _paced before any block exists
+        stamp = self._start_ns + round(k0 * self.dt * 1e9)
+        s = self._settings
+        block = Block(s.machine, s.session, self._seq, k0, self.dt, stamp, self._channels, values, burst, late)
+        self._seq += 1
+        return block
+
+    def _paced(self, alpha: Array) -> Samples:
+        """Run one slice when it is due; count its samples as late when it ends more than a slice after its due time."""
+        clock = self._clock
+        if self._start is None:
+            self._start, self._start_ns = clock.monotonic(), clock.now_ns()
+        n = len(alpha)
+        due = self._start + (self._k + n) * self.dt
+        clock.sleep_until(due)
+        began = clock.monotonic()
+        samples = self._run(alpha, self._armed if self._excitation.name else None)
+        ended = clock.monotonic()
+        self._k += n
+        self._late += n if ended > due + self._settings.slice * self.dt else 0
+        self._busy += (ended - began - self._busy) * min(1.0, n * self.dt)
+        self._head_room = 1 - self._busy / (n * self.dt)
+        return samples
+
+
+class _Drive:
+    """The right to excite, valid inside ``arm`` only."""
+
+    def __init__(self, loop: ControlLoop) -> None:
+        self._loop = loop
+
+    def play(self, burst: Burst) -> None:
+        """Start the burst at the next sample; raises `Refused` with the reason."""
+        loop = self._loop
+        if loop._armed is None:  # noqa: SLF001 - the drive is the loop's own hand
+            raise Refused("the drive has ended; arm the machine again")
+        loop._excitation.start(burst, loop.dt, loop._armed)  # noqa: SLF001
+
+    def stop(self, reason: str) -> None:
+        """End the burst smoothly."""
+        self._loop._excitation.fade_out(reason)  # noqa: SLF001
+
+    @property
+    def playing(self) -> bool:
+        """Whether samples of the burst are still to come."""
+        return self._loop._excitation.playing  # noqa: SLF001
+
+    @property
+    def aborted(self) -> str:
+        """Why the burst was cut short; "" when it was not."""
+        return self._loop._excitation.ended_because  # noqa: SLF001
+
+
+def tightest(a: Limits, b: Limits) -> Limits:
+    """Return the tighter of two sets of limits, entry by entry; raises `Refused` when their shapes differ."""
+    if (a.output.shape, a.input.shape) != (b.output.shape, b.input.shape):
+        raise Refused(f"limits for {b.output.size} outputs and {b.input.size} inputs do not fit this machine")
+    return Limits(
+        np.minimum(a.output, b.output), np.minimum(a.input, b.input), np.minimum(a.alpha, b.alpha), min(a.seconds, b.seconds)
+    )

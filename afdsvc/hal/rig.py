@@ -1,0 +1,116 @@
+"""Real hardware: the driver contract and the control loop around it, one sample at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from afdsvc.api.bursts import Limits
+from afdsvc.api.clock import Clock
+from afdsvc.api.signals import Channel
+from afdsvc.hal import kernel
+from afdsvc.hal.loop import ControlLoop, LoopSettings, Samples
+from afdsvc.lti.statespace import Array, StateSpace
+
+
+class Driver(Protocol):
+    """What a laboratory writes to connect its machine; every method is called from the control thread only.
+
+    The hardware owns the sample clock: `read` waits for its tick. Values are in the units of the channels.
+    """
+
+    def open(self) -> None:
+        """Connect and bring the actuators to rest; called once before the first `read`."""
+        ...
+
+    def read(self) -> Sequence[float]:
+        """Wait for the next sample tick and return the measured outputs y (p,), NaN where a sensor failed."""
+        ...
+
+    def write(self, u: Array) -> None:
+        """Send the plant inputs u (m,); they hold until the next call."""
+        ...
+
+    def rest(self) -> None:
+        """Bring the actuators to their safe value, whatever happened before; called on every exit."""
+        ...
+
+    def close(self) -> None:
+        """Disconnect; harmless when called twice."""
+        ...
+
+
+class DrivenRig(ControlLoop):
+    """A `DrivablePort` around a `Driver`: the same control sample as the simulator, paced by the hardware's clock."""
+
+    def __init__(
+        self,
+        driver: Driver,
+        interconnection: StateSpace,
+        channels: tuple[Channel, ...],
+        limits: Limits,
+        settings: LoopSettings,
+        clock: Clock,
+    ) -> None:
+        super().__init__(interconnection, channels, limits, settings, clock)
+        self._driver = driver
+        self._last = float("nan")
+        driver.open()
+
+    def close(self) -> None:
+        """Bring the actuators to rest and disconnect."""
+        if not self._closed:
+            super().close()
+            try:
+                self._driver.rest()
+            finally:
+                self._driver.close()
+
+    def _paced(self, alpha: Array) -> Samples:
+        """The driver's `read` keeps the pace, so a slice starts at once."""
+        if self._start is None:
+            self._start, self._start_ns = self._clock.monotonic(), self._clock.now_ns()
+        samples = self._run(alpha, self._armed if self._excitation.name else None)
+        self._k += len(alpha)
+        return samples
+
+    def _run(self, alpha: Array, limits: Limits | None) -> Samples:
+        n = len(alpha)
+        u, y, beta = np.empty((n, self.m)), np.empty((n, self.p)), np.empty((n, self.p))
+        bounds, cause, at, worked = limits or self._limits, kernel.NO_CAUSE, -1, 0.0
+        try:
+            for k in range(n):
+                y[k] = self._driver.read()
+                began = self._clock.monotonic()
+                if cause != kernel.NO_CAUSE:
+                    alpha[k] = 0.0
+                armed = limits is not None and cause == kernel.NO_CAUSE
+                found = self._sample(y[k], alpha[k], armed, bounds, beta[k])
+                self._driver.write(self._u)
+                u[k] = self._u
+                if armed and found != kernel.NO_CAUSE:
+                    cause, at = found, k
+                ended = self._clock.monotonic()
+                worked += ended - began
+                self._late += self._missed(began, ended)
+        except BaseException:
+            self._driver.rest()
+            raise
+        self._head_room = 1 - worked / (n * self.dt)
+        return Samples(u, y, beta, alpha, np.zeros((n, 0)), cause, at)
+
+    def _sample(self, y: Array, alpha: Array, armed: bool, bounds: Limits, beta: Array) -> int:
+        K = self._K
+        return int(
+            kernel.control_sample(
+                K.A, K.B, K.C, K.D, self._xk, y, alpha, armed, bounds.output, bounds.input, self._u, beta
+            )
+        )
+
+    def _missed(self, began: float, ended: float) -> int:
+        """A sample is late when its tick came more than half a period late or its work outlasted the period."""
+        late = ended - began > self.dt or (np.isfinite(self._last) and began - self._last > 1.5 * self.dt)
+        self._last = began
+        return int(late)
