@@ -1,1 +1,1 @@
-"""The statistics detectors share: residuals, demodulation, thresholds, detection probability, fault curves."""
+"""The statistics detectors share: thresholds, run lengths, demodulation, fault curves, whiteness, power."""

@@ -1,0 +1,201 @@
+"""What each fault would add to the white residual, computed from the measured input: ``r = theta_i psi_i + d``.
+
+A fault of severity theta feeds ``w = theta z`` into the plant. With the predictor ``A - Kp C`` of the innovations,
+
+    xh+ = A xh + B u + Kp (y - C xh - D u)          z_i = Cz_i xh + Dzu_i u
+    e_i+ = (A - Kp C) e_i + (Bw_i - Kp Dyw_i) z_i    psi_i = C e_i + Dyw_i z_i
+
+For gain faults of a stable plant with output noise only, Kp is 0, z is what truly enters the fault, and the regression
+holds exactly for every severity, total loss included; least squares on psi is then maximum likelihood and also uses what
+the loop's own noise reveals. Otherwise psi is minus the derivative of the prediction error at theta = 0: correct to first
+order. ``exact`` tells the two apart. (The observation is this project's; the setting is the thesis', chapter 5.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect.residual import decay
+from afdsvc.errors import BadInput
+from afdsvc.lti.statespace import Array, StateSpace
+
+
+@dataclass(frozen=True, slots=True)
+class RegressorState:
+    """State of the predictor ``x (n,)`` and of every fault's error filter ``e (K, n)``."""
+
+    x: Array
+    e: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Regressors:
+    """The filters from ``[y, u]`` to the normalised residual ``Li r`` and the normalised ``Li psi_i`` of K faults.
+
+    ``Li`` is the inverse Cholesky factor of the residual's covariance, so the noise in ``Li r`` is white with unit
+    covariance. Build one with `regressors`.
+    """
+
+    names: tuple[str, ...]
+    exact: tuple[bool, ...]
+    plant: StateSpace
+    Kp: Array
+    Bw: Array
+    Dyw: Array
+    Cz: Array
+    Dzu: Array
+    Li: Array
+
+    def start(self) -> RegressorState:
+        """Return the state at rest."""
+        n = self.plant.order
+        return RegressorState(np.zeros(n), np.zeros((len(self.names), n)))
+
+    def step(self, state: RegressorState, r: Array, y: Array, u: Array) -> tuple[RegressorState, Array]:
+        """Return the state after the block and the series ``(n, 1 + K, p)``: normalised residual, then every psi."""
+        x, e = state.x.copy(), state.e.copy()
+        series = np.empty((len(r), 1 + len(self.names), self.plant.outputs))
+        g = self.plant
+        _run(
+            g.A, g.B, g.C, g.D, self.Kp, self.Bw, self.Dyw, self.Cz, self.Dzu, self.Li,
+            x, e, _rows(r), _rows(y), _rows(u), series,
+        )
+        return RegressorState(x, e), series
+
+    def settling(self, to: float = 1e-4) -> int:
+        """Return after how many samples an unknown initial state has decayed to the share ``to``."""
+        A = self.plant.A - self.Kp @ self.plant.C
+        return decay(StateSpace(A, self.plant.B, self.plant.C, self.plant.D, self.plant.dt), to)
+
+
+def regressors(problem: DetectionProblem) -> Regressors:
+    """Return the regressors of every fault; raises `BadInput` when the innovations do not belong to the plant.
+
+    A fault with several channels (``w = theta z`` with vectors w and z) is one regressor.
+    """
+    s, k = problem.augmented.system, problem.augmented.channels
+    g = problem.augmented.plant
+    Kp = predictor_gain(problem, g)
+    Dzw = s.D[:k, :k]
+    own = [problem.augmented.channels_of(name) for name in problem.fault_names]
+    width = max((c.stop - c.start for c in own), default=1)
+    n, m, p, K = g.order, g.inputs, g.outputs, len(own)
+    Bw, Dyw, Cz, Dzu = np.zeros((K, n, width)), np.zeros((K, p, width)), np.zeros((K, width, n)), np.zeros((K, width, m))
+    for i, c in enumerate(own):
+        r = c.stop - c.start
+        Bw[i, :, :r], Dyw[i, :, :r] = s.B[:, c] - Kp @ s.D[k:, c], s.D[k:, c]
+        Cz[i, :r], Dzu[i, :r] = s.C[c], s.D[c, k:]
+    exact = tuple(not Kp.any() and not Dzw[c, c].any() and _no_return(s, c) for c in own)
+    return Regressors(problem.fault_names, exact, g, Kp, Bw, Dyw, Cz, Dzu, whitener(problem.covariance))
+
+
+def whitener(covariance: Array) -> Array:
+    """Return ``L^-1`` with ``L L' = covariance``; raises `BadInput` when the covariance is not positive definite."""
+    Xi = np.atleast_2d(np.asarray(covariance, dtype=float))
+    try:
+        if not np.isfinite(Xi).all() or not np.allclose(Xi, Xi.T):
+            raise np.linalg.LinAlgError
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(Xi)))
+    except np.linalg.LinAlgError:
+        raise BadInput(
+            f"residual covariance {Xi.tolist()} is no covariance; a symmetric, positive definite matrix is wanted "
+            "(state the noise of every output)"
+        ) from None
+
+
+def predictor_gain(problem: DetectionProblem, plant: StateSpace) -> Array:
+    """Return Kp, shape ``(n, p)``, read from the innovations filter."""
+    f, p = problem.innovations, plant.outputs
+    if f.inputs != p + plant.inputs or f.outputs != p:
+        raise BadInput(f"the residual filter is {f.outputs} x {f.inputs}; {p} x {p + plant.inputs} is wanted")
+    if f.order == 0 and plant.order == 0:
+        return np.zeros((0, p))
+    Kp = f.B[:, :p] if f.order == plant.order else np.full((plant.order, p), np.nan)
+    if not np.allclose(f.A, plant.A - Kp @ plant.C, atol=1e-9 * max(1.0, float(np.abs(plant.A).max()))):
+        raise BadInput("the residual filter is not the predictor A - Kp C of the plant; both must share their states")
+    return np.asarray(Kp)
+
+
+def _no_return(s: StateSpace, channels: slice) -> bool:
+    """Whether w of this fault never reaches its own z through the plant (checked on the Markov parameters)."""
+    x = s.B[:, channels]
+    for _ in range(s.order):
+        if np.abs(s.C[channels] @ x).max(initial=0.0) > 0:
+            return False
+        x = s.A @ x
+    return True
+
+
+def _rows(a: Array) -> Array:
+    return np.ascontiguousarray(a, dtype=np.float64)
+
+
+@njit(cache=True)
+def _run(A, B, C, D, Kp, Bw, Dyw, Cz, Dzu, Li, x, e, r, y, u, series):  # type: ignore[no-untyped-def]
+    n, m, p, K, width = x.size, u.shape[1], y.shape[1], e.shape[0], Bw.shape[2]
+    innovation, new, raw = np.zeros(p), np.zeros(n), np.zeros(p)
+    z = np.zeros(width)
+    for k in range(r.shape[0]):
+        _normalised(Li, r[k], series[k, 0])
+        for i in range(p):
+            s = y[k, i]
+            for j in range(n):
+                s -= C[i, j] * x[j]
+            for j in range(m):
+                s -= D[i, j] * u[k, j]
+            innovation[i] = s
+        for f in range(K):
+            for i in range(width):
+                s = 0.0
+                for j in range(n):
+                    s += Cz[f, i, j] * x[j]
+                for j in range(m):
+                    s += Dzu[f, i, j] * u[k, j]
+                z[i] = s
+            for i in range(p):
+                s = 0.0
+                for j in range(n):
+                    s += C[i, j] * e[f, j]
+                for j in range(width):
+                    s += Dyw[f, i, j] * z[j]
+                raw[i] = s
+            _normalised(Li, raw, series[k, 1 + f])
+            # A - Kp C acts as A e - Kp (C e); raw minus Dyw z is C e
+            for i in range(n):
+                s = 0.0
+                for j in range(n):
+                    s += A[i, j] * e[f, j]
+                for j in range(width):
+                    s += Bw[f, i, j] * z[j]
+                for j in range(p):
+                    c = raw[j]
+                    for q in range(width):
+                        c -= Dyw[f, j, q] * z[q]
+                    s -= Kp[i, j] * c
+                new[i] = s
+            for i in range(n):
+                e[f, i] = new[i]
+        for i in range(n):
+            s = 0.0
+            for j in range(n):
+                s += A[i, j] * x[j]
+            for j in range(m):
+                s += B[i, j] * u[k, j]
+            for j in range(p):
+                s += Kp[i, j] * innovation[j]
+            new[i] = s
+        for i in range(n):
+            x[i] = new[i]
+
+
+@njit(cache=True)
+def _normalised(Li, value, out):  # type: ignore[no-untyped-def]
+    for i in range(out.size):
+        s = 0.0
+        for j in range(i + 1):
+            s += Li[i, j] * value[j]
+        out[i] = s

@@ -1,0 +1,169 @@
+"""Is the residual what the detectors were designed for: white, centred, of the stated covariance?
+
+Sums over lagged products are kept while quiet samples stream by; the test is a function of the sums:
+
+* portmanteau statistic ``Q = n^2 sum_k tr(C_k' C_0^-1 C_k C_0^-1) / (n - k)``, chi-squared with ``p^2 L`` degrees of
+  freedom for white data (J. R. M. Hosking, *J. Amer. Statist. Assoc.* 75, 1980; the multivariate Ljung-Box test);
+* covariance: the likelihood-ratio test of the sample covariance against the stated one;
+* offset: ``n mean' mean`` of the normalised residual.
+
+Under a fault the loop's own noise passes through the fault, so the residual is coloured although nothing is wrong with the
+model. The sums therefore also hold the products with the faults' regressors: ``r - theta_i psi_i`` can be tested for any
+fault and severity without seeing the data again.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from scipy.stats import chi2
+
+from afdsvc.errors import BadInput
+from afdsvc.lti.statespace import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LagSums:
+    """Sums over n samples of normalised series ``s_0`` (residual) and ``s_1 .. s_K`` (regressors).
+
+    ``residual (L+1, p, p)`` holds ``sum s_0[t] s_0[t-k]'``; ``cross (L+1, K, p, p)`` both mixed products added,
+    ``own (L+1, K, p, p)`` those of the regressors, ``mean (1+K, p)`` plain sums. ``past (L, 1+K, p)`` are the last samples
+    seen, ``seen`` how many of them are real.
+    """
+
+    n: int
+    residual: Array
+    cross: Array
+    own: Array
+    mean: Array
+    past: Array
+    seen: int
+
+    @classmethod
+    def empty(cls, lags: int, faults: int, outputs: int) -> LagSums:
+        """Return sums over nothing."""
+        if lags < 1 or outputs < 1:
+            raise BadInput(f"{lags} lags of {outputs} outputs; at least one of each is wanted")
+        shape = (lags + 1, faults, outputs, outputs)
+        return cls(
+            0, np.zeros((lags + 1, outputs, outputs)), np.zeros(shape), np.zeros(shape), np.zeros((1 + faults, outputs)),
+            np.zeros((lags, 1 + faults, outputs)), 0,
+        )
+
+    @property
+    def lags(self) -> int:
+        """Number of lags L."""
+        return self.residual.shape[0] - 1
+
+    def add(self, series: Array) -> LagSums:
+        """Return the sums with the samples ``series (n, 1 + K, p)`` added, which follow the earlier ones without a gap."""
+        residual, cross, own, mean = self.residual.copy(), self.cross.copy(), self.own.copy(), self.mean.copy()
+        window = np.ascontiguousarray(np.concatenate([self.past, series]))
+        _accumulate(window, self.lags, self.seen, residual, cross, own, mean)
+        seen = min(self.lags, self.seen + len(series))
+        past = window[len(window) - self.lags :].copy()
+        return LagSums(self.n + len(series), residual, cross, own, mean, past, seen)
+
+    def cleared(self) -> LagSums:
+        """Return empty sums that continue after the same past samples."""
+        zero = np.zeros_like
+        return replace(
+            self, n=0, residual=zero(self.residual), cross=zero(self.cross), own=zero(self.own), mean=zero(self.mean)
+        )
+
+    def __add__(self, later: LagSums) -> LagSums:
+        return LagSums(
+            self.n + later.n, self.residual + later.residual, self.cross + later.cross, self.own + later.own,
+            self.mean + later.mean, later.past, later.seen,
+        )
+
+    def without(self, fault: int, theta: float) -> tuple[Array, Array]:
+        """Return lagged products ``(L+1, p, p)`` and sum ``(p,)`` of the residual with one fault's share taken out."""
+        products = self.residual - theta * self.cross[:, fault] + theta**2 * self.own[:, fault]
+        return products, self.mean[0] - theta * self.mean[1 + fault]
+
+    def severity(self, fault: int) -> tuple[float, float]:
+        """Return the least-squares severity and its standard error (inf when the fault left no trace)."""
+        information = float(np.trace(self.own[0, fault]))
+        if information <= 0:
+            return 0.0, math.inf
+        return 0.5 * float(np.trace(self.cross[0, fault])) / information, information**-0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Whiteness:
+    """p-values of the three tests over ``n`` samples, and the ratio of found to stated standard deviation per output."""
+
+    n: int
+    portmanteau: float
+    covariance: float
+    offset: float
+    sd_ratio: tuple[float, ...]
+
+    @property
+    def p(self) -> float:
+        """p-value of all three together (Bonferroni, never above 1)."""
+        return min(1.0, 3 * min(self.portmanteau, self.covariance, self.offset))
+
+    def reason(self, level: float) -> str:
+        """Return a sentence for the test that failed hardest, "" when the residual passes at ``level``."""
+        if self.p >= level:
+            return ""
+        if self.covariance <= min(self.portmanteau, self.offset):
+            ratios = ", ".join(f"{r:.3g}" for r in self.sd_ratio)
+            return f"the quiet residual has {ratios} times the stated standard deviation (p = {self.covariance:.2g})"
+        if self.portmanteau <= self.offset:
+            return f"the quiet residual is not white (p = {self.portmanteau:.2g}): the model misses something"
+        return f"the quiet residual is not centred at zero (p = {self.offset:.2g})"
+
+
+def whiteness(sums: LagSums) -> Whiteness:
+    """Return the tests of the residual itself; raises `BadInput` when there are fewer than ten samples per lag."""
+    return _tests(sums.n, sums.residual, sums.mean[0])
+
+
+def whiteness_without(sums: LagSums, fault: int, theta: float) -> Whiteness:
+    """Return the tests of ``r - theta psi`` for one fault."""
+    return _tests(sums.n, *sums.without(fault, theta))
+
+
+def _tests(n: int, products: Array, total: Array) -> Whiteness:
+    lags, p = products.shape[0] - 1, products.shape[1]
+    if n < 10 * lags:
+        raise BadInput(f"{n} quiet samples for {lags} lags; at least {10 * lags} are wanted")
+    C0 = products[0] / n
+    sd = tuple(float(v) for v in np.sqrt(np.diag(C0)))
+    if not np.isfinite(products).all() or np.linalg.cond(C0) > 1e12:
+        return Whiteness(n, 0.0, 0.0, 1.0, sd)
+    inverse = np.linalg.inv(C0)
+    Q = sum(
+        n * n / (n - k) * float(np.trace(C.T @ inverse @ C @ inverse)) for k in range(1, lags + 1) for C in [products[k] / n]
+    )
+    likelihood = n * (float(np.trace(C0)) - math.log(float(np.linalg.det(C0))) - p)
+    dof = p * (p + 1) / 2
+    bartlett = 1 + (2 * p + 1 - 2 / (p + 1)) / (6 * n)  # brings the mean of the ratio to its degrees of freedom
+    return Whiteness(
+        n, float(chi2.sf(Q, p * p * lags)), float(chi2.sf(likelihood / bartlett, dof)),
+        float(chi2.sf(float(total @ total) / n, p)), sd,
+    )
+
+
+@njit(cache=True)
+def _accumulate(window, lags, seen, residual, cross, own, mean):  # type: ignore[no-untyped-def]
+    p, K = window.shape[2], window.shape[1] - 1
+    for t in range(lags, window.shape[0]):
+        for f in range(1 + K):
+            for i in range(p):
+                mean[f, i] += window[t, f, i]
+        reach = min(lags, seen + t - lags)
+        for k in range(reach + 1):
+            for i in range(p):
+                for j in range(p):
+                    residual[k, i, j] += window[t, 0, i] * window[t - k, 0, j]
+                    for f in range(K):
+                        now, then = window[t, 1 + f, i], window[t - k, 1 + f, j]
+                        cross[k, f, i, j] += now * window[t - k, 0, j] + window[t, 0, i] * then
+                        own[k, f, i, j] += now * then
