@@ -1,0 +1,172 @@
+"""What is said on the wire beside samples, as plain values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from afdsvc.api.bursts import Burst, Limits
+from afdsvc.api.evidence import Evidence, Severity
+from afdsvc.api.signals import Channel
+
+
+class EventKind(StrEnum):
+    """What can happen on a rig; only simulators say `fault_injected`, the truth a demonstration is judged by."""
+
+    RIG_STARTED = "rig_started"
+    RIG_STOPPED = "rig_stopped"
+    BURST_STARTED = "burst_started"
+    BURST_ENDED = "burst_ended"
+    BURST_ABORTED = "burst_aborted"
+    BURST_REFUSED = "burst_refused"
+    FAULT_INJECTED = "fault_injected"
+    NOTE = "note"
+
+
+@dataclass(frozen=True, slots=True)
+class RigEvent:
+    """Something that happened on a rig at sample ``k`` of its session; ``cause`` is one sentence."""
+
+    machine: str
+    session: str
+    t_ns: int
+    kind: EventKind
+    k: int = 0
+    burst: str = ""
+    cause: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BurstRequest:
+    """A burst to be played; the rig ends it when the lease [s] runs out without renewal."""
+
+    machine: str
+    burst: Burst
+    lease: float
+    asked_by: str
+    t_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class BurstReply:
+    """Accepted, or refused with the reason."""
+
+    accepted: bool
+    burst: str = ""
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BurstStop:
+    """The burst (any, when unnamed) is to end now; the reply is a `BurstReply`."""
+
+    machine: str
+    reason: str
+    asked_by: str
+    burst: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Lease:
+    """Whoever asked for the burst is still there and will be for so many seconds."""
+
+    machine: str
+    burst: str
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigDescription:
+    """What a rig says of itself; ``limits`` is None for a machine that can only be watched."""
+
+    machine: str
+    session: str
+    t_ns: int
+    dt: float
+    channels: tuple[Channel, ...]
+    limits: Limits | None = None
+    controller: str = ""
+    site: str = ""
+    model: str = ""
+    version: str = ""
+    driver: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Evidence with the session it belongs to and the Unix time [ns] of the sample it was decided at."""
+
+    evidence: Evidence
+    session: str
+    t_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """A fault that decisions support: since when, how often, whether still, and who has seen it."""
+
+    id: str
+    machine: str
+    fault: str
+    since_ns: int
+    last_ns: int
+    count: int = 1
+    active: bool = True
+    severity: Severity | None = None
+    acknowledged: bool = False
+    acknowledged_by: str = ""
+    comment: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class MachineStatus:
+    """How one machine is seen by the service; ``reason`` explains any state but running."""
+
+    machine: str
+    state: str
+    session: str = ""
+    reason: str = ""
+    blocks: int = 0
+    lost_blocks: int = 0
+    late: int = 0
+    head_room: float = 1.0
+    block_age: float = 0.0
+    burst: str = ""
+    next_burst: float = 0.0
+    trustworthy: bool = True
+    alarms: tuple[Alarm, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceStatus:
+    """How the service is; ``recording_failure`` says why nothing is recorded, "" when all is well."""
+
+    site: str
+    version: str
+    t_ns: int
+    uptime: float
+    machines: tuple[MachineStatus, ...] = ()
+    recording: str = ""
+    recording_bytes: int = 0
+    recording_failure: str = ""
+    recording_dropped: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What a person asks of the service; arguments are JSON values."""
+
+    name: str
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    asked_by: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class CommandReply:
+    """The answer, a JSON value, or one sentence why there is none."""
+
+    ok: bool
+    result: Any = None
+    error: str = ""

@@ -1,0 +1,124 @@
+"""Bytes to a protobuf message and checked fields; whatever is wrong with them is `BadInput`."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeVar
+
+from google.protobuf.message import DecodeError, EncodeError, Message
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from afdsvc.api.evidence import Severity
+from afdsvc.errors import BadInput
+from afdsvc.wire import afdsvc_pb2 as pb
+
+M = TypeVar("M", bound=Message)
+_END = 2**63  # counters and nanoseconds fit a signed 64-bit integer, as numpy and every reader expect
+
+
+def parse(kind: type[M], data: bytes) -> M:
+    """Return the message; raises `BadInput` for bytes that are not one."""
+    try:
+        return kind.FromString(data)
+    except (DecodeError, TypeError, ValueError) as error:
+        name = kind.DESCRIPTOR.name
+        raise BadInput(f"{len(data)} bytes are not an {name} message of afdsvc.v1: {error}") from None
+
+
+def build(kind: type[M], /, **fields: Any) -> M:
+    """Return a message; raises `BadInput` naming its kind when a value does not fit its field."""
+    try:
+        return kind(**fields)
+    except (TypeError, ValueError, EncodeError) as error:
+        raise BadInput(f"a value does not fit into the {kind.DESCRIPTOR.name} message: {error}") from None
+
+
+def required(message: Any, *names: str) -> None:
+    """Raise `BadInput` for the first field that is empty or absent."""
+    for name in names:
+        field = message.DESCRIPTOR.fields_by_name[name]
+        present = message.HasField(name) if field.has_presence else getattr(message, name)
+        if not present:
+            raise BadInput(f"{message.DESCRIPTOR.name} message without {name}: {_where(message)}")
+
+
+def count(message: Any, name: str) -> int:
+    """Return a counter; raises `BadInput` when it is beyond any count."""
+    value = int(getattr(message, name))
+    if value >= _END:
+        found = f"{name} = {value}"
+        raise BadInput(f"{message.DESCRIPTOR.name} message with {found}; below 2**63 is wanted: {_where(message)}")
+    return value
+
+
+def positive(message: Any, name: str) -> float:
+    """Return a number; raises `BadInput` unless it is finite and above 0."""
+    value = float(getattr(message, name))
+    if not (math.isfinite(value) and value > 0):
+        found = f"{name} = {value}"
+        wanted = f"a positive number is wanted: {_where(message)}"
+        raise BadInput(f"{message.DESCRIPTOR.name} message with {found}; {wanted}")
+    return value
+
+
+def stamp(t_ns: int) -> Timestamp:
+    """Return Unix nanoseconds as a timestamp; raises `BadInput` outside 1970 to 2262."""
+    if not 0 <= t_ns < _END:
+        raise BadInput(f"time stamp {t_ns} ns; Unix nanoseconds from 0 to 2**63 are wanted")
+    return Timestamp(seconds=t_ns // 10**9, nanos=t_ns % 10**9)
+
+
+def nanoseconds(timestamp: Timestamp) -> int:
+    """Return a timestamp as Unix nanoseconds; raises `BadInput` as `stamp`."""
+    t_ns = timestamp.seconds * 10**9 + timestamp.nanos
+    if not (0 <= timestamp.nanos < 10**9 and 0 <= t_ns < _END):
+        raise BadInput(f"time stamp of {timestamp.seconds} s and {timestamp.nanos} ns; a Unix time is wanted")
+    return t_ns
+
+
+def named_values(values: Mapping[str, float]) -> list[pb.NamedValue]:
+    """Return numbers by name as messages, in their order."""
+    return [build(pb.NamedValue, name=name, value=value) for name, value in values.items()]
+
+
+def by_name(values: Iterable[pb.NamedValue]) -> dict[str, float]:
+    """Return numbers by name; raises `BadInput` for a name given twice."""
+    found: dict[str, float] = {}
+    for item in values:
+        if item.name in found:
+            raise BadInput(f"value '{item.name}' is given twice; once is wanted")
+        found[item.name] = item.value
+    return found
+
+
+def severity_message(severity: Severity | None) -> pb.Severity | None:
+    """Return a severity as a message, None as None (the field stays absent)."""
+    return None if severity is None else build(pb.Severity, value=severity.value, sd=severity.sd)
+
+
+def severity_of(message: Any) -> Severity | None:
+    """Return the severity of a message that has one, None when the field is absent."""
+    return Severity(message.severity.value, message.severity.sd) if message.HasField("severity") else None
+
+
+def json_text(what: str, value: Any) -> str:
+    """Return a value as JSON; raises `BadInput` for what JSON cannot say, NaN among it."""
+    try:
+        return json.dumps(value, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"{what} cannot be written as JSON: {error}") from None
+
+
+def json_value(what: str, text: str) -> Any:
+    """Return the value of a JSON text; raises `BadInput` when it is none."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise BadInput(f"{what} is not JSON: {error}") from None
+
+
+def _where(message: Any) -> str:
+    machine = getattr(message, "machine", "")
+    return f"machine '{machine}'" if machine else "no machine named"

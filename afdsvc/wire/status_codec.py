@@ -1,0 +1,105 @@
+"""What people and displays see of the service, and what people ask of it, to bytes and back."""
+
+from __future__ import annotations
+
+from afdsvc.errors import BadInput
+from afdsvc.wire import afdsvc_pb2 as pb
+from afdsvc.wire.keys import checked_machine
+from afdsvc.wire.messages import Alarm, Command, CommandReply, MachineStatus, ServiceStatus
+from afdsvc.wire.parsing import (
+    build,
+    count,
+    json_text,
+    json_value,
+    nanoseconds,
+    parse,
+    required,
+    severity_message,
+    severity_of,
+    stamp,
+)
+
+
+def encode_status(status: ServiceStatus) -> bytes:
+    """Return the message; raises `BadInput` for values out of range."""
+    s = status
+    message = build(
+        pb.ServiceStatus, timestamp=stamp(s.t_ns), site=s.site, version=s.version, uptime=s.uptime,
+        machines=[_machine_message(m) for m in s.machines], recording=s.recording, recording_bytes=s.recording_bytes,
+        recording_failure=s.recording_failure, recording_dropped=s.recording_dropped,
+    )
+    return message.SerializeToString()
+
+
+def decode_status(data: bytes) -> ServiceStatus:
+    """Return the status; raises `BadInput` naming what is missing or unsound."""
+    m = parse(pb.ServiceStatus, data)
+    required(m, "site", "timestamp")
+    return ServiceStatus(
+        m.site, m.version, nanoseconds(m.timestamp), m.uptime, tuple(_machine(x) for x in m.machines), m.recording,
+        count(m, "recording_bytes"), m.recording_failure, count(m, "recording_dropped"),
+    )
+
+
+def encode_command(command: Command) -> bytes:
+    """Return the message; raises `BadInput` for arguments JSON cannot say."""
+    text = json_text(f"arguments of command '{command.name}'", dict(command.arguments))
+    return build(pb.Command, name=command.name, arguments=text, asked_by=command.asked_by).SerializeToString()
+
+
+def decode_command(data: bytes) -> Command:
+    """Return the command; raises `BadInput` when it has no name or its arguments are not a JSON object."""
+    message = parse(pb.Command, data)
+    required(message, "name")
+    arguments = json_value(f"arguments of command '{message.name}'", message.arguments or "{}")
+    if not isinstance(arguments, dict):
+        raise BadInput(f"arguments of command '{message.name}' are {message.arguments[:40]}; a JSON object is wanted")
+    return Command(message.name, arguments, message.asked_by)
+
+
+def encode_command_reply(reply: CommandReply) -> bytes:
+    """Return the message; raises `BadInput` for a result JSON cannot say (NaN among it)."""
+    return build(
+        pb.CommandReply, ok=reply.ok, error=reply.error, result=json_text("result", reply.result)
+    ).SerializeToString()
+
+
+def decode_command_reply(data: bytes) -> CommandReply:
+    """Return the reply; raises `BadInput` when a failure has no reason or the result is not JSON."""
+    message = parse(pb.CommandReply, data)
+    if not message.ok:
+        required(message, "error")
+    return CommandReply(message.ok, json_value("result", message.result or "null"), message.error)
+
+
+def _machine_message(m: MachineStatus) -> pb.MachineStatus:
+    return build(
+        pb.MachineStatus, machine=m.machine, session=m.session, state=m.state, reason=m.reason, blocks=m.blocks,
+        lost_blocks=m.lost_blocks, late=m.late, head_room=m.head_room, block_age=m.block_age, burst=m.burst,
+        next_burst=m.next_burst, trustworthy=m.trustworthy, alarms=[_alarm_message(a) for a in m.alarms],
+    )
+
+
+def _machine(m: pb.MachineStatus) -> MachineStatus:
+    required(m, "machine", "state")
+    return MachineStatus(
+        checked_machine(m.machine), m.state, m.session, m.reason, count(m, "blocks"), count(m, "lost_blocks"),
+        count(m, "late"), m.head_room, m.block_age, m.burst, m.next_burst, m.trustworthy,
+        tuple(_alarm(a) for a in m.alarms),
+    )
+
+
+def _alarm_message(a: Alarm) -> pb.Alarm:
+    return build(
+        pb.Alarm, id=a.id, machine=a.machine, fault=a.fault, severity=severity_message(a.severity),
+        since=stamp(a.since_ns), last=stamp(a.last_ns), count=a.count, active=a.active, acknowledged=a.acknowledged,
+        acknowledged_by=a.acknowledged_by, comment=a.comment,
+    )
+
+
+def _alarm(m: pb.Alarm) -> Alarm:
+    required(m, "id", "machine", "since", "last")
+    return Alarm(
+        m.id, checked_machine(m.machine), m.fault, nanoseconds(m.since), nanoseconds(m.last), count(m, "count"),
+        m.active, severity_of(m), m.acknowledged, m.acknowledged_by, m.comment,
+    )
