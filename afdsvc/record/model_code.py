@@ -1,0 +1,51 @@
+"""The Python simulator a MODEL.toml may name. It is code of a stranger, so it runs only when a person said so."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import cast
+
+from afdsvc.api.model import Dynamics
+from afdsvc.errors import BadInput
+
+
+def load_dynamics(reference: str, source: str, allow_code: bool) -> Dynamics:
+    """Return the object ``file.py:name``, relative to the model; raises `BadInput` naming what is not there."""
+    if not allow_code:
+        raise BadInput(
+            f"{source}: key 'dynamics' is '{reference}', Python code that would run on this computer; "
+            "permission to run code is wanted (allow_code=True, on the command line --allow-code)"
+        )
+    file, name = reference.rsplit(":", 1)
+    path = Path(source).parent / file
+    where = f"{source}: key 'dynamics' names {path}"
+    module = _run(path, where)
+    found = getattr(module, name, None)
+    if found is None:
+        raise BadInput(f"{where}, which defines no '{name}'")
+    missing = [method for method in "fh" if not callable(getattr(found, method, None))]
+    if missing:
+        wanted = "f(t, x, u, p) and h(t, x, u, p) are wanted"
+        raise BadInput(f"{where}, where '{name}' has no {' and no '.join(missing)}; {wanted}")
+    return cast(Dynamics, found)
+
+
+def _run(path: Path, where: str) -> ModuleType:
+    if not path.is_file():
+        raise BadInput(f"{where}, which does not exist")
+    label = f"afdsvc_model_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}"
+    spec = importlib.util.spec_from_file_location(label, path)
+    if spec is None or spec.loader is None:
+        raise BadInput(f"{where}, which is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[label] = module  # dataclasses and pickles look their module up here
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[label]
+        raise BadInput(f"{where}, which fails with {type(error).__name__}: {error}") from error
+    return module

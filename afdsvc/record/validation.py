@@ -1,0 +1,93 @@
+"""Files checked against a pydantic model, with errors that name file, key, value found and value wanted."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from afdsvc.errors import BadInput
+
+
+class Strict(BaseModel):
+    """A table of a TOML file: unknown keys are errors, text is not taken for numbers, nothing is changed afterwards."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+T = TypeVar("T", bound=BaseModel)
+
+
+def read_text(path: Path) -> str:
+    """Return a UTF-8 text file; raises `BadInput` naming the file when it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: byte {error.start} is not UTF-8; a text file is wanted") from None
+
+
+def toml_table(text: str, source: str) -> dict[str, Any]:
+    """Return the table of a TOML text; raises `BadInput` naming the source, line and column of an error."""
+    try:
+        return tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise BadInput(f"{source}: not a TOML file: {error}") from None
+
+
+def validated(schema: type[T], data: object, source: str) -> T:
+    """Return the data as the schema describes it; raises `BadInput` listing every offence, one clause each."""
+    try:
+        return schema.model_validate(data)
+    except ValidationError as error:
+        offences = [_sentence(schema, e) for e in error.errors(include_url=False)]
+        raise BadInput(f"{source}: {'; and '.join(offences)}") from None
+
+
+def _sentence(schema: type[BaseModel], error: Any) -> str:
+    key, kind, message = dotted(error["loc"]), error["type"], str(error["msg"])
+    if kind == "missing":
+        return f"key '{key}' is missing; {_wanted_keys(schema, error['loc'])}"
+    if kind == "extra_forbidden":
+        return f"key '{key}' is not known; {_wanted_keys(schema, error['loc'])}"
+    found = shortened(error["input"])
+    if kind == "value_error":
+        detail = message.removeprefix("Value error, ")
+        return f"key '{key}': {detail}" if key else detail
+    return f"key '{key}' is {found}; {message[0].lower()}{message[1:]}".replace("input should be", "wanted is")
+
+
+def dotted(location: tuple[int | str, ...]) -> str:
+    """Return a place in a file as people write it: ``inputs[0].unit``."""
+    text = ""
+    for part in location:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+    return text
+
+
+def shortened(value: object, longest: int = 60) -> str:
+    """Return a value as it can stand inside a sentence."""
+    text = repr(value)
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."
+
+
+def _wanted_keys(schema: type[BaseModel], location: tuple[int | str, ...]) -> str:
+    known = _fields_at(schema, location[:-1])
+    return f"known here are {', '.join(known)}" if known else "no key of this name is wanted"
+
+
+def _fields_at(schema: Any, location: tuple[int | str, ...]) -> list[str]:
+    for part in location:
+        schema = _inner(schema.model_fields[part].annotation) if part in getattr(schema, "model_fields", {}) else schema
+    return list(getattr(schema, "model_fields", {}))
+
+
+def _inner(annotation: Any) -> Any:
+    """Return the table inside ``list[Table]``, ``dict[str, Table]`` or ``Table | None``."""
+    while get_args(annotation):
+        arguments = [a for a in get_args(annotation) if a is not type(None) and a is not str]
+        annotation = arguments[-1] if arguments else None
+    return annotation
