@@ -1,0 +1,72 @@
+"""Gains that stabilise with the least effort, chosen without any weights to tune.
+
+Only the modes that lack the wanted margin are moved: they are mirrored at the margin (the minimum-energy solution of the
+regulator problem with no state weight). A plant that already has the margin gets the gain zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import schur, solve_continuous_lyapunov, solve_discrete_lyapunov
+
+from afdsvc.errors import IllConditioned
+from afdsvc.lti.balance import state_scaling
+from afdsvc.lti.stability import closed_loop_matrix, describe_pole, eigenvalues
+from afdsvc.lti.statespace import Array, StateSpace, common_dt
+
+CONTROLLABILITY_LIMIT = 1e-12
+
+
+def half_margin(plant: StateSpace, controller: StateSpace) -> float:
+    """Return half the stability margin of the loop: half of ``1 - max|z|``, or of ``-max Re s``."""
+    poles = eigenvalues(closed_loop_matrix(plant, controller))
+    if not poles.size:
+        return 0.0
+    discrete = common_dt(plant, controller) > 0
+    return 0.5 * float(1 - np.abs(poles).max() if discrete else -poles.real.max())
+
+
+def gain_with_margin(A: Array, B: Array, dt: float, margin: float) -> Array:
+    """Return F, shape ``(m, n)``, such that A + B F has the stability margin wanted.
+
+    Raises `IllConditioned` with the pole when a mode that lacks the margin cannot be reached from the inputs.
+    """
+    n, m = B.shape
+    if not n:
+        return np.zeros((m, 0))
+    t = state_scaling(A)
+    As, Bs = A * (t[None, :] / t[:, None]), B / t[:, None]
+    columns = np.linalg.norm(Bs, axis=0)
+    weight = 1 / np.where(columns > 0, columns, 1.0)
+    shifted = As / (1 - margin) if dt > 0 else As + margin * np.eye(n)
+    F = _mirror(shifted, Bs * weight / ((1 - margin) if dt > 0 else 1.0), dt > 0)
+    return weight[:, None] * F / t[None, :]
+
+
+def _mirror(A: Array, B: Array, discrete: bool) -> Array:
+    """Return the minimum-energy gain mirroring every unstable eigenvalue of A; zero on the stable subspace."""
+    stable = (lambda re, im: re * re + im * im < 1) if discrete else (lambda re, im: re < 0)
+    T, Z, k = schur(A, output="real", sort=stable)
+    if k == A.shape[0]:
+        return np.zeros(B.T.shape)
+    Z2, A2 = Z[:, k:], T[k:, k:]
+    B2 = Z2.T @ B
+    # Y = P^-1 of the Riccati equation without state weight: A2 Y A2' - Y = B2 B2' or A2 Y + Y A2' = B2 B2'
+    if discrete:
+        inverse = np.linalg.inv(A2)
+        Y = solve_discrete_lyapunov(inverse, inverse @ B2 @ B2.T @ inverse.T)
+    else:
+        Y = solve_continuous_lyapunov(A2, B2 @ B2.T)
+    Y = (Y + Y.T) / 2
+    smallest, largest = np.linalg.eigvalsh(Y)[[0, -1]]
+    if not smallest > CONTROLLABILITY_LIMIT * max(largest, 1e-300):
+        pole = np.linalg.eigvals(A2)[0]
+        raise IllConditioned(
+            f"the mode near {describe_pole(complex(pole), float(discrete))} cannot be reached from the inputs (relative "
+            f"controllability {smallest / max(largest, 1e-300):.1e}, above {CONTROLLABILITY_LIMIT:.0e} is wanted): "
+            "give F (or Fk) yourself or reduce the model"
+        )
+    P = np.linalg.inv(Y)
+    if discrete:
+        return np.asarray(-np.linalg.solve(np.eye(B.shape[1]) + B2.T @ P @ B2, B2.T @ P @ A2) @ Z2.T)
+    return np.asarray(-B2.T @ P @ Z2.T)
