@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from afdsvc.api.bursts import Burst
+from afdsvc.api.bursts import Burst, Limits
 from afdsvc.api.evidence import Evidence
 from afdsvc.lti.lft import AugmentedPlant
 from afdsvc.lti.statespace import Array, StateSpace
@@ -29,7 +29,8 @@ class DetectionProblem:
     ``plant`` is the nominal discrete plant G, ``augmented`` its LFT over the named faults (``fault_names``),
     ``interconnection`` the controller as J_K (inputs ``[y, alpha]``, outputs ``[u, beta]``), ``innovations`` the filter
     from ``[y; u]`` to the white residual r, ``covariance`` that of r, shape ``(p, p)``. ``residual_gain`` is the system
-    from beta to r. ``output_names`` has length p, ``severity_range`` the bounds of every fault.
+    from beta to r. ``output_names`` has length p, ``severity_range`` the bounds of every fault. ``limits`` are those of the
+    rig (None when nobody stated them): an actuator at its limit spoils a burst.
     """
 
     machine: str
@@ -44,6 +45,7 @@ class DetectionProblem:
     input_names: tuple[str, ...] = ()
     severity_range: tuple[float, float] = (-1.0, 0.0)
     uncertainty: Mapping[str, float] = field(default_factory=dict)
+    limits: Limits | None = None
 
     @property
     def fault_names(self) -> tuple[str, ...]:

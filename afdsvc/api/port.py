@@ -79,6 +79,10 @@ class Drive(Protocol):
 class DrivablePort(Port, Protocol):
     """A machine that can be excited."""
 
+    def check(self, burst: Burst, limits: Limits) -> None:
+        """Raise `Refused` with the reason when the burst would break a limit of a healthy machine; nothing moves."""
+        ...
+
     def arm(self, limits: Limits) -> AbstractContextManager[Drive]:
         """Return the drive as a context manager; raises `Refused` when the machine is not fit to be excited."""
         ...

@@ -16,7 +16,8 @@ from afdsvc.api.port import PortStatus
 from afdsvc.api.signals import Block, Channel
 from afdsvc.errors import BadInput, Refused
 from afdsvc.hal import kernel
-from afdsvc.hal.excitation import Excitation
+from afdsvc.hal.excitation import Excitation, refuse_burst
+from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 
 CAUSES = {
@@ -34,6 +35,14 @@ class LoopSettings:
     session: str
     block: int = 250
     slice: int = 50
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """How a burst will show in a healthy machine: ``system`` from alpha to ``[u; y]``, ``noise (p,)`` the peak to add to y."""
+
+    system: StateSpace
+    noise: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +69,13 @@ class ControlLoop(ABC):
     """
 
     def __init__(
-        self, interconnection: StateSpace, channels: tuple[Channel, ...], limits: Limits, settings: LoopSettings, clock: Clock
+        self,
+        interconnection: StateSpace,
+        channels: tuple[Channel, ...],
+        limits: Limits,
+        settings: LoopSettings,
+        clock: Clock,
+        prediction: Prediction | None = None,
     ) -> None:
         self.m, self.p = len(limits.input), len(limits.output)
         if (interconnection.inputs, interconnection.outputs) != (self.p + self.m, self.m + self.p):
@@ -72,6 +87,7 @@ class ControlLoop(ABC):
         self._xk = np.zeros(interconnection.order)
         self._u = np.zeros(self.m)
         self._channels, self._limits, self._settings, self._clock = channels, limits, settings, clock
+        self._prediction = prediction
         self._excitation = Excitation(self.m)
         self._armed: Limits | None = None
         self._ready: deque[Block] = deque()
@@ -106,6 +122,13 @@ class ControlLoop(ABC):
         if not self._ready:
             self._ready.extend(self._next_blocks())
         return self._ready.popleft() if self._ready else None
+
+    def check(self, burst: Burst, limits: Limits) -> None:
+        """Raise `Refused` when the burst would break a limit in a healthy machine; nothing moves."""
+        bounds = tightest(self._limits, limits)
+        refuse_burst(burst, self.dt, bounds)
+        if self._prediction is not None:
+            refuse_prediction(burst, self.dt, bounds, self._prediction)
 
     @contextmanager
     def arm(self, limits: Limits) -> Iterator[_Drive]:
@@ -199,6 +222,19 @@ class _Drive:
     def aborted(self) -> str:
         """Why the burst was cut short; "" when it was not."""
         return self._loop._excitation.ended_because  # noqa: SLF001
+
+
+def refuse_prediction(burst: Burst, dt: float, limits: Limits, prediction: Prediction) -> None:
+    """Raise `Refused` when the nominal model says the burst drives an input or output beyond its limit."""
+    response, _ = simulate(prediction.system, burst.play(dt))
+    peak = np.abs(response).max(axis=0)
+    m = len(limits.input)
+    for i, (found, bound) in enumerate(zip(peak[:m], limits.input, strict=True)):
+        if found > bound:
+            raise Refused(f"burst '{burst.name}' would drive input {i} to {found:.3g}; its limit is {bound:.3g}")
+    for i, (found, bound) in enumerate(zip(peak[m:] + prediction.noise, limits.output, strict=True)):
+        if found > bound:
+            raise Refused(f"burst '{burst.name}' would drive output {i} to {found:.3g} with noise; its limit is {bound:.3g}")
 
 
 def tightest(a: Limits, b: Limits) -> Limits:

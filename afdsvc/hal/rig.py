@@ -11,7 +11,7 @@ from afdsvc.api.bursts import Limits
 from afdsvc.api.clock import Clock
 from afdsvc.api.signals import Channel
 from afdsvc.hal import kernel
-from afdsvc.hal.loop import ControlLoop, LoopSettings, Samples
+from afdsvc.hal.loop import ControlLoop, LoopSettings, Prediction, Samples
 from afdsvc.lti.statespace import Array, StateSpace
 
 
@@ -53,8 +53,9 @@ class DrivenRig(ControlLoop):
         limits: Limits,
         settings: LoopSettings,
         clock: Clock,
+        prediction: Prediction | None = None,
     ) -> None:
-        super().__init__(interconnection, channels, limits, settings, clock)
+        super().__init__(interconnection, channels, limits, settings, clock, prediction)
         self._driver = driver
         self._last = float("nan")
         driver.open()

@@ -12,7 +12,7 @@ from afdsvc.api.clock import Clock
 from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput
 from afdsvc.hal import kernel
-from afdsvc.hal.loop import ControlLoop, LoopSettings, Samples
+from afdsvc.hal.loop import ControlLoop, LoopSettings, Prediction, Samples
 from afdsvc.lti.statespace import Array, StateSpace
 
 
@@ -55,8 +55,9 @@ class Simulator(ControlLoop):
         settings: LoopSettings,
         clock: Clock,
         seed: int,
+        prediction: Prediction | None = None,
     ) -> None:
-        super().__init__(interconnection, channels, limits, settings, clock)
+        super().__init__(interconnection, channels, limits, settings, clock, prediction)
         self._plant = plant
         self._changes = sorted({f.start for f in plant.faults if f.start > 0})
         self._G = self._plant_at(0)

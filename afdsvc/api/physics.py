@@ -1,0 +1,155 @@
+"""The contract of physics hypotheses: what a model may have left out, where it would act, and by which law.
+
+A plugin hands out `Physics` objects. Asked about a `Machine` (what is known about its inputs, axes, states, outputs and
+auxiliary signals, with sizes taken from the recordings) each returns one `Hypothesis` per site where it makes sense.
+
+A law is a plain Python function of numbers and arrays, without imports but ``math``'s names `sin cos exp tanh sqrt pi`
+and the built-ins `abs min max range len`; it is compiled and called once per sample::
+
+    def law(p, z, m, dt, out):
+        '''Coulomb friction: -F tanh(v / w).'''
+        out[0] -= p[0] * math.tanh(z[0] / (p[1] + p[0] * dt))
+
+``p`` are the parameters in the order of `Hypothesis.parameters`, ``z`` the signals named in `Hypothesis.reads`, ``m`` a
+memory that starts at zero and survives between calls, ``dt`` the step in seconds, and ``out`` (zero on entry) what is
+added to the targets named in `Hypothesis.writes`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
+
+from afdsvc.lti.statespace import Array, StateSpace
+
+Law = Callable[[Any, Any, Any, float, Any], None]
+Stage = Literal["input", "force", "output"]
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """One signal a law reads or writes: its kind, and its number among its kind.
+
+    Kinds to read: ``u`` input as it acts (after earlier effects), ``x`` state, ``y`` output, ``aux`` auxiliary signal,
+    ``t`` time in s. Kinds to write: ``u`` (stage "input"), ``x`` meaning the rate of change of that state ("force"), ``y``
+    ("output"). At stage "output" the input read is the one held during the sample before.
+    """
+
+    kind: Literal["u", "x", "y", "aux", "t"]
+    index: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Coefficient:
+    """A parameter of a law: name, unit, range, and how it enters.
+
+    ``scale`` is a change that matters, used as the first step of a fit. A parameter with ``low >= 0`` is searched on a
+    logarithmic scale. ``linear`` says that the law is proportional to it (together with the other linear ones).
+    ``nuisance`` marks a shape parameter that sharpens the fit but is no finding of its own, such as a rounding width.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    scale: float
+    linear: bool = False
+    nuisance: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """One physics at one site: a law, its parameters, and how to tell it from others.
+
+    ``site`` is ``input:NAME``, ``state:NAME``, ``output:NAME`` or ``machine``. ``family`` groups laws that resemble each
+    other in data. ``starts`` are starting points of the search (values in the order of ``parameters``), guessed from the
+    recordings. ``linear`` returns the extended linear plant when the law is linear, given the continuous or discrete plant
+    and the fitted values. ``predicts`` and ``refuted_by`` are sentences for people. ``sign`` and so on are left to the law.
+    """
+
+    physics: str
+    site: str
+    family: str
+    stage: Stage
+    law: Law
+    reads: tuple[Signal, ...]
+    writes: tuple[Signal, ...]
+    parameters: tuple[Coefficient, ...]
+    starts: tuple[tuple[float, ...], ...]
+    memory: int = 0
+    linear: Callable[[StateSpace, Sequence[float]], StateSpace] | None = None
+    predicts: str = ""
+    refuted_by: str = ""
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def key(self) -> str:
+        """Name and site in one word, unique within a library unless ``notes["variant"]`` tells two apart."""
+        variant = self.notes.get("variant", "")
+        return f"{self.physics}@{self.site}" + (f"#{variant}" if variant else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """A signal of the machine as the recordings show it: name, unit, mean, rms about the mean, largest absolute value."""
+
+    index: int
+    name: str
+    unit: str
+    mean: float
+    rms: float
+    peak: float
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """A direction of motion: the states that are its position and its velocity.
+
+    ``travel`` and ``speed`` are the rms of position and velocity, ``push`` the rms of the rate of change of the velocity
+    that the model's terms cause one by one (the largest of them): the scale of a force that matters.
+    ``input`` is the input that acts on the velocity at once, with gain ``gain`` (None when there is none), so that
+    ``force = acceleration / gain`` can be told in the unit of the input.
+    """
+
+    name: str
+    position: Size
+    rate: Size
+    push: float
+    input: int | None = None
+    gain: float = 1.0
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Machine:
+    """What a hypothesis may know: signals with sizes, axes of motion, sample time, and where the residual has tones.
+
+    ``bandwidth`` is the fastest angular frequency [rad/s] that is excited, ``plant`` the nominal plant, ``residual`` the rms
+    of the residual per output, shape ``(p,)``, ``tones`` angular frequencies of the residual's lines outside the
+    excitation, ``peaks`` those where its spectrum stands out. ``shortage`` is the rms input that would cause the residual.
+    """
+
+    inputs: tuple[Size, ...]
+    outputs: tuple[Size, ...]
+    states: tuple[Size, ...]
+    axes: tuple[Axis, ...]
+    aux: Mapping[str, Size]
+    dt: float
+    duration: float
+    bandwidth: float
+    plant: StateSpace | None
+    residual: Array
+    tones: tuple[float, ...] = ()
+    peaks: tuple[float, ...] = ()
+
+
+class Physics(Protocol):
+    """What a physics plugin hands out."""
+
+    name: str
+    summary: str
+
+    def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
+        """Return one hypothesis per site where this physics makes sense; none when the machine has no such site."""
+        ...

@@ -1,0 +1,225 @@
+"""From one machine of the site file to concrete parts: plant, controller, faults, residual, limits, port, detectors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from afdsvc import plants
+from afdsvc.api.bursts import Limits
+from afdsvc.api.clock import Clock
+from afdsvc.api.control_plugins import DesignedController
+from afdsvc.api.detection import DetectionProblem, Detector, FalseAlarms
+from afdsvc.api.model import Model, Variable
+from afdsvc.api.plant import PhysicalPlant
+from afdsvc.api.port import Port
+from afdsvc.api.signals import Channel
+from afdsvc.errors import BadInput
+from afdsvc.hal.loop import LoopSettings, Prediction
+from afdsvc.hal.replay import Replay, blocks_of
+from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, Simulator
+from afdsvc.lti.coprime import Factorisation
+from afdsvc.lti.lft import AugmentedPlant, FaultDirection, augment
+from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.lti.whitening import innovations, whitening_filter
+from afdsvc.plugins.manager import Plugins
+from afdsvc.record.model_file import read_model
+from afdsvc.record.tables import read_table
+from afdsvc.runtime import site as site_file
+from afdsvc.runtime.intake import Expectation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Commissioned:
+    """One machine, ready to be run, watched or diagnosed.
+
+    ``plant`` is the nominal discrete plant; ``controller`` None when unknown (then the machine is watched only).
+    """
+
+    config: site_file.Machine
+    plant: StateSpace
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    output_cov: Array | None
+    process_cov: Array | None
+    controller: DesignedController | None
+    augmented: AugmentedPlant
+    limits: Limits | None
+    channels: tuple[Channel, ...]
+    speed: float = 0.0
+
+
+def commission(config: site_file.Machine, plugins: Plugins) -> Commissioned:
+    """Return the machine's parts; raises `BadInput` that names the machine and what is wrong with it."""
+    try:
+        return _from_plant(config, plugins) if config.plant else _from_model(config, plugins)
+    except BadInput as error:
+        raise type(error)(f"machine '{config.id}': {error}") from error
+
+
+def _from_plant(config: site_file.Machine, plugins: Plugins) -> Commissioned:
+    physical = plants.plant(config.plant or "", **config.options)
+    discrete = physical.discrete()
+    controller = plugins.get("controllers", config.controller.kind).design(
+        discrete, _controller_settings(config.controller, physical)
+    )
+    output_cov = physical.output_cov if config.output_sd is None else np.diag(np.square(config.output_sd))
+    speed = 2 * np.pi * float(config.options.get("rpm", 0)) / 60
+    limits = _limits(config.limits, physical.output_limit, physical.input_limit)
+    return Commissioned(
+        config, discrete, physical.inputs, physical.outputs, output_cov, None, controller,
+        augment(discrete, _directions(config, discrete, physical.inputs, physical.outputs, plugins)),
+        limits, _channels(physical.inputs, physical.outputs, True, speed), speed,
+    )
+
+
+def _from_model(config: site_file.Machine, plugins: Plugins) -> Commissioned:
+    """A model file describes a machine that is watched; it can be excited only when a driver plugin drives it."""
+    model = read_model(config.model or Path())
+    if model.plant is None:
+        raise BadInput(f"{model.origin}: a linear model (A, B, C, D) is wanted to watch a machine")
+    recording = config.driver.recording
+    if recording is None:
+        raise BadInput("a machine with 'model' needs a driver of kind 'replay' with 'recording'")
+    trace = read_table(recording)
+    discrete = model.plant if model.plant.discrete else sample_zoh(model.plant, trace.dt)
+    return Commissioned(
+        config, discrete, model.inputs, model.outputs, _model_cov(config, model), None, None,
+        augment(discrete, _directions(config, discrete, model.inputs, model.outputs, plugins)),
+        None, trace.channels,
+    )
+
+
+def _controller_settings(controller: site_file.Named, plant: PhysicalPlant) -> Mapping[str, Any]:
+    """A plant may recommend settings for a controller; the site file overrides them."""
+    return {**plant.recommended.get(controller.kind, {}), **controller.settings}
+
+
+def _model_cov(config: site_file.Machine, model: Model) -> Array | None:
+    sd = config.output_sd if config.output_sd is not None else model.output_sd
+    return None if sd is None else np.diag(np.square(np.asarray(sd, dtype=float)))
+
+
+def _directions(
+    config: site_file.Machine, plant: StateSpace, inputs: tuple[Variable, ...], outputs: tuple[Variable, ...], plugins: Plugins
+) -> list[FaultDirection]:
+    """Return the faults of the site file, or a gain fault on every actuator and sensor when it names none."""
+    faults = config.faults if config.faults is not None else default_faults(inputs, outputs)
+    return [plugins.get("faults", f.kind).direction(plant, f.name, f.settings) for f in faults]
+
+
+def default_faults(inputs: tuple[Variable, ...], outputs: tuple[Variable, ...]) -> list[site_file.Fault]:
+    """Return a gain fault on every actuator and every sensor."""
+    actuators = [
+        site_file.Fault(name=f"{v.name}_actuator", kind="actuator_gain", settings={"input": i}) for i, v in enumerate(inputs)
+    ]
+    return actuators + [
+        site_file.Fault(name=f"{v.name}_sensor", kind="sensor_gain", settings={"output": i}) for i, v in enumerate(outputs)
+    ]
+
+
+def _limits(settings: site_file.LimitSettings, output: Array, input: Array) -> Limits:
+    def bound(name: str, value: list[float] | None, default: Array) -> Array:
+        chosen = default if value is None else np.asarray(value, dtype=float)
+        if chosen.shape != default.shape:
+            raise BadInput(f"key 'limits.{name}' has {chosen.size} values; {default.size} are wanted")
+        return np.minimum(chosen, default)
+
+    u = bound("input", settings.input, input)
+    return Limits(bound("output", settings.output, output), u, bound("alpha", settings.alpha, u), settings.seconds)
+
+
+def _channels(inputs: tuple[Variable, ...], outputs: tuple[Variable, ...], known: bool, speed: float) -> tuple[Channel, ...]:
+    """Return the channels in the order of `hal.loop.Samples.values`."""
+    columns = [Channel(f"u_{v.name}", v.unit) for v in inputs] + [Channel(f"y_{v.name}", v.unit) for v in outputs]
+    if known:
+        columns += [Channel(f"alpha_{v.name}", v.unit) for v in inputs]
+        columns += [Channel(f"beta_{v.name}", v.unit) for v in outputs]
+    if speed:
+        columns += [Channel("aux_speed", "rad/s"), Channel("aux_angle", "rad")]
+    return tuple(columns)
+
+
+def problem(machine: Commissioned, output_cov: Array, process_cov: Array | None, alarms: FalseAlarms) -> DetectionProblem:
+    """Return the detection problem for known noise; raises `BadInput` when the plant is undetectable from its outputs."""
+    residual = innovations(machine.plant, output_cov, process_cov)
+    fact, jk = _factors(machine)
+    whitening, covariance = whitening_filter(fact, output_cov, process_cov)
+    return DetectionProblem(
+        machine.config.id, machine.plant, machine.augmented, jk, residual.filter, whitening, residual.covariance,
+        tuple(v.name for v in machine.outputs), alarms, tuple(v.name for v in machine.inputs),
+    )
+
+
+def _factors(machine: Commissioned) -> tuple[Factorisation, StateSpace]:
+    """Where the controller is unknown, the LQ controller of the nominal model stands in; bursts are then not available."""
+    from afdsvc.plugins.controllers.lqg import Lqg
+
+    controller = machine.controller or Lqg().design(machine.plant, {})
+    return controller.factorisation, controller.interconnection
+
+
+def expectation(machine: Commissioned, frozen_after: int = 50) -> Expectation:
+    """Return what the machine's blocks must look like."""
+    return Expectation(machine.channels, machine.plant.dt, frozen_after)
+
+
+def detectors(machine: Commissioned, base: DetectionProblem, plugins: Plugins) -> list[Detector]:
+    """Return the designed detectors of the machine, each with its own share of the false alarms."""
+    made = []
+    for wanted in machine.config.detectors:
+        alarms = FalseAlarms(wanted.false_alarms_per_1000_bursts / 1000, wanted.false_alarms_per_day / 24)
+        design = plugins.get("detectors", wanted.kind)
+        made.append(design.design(_with_alarms(base, alarms), wanted.settings))
+    return made
+
+
+def _with_alarms(base: DetectionProblem, alarms: FalseAlarms) -> DetectionProblem:
+    from dataclasses import replace
+
+    return replace(base, false_alarms=alarms)
+
+
+def open_port(machine: Commissioned, session: str, clock: Clock, plugins: Plugins) -> Port:
+    """Return the machine's port: the simulator, a replay, or a driver plugin."""
+    driver = machine.config.driver
+    settings = LoopSettings(machine.config.id, session, machine.config.block)
+    if driver.kind == "replay":
+        trace = read_table(driver.recording or Path())
+        return Replay(blocks_of(trace, machine.config.id, session, clock.now_ns(), machine.config.block), clock)
+    if machine.controller is None or machine.limits is None or machine.output_cov is None:
+        raise BadInput(f"machine '{machine.config.id}' has no controller or no noise; it can only be replayed")
+    if driver.kind == "simulator":
+        return _simulator(machine, settings, clock)
+    return plugins.get("drivers", driver.kind).open(machine, settings, clock, driver.settings)
+
+
+def prediction(machine: Commissioned) -> Prediction:
+    """Return how alpha shows in y and u of the nominal loop: N and M, and the peak of the noise to allow for."""
+    fact = machine.controller.factorisation if machine.controller else None
+    if fact is None or machine.output_cov is None:
+        raise BadInput(f"machine '{machine.config.id}' has no controller; bursts cannot be predicted")
+    both = fact.R.select(slice(None), range(machine.plant.inputs))
+    return Prediction(both, 5 * np.sqrt(np.diag(machine.output_cov)))
+
+
+def _simulator(machine: Commissioned, settings: LoopSettings, clock: Clock) -> Simulator:
+    assert machine.controller and machine.limits and machine.output_cov is not None  # noqa: S101 - checked by open_port
+    dt, driver = machine.plant.dt, machine.config.driver
+    known = machine.augmented.fault_names
+    for f in driver.faults:
+        if f.name not in known:
+            raise BadInput(f"fault '{f.name}' is unknown; this machine has {', '.join(known)}")
+    faults = tuple(ScheduledFault(f.name, f.severity, round(f.at_seconds / dt)) for f in driver.faults)
+    plant = SimulatedPlant(
+        lambda severities: machine.augmented.close(severities), machine.output_cov, None, machine.speed, None, faults
+    )
+    return Simulator(
+        plant, machine.controller.interconnection, machine.channels, machine.limits, settings, clock, driver.seed,
+        prediction(machine),
+    )

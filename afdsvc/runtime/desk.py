@@ -1,0 +1,117 @@
+"""The burst desk of one machine: asks the rig when the scheduler says so, keeps the lease alive, and never guesses."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import datetime
+
+from afdsvc.api.bursts import Burst
+from afdsvc.api.clock import Clock
+from afdsvc.errors import AfdsvcError, Refused
+from afdsvc.runtime.pipeline import Pipeline
+from afdsvc.runtime.scheduler import Scheduler, Wanted
+from afdsvc.runtime.sinks import Sink
+from afdsvc.runtime.transport import Transport
+from afdsvc.wire import codec
+from afdsvc.wire.keys import Keys
+from afdsvc.wire.messages import BurstRequest, BurstStop, EventKind, Lease, RigEvent
+
+LEASE_SECONDS = 2.0
+ENDS = (EventKind.BURST_ENDED, EventKind.BURST_ABORTED, EventKind.BURST_REFUSED, EventKind.RIG_STOPPED)
+
+
+@dataclass
+class BurstDesk:
+    """Plays bursts on one machine. ``design(wanted)`` returns the burst for a purpose; its name is made unique here."""
+
+    machine: str
+    design: Callable[[Wanted], Burst]
+    scheduler: Scheduler
+    pipeline: Pipeline
+    sink: Sink
+    keys: Keys
+    transport: Transport
+    clock: Clock
+
+    def __post_init__(self) -> None:
+        self._count = itertools.count(1)
+        self._lock = threading.Lock()
+        self._deadline = 0.0
+        self.session = ""
+        self.playing = ""
+
+    def tick(self) -> None:
+        """Start what is due, renew the lease of what plays, give up on what never ended."""
+        now = self.clock.monotonic()
+        if self.playing:
+            self._keep(now)
+            return
+        wanted = self.scheduler.due(now, datetime.now()) if self.session else None
+        if wanted is not None:
+            try:
+                self.play(wanted)
+            except AfdsvcError as refusal:
+                self._say("warning", f"burst not played: {refusal}")
+
+    def ask(self, wanted: Wanted) -> str:
+        """Play a burst a person asked for, at once; returns its name, raises `Refused` with the reason."""
+        if not self.session:
+            raise Refused(f"machine '{self.machine}' is not there")
+        self.scheduler.request(wanted, self.clock.monotonic(), datetime.now())
+        due = self.scheduler.due(self.clock.monotonic(), datetime.now())
+        if due is None:
+            raise Refused("the machine is not ready for a burst")
+        return self.play(due)
+
+    def play(self, wanted: Wanted) -> str:
+        """Ask the rig for the burst; returns its name, raises `Refused` with the rig's reason."""
+        with self._lock:
+            made = self.design(wanted)
+            burst = replace(made, name=f"{self.session[:8]}-{next(self._count)}", notes={**made.notes, "reason": wanted.reason})
+            request = BurstRequest(self.machine, burst, LEASE_SECONDS, wanted.reason, self.clock.now_ns())
+            self.pipeline.announce(burst)
+            self.sink.request(request)
+            self._begin(burst)
+            try:
+                answer = self.transport.ask(self.keys.burst(self.machine), codec.encode_burst_request(request))
+                reply = codec.decode_burst_reply(answer)
+            except AfdsvcError:
+                self._end()
+                raise
+            if not reply.accepted:
+                self._end()
+                raise Refused(reply.reason)
+            return burst.name
+
+    def stop(self, reason: str, asked_by: str) -> None:
+        """End whatever plays, smoothly."""
+        stop = BurstStop(self.machine, reason, asked_by)
+        self.transport.ask(self.keys.stop(self.machine), codec.encode_burst_stop(stop))
+
+    def heard(self, event: RigEvent) -> None:
+        """Take an event of the rig into account."""
+        if event.kind in ENDS and (event.burst == self.playing or event.kind is EventKind.RIG_STOPPED) and self.playing:
+            self._end()
+
+    def _begin(self, burst: Burst) -> None:
+        seconds = burst.samples * self.pipeline.problem.plant.dt
+        self.playing, self._deadline = burst.name, self.clock.monotonic() + seconds + 5.0
+        self.scheduler.started()
+
+    def _end(self) -> None:
+        self.playing = ""
+        self.scheduler.ended(self.clock.monotonic())
+
+    def _keep(self, now: float) -> None:
+        if now > self._deadline:
+            self._say("error", f"burst '{self.playing}' never ended; the rig did not say why")
+            self._end()
+            return
+        lease = Lease(self.machine, self.playing, LEASE_SECONDS)
+        self.transport.publish(self.keys.lease(self.machine), codec.encode_lease(lease))
+
+    def _say(self, level: str, sentence: str) -> None:
+        self.sink.notice(self.machine, level, sentence, self.clock.now_ns())

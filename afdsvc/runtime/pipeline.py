@@ -1,0 +1,177 @@
+"""From blocks to evidence, the same for a live machine and for a recording: what is decided depends on the blocks alone."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from afdsvc.api.bursts import Burst
+from afdsvc.api.detection import DetectionProblem, Detector, ResidualBlock
+from afdsvc.api.evidence import Evidence
+from afdsvc.api.signals import Block
+from afdsvc.detect.noise_model import calibrate_noise
+from afdsvc.detect.residual import ResidualFilter
+from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.runtime.intake import Expectation, Finding, IntakeState, judge, longest_still
+
+log = logging.getLogger(__name__)
+LONGEST_SETTLING = 20_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What one block led to: evidence, findings about the stream, and the whitened residual (None when unusable)."""
+
+    evidence: tuple[Evidence, ...]
+    findings: tuple[Finding, ...]
+    residual: Array | None
+    lost_samples: int = 0
+
+
+@dataclass
+class Pipeline:
+    """Residual generation and detectors of one machine.
+
+    After every start and every interruption the residual filter settles for a while before detectors see it: its initial
+    state is unknown. Bursts are known by name from the requests (`announce`); blocks of an unknown burst are not judged.
+    """
+
+    problem: DetectionProblem
+    detectors: Sequence[Detector]
+    expected: Expectation
+    bursts: dict[str, Burst] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._intake = IntakeState()
+        self._states: dict[str, Any] = {d.name: d.start() for d in self.detectors}
+        self._broken: dict[str, str] = {}
+        self._x: Array | None = None
+        self._settled_at = 0
+        self._filter = ResidualFilter(self.problem.innovations)
+        self._settle = min(self._filter.settling(1e-3), LONGEST_SETTLING)
+        self._gap = True
+        self._burst: tuple[str, int] = ("", 0)
+
+    def announce(self, burst: Burst) -> None:
+        """Make a burst known before its blocks come; the memory of old ones is bounded."""
+        self.bursts[burst.name] = burst
+        while len(self.bursts) > 64:
+            self.bursts.pop(next(iter(self.bursts)))
+
+    def step(self, block: Block) -> Outcome:
+        """Return what the block leads to; a detector that fails is put aside by name and the others go on."""
+        self._intake, judged = judge(self.expected, self._intake, block)
+        if judged.gap:
+            self._x, self._gap = None, True
+        if not judged.usable:
+            self._gap = True
+            return Outcome((), judged.findings, None, judged.lost_samples)
+        r = self._residual(block)
+        self._follow_burst(block)
+        if block.k0 + len(block) <= self._settled_at:
+            return Outcome((), judged.findings, r, judged.lost_samples)
+        evidence, failures = self._judge_residual(block, r)
+        return Outcome(tuple(evidence), (*judged.findings, *failures), r, judged.lost_samples)
+
+    def _residual(self, block: Block) -> Array:
+        if self._x is None:
+            self._x = self._filter.start()
+            self._settled_at = block.k0 + self._settle
+        self._x, r = self._filter.step(self._x, block.role("y"), block.role("u"))
+        return r
+
+    def _follow_burst(self, block: Block) -> None:
+        if block.burst != self._burst[0]:
+            self._burst = (block.burst, block.k0)
+
+    def _judge_residual(self, block: Block, r: Array) -> tuple[list[Evidence], list[Finding]]:
+        seen = self._seen(block, r)
+        self._gap = False
+        evidence: list[Evidence] = []
+        failures: list[Finding] = []
+        for detector in self.detectors:
+            if detector.name in self._broken:
+                continue
+            try:
+                self._states[detector.name], found = detector.step(self._states[detector.name], seen)
+                evidence += found
+            except Exception as error:
+                log.exception("detector '%s' failed", detector.name)
+                self._broken[detector.name] = f"{type(error).__name__}: {error}"
+                failures.append(Finding("plugin_failed", f"detector '{detector.name}' failed and is put aside: {error}"))
+        return evidence, failures
+
+    def _seen(self, block: Block, r: Array) -> ResidualBlock:
+        name, start = self._burst
+        known = self.bursts.get(name) if name else None
+        aux = {c.label: block.values[:, i] for i, c in enumerate(block.channels) if c.role == "aux"}
+        return ResidualBlock(
+            block.k0, block.dt, r, block.role("beta"), block.role("u"), block.role("y"), block.role("alpha"),
+            known, name, start, self._gap or bool(name and known is None), aux,
+        )
+
+
+class Stream(Protocol):
+    """Anything that turns blocks into evidence."""
+
+    def announce(self, burst: Burst) -> None:
+        """Make a burst known before its blocks come."""
+        ...
+
+    def step(self, block: Block) -> Outcome:
+        """Return what a block leads to."""
+        ...
+
+
+@dataclass
+class CalibratedPipeline:
+    """A pipeline whose noise model comes from the machine's own first quiet samples.
+
+    Until ``samples`` have come without interruption nothing is judged. ``design(output_cov, process_cov, frozen_after)``
+    returns the pipeline; the longest run of equal samples seen in calibration sets what counts as frozen.
+    """
+
+    plant: StateSpace
+    expected: Expectation
+    samples: int
+    design: Callable[[Array, Array | None, int], Pipeline]
+
+    def __post_init__(self) -> None:
+        self._intake = IntakeState()
+        self._quiet: list[Block] = []
+        self._bursts: list[Burst] = []
+        self.pipeline: Pipeline | None = None
+
+    def announce(self, burst: Burst) -> None:
+        """Make a burst known."""
+        self._bursts = [*self._bursts[-63:], burst]
+        if self.pipeline:
+            self.pipeline.announce(burst)
+
+    def step(self, block: Block) -> Outcome:
+        """Collect, then judge."""
+        if self.pipeline is not None:
+            return self.pipeline.step(block)
+        self._intake, judged = judge(self.expected, self._intake, block)
+        if judged.gap and self._quiet or block.burst:
+            self._quiet = []
+        if judged.usable and not block.burst:
+            self._quiet.append(block)
+        found = judged.findings
+        if sum(map(len, self._quiet)) >= self.samples:
+            found = (*found, self._calibrate())
+        return Outcome((), found, None, judged.lost_samples)
+
+    def _calibrate(self) -> Finding:
+        y = np.vstack([b.role("y") for b in self._quiet])
+        noise = calibrate_noise(self.plant, np.vstack([b.role("u") for b in self._quiet]), y)
+        self._quiet = []
+        self.pipeline = self.design(noise.output_cov, noise.process_cov, max(50, 4 * longest_still(y)))
+        for burst in self._bursts:
+            self.pipeline.announce(burst)
+        sd = ", ".join(f"{s:.3g}" for s in np.sqrt(np.diag(noise.covariance)))
+        return Finding("calibrated", f"noise calibrated on {len(y)} quiet samples: residual sd {sd}")

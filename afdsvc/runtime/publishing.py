@@ -1,0 +1,53 @@
+"""A sink that publishes what the service found, for viewers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from afdsvc.api.signals import Block, Channel
+from afdsvc.lti.statespace import Array
+from afdsvc.runtime.transport import Transport
+from afdsvc.wire import codec
+from afdsvc.wire.keys import Keys
+from afdsvc.wire.messages import BurstRequest, Finding, RigEvent
+
+
+def residual_block(block: Block, residual: Array) -> Block:
+    """Return the whitened residual as a block of its own, channels ``aux_r_<output>`` in the outputs' units."""
+    channels = tuple(Channel(f"aux_r_{c.label}", c.unit) for c in block.channels if c.role == "y")
+    return replace(block, channels=channels, values=residual, late=0)
+
+
+@dataclass
+class Publisher:
+    """Publishes residuals and decisions of one machine; blocks and events are on the wire already."""
+
+    keys: Keys
+    transport: Transport
+
+    def block(self, block: Block, payload: bytes) -> None:
+        """Nothing: the rig published it."""
+
+    def residual(self, block: Block, residual: Array) -> None:
+        """Publish the whitened residual."""
+        key = self.keys.residual(block.machine)
+        self.transport.publish(key, codec.encode_block(residual_block(block, residual)))
+
+    def finding(self, finding: Finding) -> None:
+        """Publish a decision."""
+        self.transport.publish(self.keys.evidence(finding.evidence.machine), codec.encode_finding(finding))
+
+    def event(self, event: RigEvent, payload: bytes) -> None:
+        """Nothing: the rig published it."""
+
+    def request(self, request: BurstRequest) -> None:
+        """Nothing: the rig is asked directly."""
+
+    def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
+        """Nothing: sentences go to the recording and the log."""
+
+    def tick(self) -> None:
+        """Nothing."""
+
+    def close(self) -> None:
+        """Nothing: the transport closes itself."""

@@ -1,0 +1,88 @@
+"""When a burst is played: periodically with jitter, on request, after an event; never in quiet hours, never without rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime, time
+
+import numpy as np
+
+from afdsvc.errors import Refused
+from afdsvc.runtime.site import Bursts
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """A burst somebody wants: why, and in which sequence (1 for a first burst, 2 for one that separates two faults)."""
+
+    reason: str
+    follow_up: str = ""
+
+
+class Scheduler:
+    """Decides for one machine. Times are seconds of a monotonic clock; quiet hours use local wall time."""
+
+    def __init__(self, settings: Bursts, rng: np.random.Generator, now: float) -> None:
+        self._settings, self._rng = settings, rng
+        self._next = None if settings.every_seconds is None else now + settings.first_after_seconds
+        self._last_end = float("-inf")
+        self._queue: list[Wanted] = []
+        self.playing = False
+        self.paused = ""
+
+    def request(self, wanted: Wanted, now: float, wall: datetime) -> None:
+        """Queue a burst asked for by a person; raises `Refused` with the reason when it cannot be played now."""
+        if self.paused:
+            raise Refused(f"bursts are paused: {self.paused}")
+        if self.playing:
+            raise Refused("a burst is playing; two at once are never played")
+        if self.quiet(wall):
+            raise Refused(f"it is {wall:%H:%M}, within the quiet hours of this machine")
+        rest = self._last_end + self._settings.rest_seconds - now
+        if rest > 0:
+            raise Refused(f"the machine rests for another {rest:.1f} s after the last burst")
+        self._queue.append(wanted)
+
+    def after_event(self, reason: str) -> None:
+        """Queue a burst because of an event, when the site wants that; it waits for rest and quiet hours."""
+        if self._settings.after_event and not self._queue:
+            self._queue.append(Wanted(f"after event: {reason}"))
+
+    def follow_up(self, reason: str, burst: str) -> None:
+        """Queue a second burst that separates the faults the first one left open."""
+        self._queue.append(Wanted(reason, burst))
+
+    def due(self, now: float, wall: datetime) -> Wanted | None:
+        """Return the burst to play now, or None."""
+        if self.paused or self.playing or self.quiet(wall) or now < self._last_end + self._settings.rest_seconds:
+            return None
+        if self._queue:
+            return self._queue.pop(0)
+        if self._next is not None and now >= self._next:
+            self._plan(now)
+            return Wanted("periodic")
+        return None
+
+    def seconds_to_next(self, now: float) -> float:
+        """Return the seconds until the next periodic burst, 0 when none is planned or it is due."""
+        return 0.0 if self._next is None or self.paused else max(self._next - now, 0.0)
+
+    def started(self) -> None:
+        """Note that a burst began."""
+        self.playing = True
+
+    def ended(self, now: float) -> None:
+        """Note that a burst ended or was refused; rest begins."""
+        self.playing, self._last_end = False, now
+
+    def quiet(self, wall: datetime) -> bool:
+        """Whether the wall time lies in a quiet interval; an interval may span midnight."""
+        return any(_within(wall.time(), start, stop) for start, stop in self._settings.quiet_hours)
+
+    def _plan(self, now: float) -> None:
+        every, jitter = self._settings.every_seconds or 0.0, self._settings.jitter_seconds
+        self._next = now + max(every + jitter * self._rng.uniform(-1, 1), 0.0)
+
+
+def _within(t: time, start: time, stop: time) -> bool:
+    return start <= t < stop if start <= stop else (t >= start or t < stop)

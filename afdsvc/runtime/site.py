@@ -1,0 +1,248 @@
+"""The site file: one TOML for service, rig agents and viewers, strictly validated."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from datetime import time
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from afdsvc.errors import BadInput
+
+_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+Positive = Annotated[float, Field(gt=0)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Transport(_Strict):
+    """Where the service listens and how the others find it; loopback only unless told otherwise."""
+
+    listen: list[str] = ["tcp/127.0.0.1:7447"]
+    connect: list[str] = []
+    mode: Literal["peer", "router"] = "peer"
+    ca: str | None = None
+    certificate: str | None = None
+    private_key: str | None = None
+    cache_blocks: Annotated[int, Field(ge=10)] = 4000
+
+    def endpoints(self) -> list[str]:
+        """Return the endpoints rig agents and viewers connect to."""
+        return self.connect or self.listen
+
+
+class Recording(_Strict):
+    """Where recordings go and when a new file is begun."""
+
+    folder: Path = Path("recordings")
+    max_megabytes: Positive = 512.0
+    max_minutes: Positive = 60.0
+    preview_hz: Positive = 100.0
+
+
+class Review(_Strict):
+    """Rerun: off, a file beside each recording, or a live viewer on loopback."""
+
+    rerun: Literal["off", "file", "live"] = "off"
+    port: int = 9876
+
+
+class FaultInjection(_Strict):
+    """A fault the simulator injects; for demonstration and commissioning."""
+
+    name: str
+    severity: Annotated[float, Field(ge=-1, le=1)]
+    at_seconds: Annotated[float, Field(ge=0)] = 0.0
+
+
+class Driver(_Strict):
+    """What stands behind the machine: the simulator, a replay of a recording, or a driver plugin."""
+
+    kind: str = "simulator"
+    real_time: bool = True
+    seed: int = 0
+    recording: Path | None = None
+    faults: list[FaultInjection] = []
+    settings: dict[str, Any] = {}
+
+    @model_validator(mode="after")
+    def _replay_needs_recording(self) -> Driver:
+        if self.kind == "replay" and self.recording is None:
+            raise ValueError("a replay needs 'recording', the path of the file to replay")
+        return self
+
+
+class Named(_Strict):
+    """A plugin by name with its settings."""
+
+    kind: str
+    settings: dict[str, Any] = {}
+
+
+class Fault(_Strict):
+    """A fault the detectors look for: its name, its kind (a plugin), and where it sits."""
+
+    name: str
+    kind: str
+    settings: dict[str, Any] = {}
+
+
+class Detector(_Strict):
+    """A detector and its share of the false alarms."""
+
+    kind: str
+    false_alarms_per_1000_bursts: Positive = 1.0
+    false_alarms_per_day: Positive = 1 / 30
+    settings: dict[str, Any] = {}
+
+
+class LimitSettings(_Strict):
+    """Bounds per channel in the machine's units; what is left out comes from the plant."""
+
+    output: list[Positive] | None = None
+    input: list[Positive] | None = None
+    alpha: list[Positive] | None = None
+    seconds: Positive = 14.0
+
+
+class Bursts(_Strict):
+    """When bursts are played and how large they may be."""
+
+    every_seconds: Positive | None = None
+    jitter_seconds: Annotated[float, Field(ge=0)] = 0.0
+    rest_seconds: Annotated[float, Field(ge=0)] = 1.0
+    after_event: bool = False
+    first_after_seconds: Annotated[float, Field(ge=0)] = 2.0
+    seconds: Positive = 2.5
+    output_amplitude: Positive | None = None
+    quiet_hours: list[tuple[time, time]] = []
+
+
+class Machine(_Strict):
+    """One machine: plant or model, driver, controller, faults, limits, bursts, detectors."""
+
+    id: str
+    plant: str | None = None
+    options: dict[str, Any] = {}
+    model: Path | None = None
+    driver: Driver = Driver()
+    controller: Named = Named(kind="lqg")
+    faults: list[Fault] | None = None
+    limits: LimitSettings = LimitSettings()
+    output_sd: list[Positive] | None = None
+    calibrate_seconds: Annotated[float, Field(ge=0)] = 0.0
+    bursts: Bursts = Bursts()
+    detectors: list[Detector] = [Detector(kind="matched_filter"), Detector(kind="regression"), Detector(kind="cusum")]
+    block: Annotated[int, Field(ge=10, le=5000)] = 250
+
+    @field_validator("id")
+    @classmethod
+    def _plain(cls, value: str) -> str:
+        if not _ID.fullmatch(value):
+            raise ValueError("letters, digits, '-', '_' and '.' are wanted")
+        return value
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Machine:
+        if (self.plant is None) == (self.model is None):
+            raise ValueError("exactly one of 'plant' and 'model' is wanted")
+        return self
+
+
+class Site(_Strict):
+    """A whole site file. ``text`` is the file as it was read, ``origin`` its path."""
+
+    site: str
+    machines: Annotated[list[Machine], Field(min_length=1)]
+    transport: Transport = Transport()
+    recording: Recording = Recording()
+    review: Review = Review()
+    text: str = Field(default="", exclude=True)
+    origin: str = Field(default="", exclude=True)
+
+    @field_validator("site")
+    @classmethod
+    def _plain(cls, value: str) -> str:
+        return Machine._plain(value)
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Site:
+        ids = [m.id for m in self.machines]
+        twice = sorted({i for i in ids if ids.count(i) > 1})
+        if twice:
+            raise ValueError(f"machine ids must differ; '{twice[0]}' stands {ids.count(twice[0])} times")
+        return self
+
+    def machine(self, id: str) -> Machine:
+        """Return one machine; raises `BadInput` that lists the ids there are."""
+        for machine in self.machines:
+            if machine.id == id:
+                return machine
+        raise BadInput(f"{self.origin}: no machine '{id}'; it has {', '.join(m.id for m in self.machines)}")
+
+
+def read_site(path: Path) -> Site:
+    """Read and validate a site file; raises `BadInput` naming file, key, value found and value wanted.
+
+    Paths inside the file are relative to its folder.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput(f"{path}: cannot be read as a site file ({error})") from error
+    return parse_site(text, str(path), path.parent)
+
+
+def parse_site(text: str, origin: str, folder: Path | None = None) -> Site:
+    """Validate the text of a site file; see `read_site`."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise BadInput(f"{origin}: not valid TOML: {error}") from error
+    if "text" in data or "origin" in data:
+        raise BadInput(f"{origin}: key 'text' or 'origin' is unknown; see the reference of the site file")
+    try:
+        site = Site.model_validate(data)
+    except ValidationError as error:
+        raise BadInput(_sentence(origin, error)) from error
+    return _anchored(site.model_copy(update={"text": text, "origin": origin}), folder)
+
+
+def _anchored(site: Site, folder: Path | None) -> Site:
+    if folder is None:
+        return site
+    machines = [
+        m.model_copy(
+            update={
+                "model": m.model and folder / m.model,
+                "driver": m.driver.model_copy(update={"recording": m.driver.recording and folder / m.driver.recording}),
+            }
+        )
+        for m in site.machines
+    ]
+    recording = site.recording.model_copy(update={"folder": folder / site.recording.folder})
+    return site.model_copy(update={"machines": machines, "recording": recording})
+
+
+def _sentence(origin: str, error: ValidationError) -> str:
+    """Return one sentence: file, key, value found, value wanted; further faults are counted."""
+    first, more = error.errors()[0], error.error_count() - 1
+    key = ".".join(str(part) for part in first["loc"]) or "the file"
+    wanted = first["msg"].removeprefix("Value error, ")
+    if first["type"] == "extra_forbidden":
+        wanted = "this key is unknown; remove it or mend its spelling"
+    elif first["type"] == "missing":
+        wanted = "this key is required"
+    found = "" if first["type"] == "missing" else f", found {_short(first['input'])}"
+    rest = f" (and {more} more)" if more else ""
+    return f"{origin}: key '{key}'{found}: {wanted}{rest}"
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."

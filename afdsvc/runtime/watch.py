@@ -1,0 +1,122 @@
+"""One machine as the service sees it: what arrives is checked, judged, passed on, and summed up."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from afdsvc.api.clock import Clock
+from afdsvc.api.evidence import Evidence
+from afdsvc.errors import BadInput
+from afdsvc.runtime.pipeline import Outcome, Pipeline
+from afdsvc.runtime.sinks import Sink
+from afdsvc.runtime.verdict import Verdict, conclude
+from afdsvc.wire import codec
+from afdsvc.wire.messages import Alarm, Finding, MachineStatus, RigEvent
+
+STALE_SECONDS = 2.0
+LEVELS = {"gap": "warning", "bad_block": "warning", "bad_samples": "error", "frozen_sensor": "error", "plugin_failed": "error"}
+
+
+@dataclass
+class MachineWatch:
+    """Takes the messages of one machine in order, in one thread; other threads only read the status."""
+
+    machine: str
+    pipeline: Pipeline
+    sink: Sink
+    clock: Clock
+    evidence: deque[Evidence] = field(default_factory=lambda: deque(maxlen=400))
+
+    def __post_init__(self) -> None:
+        self.session = ""
+        self.blocks = self.lost_samples = self.late = 0
+        self.present = False
+        self.trouble = ""
+        self._last = float("-inf")
+        self._twins: set[str] = set()
+        self._fresh: list[Finding] = []
+
+    def take_block(self, payload: bytes) -> Outcome | None:
+        """Judge a block and pass everything on; what cannot be decoded is named and dropped."""
+        try:
+            block = codec.decode_block(payload)
+        except BadInput as error:
+            self.say("warning", f"a block could not be read: {error}")
+            return None
+        if self._is_twin(block.session):
+            return None
+        self.session, self._last = block.session, self.clock.monotonic()
+        self.blocks += 1
+        self.late += block.late
+        self.sink.block(block, payload)
+        outcome = self.pipeline.step(block)
+        self.lost_samples += outcome.lost_samples
+        for finding in outcome.findings:
+            self.trouble = finding.message if LEVELS.get(finding.kind) == "error" else self.trouble
+            self.say(LEVELS.get(finding.kind, "info"), finding.message, block.t0_ns)
+        if outcome.residual is not None:
+            self.sink.residual(block, outcome.residual)
+            self.trouble = ""
+        for e in outcome.evidence:
+            stamp = block.t0_ns + round((e.k - block.k0) * block.dt * 1e9)
+            self.evidence.append(e)
+            self._fresh.append(Finding(e, block.session, stamp))
+            self.sink.finding(self._fresh[-1])
+        return outcome
+
+    def fresh_findings(self) -> list[Finding]:
+        """Return the decisions since the last call."""
+        fresh, self._fresh = self._fresh, []
+        return fresh
+
+    def take_event(self, payload: bytes) -> RigEvent | None:
+        """Pass an event of the rig on; None when it cannot be decoded."""
+        try:
+            event = codec.decode_event(payload)
+        except BadInput as error:
+            self.say("warning", f"an event could not be read: {error}")
+            return None
+        self.sink.event(event, payload)
+        return event
+
+    def appeared(self, session: str) -> None:
+        """Note that a rig agent announced itself; a second one at the same time is named and not listened to."""
+        if self.present and self.session and session != self.session:
+            self._twins.add(session)
+            self.say("error", f"a second rig agent (session {session}) claims to be '{self.machine}'; it is not listened to")
+            return
+        self.present, self.session = True, session
+        self.say("info", f"rig agent of '{self.machine}' is there")
+
+    def gone(self, session: str) -> None:
+        """Note that a rig agent vanished."""
+        self._twins.discard(session)
+        if session == self.session:
+            self.present = False
+            self.say("warning", f"rig agent of '{self.machine}' is gone")
+
+    def verdict(self) -> Verdict:
+        """Return what the kept decisions amount to."""
+        return conclude(list(self.evidence))
+
+    def status(self, burst: str, next_burst: float, alarms: tuple[Alarm, ...]) -> MachineStatus:
+        """Return how the machine is seen now."""
+        age = self.clock.monotonic() - self._last
+        state, reason = "running", self.trouble
+        if not self.present:
+            state, reason = "absent", "no rig agent is there"
+        elif age > STALE_SECONDS:
+            state, reason = "stale", f"no block for {age:.1f} s" if self.blocks else "no block yet"
+        verdict = self.verdict()
+        return MachineStatus(
+            self.machine, state, self.session, reason or verdict.reason, self.blocks, self.lost_samples, self.late,
+            1.0, max(age, 0.0) if self.blocks else 0.0, burst, next_burst, verdict.trustworthy, alarms,
+        )
+
+    def say(self, level: str, sentence: str, t_ns: int | None = None) -> None:
+        """Pass a sentence on."""
+        self.sink.notice(self.machine, level, sentence, self.clock.now_ns() if t_ns is None else t_ns)
+
+    def _is_twin(self, session: str) -> bool:
+        return session in self._twins

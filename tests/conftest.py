@@ -1,0 +1,67 @@
+"""What many tests start from: the gas bearing with one of its controllers, in closed loop."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from afdsvc import commission
+from afdsvc.api.port import DrivablePort
+from afdsvc.plugins.manager import Plugins, load
+from afdsvc.runtime.clock import FastClock
+from afdsvc.runtime.site import FaultInjection, Machine, Named
+
+
+@pytest.fixture(scope="session")
+def plugins() -> Plugins:
+    """Everything installed."""
+    return load()
+
+
+@pytest.fixture(scope="session")
+def measured() -> Path:
+    """The folder of measured recordings named by AFDSVC_DATA; the test is skipped where there is none."""
+    folder = os.environ.get("AFDSVC_DATA")
+    if not folder:
+        pytest.skip("AFDSVC_DATA names no folder of measured recordings")
+    return Path(folder)
+
+
+def controller_settings(name: str) -> Named:
+    """Return one of the two controllers of the thesis."""
+    return Named(kind="proportional", settings={"gain": 0.2}) if name == "proportional" else Named(kind="lqg")
+
+
+def machine_config(controller: str = "lqg", rpm: int = 0, seed: int = 1, faults: dict | None = None, **more) -> Machine:
+    """Return a gas bearing as a site file would describe it; ``faults`` maps names to (severity, second)."""
+    injected = [FaultInjection(name=n, severity=s, at_seconds=t) for n, (s, t) in (faults or {}).items()]
+    driver = {"kind": "simulator", "real_time": False, "seed": seed, "faults": injected}
+    return Machine(
+        id="bearing", plant="gas_bearing", options={"rpm": rpm}, controller=controller_settings(controller),
+        driver=driver, **more,
+    )
+
+
+@pytest.fixture(scope="session")
+def bearing(plugins: Plugins) -> Callable[..., commission.Commissioned]:
+    """Return commissioned gas bearings by controller, speed, seed, faults."""
+    return lambda *args, **kwargs: commission.commission(machine_config(*args, **kwargs), plugins)
+
+
+@pytest.fixture(scope="session")
+def simulated(bearing, plugins: Plugins) -> Callable[..., DrivablePort]:
+    """Return simulators of gas bearings, as fast as they go."""
+
+    def make(*args, session: str = "test", **kwargs) -> DrivablePort:
+        return commission.open_port(bearing(*args, **kwargs), session, FastClock(), plugins)
+
+    return make
+
+
+def stack(blocks: list) -> np.ndarray:
+    """Return the samples of blocks in one array."""
+    return np.vstack([b.values for b in blocks])
