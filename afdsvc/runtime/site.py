@@ -29,6 +29,7 @@ class Transport(_Strict):
     ca: str | None = None
     certificate: str | None = None
     private_key: str | None = None
+    patience_seconds: Positive = 5.0
     cache_blocks: Annotated[int, Field(ge=10)] = 4000
 
     def endpoints(self) -> list[str]:

@@ -44,7 +44,7 @@ def configuration(settings: site_file.Transport, hub: bool) -> zenoh.Config:
     put("transport/link/tx/lease", 2000)
     put("connect/retry", {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2})
     if not hub:
-        put("connect/timeout_ms", 5000)
+        put("connect/timeout_ms", round(1000 * settings.patience_seconds))
         put("connect/exit_on_failure", True)
     _secure(put, settings, hub)
     return config

@@ -1,0 +1,107 @@
+"""zenoh as it really behaves here: two sessions on loopback."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import pytest
+
+from afdsvc.errors import AfdsvcError, BadInput
+from afdsvc.runtime.site import Transport as Settings
+from afdsvc.runtime.transport import PeerSilent, Transport
+
+
+def free_port() -> int:
+    import socket
+
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
+
+
+@pytest.fixture
+def settings() -> Settings:
+    return Settings(listen=[f"tcp/127.0.0.1:{free_port()}"])
+
+
+def wait_for(condition: Callable[[], bool], seconds: float = 10.0) -> bool:
+    deadline = time.monotonic() + seconds
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return condition()
+
+
+def test_everything_published_arrives_in_order(settings):
+    got: list[int] = []
+    with Transport(settings, hub=True) as hub, Transport(settings, hub=False) as rig:
+        hub.subscribe("afdsvc/t/*/block", lambda key, payload: got.append(int(payload)))
+        for i in range(500):
+            rig.publish("afdsvc/t/m/block", str(i).encode())
+        assert wait_for(lambda: len(got) >= 500)
+    assert got == list(range(500))
+
+
+def test_a_stalled_subscriber_loses_nothing(settings):
+    """The subscriber sleeps 3 s in its callback while blocks keep coming at four times the rate of a 5 kHz machine."""
+    got: list[int] = []
+
+    def hear(key: str, payload: bytes) -> None:
+        if len(got) == 20:
+            time.sleep(3)
+        got.append(int.from_bytes(payload[:8], "little"))
+
+    with Transport(settings, hub=True) as hub, Transport(settings, hub=False) as rig:
+        hub.subscribe("afdsvc/t/*/block", hear)
+        for i in range(400):
+            rig.publish("afdsvc/t/m/block", i.to_bytes(8, "little") + bytes(20_000))
+            time.sleep(0.0125)
+        assert wait_for(lambda: len(got) >= 400, 20)
+    assert got == list(range(400))
+
+
+def test_queries_get_an_answer_or_the_reason(settings):
+    with Transport(settings, hub=True) as hub, Transport(settings, hub=False) as rig:
+
+        def answer(payload: bytes) -> bytes:
+            if payload == b"boom":
+                raise ValueError("no such burst")
+            return payload.upper()
+
+        rig.serve("afdsvc/t/m/burst", answer)
+        time.sleep(0.2)
+        assert hub.ask("afdsvc/t/m/burst", b"hello") == b"HELLO"
+        with pytest.raises(AfdsvcError, match="no such burst"):
+            hub.ask("afdsvc/t/m/burst", b"boom")
+        with pytest.raises(PeerSilent, match="nobody answers at afdsvc/t/other/burst"):
+            hub.ask("afdsvc/t/other/burst", b"")
+
+
+def test_a_peer_that_hangs_is_a_timeout_not_an_answer(settings):
+    release = threading.Event()
+    with Transport(settings, hub=True) as hub, Transport(settings, hub=False) as rig:
+        rig.serve("afdsvc/t/m/burst", lambda p: release.wait(3) and p or p)
+        time.sleep(0.2)
+        with pytest.raises(PeerSilent, match=r"within 0\.5 s"):
+            hub.ask("afdsvc/t/m/burst", b"", timeout=0.5)
+        release.set()
+
+
+def test_presence_is_seen_and_so_is_its_end(settings):
+    seen: list[tuple[str, bool]] = []
+    with Transport(settings, hub=True) as hub:
+        hub.watch("afdsvc/t/*/alive/*", lambda key, alive: seen.append((key, alive)))
+        with Transport(settings, hub=False) as rig:
+            rig.announce("afdsvc/t/m/alive/s1")
+            assert wait_for(lambda: ("afdsvc/t/m/alive/s1", True) in seen)
+            assert hub.alive("afdsvc/t/m/alive/*") == ["afdsvc/t/m/alive/s1"]
+        assert wait_for(lambda: ("afdsvc/t/m/alive/s1", False) in seen)
+
+
+def test_two_hubs_at_one_place_and_a_client_without_a_hub_are_named(settings):
+    with Transport(settings, hub=True), pytest.raises(BadInput, match="cannot listen at"), Transport(settings, hub=True):
+        pass
+    lonely = Settings(listen=[f"tcp/127.0.0.1:{free_port()}"], patience_seconds=0.5)
+    with pytest.raises(BadInput, match="no service answers at"), Transport(lonely, hub=False):
+        pass
