@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import getpass
 import json
+import os
 import signal
 import sys
+import threading
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -13,25 +16,27 @@ from typing import Annotated, Any
 import typer
 
 from afdsvc import __version__
-from afdsvc.errors import AfdsvcError, BadInput, Refused
+from afdsvc.errors import AfdsvcError, BadInput
 
 app = typer.Typer(
     name="afdsvc", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
     help="Active fault diagnosis for closed-loop machines, and why a model disagrees with its recordings.",
-)
-plugins_app = typer.Typer(no_args_is_help=True, help="What is installed, a scaffold for a new plugin, the conformance suite.")
+)  # fmt: skip
+plugins_app = typer.Typer(no_args_is_help=True, help="What is installed.")
 app.add_typer(plugins_app, name="plugins")
 
 Json = Annotated[bool, typer.Option("--json", help="Exactly one JSON document on stdout.")]
+SiteFile = Annotated[Path, typer.Argument(metavar="SITE.toml", help="The site file.")]
+SiteOption = Annotated[Path, typer.Option("--site", metavar="SITE.toml", help="The site file the service runs with.")]
+MachineOption = Annotated[str | None, typer.Option("--machine", help="Id of the machine; needed when there are several.")]
+HERE = Path("site.toml")
 
 
 def main() -> None:
     """Run the command line: exit 0 done, 2 bad input or usage (one sentence), 1 unexpected failure."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         app()
-    except (BadInput, Refused) as error:
-        sys.exit(_fail(str(error), 2))
     except AfdsvcError as error:
         sys.exit(_fail(str(error), 2))
     except KeyboardInterrupt:
@@ -55,9 +60,189 @@ def _show(as_json: bool, value: Any, text: Callable[[], None]) -> None:
         text()
 
 
+def _stop_on_signals() -> threading.Event:
+    """Return an event that SIGTERM and SIGINT set, so that every `with` block is left in order."""
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    return stop
+
+
 @app.callback(invoke_without_command=True)
-def version(show: Annotated[bool, typer.Option("--version", help="Show the version and stop.")] = False) -> None:
+def afdsvc(show: Annotated[bool, typer.Option("--version", help="Show the version and stop.")] = False) -> None:
     """Active fault diagnosis for closed-loop machines."""
     if show:
         print(__version__)
         raise typer.Exit
+
+
+@app.command()
+def demo(
+    plant: Annotated[str, typer.Option(help="The plant that is simulated.")] = "gas_bearing",
+    fault: Annotated[list[str] | None, typer.Option(metavar="NAME=SEVERITY@SECONDS", help="May be repeated.")] = None,
+    healthy: Annotated[bool, typer.Option("--healthy", help="Inject no fault.")] = False,
+    controller: Annotated[str, typer.Option(help="lqg or proportional")] = "lqg",
+    rpm: Annotated[int, typer.Option(help="Rotor speed.")] = 0,
+    seconds: Annotated[float, typer.Option(help="Length of the run.")] = 30.0,
+    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 1,
+    out: Annotated[Path, typer.Option(help="Folder of the recording.")] = Path("recordings"),
+    as_json: Json = False,
+) -> None:
+    """Watch a simulated machine from its first burst to a named fault, on this computer alone."""
+    from afdsvc.demo import DemoOptions, parse_fault, run_demo
+    from afdsvc.terminal import demo_table, progress
+
+    wanted = [] if healthy else fault or ["horizontal_actuator=-0.5@12"]
+    options = DemoOptions(plant, controller, rpm, tuple(parse_fault(f) for f in wanted), seconds, seed, out)
+    with progress("running the machine", seconds) as tell:
+        document = run_demo(options, lambda done, hub: tell(done))
+    _show(as_json, document, lambda: demo_table(document))
+
+
+@app.command()
+def serve(site: SiteFile, seconds: Annotated[float | None, typer.Option(help="Stop after so long.")] = None) -> None:
+    """Run the service of one site until SIGTERM or Ctrl-C."""
+    from afdsvc.runtime.site import read_site
+    from afdsvc.service import serving
+
+    stop = _stop_on_signals()
+    with serving(read_site(site)) as hub:
+        print(f"afdsvc {__version__}: serving '{hub.keys.site}' with {len(hub.watches)} machine(s)", file=sys.stderr, flush=True)
+        stop.wait(seconds)
+
+
+@app.command()
+def rig(
+    site: SiteFile,
+    machine: Annotated[str, typer.Option("--machine", help="Id of the machine in the site file.")],
+    seconds: Annotated[float | None, typer.Option(help="Stop after so long.")] = None,
+) -> None:
+    """Run the rig agent of one machine: its control loop, its blocks, its bursts within its limits."""
+    from afdsvc.runtime.site import read_site
+    from afdsvc.service import run_rig
+
+    run_rig(read_site(site), machine, seconds, _stop_on_signals())
+
+
+def _ask(site: Path, name: str, **arguments: Any) -> Any:
+    from afdsvc.runtime.site import read_site
+    from afdsvc.service import ask_service
+
+    return ask_service(read_site(site), name, getpass.getuser(), **arguments)
+
+
+@app.command()
+def status(site: SiteOption = HERE, as_json: Json = False) -> None:
+    """Show how the service and its machines are."""
+    from afdsvc.terminal import status_table
+
+    found = _ask(site, "status")
+    _show(as_json, found, lambda: status_table(found))
+
+
+@app.command()
+def alarms(site: SiteOption = HERE, as_json: Json = False) -> None:
+    """Show the alarms."""
+    from afdsvc.terminal import alarm_table
+
+    found = _ask(site, "alarms")
+    _show(as_json, found, lambda: alarm_table(found))
+
+
+@app.command()
+def ack(
+    alarm: Annotated[str, typer.Argument(help="Id of the alarm, as `afdsvc alarms` shows it.")],
+    comment: Annotated[str, typer.Option(help="Why, for the log.")] = "",
+    site: SiteOption = HERE,
+    as_json: Json = False,
+) -> None:
+    """Acknowledge an alarm: somebody has seen it."""
+    found = _ask(site, "ack", alarm=alarm, comment=comment)
+    _show(as_json, found, lambda: print(f"{found['id']} acknowledged by {found['acknowledged_by']}"))
+
+
+@app.command()
+def burst(machine: MachineOption = None, site: SiteOption = HERE, as_json: Json = False) -> None:
+    """Play a burst now; refused with its reason when a limit or rule would be broken."""
+    found = _ask(site, "burst", machine=machine)
+    _show(as_json, found, lambda: print(f"burst {found['burst']} accepted"))
+
+
+@app.command()
+def pause(
+    reason: Annotated[str, typer.Option(help="Why, for the log.")] = "",
+    machine: MachineOption = None,
+    site: SiteOption = HERE,
+    as_json: Json = False,
+) -> None:
+    """Play no bursts on a machine until `resume`."""
+    found = _ask(site, "pause", machine=machine, reason=reason)
+    _show(as_json, found, lambda: print(f"bursts on {found['machine']} are paused {found['paused']}"))
+
+
+@app.command()
+def resume(machine: MachineOption = None, site: SiteOption = HERE, as_json: Json = False) -> None:
+    """Play bursts again."""
+    found = _ask(site, "resume", machine=machine)
+    _show(as_json, found, lambda: print(f"bursts on {found['machine']} go on"))
+
+
+@app.command()
+def diagnose(
+    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="MCAP recordings, or tables with --model.")],
+    model: Annotated[Path | None, typer.Option(metavar="MODEL.toml", help="The model, for recordings that carry none.")] = None,
+    calibrate: Annotated[float | None, typer.Option(metavar="SECONDS", help="Quiet data to learn the noise from.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Run the detectors over recordings: the same code and the same evidence as live."""
+    from afdsvc.offline import diagnose_recordings
+    from afdsvc.terminal import diagnosis_table
+
+    document = diagnose_recordings(recordings, model, calibrate)
+    _show(as_json, document, lambda: diagnosis_table(document))
+
+
+@app.command()
+def review(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="An MCAP recording.")],
+    save: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Write a Rerun file instead of opening the viewer.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Look at a recording in Rerun: signals, residuals, statistics, decisions, bursts."""
+    from afdsvc.review import open_viewer, review_recording
+
+    made = review_recording(recording, save)
+    _show(as_json, {"rerun": str(made)}, lambda: print(made) if save else open_viewer(made))
+
+
+@app.command("import")
+def import_(
+    table: Annotated[Path, typer.Argument(metavar="TABLE", help=".csv, .parquet, .mat or .npz")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mcap", help="The recording to write.")],
+    model: Annotated[Path | None, typer.Option(metavar="MODEL.toml", help="The model to put inside.")] = None,
+    column: Annotated[list[str] | None, typer.Option("--map", metavar="COLUMN=u_name", help="Name a foreign column.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Turn a foreign table into a recording, to the last bit."""
+    from afdsvc.offline import import_recording
+
+    done = import_recording(table, out, model, _mapping(column or []))
+    _show(as_json, done, lambda: print(f"{done['recording']}: {done['samples']} samples, {', '.join(done['channels'])}"))
+
+
+def _mapping(pairs: list[str]) -> dict[str, str]:
+    for pair in pairs:
+        if pair.count("=") != 1:
+            raise BadInput(f"--map '{pair}': COLUMN=name is wanted, for example current=u_current")
+    return dict(pair.split("=") for pair in pairs)
+
+
+@plugins_app.command("list")
+def plugins_list(as_json: Json = False) -> None:
+    """Show what is installed, by family, and what could not be loaded and why."""
+    from afdsvc.plugins.manager import load
+    from afdsvc.terminal import plugin_table
+
+    found = load()
+    rows = [{"family": o.family, "name": o.name, "summary": o.summary, "plugin": o.plugin} for o in found.offers]
+    _show(as_json, {"plugins": rows, "broken": found.broken}, lambda: plugin_table(rows, found.broken))

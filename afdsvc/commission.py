@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from afdsvc import plants
 from afdsvc.api.bursts import Limits
 from afdsvc.api.clock import Clock
 from afdsvc.api.control_plugins import DesignedController
@@ -27,6 +26,7 @@ from afdsvc.lti.lft import AugmentedPlant, FaultDirection, augment
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import innovations, whitening_filter
+from afdsvc.plants.registry import plant as plant_by_name
 from afdsvc.plugins.manager import Plugins
 from afdsvc.record.model_file import read_model
 from afdsvc.record.tables import read_table
@@ -63,7 +63,7 @@ def commission(config: site_file.Machine, plugins: Plugins) -> Commissioned:
 
 
 def _from_plant(config: site_file.Machine, plugins: Plugins) -> Commissioned:
-    physical = plants.plant(config.plant or "", **config.options)
+    physical = plant_by_name(config.plant or "", **config.options)
     discrete = physical.discrete()
     controller = plugins.get("controllers", config.controller.kind).design(
         discrete, _controller_settings(config.controller, physical)

@@ -13,7 +13,7 @@ from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.signals import Channel
 from afdsvc.hal.loop import LoopSettings
 from afdsvc.hal.rig import DrivenRig
-from afdsvc.plants import plant
+from afdsvc.plants.registry import plant
 from afdsvc.plugins.manager import load
 from afdsvc.runtime.clock import RealClock
 

@@ -22,7 +22,7 @@ def burst(amplitude: float = 0.3, samples: int = 1000, inputs: int = 2) -> Burst
 
 def simulator(machine, block=250, slice=50, seed=1, faults=(), limits=None):
     """Return a simulator with blocks and slices of a chosen size."""
-    plant = SimulatedPlant(machine.augmented.close, machine.output_cov, faults=faults)
+    plant = SimulatedPlant(machine.augmented.close, machine.output_cov, speed=machine.speed, faults=faults)
     return Simulator(
         plant, machine.controller.interconnection, machine.channels, limits or machine.limits,
         LoopSettings("m", "s", block, slice), FastClock(), seed,
@@ -112,10 +112,10 @@ def test_output_limit_ends_the_burst_within_one_sample(bearing):
 
 def test_actuator_limit_ends_the_burst_in_the_sample_and_is_never_exceeded(bearing):
     machine = bearing()
-    weak = Limits(machine.limits.output, np.array([1.5, 1.5]), np.array([5.0, 5.0]))
+    weak = Limits(machine.limits.output, np.array([0.9, 0.9]), np.array([5.0, 5.0]))
     blocks, cause = run(simulator(machine, limits=weak), 6000, burst(4.0, 3000))
     assert "an actuator reached its limit" in cause
-    assert np.abs(values(blocks)[:, :2]).max() <= 1.5
+    assert np.abs(values(blocks)[:, :2]).max() <= 0.9
 
 
 def test_total_sensor_loss_does_not_break_the_limits(bearing):
@@ -168,7 +168,7 @@ def test_stop_fades_out_over_the_ramp(bearing):
         (burst(amplitude=100.0), "at most"),
         (Burst("w", 2, 100, 0, waveform=np.full((100, 2), np.nan)), "NaN"),
         (burst(inputs=1), "has 1 inputs"),
-        (burst(amplitude=9.0, samples=4000), "would drive"),
+        (Burst("r", 2, 4000, 100, (Line(0, 1300.0, 9.0),)), "would drive output 0 to"),
     ],
 )
 def test_a_burst_beyond_a_limit_is_refused_with_its_reason(simulated, wrong, reason):

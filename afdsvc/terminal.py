@@ -1,0 +1,113 @@
+"""What people see in a terminal: tables and a progress bar, all on the right stream."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+OUT = Console()
+ERR = Console(stderr=True)
+
+
+@contextmanager
+def progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
+    """Show a progress bar on a terminal's stderr; the value handed out takes what is done so far."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn())
+    with Progress(*columns, console=ERR, transient=True, disable=not ERR.is_terminal) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda done: bar.update(task, completed=done)
+
+
+def percent(severity: dict[str, float] | None) -> str:
+    """Return a severity with its standard error in percent."""
+    return "" if severity is None else f"{100 * severity['value']:+.1f} ± {100 * severity['sd']:.1f} %"
+
+
+def demo_table(document: dict[str, Any]) -> None:
+    """Show truth beside verdict, and the files to open."""
+    verdict = document["recordings"][0]["verdict"]
+    table = Table(title="What was injected and what was found")
+    for column in ("", "fault", "severity", "since"):
+        table.add_column(column)
+    for t in document["truth"]:
+        table.add_row("injected", t["fault"], f"{100 * t['severity']:+.1f} %", f"{t['start_s']:.1f} s")
+    if not document["truth"]:
+        table.add_row("injected", "none", "", "")
+    found = verdict["fault"] or ("a fault, not singled out" if verdict["first_detected_s"] is not None else "none")
+    first = verdict["first_detected_s"]
+    table.add_row("found", found, percent(verdict["severity"]), "" if first is None else f"decided at {first:.1f} s")
+    OUT.print(table)
+    _weights(verdict["weights"])
+    OUT.print(f"recording  {document['recording']}", soft_wrap=True)
+    OUT.print(f"review     rerun {document['rerun']}", soft_wrap=True)
+
+
+def _weights(weights: dict[str, float]) -> None:
+    if weights:
+        OUT.print("weights    " + ", ".join(f"{k} {100 * w:.1f} %" for k, w in sorted(weights.items(), key=lambda i: -i[1])))
+
+
+def diagnosis_table(document: dict[str, Any]) -> None:
+    """Show the decisions of every burst and the verdict of every recording."""
+    for recording in document["recordings"]:
+        table = Table(title=f"{recording['recording']} ({recording['machine']})")
+        for column in ("burst at", "detector", "statistic", "threshold", "decision", "fault", "severity"):
+            table.add_column(column)
+        for burst in recording["bursts"]:
+            for d in burst["decisions"]:
+                decision = "FAULT" if d["detected"] else ("quiet" if d.get("trustworthy", True) else "not trustworthy")
+                table.add_row(
+                    f"{burst['start_s']:.2f} s", d["detector"], f"{d['statistic']:.3g}", f"{d['threshold']:.3g}", decision,
+                    d["fault"] or "", percent(d["severity"]),
+                )
+        OUT.print(table)
+        for line in recording.get("passive", []):
+            OUT.print(f"  {line}")
+        verdict = recording["verdict"]
+        words = verdict["fault"] or ("a fault, not singled out" if verdict["first_detected_s"] is not None else "no fault")
+        OUT.print(f"verdict: {words} {percent(verdict['severity'])} {verdict.get('reason', '')}")
+        _weights(verdict["weights"])
+
+
+def status_table(status: dict[str, Any]) -> None:
+    """Show the machines of a service."""
+    table = Table(title=f"{status['site']}: afdsvc {status['version']}, up {status['uptime']:.0f} s")
+    for column in ("machine", "state", "blocks", "lost samples", "late", "burst", "next burst", "alarms", "remark"):
+        table.add_column(column)
+    for m in status["machines"]:
+        alarms = ", ".join(a["fault"] for a in m["alarms"] if a["active"]) or "none"
+        table.add_row(
+            m["machine"], m["state"], str(m["blocks"]), str(m["lost_blocks"]), str(m["late"]), m["burst"] or "no",
+            f"{m['next_burst']:.1f} s", alarms, m["reason"],
+        )
+    OUT.print(table)
+    failure = f"; NOT RECORDING: {status['recording_failure']}" if status["recording_failure"] else ""
+    OUT.print(f"recording {status['recording'] or 'nothing'} ({status['recording_bytes'] / 1e6:.1f} MB){failure}", soft_wrap=True)
+
+
+def alarm_table(alarms: list[dict[str, Any]]) -> None:
+    """Show the alarms."""
+    table = Table(title="Alarms")
+    for column in ("id", "severity", "decisions", "state", "acknowledged by", "comment"):
+        table.add_column(column)
+    for a in alarms:
+        state = "active" if a["active"] else "ended"
+        table.add_row(a["id"], percent(a["severity"]), str(a["count"]), state, a["acknowledged_by"], a["comment"])
+    OUT.print(table)
+
+
+def plugin_table(rows: list[dict[str, str]], broken: dict[str, str]) -> None:
+    """Show the plugins by family."""
+    table = Table()
+    for column in ("family", "name", "summary", "from"):
+        table.add_column(column)
+    for row in rows:
+        table.add_row(row["family"], row["name"], row["summary"], row["plugin"])
+    OUT.print(table)
+    for name, why in broken.items():
+        OUT.print(f"[red]{name} could not be loaded: {why}")
