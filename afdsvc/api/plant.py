@@ -10,7 +10,7 @@ import numpy as np
 
 from afdsvc.api.model import Quantity, Variable
 from afdsvc.errors import BadInput
-from afdsvc.lti.lft import AugmentedPlant, FaultDirection, actuator_gain, augment, sensor_gain
+from afdsvc.lti.lft import AugmentedPlant, FaultDirection, actuator_gain, sensor_gain
 from afdsvc.lti.parametric import parametric_plant
 from afdsvc.lti.sampled_lft import sample_augmented
 from afdsvc.lti.sampling import sample_zoh
@@ -26,7 +26,8 @@ class PhysicalPlant:
     ``build`` turns parameter values by name into a continuous system (or a discrete one with ``sample_time``).
     ``output_cov (p, p)`` is the covariance of the measurement noise; ``process_cov (n, n)``, of the sampled plant, that
     of noise on the states or None. ``output_limit (p,)`` and ``input_limit (m,)`` are the absolute bounds of safe
-    operation in the units of the signals. ``fault_sites`` names the gain faults: ``("input", i)`` or ``("output", i)``.
+    operation in the units of the signals. ``fault_sites`` names the gain faults: ``("input", i)`` or ``("output", i)``;
+    ``usual_faults`` are those meant when no names are given (every gain fault if empty).
     ``recommended`` holds settings for controllers by their name, where a source gives them.
     """
 
@@ -42,6 +43,7 @@ class PhysicalPlant:
     input_limit: Array
     process_cov: Array | None = None
     fault_sites: Mapping[str, tuple[str, int]] = field(default_factory=dict)
+    usual_faults: tuple[str, ...] = ()
     source: str = ""
     recommended: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
@@ -78,11 +80,11 @@ class PhysicalPlant:
     def faults(self, names: Sequence[str] | None = None) -> AugmentedPlant:
         """Return the discrete plant with faults pulled out: names of gain faults and of physical parameters, any mixture.
 
-        Without names: every gain fault. A parameter's severity is its relative change, ``p = p0 (1 + theta)``; products
+        Without names: the usual faults of this plant. A parameter's severity is its relative change, ``p = p0 (1 + theta)``; products
         of parameters are exact. A continuous plant is sampled with the feedback ``w = theta z`` closed continuously
         (see `afdsvc.lti.sampled_lft`), so it agrees with sampling the changed plant to rounding.
         """
-        names = list(self.fault_sites if names is None else names)
+        names = list((self.usual_faults or tuple(self.fault_sites)) if names is None else names)
         continuous = self.continuous_faults(names)
         return continuous if continuous.system.discrete else sample_augmented(continuous, self.sample_time)
 
@@ -106,5 +108,3 @@ class PhysicalPlant:
             known = [*(self.fault_sites if what != "parameter" else ()), *self.parameters]
             raise BadInput(f"plant '{self.name}' has no {what} '{name}'; it has {', '.join(known)}")
 
-
-__all__ = ["AugmentedPlant", "Build", "PhysicalPlant", "augment"]

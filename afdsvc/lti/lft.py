@@ -159,6 +159,24 @@ class AugmentedPlant:
             s.C[k:] + s.D[k:, :k] @ gain @ s.C[:k], s.D[k:, k:] + s.D[k:, :k] @ gain @ s.D[:k, k:], s.dt,
         )
 
+    def reordered(self, names: Sequence[str]) -> AugmentedPlant:
+        """Return the plant with these faults, in this order; faults left out stay at severity 0."""
+        slices = [list(range(self.channels))[self.channels_of(name)] for name in names]
+        keep = [c for part in slices for c in part]
+        k, s = self.channels, self.system
+        system = s.select([*keep, *range(k, s.outputs)], [*keep, *range(k, s.inputs)])
+        return AugmentedPlant(system, tuple(names), tuple(len(part) for part in slices))
+
+    def with_gain_faults(self, sites: Mapping[str, tuple[str, int]], order: Sequence[str]) -> AugmentedPlant:
+        """Return the plant with gain faults added, ``name: ("input" or "output", index)``, all faults in the given order."""
+        plant, k, s = self.plant, self.channels, self.system
+        inner = FaultDirection("", s.B[:, :k], s.D[k:, :k], s.C[:k], s.D[:k, k:], s.D[:k, :k])
+        make = {"input": actuator_gain, "output": sensor_gain}
+        gains = [make[kind](plant, name, index) for name, (kind, index) in sites.items()]
+        both = augment(plant, [inner, *gains])
+        joined = AugmentedPlant(both.system, (*self.fault_names, *sites), (*self.widths, *(1 for _ in sites)))
+        return joined.reordered(order)
+
 
 def augment(plant: StateSpace, directions: Sequence[FaultDirection]) -> AugmentedPlant:
     """Return the plant with all the faults pulled out at once.
