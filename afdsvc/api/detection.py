@@ -84,7 +84,10 @@ class Detector(Protocol):
     ``step`` must not modify its arguments; its cost per sample is constant and its state bounded.
     """
 
-    name: str
+    @property
+    def name(self) -> str:
+        """Name under which evidence is reported."""
+        ...
 
     def start(self) -> Any:
         """Return the initial state."""

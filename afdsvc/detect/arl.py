@@ -1,13 +1,13 @@
 """Run lengths of the CUSUM test on a Gaussian log-likelihood ratio, exactly.
 
-The increments are ``N(-mu^2/2, mu^2)`` without and ``N(+mu^2/2, mu^2)`` with the change; ``mu`` is the deflection gained
-per sample (root mean square when it varies). The CUSUM starts at 0, is reflected there and alarms above ``b``. Its average
-run length is ``N / R``: the mean length N of the sequential test between 0 and b over the probability R that this test
-ends above b, both from one integral equation (E. S. Page, *Biometrika* 41, 1954) solved with Gauss-Legendre nodes.
-N and R solve well-conditioned equations, so run lengths of years lose no digits.
+The increments are ``N(-mu^2/2, mu^2)`` without and ``N(+mu^2/2, mu^2)`` with the change; ``mu`` is the deflection
+gained per sample (root mean square when it varies). The CUSUM starts at 0, is reflected there and alarms above ``b``.
+Its average run length is ``N / R``: the mean length N of the sequential test between 0 and b over the probability R
+that this test ends above b, both from one integral equation (E. S. Page, *Biometrika* 41, 1954) solved with
+Gauss-Legendre nodes. N and R solve well-conditioned equations, so run lengths of years lose no digits.
 
-When mu is so small that the kernel is needle-thin (b > 150 mu), several samples are taken together and the boundary moved
-by Siegmund's 1.166 mu, which is accurate to O(mu^2) there.
+When mu is so small that the kernel is needle-thin (b > 150 mu), several samples are taken together and the boundary
+moved by Siegmund's 1.166 mu, which is accurate to O(mu^2) there.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 
 OVERSHOOT = 1.1657  # twice the mean overshoot of a standard normal random walk, 0.58286
+_STEP = 0.15
 _FINEST = 150.0  # largest b / mu given to the integral equation
 
 
@@ -42,8 +43,9 @@ def run_length(mu: float, b: float, changed: bool = False) -> float:
 def boundary(mu: float, samples: float) -> float:
     """Return b with an average run length of ``samples`` before the change; raises `BadInput` below two samples."""
     _check(mu, 1.0)
-    if not samples > 2 * run_length(mu, 1e-9):
-        raise BadInput(f"run length {samples:.3g} samples is below {2 * run_length(mu, 1e-9):.3g}; a longer one is wanted")
+    shortest = 2 * run_length(mu, 1e-9)
+    if not samples > shortest:
+        raise BadInput(f"run length of {samples:.3g} samples; one above {shortest:.3g} is wanted")
     goal = math.log(samples)
     high = math.log(samples) + 2 * abs(math.log(mu)) + 5  # ARL0 >= e^b
     high = min(high, math.log(samples) + 1e-9 + 1) if mu > 10 else high
@@ -51,19 +53,20 @@ def boundary(mu: float, samples: float) -> float:
 
 
 def alarm_probability(mu: float, b: float, samples: int, changed: bool = False) -> float:
-    """Return the probability of an alarm within ``samples`` samples of the start at 0."""
+    """Return the probability of an alarm within ``samples`` samples of the start at 0.
+
+    Steps smaller than 0.15 are taken several at a time, the boundary moved as above.
+    """
     _check(mu, b)
-    if b > _FINEST * mu:
-        lump = max(2, math.ceil((b / (0.9 * _FINEST * mu)) ** 2))
-        wide = mu * math.sqrt(lump)
-        b_wide = b + OVERSHOOT * (mu - wide)
-        return alarm_probability(wide, b_wide, max(1, round(samples / lump)), changed)
-    x, w, kernel = _grid(mu, b, changed)
+    lump = max(1, int((_STEP / mu) ** 2))
+    wide = mu * math.sqrt(lump)
+    width = max(b + OVERSHOOT * (mu - wide), 1e-6)
+    x, w, kernel = _grid(wide, width, changed)
     n = len(x)
     walk = np.zeros((n + 1, n + 1))  # state 0 is the atom at zero; alarms leave
-    walk[1:, 1:], walk[1:, 0] = kernel, _under(x, mu, changed)
-    walk[0, 1:], walk[0, 0] = _density(x, mu, changed) * w, _under(np.zeros(1), mu, changed)[0]
-    return float(1 - np.linalg.matrix_power(walk, samples)[0].sum())
+    walk[1:, 1:], walk[1:, 0] = kernel, _under(x, wide, changed)
+    walk[0, 1:], walk[0, 0] = _density(x, wide, changed) * w, _under(np.zeros(1), wide, changed)[0]
+    return float(1 - np.linalg.matrix_power(walk, max(1, round(samples / lump)))[0].sum())
 
 
 def burst_boundary(mu: float, samples: int, false_alarm: float) -> float:
@@ -75,7 +78,7 @@ def burst_boundary(mu: float, samples: int, false_alarm: float) -> float:
     low = 1e-3 * mu
     if alarm_probability(mu, low, samples) <= false_alarm:
         return low
-    return float(brentq(lambda b: alarm_probability(mu, b, samples) - false_alarm, low, high, xtol=1e-6))
+    return float(brentq(lambda b: math.log(alarm_probability(mu, b, samples) / false_alarm), low, high, xtol=1e-4))
 
 
 def _grid(mu: float, b: float, changed: bool) -> tuple[Array, Array, Array]:

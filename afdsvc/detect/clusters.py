@@ -1,7 +1,8 @@
 """Alarms per hour of a sliding window.
 
-Neighbouring windows share their samples, so exceedances come in clusters and "probability per sample times samples" counts
-each alarm many times. For a window of N samples whose template moves with the excitation, one alarm is one cluster and
+Neighbouring windows share their samples, so exceedances come in clusters and "probability per sample times samples"
+counts each alarm many times. For a window of N samples whose template moves with the excitation, one alarm is one
+cluster and
 
     rate = (h / N) phi(h) nu(h sqrt(2 / N)) P_set(h) / Q(h)     per sample
 

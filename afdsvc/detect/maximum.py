@@ -54,7 +54,9 @@ def tests_counted(directions: Array, h: float) -> float:
 
 
 def shares(directions: Array, h: float) -> Array:
-    """Return ``E[1 / number of exceedances | <z, e_k> > h]`` for every k, shape ``(K,)``: the part each adds to the union."""
+    """Return ``E[1 / number of exceedances | <z, e_k> > h]`` for every k, shape ``(K,)``: the part each adds to the
+    union.
+    """
     e = _reduced(directions)
     return np.array([_share(e, k, h) for k in range(len(e))])
 
@@ -103,7 +105,7 @@ def _points(dimension: int) -> Array:
     """Return Sobol points in (0, 1), shape ``(POINTS, 1 + dimension)``, shifted off the edges of the cube."""
     sobol = qmc.Sobol(1 + dimension, scramble=False).random(POINTS)
     shift = np.modf((1 + np.arange(1 + dimension)) * 0.6180339887498949)[0]
-    return np.asarray(np.clip(np.modf(sobol + shift)[0], 1e-12, 1 - 1e-12))
+    return np.array(np.clip(np.modf(sobol + shift)[0], 1e-12, 1 - 1e-12), dtype=np.float64)
 
 
 def _reduced(directions: Array) -> Array:
@@ -111,7 +113,7 @@ def _reduced(directions: Array) -> Array:
     e = np.atleast_2d(np.asarray(directions, dtype=float))
     lengths = np.linalg.norm(e, axis=1)
     if e.size == 0 or not np.isfinite(lengths).all() or (lengths == 0).any():
-        raise BadInput(f"directions of lengths {np.round(lengths, 6).tolist()}; at least one, none of length 0, is wanted")
+        raise BadInput(f"directions of lengths {np.round(lengths, 6).tolist()}; at least one, none 0, is wanted")
     e = e / lengths[:, None]
     _, s, vt = np.linalg.svd(e, full_matrices=False)
     return np.asarray(e @ vt[s > _SAME * s[0]].T)

@@ -15,8 +15,9 @@ from afdsvc.lti.whitening import innovations
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseModel:
-    """Covariance of the output noise ``(p, p)`` and of the process noise on the states ``(n, n)``; ``covariance`` is that
-    of the residual they lead to, ``ratio`` the process noise on the inputs over the output noise."""
+    """Covariance of the output noise ``(p, p)`` and of the process noise on the states ``(n, n)``; ``covariance`` is
+    that of the residual they lead to, ``ratio`` the process noise on the inputs over the output noise.
+    """
 
     output_cov: Array
     process_cov: Array
@@ -27,9 +28,9 @@ class NoiseModel:
 def calibrate_noise(plant: StateSpace, u: Array, y: Array, shortest: int = 500) -> NoiseModel:
     """Return the noise model that makes quiet data likeliest, with noise on the inputs and white noise on the outputs.
 
-    ``u (n, m)`` and ``y (n, p)`` are samples without excitation bursts and without faults. For each ratio of the two noises
-    the innovations filter is fixed and its residual covariance follows in closed form, so one number is searched (profile
-    likelihood). Raises `BadInput` when there are too few samples.
+    ``u (n, m)`` and ``y (n, p)`` are samples without excitation bursts and without faults. For each ratio of the two
+    noises the innovations filter is fixed and its residual covariance follows in closed form, so one number is
+    searched (profile likelihood). Raises `BadInput` when there are too few samples.
     """
     if len(y) < shortest:
         raise BadInput(f"{len(y)} quiet samples are too few to calibrate the noise; at least {shortest} are wanted")

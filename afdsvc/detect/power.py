@@ -38,7 +38,7 @@ def deflection_wanted(false_alarm: float, detection: float) -> float:
 
 
 def samples_wanted(false_alarm: float, detection: float, deflection_per_root_sample: float) -> float:
-    """Return the number of samples a burst needs when its deflection grows as ``rate * sqrt(n)``; inf when rate is 0."""
+    """Return the number of samples a burst needs when its deflection grows as ``rate * sqrt(n)`` (inf at 0)."""
     d = deflection_wanted(false_alarm, detection)
     return (d / deflection_per_root_sample) ** 2 if deflection_per_root_sample > 0 else math.inf
 
@@ -49,14 +49,17 @@ def unknown_phase(false_alarm: float, deflection: float) -> float:
 
 
 def pair_confusion(separation: float) -> float:
-    """Return the probability that the nearer of two hypotheses ``separation`` standard deviations apart is the wrong one."""
+    """Return the probability that the nearer of two hypotheses ``separation`` standard deviations apart is the wrong
+    one.
+    """
     return tail(separation / 2)
 
 
 def weight_reached(separation: float, weight: float) -> float:
     """Return the probability that the right one of two equally likely hypotheses gets at least ``weight``.
 
-    The log-likelihood ratio of the right one is N(s^2/2, s^2), and a posterior weight w is a ratio of ``ln(w / (1 - w))``.
+    The log-likelihood ratio of the right one is N(s^2/2, s^2), and a posterior weight w is a ratio of ``ln(w / (1 -
+    w))``.
     """
     if separation <= 0:
         return 0.0

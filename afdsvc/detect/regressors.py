@@ -5,10 +5,11 @@ A fault of severity theta feeds ``w = theta z`` into the plant. With the predict
     xh+ = A xh + B u + Kp (y - C xh - D u)          z_i = Cz_i xh + Dzu_i u
     e_i+ = (A - Kp C) e_i + (Bw_i - Kp Dyw_i) z_i    psi_i = C e_i + Dyw_i z_i
 
-For gain faults of a stable plant with output noise only, Kp is 0, z is what truly enters the fault, and the regression
-holds exactly for every severity, total loss included; least squares on psi is then maximum likelihood and also uses what
-the loop's own noise reveals. Otherwise psi is minus the derivative of the prediction error at theta = 0: correct to first
-order. ``exact`` tells the two apart. (The observation is this project's; the setting is the thesis', chapter 5.)
+For gain faults of a stable plant with output noise only, Kp is 0, z is what truly enters the fault, and the
+regression holds exactly for every severity, total loss included; least squares on psi is then maximum likelihood and
+also uses what the loop's own noise reveals. Otherwise psi is minus the derivative of the prediction error at theta =
+0: correct to first order. ``exact`` tells the two apart. (The observation is this project's; the setting is the
+thesis', chapter 5.)
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.residual import decay
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array, StateSpace
+
+_NO_GAIN = 1e-9  # a predictor gain below this is the rounding of a Riccati solver
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +87,8 @@ def regressors(problem: DetectionProblem) -> Regressors:
     own = [problem.augmented.channels_of(name) for name in problem.fault_names]
     width = max((c.stop - c.start for c in own), default=1)
     n, m, p, K = g.order, g.inputs, g.outputs, len(own)
-    Bw, Dyw, Cz, Dzu = np.zeros((K, n, width)), np.zeros((K, p, width)), np.zeros((K, width, n)), np.zeros((K, width, m))
+    Bw, Dyw = np.zeros((K, n, width)), np.zeros((K, p, width))
+    Cz, Dzu = np.zeros((K, width, n)), np.zeros((K, width, m))
     for i, c in enumerate(own):
         r = c.stop - c.start
         Bw[i, :, :r], Dyw[i, :, :r] = s.B[:, c] - Kp @ s.D[k:, c], s.D[k:, c]
@@ -117,7 +121,7 @@ def predictor_gain(problem: DetectionProblem, plant: StateSpace) -> Array:
     Kp = f.B[:, :p] if f.order == plant.order else np.full((plant.order, p), np.nan)
     if not np.allclose(f.A, plant.A - Kp @ plant.C, atol=1e-9 * max(1.0, float(np.abs(plant.A).max()))):
         raise BadInput("the residual filter is not the predictor A - Kp C of the plant; both must share their states")
-    return np.asarray(Kp)
+    return np.asarray(np.where(np.abs(Kp).max() > _NO_GAIN, Kp, 0.0))
 
 
 def _no_return(s: StateSpace, channels: slice) -> bool:
@@ -136,66 +140,41 @@ def _rows(a: Array) -> Array:
 
 @njit(cache=True)
 def _run(A, B, C, D, Kp, Bw, Dyw, Cz, Dzu, Li, x, e, r, y, u, series):  # type: ignore[no-untyped-def]
-    n, m, p, K, width = x.size, u.shape[1], y.shape[1], e.shape[0], Bw.shape[2]
-    innovation, new, raw = np.zeros(p), np.zeros(n), np.zeros(p)
-    z = np.zeros(width)
+    n, p, K, width = x.size, y.shape[1], e.shape[0], Bw.shape[2]
+    innovation, new, raw, seen, z = np.zeros(p), np.zeros(n), np.zeros(p), np.zeros(p), np.zeros(width)
     for k in range(r.shape[0]):
-        _normalised(Li, r[k], series[k, 0])
-        for i in range(p):
-            s = y[k, i]
-            for j in range(n):
-                s -= C[i, j] * x[j]
-            for j in range(m):
-                s -= D[i, j] * u[k, j]
-            innovation[i] = s
+        innovation[:] = y[k]
+        _add(C, x, innovation, -1.0)
+        _add(D, u[k], innovation, -1.0)
+        series[k, 0] = 0.0
+        _add(Li, r[k], series[k, 0], 1.0)
         for f in range(K):
-            for i in range(width):
-                s = 0.0
-                for j in range(n):
-                    s += Cz[f, i, j] * x[j]
-                for j in range(m):
-                    s += Dzu[f, i, j] * u[k, j]
-                z[i] = s
-            for i in range(p):
-                s = 0.0
-                for j in range(n):
-                    s += C[i, j] * e[f, j]
-                for j in range(width):
-                    s += Dyw[f, i, j] * z[j]
-                raw[i] = s
-            _normalised(Li, raw, series[k, 1 + f])
-            # A - Kp C acts as A e - Kp (C e); raw minus Dyw z is C e
-            for i in range(n):
-                s = 0.0
-                for j in range(n):
-                    s += A[i, j] * e[f, j]
-                for j in range(width):
-                    s += Bw[f, i, j] * z[j]
-                for j in range(p):
-                    c = raw[j]
-                    for q in range(width):
-                        c -= Dyw[f, j, q] * z[q]
-                    s -= Kp[i, j] * c
-                new[i] = s
-            for i in range(n):
-                e[f, i] = new[i]
-        for i in range(n):
-            s = 0.0
-            for j in range(n):
-                s += A[i, j] * x[j]
-            for j in range(m):
-                s += B[i, j] * u[k, j]
-            for j in range(p):
-                s += Kp[i, j] * innovation[j]
-            new[i] = s
-        for i in range(n):
-            x[i] = new[i]
+            z[:] = 0.0
+            _add(Cz[f], x, z, 1.0)
+            _add(Dzu[f], u[k], z, 1.0)
+            seen[:] = 0.0
+            _add(C, e[f], seen, 1.0)
+            raw[:] = seen
+            _add(Dyw[f], z, raw, 1.0)
+            series[k, 1 + f] = 0.0
+            _add(Li, raw, series[k, 1 + f], 1.0)
+            new[:] = 0.0
+            _add(A, e[f], new, 1.0)
+            _add(Kp, seen, new, -1.0)
+            _add(Bw[f], z, new, 1.0)
+            e[f] = new
+        new[:] = 0.0
+        _add(A, x, new, 1.0)
+        _add(B, u[k], new, 1.0)
+        _add(Kp, innovation, new, 1.0)
+        x[:] = new
 
 
-@njit(cache=True)
-def _normalised(Li, value, out):  # type: ignore[no-untyped-def]
+@njit(cache=True, inline="always")
+def _add(M, v, out, sign):  # type: ignore[no-untyped-def]
+    """Add ``sign M v`` to ``out``, always in the same order."""
     for i in range(out.size):
         s = 0.0
-        for j in range(i + 1):
-            s += Li[i, j] * value[j]
-        out[i] = s
+        for j in range(v.size):
+            s += M[i, j] * v[j]
+        out[i] += sign * s

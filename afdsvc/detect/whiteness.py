@@ -7,9 +7,9 @@ Sums over lagged products are kept while quiet samples stream by; the test is a 
 * covariance: the likelihood-ratio test of the sample covariance against the stated one;
 * offset: ``n mean' mean`` of the normalised residual.
 
-Under a fault the loop's own noise passes through the fault, so the residual is coloured although nothing is wrong with the
-model. The sums therefore also hold the products with the faults' regressors: ``r - theta_i psi_i`` can be tested for any
-fault and severity without seeing the data again.
+Under a fault the loop's own noise passes through the fault, so the residual is coloured although nothing is wrong
+with the model. The sums therefore also hold the products with the faults' regressors: ``r - theta_i psi_i`` can be
+tested for any fault and severity without seeing the data again.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from afdsvc.lti.statespace import Array
 class LagSums:
     """Sums over n samples of normalised series ``s_0`` (residual) and ``s_1 .. s_K`` (regressors).
 
-    ``residual (L+1, p, p)`` holds ``sum s_0[t] s_0[t-k]'``; ``cross (L+1, K, p, p)`` both mixed products added,
-    ``own (L+1, K, p, p)`` those of the regressors, ``mean (1+K, p)`` plain sums. ``past (L, 1+K, p)`` are the last samples
+    ``residual (L+1, p, p)`` holds ``sum s_0[t] s_0[t-k]'``; ``cross (L+1, K, p, p)`` both mixed products added, ``own
+    (L+1, K, p, p)`` those of the regressors, ``mean (1+K, p)`` plain sums. ``past (L, 1+K, p)`` are the last samples
     seen, ``seen`` how many of them are real.
     """
 
@@ -48,18 +48,19 @@ class LagSums:
         if lags < 1 or outputs < 1:
             raise BadInput(f"{lags} lags of {outputs} outputs; at least one of each is wanted")
         shape = (lags + 1, faults, outputs, outputs)
-        return cls(
-            0, np.zeros((lags + 1, outputs, outputs)), np.zeros(shape), np.zeros(shape), np.zeros((1 + faults, outputs)),
-            np.zeros((lags, 1 + faults, outputs)), 0,
-        )
+        residual, mean = np.zeros((lags + 1, outputs, outputs)), np.zeros((1 + faults, outputs))
+        past = np.zeros((lags, 1 + faults, outputs))
+        return cls(0, residual, np.zeros(shape), np.zeros(shape), mean, past, 0)
 
     @property
     def lags(self) -> int:
         """Number of lags L."""
-        return self.residual.shape[0] - 1
+        return int(self.residual.shape[0]) - 1
 
     def add(self, series: Array) -> LagSums:
-        """Return the sums with the samples ``series (n, 1 + K, p)`` added, which follow the earlier ones without a gap."""
+        """Return the sums with the samples ``series (n, 1 + K, p)`` added, which follow the earlier ones without a
+        gap.
+        """
         residual, cross, own, mean = self.residual.copy(), self.cross.copy(), self.own.copy(), self.mean.copy()
         window = np.ascontiguousarray(np.concatenate([self.past, series]))
         _accumulate(window, self.lags, self.seen, residual, cross, own, mean)
@@ -95,7 +96,7 @@ class LagSums:
 
 @dataclass(frozen=True, slots=True)
 class Whiteness:
-    """p-values of the three tests over ``n`` samples, and the ratio of found to stated standard deviation per output."""
+    """p-values of the three tests over ``n`` samples, and found over stated standard deviation per output."""
 
     n: int
     portmanteau: float
@@ -139,9 +140,9 @@ def _tests(n: int, products: Array, total: Array) -> Whiteness:
     if not np.isfinite(products).all() or np.linalg.cond(C0) > 1e12:
         return Whiteness(n, 0.0, 0.0, 1.0, sd)
     inverse = np.linalg.inv(C0)
-    Q = sum(
-        n * n / (n - k) * float(np.trace(C.T @ inverse @ C @ inverse)) for k in range(1, lags + 1) for C in [products[k] / n]
-    )
+    scaled = products[1:] / n
+    terms = np.einsum("kji,jl,klm,mi->k", scaled, inverse, scaled, inverse)
+    Q = float(np.sum(n * n / (n - np.arange(1, lags + 1)) * terms))
     likelihood = n * (float(np.trace(C0)) - math.log(float(np.linalg.det(C0))) - p)
     dof = p * (p + 1) / 2
     bartlett = 1 + (2 * p + 1 - 2 / (p + 1)) / (6 * n)  # brings the mean of the ratio to its degrees of freedom

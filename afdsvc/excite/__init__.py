@@ -1,1 +1,1 @@
-"""Designing the question: efficiency, bursts, amplitude and energy budgets."""
+"""Designing the question: efficiency of excitation, bursts and their budget, what a burst will tell."""

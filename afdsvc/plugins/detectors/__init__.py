@@ -1,1 +1,17 @@
-"""Built-in detectors."""
+"""Built-in detectors, one file each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from afdsvc.api.detection import DetectorDesign
+from afdsvc.plugins.detectors.cusum import ActiveCusumDesign, PassiveCusumDesign
+from afdsvc.plugins.detectors.matched_filter import MatchedFilterDesign
+from afdsvc.plugins.detectors.regression import RegressionDesign
+from afdsvc.plugins.hookspecs import hookimpl
+
+
+@hookimpl
+def afdsvc_detectors() -> Iterable[DetectorDesign]:
+    """Return the built-in detectors."""
+    return [MatchedFilterDesign(), RegressionDesign(), ActiveCusumDesign(), PassiveCusumDesign()]

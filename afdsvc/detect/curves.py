@@ -1,0 +1,110 @@
+"""Fault curves: where in the complex plane each severity puts the answer to each excited line.
+
+The curve of fault i is ``theta -> W^-1 S(theta e_i)(e^{jw}) a`` for excitation amplitudes a: one complex number per
+line and output, zero at theta = 0. Loops are closed frequency by frequency (``u = K y + ..`` in positive feedback),
+never by multiplying factor transfer functions. Source: thesis equations 2.19 and 5.6 (A. K. Sekunda, DTU 2017).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from afdsvc.api.bursts import Line
+from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect.demodulate import coefficients
+from afdsvc.detect.regressors import whitener
+from afdsvc.lti.frequency import frequency_response
+from afdsvc.lti.lft import AugmentedPlant
+from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Paths:
+    """Responses from alpha at L frequencies and T severities: to y and r ``(T, L, p, m)``, to u ``(T, L, m, m)``.
+
+    ``y`` is the plant output before measurement noise as the (possibly faulty) sensors report it.
+    """
+
+    y: ComplexArray
+    u: ComplexArray
+    r: ComplexArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopResponse:
+    """The loop at L frequencies, open where faults enter; `paths` closes it for any fault and severity."""
+
+    augmented: AugmentedPlant
+    plant: ComplexArray
+    controller: ComplexArray
+    residual: ComplexArray
+
+    def paths(self, fault: str, severities: Sequence[float] | Array) -> Paths:
+        """Return the responses under one fault at every severity."""
+        s = np.asarray(severities, dtype=float)
+        k, own = self.augmented.channels, self.augmented.channels_of(fault)
+        Gzw, Gzu = self.plant[:, own, own], self.plant[:, own, k:]
+        Gyw, Gyu = self.plant[:, k:, own], self.plant[:, k:, k:]
+        th = s[:, None, None, None]
+        direct = th * np.broadcast_to(Gzu, (len(s), *Gzu.shape))
+        inner = np.linalg.solve(np.eye(own.stop - own.start) - th * Gzw, direct)
+        return self._close(Gyu + Gyw @ inner)
+
+    def healthy(self) -> Paths:
+        """Return the responses without a fault (T = 1)."""
+        k = self.augmented.channels
+        return self._close(self.plant[None, :, k:, k:])
+
+    def _close(self, G: ComplexArray) -> Paths:
+        p, m = G.shape[-2:]
+        Kuy, Kua = self.controller[:, :m, :p], self.controller[:, :m, p:]
+        loop, drive = np.eye(m) - Kuy @ G, np.broadcast_to(Kua, (*G.shape[:2], m, m))
+        u = np.asarray(np.linalg.solve(loop, drive), dtype=np.complex128)
+        y = np.asarray(G @ u, dtype=np.complex128)
+        return Paths(y, u, self.residual[:, :, :p] @ y + self.residual[:, :, p:] @ u)
+
+
+def loop_response(problem: DetectionProblem, omega: Sequence[float] | Array) -> LoopResponse:
+    """Return the loop at the frequencies [rad/s]."""
+    def at(system: StateSpace) -> ComplexArray:
+        return frequency_response(system, np.asarray(omega, dtype=float))
+
+    controller, residual = at(problem.interconnection), at(problem.innovations)
+    return LoopResponse(problem.augmented, at(problem.augmented.system), controller, residual)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FaultCurves:
+    """Curves of all faults for given lines, as real coefficients of the normalised residual.
+
+    ``at(fault, thetas)`` returns them with shape ``(T, 2 L, p)``: sine and cosine of every line.
+    """
+
+    response: LoopResponse
+    names: tuple[str, ...]
+    inputs: tuple[int, ...]
+    drive: ComplexArray
+    Li: Array
+
+    def at(self, fault: str, severities: Sequence[float] | Array) -> Array:
+        """Return the points of one curve."""
+        r = self.response.paths(fault, severities).r
+        picked = np.stack([r[:, i, :, column] for i, column in enumerate(self.inputs)], axis=1)
+        return coefficients((picked * self.drive[None, :, None]) @ self.Li.T)
+
+    def slope(self, fault: str, severity: float) -> tuple[Array, Array]:
+        """Return one point of a curve and its derivative by severity, both ``(2 L, p)``."""
+        h = 1e-4
+        low, mid, high = self.at(fault, [severity - h, severity, severity + h])
+        return mid, (high - low) / (2 * h)
+
+
+def fault_curves(problem: DetectionProblem, lines: Sequence[Line]) -> FaultCurves:
+    """Return the curves for the lines of a burst (a line excites one input; each line has a frequency of its own)."""
+    response = loop_response(problem, [line.omega for line in lines])
+    drive = np.array([line.amplitude * np.exp(1j * line.phase) for line in lines])
+    inputs = tuple(line.input for line in lines)
+    return FaultCurves(response, problem.fault_names, inputs, drive, whitener(problem.covariance))

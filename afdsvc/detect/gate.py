@@ -1,0 +1,124 @@
+"""The gate every detector stands behind: is the quiet residual what the thresholds were computed for?
+
+The most recent ``window`` quiet samples are kept as a few part sums and tested at the decision. Data pass when the
+residual is white, centred and of the stated covariance, or when taking out one fault's share makes it so: a fault
+colours the loop's own noise, and that must not silence the detector that is about to name it. At most ``level`` of
+the decisions on good data are refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from afdsvc.detect.whiteness import LagSums, Whiteness, whiteness, whiteness_without
+from afdsvc.lti.statespace import Array
+
+PARTS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """Settings: share of good data refused, lags, quiet samples remembered, samples to wait after a start or gap,
+    and the bounds of severity within which a fault may explain coloured data."""
+
+    level: float = 1e-3
+    lags: int = 20
+    window: int = 2500
+    settle: int = 0
+    bounds: tuple[float, float] = (-1.0, 0.0)
+
+    @property
+    def needed(self) -> int:
+        """Quiet samples without which nothing is trusted."""
+        return max(self.window // PARTS, 10 * self.lags)
+
+    def start(self, faults: int, outputs: int, because: str = "the start") -> GateState:
+        """Return the state before any sample."""
+        return GateState(LagSums.empty(self.lags, faults, outputs), (), self.settle, because)
+
+    def restart(self, state: GateState, because: str) -> GateState:
+        """Return the state after a gap or a sample that cannot be used."""
+        return self.start(state.now.cross.shape[1], state.now.residual.shape[1], because)
+
+    def add(self, state: GateState, series: Array) -> GateState:
+        """Return the state with the quiet samples ``series (n, 1 + K, p)`` added; K + 1 normalised series as in
+        LagSums.
+        """
+        skipped = min(state.skip, len(series))
+        state = replace(state, skip=state.skip - skipped)
+        series = series[skipped:]
+        while len(series):
+            room = self.part - state.now.n
+            now = state.now.add(series[:room])
+            series = series[room:]
+            parts = state.parts
+            if now.n >= self.part:
+                parts, now = (*parts, now)[-PARTS:], now.cleared()
+            state = replace(state, now=now, parts=parts)
+        return state
+
+    @property
+    def part(self) -> int:
+        """Samples in one part sum."""
+        return max(1, -(-self.window // PARTS))
+
+    def judge(self, state: GateState, names: tuple[str, ...] = ()) -> Judgement:
+        """Return whether the quiet data can be trusted, and if not, why; ``names`` are the faults of the series."""
+        sums = state.sums()
+        if sums.n < self.needed:
+            return Judgement(
+                False,
+                f"only {sums.n} quiet samples since {state.because}; {self.needed} are wanted to trust a decision",
+            )
+        plain = whiteness(sums)
+        if plain.p >= self.level:
+            return Judgement(True, "", plain)
+        for i, name in enumerate(names):
+            theta, _ = sums.severity(i)
+            theta = min(max(theta, self.bounds[0]), self.bounds[1])
+            explained = whiteness_without(sums, i, theta)
+            if theta and explained.p >= self.level:
+                return Judgement(True, "", explained, name)
+        return Judgement(False, plain.reason(self.level), plain)
+
+
+@dataclass(frozen=True, slots=True)
+class GateState:
+    """Part sums: the one being filled, the last full ones, samples still to skip, and what happened last."""
+
+    now: LagSums
+    parts: tuple[LagSums, ...]
+    skip: int
+    because: str
+
+    def sums(self) -> LagSums:
+        """Return the sums over everything remembered."""
+        total = self.now
+        for part in reversed(self.parts):
+            total = part + total
+        return total
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """Whether quiet data can be trusted; ``reason`` is a sentence when not, ``explained_by`` the fault that whitens
+    them.
+    """
+
+    ok: bool
+    reason: str
+    found: Whiteness | None = None
+    explained_by: str = ""
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def p_white(self) -> float | None:
+        """p-value of the whiteness test; None before there are enough samples."""
+        return None if self.found is None else self.found.p
+
+
+def finite(*arrays: Array) -> bool:
+    """Whether all samples are finite."""
+    return all(bool(np.isfinite(a).all()) for a in arrays)

@@ -1,0 +1,107 @@
+"""From log likelihoods to weights: which fault, how severe, how sure, or none of those we know.
+
+Every fault is fitted by itself; severities have a uniform prior over their range, and a fault's evidence is the
+likelihood averaged over that prior. ``none_of_these`` is the hypothesis that an arbitrary wave came back: its
+coordinates are independent normals whose variance is the one that suits the data best (empirical Bayes), so it wins
+only when no curve comes near.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import log_ndtr, logsumexp
+
+from afdsvc.detect.curves import FaultCurves
+from afdsvc.lti.statespace import Array
+
+NONE = "none_of_these"
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """One fault fitted: severity inside its range, standard error (inf when the burst cannot see the fault),
+    log likelihood ratio against "no fault" and the same averaged over the severities."""
+
+    fault: str
+    severity: float
+    sd: float
+    log_likelihood: float
+    log_evidence: float
+
+
+def linear_fit(fault: str, score: float, information: float, bounds: tuple[float, float]) -> Fit:
+    """Return the fit of ``loglik(theta) = score theta - information theta^2 / 2`` with theta inside its bounds."""
+    low, high = bounds
+    if not information > 0:
+        return Fit(fault, min(max(0.0, low), high), math.inf, 0.0, 0.0)
+    free, sd = score / information, information**-0.5
+    theta = min(max(free, low), high)
+    peak = 0.5 * score**2 / information
+    inside = _log_interval((low - free) / sd, (high - free) / sd)
+    evidence = peak + inside + math.log(sd * math.sqrt(2 * math.pi) / (high - low))
+    return Fit(fault, theta, sd, score * theta - 0.5 * information * theta**2, evidence)
+
+
+def curve_fit(
+    curves: FaultCurves, fault: str, z: Array, R: Array, bounds: tuple[float, float], points: int = 33
+) -> Fit:
+    """Return the point of a fault's curve nearest to z (``z`` and ``R`` as in `demodulate.Lines`).
+
+    A grid finds the neighbourhood, Gauss-Newton the point. The standard error is that of the linearisation there.
+    """
+    low, high = bounds
+    grid = np.linspace(low, high, points)
+    distance = np.sum((z - R @ curves.at(fault, grid)) ** 2, axis=(1, 2))
+    theta = float(grid[int(np.argmin(distance))])
+    for _ in range(20):
+        point, slope = curves.slope(fault, theta)
+        step = _newton(z - R @ point, R @ slope)
+        moved = min(max(theta + step, low), high)
+        if abs(moved - theta) < 1e-12:
+            break
+        theta = moved
+    point, slope = curves.slope(fault, theta)
+    mean, tangent = R @ point, R @ slope
+    information = float(np.sum(tangent**2))
+    gain = float(np.sum(z * mean) - 0.5 * np.sum(mean**2))
+    if not information > 1e-12:
+        return Fit(fault, theta, math.inf, 0.0, 0.0)
+    rest = linear_fit(fault, float(np.sum((z - mean) * tangent)), information, (low - theta, high - theta))
+    return Fit(fault, theta, rest.sd, gain, gain + rest.log_evidence)
+
+
+def weights(
+    fits: Sequence[Fit], none_log_evidence: float | None = None, none_prior: float = 0.05
+) -> Mapping[str, float]:
+    """Return posterior weights of the faults, equally likely beforehand, and of `NONE` when its evidence is given."""
+    names = [f.fault for f in fits]
+    logs = [f.log_evidence for f in fits]
+    if none_log_evidence is not None:
+        names.append(NONE)
+        logs.append(none_log_evidence + math.log(none_prior * max(len(fits), 1)))
+    total = logsumexp(logs)
+    return {n: float(np.exp(v - total)) for n, v in zip(names, logs, strict=True)}
+
+
+def anything_log_evidence(z: Array) -> float:
+    """Return the log evidence ratio of "an arbitrary wave" against "noise only" for standardised coordinates z."""
+    energy, D = float(np.sum(z**2)), z.size
+    variance = max(energy / D - 1, 0.0)
+    return 0.5 * (energy * variance / (1 + variance) - D * math.log1p(variance))
+
+
+def _newton(rest: Array, tangent: Array) -> float:
+    information = float(np.sum(tangent**2))
+    return float(np.sum(rest * tangent)) / information if information > 0 else 0.0
+
+
+def _log_interval(a: float, b: float) -> float:
+    """Return ``log(Phi(b) - Phi(a))`` without cancellation in the tails, a < b."""
+    if a > 0:
+        a, b = -b, -a
+    upper, lower = float(log_ndtr(b)), float(log_ndtr(a))
+    return upper + math.log(-math.expm1(lower - upper))

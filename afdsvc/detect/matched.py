@@ -1,0 +1,108 @@
+"""Matched filter over the fault hypotheses, as the thesis' section 5.3 with its set of phases made exact.
+
+The burst is reduced to sine and cosine amplitudes per excited line and output (`demodulate`). Every fault at several
+severities is one direction there; the statistic is the largest projection, its threshold that of the maximum over the
+whole set (`maximum`), not of one template. The severity comes from the nearest point of the fault's curve.
+
+Source: A. K. Sekunda, "Fault Diagnosis and Identification of Electro-Mechanical Systems", PhD thesis, DTU 2017, 5.3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from afdsvc.api.bursts import Burst
+from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect import maximum
+from afdsvc.detect.curves import FaultCurves, fault_curves
+from afdsvc.detect.demodulate import Basis, BasisSums, Lines, project
+from afdsvc.detect.hypotheses import anything_log_evidence, curve_fit, weights
+from afdsvc.detect.watch import BurstSamples, Finding
+from afdsvc.errors import BadInput
+from afdsvc.lti.statespace import Array
+
+UNSEEN = 1e-6  # length of a template, as a share of the longest, below which this burst cannot see the fault
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchedFilter:
+    """Statistic of the matched filter. ``severities`` are those whose phases are in the set, ``angle`` the ``aux``
+    label of the rotor angle; the other nuisances are described in `demodulate.Basis`.
+    """
+
+    problem: DetectionProblem
+    severities: tuple[float, ...]
+    drift: bool = False
+    mains: tuple[float, ...] = ()
+    orders: tuple[int, ...] = ()
+    angle: str = "angle"
+
+    def basis(self, burst: Burst) -> Basis:
+        """Return what a burst is regressed on; raises `BadInput` for a burst that is no sum of sines."""
+        if not burst.lines or burst.waveform is not None:
+            raise BadInput(f"burst '{burst.name}' is not a sum of sines; the matched filter needs one")
+        omega = tuple(sorted({line.omega for line in burst.lines}))
+        if len(omega) != len(burst.lines):
+            raise BadInput(f"burst '{burst.name}' uses a frequency on two inputs; one for each input is wanted")
+        return Basis(omega, self.drift, self.mains, self.orders)
+
+    def start(self, burst: Burst, dt: float) -> BasisSums:
+        """Return empty sums."""
+        return BasisSums.empty(self.basis(burst), self.problem.plant.outputs)
+
+    def step(self, sums: BasisSums, samples: BurstSamples) -> tuple[BasisSums, None]:
+        """Return the sums with those samples added that lie in the steady part of the burst."""
+        burst = samples.block.burst
+        assert burst is not None  # noqa: S101 - the frame hands over samples of bursts only
+        first, last = window(burst)
+        a, b = max(first - samples.first, 0), max(last - samples.first, 0)
+        e = samples.series[a:b, 0]
+        if not len(e):
+            return sums, None
+        return sums.add(self.basis(burst), samples.first + a, samples.dt, e, self._angle(samples, a, b)), None
+
+    def decide(self, sums: BasisSums, burst: Burst, dt: float) -> Sequence[Finding]:
+        """Return one finding for all lines and outputs together."""
+        lines = project(sums, self.basis(burst))
+        curves = fault_curves(self.problem, sorted(burst.lines, key=lambda line: line.omega))
+        directions = self._directions(curves, lines)
+        if not len(directions):
+            return [Finding(0.0, float("inf"))]
+        e = directions / np.linalg.norm(directions, axis=1)[:, None]
+        statistic = float(np.max(e @ lines.z.ravel()))
+        h = maximum.threshold(e, self.problem.false_alarms.per_burst)
+        fits = tuple(curve_fit(curves, n, lines.z, lines.R, self.problem.severity_range) for n in curves.names)
+        parts = {"samples": float(sums.n), "tests": maximum.tests_counted(e, h), **_amplitudes(lines, burst)}
+        return [Finding(statistic, h, fits, weights(fits, anything_log_evidence(lines.z)), parts)]
+
+    def _directions(self, curves: FaultCurves, lines: Lines) -> Array:
+        """Return the templates ``(faults x severities, 2 L p)`` of all faults this burst can see."""
+        points = np.concatenate([lines.R @ curves.at(name, self.severities) for name in curves.names])
+        flat = points.reshape(len(points), -1)
+        length = np.linalg.norm(flat, axis=1)
+        return np.asarray(flat[length > UNSEEN * max(length.max(initial=0.0), 1e-12)])
+
+    def _angle(self, samples: BurstSamples, a: int, b: int) -> Array | None:
+        if not self.orders:
+            return None
+        if self.angle not in samples.block.aux:
+            raise BadInput(f"the block has no aux '{self.angle}'; the rotor angle is wanted to remove its waves")
+        return samples.block.aux[self.angle].reshape(len(samples.block), -1)[a:b, 0]
+
+
+def window(burst: Burst) -> tuple[int, int]:
+    """Return the samples of a burst that are analysed: after ramp and settling, before the falling ramp."""
+    return min(burst.ramp + burst.settle, burst.samples), max(burst.samples - burst.ramp, 0)
+
+
+def _amplitudes(lines: Lines, burst: Burst) -> dict[str, float]:
+    """Return the amplitude found on every line and output, in standard deviations of the normalised residual."""
+    c = np.linalg.solve(lines.R, lines.z)
+    found = {}
+    for k, line in enumerate(sorted(burst.lines, key=lambda line: line.omega)):
+        for i in range(c.shape[1]):
+            found[f"amplitude.{line.omega:.6g}.{i}"] = float(np.hypot(c[2 * k, i], c[2 * k + 1, i]))
+    return found

@@ -1,0 +1,115 @@
+"""Exact regression of the residual on what each fault would add: ``r = theta_i psi_i + d``.
+
+Over a burst only ``b_i = sum psi_i' Xi^-1 r`` and ``G_ij = sum psi_i' Xi^-1 psi_j`` are kept. ``t_i = -b_i /
+sqrt(G_ii)`` is the signed root of the likelihood ratio for a severity below 0; the burst is judged by the largest.
+Given G the t_i have the correlations of G, so the threshold of their maximum follows as for matched filters.
+
+psi is driven by the very noise it is regressed on, so the normaliser is random and t_i is neither centred nor of unit
+variance in short bursts; mean and variance to order 1/n are computed from the loop (`noise_driven`) and taken out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from afdsvc.api.bursts import Burst
+from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect import maximum
+from afdsvc.detect.demodulate import Basis, BasisSums, project
+from afdsvc.detect.hypotheses import anything_log_evidence, linear_fit, weights
+from afdsvc.detect.noise_driven import NoiseDriven, noise_driven
+from afdsvc.detect.watch import BurstSamples, Finding
+from afdsvc.lti.statespace import Array
+
+UNSEEN = 1e-9  # a fault whose information is below this share of the best seen one is invisible to this burst
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegressionSums:
+    """``b (K,)`` and ``G (K, K)`` over ``n`` samples, and the residual on the excited lines."""
+
+    n: int
+    b: Array
+    G: Array
+    lines: BasisSums
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Regression:
+    """Statistic of the regression detector. ``false_alarm`` is per burst, ``bounds`` those of the severities."""
+
+    names: tuple[str, ...]
+    outputs: int
+    false_alarm: float
+    bounds: tuple[float, float]
+    noise: NoiseDriven
+
+    def start(self, burst: Burst, dt: float) -> RegressionSums:
+        """Return empty sums."""
+        K = len(self.names)
+        return RegressionSums(0, np.zeros(K), np.zeros((K, K)), BasisSums.empty(_basis(burst), self.outputs))
+
+    def step(self, sums: RegressionSums, samples: BurstSamples) -> tuple[RegressionSums, None]:
+        """Return the sums with the samples added."""
+        b, G = sums.b.copy(), sums.G.copy()
+        _accumulate(samples.series, b, G)
+        e = samples.series[:, 0]
+        lines = sums.lines.add(_basis(samples.block.burst), samples.first, samples.dt, e)
+        return RegressionSums(sums.n + len(e), b, G, lines), None
+
+    def decide(self, sums: RegressionSums, burst: Burst, dt: float) -> Sequence[Finding]:
+        """Return one finding for all outputs together."""
+        G = np.diag(sums.G)
+        seen = np.flatnonzero(G > UNSEEN * max(G.max(initial=0.0), 1e-300))
+        if not len(seen):
+            return [Finding(0.0, float("inf"))]
+        t = -sums.b[seen] / np.sqrt(G[seen])
+        correlation = sums.G[np.ix_(seen, seen)] / np.sqrt(np.outer(G[seen], G[seen]))
+        h = maximum.threshold(_square_root(correlation), self.false_alarm)
+        mean, sd = (v[seen] for v in self.noise.signed_root(sums.n, burst))
+        fits = [linear_fit(n, float(b), float(g), self.bounds) for n, b, g in zip(self.names, sums.b, G, strict=True)]
+        statistic = float(np.max((t - mean) / sd))
+        parts = {"samples": float(sums.n), "deflection": float(max(0.0, np.max(t)))}
+        weight = weights(fits, self._anything(sums, burst))
+        return [Finding(statistic, h, tuple(fits), weight, parts)]
+
+    def _anything(self, sums: RegressionSums, burst: Burst) -> float | None:
+        basis = _basis(burst)
+        return anything_log_evidence(project(sums.lines, basis).z) if basis.omega else None
+
+
+def regression(problem: DetectionProblem) -> Regression:
+    """Return the statistic for one machine."""
+    p, rate = problem.plant.outputs, problem.false_alarms.per_burst
+    return Regression(problem.fault_names, p, rate, problem.severity_range, noise_driven(problem))
+
+
+def _basis(burst: Burst | None) -> Basis:
+    omega = () if burst is None else tuple(sorted({line.omega for line in burst.lines}))
+    return Basis(omega)
+
+
+def _square_root(correlation: Array) -> Array:
+    """Return vectors ``(K, K)`` whose inner products are the correlations."""
+    values, vectors = np.linalg.eigh(correlation)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+@njit(cache=True)
+def _accumulate(series, b, G):  # type: ignore[no-untyped-def]
+    K, p = b.size, series.shape[2]
+    for t in range(series.shape[0]):
+        for i in range(K):
+            for q in range(p):
+                b[i] += series[t, 1 + i, q] * series[t, 0, q]
+            for j in range(i + 1):
+                s = 0.0
+                for q in range(p):
+                    s += series[t, 1 + i, q] * series[t, 1 + j, q]
+                G[i, j] += s
+                if j < i:
+                    G[j, i] += s

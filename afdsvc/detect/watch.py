@@ -1,0 +1,259 @@
+"""The frame around every burst detector: follow the bursts, keep the gate, judge once at the end of each burst.
+
+What is computed from the samples of a burst is a `BurstStatistic`; everything a detector needs besides (quiet data,
+missing, frozen or saturated signals, evidence in words) is here and the same for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from afdsvc.api.bursts import Burst
+from afdsvc.api.detection import DetectionProblem, ResidualBlock
+from afdsvc.api.evidence import Evidence, Severity
+from afdsvc.detect.checks import BurstChecks, Runs
+from afdsvc.detect.gate import Gate, GateState, Judgement, finite
+from afdsvc.detect.hypotheses import NONE, Fit
+from afdsvc.detect.regressors import Regressors, RegressorState, regressors
+from afdsvc.errors import AfdsvcError
+from afdsvc.lti.statespace import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What a statistic says about one burst: ``statistic`` against ``threshold``, one fit per fault, their weights."""
+
+    statistic: float
+    threshold: float
+    fits: tuple[Fit, ...] = ()
+    weights: Mapping[str, float] = field(default_factory=dict)
+    parts: Mapping[str, float] = field(default_factory=dict)
+    output: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BurstSamples:
+    """Consecutive samples of a burst: ``first`` counts from its beginning; ``series (n, 1 + K, p)`` is the normalised
+    residual and the normalised regressor of every fault."""
+
+    first: int
+    dt: float
+    series: Array
+    block: ResidualBlock
+
+
+class BurstStatistic(Protocol):
+    """What a burst detector computes. ``start`` and ``step`` build sums whose size does not depend on the burst's
+    length.
+    """
+
+    def start(self, burst: Burst, dt: float) -> Any:
+        """Return the sums before the first sample."""
+        ...
+
+    def step(self, sums: Any, samples: BurstSamples) -> tuple[Any, Finding | None]:
+        """Return the sums after the samples, and a finding when the burst need not be waited for."""
+        ...
+
+    def decide(self, sums: Any, burst: Burst, dt: float) -> Sequence[Finding]:
+        """Return what the burst shows, once all its samples were seen."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Playing:
+    """A burst in progress."""
+
+    burst: Burst
+    name: str
+    start: int
+    asked: Array
+    checks: BurstChecks
+    sums: Any
+    decided: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WatchState:
+    """State of a burst detector: filters, gate, runs of constant values, the burst in progress."""
+
+    filters: RegressorState
+    gate: GateState
+    runs: Runs
+    playing: Playing | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BurstDetector:
+    """A detector that decides at the end of every burst. ``sure`` is the weight that singles a fault out."""
+
+    name: str
+    problem: DetectionProblem
+    statistic: BurstStatistic
+    filters: Regressors
+    gate: Gate
+    sure: float = 0.99
+    frozen: int = 100
+
+    def start(self) -> WatchState:
+        """Return the initial state."""
+        p = self.problem.plant.outputs
+        return WatchState(self.filters.start(), self.gate.start(len(self.filters.names), p), Runs.start(p))
+
+    def step(self, state: WatchState, block: ResidualBlock) -> tuple[WatchState, Sequence[Evidence]]:
+        """Return the state after the block and the decisions that fell inside it."""
+        found: list[Evidence] = []
+        if block.gap:
+            state, evidence = self._broken(state, block, "a gap in the samples")
+            found += evidence
+        for piece in pieces(block):
+            state, evidence = self._piece(state, piece)
+            found += evidence
+        return state, found
+
+    def _broken(self, state: WatchState, block: ResidualBlock, because: str) -> tuple[WatchState, list[Evidence]]:
+        """Forget what was accumulated; a burst in progress can no longer be judged, but is followed to its end."""
+        playing = state.playing
+        if playing is not None:
+            playing = replace(playing, checks=replace(playing.checks, gap=True))
+        gate = self.gate.restart(state.gate, because)
+        return replace(state, filters=self.filters.start(), gate=gate, playing=playing), []
+
+    def _piece(self, state: WatchState, piece: ResidualBlock) -> tuple[WatchState, list[Evidence]]:
+        found: list[Evidence] = []
+        if state.playing is not None and not _same_burst(state.playing, piece):
+            found += self._judge(state, state.playing, piece.k0 - 1, piece.dt)
+            state = replace(state, playing=None)
+        runs, longest = state.runs.add(piece.y)
+        filters, series = self.filters.step(state.filters, piece.r, piece.y, piece.u)
+        if not finite(series):
+            filters, gate = self.filters.start(), self.gate.restart(state.gate, "a sample that is not a finite number")
+            state = replace(state, gate=gate)
+        elif piece.burst is None:
+            state = replace(state, gate=self.gate.add(state.gate, series))
+        state = replace(state, filters=filters, runs=runs)
+        if piece.burst is not None:
+            state, evidence = self._burst_piece(state, piece, piece.burst, series, longest)
+            found += evidence
+        return state, found
+
+    def _burst_piece(
+        self, state: WatchState, piece: ResidualBlock, burst: Burst, series: Array, longest: Array
+    ) -> tuple[WatchState, list[Evidence]]:
+        found: list[Evidence] = []
+        now = state.playing or self._begin(piece, burst)
+        first = piece.k0 - now.start
+        asked = now.asked[first : first + len(piece)]
+        checks = now.checks.add(piece.y, piece.u, piece.r, piece.alpha, asked, longest)
+        now = replace(now, checks=checks)
+        if not now.decided and not checks.bad and not checks.gap:
+            sums, early = self.statistic.step(now.sums, BurstSamples(first, piece.dt, series, piece))
+            now = replace(now, sums=sums)
+            if early is not None:
+                found += self._early(state, now, early, piece)
+                now = replace(now, decided=bool(found))
+        if first + len(piece) >= burst.samples:
+            found += [] if now.decided else self._judge(state, now, piece.k0 + len(piece) - 1, piece.dt)
+            return replace(state, playing=None), found
+        return replace(state, playing=now), found
+
+    def _begin(self, piece: ResidualBlock, burst: Burst) -> Playing:
+        asked = burst.play(piece.dt)
+        limits = self.problem.limits
+        limit = np.full(self.problem.plant.inputs, np.inf) if limits is None else np.asarray(limits.input, dtype=float)
+        checks = BurstChecks(limit, gap=piece.k0 > piece.burst_start)
+        sums = self.statistic.start(burst, piece.dt)
+        return Playing(burst, piece.burst_name or burst.name, piece.burst_start, asked, checks, sums)
+
+    def _early(self, state: WatchState, now: Playing, finding: Finding, piece: ResidualBlock) -> list[Evidence]:
+        """Report a finding before the burst has ended, unless something speaks against it (then the end decides)."""
+        complaint = now.checks.complaint(now.checks.n, self.frozen, self.problem.input_names, self.problem.output_names)
+        judgement = self.gate.judge(state.gate, self.filters.names)
+        if complaint or not judgement.ok:
+            return []
+        k = now.start + int(finding.parts.get("sample", now.checks.n - 1))
+        return [evidence(self.name, self.problem.machine, k, piece.dt, now.name, finding, judgement, "", self.sure)]
+
+    def _judge(self, state: WatchState, now: Playing, k: int, dt: float) -> list[Evidence]:
+        if now.decided:
+            return []
+        problem = self.problem
+        complaint = now.checks.complaint(now.burst.samples, self.frozen, problem.input_names, problem.output_names)
+        judgement = self.gate.judge(state.gate, self.filters.names)
+        try:
+            findings = [] if now.checks.bad or now.checks.gap else self.statistic.decide(now.sums, now.burst, dt)
+        except AfdsvcError as error:
+            findings, complaint = [], complaint or str(error)
+        findings = findings or [Finding(float("nan"), float("nan"))]
+        about = (self.name, problem.machine, k, dt, now.name)
+        return [evidence(*about, f, judgement, complaint, self.sure) for f in findings]
+
+
+def evidence(
+    detector: str, machine: str, k: int, dt: float, burst: str, finding: Finding, judgement: Judgement, complaint: str,
+    sure: float,
+) -> Evidence:
+    """Return the evidence for one finding: nothing is detected when the burst or the quiet data cannot be trusted."""
+    reason = complaint or judgement.reason
+    detected = not reason and finding.statistic > finding.threshold
+    best = likeliest(finding) if detected else None
+    named = best is not None and finding.weights.get(best.fault, 0.0) >= sure
+    return Evidence(
+        detector=detector, machine=machine, k=k, seconds=k * dt, burst=burst, output=finding.output,
+        statistic=finding.statistic, threshold=finding.threshold, detected=detected,
+        fault=best.fault if named and best else None,
+        severity=Severity(best.severity, best.sd) if best and np.isfinite(best.sd) else None,
+        weights=dict(finding.weights) if detected else {}, trustworthy=not reason, reason=reason,
+        p_white=judgement.p_white, parts={**finding.parts, **_fit_parts(finding.fits)},
+    )
+
+
+def likeliest(finding: Finding) -> Fit | None:
+    """Return the fit of the fault with the largest weight; None when `NONE` weighs more or there are no fits."""
+    if not finding.weights:
+        return None
+    name = max(finding.weights, key=lambda n: finding.weights[n])
+    return next((f for f in finding.fits if f.fault == name and name != NONE), None)
+
+
+def pieces(block: ResidualBlock) -> Iterator[ResidualBlock]:
+    """Cut a block where its burst begins or ends, should it span such an edge."""
+    if block.burst is None:
+        yield block
+        return
+    begin = min(max(block.burst_start - block.k0, 0), len(block))
+    end = min(max(block.burst_start + block.burst.samples - block.k0, 0), len(block))
+    for a, b, burst in ((0, begin, None), (begin, end, block.burst), (end, len(block), None)):
+        if b > a:
+            yield _part(block, a, b, burst)
+
+
+def _part(block: ResidualBlock, a: int, b: int, burst: Burst | None) -> ResidualBlock:
+    if (a, b) == (0, len(block)):
+        return replace(block, burst=burst, gap=False)
+    cut = {name: getattr(block, name)[a:b] for name in ("r", "beta", "u", "y", "alpha")}
+    aux = {label: values[a:b] for label, values in block.aux.items()}
+    return replace(block, k0=block.k0 + a, burst=burst, gap=False, aux=aux, **cut)
+
+
+def _same_burst(playing: Playing, piece: ResidualBlock) -> bool:
+    return piece.burst is not None and piece.burst_start == playing.start
+
+
+def _fit_parts(fits: Sequence[Fit]) -> dict[str, float]:
+    parts = {f"severity.{f.fault}": f.severity for f in fits}
+    return {**parts, **{f"sd.{f.fault}": f.sd for f in fits}}
+
+
+def burst_detector(
+    name: str, problem: DetectionProblem, statistic: BurstStatistic, gate: Gate, sure: float, frozen: int
+) -> BurstDetector:
+    """Return a burst detector with the filters of the problem's faults and a gate that waits for them to settle."""
+    filters = regressors(problem)
+    settle = filters.settling()
+    gate = replace(gate, settle=settle, bounds=problem.severity_range)
+    return BurstDetector(name, problem, statistic, filters, gate, sure, frozen)

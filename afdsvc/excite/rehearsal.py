@@ -1,0 +1,81 @@
+"""A burst played on paper: the closed loop with a fault, driven by given noise, sample by sample."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from afdsvc.api.bursts import Burst
+from afdsvc.api.detection import DetectionProblem, ResidualBlock
+from afdsvc.errors import BadInput
+from afdsvc.lti.lft import star
+from afdsvc.lti.simulate import simulate
+from afdsvc.lti.statespace import Array, StateSpace
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rehearsal:
+    """What the machine would have recorded: ``r, y (n, p)``, ``u, alpha (n, m)``, ``beta (n, p)``."""
+
+    dt: float
+    r: Array
+    y: Array
+    u: Array
+    alpha: Array
+    beta: Array
+
+    def __len__(self) -> int:
+        return len(self.r)
+
+    def blocks(self, size: int, burst: Burst | None = None, start: int = 0, k0: int = 0) -> Iterator[ResidualBlock]:
+        """Yield blocks of at most ``size`` samples cut at the edges of a burst that began at sample ``start``."""
+        edges = {0, len(self)} | ({start, min(start + burst.samples, len(self))} if burst else set())
+        cuts = sorted(edges | set(range(0, len(self), size)))
+        for a, b in pairwise(cuts):
+            inside = burst is not None and start <= a < start + burst.samples
+            yield ResidualBlock(
+                k0 + a, self.dt, self.r[a:b], self.beta[a:b], self.u[a:b], self.y[a:b], self.alpha[a:b],
+                burst if inside else None, burst.name if inside and burst else "", k0 + start,
+            )
+
+
+def faulty_loop(problem: DetectionProblem, severities: Mapping[str, float]) -> StateSpace:
+    """Return the loop from ``[v, alpha]`` (output noise, excitation) to ``[u, y, beta]`` with the faults present.
+
+    ``y`` is what the sensors report without their noise. Raises `BadInput` when a fault makes the loop unstable.
+    """
+    g = problem.augmented.close(severities)
+    n, m, p = g.order, g.inputs, g.outputs
+    B = np.hstack([np.zeros((n, p)), g.B])
+    C = np.vstack([np.zeros((m, n)), g.C, g.C])
+    D = np.block([[np.zeros((m, p)), np.eye(m)], [np.zeros((p, p)), g.D], [np.eye(p), g.D]])
+    loop = star(StateSpace(g.A, B, C, D, g.dt), problem.interconnection, p, m)
+    if not loop.is_stable():
+        worst = float(np.abs(loop.poles()).max())
+        raise BadInput(f"with {dict(severities)} the loop has a pole of modulus {worst:.6g}; it cannot be rehearsed")
+    return loop
+
+
+def rehearse(
+    problem: DetectionProblem, alpha: Array, noise: Array, severities: Mapping[str, float] | None = None,
+    loop: StateSpace | None = None,
+) -> Rehearsal:
+    """Return the record of a run from rest: ``alpha (n, m)``, output noise ``noise (n, p)``; ``loop`` saves
+    rebuilding it.
+    """
+    loop = faulty_loop(problem, severities or {}) if loop is None else loop
+    m, p = problem.plant.inputs, problem.plant.outputs
+    if alpha.shape != (len(noise), m) or noise.shape != (len(alpha), p):
+        raise BadInput(f"alpha {alpha.shape} and noise {noise.shape}; (n, {m}) and (n, {p}) are wanted")
+    out, _ = simulate(loop, np.hstack([noise, alpha]))
+    u, y, beta = out[:, :m], out[:, m : m + p] + noise, out[:, m + p :]
+    r, _ = simulate(problem.innovations, np.hstack([y, u]))
+    return Rehearsal(problem.plant.dt, r, y, u, alpha, beta)
+
+
+def played(burst: Burst, dt: float, before: int, after: int = 0) -> Array:
+    """Return alpha of a burst with quiet samples around it, shape ``(before + samples + after, inputs)``."""
+    return np.vstack([np.zeros((before, burst.inputs)), burst.play(dt), np.zeros((after, burst.inputs))])

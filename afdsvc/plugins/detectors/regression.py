@@ -1,0 +1,24 @@
+"""Exact regression: the whitened residual on what each fault would add, from the measured input."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from afdsvc.api.detection import DetectionProblem, Detector
+from afdsvc.detect.regression import regression
+from afdsvc.detect.settings import gate_of, read
+from afdsvc.detect.watch import burst_detector
+
+
+class RegressionDesign:
+    """Takes the common settings only."""
+
+    name = "regression"
+    summary = "residual on what each fault would add, from the measured input; uses the loop's own noise too"
+
+    def design(self, problem: DetectionProblem, settings: Mapping[str, Any]) -> Detector:
+        """Return the detector; raises `BadInput` for a setting that is unknown or out of range."""
+        values = read(self.name, settings, {})
+        frozen = int(values["frozen_samples"])
+        return burst_detector(self.name, problem, regression(problem), gate_of(values), values["sure"], frozen)
