@@ -12,7 +12,7 @@ from afdsvc.lti.statespace import Array, StateSpace
 
 
 def state_scaling(A: Array) -> Array:
-    """Return ``t`` such that ``A[i, j] t[j] / t[i]`` has rows and columns of like size; powers of two, shape ``(n,)``."""
+    """Return ``t (n,)``, powers of two, such that ``A[i, j] t[j] / t[i]`` has rows and columns of like size."""
     if A.shape[0] < 2:
         return np.ones(A.shape[0])
     _, (scale, _) = matrix_balance(A, permute=False, separate=True)

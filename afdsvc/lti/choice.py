@@ -19,7 +19,8 @@ def factorise(plant: StateSpace, controller: StateSpace) -> Factorisation:
     wanted = (plant.inputs, plant.outputs)
     if (controller.outputs, controller.inputs) != wanted:
         raise BadInput(
-            f"the controller has {controller.outputs} outputs and {controller.inputs} inputs; a plant with {plant.inputs} "
+            f"the controller has {controller.outputs} outputs and {controller.inputs} inputs; a plant with "
+            f"{plant.inputs} "
             f"inputs and {plant.outputs} outputs wants {wanted[0]} and {wanted[1]}"
         )
     if not controller.order:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from afdsvc.errors import BadInput, IllConditioned
-from afdsvc.lti.exchange import solve_loop
+from afdsvc.lti.algebraic_loop import solve_loop
 from afdsvc.lti.lft import star
 from afdsvc.lti.observer_search import invariant_half
 from afdsvc.lti.stability import require_stabilising, require_stable
@@ -110,8 +110,11 @@ def observer_factorisation(plant: StateSpace, F: ArrayLike, L: ArrayLike) -> Fac
     controller = StateSpace(A + B @ F + L @ (C + D @ F), -L, F, np.zeros((plant.inputs, plant.outputs)), plant.dt)
     m, p = plant.inputs, plant.outputs
     R = StateSpace(
-        A + B @ F, np.hstack([B, -L]), np.vstack([F, C + D @ F]),
-        np.block([[np.eye(m), np.zeros((m, p))], [D, np.eye(p)]]), plant.dt,
+        A + B @ F,
+        np.hstack([B, -L]),
+        np.vstack([F, C + D @ F]),
+        np.block([[np.eye(m), np.zeros((m, p))], [D, np.eye(p)]]),
+        plant.dt,
     )
     return Factorisation(plant, controller, R, R.inverse())
 
@@ -135,8 +138,8 @@ def controller_factorisation(
 ) -> Factorisation:
     """Return the factors for any stabilising linear controller, of any order, stable or not; R has order n + n_K.
 
-    ``F (m, n)`` makes A + B F stable, ``Fk (p, n_K)`` makes Ak + Bk Fk stable; those left out are the cheapest gains that
-    give their system at least half the stability margin of the closed loop (zero when it already has it). Raises
+    ``F (m, n)`` makes A + B F stable, ``Fk (p, n_K)`` makes Ak + Bk Fk stable; those left out are the cheapest gains
+    that give their system at least half the stability margin of the closed loop (zero when it already has it). Raises
     `NotStabilising` with the closed-loop pole, `BadInput` for shapes.
     """
     from afdsvc.lti.stabilise import gain_with_margin, half_margin
@@ -150,7 +153,8 @@ def controller_factorisation(
 
 
 def observer_form(plant: StateSpace, K: StateSpace) -> Factorisation:
-    """Return the factors of a controller of the plant's order read as an observer with a static Youla term; R has order n.
+    """Return the factors of a controller of the plant's order read as an observer with a static Youla term; R has
+    order n.
 
     ``u = F x^ + Q (y - C x^ - D u) + alpha``, ``beta = y - C x^ - D u``, with Q the controller's feedthrough. Raises
     `IllConditioned` with the condition number when no half of the closed-loop poles gives a usable observer (then
@@ -201,7 +205,8 @@ def _general(plant: StateSpace, K: StateSpace, F: Array, Fk: Array) -> Factorisa
 
 
 def stable_controller_factorisation(plant: StateSpace, K: StateSpace) -> Factorisation:
-    """Return the factors of a stable controller known only by its transfer functions (thesis 2.28-2.35, sign corrected).
+    """Return the factors of a stable controller known only by its transfer functions (thesis 2.28-2.35, sign
+    corrected).
 
     ``M = (I - K G)^-1``, ``N = G M``, ``V = Vt = I``, ``U = Ut = K``, ``Mt = (I - G K)^-1``, ``Nt = Mt G``: no gains
     are needed, ``u = K y + alpha`` and ``beta = y - N alpha``. R has order n + 2 n_K. Raises `NotStabilising`, or
@@ -226,7 +231,9 @@ def _left_of_stable(plant: StateSpace, K: StateSpace, dt: float) -> StateSpace:
     A, B, C, D = plant.A, plant.B, plant.C, plant.D
     # e = y + G(K e - u):  the plant copy sees v = K e - u
     e = np.hstack([E @ C, E @ D @ K.C, -E @ D, E])  # of (x, xk, u, y)
-    v = K.D @ e + np.hstack([np.zeros((plant.inputs, plant.order)), K.C, -np.eye(plant.inputs), np.zeros((plant.inputs, plant.outputs))])
+    v = K.D @ e + np.hstack(
+        [np.zeros((plant.inputs, plant.order)), K.C, -np.eye(plant.inputs), np.zeros((plant.inputs, plant.outputs))]
+    )
     n, nk, m, p = plant.order, K.order, plant.inputs, plant.outputs
     top = np.hstack([A, np.zeros((n, nk + m + p))]) + B @ v
     middle = np.hstack([np.zeros((nk, n)), K.A, np.zeros((nk, m + p))]) + K.B @ e
@@ -244,8 +251,6 @@ def _with_excitation(plant: StateSpace) -> StateSpace:
     B, eye = np.hstack([plant.B, plant.B]), np.eye(m)
     D = np.vstack([np.hstack([eye, eye]), np.hstack([plant.D, plant.D]), np.hstack([plant.D, plant.D])])
     return StateSpace(plant.A, B, np.vstack([np.zeros((m, plant.order)), plant.C, plant.C]), D, plant.dt)
-
-
 
 
 def _gain(name: str, value: ArrayLike, shape: tuple[int, int]) -> Array:

@@ -57,13 +57,15 @@ def augmented_controller(plant: Any, controller: Any) -> Any:
 
 
 def deviation(true_plant: Any, plant: Any, controller: Any) -> Any:
-    """Return S, from alpha to beta, when J_K of the nominal ``plant`` runs on ``true_plant``; zero when they are equal."""
+    """Return S, from alpha to beta, of J_K of the nominal ``plant`` on ``true_plant``; zero when they are equal."""
     G, K, dt = _pair(plant, controller)
     true, _, _ = _pair(true_plant, controller, "true plant")
     return to_control(deviation_system(factorise(G, K), _same_time(true, G)), dt)
 
 
-def whitening(plant: Any, controller: Any, output_cov: ArrayLike, process_cov: ArrayLike | None = None) -> tuple[Any, Array]:
+def whitening(
+    plant: Any, controller: Any, output_cov: ArrayLike, process_cov: ArrayLike | None = None
+) -> tuple[Any, Array]:
     """Return the filter from beta to the white residual r, and the covariance of r, shape ``(p, p)``.
 
     ``output_cov (p, p)`` is the covariance of the measurement noise, ``process_cov (n, n)`` of noise on the states.
@@ -74,7 +76,7 @@ def whitening(plant: Any, controller: Any, output_cov: ArrayLike, process_cov: A
 
 
 def from_control(system: Any, name: str = "system") -> tuple[StateSpace, Any]:
-    """Return a python-control system (or number, array, transfer function) as `StateSpace`, and its dt as control has it.
+    """Return a python-control system (or number, array, transfer function) as `StateSpace`, and its dt as given.
 
     Raises `BadInput` for a system that is not proper, not linear or not a system.
     """
@@ -85,7 +87,9 @@ def from_control(system: Any, name: str = "system") -> tuple[StateSpace, Any]:
     if isinstance(system, control.TransferFunction):
         system = _realise(system, name)
     if not isinstance(system, control.StateSpace):
-        raise BadInput(f"the {name} is a {type(system).__name__}; a control.StateSpace (or transfer function, or gain) is wanted")
+        raise BadInput(
+            f"the {name} is a {type(system).__name__}; a control.StateSpace (or transfer function, or gain) is wanted"
+        )
     dt = system.dt
     return StateSpace.of(system.A, system.B, system.C, system.D, _seconds(dt)), dt
 
@@ -100,9 +104,15 @@ def to_control(system: StateSpace, dt: Any) -> Any:
 def _realise(system: Any, name: str) -> Any:
     import control
 
-    worst = max(len(np.trim_zeros(n, "f")) - len(np.trim_zeros(d, "f")) for ns, ds in zip(system.num, system.den, strict=True) for n, d in zip(ns, ds, strict=True))
+    worst = max(
+        len(np.trim_zeros(n, "f")) - len(np.trim_zeros(d, "f"))
+        for ns, ds in zip(system.num, system.den, strict=True)
+        for n, d in zip(ns, ds, strict=True)
+    )
     if worst > 0:
-        raise BadInput(f"the {name} is not proper: a numerator is {worst} degrees above its denominator; add {worst} poles")
+        raise BadInput(
+            f"the {name} is not proper: a numerator is {worst} degrees above its denominator; add {worst} poles"
+        )
     return control.ss(system)
 
 
@@ -125,7 +135,7 @@ def _joint_dt(a: Any, b: Any, name: str) -> Any:
     """Return the time base two systems share, by python-control's rules: None fits any, True any discrete one."""
     if a is None or b is None:
         return b if a is None else a
-    if a is True and _seconds(b) > 0 or b is True and _seconds(a) > 0:
+    if (a is True and _seconds(b) > 0) or (b is True and _seconds(a) > 0):
         return b if a is True else a
     if _seconds(a) != _seconds(b):
         raise BadInput(f"the {name} has dt {a} and the controller dt {b}; one time base is wanted")

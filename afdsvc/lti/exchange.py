@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from afdsvc.errors import IllConditioned
+from afdsvc.lti.algebraic_loop import solve_loop
 from afdsvc.lti.statespace import Array, StateSpace
-
-PIVOT_LIMIT = 1e12
 
 
 def exchange(system: StateSpace, inputs: Sequence[int], outputs: Sequence[int]) -> StateSpace:
@@ -19,13 +18,13 @@ def exchange(system: StateSpace, inputs: Sequence[int], outputs: Sequence[int]) 
     place. The order does not change. Raises `IllConditioned` when the feedthrough between the pairs is not invertible.
     """
     n = system.order
-    rows, cols = n + np.asarray(outputs, int), n + np.asarray(inputs, int)
+    rows, cols = n + np.asarray(outputs, np.intp), n + np.asarray(inputs, np.intp)
     M = np.block([[system.A, system.B], [system.C, system.D]])
     pivoted = _pivot(M, rows, cols)
     return StateSpace(pivoted[:n, :n], pivoted[:n, n:], pivoted[n:, :n], pivoted[n:, n:], system.dt)
 
 
-def _pivot(M: Array, rows: Array, cols: Array) -> Array:
+def _pivot(M: Array, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> Array:
     """Solve ``out = M in`` for the inputs ``cols`` in terms of the outputs ``rows`` (principal pivot transform)."""
     other_rows, other_cols = np.setdiff1d(np.arange(M.shape[0]), rows), np.setdiff1d(np.arange(M.shape[1]), cols)
     inverse = solve_loop(M[np.ix_(rows, cols)])
@@ -37,17 +36,3 @@ def _pivot(M: Array, rows: Array, cols: Array) -> Array:
     out[np.ix_(other_rows, cols)] = through @ inverse
     out[np.ix_(other_rows, other_cols)] = M[np.ix_(other_rows, other_cols)] + through @ from_rest
     return out
-
-
-def solve_loop(matrix: Array) -> Array:
-    """Return the inverse of the matrix of an algebraic loop; raises `IllConditioned` with its condition number."""
-    if not matrix.size:
-        return np.zeros_like(matrix)
-    scaled = matrix / np.maximum(np.abs(matrix).max(axis=1, keepdims=True), np.finfo(float).tiny)
-    condition = np.linalg.cond(scaled)
-    if not condition < PIVOT_LIMIT:
-        raise IllConditioned(
-            f"the feedthrough around a loop is singular (condition number {condition:.2g}, below {PIVOT_LIMIT:.0g} is "
-            "wanted): the loop is not well posed; change a feedthrough or add a delay"
-        )
-    return np.linalg.inv(matrix)

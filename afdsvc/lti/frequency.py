@@ -21,7 +21,7 @@ def frequency_response(system: StateSpace, omega_rad_s: ArrayLike) -> ComplexArr
     if omega.ndim != 1 or not np.isfinite(omega).all():
         raise BadInput(f"frequencies of shape {omega.shape}: a vector of finite numbers in rad/s is wanted")
     points = np.exp(1j * omega * system.dt) if system.discrete else 1j * omega
-    return transfer(system, points)
+    return transfer(system, np.asarray(points, dtype=np.complex128))
 
 
 def transfer(system: StateSpace, points: ComplexArray) -> ComplexArray:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.errors import BadInput
-from afdsvc.lti.exchange import solve_loop
+from afdsvc.lti.algebraic_loop import solve_loop
 from afdsvc.lti.statespace import Array, StateSpace, common_dt
 
 
@@ -32,9 +32,8 @@ def star(upper: StateSpace, lower: StateSpace, down: int, up: int) -> StateSpace
             f"{lower.outputs} x {lower.inputs} outputs x inputs"
         )
     dt = common_dt(upper, lower)
-    # Signals that remain see  [A B; C D] + [into] (I - loop)^-1 [from]  with v = [upper outputs down; lower outputs up].
-    free = _side_by_side(upper, lower, p, m, down, up)
-    A, B, C, D, into_x, into_y, v_x, v_u, v_v = free
+    # The signals that remain see [A B; C D] + [into] (I - loop)^-1 [from], with v = [outputs down; outputs up].
+    A, B, C, D, into_x, into_y, v_x, v_u, v_v = _side_by_side(upper, lower, p, m, down, up)
     inner = solve_loop(np.eye(down + up) - v_v)
     gain_x, gain_u = inner @ v_x, inner @ v_u
     return StateSpace(A + into_x @ gain_x, B + into_x @ gain_u, C + into_y @ gain_x, D + into_y @ gain_u, dt)
@@ -43,7 +42,11 @@ def star(upper: StateSpace, lower: StateSpace, down: int, up: int) -> StateSpace
 def _side_by_side(upper: StateSpace, lower: StateSpace, p: int, m: int, down: int, up: int) -> tuple[Array, ...]:
     """Return both systems unconnected, their connecting signals ``v = [down; up]`` split off."""
     A = _diag(upper.A, lower.A)
-    B, C, D = _diag(upper.B[:, :m], lower.B[:, down:]), _diag(upper.C[:p], lower.C[up:]), _diag(upper.D[:p, :m], lower.D[up:, down:])
+    B, C, D = (
+        _diag(upper.B[:, :m], lower.B[:, down:]),
+        _diag(upper.C[:p], lower.C[up:]),
+        _diag(upper.D[:p, :m], lower.D[up:, down:]),
+    )
     # v drives: the last inputs of upper take v_up, the first inputs of lower take v_down.
     into_x = _anti(upper.B[:, m:], lower.B[:, :down])
     into_y = _anti(upper.D[:p, m:], lower.D[up:, :down])
@@ -82,15 +85,20 @@ class FaultDirection:
     @property
     def width(self) -> int:
         """Number of channels r."""
-        return self.Bw.shape[1]
+        return int(self.Bw.shape[1])
 
 
 def actuator_gain(plant: StateSpace, name: str, input: int) -> FaultDirection:
     """Return the direction of a relative gain change of one input: ``u_i`` acts as ``(1 + theta) u_i``."""
     _index("input", input, plant.inputs)
     return FaultDirection(
-        name, plant.B[:, [input]], plant.D[:, [input]], np.zeros((1, plant.order)), np.eye(plant.inputs)[[input]],
-        np.zeros((1, 1)), input=input,
+        name,
+        plant.B[:, [input]],
+        plant.D[:, [input]],
+        np.zeros((1, plant.order)),
+        np.eye(plant.inputs)[[input]],
+        np.zeros((1, 1)),
+        input=input,
     )
 
 
@@ -98,8 +106,13 @@ def sensor_gain(plant: StateSpace, name: str, output: int) -> FaultDirection:
     """Return the direction of a relative gain change of one output: ``y_i`` reads ``(1 + theta)`` times its value."""
     _index("output", output, plant.outputs)
     return FaultDirection(
-        name, np.zeros((plant.order, 1)), np.eye(plant.outputs)[:, [output]], plant.C[[output]], plant.D[[output]],
-        np.zeros((1, 1)), output=output,
+        name,
+        np.zeros((plant.order, 1)),
+        np.eye(plant.outputs)[:, [output]],
+        plant.C[[output]],
+        plant.D[[output]],
+        np.zeros((1, 1)),
+        output=output,
     )
 
 
@@ -110,7 +123,8 @@ def _index(what: str, index: int, count: int) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AugmentedPlant:
-    """A plant with its faults pulled out: ``system`` has inputs ``[w, u]`` and outputs ``[z, y]``, ``w = diag(theta) z``.
+    """A plant with its faults pulled out: ``system`` has inputs ``[w, u]`` and outputs ``[z, y]``, ``w = diag(theta)
+    z``.
 
     ``widths`` counts the channels of every fault, in the order of ``fault_names``.
     """
@@ -144,19 +158,24 @@ class AugmentedPlant:
             theta = [theta.get(name, 0.0) for name in self.fault_names]
         values = np.asarray(theta, dtype=np.float64)
         if values.shape != (len(self.fault_names),) or not np.isfinite(values).all():
-            raise BadInput(f"severities {values.tolist()}: {len(self.fault_names)} finite numbers are wanted, one for each fault")
+            raise BadInput(
+                f"severities {values.tolist()}: {len(self.fault_names)} finite numbers are wanted, one for each fault"
+            )
         return np.repeat(values, self.widths)
 
     def close(self, theta: Sequence[float] | Mapping[str, float] | Array) -> StateSpace:
-        """Return the plant with the faults present (upper LFT, thesis 2.18); severity 0 returns the healthy plant."""
+        """Return the plant with the faults present (upper LFT, thesis 2.18); severity 0 gives the healthy plant."""
         th, k, s = self.severities(theta), self.channels, self.system
         if not th.any():
             return self.plant
         # w = th z with z = Cz x + Dzw w + Dzu u  gives  w = (I - th Dzw)^-1 th (Cz x + Dzu u)
         gain = solve_loop(np.eye(k) - th[:, None] * s.D[:k, :k]) * th[None, :]
         return StateSpace(
-            s.A + s.B[:, :k] @ gain @ s.C[:k], s.B[:, k:] + s.B[:, :k] @ gain @ s.D[:k, k:],
-            s.C[k:] + s.D[k:, :k] @ gain @ s.C[:k], s.D[k:, k:] + s.D[k:, :k] @ gain @ s.D[:k, k:], s.dt,
+            s.A + s.B[:, :k] @ gain @ s.C[:k],
+            s.B[:, k:] + s.B[:, :k] @ gain @ s.D[:k, k:],
+            s.C[k:] + s.D[k:, :k] @ gain @ s.C[:k],
+            s.D[k:, k:] + s.D[k:, :k] @ gain @ s.D[:k, k:],
+            s.dt,
         )
 
     def reordered(self, names: Sequence[str]) -> AugmentedPlant:
@@ -168,7 +187,7 @@ class AugmentedPlant:
         return AugmentedPlant(system, tuple(names), tuple(len(part) for part in slices))
 
     def with_gain_faults(self, sites: Mapping[str, tuple[str, int]], order: Sequence[str]) -> AugmentedPlant:
-        """Return the plant with gain faults added, ``name: ("input" or "output", index)``, all faults in the given order."""
+        """Return the plant with gain faults ``name: ("input" or "output", index)`` added, all in the given order."""
         plant, k, s = self.plant, self.channels, self.system
         inner = FaultDirection("", s.B[:, :k], s.D[k:, :k], s.C[:k], s.D[:k, k:], s.D[:k, :k])
         make = {"input": actuator_gain, "output": sensor_gain}
@@ -181,9 +200,9 @@ class AugmentedPlant:
 def augment(plant: StateSpace, directions: Sequence[FaultDirection]) -> AugmentedPlant:
     """Return the plant with all the faults pulled out at once.
 
-    Faults on inputs and outputs compose with all others (an actuator fault is seen by a sensor fault through D, and by a
-    parameter that multiplies u). Products of parameters do not follow from separate directions: build those plants with
-    `afdsvc.lti.parametric.parametric_plant`. Raises `BadInput` for repeated names or sites and for wrong shapes.
+    Faults on inputs and outputs compose with all others (an actuator fault is seen by a sensor fault through D, and by
+    a parameter that multiplies u). Products of parameters do not follow from separate directions: build those plants
+    with `afdsvc.lti.parametric.parametric_plant`. Raises `BadInput` for repeated names or sites and for wrong shapes.
     """
     _unique(directions)
     for d in directions:
@@ -193,7 +212,12 @@ def augment(plant: StateSpace, directions: Sequence[FaultDirection]) -> Augmente
     for i, to in enumerate(directions):
         for j, origin in enumerate(directions):
             Dzw[starts[i] : starts[i + 1], starts[j] : starts[j + 1]] = to.Dzw if i == j else _coupling(to, origin)
-    stack = [np.zeros((plant.order, 0)), np.zeros((plant.outputs, 0)), np.zeros((0, plant.order)), np.zeros((0, plant.inputs))]
+    stack = [
+        np.zeros((plant.order, 0)),
+        np.zeros((plant.outputs, 0)),
+        np.zeros((0, plant.order)),
+        np.zeros((0, plant.inputs)),
+    ]
     Bw, Dyw = np.hstack([stack[0], *(d.Bw for d in directions)]), np.hstack([stack[1], *(d.Dyw for d in directions)])
     Cz, Dzu = np.vstack([stack[2], *(d.Cz for d in directions)]), np.vstack([stack[3], *(d.Dzu for d in directions)])
     system = StateSpace(
@@ -213,8 +237,8 @@ def _coupling(to: FaultDirection, origin: FaultDirection) -> Array:
 
 def _unique(directions: Sequence[FaultDirection]) -> None:
     names = [d.name for d in directions]
-    sites = [("input", d.input) for d in directions if d.input is not None]
-    sites += [("output", d.output) for d in directions if d.output is not None]
+    sites = [f"input {d.input}" for d in directions if d.input is not None]
+    sites += [f"output {d.output}" for d in directions if d.output is not None]
     for what, values in (("name", names), ("site", sites)):
         repeated = [v for v in values if values.count(v) > 1]
         if repeated:
@@ -223,10 +247,18 @@ def _unique(directions: Sequence[FaultDirection]) -> None:
 
 def _fits(plant: StateSpace, d: FaultDirection) -> None:
     r = d.width
-    wanted = {"Bw": (plant.order, r), "Dyw": (plant.outputs, r), "Cz": (r, plant.order), "Dzu": (r, plant.inputs), "Dzw": (r, r)}
+    wanted = {
+        "Bw": (plant.order, r),
+        "Dyw": (plant.outputs, r),
+        "Cz": (r, plant.order),
+        "Dzu": (r, plant.inputs),
+        "Dzw": (r, r),
+    }
     for field, shape in wanted.items():
         if getattr(d, field).shape != shape:
-            raise BadInput(f"fault '{d.name}': {field} has shape {getattr(d, field).shape}; {shape} is wanted for this plant")
+            raise BadInput(
+                f"fault '{d.name}': {field} has shape {getattr(d, field).shape}; {shape} is wanted for this plant"
+            )
 
 
 def signature_interconnection(augmented: AugmentedPlant, J_K: StateSpace) -> StateSpace:
@@ -238,7 +270,9 @@ def signature_interconnection(augmented: AugmentedPlant, J_K: StateSpace) -> Sta
     return star(s, J_K, s.outputs - k, s.inputs - k)
 
 
-def fault_signature(augmented: AugmentedPlant, J_K: StateSpace, theta: Sequence[float] | Mapping[str, float] | Array) -> StateSpace:
+def fault_signature(
+    augmented: AugmentedPlant, J_K: StateSpace, theta: Sequence[float] | Mapping[str, float] | Array
+) -> StateSpace:
     """Return ``S(theta)`` from alpha to beta, by closing the faulty plant with J_K (inputs ``[y, alpha]``).
 
     Closing loops instead of multiplying factors keeps the order at plant plus J_K and shows unstable modes as poles.

@@ -16,7 +16,7 @@ RANK_TOLERANCE = 1e-11
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatrixLft:
-    """``out = constant v + Bw w``, ``z = Cz v + Dzw w``, ``w = s z``: channel c carries the variable ``variable[c]``."""
+    """``out = constant v + Bw w``, ``z = Cz v + Dzw w``, ``w = s z``: channel c carries variable ``variable[c]``."""
 
     constant: Array
     Bw: Array
@@ -26,13 +26,15 @@ class MatrixLft:
 
 
 def factored(polynomial: Polynomial) -> MatrixLft:
-    """Return the polynomial as an LFT: one variable after another is taken out with as few channels as its rank needs."""
+    """Return the polynomial as an LFT: variables are taken out one by one, each with as few channels as its rank."""
     count = len(next(iter(polynomial)))
     shape = next(iter(polynomial.values())).shape
     powers = [k for k in polynomial if any(k)]
     if not powers:
         constant = polynomial.get((0,) * count, np.zeros(shape))
-        return MatrixLft(constant, np.zeros((shape[0], 0)), np.zeros((0, shape[1])), np.zeros((0, 0)), np.zeros(0, np.int64))
+        return MatrixLft(
+            constant, np.zeros((shape[0], 0)), np.zeros((0, shape[1])), np.zeros((0, 0)), np.zeros(0, np.int64)
+        )
     v = max(range(count), key=lambda i: sum(k[i] > 0 for k in powers))
     divided = {_lower(k, v): m for k, m in polynomial.items() if k[v]}
     rest = factored({k: m for k, m in polynomial.items() if not k[v]} or {(0,) * count: np.zeros(shape)})
@@ -40,7 +42,7 @@ def factored(polynomial: Polynomial) -> MatrixLft:
 
 
 def compressed(lft: MatrixLft) -> MatrixLft:
-    """Return the same LFT without channels that repeat each other: z's that are combinations of others, w's that act alike."""
+    """Return the same LFT without channels that repeat each other (dependent z's, or w's that act alike)."""
     while True:
         smaller = _merge_equal_z(_transposed(_merge_equal_z(_transposed(lft))))
         if smaller.variable.size == lft.variable.size:
@@ -67,7 +69,7 @@ def _merge_equal_z(lft: MatrixLft) -> MatrixLft:
     T = np.zeros((lft.variable.size, keep.size))
     column = 0
     for own, X in blocks:
-        T[np.ix_(own, range(column, column + X.shape[1]))] = X
+        T[own, column : column + X.shape[1]] = X
         column += X.shape[1]
     return MatrixLft(lft.constant, lft.Bw @ T, lft.Cz[keep], lft.Dzw[keep] @ T, np.concatenate(variable))
 

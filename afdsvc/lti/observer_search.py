@@ -1,7 +1,7 @@
-"""Finding the observer hidden in a controller: which half of the closed-loop poles is state feedback, which is observer.
+"""Finding the observer hidden in a controller: which half of the loop's poles is state feedback, which is observer.
 
-A controller of the plant's order n is an observer with state feedback F, observer gain L and a static Youla term Q. With
-an n-dimensional invariant subspace [X1; X2] of the closed loop and ``T = X2 X1^-1``: ``F = Dk C + Ck T``,
+A controller of the plant's order n is an observer with state feedback F, observer gain L and a static Youla term Q.
+With an n-dimensional invariant subspace [X1; X2] of the closed loop and ``T = X2 X1^-1``: ``F = Dk C + Ck T``,
 ``L = B Dk - T^-1 Bk``, ``Q = Dk``. Every half of the poles closed under conjugation is a candidate; the one whose T is
 best conditioned is taken.
 """
@@ -65,7 +65,7 @@ def _transformation(scaled: Array, chosen: ComplexArray, n: int, t: Array) -> tu
 
 
 def _halves(poles: ComplexArray, n: int) -> Iterator[tuple[int, ...]]:
-    """Yield sets of n poles closed under conjugation: all of them if they are few, else neighbours in several orders."""
+    """Yield sets of n poles closed under conjugation: all if they are few, else neighbours in several orders."""
     groups = _conjugate_groups(poles)
     if comb(len(groups), len(groups) // 2) <= CANDIDATES:
         for count in range(1, len(groups) + 1):
@@ -90,7 +90,8 @@ def _fill(groups: list[tuple[int, ...]], n: int) -> Iterator[tuple[int, ...]]:
 
 
 def _conjugate_groups(poles: ComplexArray) -> list[tuple[int, ...]]:
-    groups, i = [], 0
+    groups: list[tuple[int, ...]] = []
+    i = 0
     while i < poles.size:
         pair = poles[i].imag != 0 and i + 1 < poles.size
         groups.append((i, i + 1) if pair else (i,))

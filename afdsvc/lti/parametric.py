@@ -1,9 +1,9 @@
 """From a function of physical parameters to a plant with those parameters pulled out as faults.
 
-The matrices ``[A B; C D]`` are sampled at changed parameter values, fitted exactly as polynomials in the relative changes
-``theta`` (or in ``theta / (1 + theta)`` for a parameter that divides, like a mass), products of parameters included, and
-realised as a linear fractional transformation. Nobody writes a fault matrix by hand, and the result is checked against
-the function itself before it is handed out.
+The matrices ``[A B; C D]`` are sampled at changed parameter values, fitted exactly as polynomials in the relative
+changes ``theta`` (or in ``theta / (1 + theta)`` for a parameter that divides, like a mass), products of parameters
+included, and realised as a linear fractional transformation. Nobody writes a fault matrix by hand, and the result is
+checked against the function itself before it is handed out.
 """
 
 from __future__ import annotations
@@ -76,7 +76,10 @@ class _Family:
             if name not in values:
                 raise BadInput(f"the plant has no parameter '{name}'; it has {', '.join(values)}")
             if values[name] == 0:
-                raise BadInput(f"parameter '{name}' is 0, so a relative change of it means nothing; give it a value or leave it out")
+                raise BadInput(
+                    f"parameter '{name}' is 0, so a relative change of it means nothing; give it a value or leave it "
+                    f"out"
+                )
 
     def __call__(self, severities: Mapping[int, float]) -> Array:
         changed = dict(self.values)
@@ -98,7 +101,8 @@ def _dependence(family: _Family, i: int) -> Dependence:
             if (np.max(errors, axis=0) <= TOLERANCE * size).all():
                 return d
     raise BadInput(
-        f"parameter '{family.names[i]}' enters the plant neither as a polynomial of degree {MAX_DEGREE} in p nor in 1/p; "
+        f"parameter '{family.names[i]}' enters the plant neither as a polynomial of degree {MAX_DEGREE} in p nor in "
+        f"1/p; "
         "reformulate the plant with a parameter that does"
     )
 
@@ -166,7 +170,9 @@ def _fit(samples: dict[tuple[int, ...], Array], dependences: Sequence[Dependence
 
 
 def _evaluate(polynomial: Polynomial, variables: Sequence[float]) -> Array:
-    return np.asarray(sum(m * np.prod([v**k for v, k in zip(variables, index, strict=True)]) for index, m in polynomial.items()))
+    return np.asarray(
+        sum(m * np.prod([v**k for v, k in zip(variables, index, strict=True)]) for index, m in polynomial.items())
+    )
 
 
 def _assemble(polynomial: Polynomial, dependences: list[Dependence], nominal: StateSpace) -> AugmentedPlant:
@@ -179,8 +185,11 @@ def _assemble(polynomial: Polynomial, dependences: list[Dependence], nominal: St
     Dzw[np.diag_indices_from(Dzw)] -= np.array([dependences[v].reciprocal for v in variable], dtype=float)
     Bw, Cz, n = lft.Bw[:, order], lft.Cz[order], nominal.order
     system = StateSpace(
-        nominal.A, np.hstack([Bw[:n], nominal.B]), np.vstack([Cz[:, :n], nominal.C]),
-        np.block([[Dzw, Cz[:, n:]], [Bw[n:], nominal.D]]), nominal.dt,
+        nominal.A,
+        np.hstack([Bw[:n], nominal.B]),
+        np.vstack([Cz[:, :n], nominal.C]),
+        np.block([[Dzw, Cz[:, n:]], [Bw[n:], nominal.D]]),
+        nominal.dt,
     )
     widths = tuple(int((variable == i).sum()) for i in range(len(dependences)))
     return AugmentedPlant(system, tuple(d.name for d in dependences), widths)
@@ -197,6 +206,7 @@ def _verify(family: _Family, augmented: AugmentedPlant) -> None:
         noise = np.minimum(size.max(axis=1, keepdims=True), size.max(axis=0, keepdims=True))
         if (difference > 1e-9 * size + 1e-12 * noise).any():
             raise BadInput(
-                f"parameters {', '.join(family.names)} together enter the plant in a way that is not polynomial in p and "
+                f"parameters {', '.join(family.names)} together enter the plant in a way that is not polynomial in p "
+                f"and "
                 f"1/p (largest difference {difference.max():.2g}); pull them out one at a time or reformulate"
             )

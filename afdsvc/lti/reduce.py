@@ -1,7 +1,7 @@
 """Model reduction by balanced truncation, in continuous and discrete time alike (square-root algorithm).
 
-Unstable modes are kept; only the stable part is reduced. python-control's ``balred`` returns a discrete model unreduced;
-this one does not.
+Unstable modes are kept; only the stable part is reduced. python-control's ``balred`` returns a discrete model
+unreduced; this one does not.
 """
 
 from __future__ import annotations
@@ -68,7 +68,8 @@ def weighted_truncation(
 
 
 def closed_loop_truncation(plant: StateSpace, controller: StateSpace, order: int) -> Reduction:
-    """Return the plant reduced where the loop looks: weights ``(I - G K)^-1`` at its output, ``(I - K G)^-1`` at its input.
+    """Return the plant reduced where the loop looks: weights ``(I - G K)^-1`` at its output, ``(I - K G)^-1`` at its
+    input.
 
     To first order the change of the closed loop from r2 to y is ``(I - G K)^-1 (Gr - G) (I - K G)^-1``.
     """
@@ -104,7 +105,7 @@ def _gramian_factors(system: StateSpace) -> tuple[Array, Array]:
         return np.zeros((0, 0)), np.zeros((0, 0))
     solve = solve_discrete_lyapunov if system.discrete else _continuous_gramian
     P, Q = solve(system.A, system.B @ system.B.T), solve(system.A.T, system.C.T @ system.C)
-    return _root(P), _root(Q)
+    return _root(np.asarray(P, dtype=np.float64)), _root(np.asarray(Q, dtype=np.float64))
 
 
 def _continuous_gramian(A: Array, Q: Array) -> Array:
@@ -118,21 +119,29 @@ def _root(P: Array) -> Array:
 
 
 def _truncate(
-    stable: StateSpace, unstable: StateSpace, factors: tuple[Array, Array], order: int | None, tolerance: float, weighted: bool
+    stable: StateSpace,
+    unstable: StateSpace,
+    factors: tuple[Array, Array],
+    order: int | None,
+    tolerance: float,
+    weighted: bool,
 ) -> Reduction:
     Lc, Lo = factors
     W, hankel, Vt = np.linalg.svd(Lo.T @ Lc) if stable.order else (np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)))
     k = _kept(hankel, unstable.order, stable.order, order, tolerance)
     if k and not hankel[k - 1] > 1e-15 * hankel[0]:
         raise IllConditioned(
-            f"Hankel singular value {k} is {hankel[k - 1]:.2g} against {hankel[0]:.2g}: the system has fewer states that "
+            f"Hankel singular value {k} is {hankel[k - 1]:.2g} against {hankel[0]:.2g}: the system has fewer states "
+            f"that "
             f"matter than the {k + unstable.order} asked for; ask for fewer"
         )
     scale = 1 / np.sqrt(hankel[:k])
     left, right = (Lo @ W[:, :k] * scale).T, Lc @ Vt[:k].T * scale
     reduced = StateSpace(left @ stable.A @ right, left @ stable.B, stable.C @ right, stable.D, stable.dt)
     both = block_diagonal(reduced, unstable)
-    system = StateSpace(both.A, np.vstack([reduced.B, unstable.B]), np.hstack([reduced.C, unstable.C]), stable.D, stable.dt)
+    system = StateSpace(
+        both.A, np.vstack([reduced.B, unstable.B]), np.hstack([reduced.C, unstable.C]), stable.D, stable.dt
+    )
     return Reduction(system, hankel, float("nan") if weighted else 2 * float(hankel[k:].sum()))
 
 

@@ -52,7 +52,7 @@ def _no_solution(found: str) -> str:
 
 
 def lqr(plant: StateSpace, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None) -> Array:
-    """Return the state feedback F, shape ``(m, n)``, with ``u = F x`` (positive sign) minimising ``x'Qx + u'Ru + 2x'Su``."""
+    """Return the gain F, shape ``(m, n)``, of ``u = F x`` (positive sign) minimising ``x'Qx + u'Ru + 2x'Su``."""
     n, m = plant.order, plant.inputs
     cross = np.zeros((n, m)) if S is None else _sized("S", S, (n, m))
     return riccati(plant.A, plant.B, _weight("Q", Q, n), _positive("R", R, m), cross, plant.dt)[1]
@@ -61,7 +61,8 @@ def lqr(plant: StateSpace, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = Non
 def kalman_predictor_gain(
     plant: StateSpace, process_cov: ArrayLike, output_cov: ArrayLike, cross_cov: ArrayLike | None = None
 ) -> Array:
-    """Return the observer gain L, shape ``(n, p)``, of ``x^+ = A x^ + B u + L (C x^ + D u - y)``, optimal for the noises.
+    """Return the observer gain L, shape ``(n, p)``, of ``x^+ = A x^ + B u + L (C x^ + D u - y)``, optimal for the
+    noises.
 
     L is minus the predictor gain ``A P C' (C P C' + Rv)^-1`` (not the filter gain ``P C' (..)^-1``), so A + L C is
     stable. ``process_cov (n, n)`` belongs to noise on the states, ``output_cov (p, p)`` on the outputs; in continuous
@@ -81,12 +82,12 @@ def _sized(name: str, value: ArrayLike, shape: tuple[int, int]) -> Array:
 
 
 def covariance(name: str, value: ArrayLike, n: int, definite: bool = True) -> Array:
-    """Return a covariance, shape ``(n, n)``, symmetric and positive (semi)definite; a scalar means that times I."""
+    """Return a covariance ``(n, n)``, symmetric and positive (semi)definite; a scalar means that times I."""
     return _positive(name, value, n) if definite else _weight(name, value, n)
 
 
 def cross_covariance(value: ArrayLike, Q: Array, R: Array) -> Array:
-    """Return the covariance of state and output noise, shape ``(n, p)``; raises `BadInput` if it exceeds what Q and R allow."""
+    """Return the covariance ``(n, p)`` of state and output noise; raises `BadInput` if Q and R do not allow it."""
     S = _sized("cross_cov", value, (Q.shape[0], R.shape[0]))
     _weight("[process_cov cross_cov; cross_cov' output_cov]", np.block([[Q, S], [S.T, R]]), Q.shape[0] + R.shape[0])
     return S
@@ -97,7 +98,10 @@ def _weight(name: str, value: ArrayLike, n: int) -> Array:
     array = np.asarray(value, dtype=np.float64)
     array = float(array) * np.eye(n) if array.ndim == 0 else _sized(name, array, (n, n))
     if not np.allclose(array, array.T, rtol=1e-9, atol=0):
-        raise BadInput(f"{name} is not symmetric (largest difference {np.abs(array - array.T).max():.2g}); a symmetric matrix is wanted")
+        raise BadInput(
+            f"{name} is not symmetric (largest difference {np.abs(array - array.T).max():.2g}); a symmetric matrix is "
+            f"wanted"
+        )
     smallest, largest = (np.linalg.eigvalsh(array)[[0, -1]]) if n else (0.0, 0.0)
     if smallest < -1e-10 * max(largest, 0.0) or largest < 0:
         raise BadInput(f"{name} has the eigenvalue {smallest:.3g}; a positive semidefinite matrix is wanted")

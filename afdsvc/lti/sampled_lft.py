@@ -1,11 +1,11 @@
 """Sampling a plant with its faults pulled out, without giving up exactness.
 
-Inside a sample period the feedback ``w = theta z`` acts continuously, so no discrete plant of low rank in theta is exact.
-What is done here: a channel whose z depends only on the held inputs stays one channel (actuators, exact); one that acts
-only on outputs stays one channel (sensors, exact); every other is expanded over the sample in a polynomial through k
-Gauss points, at which ``w = theta z`` holds. With theta = 0 the result is exactly the sampled healthy plant; otherwise the
-error falls like the power 2k of (rate x sample time). k is raised until closing the sampled LFT agrees with sampling the
-closed plant to 1e-12 at severities -0.9, -0.5 and 0.5 (1e-10 is accepted).
+Inside a sample period the feedback ``w = theta z`` acts continuously, so no discrete plant of low rank in theta is
+exact. What is done here: a channel whose z depends only on the held inputs stays one channel (actuators, exact); one
+that acts only on outputs stays one channel (sensors, exact); every other is expanded over the sample in a polynomial
+through k Gauss points, at which ``w = theta z`` holds. With theta = 0 the result is exactly the sampled healthy plant;
+otherwise the error falls like the power 2k of (rate x sample time). k is raised until closing the sampled LFT agrees
+with sampling the closed plant to 1e-12 at severities -0.9, -0.5 and 0.5 (1e-10 is accepted).
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ PROBES = (-0.9, -0.5, 0.5)
 
 
 def sample_augmented(augmented: AugmentedPlant, dt: float) -> AugmentedPlant:
-    """Return the augmented plant at sample time ``dt`` [s], inputs held; agrees with `sample_zoh` of every faulty plant.
+    """Return the augmented plant at sample time ``dt`` [s], inputs held; agrees with `sample_zoh` of every faulty
+    plant.
 
     Raises `IllConditioned` when the faults act so fast that no number of Gauss points up to 14 is accurate.
     """
@@ -114,15 +115,21 @@ def _collocated(a: AugmentedPlant, kinds: _Kinds, dt: float, points: int) -> Aug
     s, k = a.system, a.channels
     inside = _Inside(s.A, s.B[:, kinds.dynamic], np.hstack([s.B[:, kinds.held], s.B[:, k:]]), dt, points)
     parts = [_at_sample(a, kinds, kinds.held, points)]
-    parts += [_at_node(a, kinds, _flow(inside, (x + 1) / 2), i, points) for i, x in enumerate(legendre.leggauss(points)[0])]
+    parts += [
+        _at_node(a, kinds, _flow(inside, (x + 1) / 2), i, points) for i, x in enumerate(legendre.leggauss(points)[0])
+    ]
     parts += [_at_sample(a, kinds, group, points) for group in (kinds.at_sample, kinds.instant)]
     Cz, Dzw, Dzu = (np.vstack([part[i] for part in parts]) for i in range(3))
     after, by_nodes, by_constant = _flow(inside, 1.0)
-    h, d, later = kinds.held.size, kinds.dynamic.size, kinds.at_sample.size + kinds.instant.size
+    h, later = kinds.held.size, kinds.at_sample.size + kinds.instant.size
     Bw = np.hstack([by_constant[:, :h], by_nodes, np.zeros((s.order, later))])
     Dyw = _spread(s.D[k:, :k], kinds, points)
     system = StateSpace(
-        after, np.hstack([Bw, by_constant[:, h:]]), np.vstack([Cz, s.C[k:]]), np.block([[Dzw, Dzu], [Dyw, s.D[k:, k:]]]), dt
+        after,
+        np.hstack([Bw, by_constant[:, h:]]),
+        np.vstack([Cz, s.C[k:]]),
+        np.block([[Dzw, Dzu], [Dyw, s.D[k:, k:]]]),
+        dt,
     )
     origin = np.concatenate([kinds.held, np.tile(kinds.dynamic, points), kinds.at_sample, kinds.instant])
     fault = np.repeat(np.arange(len(a.widths)), a.widths)[origin]
@@ -175,7 +182,7 @@ def _flow(s: _Inside, tau: float) -> tuple[Array, Array, Array]:
 
 
 def _lagrange(x: float, points: int) -> Array:
-    """Return the values at ``x`` in [0, 1] of the polynomials that are one at one Gauss point and zero at the others."""
+    """Return the values at ``x`` in [0, 1] of the polynomials that are 1 at one Gauss point and 0 at the others."""
     nodes, weights = legendre.leggauss(points)
     degrees = 2 * np.arange(points) + 1
     at_nodes, at_x = legendre.legvander(nodes, points - 1), legendre.legvander(np.array([2 * x - 1]), points - 1)[0]

@@ -1,7 +1,7 @@
 """Gains that stabilise with the least effort, chosen without any weights to tune.
 
-Only the modes that lack the wanted margin are moved: they are mirrored at the margin (the minimum-energy solution of the
-regulator problem with no state weight). A plant that already has the margin gets the gain zero.
+Only the modes that lack the wanted margin are moved: they are mirrored at the margin (the minimum-energy solution of
+the regulator problem with no state weight). A plant that already has the margin gets the gain zero.
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ def _mirror(A: Array, B: Array, discrete: bool) -> Array:
     if not smallest > CONTROLLABILITY_LIMIT * max(largest, 1e-300):
         pole = np.linalg.eigvals(A2)[0]
         raise IllConditioned(
-            f"the mode near {describe_pole(complex(pole), float(discrete))} cannot be reached from the inputs (relative "
-            f"controllability {smallest / max(largest, 1e-300):.1e}, above {CONTROLLABILITY_LIMIT:.0e} is wanted): "
-            "give F (or Fk) yourself or reduce the model"
+            f"the mode near {describe_pole(complex(pole), float(discrete))} cannot be reached from the inputs "
+            f"(relative controllability {smallest / max(largest, 1e-300):.1e}, above {CONTROLLABILITY_LIMIT:.0e} is "
+            "wanted): give F (or Fk) yourself or reduce the model"
         )
     P = np.linalg.inv(Y)
     if discrete:

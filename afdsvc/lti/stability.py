@@ -9,6 +9,7 @@ from afdsvc.lti.balance import state_scaling
 from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
 
 MARGIN = 1e-12
+SIGN = "check the sign of K (gains for negative feedback change sign here) or redesign it"
 
 
 def eigenvalues(A: Array) -> ComplexArray:
@@ -41,7 +42,11 @@ def is_stable(A: Array, dt: float) -> bool:
 def describe_pole(pole: complex, dt: float) -> str:
     """Return a pole in words: value and, in discrete time, its modulus."""
     value = f"{pole.real:.6g}" if abs(pole.imag) < 1e-12 * max(abs(pole), 1e-300) else f"{pole:.6g}"
-    return f"{value} (modulus {abs(pole):.6g}, below 1 is wanted)" if dt > 0 else f"{value} (a negative real part is wanted)"
+    return (
+        f"{value} (modulus {abs(pole):.6g}, below 1 is wanted)"
+        if dt > 0
+        else f"{value} (a negative real part is wanted)"
+    )
 
 
 def require_stable(A: Array, dt: float, what: str, cure: str) -> None:
@@ -59,30 +64,36 @@ def closed_loop_matrix(plant: StateSpace, controller: StateSpace) -> Array:
 
 
 def require_stabilising(plant: StateSpace, controller: StateSpace) -> None:
-    """Raise `NotStabilising` with the offending pole, and whether it is hidden from the controller, if the loop is unstable."""
+    """Raise `NotStabilising` with the offending pole, and why no controller could help if so, for an unstable loop."""
     pole, margin = worst_pole(closed_loop_matrix(plant, controller), plant.dt or controller.dt)
     if margin > MARGIN:
         return
     dt = plant.dt or controller.dt
-    reason = hidden_mode(plant, pole, "plant") or hidden_mode(controller, pole, "controller")
+    reason = hidden_mode(plant, pole, "plant") or hidden_mode(controller, pole, "controller") or SIGN
     raise NotStabilising(
         f"the closed loop (positive feedback, u = K y) has the pole {describe_pole(pole, dt)}: the controller does not "
-        f"stabilise the plant; {reason or 'check the sign of K (negative-feedback gains change sign here) or redesign it'}"
+        f"stabilise the plant; {reason}"
     )
 
 
 def hidden_mode(system: StateSpace, pole: complex, name: str) -> str:
-    """Return a sentence if ``pole`` is a mode of the system that inputs do not reach or outputs do not see, else ""."""
+    """Return a sentence if ``pole`` is a mode that inputs do not reach or outputs do not see, else ""."""
     n = system.order
     if not n or np.abs(eigenvalues(system.A) - pole).min() > 1e-6 * max(abs(pole), 1e-3):
         return ""
     t = state_scaling(system.A)
     A, B, C = system.A * (t[None, :] / t[:, None]), system.B / t[:, None], system.C * t[None, :]
     shifted = A - pole * np.eye(n)
-    for word, pencil in (("unobservable", np.vstack([shifted, _unit_rows(C)])), ("uncontrollable", np.hstack([shifted, _unit_rows(B.T).T]))):
+    for word, pencil in (
+        ("unobservable", np.vstack([shifted, _unit_rows(C)])),
+        ("uncontrollable", np.hstack([shifted, _unit_rows(B.T).T])),
+    ):
         rank = int(np.linalg.matrix_rank(pencil, tol=1e-8 * max(float(np.linalg.norm(A, 2)), 1e-300)))
         if rank < n:
-            return f"this pole of the {name} is {word} (rank {rank} of {n}), so no controller can move it: change the model"
+            return (
+                f"this pole of the {name} is {word} (rank {rank} of {n}), so no controller can move it: "
+                "change the model"
+            )
     return ""
 
 

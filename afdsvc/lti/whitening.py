@@ -25,9 +25,9 @@ from afdsvc.lti.structure import trim
 class Innovations:
     """The white residual of a plant.
 
-    ``filter`` maps ``[y; u]`` to r, shape ``(p, p + m)``; ``covariance (p, p)`` is that of r (an intensity in continuous
-    time); ``gain (n, p)`` is the predictor gain in ``x^+ = A x^ + B u + gain r``; ``state_covariance (n, n)`` that of
-    the prediction error; ``regularised`` the share of process noise that had to be added (0 normally).
+    ``filter`` maps ``[y; u]`` to r, shape ``(p, p + m)``; ``covariance (p, p)`` is that of r (an intensity in
+    continuous time); ``gain (n, p)`` is the predictor gain in ``x^+ = A x^ + B u + gain r``; ``state_covariance (n,
+    n)`` that of the prediction error; ``regularised`` the share of process noise that had to be added (0 normally).
     """
 
     filter: StateSpace
@@ -44,11 +44,12 @@ def innovations(
     cross_cov: ArrayLike | None = None,
     regularise: float = 0.0,
 ) -> Innovations:
-    """Return the innovations filter of a plant; shapes ``output_cov (p, p)``, ``process_cov (n, n)``, ``cross_cov (n, p)``.
+    """Return the innovations filter of a plant; shapes ``output_cov (p, p)``, ``process_cov (n, n)``, ``cross_cov (n,
+    p)``.
 
-    A mode on the border of stability that no process noise reaches has no steady innovations: `IllConditioned` names the
-    pole. Give ``process_cov``, or allow ``regularise`` (for example 1e-6): then that share of the output noise, carried
-    back to every state, is added as process noise; r is white to about the square root of that share.
+    A mode on the border of stability that no process noise reaches has no steady innovations: `IllConditioned` names
+    the pole. Give ``process_cov``, or allow ``regularise`` (for example 1e-6): then that share of the output noise,
+    carried back to every state, is added as process noise; r is white to about the square root of that share.
     """
     n = plant.order
     R, Q = covariance("output_cov", output_cov, plant.outputs), np.zeros((n, n))
@@ -61,8 +62,11 @@ def innovations(
     Xi = plant.C @ P @ plant.C.T + R if plant.discrete else R
     A = plant.A - gain @ plant.C
     filter_ = StateSpace(
-        A, np.hstack([gain, plant.B - gain @ plant.D]), -plant.C,
-        np.hstack([np.eye(plant.outputs), -plant.D]), plant.dt,
+        A,
+        np.hstack([gain, plant.B - gain @ plant.D]),
+        -plant.C,
+        np.hstack([np.eye(plant.outputs), -plant.D]),
+        plant.dt,
     )
     return Innovations(filter_, (Xi + Xi.T) / 2, gain, P, regularise)
 
@@ -78,7 +82,8 @@ def _predictor(plant: StateSpace, Q: Array, R: Array, S: Array) -> tuple[Array, 
         P, F = riccati(plant.A.T, plant.C.T, Q, R, S, plant.dt)
     except IllConditioned as failed:
         raise IllConditioned(
-            f"the plant with the pole {describe_pole(pole, plant.dt)} has no steady innovations for this noise: {failed}"
+            f"the plant with the pole {describe_pole(pole, plant.dt)} has no steady innovations for this noise: "
+            f"{failed}"
         ) from failed
     return P, -F.T
 
@@ -97,7 +102,7 @@ def _refuse_border(plant: StateSpace) -> None:
 
 
 def _state_noise(plant: StateSpace, R: Array) -> Array:
-    """Return the output noise carried back to the states: unit-consistent noise for regularisation, shape ``(n, n)``."""
+    """Return the output noise carried back to the states, shape ``(n, n)``, consistent in units."""
     # Every state gets the variance whose smallest visible effect on an output equals that output's noise.
     relative = np.abs(plant.C) / np.sqrt(np.diag(R))[:, None]
     visible = _visibility(plant.A, relative)
@@ -150,6 +155,6 @@ def _plant_copy(fact: Factorisation) -> None:
     worst = max(np.abs(C_mismatch).max(initial=0), np.abs(A_mismatch).max(initial=0))
     if worst > 1e-9 * size:
         raise BadInput(
-            f"the factorisation's R does not start with the plant's own states (mismatch {worst:.2g}); make it with the "
-            "functions of afdsvc.lti.coprime"
+            f"the factorisation's R does not start with the plant's own states (mismatch {worst:.2g}); make it with "
+            "the functions of afdsvc.lti.coprime"
         )

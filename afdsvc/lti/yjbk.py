@@ -1,8 +1,8 @@
 """The YJBK parametrisation: J_K, J_G, K(Q), G(S), S of a true plant, and every path of the closed loop.
 
-Positive feedback ``u = K y``. All of it is made by solving R = [M U; N V] another way and by closing loops; no factor is
-ever inverted or multiplied as a transfer function, so no unstable mode can hide. (Thesis 2.10-2.15 and 4.37, corrected
-where docs/explanation/errata.md says so.)
+Positive feedback ``u = K y``. All of it is made by solving R = [M U; N V] another way and by closing loops; no factor
+is ever inverted or multiplied as a transfer function, so no unstable mode can hide. (Thesis 2.10-2.15 and 4.37,
+corrected where docs/explanation/errata.md says so.)
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def plant_interconnection(fact: Factorisation) -> StateSpace:
 
 
 def controller_from(fact: Factorisation, Q: StateSpace) -> StateSpace:
-    """Return ``K(Q) = (U + M Q)(V + N Q)^-1 = F_l(J_K, Q)`` for a stable Q of shape ``(m, p)`` (thesis 2.10, right order)."""
+    """Return ``K(Q) = (U + M Q)(V + N Q)^-1 = F_l(J_K, Q)`` for a stable Q ``(m, p)`` (thesis 2.10, corrected)."""
     _shape("Q", Q, fact.plant.inputs, fact.plant.outputs)
     require_stable(Q.A, Q.dt, "Q", "only a stable Q keeps the loop stable")
     J = interconnection(fact)
@@ -125,15 +125,17 @@ def closed_loop(fact: Factorisation, true_plant: StateSpace) -> ClosedLoop:
 def _with_disturbances(plant: StateSpace) -> StateSpace:
     """Return the plant with inputs (d, r1, r2, u_K) and outputs (y, y_m, u, y_m + r1)."""
     p, m, n = plant.outputs, plant.inputs, plant.order
-    Op, Opm, Omp, Ip, Im = np.zeros((p, p)), np.zeros((p, m)), np.zeros((m, p)), np.eye(p), np.eye(m)
+    Op, Omp, Ip, Im = np.zeros((p, p)), np.zeros((m, p)), np.eye(p), np.eye(m)
     B = np.hstack([np.zeros((n, 2 * p)), plant.B, plant.B])
     C = np.vstack([plant.C, plant.C, np.zeros((m, n)), plant.C])
-    D = np.block([
-        [Op, Op, plant.D, plant.D],
-        [Ip, Op, plant.D, plant.D],
-        [Omp, Omp, Im, Im],
-        [Ip, Ip, plant.D, plant.D],
-    ])
+    D = np.block(
+        [
+            [Op, Op, plant.D, plant.D],
+            [Ip, Op, plant.D, plant.D],
+            [Omp, Omp, Im, Im],
+            [Ip, Ip, plant.D, plant.D],
+        ]
+    )
     return StateSpace(plant.A, B, C, D, plant.dt)
 
 
@@ -147,4 +149,6 @@ def _signal(name: str, widths: dict[str, int], kind: str) -> slice:
 
 def _shape(name: str, system: StateSpace, outputs: int, inputs: int) -> None:
     if system.D.shape != (outputs, inputs):
-        raise BadInput(f"{name} has {system.outputs} outputs and {system.inputs} inputs; {outputs} and {inputs} are wanted")
+        raise BadInput(
+            f"{name} has {system.outputs} outputs and {system.inputs} inputs; {outputs} and {inputs} are wanted"
+        )

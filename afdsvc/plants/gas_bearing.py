@@ -1,12 +1,13 @@
 """The active gas bearing of the thesis, in all its forms.
 
-A disc on a flexible shaft is held by gas whose flow piezo actuators control; displacements are measured horizontally and
-vertically [um], the inputs are actuator voltages [V]. Stiffness K [1/s^2], damping D [1/s] and input gain B [um/(s^2 V)]
-are specific, that is divided by the moving mass, and act as ``l'' = D l' + K l + B a``; p are actuator poles [rad/s].
+A disc on a flexible shaft is held by gas whose flow piezo actuators control; displacements are measured horizontally
+and vertically [um], the inputs are actuator voltages [V]. Stiffness K [1/s^2], damping D [1/s] and input gain B
+[um/(s^2 V)] are specific, that is divided by the moving mass, and act as ``l'' = D l' + K l + B a``; p are actuator
+poles [rad/s].
 
-Source: A. K. Sekunda, "Fault Diagnosis and Identification of Electro-Mechanical Systems", PhD thesis, Technical University
-of Denmark, 2017: eqs. 3.1-3.12, publication P3 eqs. 22-25, publication P5 eqs. 1-8 and tables 0.1, 0.2. Noise variances
-0.12 and 0.15 um^2 are those of P5 section 6, the 10 um displacement limit that of thesis section 3.1.
+Source: A. K. Sekunda, "Fault Diagnosis and Identification of Electro-Mechanical Systems", PhD thesis, Technical
+University of Denmark, 2017: eqs. 3.1-3.12, publication P3 eqs. 22-25, publication P5 eqs. 1-8 and tables 0.1, 0.2.
+Noise variances 0.12 and 0.15 um^2 are those of P5 section 6, the 10 um displacement limit that of thesis section 3.1.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ from afdsvc.lti.statespace import Array, StateSpace
 
 SAMPLE_TIME = 2e-4  # s; thesis section 3.3
 DISPLACEMENT_LIMIT = 10.0  # um; thesis section 3.1: beyond it the rig may be damaged
-VOLTAGE_LIMIT = 10.0  # V; full scale of the rig's dSPACE converters (no limit is printed; 10 um needs about 4 V at rest)
+VOLTAGE_LIMIT = (
+    10.0  # V; full scale of the rig's dSPACE converters (no limit is printed; 10 um needs about 4 V at rest)
+)
 NOISE_VARIANCE = (0.12, 0.15)  # um^2, horizontal and vertical; P5 section 6
 
 AXES = ("horizontal", "vertical")
@@ -34,8 +37,10 @@ FAULTS = {
     "vertical_sensor": ("output", 1),
 }
 
+Values = Mapping[str, tuple[tuple[float, float], tuple[float, float]] | tuple[float, float]]
+
 # P5 table 0.1: no rotation, identified by a grey-box prediction error method.
-TABLE_0_1 = {
+TABLE_0_1: Values = {
     "K": ((-1.79e6, 1.726e4), (1.061e4, -1.926e6)),
     "D": ((-283.2, -13.82), (-8.152, -219.7)),
     "B": ((4.318e6, -2.672e5), (9.204e4, 4.81e6)),
@@ -43,26 +48,25 @@ TABLE_0_1 = {
 }
 # P5 table 0.2: 1100 rpm, with three signs and an exponent corrected (D22, B11, B12); as printed the plant is unstable,
 # although the paper calls it stable, and no scalar gain in the range of its root locus stabilises it.
-TABLE_0_2 = {
+TABLE_0_2: Values = {
     "K": ((-1.79e6, 3.43e4), (3.171e4, -1.931e6)),
     "D": ((-241.6, 45.97), (7.94, -212.1)),
     "B": ((4.446e6, 7.887e4), (6085.0, 4.853e6)),
     "P": (898.9, 955.7),
 }
-TABLE_0_2_AS_PRINTED = {
+TABLE_0_2_AS_PRINTED: Values = {
     "K": ((-1.79e6, 3.43e4), (3.171e4, -1.931e6)),
     "D": ((-241.6, 45.97), (7.94, 212.1)),
     "B": ((-4.446e6, 7.887e7), (6085.0, 4.853e6)),
     "P": (898.9, 955.7),
 }
 # Thesis eqs. 3.9-3.12: no rotation, an earlier identification with the opposite sign of B.
-EQUATIONS_3_9 = {
+EQUATIONS_3_9: Values = {
     "K": ((-1.869e6, -8577.0), (-9510.0, -1.737e6)),
     "D": ((-224.9, 3.97), (9.12, -267.7)),
     "B": ((-6.126e6, 3.154e5), (-1.571e5, -4.516e6)),
     "P": (989.0, 942.5),
 }
-Values = Mapping[str, tuple[tuple[float, float], tuple[float, float]] | tuple[float, float]]
 PARAMETER_SETS: dict[str, Values] = {
     "table_0_1": TABLE_0_1,
     "table_0_2": TABLE_0_2,
@@ -75,7 +79,8 @@ FORMS = ("first_order_actuators", "delay", "second_order_actuators")
 def gas_bearing(
     rpm: int = 0, parameters: str | None = None, form: str = "first_order_actuators", sample_time: float = SAMPLE_TIME
 ) -> PhysicalPlant:
-    """Return the gas bearing at 0 or 1100 rpm (P5 tables 0.1 and 0.2 corrected), or with another published parameter set.
+    """Return the gas bearing at 0 or 1100 rpm (P5 tables 0.1 and 0.2 corrected), or with another published parameter
+    set.
 
     ``form`` is the way the actuators are modelled:
 
@@ -124,8 +129,10 @@ def _set_for(rpm: int) -> str:
 
 
 _BODY_STATES = (
-    Variable("horizontal", "um"), Variable("vertical", "um"),
-    Variable("horizontal_rate", "um/s", rate_of="horizontal"), Variable("vertical_rate", "um/s", rate_of="vertical"),
+    Variable("horizontal", "um"),
+    Variable("vertical", "um"),
+    Variable("horizontal_rate", "um/s", rate_of="horizontal"),
+    Variable("vertical_rate", "um/s", rate_of="vertical"),
 )
 
 
@@ -199,22 +206,29 @@ def _second_order(values: Values) -> Parts:
         first, second = _diagonal(p, "pole"), _diagonal(p, "second_pole")
         B = _matrix(p, "gain")
         position, velocity = _body(p, np.hstack([2 * B @ rate, _O, -B]))
-        A = np.vstack([
-            position, velocity,
-            np.hstack([_O, _O, -rate, _O, _I]),
-            np.hstack([_O, _O, _O, -first, _O]),
-            np.hstack([_O, _O, _O, second, -second]),
-        ])
+        A = np.vstack(
+            [
+                position,
+                velocity,
+                np.hstack([_O, _O, -rate, _O, _I]),
+                np.hstack([_O, _O, _O, -first, _O]),
+                np.hstack([_O, _O, _O, second, -second]),
+            ]
+        )
         gain = _diagonal(p, "actuator_gain")
         return StateSpace.of(A, np.vstack([_O, _O, _O, first @ gain, _O]), np.hstack([_I, *[_O] * 4]), _O)
 
     h, v = _poles(values)
     extra = {
-        **_pair("delay", (0.1 / h, 0.1 / v), "s"), **_pair("pole", (h, v), "rad/s"),
-        **_pair("second_pole", (10 * h, 10 * v), "rad/s"), **_pair("actuator_gain", (1.0, 1.0), "1"),
+        **_pair("delay", (0.1 / h, 0.1 / v), "s"),
+        **_pair("pole", (h, v), "rad/s"),
+        **_pair("second_pole", (10 * h, 10 * v), "rad/s"),
+        **_pair("actuator_gain", (1.0, 1.0), "1"),
     }
     states = tuple(
-        Variable(f"{axis}_{word}", unit) for word, unit in (("delay", "V s"), ("lag", "V"), ("valve", "V")) for axis in AXES
+        Variable(f"{axis}_{word}", unit)
+        for word, unit in (("delay", "V s"), ("lag", "V"), ("valve", "V"))
+        for axis in AXES
     )
     return build, extra, states
 

@@ -1,7 +1,7 @@
 """Random stable plants and their poor models, as publication P2 uses them to show closed-loop identification.
 
-Source: A. K. Sekunda, "Fault Diagnosis and Identification of Electro-Mechanical Systems", PhD thesis, Technical University
-of Denmark, 2017, publication P2 section 4: 2 inputs, 2 outputs, 4 states, ``A_model = 0.7 A_real`` (eq. 37).
+Source: A. K. Sekunda, "Fault Diagnosis and Identification of Electro-Mechanical Systems", PhD thesis, Technical
+University of Denmark, 2017, publication P2 section 4: 2 inputs, 2 outputs, 4 states, ``A_model = 0.7 A_real`` (eq. 37).
 """
 
 from __future__ import annotations
@@ -19,11 +19,13 @@ def random_stable(
 ) -> tuple[StateSpace, StateSpace]:
     """Return a random stable plant and its model with ``A_model = 0.7 A_real``; continuous unless ``dt`` [s] is given.
 
-    Poles have moduli up to 0.95 (discrete) or real parts from -3 to -0.1 rad/s (continuous), some in complex pairs, in a
-    random orthogonal basis; B and C are standard normal, D is zero. Raises `BadInput` for sizes below one.
+    Poles have moduli up to 0.95 (discrete) or real parts from -3 to -0.1 rad/s (continuous), some in complex pairs, in
+    a random orthogonal basis; B and C are standard normal, D is zero. Raises `BadInput` for sizes below one.
     """
     if min(order, inputs, outputs) < 1:
-        raise BadInput(f"a plant of order {order} with {inputs} inputs and {outputs} outputs; at least one each is wanted")
+        raise BadInput(
+            f"a plant of order {order} with {inputs} inputs and {outputs} outputs; at least one each is wanted"
+        )
     basis = np.linalg.qr(generator.standard_normal((order, order)))[0]
     A = basis @ _modes(generator, order, dt) @ basis.T
     B, C = generator.standard_normal((order, inputs)), generator.standard_normal((outputs, order))

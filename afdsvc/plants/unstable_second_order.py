@@ -1,7 +1,7 @@
 """The discrete, unstable second-order plant of publication P4, with faults on its two input gains.
 
-Source: A. K. Sekunda, "Fault Diagnosis and Identification of Electro-Mechanical Systems", PhD thesis, Technical University
-of Denmark, 2017, publication P4 eqs. 53-59 (sample time 1 ms, output noise variance 0.11, pole at 1.1568).
+Source: A. K. Sekunda, "Fault Diagnosis and Identification of Electro-Mechanical Systems", PhD thesis, Technical
+University of Denmark, 2017, publication P4 eqs. 53-59 (sample time 1 ms, output noise variance 0.11, pole at 1.1568).
 """
 
 from __future__ import annotations
