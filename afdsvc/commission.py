@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +27,9 @@ from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import innovations, whitening_filter
 from afdsvc.plants.registry import plant as plant_by_name
+from afdsvc.plugins.controllers.lqg import Lqg
 from afdsvc.plugins.manager import Plugins
-from afdsvc.record.model_file import read_model
+from afdsvc.record.model_file import model_text, read_model
 from afdsvc.record.tables import read_table
 from afdsvc.runtime import site as site_file
 from afdsvc.runtime.intake import Expectation
@@ -52,12 +53,39 @@ class Commissioned:
     limits: Limits | None
     channels: tuple[Channel, ...]
     speed: float = 0.0
+    raw_model: str = ""
+
+    def model_text(self) -> str:
+        """Return what the simulation believes as MODEL.toml text, for recordings."""
+        if self.raw_model:
+            return self.raw_model
+        states = tuple(Variable(f"x{i + 1}") for i in range(self.plant.order))
+        sd = None if self.output_cov is None else np.sqrt(np.diag(self.output_cov))
+        controller = self.controller.factorisation.K if self.controller else None
+        return model_text(Model(
+            self.config.id, self.inputs, self.outputs, states, self.plant, sample_time=self.plant.dt, output_sd=sd,
+            controller=controller,
+        ))  # fmt: skip
 
 
-def commission(config: site_file.Machine, plugins: Plugins) -> Commissioned:
-    """Return the machine's parts; raises `BadInput` that names the machine and what is wrong with it."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Watched:
+    """What is known of a machine that has no plant of ours: its model, and how its samples look."""
+
+    model: Model
+    dt: float
+    channels: tuple[Channel, ...]
+
+
+def commission(config: site_file.Machine, plugins: Plugins, watched: Watched | None = None) -> Commissioned:
+    """Return the machine's parts; raises `BadInput` that names the machine and what is wrong with it.
+
+    ``watched`` replaces the files that a machine with ``model`` is otherwise read from.
+    """
     try:
-        return _from_plant(config, plugins) if config.plant else _from_model(config, plugins)
+        if config.plant:
+            return _from_plant(config, plugins)
+        return _from_model(config, plugins, watched or _read_watched(config))
     except BadInput as error:
         raise type(error)(f"machine '{config.id}': {error}") from error
 
@@ -78,21 +106,31 @@ def _from_plant(config: site_file.Machine, plugins: Plugins) -> Commissioned:
     )
 
 
-def _from_model(config: site_file.Machine, plugins: Plugins) -> Commissioned:
-    """A model file describes a machine that is watched; it can be excited only when a driver plugin drives it."""
-    model = read_model(config.model or Path())
-    if model.plant is None:
-        raise BadInput(f"{model.origin}: a linear model (A, B, C, D) is wanted to watch a machine")
+def _read_watched(config: site_file.Machine) -> Watched:
     recording = config.driver.recording
     if recording is None:
         raise BadInput("a machine with 'model' needs a driver of kind 'replay' with 'recording'")
     trace = read_table(recording)
-    discrete = model.plant if model.plant.discrete else sample_zoh(model.plant, trace.dt)
+    return Watched(read_model(config.model or Path()), trace.dt, trace.channels)
+
+
+def _from_model(config: site_file.Machine, plugins: Plugins, watched: Watched) -> Commissioned:
+    """A model file describes a machine that is watched; its controller, when stated, is only used to simulate."""
+    model = watched.model
+    if model.plant is None:
+        raise BadInput(f"{model.origin}: a linear model (A, B, C, D) is wanted to watch a machine")
+    discrete = model.plant if model.plant.discrete else sample_zoh(model.plant, watched.dt)
+    if abs(discrete.dt - watched.dt) > 1e-6 * watched.dt:
+        raise BadInput(f"{model.origin}: sample_time {discrete.dt:g} s; the recording is sampled at {watched.dt:g} s")
+    names = [*(f"u_{v.name}" for v in model.inputs), *(f"y_{v.name}" for v in model.outputs)]
+    missing = sorted(set(names) - {c.name for c in watched.channels})
+    if missing:
+        raise BadInput(f"{model.origin}: the samples have no column {', '.join(missing)}; the model's names are wanted")
     return Commissioned(
         config, discrete, model.inputs, model.outputs, _model_cov(config, model), None, None,
         augment(discrete, _directions(config, discrete, model.inputs, model.outputs, plugins)),
-        None, trace.channels,
-    )
+        None, watched.channels, raw_model=model.raw,
+    )  # fmt: skip
 
 
 def _controller_settings(controller: site_file.Named, plant: PhysicalPlant) -> Mapping[str, Any]:
@@ -131,7 +169,8 @@ def _limits(settings: site_file.LimitSettings, output: Array, input: Array) -> L
         return np.minimum(chosen, default)
 
     u = bound("input", settings.input, input)
-    return Limits(bound("output", settings.output, output), u, bound("alpha", settings.alpha, u), settings.seconds)
+    # Alpha enters before the controller's own feedback, which takes most of it back: u and y are what can do harm.
+    return Limits(bound("output", settings.output, output), u, bound("alpha", settings.alpha, 10 * u), settings.seconds)
 
 
 def _channels(inputs: tuple[Variable, ...], outputs: tuple[Variable, ...], known: bool, speed: float) -> tuple[Channel, ...]:
@@ -158,8 +197,6 @@ def problem(machine: Commissioned, output_cov: Array, process_cov: Array | None,
 
 def _factors(machine: Commissioned) -> tuple[Factorisation, StateSpace]:
     """Where the controller is unknown, the LQ controller of the nominal model stands in; bursts are then not available."""
-    from afdsvc.plugins.controllers.lqg import Lqg
-
     controller = machine.controller or Lqg().design(machine.plant, {})
     return controller.factorisation, controller.interconnection
 
@@ -175,14 +212,8 @@ def detectors(machine: Commissioned, base: DetectionProblem, plugins: Plugins) -
     for wanted in machine.config.detectors:
         alarms = FalseAlarms(wanted.false_alarms_per_1000_bursts / 1000, wanted.false_alarms_per_day / 24)
         design = plugins.get("detectors", wanted.kind)
-        made.append(design.design(_with_alarms(base, alarms), wanted.settings))
+        made.append(design.design(replace(base, false_alarms=alarms), wanted.settings))
     return made
-
-
-def _with_alarms(base: DetectionProblem, alarms: FalseAlarms) -> DetectionProblem:
-    from dataclasses import replace
-
-    return replace(base, false_alarms=alarms)
 
 
 def open_port(machine: Commissioned, session: str, clock: Clock, plugins: Plugins) -> Port:

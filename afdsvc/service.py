@@ -1,25 +1,25 @@
-"""The background service of one site, a rig agent, and diagnosis offline: the only place that joins concrete parts."""
+"""The background service of one site and the rig agent: the only place that joins concrete parts."""
 
 from __future__ import annotations
 
-import itertools
+import sys
 import threading
-import time
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from afdsvc import __version__, commission
 from afdsvc.api.bursts import Burst
 from afdsvc.api.clock import Clock
-from afdsvc.api.detection import DetectionProblem, FalseAlarms
+from afdsvc.api.detection import FalseAlarms
 from afdsvc.commission import Commissioned
-from afdsvc.errors import AfdsvcError, BadInput
-from afdsvc.excite import default_burst
+from afdsvc.errors import BadInput
 from afdsvc.plugins.manager import Plugins, load
-from afdsvc.review.sink import ReviewSink
+from afdsvc.runtime import commands
 from afdsvc.runtime.agent import RigAgent
 from afdsvc.runtime.clock import RealClock
 from afdsvc.runtime.desk import BurstDesk
@@ -30,7 +30,7 @@ from afdsvc.runtime.recording import RecorderSink
 from afdsvc.runtime.scheduler import Scheduler, Wanted
 from afdsvc.runtime.sinks import Fan, Sink, ThreadedSink
 from afdsvc.runtime.site import Site
-from afdsvc.runtime.transport import Transport
+from afdsvc.runtime.transport import NoPeer, Transport
 from afdsvc.runtime.watch import MachineWatch
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import RigDescription
@@ -53,75 +53,104 @@ def pipeline_of(machine: Commissioned, plugins: Plugins) -> Stream:
 
 @contextmanager
 def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
-    """Run the service of a site while the block lasts."""
+    """Run the service of a site while the block lasts; raises `BadInput` before anything moves when the site is wrong."""
     clock, plugins = clock or RealClock(), load()
     machines = [commission.commission(m, plugins) for m in site.machines]
-    keys = Keys(site.site)
+    keys, recorders = Keys(site.site), Recorders()
     with ExitStack() as stack:
         transport = stack.enter_context(Transport(site.transport, hub=True))
-        recorders: list[tuple[RecorderSink, ThreadedSink]] = []
         watches, desks = {}, {}
-        for number, machine in enumerate(machines):
-            stream = pipeline_of(machine, plugins)
-            sink = _sinks(site, machine, keys, transport, clock, recorders)
+        for machine in machines:
+            id, stream = machine.config.id, pipeline_of(machine, plugins)
+            sink = Fan([*_sinks(site, machine, clock, recorders), Publisher(keys, transport)])
             stack.callback(sink.close)
-            id = machine.config.id
             watches[id] = MachineWatch(id, stream, sink, clock)
             if machine.limits is not None and isinstance(stream, Pipeline):
-                desks[id] = _desk(machine, stream, sink, keys, transport, clock, number)
-        hub = Hub(keys, __version__, watches, desks, transport, clock, lambda: _recording(recorders))
+                scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(desks)), clock.monotonic())
+                desks[id] = BurstDesk(id, burst_design(machine, stream), scheduler, stream, sink, keys, transport, clock)
+        hub = Hub(keys, __version__, watches, desks, transport, clock, recorders.summary, recorders.files)
         hub.start()
         stack.callback(hub.stop)
         yield hub
 
 
-def _sinks(
-    site: Site, machine: Commissioned, keys: Keys, transport: Transport, clock: Clock,
-    recorders: list[tuple[RecorderSink, ThreadedSink]],
-) -> Fan:
-    recorder = RecorderSink(site, machine.config.id, machine.about(), clock)
-    recording = ThreadedSink(recorder, "afdsvc-recorder", lambda why: print(f"recording: {why}", flush=True))
-    recorders.append((recorder, recording))
-    sinks: list[Sink] = [recording, Publisher(keys, transport)]
+class Recorders:
+    """The recordings of all machines, and what went wrong with them."""
+
+    def __init__(self) -> None:
+        self.parts: list[tuple[RecorderSink, ThreadedSink]] = []
+        self.reviews: list[Path] = []
+
+    def summary(self) -> tuple[str, int, str, int]:
+        """Return files, bytes, failure and drops."""
+        files = ", ".join(str(r.paths[-1]) for r, _ in self.parts if r.paths)
+        failure = next((t.failure for _, t in self.parts if t.failure), "")
+        return files, sum(r.bytes_written for r, _ in self.parts), failure, sum(t.dropped for _, t in self.parts)
+
+    def files(self) -> list[Path]:
+        """Return every file written so far."""
+        return [path for r, _ in self.parts for path in r.paths] + self.reviews
+
+
+def _sinks(site: Site, machine: Commissioned, clock: Clock, recorders: Recorders) -> list[Sink]:
+    id = machine.config.id
+    recorder = RecorderSink(site.recording, id, site.text, machine.model_text(), clock.now_ns(), {"site": site.site})
+    sinks = [ThreadedSink(recorder, f"recorder of {id}", lambda why: print(f"afdsvc: recording: {why}", file=sys.stderr))]
+    recorders.parts.append((recorder, sinks[0]))
     if site.review.rerun != "off":
-        review = ReviewSink(site, machine.config.id, recorder.path_for("rrd"))
-        sinks.append(ThreadedSink(review, "afdsvc-review", lambda why: print(f"review: {why}", flush=True)))
-    return Fan(sinks)
+        path = recorder.base.with_suffix(".rrd")
+        live = site.review.port if site.review.rerun == "live" else None
+        from afdsvc.review.sink import ReviewSink
+
+        review = ReviewSink(path, live)
+        recorders.reviews.append(path)
+        sinks.append(ThreadedSink(review, f"review of {id}", lambda why: print(f"afdsvc: review: {why}", file=sys.stderr)))
+    return list(sinks)
 
 
-def _recording(recorders: list[tuple[RecorderSink, ThreadedSink]]) -> tuple[str, int, str, int]:
-    files = ", ".join(str(r.path) for r, _ in recorders if r.path)
-    size = sum(r.bytes_written for r, _ in recorders)
-    failure = next((t.failure for _, t in recorders if t.failure), "")
-    return files, size, failure, sum(t.dropped for _, t in recorders)
-
-
-def _desk(
-    machine: Commissioned, stream: Pipeline, sink: Sink, keys: Keys, transport: Transport, clock: Clock, number: int
-) -> BurstDesk:
-    rng = np.random.default_rng(number)
-    scheduler = Scheduler(machine.config.bursts, rng, clock.monotonic())
-    return BurstDesk(machine.config.id, burst_design(machine, stream.problem), scheduler, stream, sink, keys, transport, clock)
-
-
-def burst_design(machine: Commissioned, problem: DetectionProblem) -> Callable[[Wanted], Burst]:
+def burst_design(machine: Commissioned, stream: Pipeline) -> Callable[[Wanted], Burst]:
     """Return the design of the machine's bursts; the diagnosis burst is computed once."""
-    settings = machine.config.bursts
-    if machine.limits is None:
+    from afdsvc.excite.default import default_burst
+
+    settings, limits = machine.config.bursts, machine.limits
+    if limits is None:
         raise BadInput(f"machine '{machine.config.id}' can be watched, not excited")
-    burst = default_burst(problem, machine.limits, seconds=settings.seconds, output_amplitude=settings.output_amplitude)
+    burst = default_burst(stream.problem, limits, seconds=settings.seconds, output_amplitude=settings.output_amplitude)
     return lambda wanted: burst
 
 
-def rig_agent(site: Site, id: str, transport: Transport, clock: Clock | None = None) -> RigAgent:
+def rig_agent(site: Site, id: str, transport: Transport, clock: Clock) -> RigAgent:
     """Return the rig agent of one machine, its port open, ready to run."""
-    clock, plugins = clock or RealClock(), load()
+    plugins = load()
     machine = commission.commission(site.machine(id), plugins)
     session = uuid.uuid4().hex
     port = commission.open_port(machine, session, clock, plugins)
     description = RigDescription(
         id, session, clock.now_ns(), port.dt, port.channels, machine.limits,
-        machine.controller.description if machine.controller else "", site.text, machine.model_text(), __version__,
+        machine.controller.description if machine.controller else "unknown", site.text, machine.model_text(), __version__,
         machine.config.driver.kind,
-    )
+    )  # fmt: skip
     return RigAgent(Keys(site.site), description, port, transport, clock)
+
+
+def run_rig(site: Site, id: str, seconds: float | None, stop: threading.Event) -> None:
+    """Run a rig agent; while no service is there yet, it waits for one."""
+    commission.commission(site.machine(id), load())
+    clock, told = RealClock(), False
+    while not stop.is_set():
+        try:
+            with Transport(site.transport, hub=False) as transport:
+                agent = rig_agent(site, id, transport, clock)
+                agent.stopping = stop
+                return agent.run(seconds)
+        except NoPeer as absent:
+            if not told:
+                print(f"afdsvc: waiting: {absent}", file=sys.stderr, flush=True)
+            told = True
+
+
+def ask_service(site: Site, name: str, asked_by: str, **arguments: Any) -> Any:
+    """Ask the running service of a site; returns JSON values, raises the service's own sentence."""
+    with Transport(site.transport, hub=False) as transport:
+        key = Keys(site.site).command()
+        return commands.ask(lambda payload: transport.ask(key, payload), name, asked_by, **arguments)

@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from afdsvc.lti.statespace import StateSpace
+
 NO_CAUSE, OUTPUT_LIMIT, INPUT_LIMIT, BAD_SAMPLE = 0, 1, 2, 3
 
 
@@ -113,3 +115,19 @@ def closed_loop(  # type: ignore[no-untyped-def]
         y[k, :] = yk
         beta[k, :] = bk
     return cause, at
+
+
+def contiguous(system: StateSpace) -> StateSpace:
+    """Return the system with its matrices laid out as the compiled loops were compiled for; another layout recompiles."""
+    A, B, C, D = (np.ascontiguousarray(M) for M in (system.A, system.B, system.C, system.D))
+    return StateSpace(A, B, C, D, system.dt)
+
+
+def warm_up() -> None:
+    """Compile both loops before the sample clock starts: the first call takes seconds."""
+    one, none = np.ones((1, 1)), np.zeros(1)
+    control_sample(one, np.zeros((1, 2)), np.zeros((2, 1)), np.zeros((2, 2)), none, none, none, False, none, none, none, none)
+    closed_loop(
+        one, one, one, np.zeros(1), one, np.zeros((1, 2)), np.zeros((2, 1)), np.zeros((2, 2)), np.zeros(1), np.zeros((1, 1)),
+        np.zeros((1, 1)), np.zeros((1, 1)), False, none, none, np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)),
+    )

@@ -83,7 +83,8 @@ class ControlLoop(ABC):
                 f"J_K is {interconnection.outputs} x {interconnection.inputs}; "
                 f"{self.m + self.p} x {self.p + self.m} is wanted for {self.m} inputs and {self.p} outputs"
             )
-        self._K = interconnection
+        kernel.warm_up()
+        self._K = kernel.contiguous(interconnection)
         self._xk = np.zeros(interconnection.order)
         self._u = np.zeros(self.m)
         self._channels, self._limits, self._settings, self._clock = channels, limits, settings, clock
@@ -141,7 +142,8 @@ class ControlLoop(ABC):
         try:
             yield _Drive(self)
         finally:
-            self._excitation.cut(self._excitation.ended_because or "disarmed")
+            if self._excitation.playing:
+                self._excitation.cut(self._excitation.ended_because or "disarmed")
             self._armed = None
 
     @abstractmethod

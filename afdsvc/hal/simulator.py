@@ -82,7 +82,7 @@ class Simulator(ControlLoop):
         system = self._plant.at({f.name: f.severity for f in self._plant.faults if f.start <= k})
         if np.abs(system.D).max(initial=0.0) > 0:
             raise BadInput("the simulated plant has a direct term D; a sampled plant with D = 0 is wanted")
-        return system
+        return kernel.contiguous(system)
 
     def _run(self, alpha: Array, limits: Limits | None) -> Samples:
         """Run the slice in pieces that end where a fault starts."""

@@ -5,8 +5,10 @@ from __future__ import annotations
 import logging
 import queue
 import threading
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from afdsvc.api.clock import Clock
@@ -40,6 +42,7 @@ class Hub:
     transport: Transport
     clock: Clock
     recording: Callable[[], tuple[str, int, str, int]]
+    files: Callable[[], list[Path]] = list
     queue_size: int = 40_000
     alarms: AlarmBook = field(default_factory=AlarmBook)
 
@@ -67,6 +70,12 @@ class Hub:
         t.watch(keys.all_alive(), lambda key, alive: self._put("alive", key, alive))
         t.serve(keys.command(), lambda payload: answer(self._handlers(), payload))
         t.announce(keys.service_alive())
+
+    def drain(self, seconds: float = 10.0) -> None:
+        """Wait until what has arrived is worked off."""
+        deadline = time.monotonic() + seconds
+        while (self._queue.unfinished_tasks or self._queue.qsize()) and time.monotonic() < deadline:
+            time.sleep(0.02)
 
     def stop(self) -> None:
         """Stop listening, work off the queue, join the threads."""
@@ -115,6 +124,8 @@ class Hub:
                 self._handle(kind, key, what)
             except Exception:
                 log.exception("a message on %s could not be handled", key)
+            finally:
+                self._queue.task_done()
 
     def _handle(self, kind: str, key: str, what: Any) -> None:
         machine = machine_of(key)

@@ -24,6 +24,10 @@ Receive = Callable[[str, bytes], None]
 Answer = Callable[[bytes], bytes]
 
 
+class NoPeer(BadInput):
+    """The session could not be opened: nobody listens there, or somebody does already."""
+
+
 class PeerSilent(AfdsvcError):
     """Nobody answered a query in time."""
 
@@ -75,7 +79,7 @@ class Transport:
         try:
             self._session = zenoh.open(configuration(self._settings, self._hub))
         except zenoh.ZError as error:
-            raise BadInput(self._why_not(str(error))) from error
+            raise NoPeer(self._why_not(str(error))) from error
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from afdsvc.api.clock import Clock
 from afdsvc.api.evidence import Evidence
 from afdsvc.errors import BadInput
-from afdsvc.runtime.pipeline import Outcome, Pipeline
+from afdsvc.runtime.pipeline import Outcome, Stream
 from afdsvc.runtime.sinks import Sink
 from afdsvc.runtime.verdict import Verdict, conclude
 from afdsvc.wire import codec
@@ -23,7 +23,7 @@ class MachineWatch:
     """Takes the messages of one machine in order, in one thread; other threads only read the status."""
 
     machine: str
-    pipeline: Pipeline
+    pipeline: Stream
     sink: Sink
     clock: Clock
     evidence: deque[Evidence] = field(default_factory=lambda: deque(maxlen=400))
@@ -31,6 +31,7 @@ class MachineWatch:
     def __post_init__(self) -> None:
         self.session = ""
         self.blocks = self.lost_samples = self.late = 0
+        self.seconds_seen = 0.0
         self.present = False
         self.trouble = ""
         self._last = float("-inf")
@@ -49,6 +50,7 @@ class MachineWatch:
         self.session, self._last = block.session, self.clock.monotonic()
         self.blocks += 1
         self.late += block.late
+        self.seconds_seen = (block.k0 + len(block)) * block.dt
         self.sink.block(block, payload)
         outcome = self.pipeline.step(block)
         self.lost_samples += outcome.lost_samples

@@ -1,0 +1,191 @@
+"""Diagnosis of recordings: the very pipeline of the service over the very bytes it recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from afdsvc import commission
+from afdsvc.api.bursts import Burst
+from afdsvc.api.evidence import Evidence
+from afdsvc.api.signals import Block
+from afdsvc.commission import Commissioned, Watched
+from afdsvc.errors import BadInput
+from afdsvc.plugins.manager import Plugins, load
+from afdsvc.record.import_table import import_table
+from afdsvc.record.model_file import read_model
+from afdsvc.record.reader import Recording
+from afdsvc.record.tables import read_table
+from afdsvc.hal.replay import blocks_of
+from afdsvc.runtime.commands import plain
+from afdsvc.runtime.site import Driver, Machine, parse_site
+from afdsvc.runtime.verdict import conclude
+from afdsvc.service import pipeline_of
+
+TABLES = (".csv", ".parquet", ".mat", ".npz")
+
+
+def diagnose_recordings(
+    paths: Sequence[Path], model: Path | None = None, calibrate: float | None = None
+) -> dict[str, Any]:
+    """Return the document of ``diagnose --json`` for recordings (MCAP) and tables; raises `BadInput` naming the file."""
+    plugins = load()
+    found: list[dict[str, Any]] = []
+    for path in paths:
+        if path.suffix.lower() in TABLES:
+            found.append(_diagnose_table(path, model, calibrate, plugins))
+        else:
+            found += _diagnose_mcap(path, model, calibrate, plugins)
+    return {"recordings": found}
+
+
+def evidence_of(machine: Commissioned, blocks: Iterable[Block], bursts: Iterable[Burst], plugins: Plugins) -> "Replayed":
+    """Return everything the detectors and checks say about blocks in their order."""
+    stream = pipeline_of(machine, plugins)
+    for burst in bursts:
+        stream.announce(burst)
+    replayed = Replayed()
+    for block in blocks:
+        outcome = stream.step(block)
+        replayed.evidence += outcome.evidence
+        replayed.remarks += [f.message for f in outcome.findings]
+        replayed.follow(block)
+    return replayed
+
+
+class Replayed:
+    """What came of a replay: evidence, remarks, the spans of bursts as (name, first sample, samples, dt), the session."""
+
+    def __init__(self) -> None:
+        self.evidence: list[Evidence] = []
+        self.remarks: list[str] = []
+        self.spans: list[tuple[str, int, int, float]] = []
+        self.session = ""
+        self.samples = 0
+
+    def follow(self, block: Block) -> None:
+        """Extend the span of the burst that is playing."""
+        self.session, self.samples = block.session, self.samples + len(block)
+        if not block.burst:
+            return
+        if self.spans and self.spans[-1][0] == block.burst:
+            name, start, _, dt = self.spans[-1]
+            self.spans[-1] = (name, start, block.k0 + len(block) - start, dt)
+        else:
+            self.spans.append((block.burst, block.k0, len(block), block.dt))
+
+
+def _diagnose_mcap(path: Path, model: Path | None, calibrate: float | None, plugins: Plugins) -> list[dict[str, Any]]:
+    recording = Recording(path)
+    if not recording.machines:
+        raise BadInput(f"{path}: holds no samples of any machine")
+    found = []
+    for id in recording.machines:
+        machine = _machine_of(recording, id, model, calibrate, plugins)
+        bursts = [r.burst for r in recording.requests(id)]
+        replayed = evidence_of(machine, recording.blocks(id), bursts, plugins)
+        remarks = [*([recording.loss] if recording.loss else []), *replayed.remarks]
+        found.append(document(str(path), id, replayed, {b.name: b for b in bursts}, machine, remarks))
+    return found
+
+
+def _machine_of(recording: Recording, id: str, model: Path | None, calibrate: float | None, plugins: Plugins) -> Commissioned:
+    """Return the machine as its recording describes it; a model given by hand goes before the one inside."""
+    first = next(recording.blocks(id))
+    watched = None
+    inside = read_model(model) if model else recording.model(id)
+    if inside is not None:
+        watched = Watched(inside, first.dt, first.channels)
+    if recording.site and model is None:
+        config = parse_site(recording.site, f"{recording.path}:site.toml").machine(id)
+        return commission.commission(config, plugins, watched)
+    if watched is None:
+        raise BadInput(f"{recording.path}: carries neither site nor model; give one with --model MODEL.toml")
+    samples = sum(len(b) for b in recording.blocks(id))
+    return commission.commission(_bare(id, calibrate or samples * first.dt / 2), plugins, watched)
+
+
+def _diagnose_table(path: Path, model: Path | None, calibrate: float | None, plugins: Plugins) -> dict[str, Any]:
+    if model is None:
+        raise BadInput(f"{path}: a table carries no model; give one with --model MODEL.toml")
+    trace = read_table(path)
+    config = _bare(path.stem.replace(" ", "_"), calibrate or len(trace) * trace.dt / 2)
+    machine = commission.commission(config, plugins, Watched(read_model(model), trace.dt, trace.channels))
+    replayed = evidence_of(machine, blocks_of(trace, config.id, "table", 0), [], plugins)
+    return document(str(path), config.id, replayed, {}, machine, replayed.remarks)
+
+
+def _bare(id: str, calibrate: float) -> Machine:
+    """Return a machine known by its model alone, its noise learnt from its first seconds."""
+    placeholder = Path("model.toml")
+    driver = Driver(kind="replay", recording=placeholder)
+    return Machine(id=id, model=placeholder, driver=driver, calibrate_seconds=calibrate)
+
+
+def document(
+    name: str, machine: str, replayed: Replayed, bursts: Mapping[str, Burst], parts: Commissioned, remarks: Sequence[str]
+) -> dict[str, Any]:
+    """Return one recording's part of ``diagnose --json``."""
+    verdict = conclude(replayed.evidence)
+    return {
+        "recording": name,
+        "machine": machine,
+        "bursts": [_burst(span, bursts, replayed.evidence, parts) for span in replayed.spans],
+        "passive": _passive(replayed),
+        "remarks": list(remarks),
+        "verdict": {
+            "fault": verdict.fault,
+            "severity": plain(verdict.severity),
+            "first_detected_s": verdict.first_detected_s,
+            "weights": dict(verdict.weights),
+            "trustworthy": verdict.trustworthy,
+            "reason": verdict.reason,
+        },
+    }
+
+
+def _burst(
+    span: tuple[str, int, int, float], bursts: Mapping[str, Burst], evidence: Sequence[Evidence], parts: Commissioned
+) -> dict[str, Any]:
+    name, start, samples, dt = span
+    lines = bursts[name].lines if name in bursts else ()
+    inputs = list(dict.fromkeys(parts.inputs[line.input].name for line in lines))
+    return {
+        "name": name,
+        "start_s": start * dt,
+        "seconds": samples * dt,
+        "input": ", ".join(inputs),
+        "frequencies_rad_s": [line.omega for line in lines],
+        "decisions": [decision(e) for e in evidence if e.burst == name],
+    }
+
+
+def decision(e: Evidence) -> dict[str, Any]:
+    """Return one decision as JSON values."""
+    return {
+        "detector": e.detector,
+        "output": e.output,
+        "fault": e.fault,
+        "detected": e.detected and e.trustworthy,
+        "statistic": e.statistic,
+        "threshold": e.threshold,
+        "severity": plain(e.severity),
+        "weights": dict(e.weights),
+        "seconds": e.seconds,
+        "trustworthy": e.trustworthy,
+        "reason": e.reason,
+        "p_white": e.p_white,
+    }
+
+
+def _passive(replayed: Replayed) -> list[dict[str, Any]]:
+    """Return the decisions made outside bursts."""
+    return [decision(e) for e in replayed.evidence if not e.burst]
+
+
+def import_recording(table: Path, out: Path, model: Path | None, mapping: Mapping[str, str]) -> dict[str, Any]:
+    """Write a table as a recording; returns what was written."""
+    trace = read_table(table, mapping=mapping)
+    made = import_table(trace, out, read_model(model) if model else None, machine=table.stem)
+    return {"recording": str(made), "samples": len(trace), "channels": [c.name for c in trace.channels], "dt": trace.dt}

@@ -1,0 +1,91 @@
+"""A sink that records one machine: everything as it came, into MCAP files that can be judged again years later."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping
+from pathlib import Path
+
+from afdsvc import __version__
+from afdsvc.api.signals import Block
+from afdsvc.lti.statespace import Array
+from afdsvc.record.foxglove_log import Level
+from afdsvc.record.mcap_file import Header
+from afdsvc.record.recorder import Recorder, RecordingFailed, RecordingSettings
+from afdsvc.runtime.publishing import residual_block
+from afdsvc.runtime.site import Recording
+from afdsvc.wire import codec
+from afdsvc.wire.messages import BurstRequest, Finding, RigEvent
+
+LEVELS = {"info": Level.INFO, "warning": Level.WARNING, "error": Level.ERROR}
+
+
+class RecorderSink:
+    """Records one machine. The file is begun with the first message, so a machine that never speaks leaves none.
+
+    ``site`` and ``model`` are the texts put inside; ``facts`` further lines of its header.
+    """
+
+    def __init__(self, settings: Recording, machine: str, site: str, model: str, start_ns: int, facts: Mapping[str, str]) -> None:
+        moment = datetime.datetime.fromtimestamp(start_ns / 1e9, datetime.UTC)
+        self.base = settings.folder / f"{machine}-{moment:%Y%m%dT%H%M%S}"
+        self._settings = RecordingSettings(
+            self.base.with_suffix(".mcap"), round(settings.max_megabytes * 1e6), 60 * settings.max_minutes,
+            preview_hertz=settings.preview_hz,
+        )
+        self._header = Header(site, {machine: model}, {"software": f"afdsvc {__version__}", "machine": machine, **facts})
+        self._recorder: Recorder | None = None
+
+    @property
+    def paths(self) -> list[Path]:
+        """The files written so far."""
+        return self._recorder.paths if self._recorder else []
+
+    @property
+    def bytes_written(self) -> int:
+        """Bytes in all files."""
+        return self._recorder.bytes_written if self._recorder else 0
+
+    def block(self, block: Block, payload: bytes) -> None:
+        """Record the bytes as they came."""
+        self._open().block(payload, block)
+
+    def residual(self, block: Block, residual: Array) -> None:
+        """Record the whitened residual."""
+        made = residual_block(block, residual)
+        self._open().residual(codec.encode_block(made), made)
+
+    def finding(self, finding: Finding) -> None:
+        """Record a decision."""
+        self._open().finding(codec.encode_finding(finding), finding)
+
+    def event(self, event: RigEvent, payload: bytes) -> None:
+        """Record an event as it came."""
+        self._open().event(payload, event)
+
+    def request(self, request: BurstRequest) -> None:
+        """Record a burst that is asked for."""
+        self._open().request(codec.encode_burst_request(request), request)
+
+    def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
+        """Record a sentence."""
+        self._open().note(t_ns, LEVELS[level], sentence, machine)
+
+    def tick(self) -> None:
+        """Flush when it is due."""
+        if self._recorder:
+            self._recorder.tick()
+
+    def close(self) -> None:
+        """Finish the file."""
+        if self._recorder:
+            self._recorder.close()
+
+    def _open(self) -> Recorder:
+        if self._recorder is None:
+            try:
+                self._settings.path.parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise RecordingFailed(f"{self._settings.path.parent}: cannot be made: {error.strerror}") from None
+            self._recorder = Recorder(self._settings, self._header)
+        return self._recorder
