@@ -65,3 +65,13 @@ def simulated(bearing, plugins: Plugins) -> Callable[..., DrivablePort]:
 def stack(blocks: list) -> np.ndarray:
     """Return the samples of blocks in one array."""
     return np.vstack([b.values for b in blocks])
+
+
+@pytest.fixture
+def free_port() -> int:
+    """Return a loopback port nobody listens at."""
+    import socket
+
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])

@@ -1,0 +1,72 @@
+"""Does a rig agent hold 5 kHz on one core, and does every block reach the service?
+
+    python benchmarks/rig.py --seconds 600
+
+Runs the service here and the rig agent in a process of its own, over zenoh on loopback, with a burst every 5 s. Prints late
+control samples, head-room, lost samples, and the cost of one control sample as a ratio to a plain numpy step of the same
+matrices in the same run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from afdsvc.demo import DemoOptions, free_port, rig_process, site_text
+from afdsvc.hal import kernel
+from afdsvc.plants.registry import plant
+from afdsvc.plugins.manager import load
+from afdsvc.runtime.site import read_site
+from afdsvc.service import serving
+
+
+def control_cost(samples: int = 20_000) -> tuple[float, float]:
+    """Return seconds per control sample: compiled, called once per sample as around real hardware; and numpy."""
+    bearing = plant("gas_bearing")
+    design = load().get("controllers", "lqg").design(bearing.discrete(), bearing.recommended["lqg"])
+    K = kernel.contiguous(design.interconnection)
+    kernel.warm_up()
+    xk, y, alpha, u, beta = np.zeros(K.order), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
+    bounds = np.full(2, 10.0)
+    start = time.perf_counter()
+    for _ in range(samples):
+        kernel.control_sample(K.A, K.B, K.C, K.D, xk, y, alpha, True, bounds, bounds, u, beta)
+    compiled = (time.perf_counter() - start) / samples
+    start = time.perf_counter()
+    for _ in range(samples):
+        w = np.concatenate([y, alpha])
+        out = K.C @ xk + K.D @ w
+        xk = K.A @ xk + K.B @ w
+        np.clip(out[:2], -bounds, bounds)
+    return compiled, (time.perf_counter() - start) / samples
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=600.0)
+    seconds = parser.parse_args().seconds
+    compiled, plain = control_cost()
+    print(f"control sample: {1e6 * compiled:.2f} us compiled, {1e6 * plain:.2f} us numpy, ratio {plain / compiled:.1f}; period 200 us")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "site.toml"
+        options = DemoOptions(faults=(), out=Path(folder) / "recordings", seconds=seconds)
+        path.write_text(site_text(options, free_port()).replace('rerun = "file"', 'rerun = "off"'))
+        with serving(read_site(path)) as hub, rig_process(path, "bearing", seconds) as rig:
+            rig.wait(seconds + 60)
+            hub.drain()
+            watch = hub.watches["bearing"]
+            file, size, failure, dropped = hub.recording()
+            samples = round(watch.seconds_seen * 5000)
+            print(f"rig: {samples} samples in {watch.blocks} blocks, {watch.late} late ({100 * watch.late / samples:.3f} %)")
+            print(f"rig: head-room {100 * watch.head_room:.1f} % of the sample period, last value told")
+            print(f"service: {watch.lost_samples} samples lost, {hub.dropped + dropped} messages dropped, recording {size / 1e6:.1f} MB")
+            print(f"service: {len(watch.evidence)} decisions kept, alarms {[a.id for a in hub.alarms.alarms.values()]} {failure}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,167 @@
+"""The rig agent over real zenoh: it obeys within its limits, and a burst never outlives who asked for it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from afdsvc import commission
+from afdsvc.api.bursts import Burst, Line
+from afdsvc.errors import Refused
+from afdsvc.runtime.agent import RigAgent
+from afdsvc.runtime.clock import RealClock
+from afdsvc.runtime.site import Transport as Settings
+from afdsvc.runtime.transport import Transport
+from afdsvc.wire import codec
+from afdsvc.wire.keys import Keys
+from afdsvc.wire.messages import BurstRequest, BurstStop, EventKind, Lease, RigDescription
+
+KEYS = Keys("t")
+
+
+class Ear:
+    """A service that only listens: blocks and events in order."""
+
+    def __init__(self, transport: Transport) -> None:
+        self.blocks, self.events, self.transport = [], [], transport
+        transport.subscribe(KEYS.blocks(), lambda k, p: self.blocks.append(codec.decode_block(p)))
+        transport.subscribe(KEYS.events(), lambda k, p: self.events.append(codec.decode_event(p)))
+        transport.announce(KEYS.service_alive())
+
+    def ask(self, burst: Burst, lease: float = 2.0, machine: str = "bearing"):
+        request = BurstRequest(machine, burst, lease, "test", 0)
+        return codec.decode_burst_reply(self.transport.ask(KEYS.burst("bearing"), codec.encode_burst_request(request)))
+
+    def wait(self, kind: EventKind, seconds: float = 10.0):
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            for e in self.events:
+                if e.kind is kind:
+                    return e
+            time.sleep(0.01)
+        raise AssertionError(f"no {kind} in {[(e.kind, e.cause) for e in self.events]}")
+
+    def samples(self) -> np.ndarray:
+        return np.vstack([b.values for b in self.blocks])
+
+
+@contextmanager
+def rig(settings: Settings, machine, plugins, session: str = "s1") -> Iterator[RigAgent]:
+    """Run an agent in a thread."""
+    with Transport(settings, hub=False) as transport:
+        clock = RealClock()
+        config = machine.config.model_copy(update={"driver": machine.config.driver.model_copy(update={"real_time": True})})
+        port = commission.open_port(replace(machine, config=config), session, clock, plugins)
+        description = RigDescription("bearing", session, 0, port.dt, port.channels, machine.limits)
+        agent = RigAgent(KEYS, description, port, transport, clock)
+        thread = threading.Thread(target=agent.run, daemon=True)
+        thread.start()
+        try:
+            yield agent
+        finally:
+            agent.stopping.set()
+            thread.join(10)
+            assert not thread.is_alive()
+
+
+@pytest.fixture
+def settings(free_port) -> Settings:
+    return Settings(listen=[f"tcp/127.0.0.1:{free_port}"])
+
+
+def sine(seconds: float, amplitude: float = 0.5) -> Burst:
+    return Burst("b1", 2, round(seconds * 5000), 250, (Line(0, 390.0, amplitude),))
+
+
+def test_a_burst_is_played_and_told(settings, bearing, plugins):
+    with Transport(settings, hub=True) as hub:
+        ear = Ear(hub)
+        with rig(settings, bearing(), plugins):
+            ear.wait(EventKind.RIG_STARTED)
+            assert ear.ask(sine(0.5)).accepted
+            second = ear.ask(sine(0.5))
+            assert not second.accepted
+            assert "two at once" in second.reason
+            ear.wait(EventKind.BURST_ENDED)
+            time.sleep(0.3)
+        ear.wait(EventKind.RIG_STOPPED)
+    inside = [b for b in ear.blocks if b.burst == "b1"]
+    assert sum(map(len, inside)) == 2500
+    assert all(b.k0 + len(b) == c.k0 for b, c in zip(ear.blocks, ear.blocks[1:], strict=False))
+
+
+def test_wrong_requests_are_refused_with_their_reason(settings, bearing, plugins):
+    with Transport(settings, hub=True) as hub:
+        ear = Ear(hub)
+        with rig(settings, bearing(), plugins):
+            ear.wait(EventKind.RIG_STARTED)
+            assert "at most" in ear.ask(sine(20.0)).reason
+            assert "would drive output 0" in ear.ask(Burst("b", 2, 5000, 250, (Line(0, 62.0, 5.0),))).reason
+            assert "for machine 'other'" in ear.ask(sine(0.5), machine="other").reason
+            answer = codec.decode_burst_reply(hub.ask(KEYS.burst("bearing"), b"\xff\xff garbage"))
+            assert not answer.accepted
+            assert ear.ask(sine(0.2)).accepted
+            ear.wait(EventKind.BURST_ENDED)
+
+
+@pytest.mark.parametrize("how", ["lease", "vanish", "stop"])
+def test_a_burst_never_outlives_who_asked_for_it(settings, bearing, plugins, how):
+    """Silence, a vanished service, or a stop: alpha fades out and nominal control goes on."""
+    with Transport(settings, hub=True) as hub:
+        ear = Ear(hub)
+        with rig(settings, bearing(), plugins):
+            ear.wait(EventKind.RIG_STARTED)
+            if how == "vanish":
+                hub._keep[-1].undeclare()
+                time.sleep(0.1)
+                assert "nobody would watch" in ear.ask(sine(5.0)).reason
+                hub.announce(KEYS.service_alive())
+                time.sleep(0.1)
+            assert ear.ask(sine(5.0), lease=0.6 if how == "lease" else 5.0).accepted
+            ear.wait(EventKind.BURST_STARTED)
+            time.sleep(0.2)
+            if how == "vanish":
+                hub._keep[-1].undeclare()
+            elif how == "stop":
+                hub.ask(KEYS.stop("bearing"), codec.encode_burst_stop(BurstStop("bearing", "enough", "Ada")))
+            ended = ear.wait(EventKind.BURST_ABORTED, 3.0)
+            time.sleep(0.3)
+    words = {"lease": "the service was silent", "vanish": "the service vanished", "stop": "stopped by Ada: enough"}
+    assert words[how] in ended.cause
+    values = ear.samples()
+    last = np.flatnonzero(values[:, 4])[-1]
+    assert last < len(values) - 500
+    assert abs(values[last, 4]) < 0.01
+    assert np.isfinite(values).all()
+
+
+def test_renewed_leases_carry_a_long_burst(settings, bearing, plugins):
+    with Transport(settings, hub=True) as hub:
+        ear = Ear(hub)
+        with rig(settings, bearing(), plugins):
+            ear.wait(EventKind.RIG_STARTED)
+            assert ear.ask(sine(1.5), lease=0.5).accepted
+            for _ in range(15):
+                hub.publish(KEYS.lease("bearing"), codec.encode_lease(Lease("bearing", "b1", 0.5)))
+                time.sleep(0.1)
+            ear.wait(EventKind.BURST_ENDED)
+
+
+def test_a_second_rig_with_the_same_id_refuses_to_start(settings, bearing, plugins):
+    with Transport(settings, hub=True) as hub:
+        ear = Ear(hub)
+        with rig(settings, bearing(), plugins), Transport(settings, hub=False) as other:
+            ear.wait(EventKind.RIG_STARTED)
+            machine = bearing()
+            clock = RealClock()
+            port = commission.open_port(machine, "s2", clock, plugins)
+            twin = RigAgent(KEYS, RigDescription("bearing", "s2", 0, port.dt, port.channels, machine.limits), port, other, clock)
+            with pytest.raises(Refused, match=r"has a rig agent already \(session s1\)"):
+                twin.run()
+            assert port.read() is None
