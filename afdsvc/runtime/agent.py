@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from afdsvc.api.bursts import Limits
 from afdsvc.api.clock import Clock
@@ -117,7 +117,8 @@ class RigAgent:
 
     def _beat(self) -> None:
         status = self.port.status()
-        self.transport.publish(self.keys.description(self.machine), codec.encode_description(self.description))
+        now = replace(self.description, samples=status.samples, late=status.late, head_room=status.head_room)
+        self.transport.publish(self.keys.description(self.machine), codec.encode_description(now))
         if status.late > self._told_late:
             self._event(EventKind.NOTE, f"{status.late - self._told_late} control samples missed their deadline")
             self._told_late = status.late

@@ -67,6 +67,7 @@ class Hub:
             thread.start()
         t.subscribe(keys.blocks(), lambda key, payload: self._put("block", key, payload))
         t.subscribe(keys.events(), lambda key, payload: self._put("event", key, payload))
+        t.subscribe(keys.descriptions(), lambda key, payload: self._put("description", key, payload))
         t.watch(keys.all_alive(), lambda key, alive: self._put("alive", key, alive))
         t.serve(keys.command(), lambda payload: answer(self._handlers(), payload))
         t.announce(keys.service_alive())
@@ -138,6 +139,8 @@ class Hub:
             self._block(watch, what)
         elif kind == "event":
             self._event(watch, what)
+        elif kind == "description":
+            watch.take_description(what)
         else:
             (watch.appeared if what else watch.gone)(session_of(key))
 

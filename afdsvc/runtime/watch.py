@@ -32,6 +32,7 @@ class MachineWatch:
         self.session = ""
         self.blocks = self.lost_samples = self.late = 0
         self.seconds_seen = 0.0
+        self.head_room = 1.0
         self.present = False
         self.trouble = ""
         self._last = float("-inf")
@@ -82,6 +83,13 @@ class MachineWatch:
         self.sink.event(event, payload)
         return event
 
+    def take_description(self, payload: bytes) -> None:
+        """Note what the rig says of itself: its head-room, for the status."""
+        try:
+            self.head_room = codec.decode_description(payload).head_room
+        except BadInput as error:
+            self.say("warning", f"a description could not be read: {error}")
+
     def appeared(self, session: str) -> None:
         """Note that a rig agent announced itself; a second one at the same time is named and not listened to."""
         if self.present and self.session and session != self.session:
@@ -113,7 +121,7 @@ class MachineWatch:
         verdict = self.verdict()
         return MachineStatus(
             self.machine, state, self.session, reason or verdict.reason, self.blocks, self.lost_samples, self.late,
-            1.0, max(age, 0.0) if self.blocks else 0.0, burst, next_burst, verdict.trustworthy, alarms,
+            self.head_room, max(age, 0.0) if self.blocks else 0.0, burst, next_burst, verdict.trustworthy, alarms,
         )
 
     def say(self, level: str, sentence: str, t_ns: int | None = None) -> None:

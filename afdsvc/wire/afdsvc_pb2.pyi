@@ -196,7 +196,7 @@ class Limits(_message.Message):
     def __init__(self, output: _Optional[_Iterable[float]] = ..., input: _Optional[_Iterable[float]] = ..., alpha: _Optional[_Iterable[float]] = ..., seconds: _Optional[float] = ...) -> None: ...
 
 class RigDescription(_message.Message):
-    __slots__ = ("timestamp", "machine", "session", "dt", "channels", "limits", "controller", "site", "model", "version", "driver")
+    __slots__ = ("timestamp", "machine", "session", "dt", "channels", "limits", "controller", "site", "model", "version", "driver", "samples", "late", "head_room")
     TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
     MACHINE_FIELD_NUMBER: _ClassVar[int]
     SESSION_FIELD_NUMBER: _ClassVar[int]
@@ -208,6 +208,9 @@ class RigDescription(_message.Message):
     MODEL_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
     DRIVER_FIELD_NUMBER: _ClassVar[int]
+    SAMPLES_FIELD_NUMBER: _ClassVar[int]
+    LATE_FIELD_NUMBER: _ClassVar[int]
+    HEAD_ROOM_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     machine: str
     session: str
@@ -219,7 +222,10 @@ class RigDescription(_message.Message):
     model: str
     version: str
     driver: str
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., machine: _Optional[str] = ..., session: _Optional[str] = ..., dt: _Optional[float] = ..., channels: _Optional[_Iterable[_Union[ChannelInfo, _Mapping]]] = ..., limits: _Optional[_Union[Limits, _Mapping]] = ..., controller: _Optional[str] = ..., site: _Optional[str] = ..., model: _Optional[str] = ..., version: _Optional[str] = ..., driver: _Optional[str] = ...) -> None: ...
+    samples: int
+    late: int
+    head_room: float
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., machine: _Optional[str] = ..., session: _Optional[str] = ..., dt: _Optional[float] = ..., channels: _Optional[_Iterable[_Union[ChannelInfo, _Mapping]]] = ..., limits: _Optional[_Union[Limits, _Mapping]] = ..., controller: _Optional[str] = ..., site: _Optional[str] = ..., model: _Optional[str] = ..., version: _Optional[str] = ..., driver: _Optional[str] = ..., samples: _Optional[int] = ..., late: _Optional[int] = ..., head_room: _Optional[float] = ...) -> None: ...
 
 class NamedValue(_message.Message):
     __slots__ = ("name", "value")

@@ -79,7 +79,10 @@ class Lease:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigDescription:
-    """What a rig says of itself; ``limits`` is None for a machine that can only be watched."""
+    """What a rig says of itself; ``limits`` is None for a machine that can only be watched.
+
+    ``samples``, ``late`` and ``head_room`` (share of the sample period the loop did not use) are told as a heartbeat.
+    """
 
     machine: str
     session: str
@@ -92,6 +95,9 @@ class RigDescription:
     model: str = ""
     version: str = ""
     driver: str = ""
+    samples: int = 0
+    late: int = 0
+    head_room: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

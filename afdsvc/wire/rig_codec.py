@@ -45,7 +45,7 @@ def encode_description(description: RigDescription) -> bytes:
         pb.RigDescription, timestamp=stamp(d.t_ns), machine=d.machine, session=d.session, dt=d.dt,
         channels=[build(pb.ChannelInfo, name=c.name, unit=c.unit) for c in d.channels],
         limits=_limits_message(d.limits), controller=d.controller, site=d.site, model=d.model,
-        version=d.version, driver=d.driver,
+        version=d.version, driver=d.driver, samples=d.samples, late=d.late, head_room=d.head_room,
     )
     return message.SerializeToString()
 
@@ -57,7 +57,7 @@ def decode_description(data: bytes) -> RigDescription:
     return RigDescription(
         checked_machine(m.machine), m.session, nanoseconds(m.timestamp), positive(m, "dt"),
         tuple(Channel(c.name, c.unit) for c in m.channels), _limits(m),
-        m.controller, m.site, m.model, m.version, m.driver,
+        m.controller, m.site, m.model, m.version, m.driver, count(m, "samples"), count(m, "late"), m.head_room,
     )
 
 

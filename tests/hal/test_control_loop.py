@@ -165,10 +165,10 @@ def test_stop_fades_out_over_the_ramp(bearing):
     ("wrong", "reason"),
     [
         (burst(samples=80_000), "lasts 16 s"),
-        (burst(amplitude=100.0), "at most"),
+        (burst(amplitude=300.0), "at most"),
         (Burst("w", 2, 100, 0, waveform=np.full((100, 2), np.nan)), "NaN"),
         (burst(inputs=1), "has 1 inputs"),
-        (Burst("r", 2, 4000, 100, (Line(0, 1300.0, 9.0),)), "would drive output 0 to"),
+        (Burst("r", 2, 4000, 100, (Line(0, 62.0, 4.0),)), "would drive output 0 to"),
     ],
 )
 def test_a_burst_beyond_a_limit_is_refused_with_its_reason(simulated, wrong, reason):
