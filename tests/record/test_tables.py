@@ -227,10 +227,6 @@ def test_units_come_from_the_model(tmp_path):
     ("name", "dt", "rows"),
     [("emps/estimation", 0.001, 24841), ("silverbox/arrow", 0.0016384, 40475), ("two_mass/multisine_A", 0.0004, 25000)],
 )
-def test_measured_benchmarks(name, dt, rows):
-    folder = os.environ.get("AFDSVC_DATA", "")
-    path = Path(folder) / f"{name}.csv"
-    if not folder or not path.exists():
-        pytest.skip("set AFDSVC_DATA to the folder of the measured recordings")
-    trace = read_table(path)
+def test_measured_benchmarks(measured, name, dt, rows):
+    trace = read_table(measured / f"{name}.csv")
     assert (trace.dt, len(trace)) == (dt, rows)

@@ -1,0 +1,115 @@
+"""One MCAP file being written: header first, channels as they are needed, chunks flushed so a crash loses little."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from afdsvc import __version__
+from afdsvc.wire import afdsvc_pb2 as pb
+
+PROFILE = "afdsvc"
+METADATA = "afdsvc"
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What makes a recording self-contained: texts of site file and models (by machine), and facts by name."""
+
+    site: str = ""
+    models: Mapping[str, str] = field(default_factory=dict)
+    facts: Mapping[str, str] = field(default_factory=dict)
+
+
+class McapFile:
+    """Writes one file; every method may raise OSError (disk full, folder gone), after which only `abandon` is left."""
+
+    def __init__(self, path: Path, header: Header, overwrite: bool = False) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self.path = path
+        self._stream = path.open("wb" if overwrite else "xb")
+        self._writer: Any = Writer(self._stream, compression=CompressionType.ZSTD)
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[tuple[str, str], int] = {}
+        self._sequences: dict[int, int] = {}
+        try:
+            self._begin(header)
+        except OSError:
+            self.abandon()
+            raise
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far."""
+        return self._stream.tell()
+
+    def wire(self, topic: str, kind: str, t_ns: int, data: bytes, sequence: int | None = None) -> None:
+        """Append a message of ``afdsvc.v1``, the very bytes that came over the wire."""
+        name = f"afdsvc.v1.{kind}"
+        if name not in self._schemas:
+            described = build_file_descriptor_set(getattr(pb, kind)).SerializeToString()
+            self._schemas[name] = self._writer.register_schema(name, "protobuf", described)
+        self._append(topic, name, t_ns, data, sequence, {})
+
+    def message(
+        self, topic: str, schema: tuple[str, bytes], t_ns: int, data: bytes, metadata: Mapping[str, str] | None = None
+    ) -> None:
+        """Append a message of any protobuf schema, given by name and description."""
+        name, described = schema
+        if name not in self._schemas:
+            self._schemas[name] = self._writer.register_schema(name, "protobuf", described)
+        self._append(topic, name, t_ns, data, None, metadata or {})
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Append an attachment; its time stays 0 so that equal runs give equal files."""
+        self._writer.flush()
+        self._writer.add_attachment(0, 0, name, media_type, data)
+
+    def facts(self, name: str, facts: Mapping[str, str]) -> None:
+        """Append metadata."""
+        self._writer.flush()
+        self._writer.add_metadata(name, dict(facts))
+
+    def flush(self) -> None:
+        """Hand everything to the operating system; what was flushed survives the death of this process."""
+        self._writer.flush()
+
+    def finish(self) -> None:
+        """Write the index, force everything to the disk, and close."""
+        self._writer.finish()
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        self._stream.close()
+
+    def abandon(self) -> None:
+        """Close without caring: the file stays readable up to its last complete chunk."""
+        with contextlib.suppress(OSError):
+            self._stream.close()
+
+    def _begin(self, header: Header) -> None:
+        self._writer.start(PROFILE, f"afdsvc {__version__}")
+        self.facts(METADATA, {"version": __version__, **header.facts})
+        if header.site:
+            self.attach("site.toml", "application/toml", header.site.encode())
+        for machine, text in header.models.items():
+            self.attach(f"{machine}/model.toml", "application/toml", text.encode())
+        self.flush()
+
+    def _append(
+        self, topic: str, schema: str, t_ns: int, data: bytes, sequence: int | None, metadata: Mapping[str, str]
+    ) -> None:
+        key = (topic, schema)
+        if key not in self._channels:
+            number = self._writer.register_channel(topic, "protobuf", self._schemas[schema], dict(metadata))
+            self._channels[key] = number
+        channel = self._channels[key]
+        count = self._sequences.get(channel, 0) if sequence is None else sequence
+        self._sequences[channel] = count + 1
+        self._writer.add_message(channel, t_ns, data, t_ns, count & 0xFFFFFFFF)
