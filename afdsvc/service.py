@@ -18,6 +18,7 @@ from afdsvc.api.clock import Clock
 from afdsvc.api.detection import FalseAlarms
 from afdsvc.commission import Commissioned
 from afdsvc.errors import BadInput
+from afdsvc.excite.default import default_burst
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.runtime import commands
 from afdsvc.runtime.agent import RigAgent
@@ -110,8 +111,6 @@ def _sinks(site: Site, machine: Commissioned, clock: Clock, recorders: Recorders
 
 def burst_design(machine: Commissioned, stream: Pipeline) -> Callable[[Wanted], Burst]:
     """Return the design of the machine's bursts; the diagnosis burst is computed once."""
-    from afdsvc.excite.default import default_burst
-
     settings, limits = machine.config.bursts, machine.limits
     if limits is None:
         raise BadInput(f"machine '{machine.config.id}' can be watched, not excited")

@@ -138,7 +138,9 @@ class Machine(_Strict):
     output_sd: list[Positive] | None = None
     calibrate_seconds: Annotated[float, Field(ge=0)] = 0.0
     bursts: Bursts = Bursts()
-    detectors: list[Detector] = [Detector(kind="matched_filter"), Detector(kind="regression"), Detector(kind="cusum")]
+    detectors: list[Detector] = [
+        Detector(kind=kind) for kind in ("matched_filter", "regression", "cusum", "passive_cusum")
+    ]
     block: Annotated[int, Field(ge=10, le=5000)] = 250
 
     @field_validator("id")
