@@ -192,13 +192,14 @@ def diagnose(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="MCAP recordings, or tables with --model.")],
     model: Annotated[Path | None, typer.Option(metavar="MODEL.toml", help="The model, for recordings that carry none.")] = None,
     calibrate: Annotated[float | None, typer.Option(metavar="SECONDS", help="Quiet data to learn the noise from.")] = None,
+    calibrate_on: Annotated[Path | None, typer.Option(metavar="TABLE", help="Learn the noise from another table.")] = None,
     as_json: Json = False,
 ) -> None:
     """Run the detectors over recordings: the same code and the same evidence as live."""
     from afdsvc.offline import diagnose_recordings
     from afdsvc.terminal import diagnosis_table
 
-    document = diagnose_recordings(recordings, model, calibrate)
+    document = diagnose_recordings(recordings, model, calibrate, calibrate_on)
     _show(as_json, document, lambda: diagnosis_table(document))
 
 

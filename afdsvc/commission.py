@@ -32,6 +32,7 @@ from afdsvc.plugins.manager import Plugins
 from afdsvc.record.model_file import model_text, read_model
 from afdsvc.record.tables import read_table
 from afdsvc.runtime import site as site_file
+from afdsvc.runtime.clock import FastClock
 from afdsvc.runtime.intake import Expectation
 
 
@@ -216,13 +217,22 @@ def detectors(machine: Commissioned, base: DetectionProblem, plugins: Plugins) -
     return made
 
 
+def quiet_samples(machine: Commissioned, samples: int) -> tuple[Array, Array]:
+    """Return u and y of the first samples of the recording the noise is calibrated on."""
+    trace = read_table(machine.config.calibrate_on or Path())
+    if len(trace) < samples:
+        raise BadInput(f"{trace.name}: {len(trace)} samples; {samples} are wanted for calibration")
+    return trace.span(0, samples).role("u"), trace.span(0, samples).role("y")
+
+
 def open_port(machine: Commissioned, session: str, clock: Clock, plugins: Plugins) -> Port:
     """Return the machine's port: the simulator, a replay, or a driver plugin."""
     driver = machine.config.driver
     settings = LoopSettings(machine.config.id, session, machine.config.block)
     if driver.kind == "replay":
         trace = read_table(driver.recording or Path())
-        return Replay(blocks_of(trace, machine.config.id, session, clock.now_ns(), machine.config.block), clock)
+        pace = clock if driver.real_time else FastClock(clock.now_ns())
+        return Replay(blocks_of(trace, machine.config.id, session, clock.now_ns(), machine.config.block), pace)
     if machine.controller is None or machine.limits is None or machine.output_cov is None:
         raise BadInput(f"machine '{machine.config.id}' has no controller or no noise; it can only be replayed")
     if driver.kind == "simulator":

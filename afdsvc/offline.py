@@ -27,20 +27,20 @@ TABLES = (".csv", ".parquet", ".mat", ".npz")
 
 
 def diagnose_recordings(
-    paths: Sequence[Path], model: Path | None = None, calibrate: float | None = None
+    paths: Sequence[Path], model: Path | None = None, calibrate: float | None = None, calibrate_on: Path | None = None
 ) -> dict[str, Any]:
     """Return the document of ``diagnose --json`` for recordings (MCAP) and tables; raises `BadInput` naming the file."""
     plugins = load()
     found: list[dict[str, Any]] = []
     for path in paths:
         if path.suffix.lower() in TABLES:
-            found.append(_diagnose_table(path, model, calibrate, plugins))
+            found.append(_diagnose_table(path, model, calibrate, calibrate_on, plugins))
         else:
             found += _diagnose_mcap(path, model, calibrate, plugins)
     return {"recordings": found}
 
 
-def evidence_of(machine: Commissioned, blocks: Iterable[Block], bursts: Iterable[Burst], plugins: Plugins) -> "Replayed":
+def evidence_of(machine: Commissioned, blocks: Iterable[Block], bursts: Iterable[Burst], plugins: Plugins) -> Replayed:
     """Return everything the detectors and checks say about blocks in their order."""
     stream = pipeline_of(machine, plugins)
     for burst in bursts:
@@ -62,11 +62,11 @@ class Replayed:
         self.remarks: list[str] = []
         self.spans: list[tuple[str, int, int, float]] = []
         self.session = ""
-        self.samples = 0
+        self.seconds = 0.0
 
     def follow(self, block: Block) -> None:
         """Extend the span of the burst that is playing."""
-        self.session, self.samples = block.session, self.samples + len(block)
+        self.session, self.seconds = block.session, self.seconds + len(block) * block.dt
         if not block.burst:
             return
         if self.spans and self.spans[-1][0] == block.burst:
@@ -106,21 +106,23 @@ def _machine_of(recording: Recording, id: str, model: Path | None, calibrate: fl
     return commission.commission(_bare(id, calibrate or samples * first.dt / 2), plugins, watched)
 
 
-def _diagnose_table(path: Path, model: Path | None, calibrate: float | None, plugins: Plugins) -> dict[str, Any]:
+def _diagnose_table(
+    path: Path, model: Path | None, calibrate: float | None, on: Path | None, plugins: Plugins
+) -> dict[str, Any]:
     if model is None:
         raise BadInput(f"{path}: a table carries no model; give one with --model MODEL.toml")
     trace = read_table(path)
-    config = _bare(path.stem.replace(" ", "_"), calibrate or len(trace) * trace.dt / 2)
+    config = _bare(path.stem.replace(" ", "_"), calibrate or len(trace) * trace.dt / 2, on)
     machine = commission.commission(config, plugins, Watched(read_model(model), trace.dt, trace.channels))
     replayed = evidence_of(machine, blocks_of(trace, config.id, "table", 0), [], plugins)
     return document(str(path), config.id, replayed, {}, machine, replayed.remarks)
 
 
-def _bare(id: str, calibrate: float) -> Machine:
+def _bare(id: str, calibrate: float, on: Path | None = None) -> Machine:
     """Return a machine known by its model alone, its noise learnt from its first seconds."""
     placeholder = Path("model.toml")
     driver = Driver(kind="replay", recording=placeholder)
-    return Machine(id=id, model=placeholder, driver=driver, calibrate_seconds=calibrate)
+    return Machine(id=id, model=placeholder, driver=driver, calibrate_seconds=calibrate, calibrate_on=on)
 
 
 def document(
@@ -133,6 +135,8 @@ def document(
         "machine": machine,
         "bursts": [_burst(span, bursts, replayed.evidence, parts) for span in replayed.spans],
         "passive": _passive(replayed),
+        "watched_s": replayed.seconds,
+        "promised_alarms": _promised(parts, replayed.seconds),
         "remarks": list(remarks),
         "verdict": {
             "fault": verdict.fault,
@@ -177,6 +181,11 @@ def decision(e: Evidence) -> dict[str, Any]:
         "reason": e.reason,
         "p_white": e.p_white,
     }
+
+
+def _promised(parts: Commissioned, seconds: float) -> dict[str, float]:
+    """Return how many passive false alarms each detector may raise by chance in the time it watched."""
+    return {d.kind: d.false_alarms_per_day * seconds / 86400 for d in parts.config.detectors}
 
 
 def _passive(replayed: Replayed) -> list[dict[str, Any]]:

@@ -25,7 +25,7 @@ from afdsvc.runtime.agent import RigAgent
 from afdsvc.runtime.clock import RealClock
 from afdsvc.runtime.desk import BurstDesk
 from afdsvc.runtime.hub import Hub
-from afdsvc.runtime.pipeline import CalibratedPipeline, Pipeline, Stream
+from afdsvc.runtime.pipeline import CalibratedPipeline, Pipeline, Stream, calibrated
 from afdsvc.runtime.publishing import Publisher
 from afdsvc.runtime.recording import RecorderSink
 from afdsvc.runtime.scheduler import Scheduler, Wanted
@@ -44,9 +44,11 @@ def pipeline_of(machine: Commissioned, plugins: Plugins) -> Stream:
         base = commission.problem(machine, output_cov, process_cov, FalseAlarms())
         return Pipeline(base, commission.detectors(machine, base, plugins), commission.expectation(machine, frozen_after))
 
-    seconds = machine.config.calibrate_seconds
-    if seconds:
-        return CalibratedPipeline(machine.plant, commission.expectation(machine, 0), round(seconds / machine.plant.dt), design)
+    samples = round(machine.config.calibrate_seconds / machine.plant.dt)
+    if machine.config.calibrate_on:
+        return calibrated(machine.plant, *commission.quiet_samples(machine, samples), design)[0]
+    if samples:
+        return CalibratedPipeline(machine.plant, commission.expectation(machine, 0), samples, design)
     if machine.output_cov is None:
         raise BadInput(f"machine '{machine.config.id}': the noise is unknown; set 'output_sd' or 'calibrate_seconds'")
     return design(machine.output_cov, machine.process_cov, 50)

@@ -65,13 +65,28 @@ def diagnosis_table(document: dict[str, Any]) -> None:
                     f"{burst['start_s']:.2f} s", d["detector"], f"{d['statistic']:.3g}", f"{d['threshold']:.3g}", decision,
                     d["fault"] or "", percent(d["severity"]),
                 )
-        OUT.print(table)
-        for line in recording.get("passive", []):
-            OUT.print(f"  {line}")
+        if recording["bursts"]:
+            OUT.print(table)
+        else:
+            OUT.print(f"[bold]{recording['recording']}[/] ({recording['machine']}): no bursts", soft_wrap=True)
+        _passive(recording)
         verdict = recording["verdict"]
         words = verdict["fault"] or ("a fault, not singled out" if verdict["first_detected_s"] is not None else "no fault")
         OUT.print(f"verdict: {words} {percent(verdict['severity'])} {verdict.get('reason', '')}")
         _weights(verdict["weights"])
+
+
+def _passive(recording: dict[str, Any]) -> None:
+    """Show what the passive detectors did, beside the rate they promise."""
+    for name, promised in recording["promised_alarms"].items():
+        decisions = [d for d in recording["passive"] if d["detector"] == name]
+        crossed = sum(d["statistic"] >= d["threshold"] for d in decisions)
+        raised = sum(d["detected"] for d in decisions)
+        if decisions:
+            counts = f"{crossed} crossings of the threshold, {raised} alarms in {recording['watched_s']:.1f} s"
+            OUT.print(f"{name}: {counts}; promised by chance: {promised:.2g}")
+        for why in dict.fromkeys(d["reason"] for d in decisions if not d["trustworthy"]):
+            OUT.print(f"  not trustworthy here: {why}")
 
 
 def status_table(status: dict[str, Any]) -> None:

@@ -115,6 +115,9 @@ class Pipeline:
         )
 
 
+Design = Callable[[Array, Array | None, int], Pipeline]
+
+
 class Stream(Protocol):
     """Anything that turns blocks into evidence."""
 
@@ -132,13 +135,13 @@ class CalibratedPipeline:
     """A pipeline whose noise model comes from the machine's own first quiet samples.
 
     Until ``samples`` have come without interruption nothing is judged. ``design(output_cov, process_cov, frozen_after)``
-    returns the pipeline; the longest run of equal samples seen in calibration sets what counts as frozen.
+    returns the pipeline.
     """
 
     plant: StateSpace
     expected: Expectation
     samples: int
-    design: Callable[[Array, Array | None, int], Pipeline]
+    design: Design
 
     def __post_init__(self) -> None:
         self._intake = IntakeState()
@@ -167,11 +170,20 @@ class CalibratedPipeline:
         return Outcome((), found, None, judged.lost_samples)
 
     def _calibrate(self) -> Finding:
-        y = np.vstack([b.role("y") for b in self._quiet])
-        noise = calibrate_noise(self.plant, np.vstack([b.role("u") for b in self._quiet]), y)
+        u, y = (np.vstack([b.role(role) for b in self._quiet]) for role in ("u", "y"))
         self._quiet = []
-        self.pipeline = self.design(noise.output_cov, noise.process_cov, max(50, 4 * longest_still(y)))
+        self.pipeline, finding = calibrated(self.plant, u, y, self.design)
         for burst in self._bursts:
             self.pipeline.announce(burst)
-        sd = ", ".join(f"{s:.3g}" for s in np.sqrt(np.diag(noise.covariance)))
-        return Finding("calibrated", f"noise calibrated on {len(y)} quiet samples: residual sd {sd}")
+        return finding
+
+
+def calibrated(plant: StateSpace, u: Array, y: Array, design: Design) -> tuple[Pipeline, Finding]:
+    """Return the pipeline whose noise model comes from quiet samples ``u (n, m)``, ``y (n, p)``, and what was found.
+
+    The longest run of equal samples seen here sets what counts as a frozen sensor later.
+    """
+    noise = calibrate_noise(plant, u, y)
+    pipeline = design(noise.output_cov, noise.process_cov, max(50, 4 * longest_still(y)))
+    sd = ", ".join(f"{s:.3g}" for s in np.sqrt(np.diag(noise.covariance)))
+    return pipeline, Finding("calibrated", f"noise calibrated on {len(y)} quiet samples: residual sd {sd}")

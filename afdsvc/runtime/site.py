@@ -137,6 +137,7 @@ class Machine(_Strict):
     limits: LimitSettings = LimitSettings()
     output_sd: list[Positive] | None = None
     calibrate_seconds: Annotated[float, Field(ge=0)] = 0.0
+    calibrate_on: Path | None = None
     bursts: Bursts = Bursts()
     detectors: list[Detector] = [
         Detector(kind=kind) for kind in ("matched_filter", "regression", "cusum", "passive_cusum")
@@ -154,6 +155,8 @@ class Machine(_Strict):
     def _one_source(self) -> Machine:
         if (self.plant is None) == (self.model is None):
             raise ValueError("exactly one of 'plant' and 'model' is wanted")
+        if self.calibrate_on and not self.calibrate_seconds:
+            raise ValueError("'calibrate_on' needs 'calibrate_seconds', the length of its quiet beginning")
         return self
 
 
@@ -223,6 +226,7 @@ def _anchored(site: Site, folder: Path | None) -> Site:
         m.model_copy(
             update={
                 "model": m.model and folder / m.model,
+                "calibrate_on": m.calibrate_on and folder / m.calibrate_on,
                 "driver": m.driver.model_copy(update={"recording": m.driver.recording and folder / m.driver.recording}),
             }
         )

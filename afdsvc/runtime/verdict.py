@@ -34,14 +34,16 @@ def conclude(evidence: Sequence[Evidence]) -> Verdict:
     """Return the verdict of decisions in the order they were made.
 
     The alarm is the first trustworthy detection. Fault and severity come from the newest trustworthy decision that names
-    one with certainty, the sharpest (smallest standard error) among those of the newest burst; else the newest weights.
+    one with certainty, the sharpest (smallest standard error) among those of the newest burst; else the newest weights. A
+    passive detection, which excites nothing, never overrides what a burst has told.
     """
     found = alarms(evidence)
     untrusted = [e for e in evidence if not e.trustworthy]
     if not found:
         reason = untrusted[-1].reason if untrusted and untrusted[-1] is evidence[-1] else ""
         return Verdict(trustworthy=not reason, reason=reason)
-    newest = [e for e in found if e.burst == found[-1].burst]
+    told = [e for e in found if e.burst] or found
+    newest = [e for e in told if e.burst == told[-1].burst]
     named = [e for e in newest if e.fault and e.severity]
     if named:
         best = min(named, key=lambda e: e.severity.sd if e.severity else float("inf"))
