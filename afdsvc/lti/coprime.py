@@ -6,8 +6,11 @@ Positive feedback ``u = K y``. One square system holds all eight factors,
     Lf = [Vt -Ut; -Nt Mt]  : (u, y) -> (alpha, beta),     R Lf = Lf R = I   (double Bezout identity)
 
 with ``G = N M^-1 = Mt^-1 Nt`` and ``K = U V^-1 = Vt^-1 Ut``. Everything holds unchanged in continuous and discrete time
-and with feedthrough D in the plant. (Thesis 2.5-2.9, 2.21-2.35: A. K. Sekunda, "Fault Diagnosis and Identification of
-Electro-Mechanical Systems", DTU 2017; the sign of 2.28-2.33 is corrected here, see docs/explanation/errata.md.)
+and with feedthrough D in the plant. Every function refuses with `IllConditioned` when rounding breaks the Bezout
+identity beyond 1e-11 (`afdsvc.lti.conditioning`).
+
+Thesis 2.5-2.9, 2.21-2.35: A. K. Sekunda, "Fault Diagnosis and Identification of Electro-Mechanical Systems", DTU 2017;
+the sign of 2.28-2.33 is corrected here, see docs/explanation/errata.md.
 """
 
 from __future__ import annotations
@@ -19,13 +22,14 @@ from numpy.typing import ArrayLike
 
 from afdsvc.errors import BadInput, IllConditioned
 from afdsvc.lti.algebraic_loop import solve_loop
+from afdsvc.lti.conditioning import require_identity
 from afdsvc.lti.lft import star
 from afdsvc.lti.observer_search import invariant_half
 from afdsvc.lti.stability import require_stabilising, require_stable
 from afdsvc.lti.statespace import Array, StateSpace, common_dt
 from afdsvc.lti.structure import trim
 
-OBSERVER_LIMIT = 1e4
+OBSERVER_LIMIT = 1e6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +120,14 @@ def observer_factorisation(plant: StateSpace, F: ArrayLike, L: ArrayLike) -> Fac
         np.block([[np.eye(m), np.zeros((m, p))], [D, np.eye(p)]]),
         plant.dt,
     )
-    return Factorisation(plant, controller, R, R.inverse())
+    Lf = StateSpace(
+        A + L @ C,
+        np.hstack([-(B + L @ D), L]),
+        np.vstack([F, C]),
+        np.block([[np.eye(m), np.zeros((m, p))], [-D, np.eye(p)]]),
+        plant.dt,
+    )
+    return _checked(plant, controller, R, Lf)
 
 
 def proportional_factorisation(plant: StateSpace, P: ArrayLike, F: ArrayLike | None = None) -> Factorisation:
@@ -189,7 +200,7 @@ def _observer_with_youla(plant: StateSpace, K: StateSpace, F: Array, L: Array, Q
     m, p = plant.inputs, plant.outputs
     youla = StateSpace.gain(np.block([[np.eye(m), Q], [np.zeros((p, m)), np.eye(p)]]), base.R.dt)
     back = StateSpace.gain(np.block([[np.eye(m), -Q], [np.zeros((p, m)), np.eye(p)]]), base.R.dt)
-    return Factorisation(plant, K, base.R @ youla, back @ base.Lf)
+    return _checked(plant, K, base.R @ youla, back @ base.Lf)
 
 
 def _general(plant: StateSpace, K: StateSpace, F: Array, Fk: Array) -> Factorisation:
@@ -201,7 +212,25 @@ def _general(plant: StateSpace, K: StateSpace, F: Array, Fk: Array) -> Factorisa
     B = np.block([[plant.B, np.zeros((n, plant.outputs))], [np.zeros((nk, plant.inputs)), K.B]])
     C = np.block([[F, K.C + K.D @ Fk], [plant.C + plant.D @ F, Fk]])
     R = StateSpace(A, B, C, np.block([[np.eye(plant.inputs), K.D], [plant.D, np.eye(plant.outputs)]]), dt)
-    return Factorisation(plant, K, R, R.inverse())
+    return _checked(plant, K, R, _general_left(plant, K, F, Fk, dt))
+
+
+def _general_left(plant: StateSpace, K: StateSpace, F: Array, Fk: Array, dt: float) -> StateSpace:
+    """Return R^-1, (u, y) -> (alpha, beta), written from the plant and K: its state matrix is the closed loop's.
+
+    ``e = y - C x - D v``, ``v = u - Ck xk - Dk e``, ``x+ = A x + B v``, ``xk+ = Ak xk + Bk e``, ``alpha = v - F x``,
+    ``beta = e - Fk xk``.
+    """
+    n, nk, m, p = plant.order, K.order, plant.inputs, plant.outputs
+    E = solve_loop(np.eye(p) - plant.D @ K.D)
+    e = E @ np.hstack([-plant.C, plant.D @ K.C, -plant.D, np.eye(p)])  # of (x, xk, u, y)
+    v = np.hstack([np.zeros((m, n)), -K.C, np.eye(m), np.zeros((m, p))]) - K.D @ e
+    x = np.hstack([plant.A, np.zeros((n, nk + m + p))]) + plant.B @ v
+    xk = np.hstack([np.zeros((nk, n)), K.A, np.zeros((nk, m + p))]) + K.B @ e
+    alpha = v - np.hstack([F, np.zeros((m, nk + m + p))])
+    beta = e - np.hstack([np.zeros((p, n)), Fk, np.zeros((p, m + p))])
+    after, out = np.vstack([x, xk]), np.vstack([alpha, beta])
+    return StateSpace(after[:, : n + nk], after[:, n + nk :], out[:, : n + nk], out[:, n + nk :], dt)
 
 
 def stable_controller_factorisation(plant: StateSpace, K: StateSpace) -> Factorisation:
@@ -222,7 +251,7 @@ def stable_controller_factorisation(plant: StateSpace, K: StateSpace) -> Factori
     C = np.hstack([closed.C, np.vstack([K.C, np.zeros((plant.outputs, K.order))])])
     D = np.hstack([closed.D, np.vstack([K.D, np.eye(plant.outputs)])])
     R = StateSpace(A, B, C, D, dt)
-    return Factorisation(plant, K, R, _left_of_stable(plant, K, dt))
+    return _checked(plant, K, R, _left_of_stable(plant, K, dt))
 
 
 def _left_of_stable(plant: StateSpace, K: StateSpace, dt: float) -> StateSpace:
@@ -251,6 +280,11 @@ def _with_excitation(plant: StateSpace) -> StateSpace:
     B, eye = np.hstack([plant.B, plant.B]), np.eye(m)
     D = np.vstack([np.hstack([eye, eye]), np.hstack([plant.D, plant.D]), np.hstack([plant.D, plant.D])])
     return StateSpace(plant.A, B, np.vstack([np.zeros((m, plant.order)), plant.C, plant.C]), D, plant.dt)
+
+
+def _checked(plant: StateSpace, K: StateSpace, R: StateSpace, Lf: StateSpace) -> Factorisation:
+    require_identity(R, Lf)
+    return Factorisation(plant, K, R, Lf)
 
 
 def _gain(name: str, value: ArrayLike, shape: tuple[int, int]) -> Array:
