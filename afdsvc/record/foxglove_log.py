@@ -7,10 +7,13 @@ described here so that recording needs no package of theirs.
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import Any
 
 from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorProto
+from google.protobuf.message import DecodeError
 from google.protobuf.message_factory import GetMessageClass
 
+from afdsvc.errors import BadInput
 from afdsvc.record.schemas import file_set, pool_of
 
 NAME = "foxglove.Log"
@@ -55,3 +58,13 @@ def encode_log(t_ns: int, level: Level, text: str, name: str) -> bytes:
     message = _LOG(level=int(level), message=text, name=name)
     message.timestamp.seconds, message.timestamp.nanos = divmod(t_ns, 10**9)  # type: ignore[attr-defined]
     return message.SerializeToString()
+
+
+def decode_log(data: bytes) -> tuple[int, Level, str, str]:
+    """Return time [ns], level, text and speaker of a log message; raises `BadInput` for other bytes."""
+    try:
+        message: Any = _LOG.FromString(data)
+        t_ns = message.timestamp.seconds * 10**9 + message.timestamp.nanos
+        return t_ns, Level(min(max(message.level, Level.DEBUG), Level.ERROR)), message.message, message.name
+    except (DecodeError, ValueError) as error:
+        raise BadInput(f"{len(data)} bytes are not a {NAME} message: {error}") from None

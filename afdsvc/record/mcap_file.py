@@ -98,7 +98,7 @@ class McapFile:
         self.facts(METADATA, {"version": __version__, **header.facts})
         if header.site:
             self.attach("site.toml", "application/toml", header.site.encode())
-        for machine, text in header.models.items():
+        for machine, text in ((m, t) for m, t in header.models.items() if t):
             self.attach(f"{machine}/model.toml", "application/toml", text.encode())
         self.flush()
 

@@ -1,0 +1,73 @@
+"""Decisions on their way to the viewer: statistic against threshold, marks for alarms and doubts, lanes of verdicts."""
+
+from __future__ import annotations
+
+import rerun as rr
+
+from afdsvc.api.evidence import Evidence
+from afdsvc.review import paths
+from afdsvc.review.columns import Columns
+from afdsvc.review.lanes import Lane
+from afdsvc.wire.messages import Finding
+
+ALL = "all outputs"
+
+
+class DetectorTrack:
+    """What one detector says about one output of a machine, over time."""
+
+    def __init__(self, recording: rr.RecordingStream, evidence: Evidence, number: int) -> None:
+        e, label = evidence, evidence.output or ALL
+        entity = paths.decision(e.machine, e.detector, label)
+        color = paths.LINES[number % len(paths.LINES)]
+        names = [f"statistic, {label}", f"threshold, {label}"]
+        step = rr.components.InterpolationMode.Linear
+        lines = rr.SeriesLines(names=names, colors=[color, paths.THRESHOLD], widths=[1.5, 1.5], interpolation_mode=step)
+        recording.log(entity, lines, static=True)
+        self._statistic = Columns(entity, 2)
+        self._marks = {
+            name: self._mark(recording, f"{entity}/{name}", words, mark, shape)
+            for name, words, mark, shape in (
+                ("alarm", f"detected, {label}", paths.ALARM, "Diamond"),
+                ("doubt", f"not trustworthy, {label}", paths.DOUBT, "Cross"),
+                ("quiet", f"nothing found, {label}", color, "Circle"),
+            )
+        }
+        lane = e.detector + (f" {e.output}" if e.output else "")
+        self._lane = Lane(paths.path(e.machine, "states", lane))
+
+    def add(self, recording: rr.RecordingStream, finding: Finding, start_ns: int) -> None:
+        """Take a decision."""
+        e = finding.evidence
+        self._statistic.add_row(finding.t_ns, e.statistic, e.threshold)
+        self._marks[_kind(e)].add_row(finding.t_ns, e.statistic)
+        self._lane.enter(recording, finding.t_ns, start_ns, *_verdict(e))
+
+    def send(self, recording: rr.RecordingStream, start_ns: int) -> None:
+        """Send what was collected."""
+        for columns in (self._statistic, *self._marks.values()):
+            columns.send(recording, start_ns)
+
+    @staticmethod
+    def _mark(
+        recording: rr.RecordingStream, entity: str, name: str, color: tuple[int, int, int], shape: str
+    ) -> Columns:
+        points = rr.SeriesPoints(names=name, colors=[color], markers=shape, marker_sizes=[4.0])  # type: ignore[arg-type]
+        recording.log(entity, points, static=True)
+        return Columns(entity, 1)
+
+
+def _kind(evidence: Evidence) -> str:
+    if not evidence.trustworthy:
+        return "doubt"
+    return "alarm" if evidence.detected else "quiet"
+
+
+def _verdict(evidence: Evidence) -> tuple[str, tuple[int, int, int]]:
+    """Return the words and the colour of a decision in the lane of verdicts."""
+    kind = _kind(evidence)
+    if kind == "doubt":
+        return "not trustworthy", paths.DOUBT
+    if kind == "quiet":
+        return "quiet", paths.QUIET
+    return evidence.fault or "detected, cause open", paths.ALARM

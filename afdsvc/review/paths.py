@@ -1,0 +1,48 @@
+"""Where things are in the viewer's tree, and their colours: one place, so that logging and layout agree."""
+
+from __future__ import annotations
+
+import rerun as rr
+
+APPLICATION = "afdsvc"
+SECONDS, CLOCK = "seconds", "utc"  # timelines: since the first sample of the review, and Unix time
+
+# One view per group; the roles of the channels drawn in it, in this order.
+GROUPS = {
+    "outputs": ("y", "ref"),
+    "inputs": ("u", "alpha"),
+    "residual": ("beta",),
+    "whitened": ("r",),
+    "aux": ("aux",),
+}
+TITLES = {
+    "outputs": "outputs y",
+    "inputs": "inputs u and excitation alpha",
+    "residual": "residual beta, before whitening",
+    "whitened": "residual r, after whitening",
+    "aux": "other signals",
+}
+
+LINES = ((86, 156, 255), (255, 142, 60), (90, 200, 130), (230, 100, 180), (160, 130, 255), (200, 200, 90))
+FAINT = (150, 150, 150)
+THRESHOLD = (255, 70, 70)
+ALARM = (255, 40, 40)
+DOUBT = (255, 190, 40)
+QUIET = (96, 125, 139)
+BURST = (255, 205, 80)
+SHADE = (255, 205, 80, 30)
+
+
+def path(machine: str, *parts: str) -> str:
+    """Return an entity path; whatever characters an id or label has, it stays one part."""
+    return "/" + "/".join(rr.escape_entity_path_part(part) for part in (machine, *parts))
+
+
+def group(machine: str, name: str, *parts: str) -> str:
+    """Return the path of a group of signals or of something drawn with them."""
+    return path(machine, "signals", name, *parts)
+
+
+def decision(machine: str, detector: str, *parts: str) -> str:
+    """Return the path of a detector's statistics."""
+    return path(machine, "decisions", detector, *parts)

@@ -1,0 +1,81 @@
+"""A recording looked at: from MCAP to a Rerun file with its layout inside, and the viewer opened on it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from afdsvc.errors import BadInput
+from afdsvc.record import topics
+from afdsvc.record.foxglove_log import Level, decode_log
+from afdsvc.record.reader import Entry, Recording
+from afdsvc.review.log import LOOPBACK, ReviewLog
+from afdsvc.review.signals import by_group
+from afdsvc.wire import codec
+
+
+def review_recording(path: str | Path, save: str | Path | None = None, every_sample: bool = False) -> Path:
+    """Write a Rerun file of a recording and return its path; without ``save`` it goes to a temporary folder.
+
+    Quiet stretches are thinned to their extremes unless ``every_sample`` is True; bursts never are. Raises `BadInput`
+    for a recording without samples, or a file that cannot be written.
+    """
+    recording = Recording(path)
+    if not recording.machines:
+        raise BadInput(f"{path}: holds no samples of any machine; {', '.join(recording.counts) or 'nothing'} is in it")
+    target = Path(save) if save else Path(tempfile.mkdtemp(prefix="afdsvc-review-")) / f"{recording.path.stem}.rrd"
+    told = any(topics.parts(name)[1] == topics.LOG for name in recording.counts)
+    log = ReviewLog(target, batch_seconds=5.0, quiet_hertz=0.0 if every_sample else 500.0, tell=not told)
+    for machine in recording.machines:
+        log.span(machine, _extremes(recording, machine))
+    for entry in recording.messages():
+        _show(log, entry)
+    log.close()
+    return target
+
+
+def open_viewer(file: Path) -> int:
+    """Open the viewer on a file and wait until it is closed; return its exit code. It listens on loopback only."""
+    rerun = [sys.executable, "-m", "rerun"]
+    # It would report its use to its makers otherwise.
+    subprocess.run([*rerun, "analytics", "disable"], check=False, capture_output=True)
+    return subprocess.run([*rerun, "--bind", LOOPBACK, "--port", "auto", str(file)], check=False).returncode
+
+
+def _extremes(recording: Recording, machine: str) -> dict[str, tuple[float, float]]:
+    """Return the least and greatest value of every view."""
+    found: dict[str, tuple[float, float]] = {}
+    for block in recording.blocks(machine):
+        for name, roles in by_group(block.channels).items():
+            values = np.concatenate([block.role(role).reshape(-1) for role in roles])
+            low, high = float(np.fmin.reduce(values)), float(np.fmax.reduce(values))
+            before = found.get(name, (np.inf, -np.inf))
+            found[name] = (np.fmin(before[0], low), np.fmax(before[1], high))
+    for block in recording.residuals(machine):
+        low, high = float(np.fmin.reduce(block.values, axis=None)), float(np.fmax.reduce(block.values, axis=None))
+        before = found.get("whitened", (np.inf, -np.inf))
+        found["whitened"] = (np.fmin(before[0], low), np.fmax(before[1], high))
+    return found
+
+
+def _show(log: ReviewLog, entry: Entry) -> None:
+    """Pass a message on; one that cannot be decoded is told in the event log of its machine."""
+    machine, what = topics.parts(entry.topic)
+    try:
+        match what:
+            case topics.BLOCK:
+                log.block(codec.decode_block(entry.data))
+            case topics.RESIDUAL:
+                log.residual(codec.decode_block(entry.data))
+            case topics.EVENT:
+                log.event(codec.decode_event(entry.data))
+            case topics.FINDING:
+                log.finding(codec.decode_finding(entry.data))
+            case topics.LOG:
+                log.note(*decode_log(entry.data))
+    except BadInput as error:
+        log.note(entry.t_ns, Level.WARNING, f"a message cannot be read: {error}", machine)
