@@ -42,11 +42,13 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class Coefficient:
-    """A parameter of a law: name, unit, range, and how it enters.
+    """A parameter of a law: name, unit, range, and how it enters. With ``low == high`` it is a constant of the law.
 
     ``scale`` is a change that matters, used as the first step of a fit. A parameter with ``low >= 0`` is searched on a
     logarithmic scale. ``linear`` says that the law is proportional to it (together with the other linear ones).
     ``nuisance`` marks a shape parameter that sharpens the fit but is no finding of its own, such as a rounding width.
+    ``through = (state, input)`` says that people want the value divided by that entry of B, in the ``unit`` given: a force
+    where the law works with the acceleration it causes.
     """
 
     name: str
@@ -56,6 +58,12 @@ class Coefficient:
     scale: float
     linear: bool = False
     nuisance: bool = False
+    through: tuple[int, int] | None = None
+
+    @property
+    def free(self) -> bool:
+        """Whether the fit may move it."""
+        return self.low < self.high
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +73,7 @@ class Hypothesis:
     ``site`` is ``input:NAME``, ``state:NAME``, ``output:NAME`` or ``machine``. ``family`` groups laws that resemble each
     other in data. ``starts`` are starting points of the search (values in the order of ``parameters``), guessed from the
     recordings. ``linear`` returns the extended linear plant when the law is linear, given the continuous or discrete plant
-    and the fitted values. ``predicts`` and ``refuted_by`` are sentences for people. ``sign`` and so on are left to the law.
+    and the fitted values. ``predicts`` and ``refuted_by`` are sentences for people.
     """
 
     physics: str
@@ -92,7 +100,10 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """A signal of the machine as the recordings show it: name, unit, mean, rms about the mean, largest absolute value."""
+    """A signal of the machine as the recordings show it: name, unit, mean, rms about the mean, largest absolute value.
+
+    ``step`` is the grid its values lie on, 0 when they lie on none.
+    """
 
     index: int
     name: str
@@ -100,6 +111,7 @@ class Size:
     mean: float
     rms: float
     peak: float
+    step: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

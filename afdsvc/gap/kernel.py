@@ -1,0 +1,175 @@
+"""The compiled simulation: a linear plant with effects at its inputs, forces and outputs, in or out of its loop.
+
+The linear part is advanced exactly (matrix exponentials), forces by the exponential midpoint rule: evaluated at the
+predicted middle of the step and held over it, an error of second order in step times bandwidth. Inputs are held between
+samples. With a gain ``Kp`` the states are corrected by ``y - yhat`` at every sample, which makes the residual that of a
+one-step predictor; in the loop (``closed``) the simulated output feeds the controller and nothing is corrected.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, types
+from numba.core.types import FunctionType
+
+_V = types.float64[::1]
+_M = types.float64[:, ::1]
+LAW = types.void(_V, _V, _V, types.float64, _V)
+MOST_EFFECTS = 6
+MOST_SIGNALS = 16
+READS = 6  # columns of a plan: stage, reads, writes, parameters, memory from, memory to, then addresses
+INPUT, FORCE, OUTPUT = 0, 1, 2
+_I, _IV, _IM = types.int64, types.int64[::1], types.int64[:, ::1]
+
+
+@njit(cache=True, nogil=True)
+def _apply(stage, laws, plan, par, mem, s, work, dt, target, base):  # type: ignore[no-untyped-def]
+    """Add to ``target`` what every effect of this stage contributes, given the signals ``s``.
+
+    With ``base >= 0`` the signals from there on are kept equal to the target, so later effects see earlier ones.
+    """
+    for i in range(plan.shape[0]):
+        if plan[i, 0] != stage:
+            continue
+        nread, nwrite = plan[i, 1], plan[i, 2]
+        z, out = work[:nread], work[MOST_SIGNALS : MOST_SIGNALS + nwrite]
+        for k in range(nread):
+            z[k] = s[plan[i, READS + k]]
+        for k in range(nwrite):
+            out[k] = 0.0
+        laws[i](par[i, : plan[i, 3]], z, mem[plan[i, 4] : plan[i, 5]], dt, out)
+        for k in range(nwrite):
+            j = plan[i, READS + MOST_SIGNALS + k]
+            target[j] += out[k]
+            if base >= 0:
+                s[base + j] = target[j]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _affine(At, x, Bt, u, out):  # type: ignore[no-untyped-def]
+    """Write ``A x + B u`` into ``out``; matrices transposed, so the inner loops run along memory."""
+    out[:] = 0.0
+    for j in range(x.size):
+        xj = x[j]
+        for i in range(out.size):
+            out[i] += At[j, i] * xj
+    for j in range(u.size):
+        uj = u[j]
+        for i in range(out.size):
+            out[i] += Bt[j, i] * uj
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _middle(phih, x, gamh, ue, rows, base, s):  # type: ignore[no-untyped-def]
+    """Predict the states ``rows`` half a step ahead, into the signals."""
+    for i in rows:
+        a = 0.0
+        for j in range(x.size):
+            a += phih[i, j] * x[j]
+        for j in range(ue.size):
+            a += gamh[i, j] * ue[j]
+        s[base + i] = a
+
+
+@njit(
+    types.void(
+        types.boolean, _I, types.float64, types.float64, _M, _M, _M, _M, _M, _M, _M, _M, _IV, _IV,
+        _M, _M, _M, _M, _M, _M, _M, _M, _V,
+        FunctionType(LAW), FunctionType(LAW), FunctionType(LAW), FunctionType(LAW), FunctionType(LAW), FunctionType(LAW),
+        _IM, _M, _V,
+        _M, _M, _M,
+    ),
+    cache=True, nogil=True,
+)
+def simulate_linear(  # type: ignore[no-untyped-def]
+    closed, nsub, dt, t0, phi, gam, gx, phih, gamh, C, D, Kp, forced, middle,
+    KA, KB, KC, KD, U, Y, R, AUX, x0,
+    law0, law1, law2, law3, law4, law5, plan, par, mem,
+    yhat, uhat, xhat,
+):
+    """Fill ``yhat (n, p)``, ``uhat (n, m)`` (the input before effects) and ``xhat (n, states)``.
+
+    Open: ``U (n, m)`` is the measured input. Closed: ``u = K (yhat - R) + U`` with ``U`` what was added to the controller's
+    output. Samples where Y is not finite correct nothing.
+    """
+    laws = (law0, law1, law2, law3, law4, law5)
+    N, p = Y.shape
+    n, m, na, nk = x0.size, gam.shape[1], AUX.shape[1], KA.shape[0]
+    h = dt / nsub
+    x, new, f = x0.copy(), np.zeros(n), np.zeros(n)
+    xk, knew, e = np.zeros(nk), np.zeros(nk), np.zeros(p)
+    u, ue, held, y = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(p)
+    s, work = np.zeros(m + n + p + na + 1), np.zeros(2 * MOST_SIGNALS)
+    it = m + n + p + na
+    phit, gamt, gxt, ct, dtr, kt = phi.T.copy(), gam.T.copy(), gx.T.copy(), C.T.copy(), D.T.copy(), Kp.T.copy()
+    KAt, KBt, KCt, KDt = KA.T.copy(), KB.T.copy(), KC.T.copy(), KD.T.copy()
+    corrected = 0 if closed or not np.any(Kp) else p
+    direct = not closed and np.any(D != 0)
+    shaped, observed = False, False
+    for i in range(plan.shape[0]):
+        shaped = shaped or plan[i, 0] == INPUT
+        observed = observed or plan[i, 0] == OUTPUT
+    for k in range(N):
+        s[it] = t0 + k * dt
+        for j in range(na):
+            s[m + n + p + j] = AUX[k, j]
+        for j in range(n):
+            s[m + j] = x[j]
+        if direct:  # the input reaches the output at once, so it comes first; the loop cannot be closed then
+            for j in range(m):
+                u[j] = U[k, j]
+                ue[j] = u[j]
+                s[j] = u[j]
+            if shaped:
+                _apply(INPUT, laws, plan, par, mem, s, work, dt, ue, 0)
+        _affine(ct, x, dtr, ue, y)
+        for j in range(p):
+            s[m + n + j] = y[j]
+        if observed:
+            for j in range(m):
+                s[j] = held[j]
+            _apply(OUTPUT, laws, plan, par, mem, s, work, dt, y, m + n)
+        if closed:
+            for j in range(p):
+                e[j] = y[j] - R[k, j]
+            _affine(KCt, xk, KDt, e, u)
+            _affine(KAt, xk, KBt, e, knew)
+            xk[:] = knew
+        if not direct:
+            for j in range(m):
+                u[j] = U[k, j] + (u[j] if closed else 0.0)
+                ue[j] = u[j]
+                s[j] = u[j]
+            if shaped:
+                _apply(INPUT, laws, plan, par, mem, s, work, dt, ue, 0)
+        for j in range(p):
+            yhat[k, j] = y[j]
+        for j in range(m):
+            uhat[k, j] = u[j]
+            held[j] = ue[j]
+            s[j] = ue[j]
+        for i in range(n):
+            xhat[k, i] = x[i]
+        for _ in range(nsub):
+            _affine(phit, x, gamt, ue, new)
+            if forced.size:
+                _middle(phih, x, gamh, ue, middle, m, s)
+                for j in forced:
+                    f[j] = 0.0
+                _apply(FORCE, laws, plan, par, mem, s, work, h, f, -1)
+                for j in forced:
+                    for i in range(n):
+                        new[i] += gxt[j, i] * f[j]
+            for j in range(n):
+                x[j] = new[j]
+            s[it] += h
+        if corrected:
+            for j in range(p):
+                d = Y[k, j] - y[j]
+                if np.isfinite(d):
+                    for i in range(n):
+                        x[i] += kt[j, i] * d
+        for i in range(n):
+            if not (-1e150 < x[i] < 1e150):
+                yhat[k:, :] = np.nan
+                return

@@ -1,0 +1,35 @@
+"""Backlash: play that has to be crossed at every reversal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from afdsvc.api.physics import Coefficient, Hypothesis, Machine
+from afdsvc.plugins.physics.attach import at_input, at_output
+
+
+def play(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """What follows stays where it is until pushed by either edge of the gap; ``m`` is where it is."""
+    half = 0.5 * p[0]
+    m[0] = min(max(m[0], z[0] - half), z[0] + half)
+    out[0] += m[0] - z[0]
+
+
+class Backlash:
+    """Play at every input and in the drive of every sensor."""
+
+    name = "backlash"
+    summary = "a gap that is crossed without effect at every reversal"
+
+    def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
+        """Return one hypothesis per input and per output."""
+        for port, attach in [*((i, at_input) for i in machine.inputs), *((o, at_output) for o in machine.outputs)]:
+            r = port.rms
+            yield attach(
+                port, play, physics=self.name, family="memory", memory=1,
+                parameters=[Coefficient("gap", port.unit, 1e-4 * r, 1.8 * port.peak, 0.03 * r)],
+                starts=[(0.05 * r,), (0.3 * r,), (1.0 * r,)],
+                predicts="a loop of constant width at every level, and flat spots at the reversals",
+                refuted_by="a loop that widens in proportion to the level",
+            )

@@ -1,0 +1,43 @@
+"""Cubic stiffness: a spring that hardens (or softens) with the square of the deflection."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
+from afdsvc.plugins.physics.attach import at_force, at_input, force, position
+
+
+def cubic(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``-k3 q^3``."""
+    out[0] -= p[0] * z[0] ** 3
+
+
+def fed_back(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``-k3 y^3`` at the input, for a machine whose states have no names."""
+    out[0] -= p[0] * z[1] ** 3
+
+
+class CubicStiffness:
+    """A hardening spring on every axis; fed back from the output to the input where no axis is known."""
+
+    name = "cubic_stiffness"
+    summary = "a spring force with a part proportional to the cube of the deflection"
+
+    def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
+        """Return one hypothesis per axis, or one for a machine of one input and one output without axes."""
+        words = {
+            "physics": self.name, "family": "stiffness", "starts": [(0.0,)],
+            "predicts": "odd distortion that grows with the cube of the amplitude; a resonance that moves with the level",
+            "refuted_by": "distortion at even lines, or a resonance that stays where it is",
+        }
+        for axis in machine.axes:
+            scale = 0.05 * axis.push / axis.position.rms**3
+            k3 = force(axis, "stiffness", -200 * scale, 200 * scale, scale, f"({axis.position.unit})^3", linear=True)
+            yield at_force(axis, cubic, [position(axis)], parameters=[k3], **words)
+        if not machine.axes and len(machine.inputs) == len(machine.outputs) == 1:
+            u, y = machine.inputs[0], machine.outputs[0]
+            scale = 0.05 * u.rms / y.rms**3
+            k3 = Coefficient("stiffness", f"{u.unit}/({y.unit})^3", -200 * scale, 200 * scale, scale, linear=True)
+            yield at_input(u, fed_back, [Signal("y", y.index)], parameters=[k3], **words)

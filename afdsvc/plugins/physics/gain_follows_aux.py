@@ -1,0 +1,42 @@
+"""A gain that follows an auxiliary signal, such as pressure or temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal, Size
+from afdsvc.plugins.physics.attach import at_input
+
+
+def scaled(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``u (1 + c (aux - mean))``."""
+    out[0] += p[0] * (z[1] - p[1]) * z[0]
+
+
+def varying(machine: Machine) -> list[Size]:
+    """Return the auxiliary signals that vary and are no angle."""
+    return [a for name, a in machine.aux.items() if name != "angle" and a.rms > 1e-6 * max(abs(a.mean), 1e-300) and a.rms > 0]
+
+
+class GainFollowsAux:
+    """An actuator whose gain depends on an auxiliary signal, for every input and signal."""
+
+    name = "gain_follows_aux"
+    summary = "an input gain that follows a measured auxiliary signal"
+
+    def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
+        """Return one hypothesis per input and varying auxiliary signal."""
+        for port in machine.inputs:
+            for aux in varying(machine):
+                scale = 0.05 / aux.rms
+                yield at_input(
+                    port, scaled, [Signal("aux", aux.index)], physics=self.name, family="follows aux",
+                    parameters=[
+                        Coefficient(f"share per {aux.name}", f"1/({aux.unit})" if aux.unit else "", -100 * scale, 100 * scale, scale, linear=True),
+                        Coefficient("reference", aux.unit, aux.mean, aux.mean, 1.0, nuisance=True),
+                    ],
+                    starts=[(0.0, aux.mean)], notes={"variant": aux.name},
+                    predicts=f"a residual proportional to the input that changes sign with {aux.name} about its mean",
+                    refuted_by=f"a gain that stays the same while {aux.name} varies",
+                )

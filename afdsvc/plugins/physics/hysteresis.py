@@ -1,0 +1,61 @@
+"""Hysteresis: the effect depends on the way taken, not only on where one is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Size
+from afdsvc.plugins.physics.attach import at_force, at_input, force, position
+
+
+def bouc_wen(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``a s`` with ``ds = dw (1 - (1 + sgn(dw s)) / 2 |s|^n) / width``: a rate-independent loop between -a and a."""
+    if m[2] == 0.0:
+        m[1], m[2] = z[0], 1.0
+    step = (z[0] - m[1]) / p[1]
+    m[1] = z[0]
+    pieces = min(int(abs(step) / 0.2) + 1, 20)
+    d = step / pieces
+    for _ in range(pieces):
+        full = abs(m[0]) ** p[2] if d * m[0] > 0 else 0.0
+        m[0] = min(max(m[0] + d * (1 - full), -1.0), 1.0)
+    out[0] += p[0] * m[0]
+
+
+def _shape(size: Size) -> list[Coefficient]:
+    r = size.rms
+    return [
+        Coefficient("width", size.unit, 0.01 * r, 20 * r, 0.1 * r),
+        Coefficient("exponent", "", 0.4, 4.0, 0.1, nuisance=True),
+    ]
+
+
+class Hysteresis:
+    """A rate-independent loop at every input, and between position and force on every axis."""
+
+    name = "hysteresis"
+    summary = "a rate-independent loop: the effect depends on the way taken"
+
+    def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
+        """Return one hypothesis per input and per axis, with loops narrow and wide against the motion."""
+        words = {
+            "physics": self.name, "family": "memory", "memory": 3,
+            "predicts": "odd distortion with a lag that does not depend on frequency, and a loop that depends on the level",
+            "refuted_by": "a lag that grows with frequency, or a residual that does not depend on the level",
+        }
+        for port in machine.inputs:
+            r = port.rms
+            size = Coefficient("amplitude", port.unit, -5 * r, 5 * r, 0.05 * r, linear=True)
+            yield at_input(
+                port, bouc_wen, parameters=[size, *_shape(port)], starts=[(0.0, w * r, 1.0) for w in (0.3, 1.0, 3.0)], **words
+            )
+        for axis in machine.axes:
+            r = axis.position.rms
+            loop = force(axis, "force", -20 * axis.push, 20 * axis.push, -0.1 * axis.push, linear=True)
+            yield at_force(
+                axis, bouc_wen, [position(axis)], parameters=[loop, *_shape(axis.position)],
+                starts=[(0.0, w * r, 1.0) for w in (0.1, 0.5, 2.0)], **words,
+            )
+
+

@@ -1,0 +1,107 @@
+"""Parameter change: no new physics, but a number of the model that is off by more than its owner thinks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal
+from afdsvc.lti.statespace import StateSpace
+from afdsvc.plugins.physics.attach import at_force, at_input, at_output, position, velocity
+
+_REFUTED = "a residual at unexcited lines, or one whose share changes with the level"
+
+
+def gain(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """A signal ``1 + c`` times as large."""
+    out[0] += p[0] * z[0]
+
+
+def term(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """A term of the force balance ``1 + c`` times as large; ``p[1]`` is its nominal coefficient."""
+    out[0] += p[0] * p[1] * z[0]
+
+
+def inertia(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """A mass ``1 + c`` times as large: every acceleration divided by that; ``p[1:]`` are the nominal coefficients."""
+    total = 0.0
+    for k in range(len(z)):
+        total += p[1 + k] * z[k]
+    out[0] -= total * p[0] / (1 + p[0])
+
+
+class ParameterChange:
+    """Gain of every input and output, and stiffness, damping and mass of every axis."""
+
+    name = "parameter_change"
+    summary = "a parameter of the model that is off by more than its stated uncertainty"
+
+    def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
+        """Return one hypothesis per parameter and place."""
+        for port in machine.inputs:
+            yield at_input(
+                port, gain, **self._parts("actuator gain", []),
+                linear=lambda plant, values, column=port.index: _scaled_input(plant, values, column),
+            )
+        for port in machine.outputs:
+            yield at_output(
+                port, gain, **self._parts("sensor gain", []),
+                linear=lambda plant, values, row=port.index: _scaled_output(plant, values, row),
+            )
+        for axis in machine.axes if machine.plant is not None else ():
+            yield from self._of_axis(axis, machine)
+
+    def _of_axis(self, axis: Axis, machine: Machine) -> Iterable[Hypothesis]:
+        assert machine.plant is not None  # noqa: S101
+        row = machine.plant.A[axis.rate.index]
+        for name, state, signal in (("stiffness", axis.position.index, position(axis)), ("damping", axis.rate.index, velocity(axis))):
+            if row[state] != 0:
+                yield at_force(
+                    axis, term, [signal], **self._parts(name, [float(row[state])], -3.0 if name == "damping" else -0.99),
+                    linear=lambda plant, values, i=axis.rate.index, j=state: _scaled_entry(plant, values, i, j),
+                )
+        inputs = machine.plant.B[axis.rate.index]
+        reads = [*(Signal("x", int(j)) for j in np.flatnonzero(row)), *(Signal("u", int(j)) for j in np.flatnonzero(inputs))]
+        if 0 < len(reads) <= 14:
+            terms = [*(float(v) for v in row[np.flatnonzero(row)]), *(float(v) for v in inputs[np.flatnonzero(inputs)])]
+            yield at_force(
+                axis, inertia, reads, **self._parts("mass", terms, -0.9),
+                linear=lambda plant, values, i=axis.rate.index: _scaled_row(plant, values, i),
+            )
+
+    def _parts(self, what: str, fixed: Sequence[float], low: float = -0.999) -> dict[str, Any]:
+        constants = [Coefficient("nominal", "", v, v, 1.0, nuisance=True) for v in fixed]
+        return {
+            "physics": self.name, "family": "gain", "notes": {"variant": what},
+            "parameters": [Coefficient(what, "", low, 30.0, 0.02, linear=what != "mass"), *constants],
+            "starts": [(0.0 if what != "mass" else s, *fixed) for s in ((0.0,) if what != "mass" else (0.05, -0.05))],
+            "predicts": "a linear residual in fixed proportion to what the model says at every level",
+            "refuted_by": _REFUTED,
+        }
+
+
+def _scaled_input(plant: StateSpace, values: Sequence[float], column: int) -> StateSpace:
+    T = np.eye(plant.inputs)
+    T[column, column] += values[0]
+    return StateSpace(plant.A, plant.B @ T, plant.C, plant.D @ T, plant.dt)
+
+
+def _scaled_output(plant: StateSpace, values: Sequence[float], row: int) -> StateSpace:
+    T = np.eye(plant.outputs)
+    T[row, row] += values[0]
+    return StateSpace(plant.A, plant.B, T @ plant.C, T @ plant.D, plant.dt)
+
+
+def _scaled_entry(plant: StateSpace, values: Sequence[float], i: int, j: int) -> StateSpace:
+    A = plant.A.copy()
+    A[i, j] += values[0] * values[1]
+    return StateSpace(A, plant.B, plant.C, plant.D, plant.dt)
+
+
+def _scaled_row(plant: StateSpace, values: Sequence[float], i: int) -> StateSpace:
+    A, B = plant.A.copy(), plant.B.copy()
+    A[i] /= 1 + values[0]
+    B[i] /= 1 + values[0]
+    return StateSpace(A, B, plant.C, plant.D, plant.dt)

@@ -1,0 +1,43 @@
+"""Quadratic stiffness: a spring that is stiffer to one side than to the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
+from afdsvc.plugins.physics.attach import at_force, at_input, force, position
+
+
+def quadratic(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``-k2 q^2``."""
+    out[0] -= p[0] * z[0] ** 2
+
+
+def fed_back(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``-k2 y^2`` at the input, for a machine whose states have no names."""
+    out[0] -= p[0] * z[1] ** 2
+
+
+class QuadraticStiffness:
+    """An asymmetric spring on every axis; fed back from the output to the input where no axis is known."""
+
+    name = "quadratic_stiffness"
+    summary = "a spring force with a part proportional to the square of the deflection"
+
+    def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
+        """Return one hypothesis per axis, or one for a machine of one input and one output without axes."""
+        words = {
+            "physics": self.name, "family": "stiffness", "starts": [(0.0,)],
+            "predicts": "even distortion and a mean that shifts with the square of the amplitude",
+            "refuted_by": "distortion at odd lines only",
+        }
+        for axis in machine.axes:
+            scale = 0.05 * axis.push / axis.position.rms**2
+            k2 = force(axis, "stiffness", -200 * scale, 200 * scale, scale, f"({axis.position.unit})^2", linear=True)
+            yield at_force(axis, quadratic, [position(axis)], parameters=[k2], **words)
+        if not machine.axes and len(machine.inputs) == len(machine.outputs) == 1:
+            u, y = machine.inputs[0], machine.outputs[0]
+            scale = 0.05 * u.rms / y.rms**2
+            k2 = Coefficient("stiffness", f"{u.unit}/({y.unit})^2", -200 * scale, 200 * scale, scale, linear=True)
+            yield at_input(u, fed_back, [Signal("y", y.index)], parameters=[k2], **words)

@@ -1,0 +1,33 @@
+"""Saturation: commands beyond a limit are cut."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from afdsvc.api.physics import Coefficient, Hypothesis, Machine
+from afdsvc.plugins.physics.attach import at_input
+
+
+def saturation(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """The input is held within ``+-limit``."""
+    out[0] += min(max(z[0], -p[0]), p[0]) - z[0]
+
+
+class Saturation:
+    """A limit at every input, inside the range the recordings use."""
+
+    name = "saturation"
+    summary = "commands beyond a limit have no further effect"
+
+    def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
+        """Return one hypothesis per input, started at limits between a third and nearly all of the largest command."""
+        for port in machine.inputs:
+            peak = port.peak
+            yield at_input(
+                port, saturation, physics=self.name, family="input curve",
+                parameters=[Coefficient("limit", port.unit, 0.02 * peak, 0.999 * peak, 0.02 * peak)],
+                starts=[(share * peak,) for share in (0.35, 0.6, 0.85)],
+                predicts="nothing below a level; above it missing peaks of the input",
+                refuted_by="distortion in recordings whose input never reaches the limit",
+            )

@@ -1,0 +1,38 @@
+"""Sensor nonlinearity: a curved characteristic of a sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from afdsvc.api.physics import Coefficient, Hypothesis, Machine
+from afdsvc.plugins.physics.attach import at_output
+
+
+def curve(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``a2 w^2 + a3 w^3`` in units of the rms ``r``: ``w = y / r``, times r."""
+    w = z[0] / p[2]
+    out[0] += (p[0] * w * w + p[1] * w * w * w) * p[2]
+
+
+class SensorNonlinearity:
+    """A curved characteristic at every output."""
+
+    name = "sensor_nonlinearity"
+    summary = "a reading that is a smooth curve of the motion"
+
+    def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
+        """Return one hypothesis per output."""
+        for port in machine.outputs:
+            r = max(port.rms, 1e-300)
+            yield at_output(
+                port, curve, physics=self.name, family="sensor curve",
+                parameters=[
+                    Coefficient("quadratic share", "", -10.0, 10.0, 0.02, linear=True),
+                    Coefficient("cubic share", "", -10.0, 10.0, 0.02, linear=True),
+                    Coefficient("reference", port.unit, r, r, r, nuisance=True),
+                ],
+                starts=[(0.0, 0.0, r)],
+                predicts="distortion of this output in phase with the output itself, the other outputs unchanged",
+                refuted_by="distortion that shows in several outputs or that resonates",
+            )
