@@ -75,7 +75,7 @@ class ResidualBlock:
     aux: Mapping[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
-        return self.r.shape[0]
+        return int(self.r.shape[0])
 
 
 class Detector(Protocol):

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -85,6 +86,10 @@ class ActiveCusum:
 
     def start(self, burst: Burst, dt: float) -> ActiveSums:
         """Return the state before the first sample."""
+        return _prepared(self, burst, dt)
+
+    def prepare(self, burst: Burst, dt: float) -> ActiveSums:
+        """Return waves and boundary for a burst, computed anew."""
         problem = self.problem
         asked, low = burst.play(dt), problem.severity_range[0]
         theta = np.full(len(problem.fault_names), low)
@@ -116,6 +121,11 @@ class ActiveCusum:
         return segment_finding(sums.state, who, names, sums.peak, sums.boundary, self.problem.severity_range, sample)
 
 
+@lru_cache(maxsize=8)  # keyed by identity: the same burst is played again and again
+def _prepared(statistic: ActiveCusum, burst: Burst, dt: float) -> ActiveSums:
+    return statistic.prepare(burst, dt)
+
+
 def segment_finding(
     state: CusumState,
     who: int,
@@ -137,10 +147,12 @@ def _burst_boundary(gram: Array, samples: int, false_alarm: float) -> float:
     """Return the boundary for K CUSUMs over one burst, by the shares they have in the union of alarms."""
     mu = np.sqrt(np.diag(gram) / samples)
     share = maximum.shares(_unit_vectors(gram), _level(false_alarm / len(mu)))
+    steps, which = np.unique(np.round(np.log(mu), 2), return_inverse=True)  # waves of equal deflection share one solution
+    together = np.bincount(which.ravel(), weights=share)
 
     def excess(b: float) -> float:
-        p = [arl.alarm_probability(float(m), b, samples) for m in mu]
-        return math.log(float(np.dot(share, p)) / false_alarm)
+        p = [arl.alarm_probability(float(np.exp(s)), b, samples) for s in steps]
+        return math.log(float(np.dot(together, p)) / false_alarm)
 
     high = math.log(samples * len(mu) / false_alarm)
     return float(brentq(excess, 0.05, high, xtol=1e-3)) if excess(0.05) > 0 else 0.05

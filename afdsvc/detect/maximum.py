@@ -41,6 +41,12 @@ def threshold(directions: Array, false_alarm: float) -> float:
     ``false_alarm`` must leave h non-negative.
     """
     e = _reduced(directions)
+    return _threshold(np.ascontiguousarray(e).tobytes(), e.shape, false_alarm)
+
+
+@lru_cache(maxsize=64)  # the same burst asks for the same threshold again and again
+def _threshold(raw: bytes, shape: tuple[int, int], false_alarm: float) -> float:
+    e = np.frombuffer(raw).reshape(shape)
     low, high = max(tail_point(false_alarm), 0.0), max(tail_point(false_alarm / (2 * len(e))), 0.1)
     wanted = math.log(false_alarm)
     if math.log(_exceedance(e, low)) <= wanted:  # the estimator's own rounding
@@ -97,7 +103,7 @@ def _counts(e: Array, k: Array, u: Array, h: float) -> Array:
     along = np.sum(w * e[k], axis=1)
     z = w + (t - along)[:, None] * e[k]
     above = (z @ e.T > h).sum(axis=1)
-    return np.maximum(above, 1)  # rounding may put the drawn direction itself a hair below h
+    return np.array(np.maximum(above, 1), dtype=np.float64)  # rounding may put the drawn one a hair below h
 
 
 @lru_cache(maxsize=16)

@@ -1,0 +1,76 @@
+"""What excitation costs: the largest amplitudes it may cause at outputs, actuators and alpha, whichever fault is present."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_discrete_lyapunov
+
+from afdsvc.api.bursts import Limits
+from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect.curves import LoopResponse, loop_response
+from afdsvc.excite.rehearsal import faulty_loop
+from afdsvc.lti.statespace import Array
+
+SEVERITIES = (-0.25, -0.5, -0.75, -1.0)
+PEAK = 5.5  # standard deviations that noise stays below in a burst of a hundred thousand samples, nearly always
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Costs:
+    """Amplitudes caused by a unit line at L frequencies on each of m inputs, the worst over healthy and faulty loops:
+    ``output (L, p, m)`` and ``input (L, m, m)``."""
+
+    output: Array
+    input: Array
+
+
+def costs(problem: DetectionProblem, omega: Sequence[float] | Array, response: LoopResponse | None = None) -> Costs:
+    """Return the costs at the frequencies [rad/s].
+
+    Both what the sensors would report and what the nominal plant would do with the input count as output, so that a dead
+    sensor hides nothing.
+    """
+    loop = loop_response(problem, omega) if response is None else response
+    k = problem.augmented.channels
+    nominal = loop.plant[:, k:, k:]
+    low, high = problem.severity_range
+    severities = [s for s in SEVERITIES if low <= s <= high] or [low]
+    paths = [loop.healthy(), *(loop.paths(name, severities) for name in problem.fault_names)]
+    y = np.concatenate([np.abs(path.y) for path in paths] + [np.abs(nominal @ path.u) for path in paths])
+    u = np.concatenate([np.abs(path.u) for path in paths])
+    return Costs(y.max(axis=0), u.max(axis=0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Room:
+    """What the limits leave to excitation after the loop's own noise: ``output (p,)``, ``input (m,)``, ``alpha (m,)``."""
+
+    output: Array
+    input: Array
+    alpha: Array
+
+
+def room(problem: DetectionProblem, limits: Limits) -> Room:
+    """Return the room below the limits; entries are 0 where the noise alone fills them."""
+    y_sd, u_sd = noise_deviations(problem)
+    return Room(
+        np.maximum(np.asarray(limits.output, dtype=float) - PEAK * y_sd, 0.0),
+        np.maximum(np.asarray(limits.input, dtype=float) - PEAK * u_sd, 0.0),
+        np.asarray(limits.alpha, dtype=float),
+    )
+
+
+def noise_deviations(problem: DetectionProblem) -> tuple[Array, Array]:
+    """Return the standard deviations of measured outputs ``(p,)`` and inputs ``(m,)`` in the healthy loop without alpha."""
+    m, p = problem.plant.inputs, problem.plant.outputs
+    loop = faulty_loop(problem, {})
+    B, D = loop.B[:, :p], loop.D[: m + p, :p].copy()
+    D[m:] += np.eye(p)  # what is measured contains the noise itself
+    Rv = problem.covariance
+    P = solve_discrete_lyapunov(loop.A, B @ Rv @ B.T) if loop.order else np.zeros((0, 0))
+    C = loop.C[: m + p]
+    sd = np.sqrt(np.maximum(np.diag(C @ P @ C.T + D @ Rv @ D.T), 0.0))
+    return sd[m:], sd[:m]
