@@ -21,13 +21,11 @@ from afdsvc.errors import BadInput
 from afdsvc.hal.loop import LoopSettings, Prediction
 from afdsvc.hal.replay import Replay, blocks_of
 from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, Simulator
-from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.lft import AugmentedPlant, FaultDirection, augment
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import innovations, whitening_filter
 from afdsvc.plants.registry import plant as plant_by_name
-from afdsvc.plugins.controllers.lqg import Lqg
 from afdsvc.plugins.manager import Plugins
 from afdsvc.record.model_file import model_text, read_model
 from afdsvc.record.tables import read_table
@@ -188,18 +186,20 @@ def _channels(inputs: tuple[Variable, ...], outputs: tuple[Variable, ...], known
 def problem(machine: Commissioned, output_cov: Array, process_cov: Array | None, alarms: FalseAlarms) -> DetectionProblem:
     """Return the detection problem for known noise; raises `BadInput` when the plant is undetectable from its outputs."""
     residual = innovations(machine.plant, output_cov, process_cov)
-    fact, jk = _factors(machine)
-    whitening, covariance = whitening_filter(fact, output_cov, process_cov)
+    jk, whitening = _loop(machine, output_cov, process_cov)
     return DetectionProblem(
         machine.config.id, machine.plant, machine.augmented, jk, residual.filter, whitening, residual.covariance,
         tuple(v.name for v in machine.outputs), alarms, tuple(v.name for v in machine.inputs),
     )
 
 
-def _factors(machine: Commissioned) -> tuple[Factorisation, StateSpace]:
-    """Where the controller is unknown, the LQ controller of the nominal model stands in; bursts are then not available."""
-    controller = machine.controller or Lqg().design(machine.plant, {})
-    return controller.factorisation, controller.interconnection
+def _loop(machine: Commissioned, output_cov: Array, process_cov: Array | None) -> tuple[StateSpace, StateSpace]:
+    """Return J_K and the filter from beta to r; of an unknown controller nothing is said: no excitation, no beta."""
+    if machine.controller is None:
+        p, m = machine.plant.outputs, machine.plant.inputs
+        return StateSpace.gain(np.zeros((m + p, p + m)), machine.plant.dt), StateSpace.gain(np.eye(p), machine.plant.dt)
+    fact = machine.controller.factorisation
+    return machine.controller.interconnection, whitening_filter(fact, output_cov, process_cov)[0]
 
 
 def expectation(machine: Commissioned, frozen_after: int = 50) -> Expectation:

@@ -15,6 +15,7 @@ from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block
 from afdsvc.detect.noise_model import calibrate_noise
 from afdsvc.detect.residual import ResidualFilter
+from afdsvc.errors import AfdsvcError
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.runtime.intake import Expectation, Finding, IntakeState, judge, longest_still
 
@@ -172,7 +173,10 @@ class CalibratedPipeline:
     def _calibrate(self) -> Finding:
         u, y = (np.vstack([b.role(role) for b in self._quiet]) for role in ("u", "y"))
         self._quiet = []
-        self.pipeline, finding = calibrated(self.plant, u, y, self.design)
+        try:
+            self.pipeline, finding = calibrated(self.plant, u, y, self.design)
+        except AfdsvcError as error:
+            return Finding("plugin_failed", f"the calibration failed and is tried again with the next data: {error}")
         for burst in self._bursts:
             self.pipeline.announce(burst)
         return finding

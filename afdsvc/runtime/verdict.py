@@ -34,7 +34,7 @@ def conclude(evidence: Sequence[Evidence]) -> Verdict:
     """Return the verdict of decisions in the order they were made.
 
     The alarm is the first trustworthy detection. Fault and severity come from the newest trustworthy decision that names
-    one with certainty, the sharpest (smallest standard error) among those of the newest burst; else the newest weights. A
+    one with certainty, the strongest (largest margin over its threshold) of the newest burst; else the newest weights. A
     passive detection, which excites nothing, never overrides what a burst has told.
     """
     found = alarms(evidence)
@@ -46,7 +46,7 @@ def conclude(evidence: Sequence[Evidence]) -> Verdict:
     newest = [e for e in told if e.burst == told[-1].burst]
     named = [e for e in newest if e.fault and e.severity]
     if named:
-        best = min(named, key=lambda e: e.severity.sd if e.severity else float("inf"))
+        best = max(named, key=lambda e: e.statistic - e.threshold)
         return Verdict(best.fault, best.severity, found[0].seconds, best.weights, True)
     weighted = [e for e in newest if e.weights] or newest
     return Verdict(None, None, found[0].seconds, weighted[-1].weights, True)

@@ -1,0 +1,48 @@
+"""From evidence to a verdict: trust first, bursts before passive detections, the strongest of the newest burst."""
+
+from __future__ import annotations
+
+from afdsvc.api.evidence import Evidence, Severity
+from afdsvc.runtime.verdict import conclude
+
+
+def said(detector="regression", statistic=10.0, burst="b1", seconds=5.0, fault="a", detected=True, trustworthy=True, **more):
+    severity = Severity(-0.5, 0.1) if fault else None
+    return Evidence(
+        detector, "m", 0, seconds, statistic, 4.0, detected, burst, fault=fault, severity=severity,
+        weights={"a": 1.0} if fault else {"a": 0.5, "b": 0.5}, trustworthy=trustworthy, reason="" if trustworthy else "not white",
+    )
+
+
+def test_nothing_detected_is_no_fault():
+    verdict = conclude([said(detected=False, fault=None)])
+    assert verdict.fault is None
+    assert not verdict.detected
+    assert verdict.first_detected_s is None
+
+
+def test_what_is_not_trustworthy_raises_nothing_and_says_why():
+    verdict = conclude([said(trustworthy=False)])
+    assert not verdict.detected
+    assert not verdict.trustworthy
+    assert verdict.reason == "not white"
+
+
+def test_the_strongest_of_the_newest_burst_names_the_fault():
+    old = said(burst="b1", seconds=1.0, fault="b", statistic=99.0)
+    verdict = conclude([old, said(burst="b2", statistic=10, fault="c"), said(burst="b2", statistic=20, fault="a")])
+    assert verdict.fault == "a"
+    assert verdict.first_detected_s == 1.0
+
+
+def test_a_passive_detection_never_overrides_a_burst():
+    passive = said("passive_cusum", burst="", seconds=9.0, fault=None)
+    assert conclude([said(), passive]).fault == "a"
+    assert conclude([passive]).weights == {"a": 0.5, "b": 0.5}
+
+
+def test_undecided_evidence_gives_weights_and_no_name():
+    verdict = conclude([said(fault=None)])
+    assert verdict.fault is None
+    assert verdict.detected
+    assert verdict.weights == {"a": 0.5, "b": 0.5}

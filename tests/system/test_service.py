@@ -1,0 +1,265 @@
+"""The service over real zenoh with everything that can be wrong around it: each fault is named, none takes it down."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from afdsvc import offline, service
+from afdsvc.api.signals import Block
+from afdsvc.errors import AfdsvcError
+from afdsvc.plugins.manager import load
+from afdsvc.record.reader import Recording
+from afdsvc.runtime.hub import Hub
+from afdsvc.runtime.site import Site, parse_site
+from afdsvc.runtime.transport import Transport
+from afdsvc.wire import codec
+from afdsvc.wire.keys import Keys
+
+KEYS = Keys("t")
+
+
+def site_of(port: int, folder: Path, more: str = "", machine: str = "") -> Site:
+    text = f"""
+site = "t"
+[transport]
+listen = ["tcp/127.0.0.1:{port}"]
+[recording]
+folder = "{folder}"
+{more}
+[[machines]]
+id = "bearing"
+{machine or 'plant = "gas_bearing"'}
+"""
+    return parse_site(text, "site.toml")
+
+
+@contextmanager
+def rig(site: Site, seconds: float | None = None) -> Iterator[threading.Thread]:
+    stop = threading.Event()
+    thread = threading.Thread(target=service.run_rig, args=(site, "bearing", seconds, stop), daemon=True)
+    thread.start()
+    try:
+        yield thread
+    finally:
+        stop.set()
+        thread.join(15)
+        assert not thread.is_alive()
+
+
+def eventually(condition: Callable[[], bool], seconds: float = 15.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it never happened"
+        time.sleep(0.02)
+
+
+def notices(hub: Hub, path: Path) -> str:
+    """Return every sentence in the recording's log so far."""
+    hub.drain()
+    time.sleep(0.8)
+    recording = Recording(path)
+    return "\n".join(e.data.decode(errors="replace") for e in recording.messages(what="log"))
+
+
+def test_live_and_offline_agree_to_the_last_bit(free_port, tmp_path):
+    """A fault, bursts, both kinds of decision; the recording gives the same evidence again."""
+    machine = """plant = "gas_bearing"
+driver = {seed = 4, faults = [{name = "vertical_actuator", severity = -0.5, at_seconds = 4.0}]}
+bursts = {every_seconds = 3.5, first_after_seconds = 0.5, seconds = 2.0}"""
+    site = site_of(free_port, tmp_path, machine=machine)
+    with service.serving(site) as hub, rig(site, 10.0) as thread:
+        thread.join(40)
+        hub.drain()
+        live = list(hub.watches["bearing"].evidence)
+        assert hub.alarms.alarms["bearing/vertical_actuator"].active
+        assert hub.watches["bearing"].lost_samples == 0
+    (path,) = tmp_path.glob("*.mcap")
+    recording = Recording(path)
+    assert recording.loss == ""
+    bursts = [r.burst for r in recording.requests("bearing")]
+    plugins = load()
+    machine_ = offline._machine_of(recording, "bearing", None, None, plugins)
+    again = offline.evidence_of(machine_, recording.blocks("bearing"), bursts, plugins)
+    assert [f.evidence for f in recording.findings("bearing")] == live
+    assert again.evidence == live
+    document = offline.diagnose_recordings([path])
+    verdict = document["recordings"][0]["verdict"]
+    assert verdict["fault"] == "vertical_actuator"
+    assert abs(verdict["severity"]["value"] + 0.5) < 4 * verdict["severity"]["sd"]
+    assert verdict["first_detected_s"] > 4.0
+
+
+def test_people_can_ask_and_are_told_why_not(free_port, tmp_path):
+    site = site_of(free_port, tmp_path)
+    with service.serving(site) as hub:
+        with pytest.raises(AfdsvcError, match="machine 'bearing' is not there"):
+            service.ask_service(site, "burst", "Ada")
+        assert service.ask_service(site, "status", "Ada")["machines"][0]["state"] == "absent"
+        with rig(site):
+            eventually(lambda: service.ask_service(site, "status", "Ada")["machines"][0]["state"] == "running")
+            name = service.ask_service(site, "burst", "Ada")["burst"]
+            with pytest.raises(AfdsvcError, match="two at once"):
+                service.ask_service(site, "burst", "Ada")
+            eventually(lambda: any(e.burst == name for e in list(hub.watches["bearing"].evidence)))
+            service.ask_service(site, "pause", "Ada", reason="cleaning")
+            with pytest.raises(AfdsvcError, match="paused: by Ada: cleaning"):
+                service.ask_service(site, "burst", "Ada")
+            with pytest.raises(AfdsvcError, match="machine 'x' is unknown; this site has bearing"):
+                service.ask_service(site, "burst", "Ada", machine="x")
+            with pytest.raises(AfdsvcError, match="unknown command 'explode'; known are ack, alarms, burst"):
+                service.ask_service(site, "explode", "Ada")
+            with pytest.raises(AfdsvcError, match="no alarm 'a'"):
+                service.ask_service(site, "ack", "Ada", alarm="a")
+
+
+class Stranger:
+    """A peer that speaks the protocol and says wrong things."""
+
+    def __init__(self, transport: Transport, site: Site) -> None:
+        machine = site.machines[0]
+        from afdsvc import commission
+
+        self.parts = commission.commission(machine, load())
+        self.transport, self.k, self.seq = transport, 0, 0
+        self.rng = np.random.default_rng(0)
+        transport.announce(KEYS.alive("bearing", "s1"))
+
+    def block(self, n: int = 250, **changes) -> Block:
+        values = 0.4 * self.rng.standard_normal((n, len(self.parts.channels)))
+        block = Block("bearing", "s1", self.seq, self.k, 2e-4, 1, self.parts.channels, values)
+        self.k, self.seq = self.k + n, self.seq + 1
+        return replace(block, **changes)
+
+    def say(self, payload: Block | bytes) -> None:
+        data = payload if isinstance(payload, bytes) else codec.encode_block(payload)
+        self.transport.publish(KEYS.block("bearing"), data)
+
+
+def test_wrong_blocks_are_named_and_survived(free_port, tmp_path):
+    site = site_of(free_port, tmp_path)
+    with service.serving(site) as hub, Transport(site.transport, hub=False) as peer:
+        stranger = Stranger(peer, site)
+        good = stranger.block()
+        stranger.say(good)
+        stranger.say(b"\xff\x00 not protobuf")
+        stranger.say(good)
+        late = stranger.block()
+        missing = stranger.block()
+        stranger.say(stranger.block())
+        stranger.say(late)
+        nan = stranger.block()
+        nan.values[17, 2] = np.nan
+        stranger.say(nan)
+        frozen = stranger.block()
+        frozen.values[:, 3] = 0.25
+        stranger.say(frozen)
+        stranger.say(stranger.block(dt=1e-3))
+        channels = stranger.parts.channels[:-1]
+        stranger.say(stranger.block(channels=channels, values=np.zeros((250, len(channels)))))
+        stranger.say(stranger.block())
+        watch = hub.watches["bearing"]
+        eventually(lambda: watch.seconds_seen >= stranger.k * 2e-4 - 1e-9)
+        said = notices(hub, next(tmp_path.glob("*.mcap")))
+        status = service.ask_service(site, "status", "Ada")["machines"][0]
+    assert missing.k0 == 500
+    for words in (
+        "could not be read", "out of order", "500 samples (2 blocks)", "'y_horizontal' is NaN at sample",
+        "'y_vertical' has not changed for", "sampled at 0.001 s", "channels u_horizontal",
+    ):
+        assert words in said
+    assert status["lost_blocks"] >= 500
+
+
+def test_a_second_rig_is_named_and_not_listened_to(free_port, tmp_path):
+    site = site_of(free_port, tmp_path)
+    with service.serving(site) as hub, Transport(site.transport, hub=False) as a, Transport(site.transport, hub=False) as b:
+        one = Stranger(a, site)
+        one.say(one.block())
+        watch = hub.watches["bearing"]
+        eventually(lambda: watch.blocks == 1)
+        b.announce(KEYS.alive("bearing", "s2"))
+        time.sleep(0.3)
+        b.publish(KEYS.block("bearing"), codec.encode_block(replace(one.block(), session="s2", k0=0)))
+        time.sleep(0.3)
+        one.say(replace(one.block(), k0=250, seq=1))
+        eventually(lambda: watch.blocks == 2)
+        assert watch.session == "s1"
+        said = notices(hub, next(tmp_path.glob("*.mcap")))
+    assert "a second rig agent (session s2) claims to be 'bearing'" in said
+
+
+def test_a_recording_that_cannot_be_written_stops_nothing(free_port, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    site = site_of(free_port, tmp_path / "file" / "recordings")
+    with service.serving(site) as hub, rig(site):
+        eventually(lambda: hub.watches["bearing"].blocks > 20)
+        status = service.ask_service(site, "status", "Ada")
+    assert "file" in status["recording_failure"]
+    assert status["recording_dropped"] > 0
+    assert status["machines"][0]["state"] == "running"
+
+
+def test_a_rig_that_goes_and_comes_back_raises_no_alarm(free_port, tmp_path):
+    site = site_of(free_port, tmp_path)
+    with service.serving(site) as hub:
+        watch = hub.watches["bearing"]
+        with rig(site):
+            eventually(lambda: watch.blocks > 20)
+        eventually(lambda: not watch.present)
+        before = watch.blocks
+        with rig(site):
+            eventually(lambda: watch.blocks > before + 40)
+            assert service.ask_service(site, "burst", "Ada")["burst"]
+            eventually(lambda: any(e.burst for e in list(watch.evidence)))
+        assert hub.alarms.alarms == {}
+        said = notices(hub, next(tmp_path.glob("*.mcap")))
+    assert "is gone" in said
+
+
+def test_the_service_restarts_while_the_rig_runs(free_port, tmp_path):
+    site = site_of(free_port, tmp_path / "a")
+    again = site_of(free_port, tmp_path / "b")
+    with rig(site):
+        with service.serving(site) as hub:
+            eventually(lambda: hub.watches["bearing"].blocks > 20)
+        time.sleep(1.0)
+        with service.serving(again) as hub:
+            eventually(lambda: hub.watches["bearing"].blocks > 20, 30)
+            eventually(lambda: hub.watches["bearing"].present)
+            time.sleep(0.2)
+            assert service.ask_service(again, "burst", "Ada")["burst"]
+            eventually(lambda: any(e.burst for e in list(hub.watches["bearing"].evidence)))
+            assert hub.alarms.alarms == {}
+
+
+def test_the_measured_axis_goes_through_bit_for_bit(free_port, tmp_path, measured):
+    """Rig in replay mode, zenoh, service, observer on the naive model, passive CUSUM, whiteness gate, MCAP."""
+    emps = measured / "emps"
+    machine = f"""model = "{emps / 'model.toml'}"
+driver = {{kind = "replay", recording = "{emps / 'estimation.csv'}", real_time = false}}
+calibrate_seconds = 12.4
+detectors = [{{kind = "passive_cusum"}}]"""
+    site = site_of(free_port, tmp_path, machine=machine)
+    with service.serving(site) as hub, rig(site) as thread:
+        thread.join(60)
+        hub.drain()
+        evidence = list(hub.watches["bearing"].evidence)
+        assert hub.watches["bearing"].lost_samples == 0
+        assert hub.alarms.alarms == {}
+    assert evidence
+    assert all(not e.trustworthy for e in evidence)
+    assert any("the model misses something" in e.reason for e in evidence)
+    recording = Recording(next(tmp_path.glob("*.mcap")))
+    (trace,) = recording.traces("bearing")
+    table = np.loadtxt(emps / "estimation.csv", delimiter=",", skiprows=1)
+    assert [c.name for c in trace.channels] == ["u_force", "y_position", "ref_position"]
+    assert np.array_equal(trace.values, table[:, 1:])
+    assert "rate_of" in recording.attachments["bearing/model.toml"].decode()
