@@ -20,6 +20,7 @@ from afdsvc.lti.matrix_polynomial import Polynomial, compressed, factored
 from afdsvc.lti.statespace import Array, StateSpace
 
 MAX_DEGREE = 10
+MIXED_DEGREE = 5  # of powers of p and 1/p together
 MAX_BUILDS = 8192
 TOLERANCE = 1e-10  # of the largest value an entry takes
 
@@ -28,21 +29,37 @@ Build = Callable[[Mapping[str, float]], StateSpace]
 
 @dataclass(frozen=True, slots=True)
 class Dependence:
-    """How the matrices depend on one parameter: degree, in theta or (``reciprocal``) in ``theta / (1 + theta)``."""
+    """How the matrices depend on one parameter: a sum of powers of theta up to ``up`` and of s up to ``down``.
+
+    ``p = p0 (1 + theta)`` and ``s = theta / (1 + theta)``, so ``p0 / p = 1 - s``: any sum of powers of p and 1/p fits.
+    """
 
     name: str
-    degree: int
-    reciprocal: bool
+    up: int
+    down: int
 
-    def variable(self, theta: float) -> float:
-        """Return the variable the matrices are polynomials in."""
-        return theta / (1 + theta) if self.reciprocal else theta
+    def basis(self, theta: float) -> Array:
+        """Return ``1, theta, .., theta^up, s, .., s^down``."""
+        s = theta / (1 + theta) if self.down else 0.0
+        return np.array([theta**k for k in range(self.up + 1)] + [s**k for k in range(1, self.down + 1)])
+
+    def exponents(self, k: int) -> tuple[int, int]:
+        """Return the powers of theta and of s in basis function k."""
+        return (k, 0) if k <= self.up else (0, k - self.up)
 
     def nodes(self) -> Array:
-        """Return the severities to sample at: 0 and ``degree`` others."""
-        k = np.arange(1, self.degree + 1)
-        others = 0.5 * np.cos(np.pi * (k - 0.5) / (self.degree + self.degree % 2))  # an even count never hits zero
-        return np.concatenate([[0.0], others])
+        """Return the severities to sample at: 0 and as many others as there are powers."""
+        count = self.up + self.down
+        k = np.arange(1, count + 1)
+        # an even number of Chebyshev points never hits zero
+        return np.concatenate([[0.0], 0.5 * np.cos(np.pi * (k - 0.5) / (count + count % 2))])
+
+
+def _candidates(name: str) -> Iterator[Dependence]:
+    """Yield dependences from the simplest: few powers first, those of p before those of 1/p."""
+    for total in range(1, MAX_DEGREE + 1):
+        for down in range(total + 1) if total <= MIXED_DEGREE else (0, total):
+            yield Dependence(name, total - down, down)
 
 
 def parametric_plant(build: Build, values: Mapping[str, float], names: Sequence[str]) -> AugmentedPlant:
@@ -90,27 +107,32 @@ class _Family:
 
 
 def _dependence(family: _Family, i: int) -> Dependence:
-    """Return the lowest degree that reproduces the matrices at severities it was not fitted to."""
+    """Return the simplest dependence that reproduces the matrices at severities it was not fitted to."""
     probes = {theta: family({i: theta}) for theta in (-0.47, -0.21, 0.13, 0.41)}
     size = np.max([np.abs(m) for m in probes.values()], axis=0)
-    for degree in range(1, MAX_DEGREE + 1):
-        for reciprocal in (False, True):
-            d = Dependence(family.names[i], degree, reciprocal)
-            coefficients = _fit({(k,): family({i: t}) for k, t in enumerate(d.nodes())}, [d])
-            errors = [np.abs(_evaluate(coefficients, [d.variable(t)]) - m) for t, m in probes.items()]
-            if (np.max(errors, axis=0) <= TOLERANCE * size).all():
-                return d
+    for d in _candidates(family.names[i]):
+        table = np.linalg.solve(_basis_matrix(d), _flat([family({i: float(t)}) for t in d.nodes()]))
+        errors = [np.abs((d.basis(t) @ table).reshape(size.shape) - m) for t, m in probes.items()]
+        if (np.max(errors, axis=0) <= TOLERANCE * size).all():
+            return d
     raise BadInput(
-        f"parameter '{family.names[i]}' enters the plant neither as a polynomial of degree {MAX_DEGREE} in p nor in "
-        f"1/p; "
+        f"parameter '{family.names[i]}' does not enter the plant as a sum of powers of p (up to {MAX_DEGREE}) and 1/p; "
         "reformulate the plant with a parameter that does"
     )
 
 
+def _basis_matrix(d: Dependence) -> Array:
+    return np.array([d.basis(t) for t in d.nodes()])
+
+
+def _flat(matrices: Sequence[Array]) -> Array:
+    return np.array([m.ravel() for m in matrices])
+
+
 def _polynomial(family: _Family, dependences: list[Dependence]) -> Polynomial:
-    """Return the coefficients by multi-index over all parameters; only those that multiply are sampled together."""
+    """Return the coefficients by powers of (theta, s) of every parameter; only those that multiply are sampled together."""
     q = len(dependences)
-    total: Polynomial = {(0,) * q: family({})}
+    total: Polynomial = {(0,) * (2 * q): family({})}
     for group in _multiplying(family, q):
         members = [dependences[i] for i in group]
         grids = [d.nodes() for d in members]
@@ -124,15 +146,9 @@ def _polynomial(family: _Family, dependences: list[Dependence]) -> Polynomial:
         for index, matrix in _fit(samples, members).items():
             cleaned = np.where(np.abs(matrix) > 1e-13 * scale, matrix, 0.0)
             if any(index) and cleaned.any():
-                total[_spread(index, group, q)] = cleaned
+                exponents = {i: d.exponents(k) for i, d, k in zip(group, members, index, strict=True)}
+                total[tuple(e for i in range(q) for e in exponents.get(i, (0, 0)))] = cleaned
     return total
-
-
-def _spread(index: tuple[int, ...], group: Sequence[int], q: int) -> tuple[int, ...]:
-    full = [0] * q
-    for i, k in zip(group, index, strict=True):
-        full[i] = k
-    return tuple(full)
 
 
 def _multiplying(family: _Family, q: int) -> list[list[int]]:
@@ -157,32 +173,24 @@ def _cliques(near: list[set[int]], chosen: list[int], open_: set[int], closed: s
         open_, closed = open_ - {i}, closed | {i}
 
 
-def _fit(samples: dict[tuple[int, ...], Array], dependences: Sequence[Dependence]) -> Polynomial:
-    """Return the polynomial through samples on a tensor grid, one axis after the other."""
-    shape = tuple(d.degree + 1 for d in dependences)
+def _fit(samples: dict[tuple[int, ...], Array], dependences: Sequence[Dependence]) -> dict[tuple[int, ...], Array]:
+    """Return the coefficient of every product of basis functions from samples on a tensor grid, axis by axis."""
+    shape = tuple(d.up + d.down + 1 for d in dependences)
     table = np.array([samples[k] for k in product(*map(range, shape))])
     table = table.reshape(*shape, *table.shape[1:])
     for axis, d in enumerate(dependences):
-        nodes = np.array([d.variable(t) for t in d.nodes()])
-        inverse = np.linalg.inv(np.vander(nodes, increasing=True))
-        table = np.moveaxis(np.tensordot(inverse, table, (1, axis)), 0, axis)
+        table = np.moveaxis(np.tensordot(np.linalg.inv(_basis_matrix(d)), table, (1, axis)), 0, axis)
     return {k: table[k] for k in product(*map(range, shape))}
-
-
-def _evaluate(polynomial: Polynomial, variables: Sequence[float]) -> Array:
-    return np.asarray(
-        sum(m * np.prod([v**k for v, k in zip(variables, index, strict=True)]) for index, m in polynomial.items())
-    )
 
 
 def _assemble(polynomial: Polynomial, dependences: list[Dependence], nominal: StateSpace) -> AugmentedPlant:
     """Return the LFT of a matrix polynomial as an augmented plant, channels grouped by parameter."""
     lft = compressed(factored(polynomial))
     order = np.argsort(lft.variable, kind="stable")
-    variable = lft.variable[order]
+    variable = lft.variable[order]  # 2 i for theta and 2 i + 1 for s of parameter i
     Dzw = lft.Dzw[np.ix_(order, order)].copy()
     # w = s z with s = theta / (1 + theta) is w = theta (z - w)
-    Dzw[np.diag_indices_from(Dzw)] -= np.array([dependences[v].reciprocal for v in variable], dtype=float)
+    Dzw[np.diag_indices_from(Dzw)] -= variable % 2
     Bw, Cz, n = lft.Bw[:, order], lft.Cz[order], nominal.order
     system = StateSpace(
         nominal.A,
@@ -191,7 +199,7 @@ def _assemble(polynomial: Polynomial, dependences: list[Dependence], nominal: St
         np.block([[Dzw, Cz[:, n:]], [Bw[n:], nominal.D]]),
         nominal.dt,
     )
-    widths = tuple(int((variable == i).sum()) for i in range(len(dependences)))
+    widths = tuple(int((variable // 2 == i).sum()) for i in range(len(dependences)))
     return AugmentedPlant(system, tuple(d.name for d in dependences), widths)
 
 
