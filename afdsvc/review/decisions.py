@@ -20,41 +20,49 @@ class DetectorTrack:
         e, label = evidence, evidence.output or ALL
         entity = paths.decision(e.machine, e.detector, label)
         color = paths.LINES[number % len(paths.LINES)]
-        names = [f"statistic, {label}", f"threshold, {label}"]
-        step = rr.components.InterpolationMode.Linear
-        lines = rr.SeriesLines(names=names, colors=[color, paths.THRESHOLD], widths=[1.5, 1.5], interpolation_mode=step)
-        recording.log(entity, lines, static=True)
-        self._statistic = Columns(entity, 2)
+        self._statistic = _line(recording, entity, f"statistic, {label}", color)
+        self._threshold = _line(recording, f"{entity}/threshold", f"threshold, {label}", paths.THRESHOLD)
+        # A plot shows the range of its data: without this line one decision would be a dot in the middle of nowhere.
+        self._zero = _line(recording, f"{entity}/_zero", "0", paths.ZERO)
+        self._begun = False
         self._marks = {
-            name: self._mark(recording, f"{entity}/{name}", words, mark, shape)
+            name: _mark(recording, f"{entity}/{name}", words, mark, shape)
             for name, words, mark, shape in (
                 ("alarm", f"detected, {label}", paths.ALARM, "Diamond"),
                 ("doubt", f"not trustworthy, {label}", paths.DOUBT, "Cross"),
                 ("quiet", f"nothing found, {label}", color, "Circle"),
             )
         }
-        lane = e.detector + (f" {e.output}" if e.output else "")
-        self._lane = Lane(paths.path(e.machine, "states", lane))
+        self._lane = Lane(paths.lane(e.machine, e.detector + (f"_{e.output}" if e.output else "")))
 
     def add(self, recording: rr.RecordingStream, finding: Finding, start_ns: int) -> None:
         """Take a decision."""
         e = finding.evidence
-        self._statistic.add_row(finding.t_ns, e.statistic, e.threshold)
+        for t_ns in (finding.t_ns,) if self._begun else (start_ns, finding.t_ns):
+            self._threshold.add_row(t_ns, e.threshold)
+            self._zero.add_row(t_ns, 0.0)
+        self._begun = True
+        self._statistic.add_row(finding.t_ns, e.statistic)
         self._marks[_kind(e)].add_row(finding.t_ns, e.statistic)
         self._lane.enter(recording, finding.t_ns, start_ns, *_verdict(e))
 
     def send(self, recording: rr.RecordingStream, start_ns: int) -> None:
         """Send what was collected."""
-        for columns in (self._statistic, *self._marks.values()):
+        for columns in (self._statistic, self._threshold, self._zero, *self._marks.values()):
             columns.send(recording, start_ns)
 
-    @staticmethod
-    def _mark(
-        recording: rr.RecordingStream, entity: str, name: str, color: tuple[int, int, int], shape: str
-    ) -> Columns:
-        points = rr.SeriesPoints(names=name, colors=[color], markers=shape, marker_sizes=[4.0])  # type: ignore[arg-type]
-        recording.log(entity, points, static=True)
-        return Columns(entity, 1)
+
+def _line(recording: rr.RecordingStream, entity: str, name: str, color: tuple[int, int, int]) -> Columns:
+    recording.log(entity, rr.SeriesLines(names=name, colors=[color], widths=[1.5]), static=True)
+    return Columns(entity, 1)
+
+
+def _mark(
+    recording: rr.RecordingStream, entity: str, name: str, color: tuple[int, int, int], shape: str
+) -> Columns:
+    points = rr.SeriesPoints(names=name, colors=[color], markers=shape, marker_sizes=[4.0])  # type: ignore[arg-type]
+    recording.log(entity, points, static=True)
+    return Columns(entity, 1)
 
 
 def _kind(evidence: Evidence) -> str:
@@ -70,4 +78,4 @@ def _verdict(evidence: Evidence) -> tuple[str, tuple[int, int, int]]:
         return "not trustworthy", paths.DOUBT
     if kind == "quiet":
         return "quiet", paths.QUIET
-    return evidence.fault or "detected, cause open", paths.ALARM
+    return (evidence.fault, paths.ALARM) if evidence.fault else ("detected, cause open", paths.OPEN)

@@ -12,13 +12,14 @@ from afdsvc.errors import BadInput
 from afdsvc.record.foxglove_log import Level
 from afdsvc.record.sentences import DecisionLog, event_sentence, evidence_sentence
 from afdsvc.review import paths
-from afdsvc.review.blueprint import blueprint
+from afdsvc.review.blueprint import MachineLayout, blueprint
 from afdsvc.review.columns import at
 from afdsvc.review.machine import MachineReview
 from afdsvc.review.signals import Groups, as_residual, by_group
 from afdsvc.wire.messages import EventKind, Finding, RigEvent
 
 LOOPBACK = "127.0.0.1"
+QUIET_HERTZ = 200.0  # points per second and signal where nothing is played
 _LEVELS = {Level.DEBUG: "DEBUG", Level.INFO: "INFO", Level.WARNING: "WARN", Level.ERROR: "ERROR"}
 
 
@@ -32,14 +33,14 @@ class ReviewLog:
     """
 
     def __init__(
-        self, file: Path | None = None, live: int | None = None, batch_seconds: float = 0.5, quiet_hertz: float = 500.0,
-        tell: bool = True,
+        self, file: Path | None = None, live: int | None = None, batch_seconds: float = 0.5,
+        quiet_hertz: float = QUIET_HERTZ, tell: bool = True,
     ) -> None:  # fmt: skip
         self._batch_ns, self._quiet, self._tell = round(batch_seconds * 1e9), quiet_hertz, tell
         self._machines: dict[str, MachineReview] = {}
         self._start_ns: int | None = None
         self._sent_ns = 0
-        self._layout_changed = False
+        self._layouts: dict[str, MachineLayout] = {}
         self._decisions = DecisionLog()
         self._recording = rr.RecordingStream(paths.APPLICATION, recording_id=str(uuid.uuid4()))
         _connect(self._recording, file, live)
@@ -59,7 +60,7 @@ class ReviewLog:
     def finding(self, finding: Finding) -> None:
         """Take a decision."""
         start, e = self._start(finding.t_ns), finding.evidence
-        self._layout_changed |= self._machine(e.machine).decide(self._recording, finding, start)
+        self._machine(e.machine).decide(self._recording, finding, start)
         if self._tell and self._decisions.worth_telling(e):
             self.note(finding.t_ns, *evidence_sentence(e), e.machine)
 
@@ -68,13 +69,13 @@ class ReviewLog:
         if self._tell:
             self.note(event.t_ns, *event_sentence(event), event.machine)
         if event.kind is EventKind.FAULT_INJECTED:
-            lane = self._machine(event.machine).lane("simulated fault")
+            lane = self._machine(event.machine).lane("simulated_fault")
             lane.enter(self._recording, event.t_ns, self._start(event.t_ns), event.cause or "set in", paths.BURST)
 
     def note(self, t_ns: int, level: Level, text: str, machine: str) -> None:
         """Take a sentence for the event log."""
         start = self._start(t_ns)
-        self._machine(machine)
+        self._machine(machine).told = True
         at(self._recording, t_ns, start)
         self._recording.log(paths.path(machine, "log"), rr.TextLog(text, level=_LEVELS[level]))
 
@@ -82,13 +83,15 @@ class ReviewLog:
         """Send everything collected."""
         for machine in self._machines.values():
             machine.send(self._recording, self._start_ns or 0)
-        if self._layout_changed and self._machines:
-            layouts = {id: machine.layout() for id, machine in self._machines.items()}
+        layouts = {id: machine.layout() for id, machine in self._machines.items()}
+        if layouts != self._layouts:
             self._recording.send_blueprint(blueprint(layouts))
-            self._layout_changed = False
+            self._layouts = layouts
 
     def close(self) -> None:
         """Send the rest and finish; harmless when called twice."""
+        for machine in self._machines.values():
+            machine.end_burst(self._recording, self._start_ns or 0)
         self.flush()
         self._recording.flush()
         self._recording.disconnect()
@@ -99,12 +102,11 @@ class ReviewLog:
 
     def _signals(self, block: Block, groups: Groups) -> None:
         start = self._start(block.t0_ns)
-        self._layout_changed |= self._machine(block.machine).show(self._recording, block, groups, start)
+        self._machine(block.machine).show(self._recording, block, groups, start)
 
     def _machine(self, id: str) -> MachineReview:
         if id not in self._machines:
             self._machines[id] = MachineReview(id, self._quiet)
-            self._layout_changed = True
         return self._machines[id]
 
     def _start(self, t_ns: int) -> int:
@@ -122,8 +124,9 @@ class ReviewLog:
 def warm_up() -> None:
     """Do what the first logging call would do (it takes up to a second), on a recording nobody sees."""
     aside = rr.RecordingStream(f"{paths.APPLICATION} warm-up")
-    aside.memory_recording()
+    memory = aside.memory_recording()
     aside.send_columns("/x", indexes=[rr.TimeColumn("t", sequence=[0])], columns=rr.Scalars.columns(scalars=[0.0]))
+    memory.drain_as_bytes()
     aside.disconnect()
 
 

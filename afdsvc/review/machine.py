@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 import rerun as rr
 
@@ -24,11 +26,12 @@ class MachineReview:
         self._tracks: dict[tuple[str, str], DetectorTrack] = {}
         self._lanes: dict[str, Lane] = {}
         self._burst: tuple[str, int] = ("", 0)
+        self._end = ("", 0)
         self._end_ns = 0
+        self.told = False
 
-    def show(self, recording: rr.RecordingStream, block: Block, groups: Groups, start_ns: int) -> bool:
-        """Take samples by group and role; return whether there is something new to lay out."""
-        changed = False
+    def show(self, recording: rr.RecordingStream, block: Block, groups: Groups, start_ns: int) -> None:
+        """Take samples by group and role."""
         for name, channels in groups.items():
             if name not in self.groups:
                 self.groups[name] = SignalGroup(self.id, name, self._quiet)
@@ -37,34 +40,40 @@ class MachineReview:
             if group.channels != channels:
                 group.send(recording, start_ns)
                 group.style(recording, channels)
-                changed = True
             group.add(block)
-        return changed
 
     def follow_burst(self, recording: rr.RecordingStream, block: Block, start_ns: int) -> None:
         """Mark the beginning and end of bursts in the lane and, when one has ended, in the plots."""
-        name, begin_ns = self._burst
-        if block.burst != name:
-            self.lane("burst").enter(recording, block.t0_ns, start_ns, block.burst, paths.BURST)
-            if name:
-                for group in self.groups.values():
-                    group.shade(recording, begin_ns, self._end_ns, start_ns)
+        interrupted = (block.session, block.k0) != self._end
+        if block.burst != self._burst[0] or (self._burst[0] and interrupted):
+            self.end_burst(recording, start_ns)
+            if block.burst:
+                self.lane("burst").enter(recording, block.t0_ns, start_ns, "burst", paths.BURST)
             self._burst = (block.burst, block.t0_ns)
+        self._end = (block.session, block.k0 + len(block))
         self._end_ns = block.t0_ns + round(len(block) * block.dt * 1e9)
 
-    def decide(self, recording: rr.RecordingStream, finding: Finding, start_ns: int) -> bool:
-        """Take a decision; return whether its detector is new."""
+    def end_burst(self, recording: rr.RecordingStream, start_ns: int) -> None:
+        """End the burst that is playing, if any, with the last sample seen."""
+        name, begin_ns = self._burst
+        if name:
+            self.lane("burst").enter(recording, self._end_ns, start_ns, "", paths.BURST)
+            for group in self.groups.values():
+                group.shade(recording, begin_ns, self._end_ns, start_ns)
+        self._burst = ("", 0)
+
+    def decide(self, recording: rr.RecordingStream, finding: Finding, start_ns: int) -> None:
+        """Take a decision."""
         e = finding.evidence
-        key, new = (e.detector, e.output), False
+        key = (e.detector, e.output)
         if key not in self._tracks:
             number = sum(detector == e.detector for detector, _ in self._tracks)
-            self._tracks[key], new = DetectorTrack(recording, e, number), True
+            self._tracks[key] = DetectorTrack(recording, e, number)
         self._tracks[key].add(recording, finding, start_ns)
-        return new
 
     def lane(self, name: str) -> Lane:
         """Return the lane of this name."""
-        return self._lanes.setdefault(name, Lane(paths.path(self.id, "states", name)))
+        return self._lanes.setdefault(name, Lane(paths.lane(self.id, name)))
 
     def send(self, recording: rr.RecordingStream, start_ns: int) -> None:
         """Send everything collected."""
@@ -75,5 +84,6 @@ class MachineReview:
 
     def layout(self) -> MachineLayout:
         """Return what there is to lay out, groups in their fixed order."""
-        groups = {name: self.groups[name].unit for name in paths.GROUPS if name in self.groups}
-        return MachineLayout(groups, list(dict.fromkeys(detector for detector, _ in self._tracks)))
+        groups = {name: self.groups[name].layout for name in paths.GROUPS if name in self.groups}
+        detectors = Counter(detector for detector, _ in self._tracks)
+        return MachineLayout(groups, detectors, len(self._lanes) + len(self._tracks), self.told)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import rerun as rr
 
 APPLICATION = "afdsvc"
@@ -10,27 +12,31 @@ SECONDS, CLOCK = "seconds", "utc"  # timelines: since the first sample of the re
 # One view per group; the roles of the channels drawn in it, in this order.
 GROUPS = {
     "outputs": ("y", "ref"),
-    "inputs": ("u", "alpha"),
+    "inputs": ("u",),
+    "excitation": ("alpha",),
     "residual": ("beta",),
     "whitened": ("r",),
     "aux": ("aux",),
 }
 TITLES = {
-    "outputs": "outputs y",
-    "inputs": "inputs u and excitation alpha",
+    "outputs": "output y",
+    "inputs": "input u",
+    "excitation": "excitation alpha",
     "residual": "residual beta, before whitening",
     "whitened": "residual r, after whitening",
     "aux": "other signals",
 }
 
 LINES = ((86, 156, 255), (255, 142, 60), (90, 200, 130), (230, 100, 180), (160, 130, 255), (200, 200, 90))
-FAINT = (150, 150, 150)
+FAINT = (170, 170, 170)
+ZERO = (90, 90, 90)
 THRESHOLD = (255, 70, 70)
 ALARM = (255, 40, 40)
+OPEN = (255, 120, 40)
 DOUBT = (255, 190, 40)
 QUIET = (96, 125, 139)
 BURST = (255, 205, 80)
-SHADE = (255, 205, 80, 30)
+SHADE = (255, 205, 80, 10)
 
 
 def path(machine: str, *parts: str) -> str:
@@ -41,6 +47,21 @@ def path(machine: str, *parts: str) -> str:
 def group(machine: str, name: str, *parts: str) -> str:
     """Return the path of a group of signals or of something drawn with them."""
     return path(machine, "signals", name, *parts)
+
+
+def signal(machine: str, name: str, role: str, label: str) -> str:
+    """Return the path of one signal."""
+    return group(machine, name, f"{role} {label}")
+
+
+def shade(machine: str, name: str) -> str:
+    """Return the path of a group's burst shading; signals lie over it, as the viewer goes by the alphabet."""
+    return group(machine, name, "_burst")
+
+
+def lane(machine: str, name: str) -> str:
+    """Return the path of a lane of states; it is shown as it is, so what would have to be escaped becomes ``_``."""
+    return path(machine, "states", re.sub(r"[^\w.-]", "_", name))
 
 
 def decision(machine: str, detector: str, *parts: str) -> str:

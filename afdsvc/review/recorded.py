@@ -13,7 +13,7 @@ from afdsvc.errors import BadInput
 from afdsvc.record import topics
 from afdsvc.record.foxglove_log import Level, decode_log
 from afdsvc.record.reader import Entry, Recording
-from afdsvc.review.log import LOOPBACK, ReviewLog
+from afdsvc.review.log import LOOPBACK, QUIET_HERTZ, ReviewLog
 from afdsvc.review.signals import by_group
 from afdsvc.wire import codec
 
@@ -29,7 +29,8 @@ def review_recording(path: str | Path, save: str | Path | None = None, every_sam
         raise BadInput(f"{path}: holds no samples of any machine; {', '.join(recording.counts) or 'nothing'} is in it")
     target = Path(save) if save else Path(tempfile.mkdtemp(prefix="afdsvc-review-")) / f"{recording.path.stem}.rrd"
     told = any(topics.parts(name)[1] == topics.LOG for name in recording.counts)
-    log = ReviewLog(target, batch_seconds=5.0, quiet_hertz=0.0 if every_sample else 500.0, tell=not told)
+    quiet_hertz = 0.0 if every_sample else QUIET_HERTZ
+    log = ReviewLog(target, batch_seconds=5.0, quiet_hertz=quiet_hertz, tell=not told)
     for machine in recording.machines:
         log.span(machine, _extremes(recording, machine))
     for entry in recording.messages():

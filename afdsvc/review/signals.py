@@ -11,11 +11,12 @@ import rerun as rr
 
 from afdsvc.api.signals import Block, Channel
 from afdsvc.review import paths
+from afdsvc.review.blueprint import GroupLayout
 from afdsvc.review.columns import Columns, time_columns
 from afdsvc.review.envelope import envelope
 
 Groups = Mapping[str, Mapping[str, tuple[Channel, ...]]]  # by view and role
-SHADE_STROKES = 300
+SHADE_STROKES = 240
 
 
 class SignalGroup:
@@ -25,42 +26,45 @@ class SignalGroup:
         self.machine, self.name, self._quiet = machine, name, quiet_hertz
         self.channels: Mapping[str, tuple[Channel, ...]] = {}
         self.extremes = (np.inf, -np.inf)
-        self._columns: dict[str, Columns] = {}
+        self._columns: dict[Channel, Columns] = {}
         self._end: tuple[str, int] | None = None
 
     @property
-    def unit(self) -> str:
-        """The unit of all channels, "" when they have several."""
-        units = {c.unit for found in self.channels.values() for c in found}
-        return units.pop() if len(units) == 1 else ""
+    def layout(self) -> GroupLayout:
+        """What the layout must know."""
+        units: dict[str, str] = {}
+        roles: dict[str, list[str]] = {}
+        for role, channels in self.channels.items():
+            for c in channels:
+                units.setdefault(c.label, c.unit)
+                roles.setdefault(c.label, []).append(role)
+        return GroupLayout(units, roles)
 
     def style(self, recording: rr.RecordingStream, channels: Mapping[str, tuple[Channel, ...]]) -> None:
         """Name and colour the lines; called when the set of channels is first seen or changes."""
         self.channels, self._columns = channels, {}
-        offset = 0
         for role, found in channels.items():
-            colors = [paths.LINES[(offset + i) % len(paths.LINES)] for i in range(len(found))]
-            offset += len(found)
-            entity = paths.group(self.machine, self.name, role)
-            recording.log(entity, _lines([_legend(role, c) for c in found], colors), static=True)
-            self._columns[role] = Columns(entity, len(found))
-        # Drawn first, so that signals lie on top: the viewer goes by the alphabet.
+            for i, channel in enumerate(found):
+                entity = paths.signal(self.machine, self.name, role, channel.label)
+                color = paths.FAINT if role == "ref" else paths.LINES[i % len(paths.LINES)]
+                recording.log(entity, _line(role, channel, color), static=True)
+                self._columns[channel] = Columns(entity, 1)
         shade = rr.SeriesLines(names="burst", colors=[paths.SHADE], widths=[2.0], aggregation_policy=_EVERY)
-        recording.log(paths.group(self.machine, self.name, "_burst"), shade, static=True)
+        recording.log(paths.shade(self.machine, self.name), shade, static=True)
 
     def add(self, block: Block) -> None:
         """Take the samples of a block; a gap before it becomes a break in the lines."""
         if self._end is not None and self._end != (block.session, block.k0):
             for columns in self._columns.values():
-                columns.add_row(block.t0_ns - 1, *[np.nan] * columns.width)
+                columns.add_row(block.t0_ns - 1, np.nan)
         self._end = (block.session, block.k0 + len(block))
         width = 1 if block.burst or not self._quiet else int(2 / (block.dt * self._quiet))
-        for role, channels in self.channels.items():
-            rows, shown = envelope(block.values[:, [block.channels.index(c) for c in channels]], width)
-            self._columns[role].add(block.t0_ns + np.rint(rows * (block.dt * 1e9)).astype(np.int64), shown)
-            if np.isfinite(shown).any():
-                low, high = np.nanmin(shown), np.nanmax(shown)
-                self.extremes = (min(self.extremes[0], low), max(self.extremes[1], high))
+        rows, shown = envelope(block.values[:, [block.channels.index(c) for c in self._columns]], width)
+        t_ns = block.t0_ns + np.rint(rows * (block.dt * 1e9)).astype(np.int64)
+        for columns, values in zip(self._columns.values(), shown.T, strict=True):
+            columns.add(t_ns, values[:, None])
+        low, high = float(np.fmin.reduce(shown, axis=None)), float(np.fmax.reduce(shown, axis=None))
+        self.extremes = (float(np.fmin(self.extremes[0], low)), float(np.fmax(self.extremes[1], high)))
 
     def send(self, recording: rr.RecordingStream, start_ns: int) -> None:
         """Send what was collected."""
@@ -76,7 +80,7 @@ class SignalGroup:
         values = np.where(np.arange(SHADE_STROKES) % 2, high, low)
         t_ns = np.concatenate([[begin_ns - 1], t_ns, [end_ns + 1]])
         values = np.concatenate([[np.nan], values, [np.nan]])
-        entity = paths.group(self.machine, self.name, "_burst")
+        entity = paths.shade(self.machine, self.name)
         recording.send_columns(entity, indexes=time_columns(t_ns, start_ns), columns=rr.Scalars.columns(scalars=values))
 
 
@@ -98,15 +102,12 @@ def as_residual(block: Block) -> Block:
     return replace(block, channels=channels)
 
 
-def _legend(role: str, channel: Channel) -> str:
-    symbol = "" if role in ("y", "aux") else f"{role} "
-    return f"{symbol}{channel.label}" + (f" [{channel.unit}]" if channel.unit else "")
-
-
-def _lines(names: list[str], colors: list[tuple[int, int, int]]) -> rr.SeriesLines:
+def _line(role: str, channel: Channel, color: tuple[int, int, int]) -> rr.SeriesLines:
+    symbol = "" if role == "aux" else f"{role} "
+    name = f"{symbol}{channel.label}" + (f" [{channel.unit}]" if channel.unit else "")
     # Zoomed out, the viewer averages unless told otherwise, and peaks vanish.
     policy = rr.components.AggregationPolicy.MinMax
-    return rr.SeriesLines(names=names, colors=colors, widths=[1.0] * len(names), aggregation_policy=policy)
+    return rr.SeriesLines(names=name, colors=[color], widths=[1.0], aggregation_policy=policy)
 
 
 _EVERY = rr.components.AggregationPolicy.Off
