@@ -82,7 +82,7 @@ def from_control(system: Any, name: str = "system") -> tuple[StateSpace, Any]:
     """
     import control
 
-    if np.isscalar(system) or isinstance(system, (np.ndarray, list, tuple)):
+    if isinstance(system, (int, float, np.ndarray, np.number, list, tuple)):
         return StateSpace.gain(np.atleast_2d(np.asarray(system, dtype=np.float64))), None
     if isinstance(system, control.TransferFunction):
         system = _realise(system, name)

@@ -130,7 +130,7 @@ def _flat(matrices: Sequence[Array]) -> Array:
 
 
 def _polynomial(family: _Family, dependences: list[Dependence]) -> Polynomial:
-    """Return the coefficients by powers of (theta, s) of every parameter; only those that multiply are sampled together."""
+    """Return the coefficients by powers of (theta, s) of every parameter; those that multiply are sampled together."""
     q = len(dependences)
     total: Polynomial = {(0,) * (2 * q): family({})}
     for group in _multiplying(family, q):
