@@ -43,6 +43,12 @@ class BurstDesk:
         self.session = ""
         self.playing = ""
 
+    def present(self, session: str) -> None:
+        """Note which rig session is there ("" when none); a new one starts the period of bursts anew."""
+        if session and session != self.session:
+            self.scheduler.machine_appeared(self.clock.monotonic())
+        self.session = session
+
     def tick(self) -> None:
         """Start what is due, renew the lease of what plays, give up on what never ended."""
         now = self.clock.monotonic()

@@ -143,18 +143,23 @@ class Hub:
             watch.take_description(what)
         else:
             (watch.appeared if what else watch.gone)(session_of(key))
+            self._tell_desk(watch)
 
     def _block(self, watch: MachineWatch, payload: bytes) -> None:
         outcome = watch.take_block(payload)
-        desk = self.desks.get(watch.machine)
-        if desk:
-            desk.session = watch.session if watch.present else ""
+        desk = self._tell_desk(watch)
         for finding in watch.fresh_findings() if outcome else ():
             alarm = self.alarms.take(finding)
             if alarm is not None:
                 watch.say("error", sentence_of(finding))
                 if desk:
                     desk.scheduler.after_event(alarm.id)
+
+    def _tell_desk(self, watch: MachineWatch) -> BurstDesk | None:
+        desk = self.desks.get(watch.machine)
+        if desk:
+            desk.present(watch.session if watch.present and watch.blocks else "")
+        return desk
 
     def _event(self, watch: MachineWatch, payload: bytes) -> None:
         event = watch.take_event(payload)

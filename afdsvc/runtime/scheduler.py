@@ -30,6 +30,11 @@ class Scheduler:
         self.playing = False
         self.paused = ""
 
+    def machine_appeared(self, now: float) -> None:
+        """Start the period anew: a machine that has just begun first shows how it is without excitation."""
+        if self._next is not None:
+            self._next = now + self._settings.first_after_seconds
+
     def request(self, wanted: Wanted, now: float, wall: datetime) -> None:
         """Queue a burst asked for by a person; raises `Refused` with the reason when it cannot be played now."""
         if self.paused:
