@@ -1,9 +1,10 @@
 """Bursts for identification: they must excite many frequencies at once, not one.
 
 - random binary: flat up to its switching rate, crest factor one, the most power an amplitude limit allows;
-- multisine: exactly the wanted lines; with odd lines only, and some of those left out, what comes back at the even and at
-  the left-out lines is the machine's nonlinearity, told apart from noise (Pintelon and Schoukens, System Identification,
-  2012, chapter 4); several inputs get lines of their own (zippered), so one burst tells their effects apart;
+- multisine: exactly the wanted lines; with odd lines only, and some of those left out, what comes back at the even and
+  at the left-out lines is the machine's nonlinearity, told apart from noise (Pintelon and Schoukens, System
+  Identification, 2012, chapter 4); several inputs get lines of their own (zippered), so one burst tells their effects
+  apart;
 - sweep: one frequency at a time, for people who want to listen.
 """
 
@@ -14,11 +15,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 
+IntArray = NDArray[np.intp]
 Grid = Literal["full", "odd", "odd_random"]
 
 
@@ -33,7 +36,10 @@ class Band:
 
     def __post_init__(self) -> None:
         if not 0 < self.low < self.high <= 0.5 / self.dt:
-            raise BadInput(f"band {self.low:.6g} to {self.high:.6g} Hz; 0 < low < high <= {0.5 / self.dt:.6g} Hz (half the rate) is wanted")
+            raise BadInput(
+                f"band {self.low:.6g} to {self.high:.6g} Hz; 0 < low < high <= {0.5 / self.dt:.6g} Hz (half the "
+                "rate) is wanted"
+            )
         if not (np.asarray(self.amplitude) > 0).any():
             raise BadInput("every amplitude is zero or negative; a positive one is wanted for at least one input")
 
@@ -48,17 +54,24 @@ def random_binary_burst(band: Band, seconds: float, rng: np.random.Generator, na
     coins = rng.integers(0, 2, size=(-(-samples // hold), m)) * 2.0 - 1.0
     waveform = np.repeat(coins, hold, axis=0)[:samples] * np.asarray(band.amplitude)
     notes = {"hold_samples": str(hold)}
-    return Burst(name, m, samples, _ramp(samples), waveform=waveform, settle=_ramp(samples), purpose="identify", notes=notes)
+    return Burst(
+        name, m, samples, _ramp(samples), waveform=waveform, settle=_ramp(samples), purpose="identify", notes=notes
+    )
 
 
 def multisine_burst(
-    band: Band, seconds: float, rng: np.random.Generator, grid: Grid = "full", periods: int = 4, name: str = "identify_multisine"
+    band: Band,
+    seconds: float,
+    rng: np.random.Generator,
+    grid: Grid = "full",
+    periods: int = 4,
+    name: str = "identify_multisine",
 ) -> Burst:
     """Return a multisine with a flat spectrum: ``periods`` periods that fill ``seconds``, phases of low crest factor.
 
-    ``grid`` "full" uses every harmonic of the period, "odd" the odd ones, "odd_random" the odd ones with one of every four
-    consecutive ones left out at random as a detection line. Inputs take turns line by line. The peak of every input is
-    its amplitude of the band. Raises `BadInput` when the band holds too few lines for the inputs.
+    ``grid`` "full" uses every harmonic of the period, "odd" the odd ones, "odd_random" the odd ones with one of every
+    four consecutive ones left out at random as a detection line. Inputs take turns line by line. The peak of every
+    input is its amplitude of the band. Raises `BadInput` when the band holds too few lines for the inputs.
     """
     if grid not in ("full", "odd", "odd_random"):
         raise BadInput(f"grid '{grid}'; full, odd or odd_random is wanted")
@@ -68,7 +81,8 @@ def multisine_burst(
     active = np.flatnonzero(amplitudes > 0)
     if len(excited) < 2 * len(active):
         raise BadInput(
-            f"a period of {period * band.dt:.4g} s puts {len(excited)} lines between {band.low:.6g} and {band.high:.6g} Hz; at least "
+            f"a period of {period * band.dt:.4g} s puts {len(excited)} lines between {band.low:.6g} and "
+            f"{band.high:.6g} Hz; at least "
             f"{2 * len(active)} are wanted: play longer or widen the band"
         )
     lines = []
@@ -77,10 +91,22 @@ def multisine_burst(
         phases = _low_crest_phases(own, period, rng)
         peak = float(np.abs(_waveform(own, phases, period)).max())
         step = 2 * np.pi / (period * band.dt)
-        lines += [Line(int(column), float(k * step), float(amplitudes[column] / peak), float(f)) for k, f in zip(own, phases, strict=True)]
+        lines += [
+            Line(int(column), float(k * step), float(amplitudes[column] / peak), float(f))
+            for k, f in zip(own, phases, strict=True)
+        ]
     samples = period * periods
     notes = {"period_samples": str(period), "grid": grid}
-    return Burst(name, len(amplitudes), samples, min(period // 2, _ramp(samples)), tuple(lines), settle=period, purpose="identify", notes=notes)
+    return Burst(
+        name,
+        len(amplitudes),
+        samples,
+        min(period // 2, _ramp(samples)),
+        tuple(lines),
+        settle=period,
+        purpose="identify",
+        notes=notes,
+    )
 
 
 def sweep_burst(band: Band, seconds: float, logarithmic: bool = True, name: str = "identify_sweep") -> Burst:
@@ -100,10 +126,12 @@ def sweep_burst(band: Band, seconds: float, logarithmic: bool = True, name: str 
     return Burst(name, m, samples, _ramp(samples), waveform=waveform, purpose="identify")
 
 
-def grid_lines(band: Band, period: int, grid: Grid, rng: np.random.Generator) -> tuple[Array, Array]:
+def grid_lines(band: Band, period: int, grid: Grid, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
     """Return the harmonics of a period that are excited, and the odd ones in the band left out as detection lines."""
     step = 1 / (period * band.dt)
-    harmonics = np.arange(max(1, int(np.ceil(band.low / step))), int(np.floor(min(band.high / step, (period - 1) // 2))) + 1)
+    harmonics = np.arange(
+        max(1, int(np.ceil(band.low / step))), int(np.floor(min(band.high / step, (period - 1) // 2))) + 1
+    )
     if grid == "full":
         return harmonics, harmonics[:0]
     odd = harmonics[harmonics % 2 == 1]
@@ -115,10 +143,12 @@ def grid_lines(band: Band, period: int, grid: Grid, rng: np.random.Generator) ->
 
 
 def distortion(y: Array, burst: Burst, excited: Sequence[int]) -> dict[str, float]:
-    """Return the power at excited, even and left-out odd harmonics and of the noise between periods, as shares of the whole.
+    """Return the power at excited, even and left-out odd harmonics and of the noise between periods, as shares of the
+    whole.
 
     ``y`` is one output over the burst, steady state; ``excited`` the harmonics played on any input. An even share well
-    above ``noise`` means an even nonlinearity (a quadratic stiffness, a one-sided stop), an odd one friction, hardening, ....
+    above ``noise`` means an even nonlinearity (a quadratic stiffness, a one-sided stop), an odd one friction,
+    hardening, ....
     """
     period = int(burst.notes["period_samples"])
     whole = (min(len(y), burst.samples - burst.ramp) - burst.settle) // period
@@ -153,15 +183,16 @@ def _gate(samples: int) -> Array:
     return Burst("gate", 1, samples, max(1, samples // 40)).envelope()
 
 
-def _waveform(harmonics: Array, phases: Array, period: int) -> Array:
+def _waveform(harmonics: IntArray, phases: Array, period: int) -> Array:
     """Return one period of the sum of unit sines."""
     spectrum = np.zeros(period // 2 + 1, dtype=np.complex128)
     spectrum[harmonics] = np.exp(1j * (phases - np.pi / 2)) * period / 2
     return np.asarray(np.fft.irfft(spectrum, period))
 
 
-def _low_crest_phases(harmonics: Array, period: int, rng: np.random.Generator, rounds: int = 60) -> Array:
-    """Return phases of low crest factor by clipping in time and restoring the spectrum (Van der Ouderaa et al., 1988)."""
+def _low_crest_phases(harmonics: IntArray, period: int, rng: np.random.Generator, rounds: int = 60) -> Array:
+    """Return phases of low crest factor by clipping in time and restoring the spectrum (Van der Ouderaa et al.,
+    1988)."""
     phases = rng.uniform(0, 2 * np.pi, len(harmonics))
     best, best_peak = phases, np.inf
     for round_ in range(rounds):

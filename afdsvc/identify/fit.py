@@ -1,0 +1,104 @@
+"""The one result type of every method, so that methods can be compared line by line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import stats
+
+from afdsvc.identify.innovations import InnovationsForm
+from afdsvc.identify.measures import Measures
+from afdsvc.identify.residual_tests import ResidualTests
+from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A physical parameter: value, standard error, unit, and what was believed before."""
+
+    name: str
+    value: float
+    sd: float
+    unit: str = ""
+    prior: float | None = None
+    prior_sd: float | None = None
+
+    def interval(self, confidence: float = 0.95) -> tuple[float, float]:
+        """Return the confidence interval of a normal estimate."""
+        reach = float(stats.norm.ppf(0.5 + confidence / 2)) * self.sd
+        return self.value - reach, self.value + reach
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResponseBand:
+    """A frequency response with its uncertainty.
+
+    ``omega (k,)`` in rad/s, ``value (k, p, m)`` complex, ``covariance (k, p, m, 2, 2)`` that of real and imaginary part
+    of every entry, ``freedom`` the degrees of freedom the covariance was estimated with (inf when derived).
+    """
+
+    omega: Array
+    value: ComplexArray
+    covariance: Array
+    freedom: float = float("inf")
+
+    @property
+    def sd(self) -> Array:
+        """Root mean square error of every complex entry, shape ``(k, p, m)``."""
+        return np.asarray(np.sqrt(self.covariance[..., 0, 0] + self.covariance[..., 1, 1]))
+
+    def magnitude_band(self, confidence: float = 0.95) -> tuple[Array, Array]:
+        """Return lower and upper bound of the magnitude, each ``(k, p, m)``: the error along the response's own
+        phase."""
+        magnitude = np.abs(self.value)
+        phase = np.where(magnitude > 0, self.value / np.where(magnitude > 0, magnitude, 1), 1)
+        along = np.stack([phase.real, phase.imag], axis=-1)
+        sd = np.sqrt(np.einsum("kpmi,kpmij,kpmj->kpm", along, self.covariance, along))
+        reach = float(stats.t.ppf(0.5 + confidence / 2, self.freedom)) * sd
+        return np.maximum(magnitude - reach, 0.0), magnitude + reach
+
+    def covers(self, truth: ComplexArray, confidence: float = 0.95) -> Array:
+        """Whether the joint confidence ellipse of every entry holds the true value, shape ``(k, p, m)``."""
+        error = np.stack([(truth - self.value).real, (truth - self.value).imag], axis=-1)
+        distance = np.einsum("kpmi,kpmi->kpm", error, np.linalg.solve(self.covariance, error[..., None])[..., 0])
+        nu = self.freedom
+        limit = (
+            stats.chi2.ppf(confidence, 2) if np.isinf(nu) else 2 * nu / (nu - 1) * stats.f.ppf(confidence, 2, nu - 1)
+        )
+        return np.asarray(distance <= limit)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """What one method found.
+
+    ``model`` is the plant with its noise model (gain zero when none was estimated); ``singular_values`` and
+    ``order_reason`` say where the order came from; ``band`` is the frequency response with its uncertainty; ``heldout``
+    the measures per output on recordings never used, ``tests`` those of the residuals there. ``deviation`` is the
+    identified S where a Hansen scheme found the plant through it. ``parameters`` is empty for black boxes;
+    ``covariance`` is that of the parameters, in their order.
+    """
+
+    method: str
+    model: InnovationsForm
+    singular_values: Array = field(default_factory=lambda: np.zeros(0))
+    order_reason: str = ""
+    band: ResponseBand | None = None
+    tests: ResidualTests | None = None
+    heldout: Mapping[str, Measures] = field(default_factory=dict)
+    deviation: StateSpace | None = None
+    parameters: tuple[Estimate, ...] = ()
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    notes: tuple[str, ...] = ()
+
+    @property
+    def system(self) -> StateSpace:
+        """The identified plant, discrete."""
+        return self.model.system
+
+    @property
+    def order(self) -> int:
+        """Number of states of the identified plant."""
+        return self.model.system.order

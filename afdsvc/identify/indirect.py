@@ -1,0 +1,176 @@
+"""Physical parameters through S(theta): the excitation alpha and the residual beta are all that is compared.
+
+    minimise  sum | beta - S(theta) alpha |      over theta, in the 2-norm or in the 1-norm
+
+(A. K. Sekunda, "Fault Diagnosis and Identification of Electro-Mechanical Systems", PhD thesis, DTU 2017, section 4.2
+and publication P1, Eq 15; the thesis prints the square of the 1-norm, the paper the 2-norm.) alpha is free of noise, so
+feedback does no harm and no noise model is needed; with a whitening filter the 2-norm is maximum likelihood for noise
+that is white in the residual, the 1-norm the same for heavy tails: a spike moves it little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from afdsvc.errors import BadInput, IllConditioned
+from afdsvc.identify.descent import Local, Minimum, descend
+from afdsvc.identify.fit import Estimate, Fit
+from afdsvc.identify.innovations import InnovationsForm
+from afdsvc.identify.noisy_structure import Slopes, require_samplable
+from afdsvc.identify.recordings import Recording
+from afdsvc.identify.structure import Structure
+from afdsvc.identify.sweep import sweep
+from afdsvc.lti.coprime import Factorisation
+from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.simulate import simulate
+from afdsvc.lti.stability import is_stable, worst_pole
+from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.lti.yjbk import deviation_system
+
+#: Errors smaller than this share of their standard deviation count quadratically in the 1-norm.
+_ROUNDED = 0.05
+_OUTER_STEPS = 4
+
+
+def fit_indirect(
+    structure: Structure,
+    fact: Factorisation,
+    recordings: Sequence[Recording],
+    norm: int = 2,
+    whitener: StateSpace | None = None,
+    start: Array | None = None,
+) -> Fit:
+    """Return the parameters whose S(theta) explains the residuals best.
+
+    ``recordings`` hold alpha as u and beta as y (`afdsvc.identify.hansen.youla_signals` makes them), ``fact`` belongs
+    to the nominal plant and the controller; ``whitener`` filters beta (see `afdsvc.lti.whitening.whitening_filter`).
+    Raises `BadInput` for a norm that is neither 1 nor 2, or for parameters without influence.
+    """
+    if norm not in (1, 2):
+        raise BadInput(f"norm {norm}; 1 or 2 is wanted")
+    objective = Mismatch(structure, fact, recordings, norm, whitener)
+    theta = structure.values if start is None else start
+    lower = np.asarray([p.lower for p in structure.parameters]) / structure.scales
+    upper = np.asarray([p.upper for p in structure.parameters]) / structure.scales
+    minimum, steps = objective.minimise(theta / structure.scales, lower, upper)
+    return _fit(objective, minimum, steps)
+
+
+class Mismatch:
+    """The misfit over ``z = theta / scale``, weighted with the covariance of the errors."""
+
+    def __init__(
+        self,
+        structure: Structure,
+        fact: Factorisation,
+        recordings: Sequence[Recording],
+        norm: int,
+        whitener: StateSpace | None,
+    ) -> None:
+        self.structure, self.fact, self.norm, self.whitener = structure, fact, norm, whitener
+        self.dt = fact.plant.dt
+        self.recordings = [
+            r if whitener is None else Recording(r.u, simulate(whitener, r.y)[0], r.dt, r.name) for r in recordings
+        ]
+        self.covariance = np.eye(recordings[0].y.shape[1])
+
+    def minimise(self, z: Array, lower: Array, upper: Array) -> tuple[Minimum, int]:
+        """Return the minimum from z and the steps it took; the weight is that of the errors that remain."""
+        steps, best = 0, Minimum(z, Local(0.0, z, np.zeros((0, 0))), 0, False)
+        for _ in range(_OUTER_STEPS):
+            self.covariance = self.error_covariance(best.point * self.structure.scales)
+            before, best = best.point, descend(self.local, best.point, lower, upper)
+            steps += best.steps
+            if float(np.abs(best.point - before).max()) < 1e-3:
+                break
+        return best, steps
+
+    def signature(self, theta: Array) -> StateSpace:
+        """Return S(theta), through the whitener when there is one; raises `IllConditioned` where the loop is
+        unstable."""
+        plant = self.structure.build(theta)
+        if not plant.discrete:
+            require_samplable(plant, self.dt)
+        S = deviation_system(self.fact, plant if plant.discrete else sample_zoh(plant, self.dt))
+        if not is_stable(S.A, self.dt):
+            raise IllConditioned(
+                f"S(theta) has the pole {worst_pole(S.A, self.dt)[0]:.6g}: the controller does not stabilise that plant"
+            )
+        return S if self.whitener is None else self.whitener @ S
+
+    def slopes(self, theta: Array) -> Slopes:
+        steps = 1e-4 * self.structure.scales
+        pairs = [(self.signature(theta + h), self.signature(theta - h)) for h in np.diag(steps)]
+        return Slopes(
+            *(
+                np.stack([(getattr(a, k) - getattr(b, k)) / (2 * h) for (a, b), h in zip(pairs, steps, strict=True)])
+                for k in ("A", "B", "C", "D")
+            )
+        )
+
+    def error_covariance(self, theta: Array) -> Array:
+        S = self.signature(theta)
+        errors = np.vstack([r.y - simulate(S, r.u)[0] for r in self.recordings])
+        spread = np.median(np.abs(errors), axis=0) / 0.6745 if self.norm == 1 else None
+        return np.asarray(np.diag(spread**2) if spread is not None else errors.T @ errors / len(errors))
+
+    def local(self, z: Array) -> Local:
+        theta, scale, count = z * self.structure.scales, self.structure.scales, len(z)
+        S, slopes = self.signature(theta), self.slopes(theta)
+        whitener = np.linalg.inv(np.linalg.cholesky(self.covariance))
+        cost, gradient, curvature = 0.0, np.zeros(count), np.zeros((count, count))
+        for r in self.recordings:
+            found = sweep(S, slopes, r.u, r.y, np.zeros(S.order), whitener, _ROUNDED if self.norm == 1 else 0.0)
+            cost += found.cost
+            gradient += found.gradient[:count]
+            curvature += found.matrix[:count, :count]
+        return Local(cost, gradient * scale, curvature * np.outer(scale, scale))
+
+    def group_gradients(self, z: Array, groups: int) -> Array:
+        """Return the gradient group of samples by group of samples, shape ``(about groups, q)``."""
+        theta, scale = z * self.structure.scales, self.structure.scales
+        S, slopes = self.signature(theta), self.slopes(theta)
+        whitener = np.linalg.inv(np.linalg.cholesky(self.covariance))
+        block = max(1, -(-sum(map(len, self.recordings)) // groups))
+        parts = [
+            sweep(S, slopes, r.u, r.y, np.zeros(S.order), whitener, block=block).gradients for r in self.recordings
+        ]
+        return np.vstack(parts)[:, : len(z)] * scale
+
+
+def _fit(objective: Mismatch, best: Minimum, steps: int) -> Fit:
+    structure, theta = objective.structure, best.point * objective.structure.scales
+    information = _information(objective, best)
+    size = np.sqrt(np.diag(information))
+    for parameter, s in zip(structure.parameters, size, strict=True):
+        if not s > 1e-6:
+            raise BadInput(
+                f"parameter '{parameter.name}' has no influence on these recordings; leave it out of the free "
+                "parameters"
+            )
+    covariance = (
+        np.linalg.inv(information / np.outer(size, size))
+        / np.outer(size, size)
+        * np.outer(structure.scales, structure.scales)
+    )
+    estimates = tuple(
+        Estimate(p.name, float(v), float(np.sqrt(c)), p.unit, p.value, p.sd or None)
+        for p, v, c in zip(structure.parameters, theta, np.diag(covariance), strict=True)
+    )
+    plant = structure.build(theta)
+    plant = plant if plant.discrete else sample_zoh(plant, objective.dt)
+    model = InnovationsForm(plant, np.zeros((plant.order, plant.outputs)), objective.covariance)
+    notes = (f"{'converged' if best.converged else 'not converged'} after {steps} steps, {objective.norm}-norm",)
+    deviation = deviation_system(objective.fact, plant)
+    return Fit("indirect", model, deviation=deviation, parameters=estimates, covariance=covariance, notes=notes)
+
+
+def _information(objective: Mismatch, best: Minimum) -> Array:
+    """Return the information matrix; a median of Gaussian errors knows 2/pi of what their mean knows."""
+    if objective.norm == 2:
+        return best.local.curvature
+    squared = Mismatch(objective.structure, objective.fact, objective.recordings, 2, None)
+    squared.whitener, squared.covariance = objective.whitener, objective.covariance
+    return np.asarray(squared.local(best.point).curvature * 2 / np.pi)

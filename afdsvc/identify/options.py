@@ -1,0 +1,62 @@
+"""What a caller may choose; everything has a sensible answer of its own, and nothing unknown is accepted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from afdsvc.errors import BadInput
+from afdsvc.identify.reduction import TRUNCATIONS
+from afdsvc.identify.subspace import WEIGHTINGS
+
+METHODS = ("auto", "hansen", "subspace", "pbsid", "greybox", "indirect")
+
+
+@dataclass(frozen=True, slots=True)
+class IdentifyOptions:
+    """Choices of `afdsvc.identify.identify`.
+
+    ``method``: "hansen" identifies S and rebuilds the plant (excitation through alpha or a reference alike), "subspace"
+    and "pbsid" the plant from u and y (the former in open loop only), "greybox" physical parameters from u and y,
+    "indirect" the same through S; "auto" is hansen when the controller is known, pbsid when there is no sign of one.
+    ``order`` (of S for hansen) and ``horizon`` are chosen from the data when None; ``reduce_to`` is the order of the
+    plant handed back (None: that of the nominal model); ``reduction`` one of the truncations of `reduction`, "best" of
+    them for the loop, or "refined": started from that and fitted to the recordings (`refinement`). ``norm`` belongs to
+    indirect, ``starts`` and ``prior`` to greybox; ``process_states`` names states that process noise enters (None: the
+    rates, where forces act). ``groups`` is the number of groups of the uncertainty (0: none).
+    """
+
+    method: str = "auto"
+    order: int | None = None
+    horizon: int | None = None
+    weighting: str = "po-moesp"
+    reduce_to: int | None = None
+    reduction: str = "refined"
+    norm: int = 2
+    starts: int = 1
+    prior: bool | None = None
+    process_states: tuple[str, ...] | None = None
+    free: tuple[str, ...] | None = None
+    groups: int = 16
+    cross_check: bool = True
+
+    def __post_init__(self) -> None:
+        for name, known in (
+            ("method", METHODS),
+            ("weighting", WEIGHTINGS),
+            ("reduction", ("refined", "best", *TRUNCATIONS)),
+        ):
+            if getattr(self, name) not in known:
+                raise BadInput(f"option {name} = '{getattr(self, name)}'; one of {', '.join(known)} is wanted")
+        if self.groups != 0 and self.groups < 3:
+            raise BadInput(f"option groups = {self.groups}; 0 (no uncertainty) or at least 3 is wanted")
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any]) -> IdentifyOptions:
+        """Return options from names and values; raises `BadInput` for a name that does not exist."""
+        known = [f.name for f in fields(cls)]
+        for name in settings:
+            if name not in known:
+                raise BadInput(f"identify has no option '{name}'; it has {', '.join(known)}")
+        return cls(**settings)

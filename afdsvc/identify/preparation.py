@@ -1,0 +1,161 @@
+"""From a model and traces to arrays that fit each other, every mismatch named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from afdsvc.api.model import Model
+from afdsvc.api.signals import Trace
+from afdsvc.errors import BadInput
+from afdsvc.identify.hansen import settling_samples
+from afdsvc.identify.recordings import Recording, together
+from afdsvc.identify.screening import screen
+from afdsvc.identify.structure import model_structure
+from afdsvc.lti.choice import factorise
+from afdsvc.lti.coprime import Factorisation
+from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.simulate import simulate
+from afdsvc.lti.statespace import Array, StateSpace
+
+#: Share of the controller's own action that recorded excitation may leave unexplained.
+CONTROLLER_MISMATCH = 1e-3
+#: Samples over which that is checked.
+_CHECKED = 20_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prepared:
+    """Everything a method needs: the nominal plant at the recordings' sample time, the controller and their factors
+    (None without a controller), and the recordings of u and y with the operating point removed.
+    """
+
+    model: Model
+    nominal: StateSpace
+    fact: Factorisation | None
+    training: tuple[Recording, ...]
+    heldout: tuple[Recording, ...]
+    closed_loop_signs: tuple[str, ...]
+
+    @property
+    def slowest(self) -> float:
+        """Slowest time constant of the nominal loop (or plant) in samples."""
+        return settling_samples(self.fact.R if self.fact is not None else self.nominal, float(np.exp(-1)))
+
+
+def prepare(model: Model, traces: Sequence[Trace], heldout: Sequence[Trace], needed: int) -> Prepared:
+    """Return the prepared problem; raises `BadInput` for whatever does not fit, naming file, field and value."""
+    if not traces:
+        raise BadInput("no recording was handed in; at least one is wanted")
+    for trace in (*traces, *heldout):
+        screen(trace, needed)
+    training, away = [_recording(model, t) for t in traces], [_recording(model, t) for t in heldout]
+    together(training + away)
+    dt = traces[0].dt
+    nominal = nominal_plant(model, dt)
+    fact = None if model.controller is None else factorise(nominal, controller_at(model.controller, dt))
+    if fact is not None:
+        for trace, recording in zip((*traces, *heldout), (*training, *away), strict=True):
+            require_controller(fact, model, trace, recording)
+    signs = tuple(c.name for c in traces[0].channels if c.role in ("alpha", "beta", "ref"))
+    return Prepared(model, nominal, fact, tuple(r.centred() for r in training), tuple(away), signs)
+
+
+def nominal_plant(model: Model, dt: float) -> StateSpace:
+    """Return the model's plant at a sample time, inputs held; a simulator is linearised around rest."""
+    plant = model.plant
+    if plant is None:
+        structure = model_structure(model)
+        plant = structure.build(structure.values)
+    if not plant.discrete:
+        return sample_zoh(plant, dt)
+    if not np.isclose(plant.dt, dt, rtol=1e-6):
+        raise BadInput(
+            f"model '{model.name}' has sample_time {plant.dt} s, the recordings {dt} s; equal ones are wanted"
+        )
+    return plant
+
+
+def controller_at(controller: StateSpace, dt: float) -> StateSpace:
+    """Return the controller at the sample time; a continuous one with states is refused (how it was sampled
+    matters)."""
+    if not controller.order:
+        return StateSpace.gain(controller.D, dt)
+    if not controller.discrete:
+        raise BadInput('the controller is given in continuous time; give the discrete one that ran (time = "discrete")')
+    if not np.isclose(controller.dt, dt, rtol=1e-6):
+        raise BadInput(
+            f"the controller has sample_time {controller.dt} s, the recordings {dt} s; equal ones are wanted"
+        )
+    return controller
+
+
+def require_controller(fact: Factorisation, model: Model, trace: Trace, recording: Recording) -> None:
+    """Raise `BadInput` when the recorded excitation shows that another controller ran than the model names.
+
+    ``Vt u - Ut y`` must be alpha (seen through a fixed filter) minus ``Ut ref``; what is left over is compared with
+    ``Ut y``. Without recorded excitation nothing can be checked.
+    """
+    alpha = _columns(trace, "alpha", [v.name for v in model.inputs], optional=True)
+    ref = _columns(trace, "ref", [v.name for v in model.outputs], optional=True)
+    if not alpha.any() and not ref.any():
+        return
+    m = fact.plant.inputs
+    start = min(settling_samples(fact.Lf), len(recording) // 2)
+    recording, alpha, ref = recording.span(0, start + _CHECKED), alpha[: start + _CHECKED], ref[: start + _CHECKED]
+    signals = np.stack(
+        [
+            simulate(fact.Lf, np.hstack(pair))[0][start:, :m]
+            for pair in (
+                (recording.u, recording.y),
+                (np.zeros_like(recording.u), ref),
+                (np.zeros_like(recording.u), recording.y),
+            )
+        ]
+    )
+    external, action = signals[0] - signals[1], signals[2]
+    left = external - _explained(external, alpha[start:])
+    share = float(
+        ((left - left.mean(axis=0)) ** 2).sum() / max(float(((action - action.mean(axis=0)) ** 2).sum()), 1e-300)
+    )
+    if share > CONTROLLER_MISMATCH:
+        raise BadInput(
+            f"{trace.name}: the recorded input is not what the model's controller makes of the recorded output "
+            "and excitation "
+            f"({100 * share:.3g} % of its action unexplained, at most {100 * CONTROLLER_MISMATCH:.2g} % is "
+            "wanted): another controller "
+            f"ran, or the actuator saturated; correct [controller]"
+        )
+
+
+def _explained(signal: Array, alpha: Array, lags: int = 40) -> Array:
+    """Return the part of a signal that a filter of alpha explains (identity when the same factors made alpha)."""
+    if not alpha.any():
+        return np.zeros_like(signal)
+    if float(np.abs(signal - alpha).max()) < 1e-6 * float(np.abs(alpha).max()):
+        return signal
+    window = np.lib.stride_tricks.sliding_window_view(
+        np.vstack([np.zeros((lags, alpha.shape[1])), alpha]), lags + 1, axis=0
+    )
+    rows = window.reshape(len(alpha), -1)
+    solution = linalg.lstsq(rows, signal, lapack_driver="gelsy")[0]
+    return np.asarray(rows @ solution)
+
+
+def _recording(model: Model, trace: Trace) -> Recording:
+    u = _columns(trace, "u", [v.name for v in model.inputs])
+    y = _columns(trace, "y", [v.name for v in model.outputs])
+    return Recording.of(u, y, trace.dt, trace.name)
+
+
+def _columns(trace: Trace, role: str, names: Sequence[str], optional: bool = False) -> Array:
+    """Return one role in the model's order; a missing optional column is zero, any other `BadInput`."""
+    missing = [name for name in names if not trace.has(f"{role}_{name}")]
+    if missing and not optional:
+        found = ", ".join(c.name for c in trace.channels)
+        raise BadInput(f"{trace.name}: no column '{role}_{missing[0]}'; it has {found}")
+    zero = np.zeros(len(trace))
+    return np.column_stack([zero if name in missing else trace.column(f"{role}_{name}") for name in names])

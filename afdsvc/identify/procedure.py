@@ -1,0 +1,156 @@
+"""The one entry: a model and recordings in, a better model and its judgement out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from afdsvc.api.model import Model
+from afdsvc.api.signals import Trace
+from afdsvc.errors import AfdsvcError, BadInput
+from afdsvc.identify import methods
+from afdsvc.identify.agreement import Agreement, agreement
+from afdsvc.identify.fit import ResponseBand
+from afdsvc.identify.hansen import loop_is_stable
+from afdsvc.identify.horizon import samples_needed
+from afdsvc.identify.measures import Measures
+from afdsvc.identify.methods import Outcome, omega_grid
+from afdsvc.identify.options import IdentifyOptions
+from afdsvc.identify.preparation import Prepared, nominal_plant, prepare
+from afdsvc.identify.recordings import Recording
+from afdsvc.identify.result import IdentifyResult, improved_model
+from afdsvc.identify.validation import Split, heldout_measures, split, validated
+from afdsvc.lti.frequency import frequency_response
+from afdsvc.lti.statespace import StateSpace
+
+
+def identify(
+    model: Model,
+    traces: Sequence[Trace],
+    holdout: Sequence[Trace] = (),
+    options: IdentifyOptions = IdentifyOptions(),
+    rng: np.random.Generator | None = None,
+) -> IdentifyResult:
+    """Return the plant identified from the traces, judged on the ``holdout`` traces (or the last quarter of each
+    trace).
+
+    ``rng`` is needed only for several starting points. Raises `BadInput` naming recording, field and cure when the data
+    cannot support an answer: too short, not exciting, drifting, with gaps, with a saturated actuator, made with another
+    or an unknown controller.
+    """
+    order = options.order or nominal_plant(model, traces[0].dt).order if traces else 1
+    problem = prepare(model, traces, holdout, samples_needed(len(model.inputs), len(model.outputs), order))
+    parts = split(problem.training, problem.heldout)
+    problem = replace(problem, training=parts.training)
+    method = _method(problem, options)
+    outcome = _run(method, problem, options, rng)
+    names = [v.name for v in model.outputs]
+    fit = validated(outcome.fit, parts.heldout, names, problem.fact)
+    stable = None if problem.fact is None else loop_is_stable(fit.system, problem.fact.controller)
+    before = _before(problem, parts, names)
+    check, warning = _cross_check(problem, replace(outcome, fit=fit), options)
+    return IdentifyResult(
+        fit,
+        improved_model(model, fit),
+        problem.nominal,
+        before,
+        fit.heldout,
+        parts.names,
+        tuple(r.name for r in parts.training),
+        stable,
+        _certain(problem.nominal),
+        outcome.full,
+        outcome.reductions,
+        check,
+        (*warning, *_warnings(fit.heldout, before, stable)),
+    )
+
+
+def _method(problem: Prepared, options: IdentifyOptions) -> str:
+    if options.method != "auto":
+        return options.method
+    if problem.fact is not None:
+        return "hansen"
+    if problem.closed_loop_signs:
+        raise BadInput(
+            f"model '{problem.model.name}' names no controller, but the recording was made in closed loop "
+            f"({', '.join(problem.closed_loop_signs)}): add [controller], or choose method pbsid or greybox, "
+            "which need none"
+        )
+    return "pbsid"
+
+
+def _run(method: str, problem: Prepared, options: IdentifyOptions, rng: np.random.Generator | None) -> Outcome:
+    if method == "greybox":
+        return methods.greybox(problem, options, rng)
+    ways = {
+        "hansen": methods.hansen,
+        "subspace": methods.subspace,
+        "pbsid": methods.pbsid,
+        "indirect": methods.indirect,
+    }
+    return ways[method](problem, options)
+
+
+def _before(problem: Prepared, parts: Split, names: Sequence[str]) -> dict[str, Measures]:
+    try:
+        found = heldout_measures(problem.nominal, parts.heldout, problem.fact)
+    except BadInput:  # an unstable nominal model without controller predicts nothing
+        found = [Measures(float("-inf"), float("inf"), float("-inf"))] * len(names)
+    return dict(zip(names, found, strict=True))
+
+
+def _cross_check(
+    problem: Prepared, outcome: Outcome, options: IdentifyOptions
+) -> tuple[Agreement | None, tuple[str, ...]]:
+    """Compare with PBSIDopt where there is an uncertainty to compare with."""
+    band = outcome.fit.band
+    if not options.cross_check or band is None or outcome.fit.method == "pbsid":
+        return None, ()
+    try:
+        other = methods.pbsid(problem, replace(options, order=None, horizon=None)).fit
+    except AfdsvcError as error:
+        return None, (f"no cross-check by PBSIDopt: {error}",)
+    excited = _excited(problem.training, band)
+    if other.band is None or not excited.any():
+        return None, ()
+    return agreement(_only(band, excited), _only(other.band, excited)), ()
+
+
+def _excited(recordings: Sequence[Recording], band: ResponseBand) -> np.ndarray:
+    """Return which frequencies hold a thousandth or more of the input's strongest power."""
+    dt = recordings[0].dt
+    power = sum(np.interp(band.omega, *_smooth_spectrum(r.u, dt)) for r in recordings)
+    return np.asarray(power > 1e-3 * np.max(power))
+
+
+def _smooth_spectrum(u: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    power = (np.abs(np.fft.rfft(u, axis=0)) ** 2).sum(axis=1)
+    width = max(1, len(power) // 200)
+    smooth = np.convolve(power, np.ones(width) / width, mode="same")
+    return 2 * np.pi * np.fft.rfftfreq(len(u), dt), smooth
+
+
+def _only(band: ResponseBand, kept: np.ndarray) -> ResponseBand:
+    return ResponseBand(band.omega[kept], band.value[kept], band.covariance[kept], band.freedom)
+
+
+def _certain(system: StateSpace) -> ResponseBand:
+    omega = omega_grid(system.dt)
+    value = frequency_response(system, omega)
+    return ResponseBand(omega, value, np.zeros((*value.shape, 2, 2)))
+
+
+def _warnings(after: object, before: object, stable: bool | None) -> tuple[str, ...]:
+    notes = []
+    if stable is False:
+        notes.append("the current controller does not stabilise the identified plant")
+    if isinstance(after, dict) and isinstance(before, dict):
+        worse = [name for name in after if after[name].r2 < before[name].r2 - 0.02]
+        notes += [
+            f"output '{name}' is predicted worse than before ({after[name].r2:.3g} against {before[name].r2:.3g})"
+            for name in worse
+        ]
+    return tuple(notes)

@@ -1,0 +1,99 @@
+"""What identification works on: input and output arrays of one or several recordings, checked once at the door."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from afdsvc.errors import BadInput
+from afdsvc.lti.statespace import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """One uniformly sampled experiment: ``u (N, m)``, ``y (N, p)``, sample time ``dt`` [s], and where it came from.
+
+    Build one with `Recording.of`, which checks shapes and refuses missing samples.
+    """
+
+    u: Array
+    y: Array
+    dt: float
+    name: str = "recording"
+
+    @classmethod
+    def of(cls, u: ArrayLike, y: ArrayLike, dt: float, name: str = "recording") -> Recording:
+        """Return a checked recording; raises `BadInput` naming the signal, the value found and the value wanted."""
+        inputs, outputs = _columns(u, "input", name), _columns(y, "output", name)
+        if inputs.shape[0] != outputs.shape[0]:
+            raise BadInput(
+                f"{name}: {inputs.shape[0]} input samples and {outputs.shape[0]} output samples; equal counts wanted"
+            )
+        if not (np.isfinite(dt) and dt > 0):
+            raise BadInput(f"{name}: sample time {dt} s; a positive number is wanted")
+        return cls(inputs, outputs, float(dt), name)
+
+    def __len__(self) -> int:
+        return int(self.u.shape[0])
+
+    def centred(self) -> Recording:
+        """Return the recording with the mean of every signal removed: the operating point is not part of the model."""
+        return Recording(self.u - self.u.mean(axis=0), self.y - self.y.mean(axis=0), self.dt, self.name)
+
+    def span(self, start: int, stop: int) -> Recording:
+        """Return samples ``start`` to ``stop`` (exclusive)."""
+        return Recording(self.u[start:stop], self.y[start:stop], self.dt, self.name)
+
+
+def together(recordings: Recording | Iterable[Recording]) -> list[Recording]:
+    """Return the recordings as a list that can be fitted together; raises `BadInput` when they do not belong
+    together."""
+    several = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if not several:
+        raise BadInput("no recording was handed in; at least one is wanted")
+    first = several[0]
+    for other in several[1:]:
+        if other.u.shape[1] != first.u.shape[1] or other.y.shape[1] != first.y.shape[1]:
+            raise BadInput(
+                f"{other.name} has {other.u.shape[1]} inputs and {other.y.shape[1]} outputs, "
+                f"{first.name} has {first.u.shape[1]} and {first.y.shape[1]}; equal counts are wanted"
+            )
+        if not np.isclose(other.dt, first.dt, rtol=1e-6):
+            raise BadInput(
+                f"{other.name} is sampled every {other.dt} s, {first.name} every {first.dt} s; one sample time "
+                "is wanted"
+            )
+    return several
+
+
+def scales(recordings: Sequence[Recording]) -> tuple[Array, Array]:
+    """Return the root mean square of every input ``(m,)`` and output ``(p,)`` over all recordings; 1 where it is
+    zero."""
+    count = sum(len(r) for r in recordings)
+    powers = [sum((getattr(r, side) ** 2).sum(axis=0) for r in recordings) / count for side in ("u", "y")]
+    return _positive(np.sqrt(powers[0])), _positive(np.sqrt(powers[1]))
+
+
+def scaled(recordings: Sequence[Recording], u_scale: Array, y_scale: Array) -> list[Recording]:
+    """Return the recordings divided by the scales, so that units do not decide what is numerically small."""
+    return [Recording(r.u / u_scale, r.y / y_scale, r.dt, r.name) for r in recordings]
+
+
+def _positive(scale: Array) -> Array:
+    return np.where(scale > 0, scale, 1.0)
+
+
+def _columns(signal: ArrayLike, side: str, name: str) -> Array:
+    array = np.asarray(signal, dtype=np.float64)
+    array = array[:, None] if array.ndim == 1 else array
+    if array.ndim != 2 or array.shape[1] == 0:
+        raise BadInput(f"{name}: {side} has shape {array.shape}; (samples, channels) is wanted")
+    if not np.isfinite(array).all():
+        row, column = np.argwhere(~np.isfinite(array))[0]
+        raise BadInput(
+            f"{name}: {side} {column} is not a number at sample {row}; cut the recording there or fill the gap"
+        )
+    return array

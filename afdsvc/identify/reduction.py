@@ -1,0 +1,159 @@
+"""From G(S), of inconveniently high order, to the order wanted, keeping what the closed loop does.
+
+Four ways, tried side by side and judged by the loop they leave:
+
+- ``balanced``: balanced truncation of the plant, blind to the loop;
+- ``frequency_weighted``: weighted with the spectrum of the plant's recorded input;
+- ``closed_loop``: weighted with the loop's sensitivities (Enns), where the loop looks;
+- ``coprime``: balanced truncation of ``[M + U S; N + V S]``, which is the loop itself from alpha to ``[u; y]``; the
+  plant is the quotient of what is left. Serves unstable plants as well (Meyer, IEEE Trans. Automatic Control 35, 1990).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from afdsvc.errors import AfdsvcError, BadInput
+from afdsvc.identify.hansen import excited_loop, loop_is_stable
+from afdsvc.identify.recordings import Recording
+from afdsvc.lti.coprime import Factorisation
+from afdsvc.lti.exchange import exchange
+from afdsvc.lti.frequency import frequency_response
+from afdsvc.lti.reduce import balanced_truncation, closed_loop_truncation, weighted_truncation
+from afdsvc.lti.statespace import Array, ComplexArray, StateSpace, block_diagonal
+
+TRUNCATIONS = ("balanced", "frequency_weighted", "closed_loop", "coprime")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReducedPlant:
+    """One reduction and what it costs.
+
+    ``plant_error`` and ``loop_error`` are the largest error of the frequency response of the plant, and of the loop
+    from alpha to ``[u, y]``, relative to the largest response (signals in units of their scale); ``loop_error`` is inf
+    when the loop is unstable. ``failure`` says why a method gave nothing.
+    """
+
+    method: str
+    system: StateSpace | None
+    loop_stable: bool
+    plant_error: float
+    loop_error: float
+    failure: str = ""
+
+
+def compare_reductions(
+    plant: StateSpace,
+    fact: Factorisation,
+    order: int,
+    recordings: Sequence[Recording] = (),
+    methods: Sequence[str] = TRUNCATIONS,
+) -> list[ReducedPlant]:
+    """Return all reductions of the plant to ``order``, the one that disturbs the loop least first.
+
+    ``recordings`` of u and y give the scales of the signals and the weight of ``frequency_weighted``. Raises `BadInput`
+    for an unknown method, or when the order exceeds the plant's.
+    """
+    unknown = [method for method in methods if method not in TRUNCATIONS]
+    if unknown:
+        raise BadInput(f"reduction method '{unknown[0]}'; one of {', '.join(TRUNCATIONS)} is wanted")
+    if order > plant.order:
+        raise BadInput(
+            f"a plant of order {plant.order} cannot be reduced to order {order}; at most {plant.order} is wanted"
+        )
+    u_scale, y_scale = _scales(recordings, plant)
+    ways: dict[str, Callable[[], StateSpace]] = {
+        "balanced": lambda: _in_scale(plant, u_scale, y_scale, lambda g: balanced_truncation(g, order).system),
+        "frequency_weighted": lambda: _frequency_weighted(plant, order, recordings, u_scale, y_scale),
+        "closed_loop": lambda: _closed_loop(plant, fact.controller, order, u_scale, y_scale),
+        "coprime": lambda: _coprime(plant, fact, order, u_scale, y_scale),
+    }
+    results = [_judged(method, ways[method], plant, fact, u_scale, y_scale) for method in methods]
+    return sorted(results, key=lambda r: r.loop_error)
+
+
+def judged(
+    method: str, reduced: StateSpace, plant: StateSpace, fact: Factorisation, recordings: Sequence[Recording]
+) -> ReducedPlant:
+    """Return what a reduction found elsewhere costs, measured like the others."""
+    return _judged(method, lambda: reduced, plant, fact, *_scales(recordings, plant))
+
+
+def _judged(
+    method: str,
+    reduce: Callable[[], StateSpace],
+    plant: StateSpace,
+    fact: Factorisation,
+    u_scale: Array,
+    y_scale: Array,
+) -> ReducedPlant:
+    try:
+        reduced = reduce()
+    except AfdsvcError as error:
+        return ReducedPlant(method, None, False, float("inf"), float("inf"), str(error))
+    omega = np.linspace(0.002, 0.998, 300) * np.pi / plant.dt
+    open_loop = _distance(frequency_response(plant, omega), frequency_response(reduced, omega), y_scale, u_scale)
+    if not loop_is_stable(reduced, fact.controller):
+        return ReducedPlant(method, reduced, False, open_loop, float("inf"), "the controller does not stabilise it")
+    whole, less = (frequency_response(excited_loop(fact, g), omega) for g in (plant, reduced))
+    closed_loop = _distance(whole, less, np.concatenate([u_scale, y_scale]), u_scale)
+    return ReducedPlant(method, reduced, True, open_loop, closed_loop)
+
+
+def _distance(a: ComplexArray, b: ComplexArray, out_scale: Array, in_scale: Array) -> float:
+    scale = in_scale[None, None, :] / out_scale[None, :, None]
+    gap, size = (np.linalg.norm(x * scale, ord=2, axis=(1, 2)).max() for x in (a - b, a))
+    return float(gap / size)
+
+
+def _scales(recordings: Sequence[Recording], plant: StateSpace) -> tuple[Array, Array]:
+    if not recordings:
+        return np.ones(plant.inputs), np.ones(plant.outputs)
+    u, y = np.vstack([r.u for r in recordings]), np.vstack([r.y for r in recordings])
+    return np.maximum(u.std(axis=0), 1e-300), np.maximum(y.std(axis=0), 1e-300)
+
+
+def _in_scale(plant: StateSpace, u: Array, y: Array, reduce: Callable[[StateSpace], StateSpace]) -> StateSpace:
+    """Apply a reduction in units of the signals' scales."""
+    r = reduce(StateSpace(plant.A, plant.B * u, plant.C / y[:, None], plant.D * u / y[:, None], plant.dt))
+    return StateSpace(r.A, r.B / u, r.C * y[:, None], r.D / u * y[:, None], r.dt)
+
+
+def _frequency_weighted(
+    plant: StateSpace, order: int, recordings: Sequence[Recording], u_scale: Array, y_scale: Array
+) -> StateSpace:
+    if not recordings:
+        raise BadInput("the frequency-weighted reduction needs recordings of the plant's input; none were handed in")
+    relative = np.vstack([r.u - r.u.mean(axis=0) for r in recordings]) / u_scale
+    weight = block_diagonal(*(_shaping_filter(column, plant.dt) for column in relative.T))
+    return _in_scale(plant, u_scale, y_scale, lambda g: weighted_truncation(g, order, input_weight=weight).system)
+
+
+def _shaping_filter(u: Array, dt: float, lags: int = 20) -> StateSpace:
+    """Return the autoregressive filter with the spectrum of a signal (Yule-Walker), which is stable by construction."""
+    correlation = np.asarray([u[: len(u) - k] @ u[k:] for k in range(lags + 1)]) / len(u)
+    correlation[0] *= 1 + 1e-6
+    a = linalg.solve_toeplitz(correlation[:-1], correlation[1:])
+    A = np.vstack([a, np.eye(lags)[:-1]])
+    gain = float(np.sqrt(max(correlation[0] - a @ correlation[1:], 1e-12 * correlation[0])))
+    return StateSpace(A, gain * np.eye(lags)[:, :1], a[None, :], np.array([[gain]]), dt)
+
+
+def _closed_loop(plant: StateSpace, controller: StateSpace, order: int, u: Array, y: Array) -> StateSpace:
+    scaled = StateSpace(
+        controller.A, controller.B * y, controller.C / u[:, None], controller.D * y / u[:, None], controller.dt
+    )
+    return _in_scale(plant, u, y, lambda g: closed_loop_truncation(g, scaled, order).system)
+
+
+def _coprime(plant: StateSpace, fact: Factorisation, order: int, u: Array, y: Array) -> StateSpace:
+    m, scale = plant.inputs, np.concatenate([u, y])
+    loop = excited_loop(fact, plant)
+    relative = StateSpace(loop.A, loop.B * u, loop.C / scale[:, None], loop.D * u / scale[:, None], loop.dt)
+    r = balanced_truncation(relative, order).system
+    graph = StateSpace(r.A, r.B / u, r.C * scale[:, None], r.D / u * scale[:, None], r.dt)
+    return exchange(graph, range(m), range(m)).select(slice(m, None), slice(None))

@@ -1,0 +1,81 @@
+"""The plant of a wanted order that explains the residuals best: reduction judged by the recordings themselves.
+
+A truncation throws away what is small in some norm; here the distance that counts is ``|beta - S(G) alpha|`` on the
+recordings, over all plants G of the order, started from a truncation. The excitation alpha is free of noise, so the
+estimate is consistent whatever the colour of the noise, and a plant that the controller does not stabilise cannot come
+out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from afdsvc.identify.fit import ResponseBand
+from afdsvc.identify.indirect import Mismatch
+from afdsvc.identify.local_coordinates import local_structure
+from afdsvc.identify.recordings import Recording
+from afdsvc.lti.coprime import Factorisation
+from afdsvc.lti.frequency import frequency_response
+from afdsvc.lti.reduce import balanced_truncation
+from afdsvc.lti.stability import is_stable
+from afdsvc.lti.statespace import Array, StateSpace
+
+_RESTARTS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refinement:
+    """The refined plant, the mean square of what remains unexplained (relative to the start), and the objective
+    there."""
+
+    system: StateSpace
+    gain: float
+    objective: Mismatch
+    point: Array
+
+    def band(self, omega: Array, groups: int = 16) -> ResponseBand:
+        """Return the frequency response with its covariance.
+
+        Gradients of groups of samples (long against the noise's memory) tell how much the minimum would move without
+        each: ``H^-1 (sum g g') H^-1``, valid for noise of any colour.
+        """
+        local, parts = self.objective.local(self.point), self.objective.group_gradients(self.point, groups)
+        count = len(parts)
+        moves = np.linalg.solve(local.curvature, (parts - parts.mean(axis=0)).T).T * np.sqrt(count / (count - 1))
+        structure, step = self.objective.structure, 1e-3
+        centre = self.point * structure.scales
+
+        def response(z: Array) -> Array:
+            return np.asarray(frequency_response(structure.build(z), omega))
+
+        slopes = np.stack(
+            [(response(centre + h) - response(centre - h)) / (2 * step) for h in np.diag(step * structure.scales)]
+        )
+        shifts = np.tensordot(moves, slopes, axes=1)
+        split = np.stack([shifts.real, shifts.imag], axis=-1)
+        covariance = np.einsum("gkpmi,gkpmj->kpmij", split, split)
+        return ResponseBand(omega, response(centre).astype(np.complex128), covariance, freedom=count - 1)
+
+
+def refine(fact: Factorisation, signals: Sequence[Recording], start: StateSpace) -> Refinement:
+    """Return the plant of the order of ``start`` whose S explains ``signals`` (alpha as u, beta as y) best."""
+    system, first = start, float("nan")
+    for _ in range(_RESTARTS):  # the coordinates are those of the point they start from
+        objective = Mismatch(local_structure(_balanced(system)), fact, signals, 2, None)
+        z = np.zeros(len(objective.structure.parameters))
+        unbounded = np.full(len(z), np.inf)
+        before = float(np.trace(objective.error_covariance(z)))
+        first = before if np.isnan(first) else first
+        best, _ = objective.minimise(z, -unbounded, unbounded)
+        after = float(np.trace(objective.error_covariance(best.point * objective.structure.scales)))
+        system = objective.structure.build(best.point * objective.structure.scales)
+        if after > before * (1 - 1e-4):
+            break
+    return Refinement(system, after / first, objective, best.point)
+
+
+def _balanced(system: StateSpace) -> StateSpace:
+    return balanced_truncation(system, system.order).system if is_stable(system.A, system.dt) else system

@@ -1,0 +1,148 @@
+"""One pass over a recording: prediction errors and their derivatives, reduced on the way to normal equations.
+
+The sensitivities of the state are simulated forward together with it, all parameters side by side, so the cost of a
+full Gauss-Newton step grows linearly with samples and with parameters and no sensitivity is ever stored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from scipy import linalg
+
+from afdsvc.identify.noisy_structure import Slopes
+from afdsvc.lti.statespace import Array, StateSpace
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NormalEquations:
+    """What a pass leaves: ``cost = sum rho(e)``, gradient ``(q + n,)`` and Gauss-Newton matrix ``(q + n, q + n)``.
+
+    The last n rows belong to the initial state. ``spread (p, p)`` is ``sum e e'`` of the errors as they are;
+    ``gradients (blocks, q + n)`` add up to the gradient, block of samples by block of samples.
+    """
+
+    cost: float
+    gradient: Array
+    matrix: Array
+    spread: Array
+    samples: int
+    gradients: Array
+
+
+def sweep(
+    system: StateSpace,
+    slopes: Slopes,
+    inputs: Array,
+    outputs: Array,
+    x0: Array,
+    whitener: Array,
+    one_norm: float = 0.0,
+    block: int = 2048,
+) -> NormalEquations:
+    """Return the normal equations of ``e = whitener (outputs - system(inputs))``.
+
+    ``inputs (N, m)``, ``outputs (N, p)``, ``x0 (n,)``, ``whitener (p, p)``. Without ``one_norm`` the cost is half the
+    sum of squares; with it the sum of ``|e|``, rounded off below ``one_norm`` (Huber's function).
+    """
+    q, n, p = len(slopes.A), system.order, system.outputs
+    x, X = x0.copy(), np.zeros((n, q + n))
+    X[:, q:] = np.eye(n)
+    A, B, C, D, dA, dB, dC, dD = _pack(system, slopes, n)
+    cost, gradients, matrix, spread = 0.0, [], np.zeros((q + n, q + n)), np.zeros((p, p))
+    errors, jacobian = np.empty((block, p)), np.empty((block, p, q + n))
+    for start in range(0, len(outputs), block):
+        v, y = inputs[start : start + block], outputs[start : start + block]
+        count = len(y)
+        _step(A, B, C, D, dA, dB, dC, dD, np.ascontiguousarray(v), np.ascontiguousarray(y), x, X, errors, jacobian)
+        e, J = errors[:count], jacobian[:count]
+        spread += e.T @ e
+        white = (e @ whitener.T).ravel()
+        rows = np.matmul(whitener, J).reshape(count * p, q + n)
+        weight, value = _weights(white, one_norm)
+        cost += value
+        gradients.append(rows.T @ (weight * white))
+        matrix += rows.T @ (rows * weight[:, None])
+    parts = np.stack(gradients)
+    return NormalEquations(cost, parts.sum(axis=0), matrix, spread, len(outputs), parts)
+
+
+def whitening_of(covariance: Array) -> Array:
+    """Return W with ``W covariance W' = I``."""
+    return np.asarray(linalg.solve_triangular(np.linalg.cholesky(covariance), np.eye(len(covariance)), lower=True))
+
+
+def _weights(white: Array, one_norm: float) -> tuple[Array, float]:
+    if not one_norm:
+        return np.ones_like(white), 0.5 * float(white @ white)
+    size = np.abs(white)
+    inside = size < one_norm
+    value = np.where(inside, size**2 / (2 * one_norm) + one_norm / 2, size)
+    return 1 / np.maximum(size, one_norm), float(value.sum())
+
+
+def _pack(system: StateSpace, slopes: Slopes, n: int) -> tuple[Array, ...]:
+    """Lay the matrices out for the loop: slopes with the parameter running fastest, zero for the initial state."""
+    padded = [np.concatenate([s, np.zeros((n, *s.shape[1:]))]) for s in (slopes.A, slopes.B, slopes.C, slopes.D)]
+    return (
+        *map(np.ascontiguousarray, (system.A, system.B, system.C, system.D)),
+        *(np.ascontiguousarray(np.moveaxis(s, 0, -1)) for s in padded),
+    )
+
+
+@njit(cache=True, fastmath=True)
+def _dot(a: Any, b: Any) -> Any:
+    total = 0.0
+    for i in range(a.shape[0]):
+        total += a[i] * b[i]
+    return total
+
+
+@njit(cache=True, fastmath=True)
+def _add(factor: float, row: Any, slope: Any, value: float, total: Any) -> None:
+    """Add ``factor * row + slope * value`` to ``total``, parameter by parameter."""
+    for s in range(total.shape[0]):
+        total[s] += factor * row[s] + slope[s] * value
+
+
+@njit(cache=True, fastmath=True)
+def _step(
+    A: Any,
+    B: Any,
+    C: Any,
+    D: Any,
+    dA: Any,
+    dB: Any,
+    dC: Any,
+    dD: Any,
+    v: Any,
+    y: Any,
+    x: Any,
+    X: Any,
+    errors: Any,
+    jacobian: Any,
+) -> None:
+    """Advance state x ``(n,)`` and sensitivities X ``(n, q)``; fill errors and their derivatives."""
+    (n, q), (p, m) = X.shape, D.shape
+    new_x, new_X, nothing = np.empty(n), np.empty((n, q)), np.zeros(q)
+    for k in range(v.shape[0]):
+        for i in range(p):
+            predicted = _dot(C[i], x) + _dot(D[i], v[k])
+            jacobian[k, i] = 0.0
+            for j in range(n):
+                _add(-C[i, j], X[j], dC[i, j], -x[j], jacobian[k, i])
+            for j in range(m):
+                _add(0.0, nothing, dD[i, j], -v[k, j], jacobian[k, i])
+            errors[k, i] = y[k, i] - predicted
+        for i in range(n):
+            new_x[i] = _dot(A[i], x) + _dot(B[i], v[k])
+            new_X[i] = 0.0
+            for j in range(n):
+                _add(A[i, j], X[j], dA[i, j], x[j], new_X[i])
+            for j in range(m):
+                _add(0.0, nothing, dB[i, j], v[k, j], new_X[i])
+        x[:] = new_x
+        X[:, :] = new_X
