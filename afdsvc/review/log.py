@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import uuid
 from pathlib import Path
 
@@ -44,6 +45,7 @@ class ReviewLog:
         self._decisions = DecisionLog()
         self._recording = rr.RecordingStream(paths.APPLICATION, recording_id=str(uuid.uuid4()))
         _connect(self._recording, file, live)
+        self._recording.send_recording_name(file.stem if file else "live")
         warm_up()
 
     def block(self, block: Block) -> None:
@@ -138,9 +140,18 @@ def _connect(recording: rr.RecordingStream, file: Path | None, live: int | None)
             file.open("wb").close()  # the viewer's own error comes too late, and from another thread
             sinks.append(rr.FileSink(file))
         if live is not None:
+            _refuse_taken(live)
             sinks.append(rr.GrpcServerSink(LOOPBACK, live))
         recording.set_sinks(*sinks)
     except OSError as error:
         raise BadInput(f"{file}: cannot be written: {error.strerror or error}") from None
-    except Exception as error:
-        raise BadInput(f"review on port {live} of {LOOPBACK}: {error}") from None
+
+
+def _refuse_taken(port: int) -> None:
+    """Raise `BadInput` when somebody listens at the port already; the viewer's server would only print it."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((LOOPBACK, port))
+        except (OSError, OverflowError) as error:
+            raise BadInput(f"live review on port {port} of {LOOPBACK}: {error}; a free port is wanted") from None

@@ -51,7 +51,7 @@ def group(machine: str, name: str, *parts: str) -> str:
 
 def signal(machine: str, name: str, role: str, label: str) -> str:
     """Return the path of one signal."""
-    return group(machine, name, f"{role} {label}")
+    return group(machine, name, f"{role}_{label}")
 
 
 def shade(machine: str, name: str) -> str:
