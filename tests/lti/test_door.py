@@ -120,9 +120,7 @@ def test_gas_bearing_in_its_own_units() -> None:
         f = lti.coprime(plant, controller)
         for omega in (1.0, 62.0, 1340.0, 5000.0, 15000.0):
             g = {name: at(getattr(f, name), np.exp(1j * omega * G.dt)) for name in FACTORS}
-            product = np.block([[g["Vt"], -g["Ut"]], [-g["Nt"], g["Mt"]]]) @ np.block(
-                [[g["M"], g["U"]], [g["N"], g["V"]]]
-            )
+            product = np.block([[g["Vt"], -g["Ut"]], [-g["Nt"], g["Mt"]]]) @ np.block([[g["M"], g["U"]], [g["N"], g["V"]]])
             assert np.abs(product - np.eye(4)).max() < 1e-9
             healthy = at(lti.deviation(plant, plant, controller), np.exp(1j * omega * G.dt))
             assert np.abs(healthy).max() < 1e-9

@@ -193,9 +193,7 @@ def test_deviation_and_every_closed_loop_path(kind: str, plant: StateSpace, seed
     assert distance(response(deviation_system(f, plant)), 0 * S) < 1e-9  # S(0) = 0
     Gt, eye = response(true), np.eye(plant.outputs)
     # S = V^-1 (I - Gt K)^-1 (Gt - G) M, multiplied out; and its mirror image from the left
-    assert distance((eye - Gt @ F.K) @ F.V @ S, (Gt - F.G) @ F.M) < 1e-8 * max(
-        1.0, np.abs(Gt).max() / np.abs(F.G).max()
-    )
+    assert distance((eye - Gt @ F.K) @ F.V @ S, (Gt - F.G) @ F.M) < 1e-8 * max(1.0, np.abs(Gt).max() / np.abs(F.G).max())
     loop = closed_loop(f, true)
     path = {(o, i): response(loop.path(o, i)) for o in ("y", "y_m", "u", "beta") for i in ("d", "r1", "r2", "alpha")}
     y, u, beta = F.N + F.V @ S, F.M + F.U @ S, F.Mt + S @ F.Ut

@@ -52,9 +52,7 @@ def process(stable: bool) -> np.ndarray:
     return 0.1 * root @ root.T
 
 
-CASES = [
-    (stable, noisy, kind) for stable in (True, False) for noisy in (False, True) for kind in ("observer", "general")
-]
+CASES = [(stable, noisy, kind) for stable in (True, False) for noisy in (False, True) for kind in ("observer", "general")]
 CASES += [(True, False, "proportional"), (True, True, "proportional"), (True, False, "stable controller")]
 
 
@@ -69,9 +67,7 @@ def test_spectrum_of_r_is_flat_and_equals_its_covariance(stable: bool, noisy: bo
     # disturbances (w, v) enter as x+ = .. + w, y = .. + v; the loop turns them into beta
     noisy_plant = StateSpace(G.A, np.hstack([np.eye(4), G.B]), G.C, np.hstack([np.zeros((2, 4)), G.D]), G.dt)
     eye, zero = np.eye(2), np.zeros((4, 2))
-    with_v = StateSpace(
-        G.A, np.hstack([np.eye(4), zero, G.B]), G.C, np.hstack([np.zeros((2, 4)), eye, G.D]), noisy_plant.dt
-    )
+    with_v = StateSpace(G.A, np.hstack([np.eye(4), zero, G.B]), G.C, np.hstack([np.zeros((2, 4)), eye, G.D]), noisy_plant.dt)
     beta = star(with_v, interconnection(f), 2, 2).select(slice(None), slice(0, 6))
     path = frequency_response(beta, OMEGA)
     cov = np.block([[Q, zero], [zero.T, R]])
@@ -110,9 +106,7 @@ def test_unstable_plant_mirrors_its_poles() -> None:
     G = plant(stable=False)
     found = innovations(G, R)
     unstable = G.poles()[np.abs(G.poles()) > 1]
-    assert np.linalg.det(found.covariance) / np.linalg.det(R) == pytest.approx(
-        np.prod(np.abs(unstable) ** 2), rel=1e-10
-    )
+    assert np.linalg.det(found.covariance) / np.linalg.det(R) == pytest.approx(np.prod(np.abs(unstable) ** 2), rel=1e-10)
     mirrored = np.sort(np.abs(found.filter.poles()))
     wanted = np.sort(np.where(np.abs(G.poles()) > 1, 1 / np.abs(G.poles()), np.abs(G.poles())))
     assert np.abs(mirrored - wanted).max() < 1e-9
