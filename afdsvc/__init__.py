@@ -16,8 +16,13 @@ The rooms, from thinking (pure) over knowing how (swappable) to doing (bytes, ti
 - `runtime`: clock, scheduler, bursts, safety, transport
 - `review`: Rerun logging and blueprint
 - `report`: tables, figures, HTML
+- `commission`: from one machine of the site file to its concrete parts
 - `service`: the only place that joins concrete parts
+- `offline`: the service's pipeline over recordings
+- `demo`: the main job on one command
+- `terminal`: tables and progress bars
 - `cli`: arguments, nothing else
+- `trial`: blind trials: a truth written apart from everything it tests
 - `testing`: the conformance suites and fixtures shipped to plugin authors
 - `errors`: every deliberate error
 """

@@ -107,7 +107,11 @@ def serve(site: SiteFile, seconds: Annotated[float | None, typer.Option(help="St
 
     stop = _stop_on_signals()
     with serving(read_site(site)) as hub:
-        print(f"afdsvc {__version__}: serving '{hub.keys.site}' with {len(hub.watches)} machine(s)", file=sys.stderr, flush=True)
+        print(
+            f"afdsvc {__version__}: serving '{hub.keys.site}' with {len(hub.watches)} machine(s)",
+            file=sys.stderr,
+            flush=True,
+        )
         stop.wait(seconds)
 
 
@@ -206,14 +210,22 @@ def diagnose(
 @app.command()
 def review(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="An MCAP recording.")],
-    save: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Write a Rerun file instead of opening the viewer.")] = None,
+    save: Annotated[
+        Path | None, typer.Option(metavar="FILE.rrd", help="Write a Rerun file instead of opening the viewer.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Look at a recording in Rerun: signals, residuals, statistics, decisions, bursts."""
-    from afdsvc.review import open_viewer, review_recording
+    from afdsvc.review import review_recording
 
     made = review_recording(recording, save)
-    _show(as_json, {"rerun": str(made)}, lambda: print(made) if save else open_viewer(made))
+    _show(as_json, {"rerun": str(made)}, lambda: print(made) if save else _open(made))
+
+
+def _open(made: Path) -> None:
+    from afdsvc.review import open_viewer
+
+    open_viewer(made)
 
 
 @app.command("import")

@@ -99,9 +99,17 @@ def _from_plant(config: site_file.Machine, plugins: Plugins) -> Commissioned:
     speed = 2 * np.pi * float(config.options.get("rpm", 0)) / 60
     limits = _limits(config.limits, physical.output_limit, physical.input_limit)
     return Commissioned(
-        config, discrete, physical.inputs, physical.outputs, output_cov, None, controller,
+        config,
+        discrete,
+        physical.inputs,
+        physical.outputs,
+        output_cov,
+        None,
+        controller,
         augment(discrete, _directions(config, discrete, physical.inputs, physical.outputs, plugins)),
-        limits, _channels(physical.inputs, physical.outputs, True, speed), speed,
+        limits,
+        _channels(physical.inputs, physical.outputs, True, speed),
+        speed,
     )
 
 
@@ -143,7 +151,11 @@ def _model_cov(config: site_file.Machine, model: Model) -> Array | None:
 
 
 def _directions(
-    config: site_file.Machine, plant: StateSpace, inputs: tuple[Variable, ...], outputs: tuple[Variable, ...], plugins: Plugins
+    config: site_file.Machine,
+    plant: StateSpace,
+    inputs: tuple[Variable, ...],
+    outputs: tuple[Variable, ...],
+    plugins: Plugins,
 ) -> list[FaultDirection]:
     """Return the faults of the site file, or a gain fault on every actuator and sensor when it names none."""
     faults = config.faults if config.faults is not None else default_faults(inputs, outputs)
@@ -165,7 +177,9 @@ def _limits(settings: site_file.LimitSettings, output: Array, input: Array) -> L
         chosen = default if value is None else np.asarray(value, dtype=float)
         if chosen.shape != default.shape:
             raise BadInput(f"key 'limits.{name}' has {chosen.size} values; {default.size} are wanted")
-        return np.minimum(chosen, default)
+        if (chosen > default).any() and name != "alpha":
+            raise BadInput(f"key 'limits.{name}' is {chosen.tolist()}; at most {default.tolist()}, the plant's own limit")
+        return np.asarray(chosen, dtype=float)
 
     u = bound("input", settings.input, input)
     # Alpha enters before the controller's own feedback, which takes most of it back: u and y are what can do harm.
@@ -188,8 +202,16 @@ def problem(machine: Commissioned, output_cov: Array, process_cov: Array | None,
     residual = innovations(machine.plant, output_cov, process_cov)
     jk, whitening = _loop(machine, output_cov, process_cov)
     return DetectionProblem(
-        machine.config.id, machine.plant, machine.augmented, jk, residual.filter, whitening, residual.covariance,
-        tuple(v.name for v in machine.outputs), alarms, tuple(v.name for v in machine.inputs),
+        machine.config.id,
+        machine.plant,
+        machine.augmented,
+        jk,
+        residual.filter,
+        whitening,
+        residual.covariance,
+        tuple(v.name for v in machine.outputs),
+        alarms,
+        tuple(v.name for v in machine.inputs),
     )
 
 
@@ -233,11 +255,10 @@ def open_port(machine: Commissioned, session: str, clock: Clock, plugins: Plugin
         trace = read_table(driver.recording or Path())
         pace = clock if driver.real_time else FastClock(clock.now_ns())
         return Replay(blocks_of(trace, machine.config.id, session, clock.now_ns(), machine.config.block), pace)
-    if machine.controller is None or machine.limits is None or machine.output_cov is None:
-        raise BadInput(f"machine '{machine.config.id}' has no controller or no noise; it can only be replayed")
     if driver.kind == "simulator":
         return _simulator(machine, settings, clock)
-    return plugins.get("drivers", driver.kind).open(machine, settings, clock, driver.settings)
+    port: Port = plugins.get("drivers", driver.kind).open(machine, settings, clock, driver.settings)
+    return port
 
 
 def prediction(machine: Commissioned) -> Prediction:
@@ -250,17 +271,16 @@ def prediction(machine: Commissioned) -> Prediction:
 
 
 def _simulator(machine: Commissioned, settings: LoopSettings, clock: Clock) -> Simulator:
-    assert machine.controller and machine.limits and machine.output_cov is not None  # noqa: S101 - checked by open_port
-    dt, driver = machine.plant.dt, machine.config.driver
+    dt, driver, noise = machine.plant.dt, machine.config.driver, machine.output_cov
+    if machine.controller is None or machine.limits is None or noise is None:
+        raise BadInput(f"machine '{machine.config.id}' has no controller or no noise; it can only be replayed")
     known = machine.augmented.fault_names
     for f in driver.faults:
         if f.name not in known:
             raise BadInput(f"fault '{f.name}' is unknown; this machine has {', '.join(known)}")
     faults = tuple(ScheduledFault(f.name, f.severity, round(f.at_seconds / dt)) for f in driver.faults)
-    plant = SimulatedPlant(
-        lambda severities: machine.augmented.close(severities), machine.output_cov, None, machine.speed, None, faults
-    )
+    plant = SimulatedPlant(machine.augmented.close, noise, None, machine.speed, None, faults)
+    interconnection = machine.controller.interconnection
     return Simulator(
-        plant, machine.controller.interconnection, machine.channels, machine.limits, settings, clock, driver.seed,
-        prediction(machine),
+        plant, interconnection, machine.channels, machine.limits, settings, clock, driver.seed, prediction(machine)
     )

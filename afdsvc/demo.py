@@ -127,7 +127,9 @@ def _document(options: DemoOptions, site: Site, files: list[Path]) -> dict[str, 
     truth = [{"fault": n, "severity": s, "start_s": t} for n, s, t in options.faults]
     reviews = [str(f) for f in files if f.suffix == ".rrd"]
     return {
-        **document, "truth": truth, "recording": str(recordings[0]) if recordings else None,
+        **document,
+        "truth": truth,
+        "recording": str(recordings[0]) if recordings else None,
         "rerun": reviews[0] if reviews else None,
     }
 

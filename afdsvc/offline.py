@@ -12,12 +12,12 @@ from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block
 from afdsvc.commission import Commissioned, Watched
 from afdsvc.errors import BadInput
+from afdsvc.hal.replay import blocks_of
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.record.import_table import import_table
 from afdsvc.record.model_file import read_model
 from afdsvc.record.reader import Recording
 from afdsvc.record.tables import read_table
-from afdsvc.hal.replay import blocks_of
 from afdsvc.runtime.commands import plain
 from afdsvc.runtime.site import Driver, Machine, parse_site
 from afdsvc.runtime.verdict import conclude
@@ -126,7 +126,12 @@ def _bare(id: str, calibrate: float, on: Path | None = None) -> Machine:
 
 
 def document(
-    name: str, machine: str, replayed: Replayed, bursts: Mapping[str, Burst], parts: Commissioned, remarks: Sequence[str]
+    name: str,
+    machine: str,
+    replayed: Replayed,
+    bursts: Mapping[str, Burst],
+    parts: Commissioned,
+    remarks: Sequence[str],
 ) -> dict[str, Any]:
     """Return one recording's part of ``diagnose --json``."""
     verdict = conclude(replayed.evidence)

@@ -62,7 +62,8 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
     keys, recorders = Keys(site.site), Recorders()
     with ExitStack() as stack:
         transport = stack.enter_context(Transport(site.transport, hub=True))
-        watches, desks = {}, {}
+        watches: dict[str, MachineWatch] = {}
+        desks: dict[str, BurstDesk] = {}
         for machine in machines:
             id, stream = machine.config.id, pipeline_of(machine, plugins)
             sink = Fan([*_sinks(site, machine, clock, recorders), Publisher(keys, transport)])

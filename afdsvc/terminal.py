@@ -17,7 +17,12 @@ ERR = Console(stderr=True)
 @contextmanager
 def progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
     """Show a progress bar on a terminal's stderr; the value handed out takes what is done so far."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=ERR, transient=True, disable=not ERR.is_terminal) as bar:
         task = bar.add_task(what, total=total)
         yield lambda done: bar.update(task, completed=done)
@@ -62,8 +67,13 @@ def diagnosis_table(document: dict[str, Any]) -> None:
             for d in burst["decisions"]:
                 decision = "FAULT" if d["detected"] else ("quiet" if d.get("trustworthy", True) else "not trustworthy")
                 table.add_row(
-                    f"{burst['start_s']:.2f} s", d["detector"], f"{d['statistic']:.3g}", f"{d['threshold']:.3g}", decision,
-                    d["fault"] or "", percent(d["severity"]),
+                    f"{burst['start_s']:.2f} s",
+                    d["detector"],
+                    f"{d['statistic']:.3g}",
+                    f"{d['threshold']:.3g}",
+                    decision,
+                    d["fault"] or "",
+                    percent(d["severity"]),
                 )
         if recording["bursts"]:
             OUT.print(table)
@@ -97,12 +107,22 @@ def status_table(status: dict[str, Any]) -> None:
     for m in status["machines"]:
         alarms = ", ".join(a["fault"] for a in m["alarms"] if a["active"]) or "none"
         table.add_row(
-            m["machine"], m["state"], str(m["blocks"]), str(m["lost_blocks"]), str(m["late"]), m["burst"] or "no",
-            f"{m['next_burst']:.1f} s", alarms, m["reason"],
+            m["machine"],
+            m["state"],
+            str(m["blocks"]),
+            str(m["lost_blocks"]),
+            str(m["late"]),
+            m["burst"] or "no",
+            f"{m['next_burst']:.1f} s",
+            alarms,
+            m["reason"],
         )
     OUT.print(table)
     failure = f"; NOT RECORDING: {status['recording_failure']}" if status["recording_failure"] else ""
-    OUT.print(f"recording {status['recording'] or 'nothing'} ({status['recording_bytes'] / 1e6:.1f} MB){failure}", soft_wrap=True)
+    OUT.print(
+        f"recording {status['recording'] or 'nothing'} ({status['recording_bytes'] / 1e6:.1f} MB){failure}",
+        soft_wrap=True,
+    )
 
 
 def alarm_table(alarms: list[dict[str, Any]]) -> None:

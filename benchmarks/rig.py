@@ -51,7 +51,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=600.0)
     seconds = parser.parse_args().seconds
     compiled, plain = control_cost()
-    print(f"control sample: {1e6 * compiled:.2f} us compiled, {1e6 * plain:.2f} us numpy, ratio {plain / compiled:.1f}; period 200 us")
+    ratio = plain / compiled
+    print(f"control sample: {1e6 * compiled:.2f} us compiled, {1e6 * plain:.2f} us numpy, ratio {ratio:.1f}; period 200 us")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "site.toml"
         options = DemoOptions(faults=(), out=Path(folder) / "recordings", seconds=seconds)
@@ -64,8 +65,10 @@ def main() -> None:
             samples = round(watch.seconds_seen * 5000)
             print(f"rig: {samples} samples in {watch.blocks} blocks, {watch.late} late ({100 * watch.late / samples:.3f} %)")
             print(f"rig: head-room {100 * watch.head_room:.1f} % of the sample period, last value told")
-            print(f"service: {watch.lost_samples} samples lost, {hub.dropped + dropped} messages dropped, recording {size / 1e6:.1f} MB")
-            print(f"service: {len(watch.evidence)} decisions kept, alarms {[a.id for a in hub.alarms.alarms.values()]} {failure}")
+            print(f"service: {watch.lost_samples} samples lost, {hub.dropped + dropped} messages dropped, {size / 1e6:.1f} MB")
+            print(
+                f"service: {len(watch.evidence)} decisions kept, alarms {[a.id for a in hub.alarms.alarms.values()]} {failure}"
+            )
 
 
 if __name__ == "__main__":

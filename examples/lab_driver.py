@@ -83,7 +83,9 @@ def main(seconds: float = 1.0) -> None:
             while drive.playing:
                 rig.read()
         status = rig.status()
-        print(f"{status.samples} samples, {status.late} late, head-room {100 * status.head_room:.0f} %, {drive.aborted or 'no abort'}")
+        print(
+            f"{status.samples} samples, {status.late} late, head-room {100 * status.head_room:.0f} %, {drive.aborted or 'no abort'}"
+        )
     finally:
         rig.close()
     assert driver.at_rest

@@ -41,8 +41,12 @@ def machine_config(controller: str = "lqg", rpm: int = 0, seed: int = 1, faults:
     injected = [FaultInjection(name=n, severity=s, at_seconds=t) for n, (s, t) in (faults or {}).items()]
     driver = {"kind": "simulator", "real_time": False, "seed": seed, "faults": injected}
     return Machine(
-        id="bearing", plant="gas_bearing", options={"rpm": rpm}, controller=controller_settings(controller),
-        driver=driver, **more,
+        id="bearing",
+        plant="gas_bearing",
+        options={"rpm": rpm},
+        controller=controller_settings(controller),
+        driver=driver,
+        **more,
     )
 
 

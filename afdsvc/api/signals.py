@@ -70,7 +70,7 @@ class Block:
             )
 
     def __len__(self) -> int:
-        return self.values.shape[0]
+        return len(self.values)
 
     def role(self, role: str) -> Array:
         """Return the samples of one role, shape ``(n, channels of that role)``."""
@@ -103,12 +103,12 @@ class Trace:
             raise BadInput(f"{self.name}: shape {self.values.shape} does not fit {len(self.channels)} channels")
 
     def __len__(self) -> int:
-        return self.values.shape[0]
+        return len(self.values)
 
     @property
     def t(self) -> Array:
         """Times of the samples in seconds, shape ``(n,)``."""
-        return self.t0 + self.dt * np.arange(len(self))
+        return np.asarray(self.t0 + self.dt * np.arange(len(self)), dtype=np.float64)
 
     def role(self, role: str) -> Array:
         """Return the samples of one role, shape ``(n, channels of that role)``."""

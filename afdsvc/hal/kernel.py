@@ -23,23 +23,36 @@ def control_sample(A, B, C, D, xk, y, alpha, armed, output_limit, input_limit, u
     NaN in y leaves the controller state alone and holds u.
     """
     p, m, nk = y.size, u.size, xk.size
-    for i in range(p):
-        if not np.isfinite(y[i]):
-            alpha[:] = 0.0
-            beta[:] = np.nan
-            return BAD_SAMPLE
-    cause = NO_CAUSE
-    if armed:
-        for i in range(p):
-            if abs(y[i]) > output_limit[i]:
-                cause = OUTPUT_LIMIT
-        if cause != NO_CAUSE:
-            alpha[:] = 0.0
+    cause = _judge_outputs(y, armed, output_limit)
+    if cause != NO_CAUSE:
+        alpha[:] = 0.0
+    if cause == BAD_SAMPLE:
+        beta[:] = np.nan
+        return cause
     over = _outputs(C, D, xk, y, alpha, input_limit, u, beta, m, p, nk)
     if over and armed and cause == NO_CAUSE:
         cause = INPUT_LIMIT
         alpha[:] = 0.0
         _outputs(C, D, xk, y, alpha, input_limit, u, beta, m, p, nk)
+    _advance(A, B, xk, y, alpha, m, p, nk)
+    return cause
+
+
+@njit(cache=True)
+def _judge_outputs(y, armed, output_limit):  # type: ignore[no-untyped-def]
+    """Return why the outputs alone end an excitation."""
+    cause = NO_CAUSE
+    for i in range(y.size):
+        if not np.isfinite(y[i]):
+            return BAD_SAMPLE
+        if armed and abs(y[i]) > output_limit[i]:
+            cause = OUTPUT_LIMIT
+    return cause
+
+
+@njit(cache=True)
+def _advance(A, B, xk, y, alpha, m, p, nk):  # type: ignore[no-untyped-def]
+    """Advance the controller's state in place."""
     new = np.zeros(nk)
     for i in range(nk):
         s = 0.0
@@ -51,7 +64,6 @@ def control_sample(A, B, C, D, xk, y, alpha, armed, output_limit, input_limit, u
             s += B[i, p + j] * alpha[j]
         new[i] = s
     xk[:] = new
-    return cause
 
 
 @njit(cache=True)
@@ -82,8 +94,8 @@ def closed_loop(  # type: ignore[no-untyped-def]
 ):
     """Run plant and controller for the samples of ``alpha (n, m)``; return (cause, index of the sample it fell in).
 
-    The plant is ``x+ = A x + B (u + disturbance), y = C x + noise`` (``disturbance (n, m)``, ``noise (n, p)``). From the
-    sample a limit was met on, alpha is zero. ``x``, ``xk``, ``u_hold`` and ``alpha`` are changed in place; u, y, beta are filled.
+    The plant is ``x+ = A x + B (u + disturbance), y = C x + noise`` (``disturbance (n, m)``, ``noise (n, p)``). From the sample
+    a limit was met on, alpha is zero. ``x``, ``xk``, ``u_hold`` and ``alpha`` change in place; u, y, beta are filled.
     """
     n, m = alpha.shape
     p, nx = noise.shape[1], x.size
@@ -128,6 +140,23 @@ def warm_up() -> None:
     one, none = np.ones((1, 1)), np.zeros(1)
     control_sample(one, np.zeros((1, 2)), np.zeros((2, 1)), np.zeros((2, 2)), none, none, none, False, none, none, none, none)
     closed_loop(
-        one, one, one, np.zeros(1), one, np.zeros((1, 2)), np.zeros((2, 1)), np.zeros((2, 2)), np.zeros(1), np.zeros((1, 1)),
-        np.zeros((1, 1)), np.zeros((1, 1)), False, none, none, np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)),
+        one,
+        one,
+        one,
+        np.zeros(1),
+        one,
+        np.zeros((1, 2)),
+        np.zeros((2, 1)),
+        np.zeros((2, 2)),
+        np.zeros(1),
+        np.zeros((1, 1)),
+        np.zeros((1, 1)),
+        np.zeros((1, 1)),
+        False,
+        none,
+        none,
+        np.zeros(1),
+        np.zeros((1, 1)),
+        np.zeros((1, 1)),
+        np.zeros((1, 1)),
     )

@@ -93,7 +93,8 @@ class ControlLoop(ABC):
         self._armed: Limits | None = None
         self._ready: deque[Block] = deque()
         self._k = self._seq = self._late = 0
-        self._start_ns = self._start = None  # type: ignore[assignment]
+        self._start_ns: int | None = None
+        self._start: float | None = None
         self._busy = 0.0
         self._head_room = 1.0
         self._closed = False
@@ -180,13 +181,17 @@ class ControlLoop(ABC):
         self._seq += 1
         return block
 
+    def _begin(self) -> float:
+        """Return when the first sample was due, in seconds of the clock; the first call says now."""
+        if self._start is None:
+            self._start, self._start_ns = self._clock.monotonic(), self._clock.now_ns()
+        return self._start
+
     def _paced(self, alpha: Array) -> Samples:
         """Run one slice when it is due; count its samples as late when it ends more than a slice after its due time."""
-        clock = self._clock
-        if self._start is None:
-            self._start, self._start_ns = clock.monotonic(), clock.now_ns()
+        clock, start = self._clock, self._begin()
         n = len(alpha)
-        due = self._start + (self._k + n) * self.dt
+        due = start + (self._k + n) * self.dt
         clock.sleep_until(due)
         began = clock.monotonic()
         samples = self._run(alpha, self._armed if self._excitation.name else None)
@@ -244,5 +249,8 @@ def tightest(a: Limits, b: Limits) -> Limits:
     if (a.output.shape, a.input.shape) != (b.output.shape, b.input.shape):
         raise Refused(f"limits for {b.output.size} outputs and {b.input.size} inputs do not fit this machine")
     return Limits(
-        np.minimum(a.output, b.output), np.minimum(a.input, b.input), np.minimum(a.alpha, b.alpha), min(a.seconds, b.seconds)
+        np.minimum(a.output, b.output),
+        np.minimum(a.input, b.input),
+        np.minimum(a.alpha, b.alpha),
+        min(a.seconds, b.seconds),
     )

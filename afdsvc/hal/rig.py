@@ -71,8 +71,7 @@ class DrivenRig(ControlLoop):
 
     def _paced(self, alpha: Array) -> Samples:
         """The driver's `read` keeps the pace, so a slice starts at once."""
-        if self._start is None:
-            self._start, self._start_ns = self._clock.monotonic(), self._clock.now_ns()
+        self._begin()
         samples = self._run(alpha, self._armed if self._excitation.name else None)
         self._k += len(alpha)
         return samples
@@ -105,9 +104,7 @@ class DrivenRig(ControlLoop):
     def _sample(self, y: Array, alpha: Array, armed: bool, bounds: Limits, beta: Array) -> int:
         K = self._K
         return int(
-            kernel.control_sample(
-                K.A, K.B, K.C, K.D, self._xk, y, alpha, armed, bounds.output, bounds.input, self._u, beta
-            )
+            kernel.control_sample(K.A, K.B, K.C, K.D, self._xk, y, alpha, armed, bounds.output, bounds.input, self._u, beta)
         )
 
     def _missed(self, began: float, ended: float) -> int:

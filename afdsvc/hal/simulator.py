@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from afdsvc.api.bursts import Limits
 from afdsvc.api.clock import Clock
@@ -71,7 +73,11 @@ class Simulator(ControlLoop):
         start = max(fault.start, self._k)
         later = ScheduledFault(fault.name, fault.severity, start)
         self._plant = SimulatedPlant(
-            self._plant.at, self._plant.output_cov, self._plant.process_cov, self._plant.speed, self._plant.unbalance,
+            self._plant.at,
+            self._plant.output_cov,
+            self._plant.process_cov,
+            self._plant.speed,
+            self._plant.unbalance,
             (*self._plant.faults, later),
         )
         self._changes = sorted({*self._changes, start})
@@ -88,7 +94,7 @@ class Simulator(ControlLoop):
         """Run the slice in pieces that end where a fault starts."""
         edges = [0, *(c - self._k for c in self._changes if 0 < c - self._k < len(alpha)), len(alpha)]
         pieces: list[Samples] = []
-        for a, b in zip(edges, edges[1:], strict=False):
+        for a, b in pairwise(edges):
             if self._k + a in self._changes:
                 self._G = self._plant_at(self._k + a)
             if pieces and pieces[-1].cause != kernel.NO_CAUSE:
@@ -106,12 +112,29 @@ class Simulator(ControlLoop):
         bounds = limits or self._limits
         G, K = self._G, self._K
         cause, at = kernel.closed_loop(
-            G.A, G.B, G.C, self._x, K.A, K.B, K.C, K.D, self._xk, alpha, force, noise, limits is not None,
-            bounds.output, bounds.input, self._u, u, y, beta,
+            G.A,
+            G.B,
+            G.C,
+            self._x,
+            K.A,
+            K.B,
+            K.C,
+            K.D,
+            self._xk,
+            alpha,
+            force,
+            noise,
+            limits is not None,
+            bounds.output,
+            bounds.input,
+            self._u,
+            u,
+            y,
+            beta,
         )
         return Samples(u, y, beta, alpha, aux, cause, at)
 
-    def _rotation(self, k: Array) -> tuple[Array, Array]:
+    def _rotation(self, k: NDArray[np.int64]) -> tuple[Array, Array]:
         """Return the auxiliary columns (speed, angle) and the unbalance force of these samples."""
         n, speed = len(k), self._plant.speed
         force = np.zeros((n, self.m))
@@ -131,5 +154,8 @@ def _join(pieces: list[Samples]) -> Samples:
         if piece.cause != kernel.NO_CAUSE and cause == kernel.NO_CAUSE:
             cause, at = piece.cause, before + piece.at
         before += len(piece.u)
-    columns = [np.vstack([getattr(piece, f) for piece in pieces]) for f in ("u", "y", "beta", "alpha", "aux")]
-    return Samples(*columns, cause, at)
+
+    def column(name: str) -> Array:
+        return np.vstack([getattr(piece, name) for piece in pieces])
+
+    return Samples(column("u"), column("y"), column("beta"), column("alpha"), column("aux"), cause, at)

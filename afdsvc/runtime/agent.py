@@ -201,7 +201,5 @@ class RigAgent:
         self._watchdog.service_gone = not alive
 
     def _event(self, kind: EventKind, cause: str, burst: str = "") -> None:
-        event = RigEvent(
-            self.machine, self.description.session, self.clock.now_ns(), kind, self._k, burst, cause
-        )
+        event = RigEvent(self.machine, self.description.session, self.clock.now_ns(), kind, self._k, burst, cause)
         self.transport.publish(self.keys.event(self.machine), codec.encode_event(event))

@@ -1,4 +1,4 @@
-"""The running service: what comes over zenoh goes through one queue to one worker; a ticker plays bursts and tells the state."""
+"""The running service: what comes over zenoh goes through one queue to one worker; a ticker plays bursts, tells the state."""
 
 from __future__ import annotations
 
@@ -90,8 +90,15 @@ class Hub:
         file, size, failure, dropped = self.recording()
         machines = tuple(self._machine_status(m) for m in self.watches)
         return ServiceStatus(
-            self.keys.site, self.version, self.clock.now_ns(), self.clock.monotonic() - self._began, machines,
-            file, size, failure, dropped + self.dropped,
+            self.keys.site,
+            self.version,
+            self.clock.now_ns(),
+            self.clock.monotonic() - self._began,
+            machines,
+            file,
+            size,
+            failure,
+            dropped + self.dropped,
         )
 
     def _machine_status(self, machine: str) -> MachineStatus:

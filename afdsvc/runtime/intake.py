@@ -111,7 +111,8 @@ def _frozen(
     names = [c.name for c in block.channels if c.role == "y"]
     told = [
         Finding("frozen_sensor", f"'{names[i]}' has not changed for {int(longest[i])} samples; the sensor looks frozen")
-        for i in range(p) if frozen[i] and not was[i]
+        for i in range(p)
+        if frozen[i] and not was[i]
     ]
     return run, y[-1].copy(), frozen, told
 

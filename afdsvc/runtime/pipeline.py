@@ -111,8 +111,18 @@ class Pipeline:
         known = self.bursts.get(name) if name else None
         aux = {c.label: block.values[:, i] for i, c in enumerate(block.channels) if c.role == "aux"}
         return ResidualBlock(
-            block.k0, block.dt, r, block.role("beta"), block.role("u"), block.role("y"), block.role("alpha"),
-            known, name, start, self._gap or bool(name and known is None), aux,
+            block.k0,
+            block.dt,
+            r,
+            block.role("beta"),
+            block.role("u"),
+            block.role("y"),
+            block.role("alpha"),
+            known,
+            name,
+            start,
+            self._gap or bool(name and known is None),
+            aux,
         )
 
 
@@ -161,7 +171,7 @@ class CalibratedPipeline:
         if self.pipeline is not None:
             return self.pipeline.step(block)
         self._intake, judged = judge(self.expected, self._intake, block)
-        if judged.gap and self._quiet or block.burst:
+        if (judged.gap and self._quiet) or block.burst:
             self._quiet = []
         if judged.usable and not block.burst:
             self._quiet.append(block)

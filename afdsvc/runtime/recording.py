@@ -26,11 +26,15 @@ class RecorderSink:
     ``site`` and ``model`` are the texts put inside; ``facts`` further lines of its header.
     """
 
-    def __init__(self, settings: Recording, machine: str, site: str, model: str, start_ns: int, facts: Mapping[str, str]) -> None:
+    def __init__(
+        self, settings: Recording, machine: str, site: str, model: str, start_ns: int, facts: Mapping[str, str]
+    ) -> None:
         moment = datetime.datetime.fromtimestamp(start_ns / 1e9, datetime.UTC)
         self.base = settings.folder / f"{machine}-{moment:%Y%m%dT%H%M%S}"
         self._settings = RecordingSettings(
-            self.base.with_suffix(".mcap"), round(settings.max_megabytes * 1e6), 60 * settings.max_minutes,
+            self.base.with_suffix(".mcap"),
+            round(settings.max_megabytes * 1e6),
+            60 * settings.max_minutes,
             preview_hertz=settings.preview_hz,
         )
         self._header = Header(site, {machine: model}, {"software": f"afdsvc {__version__}", "machine": machine, **facts})

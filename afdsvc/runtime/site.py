@@ -16,6 +16,13 @@ _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 Positive = Annotated[float, Field(gt=0)]
 
 
+def plain_id(value: str) -> str:
+    """Return an id that can be part of keys and file names; raises ValueError saying what is wanted."""
+    if not _ID.fullmatch(value):
+        raise ValueError("letters, digits, '-', '_' and '.' are wanted")
+    return value
+
+
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -139,17 +146,13 @@ class Machine(_Strict):
     calibrate_seconds: Annotated[float, Field(ge=0)] = 0.0
     calibrate_on: Path | None = None
     bursts: Bursts = Bursts()
-    detectors: list[Detector] = [
-        Detector(kind=kind) for kind in ("matched_filter", "regression", "cusum", "passive_cusum")
-    ]
+    detectors: list[Detector] = [Detector(kind=kind) for kind in ("matched_filter", "regression", "cusum", "passive_cusum")]
     block: Annotated[int, Field(ge=10, le=5000)] = 250
 
     @field_validator("id")
     @classmethod
     def _plain(cls, value: str) -> str:
-        if not _ID.fullmatch(value):
-            raise ValueError("letters, digits, '-', '_' and '.' are wanted")
-        return value
+        return plain_id(value)
 
     @model_validator(mode="after")
     def _one_source(self) -> Machine:
@@ -174,7 +177,7 @@ class Site(_Strict):
     @field_validator("site")
     @classmethod
     def _plain(cls, value: str) -> str:
-        return Machine._plain(value)
+        return plain_id(value)
 
     @model_validator(mode="after")
     def _distinct(self) -> Site:

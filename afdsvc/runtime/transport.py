@@ -86,7 +86,7 @@ class Transport:
         session, self._session = self._session, None
         if session is not None:
             try:
-                session.close()
+                session.close()  # type: ignore[no-untyped-call]
             except zenoh.ZError as error:
                 log.warning("closing the zenoh session: %s", error)
 
@@ -108,7 +108,9 @@ class Transport:
                 log.exception("a message on %s could not be handled", sample.key_expr)
 
         subscriber = ext.declare_advanced_subscriber(
-            self._open(), pattern, hear,
+            self._open(),
+            pattern,
+            hear,
             recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
             history=ext.HistoryConfig(detect_late_publishers=True, max_samples=200),
             subscriber_detection=True,
@@ -157,7 +159,8 @@ class Transport:
 
     def _declare_publisher(self, key: str) -> Any:
         return ext.declare_advanced_publisher(
-            self._open(), key,
+            self._open(),
+            key,
             congestion_control=zenoh.CongestionControl.BLOCK,
             cache=ext.CacheConfig(max_samples=self._settings.cache_blocks),
             sample_miss_detection=ext.MissDetectionConfig(heartbeat=0.2, sporadic_heartbeat=None),

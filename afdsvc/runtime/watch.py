@@ -15,7 +15,13 @@ from afdsvc.wire import codec
 from afdsvc.wire.messages import Alarm, Finding, MachineStatus, RigEvent
 
 STALE_SECONDS = 2.0
-LEVELS = {"gap": "warning", "bad_block": "warning", "bad_samples": "error", "frozen_sensor": "error", "plugin_failed": "error"}
+LEVELS = {
+    "gap": "warning",
+    "bad_block": "warning",
+    "bad_samples": "error",
+    "frozen_sensor": "error",
+    "plugin_failed": "error",
+}
 
 
 @dataclass
@@ -120,8 +126,19 @@ class MachineWatch:
             state, reason = "stale", f"no block for {age:.1f} s" if self.blocks else "no block yet"
         verdict = self.verdict()
         return MachineStatus(
-            self.machine, state, self.session, reason or verdict.reason, self.blocks, self.lost_samples, self.late,
-            self.head_room, max(age, 0.0) if self.blocks else 0.0, burst, next_burst, verdict.trustworthy, alarms,
+            self.machine,
+            state,
+            self.session,
+            reason or verdict.reason,
+            self.blocks,
+            self.lost_samples,
+            self.late,
+            self.head_room,
+            max(age, 0.0) if self.blocks else 0.0,
+            burst,
+            next_burst,
+            verdict.trustworthy,
+            alarms,
         )
 
     def say(self, level: str, sentence: str, t_ns: int | None = None) -> None:

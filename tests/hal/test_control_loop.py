@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -24,8 +26,13 @@ def simulator(machine, block=250, slice=50, seed=1, faults=(), limits=None):
     """Return a simulator with blocks and slices of a chosen size."""
     plant = SimulatedPlant(machine.augmented.close, machine.output_cov, speed=machine.speed, faults=faults)
     return Simulator(
-        plant, machine.controller.interconnection, machine.channels, limits or machine.limits,
-        LoopSettings("m", "s", block, slice), FastClock(), seed,
+        plant,
+        machine.controller.interconnection,
+        machine.channels,
+        limits or machine.limits,
+        LoopSettings("m", "s", block, slice),
+        FastClock(),
+        seed,
     )
 
 
@@ -60,7 +67,10 @@ def test_nominal_loop_is_the_plain_controller(bearing, controller, rpm):
     port = simulator(machine)
     got = values([port.read() for _ in range(8)])
     G, K = machine.plant, machine.controller.factorisation.K
-    noise = np.random.default_rng(np.random.SeedSequence(1).spawn(2)[0]).standard_normal((2000, 2)) @ np.linalg.cholesky(machine.output_cov).T
+    noise = (
+        np.random.default_rng(np.random.SeedSequence(1).spawn(2)[0]).standard_normal((2000, 2))
+        @ np.linalg.cholesky(machine.output_cov).T
+    )
     x, xk, u, y = np.zeros(G.order), np.zeros(K.order), np.empty((2000, 2)), np.empty((2000, 2))
     for k in range(2000):
         y[k] = G.C @ x + noise[k]
@@ -81,7 +91,7 @@ def test_same_samples_at_any_cut(bearing, block, slice, start, fault):
     b, _ = run(simulator(machine, block, slice, faults=faults), 2500)
     assert np.array_equal(values(a)[:2500], values(b)[:2500])
     assert [x.seq for x in b] == list(range(len(b)))
-    assert all(y.k0 == x.k0 + len(x) for x, y in zip(b, b[1:], strict=False))
+    assert all(y.k0 == x.k0 + len(x) for x, y in pairwise(b))
 
 
 def test_blocks_never_span_an_edge_of_a_burst(bearing):
@@ -132,15 +142,22 @@ class Boom(Exception):
 @pytest.mark.parametrize("after", [0, 1, 3])
 def test_an_exception_in_the_burst_leaves_the_plant_at_rest(bearing, after):
     port = simulator(bearing())
-    with pytest.raises(Boom), port.arm(port._limits) as drive:
-        drive.play(burst(0.5, 5000))
-        for _ in range(after):
-            port.read()
-        raise Boom
+    drives = []
+
+    def fail() -> None:
+        with port.arm(port._limits) as drive:
+            drives.append(drive)
+            drive.play(burst(0.5, 5000))
+            for _ in range(after):
+                port.read()
+            raise Boom
+
+    with pytest.raises(Boom):
+        fail()
     rest = values([port.read() for _ in range(4)])
     assert np.abs(rest[:, 4:6]).max() == 0
     with pytest.raises(Refused, match="arm the machine again"):
-        drive.play(burst())
+        drives[0].play(burst())
     with port.arm(port._limits) as again:
         again.play(burst())
 

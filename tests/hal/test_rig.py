@@ -7,10 +7,10 @@ import pytest
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.port import DrivablePort, Port
+from afdsvc.api.signals import Channel, Trace
 from afdsvc.hal.loop import LoopSettings
 from afdsvc.hal.replay import Replay, blocks_of
 from afdsvc.hal.rig import DrivenRig
-from afdsvc.api.signals import Channel, Trace
 from afdsvc.runtime.clock import FastClock
 
 
@@ -51,7 +51,12 @@ class PlantDriver:
 
 def rig(machine, driver, block=250):
     return DrivenRig(
-        driver, machine.controller.interconnection, machine.channels, machine.limits, LoopSettings("m", "s", block), FastClock()
+        driver,
+        machine.controller.interconnection,
+        machine.channels,
+        machine.limits,
+        LoopSettings("m", "s", block),
+        FastClock(),
     )
 
 

@@ -8,8 +8,8 @@ import pluggy
 import pytest
 
 from afdsvc.errors import BadInput
-from afdsvc.plugins.manager import load
 from afdsvc.plugins.hookspecs import hookimpl
+from afdsvc.plugins.manager import load
 
 
 class Thing:

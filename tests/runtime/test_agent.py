@@ -161,7 +161,9 @@ def test_a_second_rig_with_the_same_id_refuses_to_start(settings, bearing, plugi
             machine = bearing()
             clock = RealClock()
             port = commission.open_port(machine, "s2", clock, plugins)
-            twin = RigAgent(KEYS, RigDescription("bearing", "s2", 0, port.dt, port.channels, machine.limits), port, other, clock)
+            twin = RigAgent(
+                KEYS, RigDescription("bearing", "s2", 0, port.dt, port.channels, machine.limits), port, other, clock
+            )
             with pytest.raises(Refused, match=r"has a rig agent already \(session s1\)"):
                 twin.run()
             assert port.read() is None

@@ -58,7 +58,14 @@ def test_without_a_period_nothing_is_played():
 
 def test_quiet_hours_span_midnight():
     s = scheduler(every_seconds=1.0, quiet_hours=[(time(22), time(6)), (time(12, 30), time(13))])
-    for hour, minute, quiet in [(21, 59, False), (22, 0, True), (3, 0, True), (6, 0, False), (12, 45, True), (13, 0, False)]:
+    for hour, minute, quiet in [
+        (21, 59, False),
+        (22, 0, True),
+        (3, 0, True),
+        (6, 0, False),
+        (12, 45, True),
+        (13, 0, False),
+    ]:
         assert s.quiet(datetime(2026, 11, 21, hour, minute)) is quiet
     assert s.due(100.0, datetime(2026, 11, 21, 23)) is None
     with pytest.raises(Refused, match="quiet hours"):

@@ -81,7 +81,7 @@ def test_queries_get_an_answer_or_the_reason(settings):
 def test_a_peer_that_hangs_is_a_timeout_not_an_answer(settings):
     release = threading.Event()
     with Transport(settings, hub=True) as hub, Transport(settings, hub=False) as rig:
-        rig.serve("afdsvc/t/m/burst", lambda p: release.wait(3) and p or p)
+        rig.serve("afdsvc/t/m/burst", lambda p: (release.wait(3) and p) or p)
         time.sleep(0.2)
         with pytest.raises(PeerSilent, match=r"within 0\.5 s"):
             hub.ask("afdsvc/t/m/burst", b"", timeout=0.5)
@@ -100,7 +100,11 @@ def test_presence_is_seen_and_so_is_its_end(settings):
 
 
 def test_two_hubs_at_one_place_and_a_client_without_a_hub_are_named(settings):
-    with Transport(settings, hub=True), pytest.raises(BadInput, match="cannot listen at"), Transport(settings, hub=True):
+    with (
+        Transport(settings, hub=True),
+        pytest.raises(BadInput, match="cannot listen at"),
+        Transport(settings, hub=True),
+    ):
         pass
     lonely = Settings(listen=[f"tcp/127.0.0.1:{free_port()}"], patience_seconds=0.5)
     with pytest.raises(BadInput, match="no service answers at"), Transport(lonely, hub=False):

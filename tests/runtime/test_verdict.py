@@ -9,8 +9,19 @@ from afdsvc.runtime.verdict import conclude
 def said(detector="regression", statistic=10.0, burst="b1", seconds=5.0, fault="a", detected=True, trustworthy=True, **more):
     severity = Severity(-0.5, 0.1) if fault else None
     return Evidence(
-        detector, "m", 0, seconds, statistic, 4.0, detected, burst, fault=fault, severity=severity,
-        weights={"a": 1.0} if fault else {"a": 0.5, "b": 0.5}, trustworthy=trustworthy, reason="" if trustworthy else "not white",
+        detector,
+        "m",
+        0,
+        seconds,
+        statistic,
+        4.0,
+        detected,
+        burst,
+        fault=fault,
+        severity=severity,
+        weights={"a": 1.0} if fault else {"a": 0.5, "b": 0.5},
+        trustworthy=trustworthy,
+        reason="" if trustworthy else "not white",
     )
 
 

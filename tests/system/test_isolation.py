@@ -101,5 +101,12 @@ def test_fifty_fault_free_bursts_raise_no_alarm(bearing, plugins, controller, rp
     """Four loops of 50 bursts at 1 per 1000 for each of three burst detectors: 0.6 alarms expected in 200 bursts."""
     evidence = burst_run(bearing(controller, rpm, 11), plugins, bursts=50)
     raised = [e for e in alarms(evidence) if e.burst]
-    print(controller, rpm, "alarms", [(e.detector, e.statistic) for e in raised], "refused", sum(not e.trustworthy for e in evidence))
+    print(
+        controller,
+        rpm,
+        "alarms",
+        [(e.detector, e.statistic) for e in raised],
+        "refused",
+        sum(not e.trustworthy for e in evidence),
+    )
     assert not raised

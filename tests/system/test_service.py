@@ -171,8 +171,13 @@ def test_wrong_blocks_are_named_and_survived(free_port, tmp_path):
         status = service.ask_service(site, "status", "Ada")["machines"][0]
     assert missing.k0 == 500
     for words in (
-        "could not be read", "out of order", "500 samples (2 blocks)", "'y_horizontal' is NaN at sample",
-        "'y_vertical' has not changed for", "sampled at 0.001 s", "channels u_horizontal",
+        "could not be read",
+        "out of order",
+        "500 samples (2 blocks)",
+        "'y_horizontal' is NaN at sample",
+        "'y_vertical' has not changed for",
+        "sampled at 0.001 s",
+        "channels u_horizontal",
     ):
         assert words in said
     assert status["lost_blocks"] >= 500
@@ -180,7 +185,11 @@ def test_wrong_blocks_are_named_and_survived(free_port, tmp_path):
 
 def test_a_second_rig_is_named_and_not_listened_to(free_port, tmp_path):
     site = site_of(free_port, tmp_path)
-    with service.serving(site) as hub, Transport(site.transport, hub=False) as a, Transport(site.transport, hub=False) as b:
+    with (
+        service.serving(site) as hub,
+        Transport(site.transport, hub=False) as a,
+        Transport(site.transport, hub=False) as b,
+    ):
         one = Stranger(a, site)
         one.say(one.block())
         watch = hub.watches["bearing"]
@@ -243,8 +252,8 @@ def test_the_service_restarts_while_the_rig_runs(free_port, tmp_path):
 def test_the_measured_axis_goes_through_bit_for_bit(free_port, tmp_path, measured):
     """Rig in replay mode, zenoh, service, observer on the naive model, passive CUSUM, whiteness gate, MCAP."""
     emps = measured / "emps"
-    machine = f"""model = "{emps / 'model.toml'}"
-driver = {{kind = "replay", recording = "{emps / 'estimation.csv'}", real_time = false}}
+    machine = f"""model = "{emps / "model.toml"}"
+driver = {{kind = "replay", recording = "{emps / "estimation.csv"}", real_time = false}}
 calibrate_seconds = 12.4
 detectors = [{{kind = "passive_cusum"}}]"""
     site = site_of(free_port, tmp_path, machine=machine)
