@@ -97,7 +97,7 @@ def test_the_same_verdict_is_told_once(tmp_path, a_finding):
     assert len(messages(recorder.path, "/m1/log")) == 3
 
 
-@pytest.mark.parametrize(("hertz", "expected"), [(100.0, 60), (1000.0, 600), (5000.0, 600), (40.0, 24), (0.0, 0)])
+@pytest.mark.parametrize(("hertz", "expected"), [(100.0, 60), (1000.0, 600), (5000.0, 600), (100 / 3, 20), (0.0, 0)])
 def test_the_preview_shows_whole_samples_at_its_rate(record, blocks, hertz, expected):
     path = record(count=12, preview_hertz=hertz)
     stride = 600 // expected if expected else 0
