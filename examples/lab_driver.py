@@ -83,9 +83,8 @@ def main(seconds: float = 1.0) -> None:
             while drive.playing:
                 rig.read()
         status = rig.status()
-        print(
-            f"{status.samples} samples, {status.late} late, head-room {100 * status.head_room:.0f} %, {drive.aborted or 'no abort'}"
-        )
+        ended = drive.aborted or "played to its end"
+        print(f"{status.samples} samples, {status.late} late, head-room {100 * status.head_room:.0f} %, burst {ended}")
     finally:
         rig.close()
     assert driver.at_rest

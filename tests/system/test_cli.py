@@ -1,0 +1,107 @@
+"""The command line: one JSON document, one clear sentence, the exit codes that are promised."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+def afdsvc(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", "afdsvc", *arguments], cwd=cwd, capture_output=True, text=True, timeout=240)
+
+
+def one_sentence(done: subprocess.CompletedProcess[str], *words: str) -> None:
+    """Assert exit 2 and one sentence without a traceback."""
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    for word in words:
+        assert word in done.stderr
+
+
+def test_demo_names_the_fault(tmp_path: Path):
+    done = afdsvc("demo", "--json", "--seconds", "12", "--fault", "vertical_sensor=-0.4@4", "--out", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    verdict = document["recordings"][0]["verdict"]
+    assert document["truth"] == [{"fault": "vertical_sensor", "severity": -0.4, "start_s": 4.0}]
+    assert verdict["fault"] == "vertical_sensor"
+    assert abs(verdict["severity"]["value"] + 0.4) < 4 * verdict["severity"]["sd"]
+    assert Path(document["recording"]).stat().st_size > 1e6
+    assert Path(document["rerun"]).stat().st_size > 1e6
+    again = afdsvc("diagnose", "--json", document["recording"])
+    assert json.loads(again.stdout)["recordings"] == document["recordings"]
+    table = afdsvc("diagnose", document["recording"])
+    assert "vertical_sensor" in table.stdout
+    made = afdsvc("review", document["recording"], "--save", str(tmp_path / "again.rrd"))
+    assert made.returncode == 0, made.stderr
+    assert (tmp_path / "again.rrd").stat().st_size > 1e6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("serve", "missing.toml"), ("missing.toml", "cannot be read")),
+        (("serve", "wrong.toml"), ("wrong.toml", "machines.0.blok", "found 3")),
+        (("serve", "plugin.toml"), ("machine 'm'", "no plugin 'pid' among the controllers", "lqg, proportional")),
+        (("serve", "unstable.toml"), ("machine 'm'", "does not stabilise")),
+        (("serve", "shape.toml"), ("machine 'm'", "gain", "(2, 2)")),
+        (("serve", "setting.toml"), ("machine 'm'", "unknown setting 'gian'")),
+        (("rig", "good.toml", "--machine", "x"), ("good.toml", "no machine 'x'; it has m")),
+        (("status", "--site", "good.toml"), ("no service answers", "afdsvc serve")),
+        (("diagnose", "missing.mcap"), ("missing.mcap",)),
+        (("diagnose", "wrong.toml"), ("wrong.toml", "MCAP")),
+        (("diagnose", "table.csv"), ("table.csv", "--model")),
+        (("diagnose", "table.csv", "--model", "model.toml"), ("column 'velocity' has no role",)),
+        (("demo", "--fault", "bearing"), ("--fault 'bearing'", "NAME=SEVERITY@SECONDS")),
+        (("demo", "--fault", "a=-2@1"), ("severity -2",)),
+        (("demo", "--plant", "none"), ("no plant 'none'", "gas_bearing")),
+        (("import", "table.csv", "-o", "x.mcap", "--map", "velocity"), ("--map 'velocity'",)),
+    ],
+)
+def test_bad_input_is_one_sentence(tmp_path: Path, arguments, words):
+    machine = '[[machines]]\nid = "m"\nplant = "gas_bearing"\n'
+    head = 'site = "t"\n[transport]\npatience_seconds = 0.5\nlisten = ["tcp/127.0.0.1:9"]\n'
+    files = {
+        "good.toml": "",
+        "wrong.toml": "blok = 3\n",
+        "plugin.toml": 'controller = {kind = "pid"}\n',
+        "unstable.toml": 'controller = {kind = "proportional", settings = {gain = 5.0}}\n',
+        "shape.toml": 'controller = {kind = "proportional", settings = {gain = [[1.0]]}}\n',
+        "setting.toml": 'controller = {kind = "proportional", settings = {gian = 0.2}}\n',
+    }
+    for name, more in files.items():
+        (tmp_path / name).write_text(head + machine + more)
+    (tmp_path / "table.csv").write_text("t,u_force,velocity\n0,1,2\n0.1,1,2\n")
+    (tmp_path / "model.toml").write_text(
+        'name = "m"\ntime = "continuous"\ninputs = [{name = "force"}]\noutputs = [{name = "q"}]\n'
+        "A = [[-1]]\nB = [[1]]\nC = [[1]]\nD = [[0]]\n"
+    )
+    one_sentence(afdsvc(*arguments, cwd=tmp_path), *words)
+
+
+def test_plugins_list_and_version(tmp_path: Path):
+    found = json.loads(afdsvc("plugins", "list", "--json").stdout)
+    assert found["broken"] == {}
+    families = {p["family"] for p in found["plugins"]}
+    assert {"controllers", "faults", "detectors", "physics"} <= families
+    assert afdsvc("--version").stdout.strip() == "0.1.0"
+
+
+def test_import_is_exact(tmp_path: Path):
+    (tmp_path / "run.csv").write_text(
+        "t,current,y_angle\n" + "".join(f"{k / 1000!r},{k * 0.1!r},{1 / (k + 1)!r}\n" for k in range(99))
+    )
+    out = tmp_path / "run.mcap"
+    done = afdsvc("import", str(tmp_path / "run.csv"), "-o", str(out), "--map", "current=u_current", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["channels"] == ["u_current", "y_angle"]
+    from afdsvc.record.reader import Recording
+
+    (trace,) = Recording(out).traces()
+    assert trace.values[:, 1].tolist() == [1 / (k + 1) for k in range(99)]
