@@ -43,6 +43,7 @@ class McapFile:
             self._begin(header)
         except OSError:
             self.abandon()
+            path.unlink(missing_ok=True)  # without its header it is of no use, and would stand in the way
             raise
 
     @property

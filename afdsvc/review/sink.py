@@ -1,4 +1,4 @@
-"""The review as a sink of the runtime: live, as a file, or both."""
+"""The review as a sink of the runtime: live, as files, or both."""
 
 from __future__ import annotations
 
@@ -15,14 +15,25 @@ _LEVELS = {"info": Level.INFO, "warning": Level.WARNING, "error": Level.ERROR}
 
 
 class ReviewSink:
-    """Logs into Rerun; begun with the first message, in the thread that brings it. Takes any number of machines."""
+    """Logs into Rerun; begun with the first message, in the thread that brings it. Takes any number of machines.
 
-    def __init__(self, path: Path | None, live: int | None = None) -> None:
-        self._path, self._live = path, live
+    A file holds ``max_seconds`` of machine time; ``name.0001.rrd`` and so on follow, never in the middle of a burst. A
+    live review is one for as long as it lasts, since viewers are connected to it.
+    """
+
+    def __init__(self, path: Path | None, live: int | None = None, max_seconds: float = 3600.0) -> None:
+        self.paths: list[Path] = []
+        self._first, self._live, self._max_ns = path, live, round(max_seconds * 1e9)
         self._log: ReviewLog | None = None
+        self._begun_ns = 0
 
     def block(self, block: Block, payload: bytes) -> None:
         """Show samples."""
+        full = self._log is not None and block.t0_ns - self._begun_ns >= self._max_ns
+        if full and self._live is None and not block.burst:
+            self.close()
+        if self._log is None:
+            self._begun_ns = block.t0_ns
         self._open().block(block)
 
     def residual(self, block: Block, residual: Array) -> None:
@@ -48,11 +59,19 @@ class ReviewSink:
         """Nothing: samples are sent as their own time goes on."""
 
     def close(self) -> None:
-        """Finish the file."""
+        """Finish the file; harmless when called twice."""
         if self._log:
             self._log.close()
+        self._log = None
 
     def _open(self) -> ReviewLog:
         if self._log is None:
-            self._log = ReviewLog(self._path, self._live)
+            path = self._next_path()
+            self._log = ReviewLog(path, self._live)
+            self.paths += [path] if path else []
         return self._log
+
+    def _next_path(self) -> Path | None:
+        if self._first is None or not self.paths:
+            return self._first
+        return self._first.with_name(f"{self._first.stem}.{len(self.paths):04d}{self._first.suffix}")

@@ -201,6 +201,7 @@ def test_a_full_disk_is_told_at_once(tmp_path):
     (tmp_path / "run.mcap").symlink_to("/dev/full")
     with pytest.raises(RecordingFailed, match="No space left on device"):
         Recorder(RecordingSettings(tmp_path / "run.mcap", overwrite=True))
+    assert os.listdir(tmp_path) == []
 
 
 # In a process of its own: the limit on file sizes cannot be taken back.
