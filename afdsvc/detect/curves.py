@@ -25,12 +25,15 @@ from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
 class Paths:
     """Responses from alpha at L frequencies and T severities: to y and r ``(T, L, p, m)``, to u ``(T, L, m, m)``.
 
-    ``y`` is the plant output before measurement noise as the (possibly faulty) sensors report it.
+    ``y`` is the plant output before measurement noise as the (possibly faulty) sensors report it. ``noise (T, L, p,
+    p)`` leads from the residual of the healthy machine to that of the faulty one: a fault colours the loop's own
+    noise.
     """
 
     y: ComplexArray
     u: ComplexArray
     r: ComplexArray
+    noise: ComplexArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +67,10 @@ class LoopResponse:
         loop, drive = np.eye(m) - Kuy @ G, np.broadcast_to(Kua, (*G.shape[:2], m, m))
         u = np.asarray(np.linalg.solve(loop, drive), dtype=np.complex128)
         y = np.asarray(G @ u, dtype=np.complex128)
-        return Paths(y, u, self.residual[:, :, :p] @ y + self.residual[:, :, p:] @ u)
+        from_y, from_u = self.residual[:, :, :p], self.residual[:, :, p:]
+        loop_y = np.eye(p) - G @ Kuy
+        noise = (from_y + from_u @ Kuy) @ np.linalg.solve(loop_y, np.broadcast_to(np.linalg.inv(from_y), loop_y.shape))
+        return Paths(y, u, from_y @ y + from_u @ u, np.asarray(noise, dtype=np.complex128))
 
 
 def loop_response(problem: DetectionProblem, omega: Sequence[float] | Array) -> LoopResponse:
@@ -91,15 +97,40 @@ class FaultCurves:
 
     def at(self, fault: str, severities: Sequence[float] | Array) -> Array:
         """Return the points of one curve."""
-        r = self.response.paths(fault, severities).r
-        picked = np.stack([r[:, i, :, column] for i, column in enumerate(self.inputs)], axis=1)
+        return self._points(self.response.paths(fault, severities))
+
+    def coloured(self, fault: str, severities: Sequence[float] | Array) -> tuple[Array, Whiteners]:
+        """Return the points of one curve and the whitening of the noise that comes with each."""
+        paths = self.response.paths(fault, severities)
+        T = self.Li @ paths.noise @ np.linalg.inv(self.Li)
+        factor = np.linalg.cholesky(T @ np.swapaxes(T.conj(), -1, -2))
+        logdet = 2 * np.sum(np.log(np.real(np.diagonal(factor, axis1=-2, axis2=-1))), axis=(1, 2))
+        return self._points(paths), Whiteners(np.asarray(np.linalg.inv(factor)), np.asarray(logdet))
+
+    def slope(self, fault: str, severity: float) -> Array:
+        """Return the derivative of a curve by severity, shape ``(2 L, p)``."""
+        h = 1e-4
+        low, high = self.at(fault, [severity - h, severity + h])
+        return np.asarray((high - low) / (2 * h))
+
+    def _points(self, paths: Paths) -> Array:
+        picked = np.stack([paths.r[:, i, :, column] for i, column in enumerate(self.inputs)], axis=1)
         return coefficients((picked * self.drive[None, :, None]) @ self.Li.T)
 
-    def slope(self, fault: str, severity: float) -> tuple[Array, Array]:
-        """Return one point of a curve and its derivative by severity, both ``(2 L, p)``."""
-        h = 1e-4
-        low, mid, high = self.at(fault, [severity - h, severity, severity + h])
-        return mid, (high - low) / (2 * h)
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Whiteners:
+    """Inverse factors ``(T, L, p, p)`` of the noise spectrum at each line, and half the log determinant of the
+    covariance of all sines and cosines, ``(T,)``; both are relative to the healthy machine.
+    """
+
+    inverse: ComplexArray
+    half_logdet: Array
+
+    def apply(self, z: Array) -> Array:
+        """Return standardised coordinates of ``z (T, 2 L, p)``: the noise becomes independent standard normals."""
+        complex_z = z[:, 0::2] + 1j * z[:, 1::2]
+        return coefficients(np.einsum("tlpq,tlq->tlp", self.inverse, complex_z))
 
 
 def fault_curves(problem: DetectionProblem, lines: Sequence[Line]) -> FaultCurves:

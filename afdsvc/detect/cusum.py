@@ -147,7 +147,7 @@ def _burst_boundary(gram: Array, samples: int, false_alarm: float) -> float:
     """Return the boundary for K CUSUMs over one burst, by the shares they have in the union of alarms."""
     mu = np.sqrt(np.diag(gram) / samples)
     share = maximum.shares(_unit_vectors(gram), _level(false_alarm / len(mu)))
-    steps, which = np.unique(np.round(np.log(mu), 2), return_inverse=True)  # waves of equal deflection share one solution
+    steps, which = np.unique(np.round(np.log(mu), 2), return_inverse=True)
     together = np.bincount(which.ravel(), weights=share)
 
     def excess(b: float) -> float:

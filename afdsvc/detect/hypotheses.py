@@ -49,29 +49,42 @@ def linear_fit(fault: str, score: float, information: float, bounds: tuple[float
 def curve_fit(
     curves: FaultCurves, fault: str, z: Array, R: Array, bounds: tuple[float, float], points: int = 33
 ) -> Fit:
-    """Return the point of a fault's curve nearest to z (``z`` and ``R`` as in `demodulate.Lines`).
+    """Return the likeliest point of a fault's curve (``z`` and ``R`` as in `demodulate.Lines`).
 
-    A grid finds the neighbourhood, Gauss-Newton the point. The standard error is that of the linearisation there.
+    A grid finds the neighbourhood, Gauss-Newton the point. Distances are measured in the noise the faulty loop makes,
+    which is not that of the healthy one; its dependence on the severity is left out of the derivatives only. The
+    standard error is that of the linearisation.
     """
     low, high = bounds
     grid = np.linspace(low, high, points)
-    distance = np.sum((z - R @ curves.at(fault, grid)) ** 2, axis=(1, 2))
-    theta = float(grid[int(np.argmin(distance))])
+    theta = float(grid[int(np.argmax(_log_likelihoods(curves, fault, grid, z, R)))])
     for _ in range(20):
-        point, slope = curves.slope(fault, theta)
-        step = _newton(z - R @ point, R @ slope)
-        moved = min(max(theta + step, low), high)
+        rest, tangent = _linearised(curves, fault, theta, z, R)
+        moved = min(max(theta + _newton(rest, tangent), low), high)
         if abs(moved - theta) < 1e-12:
             break
         theta = moved
-    point, slope = curves.slope(fault, theta)
-    mean, tangent = R @ point, R @ slope
+    rest, tangent = _linearised(curves, fault, theta, z, R)
     information = float(np.sum(tangent**2))
-    gain = float(np.sum(z * mean) - 0.5 * np.sum(mean**2))
     if not information > 1e-12:
         return Fit(fault, theta, math.inf, 0.0, 0.0)
-    rest = linear_fit(fault, float(np.sum((z - mean) * tangent)), information, (low - theta, high - theta))
-    return Fit(fault, theta, rest.sd, gain, gain + rest.log_evidence)
+    gain = float(_log_likelihoods(curves, fault, np.array([theta]), z, R)[0])
+    around = linear_fit(fault, float(np.sum(rest * tangent)), information, (low - theta, high - theta))
+    return Fit(fault, theta, around.sd, gain, gain + around.log_evidence)
+
+
+def _log_likelihoods(curves: FaultCurves, fault: str, severities: Array, z: Array, R: Array) -> Array:
+    """Return log likelihood ratios against the healthy machine, one for each severity."""
+    points, whiten = curves.coloured(fault, severities)
+    left = whiten.apply(z - R @ points)
+    return np.asarray(0.5 * np.sum(z**2) - 0.5 * np.sum(left**2, axis=(1, 2)) - whiten.half_logdet)
+
+
+def _linearised(curves: FaultCurves, fault: str, theta: float, z: Array, R: Array) -> tuple[Array, Array]:
+    """Return what a point of the curve leaves of z, and the curve's tangent there, both whitened."""
+    points, whiten = curves.coloured(fault, [theta])
+    both = whiten.apply(z - R @ points)[0], whiten.apply((R @ curves.slope(fault, theta))[None])[0]
+    return both
 
 
 def weights(

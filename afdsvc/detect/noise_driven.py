@@ -19,24 +19,26 @@ from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.lft import star
 from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
 
-_GRID = 2048  # frequencies up to Nyquist, more when the loop rings long
-_FINEST = 1 << 15
+_LAGS = 1 << 12  # more when the loop rings long
+_MOST = 1 << 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseDriven:
-    """Per-sample cumulants of ``b_i = sum psi_i' e`` and ``G_i = sum psi_i' psi_i`` without a fault, each ``(K,)``.
+    """Per-sample cumulants of ``b_i = sum psi_i' e`` and ``G_i = sum psi_i' psi_i`` without a fault.
 
-    ``gram (K, K)`` is the mean of ``sum psi_i' psi_j``, ``passive`` its diagonal (the information), ``skew`` half the
-    covariance of b and G, ``third`` the joint cumulant of b, b and G, ``spread`` the variance of G.
+    ``gram (K, K)`` is the mean of ``sum psi_i' psi_j``, ``passive`` its diagonal (the information). Lag by lag, since
+    short windows cut the long lags off: ``skew (M, K)`` half the covariance of b and G, ``spread (M, K)`` the
+    variance of G. ``bbg`` and ``bgg (K,)`` are the joint cumulants of b, b, G and of b, G, G.
     """
 
     loop: StateSpace
     faults: int
     gram: Array
     skew: Array
-    third: Array
     spread: Array
+    bbg: Array
+    bgg: Array
 
     @property
     def passive(self) -> Array:
@@ -56,35 +58,47 @@ class NoiseDriven:
         return active, skew
 
     def signed_root(self, samples: int, burst: Burst | None = None) -> tuple[Array, Array]:
-        """Return mean and standard deviation of every ``-b_i / sqrt(G_i)`` without a fault, to order 1/samples.
+        """Return mean and standard deviation of every ``-b_i / sqrt(G_i)`` without a fault.
 
-        A signed root of the likelihood ratio is normal to order ``samples^-3/2`` once these two are corrected
-        (T. J. DiCiccio and M. A. Martin, *Biometrika* 80, 1993). Faults without information get 0 and 1.
+        A signed root of the likelihood ratio is normal to order ``samples^-3/2`` once these two are corrected (T. J.
+        DiCiccio and M. A. Martin, *Biometrika* 80, 1993). With ``x = b / sd(b)``, ``y = G / E G - 1`` both follow
+        from the moments of ``x (1 + y)^-1/2``. Faults without information get 0 and 1.
         """
         active, skew = self.excited(burst) if burst is not None else (np.zeros(self.faults), np.zeros(self.faults))
         information = samples * (self.passive + active)
         safe = np.where(information > 0, information, np.inf)
-        mean = samples * (self.skew + skew) / safe**1.5
-        variance = 1 + samples * (self.spread - self.third) / safe**2 + 7 * mean**2
-        return mean, np.sqrt(np.clip(variance, 0.25, 4.0))
+        cut, whole = _within(self.skew, samples), self.skew.sum(axis=0)
+        share = (cut / np.where(whole != 0, whole, 1.0)) ** 2
+        xy = 2 * samples * (cut + skew) / safe**1.5
+        yy = samples * _within(self.spread, samples) / safe**2
+        xxy, xyy = samples * share * self.bbg / safe**2, samples * share * self.bgg / safe**2.5
+        mean = xy / 2 + 15 / 16 * xy * yy - 3 / 8 * xyy
+        return mean, np.sqrt(np.clip(1 + yy - xxy + 7 / 4 * xy**2, 0.25, 4.0))
 
 
 def noise_driven(problem: DetectionProblem, filters: Regressors | None = None) -> NoiseDriven:
     """Return the noise-driven part of all regressors of a problem."""
     f = regressors(problem) if filters is None else filters
-    loop = _loop(problem, f)
-    K = len(f.names)
+    loop, K = _loop(problem, f), len(f.names)
     slowest = float(np.abs(loop.poles()).max(initial=0.0))
-    n = int(min(_FINEST, max(_GRID, 16 / max(1 - slowest, 1e-9))))
-    omega: Array = (np.arange(n, dtype=np.float64) + 0.5) * (np.pi / (n * loop.dt))
+    M = int(min(_MOST, max(_LAGS, 2 ** np.ceil(np.log2(20 / max(1 - slowest, 1e-9))))))
+    omega: Array = np.arange(M // 2 + 1, dtype=np.float64) * (2 * np.pi / (M * loop.dt))
     H, _ = _split(loop, K, omega)
-    C, Q = np.swapaxes(H.conj(), -1, -2) @ H, (H + np.swapaxes(H.conj(), -1, -2)) / 2
+    adjoint = np.swapaxes(H.conj(), -1, -2)
+    C, Q = adjoint @ H, (H + adjoint) / 2
+    response, covariance = np.fft.irfft(H, n=M, axis=0), np.fft.irfft(H @ adjoint, n=M, axis=0)
+    gram = np.einsum("kipq,kjpq->ij", response, response)
+    skew = np.einsum("kipq,kipq->ki", response, covariance)
+    spread = 2 * np.einsum("kipq,kipq->ki", covariance, covariance)
+    bbg, bgg = (8 * np.fft.irfft(np.trace(X, axis1=2, axis2=3), n=M, axis=0)[0] for X in (Q @ Q @ C, Q @ C @ C))
+    return NoiseDriven(loop, K, gram, skew, spread, bbg, bgg)
 
-    def integral(kernel: ComplexArray) -> Array:
-        return np.asarray(np.mean(np.trace(kernel, axis1=2, axis2=3).real, axis=0))
 
-    gram = np.mean(np.einsum("wipq,wjpq->wij", H.conj(), H).real, axis=0)
-    return NoiseDriven(loop, K, gram, integral(Q @ C), 8 * integral(Q @ Q @ C), 2 * integral(C @ C))
+def _within(by_lag: Array, samples: int) -> Array:
+    """Return the sum over lags as a window of so many samples sees it; lags beyond the middle are negative ones."""
+    k = np.arange(len(by_lag))
+    weight = np.maximum(1 - np.minimum(k, len(by_lag) - k) / samples, 0.0)
+    return np.asarray(weight @ by_lag)
 
 
 def _split(loop: StateSpace, K: int, omega: Array) -> tuple[ComplexArray, ComplexArray]:

@@ -1,4 +1,6 @@
-"""What excitation costs: the largest amplitudes it may cause at outputs, actuators and alpha, whichever fault is present."""
+"""What excitation costs: the largest amplitudes it may cause at outputs, actuators and alpha, whichever fault is
+present.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +32,8 @@ class Costs:
 def costs(problem: DetectionProblem, omega: Sequence[float] | Array, response: LoopResponse | None = None) -> Costs:
     """Return the costs at the frequencies [rad/s].
 
-    Both what the sensors would report and what the nominal plant would do with the input count as output, so that a dead
-    sensor hides nothing.
+    Both what the sensors would report and what the nominal plant would do with the input count as output, so that a
+    dead sensor hides nothing.
     """
     loop = loop_response(problem, omega) if response is None else response
     k = problem.augmented.channels
@@ -46,7 +48,9 @@ def costs(problem: DetectionProblem, omega: Sequence[float] | Array, response: L
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Room:
-    """What the limits leave to excitation after the loop's own noise: ``output (p,)``, ``input (m,)``, ``alpha (m,)``."""
+    """What the limits leave to excitation after the loop's own noise: ``output (p,)``, ``input (m,)``, ``alpha
+    (m,)``.
+    """
 
     output: Array
     input: Array
@@ -64,7 +68,9 @@ def room(problem: DetectionProblem, limits: Limits) -> Room:
 
 
 def noise_deviations(problem: DetectionProblem) -> tuple[Array, Array]:
-    """Return the standard deviations of measured outputs ``(p,)`` and inputs ``(m,)`` in the healthy loop without alpha."""
+    """Return the standard deviations of measured outputs ``(p,)`` and inputs ``(m,)`` in the healthy loop without
+    alpha.
+    """
     m, p = problem.plant.inputs, problem.plant.outputs
     loop = faulty_loop(problem, {})
     B, D = loop.B[:, :p], loop.D[: m + p, :p].copy()

@@ -1,8 +1,8 @@
 """The diagnosis burst: one line on every input, where the faults that resemble each other most can be told apart.
 
-The pair hardest to separate is usually actuator and sensor of one axis: their waves differ by a fraction of a per cent in the
-output they share and only show their difference in the other one. Frequencies are chosen for the worst pair, the amplitude
-for a separation that singles out the right fault nearly always, inside what rig and noise allow.
+The pair hardest to separate is usually actuator and sensor of one axis: their waves differ by a fraction of a per
+cent in the output they share and only show their difference in the other one. Frequencies are chosen for the worst
+pair, the amplitude for a separation that singles out the right fault nearly always, inside what rig and noise allow.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ def default_burst(
 ) -> Burst:
     """Return the burst; ``output_amplitude`` [output unit] fixes what every line may cause at the outputs it reaches.
 
-    Without it the amplitude is the smallest that reaches ``aim``, and never more than the limits leave after noise. What
-    the burst can and cannot do is in its ``notes``. Raises `Refused` when the limits leave no room at all, `BadInput` for
-    a length or amplitude that makes no sense.
+    Without it the amplitude is the smallest that reaches ``aim``, and never more than the limits leave after noise.
+    What the burst can and cannot do is in its ``notes``. Raises `Refused` when the limits leave no room at all,
+    `BadInput` for a length or amplitude that makes no sense.
     """
     if not seconds > 0 or (output_amplitude is not None and not output_amplitude > 0):
         raise BadInput(f"burst of {seconds} s and amplitude {output_amplitude}; positive numbers are wanted")

@@ -1,7 +1,7 @@
 """What a burst will tell before it is played: deflections, separations, probabilities, standard errors.
 
-All figures are those of the burst's steady part on its lines, the part that holds for every detector; what the loop's own
-noise adds for the regression detector comes on top and is not counted on.
+All figures are those of the burst's steady part on its lines, the part that holds for every detector; what the loop's
+own noise adds for the regression detector comes on top and is not counted on.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from afdsvc.lti.statespace import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prospect:
-    """The fault curves of a burst in standard deviations: ``R`` turns line coefficients into standard normal coordinates."""
+    """The fault curves of a burst in standard deviations: ``R`` turns line coefficients into standard normal
+    coordinates.
+    """
 
     curves: FaultCurves
     R: Array
@@ -36,17 +38,28 @@ class Prospect:
 
     def deviation(self, fault: str, severity: float) -> float:
         """Return the Cramer-Rao standard error of the severity; inf when the burst cannot see the fault."""
-        length = float(np.linalg.norm(self.R @ self.curves.slope(fault, severity)[1]))
+        whiten = self.curves.coloured(fault, [severity])[1]
+        length = float(np.linalg.norm(whiten.apply((self.R @ self.curves.slope(fault, severity))[None])))
         return 1 / length if length > 0 else float("inf")
+
+    def deviation_of_statistic(self, fault: str, severity: float, direction: Array) -> float:
+        """Return the standard deviation of a matched filter's statistic ``<direction, z>`` while the fault is
+        present.
+        """
+        factor = np.linalg.inv(self.curves.coloured(fault, [severity])[1].inverse[0])
+        e = direction[0::2] + 1j * direction[1::2]
+        return float(np.linalg.norm(np.einsum("lqp,lq->lp", factor.conj(), e)))
 
     def separation(self, fault: str, severity: float, other: str) -> float:
         """Return the distance from one fault to the nearest point of another fault's curve, in standard deviations."""
-        z = self.wave(fault, severity)
+        z, whiten = self.wave(fault, severity), self.curves.coloured(fault, [severity])[1]
         nearest = curve_fit(self.curves, other, z, self.R, self.bounds)
-        return float(np.linalg.norm(z - self.wave(other, nearest.severity)))
+        return float(np.linalg.norm(whiten.apply((z - self.wave(other, nearest.severity))[None])))
 
     def separations(self, severity: float) -> Array:
-        """Return the separations of every fault (row) from every other (column), shape ``(K, K)``, inf on the diagonal."""
+        """Return the separations of every fault (row) from every other (column), shape ``(K, K)``, inf on the
+        diagonal.
+        """
         names = self.curves.names
         table = np.full((len(names), len(names)), np.inf)
         for i, fault in enumerate(names):
