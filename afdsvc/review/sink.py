@@ -32,28 +32,26 @@ class ReviewSink:
         full = self._log is not None and block.t0_ns - self._begun_ns >= self._max_ns
         if full and self._live is None and not block.burst:
             self.close()
-        if self._log is None:
-            self._begun_ns = block.t0_ns
-        self._open().block(block)
+        self._open(block.t0_ns).block(block)
 
     def residual(self, block: Block, residual: Array) -> None:
         """Show the whitened residual."""
-        self._open().residual(residual_block(block, residual))
+        self._open(block.t0_ns).residual(residual_block(block, residual))
 
     def finding(self, finding: Finding) -> None:
         """Show a decision."""
-        self._open().finding(finding)
+        self._open(finding.t_ns).finding(finding)
 
     def event(self, event: RigEvent, payload: bytes) -> None:
         """Tell an event."""
-        self._open().event(event)
+        self._open(event.t_ns).event(event)
 
     def request(self, request: BurstRequest) -> None:
         """Nothing: what was asked for is told when it is played or refused."""
 
     def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
         """Tell a sentence."""
-        self._open().note(t_ns, _LEVELS[level], sentence, machine)
+        self._open(t_ns).note(t_ns, _LEVELS[level], sentence, machine)
 
     def tick(self) -> None:
         """Nothing: samples are sent as their own time goes on."""
@@ -64,8 +62,9 @@ class ReviewSink:
             self._log.close()
         self._log = None
 
-    def _open(self) -> ReviewLog:
+    def _open(self, t_ns: int) -> ReviewLog:
         if self._log is None:
+            self._begun_ns = t_ns
             path = self._next_path()
             self._log = ReviewLog(path, self._live)
             self.paths += [path] if path else []

@@ -26,6 +26,7 @@ def test_everything_a_runtime_says_is_shown(tmp_path, blocks, finding, rrd):
 
 def test_files_are_bounded_and_never_change_inside_a_burst(tmp_path, blocks, rrd):
     sink = ReviewSink(tmp_path / "a.rrd", max_seconds=0.2)
+    sink.event(RigEvent("m1", "s1", blocks(1)[0].t0_ns, EventKind.RIG_STARTED), b"")
     for block in blocks(12, bursts=(4, 5)):
         sink.block(block, b"")
     sink.close()
