@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
 from afdsvc.api.model import Quantity, Variable
 from afdsvc.errors import BadInput
 from afdsvc.lti.lft import AugmentedPlant, FaultDirection, actuator_gain, sensor_gain
@@ -61,7 +59,7 @@ class PhysicalPlant:
         return replace(self, parameters={k: replace(q, value=values[k]) for k, q in self.parameters.items()})
 
     def continuous(self, **changes: float) -> StateSpace:
-        """Return the continuous plant, with some parameter values replaced; `BadInput` if the plant is discrete by nature."""
+        """Return the continuous plant, some values replaced; raises `BadInput` if the plant is discrete by nature."""
         system = self.build(self.values(changes))
         if system.discrete:
             raise BadInput(f"plant '{self.name}' is discrete by nature (sample time {system.dt} s); use discrete()")
@@ -78,11 +76,12 @@ class PhysicalPlant:
         return [self._gain_fault(plant, name) for name in (self.fault_sites if names is None else names)]
 
     def faults(self, names: Sequence[str] | None = None) -> AugmentedPlant:
-        """Return the discrete plant with faults pulled out: names of gain faults and of physical parameters, any mixture.
+        """Return the discrete plant with faults pulled out: names of gain faults and of physical parameters, any
+        mixture.
 
-        Without names: the usual faults of this plant. A parameter's severity is its relative change, ``p = p0 (1 + theta)``; products
-        of parameters are exact. A continuous plant is sampled with the feedback ``w = theta z`` closed continuously
-        (see `afdsvc.lti.sampled_lft`), so it agrees with sampling the changed plant to rounding.
+        Without names: the usual faults of this plant. A parameter's severity is its relative change, ``p = p0 (1 +
+        theta)``; products of parameters are exact. A continuous plant is sampled with the feedback ``w = theta z``
+        closed continuously (see `afdsvc.lti.sampled_lft`), so it agrees with sampling the changed plant to rounding.
         """
         names = list((self.usual_faults or tuple(self.fault_sites)) if names is None else names)
         continuous = self.continuous_faults(names)
@@ -107,4 +106,3 @@ class PhysicalPlant:
         if name not in self.parameters:
             known = [*(self.fault_sites if what != "parameter" else ()), *self.parameters]
             raise BadInput(f"plant '{self.name}' has no {what} '{name}'; it has {', '.join(known)}")
-
