@@ -21,9 +21,7 @@ def state_scaling(A: Array) -> Array:
 
 def rescale(system: StateSpace, t: Array) -> StateSpace:
     """Return the system with states ``x / t``."""
-    return StateSpace(
-        system.A * (t[None, :] / t[:, None]), system.B / t[:, None], system.C * t[None, :], system.D, system.dt
-    )
+    return StateSpace(system.A * (t[None, :] / t[:, None]), system.B / t[:, None], system.C * t[None, :], system.D, system.dt)
 
 
 def balanced(system: StateSpace) -> tuple[StateSpace, Array]:

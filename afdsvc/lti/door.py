@@ -63,9 +63,7 @@ def deviation(true_plant: Any, plant: Any, controller: Any) -> Any:
     return to_control(deviation_system(factorise(G, K), _same_time(true, G)), dt)
 
 
-def whitening(
-    plant: Any, controller: Any, output_cov: ArrayLike, process_cov: ArrayLike | None = None
-) -> tuple[Any, Array]:
+def whitening(plant: Any, controller: Any, output_cov: ArrayLike, process_cov: ArrayLike | None = None) -> tuple[Any, Array]:
     """Return the filter from beta to the white residual r, and the covariance of r, shape ``(p, p)``.
 
     ``output_cov (p, p)`` is the covariance of the measurement noise, ``process_cov (n, n)`` of noise on the states.
@@ -110,9 +108,7 @@ def _realise(system: Any, name: str) -> Any:
         for n, d in zip(ns, ds, strict=True)
     )
     if worst > 0:
-        raise BadInput(
-            f"the {name} is not proper: a numerator is {worst} degrees above its denominator; add {worst} poles"
-        )
+        raise BadInput(f"the {name} is not proper: a numerator is {worst} degrees above its denominator; add {worst} poles")
     return control.ss(system)
 
 

@@ -256,9 +256,7 @@ def _fits(plant: StateSpace, d: FaultDirection) -> None:
     }
     for field, shape in wanted.items():
         if getattr(d, field).shape != shape:
-            raise BadInput(
-                f"fault '{d.name}': {field} has shape {getattr(d, field).shape}; {shape} is wanted for this plant"
-            )
+            raise BadInput(f"fault '{d.name}': {field} has shape {getattr(d, field).shape}; {shape} is wanted for this plant")
 
 
 def signature_interconnection(augmented: AugmentedPlant, J_K: StateSpace) -> StateSpace:

@@ -32,9 +32,7 @@ def factored(polynomial: Polynomial) -> MatrixLft:
     powers = [k for k in polynomial if any(k)]
     if not powers:
         constant = polynomial.get((0,) * count, np.zeros(shape))
-        return MatrixLft(
-            constant, np.zeros((shape[0], 0)), np.zeros((0, shape[1])), np.zeros((0, 0)), np.zeros(0, np.int64)
-        )
+        return MatrixLft(constant, np.zeros((shape[0], 0)), np.zeros((0, shape[1])), np.zeros((0, 0)), np.zeros(0, np.int64))
     v = max(range(count), key=lambda i: sum(k[i] > 0 for k in powers))
     divided = {_lower(k, v): m for k, m in polynomial.items() if k[v]}
     rest = factored({k: m for k, m in polynomial.items() if not k[v]} or {(0,) * count: np.zeros(shape)})

@@ -139,9 +139,7 @@ def _truncate(
     left, right = (Lo @ W[:, :k] * scale).T, Lc @ Vt[:k].T * scale
     reduced = StateSpace(left @ stable.A @ right, left @ stable.B, stable.C @ right, stable.D, stable.dt)
     both = block_diagonal(reduced, unstable)
-    system = StateSpace(
-        both.A, np.vstack([reduced.B, unstable.B]), np.hstack([reduced.C, unstable.C]), stable.D, stable.dt
-    )
+    system = StateSpace(both.A, np.vstack([reduced.B, unstable.B]), np.hstack([reduced.C, unstable.C]), stable.D, stable.dt)
     return Reduction(system, hankel, float("nan") if weighted else 2 * float(hankel[k:].sum()))
 
 

@@ -99,8 +99,7 @@ def _weight(name: str, value: ArrayLike, n: int) -> Array:
     array = float(array) * np.eye(n) if array.ndim == 0 else _sized(name, array, (n, n))
     if not np.allclose(array, array.T, rtol=1e-9, atol=0):
         raise BadInput(
-            f"{name} is not symmetric (largest difference {np.abs(array - array.T).max():.2g}); a symmetric matrix is "
-            f"wanted"
+            f"{name} is not symmetric (largest difference {np.abs(array - array.T).max():.2g}); a symmetric matrix is wanted"
         )
     smallest, largest = (np.linalg.eigvalsh(array)[[0, -1]]) if n else (0.0, 0.0)
     if smallest < -1e-10 * max(largest, 0.0) or largest < 0:

@@ -42,11 +42,7 @@ def is_stable(A: Array, dt: float) -> bool:
 def describe_pole(pole: complex, dt: float) -> str:
     """Return a pole in words: value and, in discrete time, its modulus."""
     value = f"{pole.real:.6g}" if abs(pole.imag) < 1e-12 * max(abs(pole), 1e-300) else f"{pole:.6g}"
-    return (
-        f"{value} (modulus {abs(pole):.6g}, below 1 is wanted)"
-        if dt > 0
-        else f"{value} (a negative real part is wanted)"
-    )
+    return f"{value} (modulus {abs(pole):.6g}, below 1 is wanted)" if dt > 0 else f"{value} (a negative real part is wanted)"
 
 
 def require_stable(A: Array, dt: float, what: str, cure: str) -> None:
@@ -90,10 +86,7 @@ def hidden_mode(system: StateSpace, pole: complex, name: str) -> str:
     ):
         rank = int(np.linalg.matrix_rank(pencil, tol=1e-8 * max(float(np.linalg.norm(A, 2)), 1e-300)))
         if rank < n:
-            return (
-                f"this pole of the {name} is {word} (rank {rank} of {n}), so no controller can move it: "
-                "change the model"
-            )
+            return f"this pole of the {name} is {word} (rank {rank} of {n}), so no controller can move it: change the model"
     return ""
 
 

@@ -82,8 +82,7 @@ def _predictor(plant: StateSpace, Q: Array, R: Array, S: Array) -> tuple[Array, 
         P, F = riccati(plant.A.T, plant.C.T, Q, R, S, plant.dt)
     except IllConditioned as failed:
         raise IllConditioned(
-            f"the plant with the pole {describe_pole(pole, plant.dt)} has no steady innovations for this noise: "
-            f"{failed}"
+            f"the plant with the pole {describe_pole(pole, plant.dt)} has no steady innovations for this noise: {failed}"
         ) from failed
     return P, -F.T
 
