@@ -20,6 +20,7 @@ from afdsvc.commission import Commissioned
 from afdsvc.errors import BadInput
 from afdsvc.excite.default import default_burst
 from afdsvc.plugins.manager import Plugins, load
+from afdsvc.review.sink import ReviewSink
 from afdsvc.runtime import commands
 from afdsvc.runtime.agent import RigAgent
 from afdsvc.runtime.clock import RealClock
@@ -59,57 +60,67 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
     """Run the service of a site while the block lasts; raises `BadInput` before anything moves when the site is wrong."""
     clock, plugins = clock or RealClock(), load()
     machines = [commission.commission(m, plugins) for m in site.machines]
-    keys, recorders = Keys(site.site), Recorders()
+    keys, outlets = Keys(site.site), Outlets(site, clock)
     with ExitStack() as stack:
         transport = stack.enter_context(Transport(site.transport, hub=True))
+        stack.callback(outlets.close)
         watches: dict[str, MachineWatch] = {}
         desks: dict[str, BurstDesk] = {}
         for machine in machines:
             id, stream = machine.config.id, pipeline_of(machine, plugins)
-            sink = Fan([*_sinks(site, machine, clock, recorders), Publisher(keys, transport)])
-            stack.callback(sink.close)
+            sink = Fan([*outlets.of(machine), Publisher(keys, transport)])
             watches[id] = MachineWatch(id, stream, sink, clock)
             if machine.limits is not None and isinstance(stream, Pipeline):
                 scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(desks)), clock.monotonic())
                 desks[id] = BurstDesk(id, burst_design(machine, stream), scheduler, stream, sink, keys, transport, clock)
-        hub = Hub(keys, __version__, watches, desks, transport, clock, recorders.summary, recorders.files)
+        hub = Hub(keys, __version__, watches, desks, transport, clock, outlets.summary, outlets.files)
         hub.start()
         stack.callback(hub.stop)
         yield hub
 
 
-class Recorders:
-    """The recordings of all machines, and what went wrong with them."""
+class Outlets:
+    """The recordings of all machines and the one review of the site, and what went wrong with them."""
 
-    def __init__(self) -> None:
-        self.parts: list[tuple[RecorderSink, ThreadedSink]] = []
-        self.reviews: list[Path] = []
+    def __init__(self, site: Site, clock: Clock) -> None:
+        self._site, self._clock = site, clock
+        self._recorders: list[tuple[RecorderSink, ThreadedSink]] = []
+        self._review: tuple[ReviewSink, ThreadedSink] | None = None
+
+    def of(self, machine: Commissioned) -> list[Sink]:
+        """Return the sinks of one machine; the review is shared, one tab per machine."""
+        id, site = machine.config.id, self._site
+        facts = {"site": site.site}
+        recorder = RecorderSink(site.recording, id, site.text, machine.model_text(), self._clock.now_ns(), facts)
+        recording = ThreadedSink(recorder, f"recorder of {id}", _teller("recording"))
+        self._recorders.append((recorder, recording))
+        if self._review is None and site.review.rerun != "off":
+            live = site.review.port if site.review.rerun == "live" else None
+            review = ReviewSink(recorder.base.with_suffix(".rrd"), live)
+            self._review = review, ThreadedSink(review, "review", _teller("review"))
+        return [recording] if self._review is None else [recording, self._review[1]]
 
     def summary(self) -> tuple[str, int, str, int]:
-        """Return files, bytes, failure and drops."""
-        files = ", ".join(str(r.paths[-1]) for r, _ in self.parts if r.paths)
-        failure = next((t.failure for _, t in self.parts if t.failure), "")
-        return files, sum(r.bytes_written for r, _ in self.parts), failure, sum(t.dropped for _, t in self.parts)
+        """Return files, bytes, failure and drops of the recordings."""
+        files = ", ".join(str(r.paths[-1]) for r, _ in self._recorders if r.paths)
+        failure = next((t.failure for _, t in self._recorders if t.failure), "")
+        return files, sum(r.bytes_written for r, _ in self._recorders), failure, sum(t.dropped for _, t in self._recorders)
 
     def files(self) -> list[Path]:
         """Return every file written so far."""
-        return [path for r, _ in self.parts for path in r.paths] + self.reviews
+        reviews = self._review[0].paths if self._review else []
+        return [path for r, _ in self._recorders for path in r.paths] + list(reviews)
+
+    def close(self) -> None:
+        """Finish every file."""
+        for _, recording in self._recorders:
+            recording.close()
+        if self._review:
+            self._review[1].close()
 
 
-def _sinks(site: Site, machine: Commissioned, clock: Clock, recorders: Recorders) -> list[Sink]:
-    id = machine.config.id
-    recorder = RecorderSink(site.recording, id, site.text, machine.model_text(), clock.now_ns(), {"site": site.site})
-    sinks = [ThreadedSink(recorder, f"recorder of {id}", lambda why: print(f"afdsvc: recording: {why}", file=sys.stderr))]
-    recorders.parts.append((recorder, sinks[0]))
-    if site.review.rerun != "off":
-        path = recorder.base.with_suffix(".rrd")
-        live = site.review.port if site.review.rerun == "live" else None
-        from afdsvc.review.sink import ReviewSink
-
-        review = ReviewSink(path, live)
-        recorders.reviews.append(path)
-        sinks.append(ThreadedSink(review, f"review of {id}", lambda why: print(f"afdsvc: review: {why}", file=sys.stderr)))
-    return list(sinks)
+def _teller(what: str) -> Callable[[str], None]:
+    return lambda why: print(f"afdsvc: {what}: {why}", file=sys.stderr, flush=True)
 
 
 def burst_design(machine: Commissioned, stream: Pipeline) -> Callable[[Wanted], Burst]:
@@ -132,7 +143,8 @@ def rig_agent(site: Site, id: str, transport: Transport, clock: Clock) -> RigAge
         machine.controller.description if machine.controller else "unknown", site.text, machine.model_text(), __version__,
         machine.config.driver.kind,
     )  # fmt: skip
-    return RigAgent(Keys(site.site), description, port, transport, clock)
+    truth = [(round(f.at_seconds / port.dt), f"{f.name} {f.severity:g}") for f in machine.config.driver.faults]
+    return RigAgent(Keys(site.site), description, port, transport, clock, truth)
 
 
 def run_rig(site: Site, id: str, seconds: float | None, stop: threading.Event) -> None:

@@ -39,17 +39,22 @@ class Watchdog:
 
 @dataclass
 class RigAgent:
-    """One machine on the wire. `run` is the control thread; zenoh threads only leave requests for it."""
+    """One machine on the wire. `run` is the control thread; zenoh threads only leave requests for it.
+
+    ``truth`` lists what a simulator injects as (sample, sentence); it is told when it happens.
+    """
 
     keys: Keys
     description: RigDescription
     port: Port
     transport: Transport
     clock: Clock
+    truth: list[tuple[int, str]] = field(default_factory=list)
     stopping: threading.Event = field(default_factory=threading.Event)
 
     def __post_init__(self) -> None:
         self._lock = threading.Lock()
+        self.truth = sorted(self.truth)
         self._pending: BurstRequest | None = None
         self._watchdog = Watchdog(self.clock)
         self._playing = self._halt = ""
@@ -110,6 +115,8 @@ class RigAgent:
 
     def _publish(self, block: Block) -> None:
         self._k = block.k0 + len(block)
+        while self.truth and self.truth[0][0] <= self._k:
+            self._event(EventKind.FAULT_INJECTED, self.truth.pop(0)[1])
         self.transport.publish(self.keys.block(self.machine), codec.encode_block(block))
         if self.clock.monotonic() >= self._next_beat:
             self._next_beat = self.clock.monotonic() + HEARTBEAT_SECONDS
