@@ -29,7 +29,7 @@ class Runs:
     def add(self, y: Array) -> tuple[Runs, Array]:
         """Return the runs after the samples ``y (n, p)`` and the longest run seen in them, shape ``(p,)``."""
         last, length, longest = self.last.copy(), self.length.copy(), np.zeros(y.shape[1])
-        _runs(np.ascontiguousarray(y, dtype=float), last, length, longest)
+        _runs(_rows(y), last, length, longest)
         return Runs(last, length), longest
 
 
@@ -107,7 +107,7 @@ def _no_extremes(m: int) -> Array:
 
 
 def _rows(a: Array) -> Array:
-    return np.ascontiguousarray(a, dtype=np.float64)
+    return np.require(a, np.float64, ("C", "W"))
 
 
 @njit(cache=True)

@@ -147,11 +147,10 @@ def _burst_boundary(gram: Array, samples: int, false_alarm: float) -> float:
     """Return the boundary for K CUSUMs over one burst, by the shares they have in the union of alarms."""
     mu = np.sqrt(np.diag(gram) / samples)
     share = maximum.shares(_unit_vectors(gram), _level(false_alarm / len(mu)))
-    steps, which = np.unique(np.round(np.log(mu), 2), return_inverse=True)
-    together = np.bincount(which.ravel(), weights=share)
+    steps, together = _grouped(mu, share)
 
     def excess(b: float) -> float:
-        p = [arl.alarm_probability(float(np.exp(s)), b, samples) for s in steps]
+        p = [arl.alarm_probability(s, b, samples) for s in steps]
         return math.log(float(np.dot(together, p)) / false_alarm)
 
     high = math.log(samples * len(mu) / false_alarm)
@@ -164,11 +163,18 @@ def rate_boundary(correlation: Array, mu: Array, per_sample: float) -> float:
     ``mu (K,)`` is the deflection per sample of each, ``correlation (K, K)`` that of their log-likelihood ratios.
     """
     share = maximum.shares(_unit_vectors(correlation), _level(per_sample))
+    steps, together = _grouped(mu, share)
 
     def excess(b: float) -> float:
-        return math.log(sum(s / arl.run_length(float(m), b) for s, m in zip(share, mu, strict=True)) / per_sample)
+        return math.log(sum(w / arl.run_length(s, b) for s, w in zip(steps, together, strict=True)) / per_sample)
 
     return float(brentq(excess, 0.05, math.log(len(mu) / per_sample) + 1, xtol=1e-4))
+
+
+def _grouped(mu: Array, share: Array) -> tuple[list[float], list[float]]:
+    """Return the distinct deflections per sample, to a per cent, and the shares that go with each."""
+    steps, which = np.unique(np.round(np.log(mu), 2), return_inverse=True)
+    return [float(s) for s in np.exp(steps)], [float(w) for w in np.bincount(which.ravel(), weights=share)]
 
 
 def _level(probability: float) -> float:

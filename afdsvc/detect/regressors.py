@@ -135,7 +135,7 @@ def _no_return(s: StateSpace, channels: slice) -> bool:
 
 
 def _rows(a: Array) -> Array:
-    return np.ascontiguousarray(a, dtype=np.float64)
+    return np.require(a, np.float64, ("C", "W"))
 
 
 @njit(cache=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -221,23 +222,29 @@ def likeliest(finding: Finding) -> Fit | None:
 
 
 def pieces(block: ResidualBlock) -> Iterator[ResidualBlock]:
-    """Cut a block where its burst begins or ends, should it span such an edge."""
-    if block.burst is None:
-        yield block
-        return
-    begin = min(max(block.burst_start - block.k0, 0), len(block))
-    end = min(max(block.burst_start + block.burst.samples - block.k0, 0), len(block))
-    for a, b, burst in ((0, begin, None), (begin, end, block.burst), (end, len(block), None)):
+    """Cut a block where its burst begins or ends, should it span such an edge; arrays are as the compiled loops want
+    them.
+    """
+    edges = (0, len(block)) if block.burst is None else _edges(block, block.burst)
+    r, beta, u, y, alpha = (_rows(a) for a in (block.r, block.beta, block.u, block.y, block.alpha))
+    for i, (a, b) in enumerate(pairwise(edges)):
         if b > a:
-            yield _part(block, a, b, burst)
+            aux = {label: values[a:b] for label, values in block.aux.items()}
+            yield ResidualBlock(
+                block.k0 + a, block.dt, r[a:b], beta[a:b], u[a:b], y[a:b], alpha[a:b], block.burst if i == 1 else None,
+                block.burst_name, block.burst_start, aux=aux,
+            )
 
 
-def _part(block: ResidualBlock, a: int, b: int, burst: Burst | None) -> ResidualBlock:
-    if (a, b) == (0, len(block)):
-        return replace(block, burst=burst, gap=False)
-    cut = {name: getattr(block, name)[a:b] for name in ("r", "beta", "u", "y", "alpha")}
-    aux = {label: values[a:b] for label, values in block.aux.items()}
-    return replace(block, k0=block.k0 + a, burst=burst, gap=False, aux=aux, **cut)
+def _rows(a: Array) -> Array:
+    return np.require(a, np.float64, ("C", "W"))
+
+
+def _edges(block: ResidualBlock, burst: Burst) -> tuple[int, int, int, int]:
+    """Return the edges of what lies before, inside and after the burst."""
+    begin = min(max(block.burst_start - block.k0, 0), len(block))
+    end = min(max(block.burst_start + burst.samples - block.k0, 0), len(block))
+    return 0, begin, end, len(block)
 
 
 def _same_burst(playing: Playing, piece: ResidualBlock) -> bool:

@@ -1,0 +1,100 @@
+"""The diagnosis burst: inside the limits, sized for isolation, honest in its notes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from afdsvc.api.bursts import Limits
+from afdsvc.detect.power import separation_wanted
+from afdsvc.errors import BadInput, Refused
+from afdsvc.excite.budget import costs, noise_deviations
+from afdsvc.excite.default import Aim, default_burst, worst_separation
+from afdsvc.excite.prospect import burst_prospect, steady_samples
+from afdsvc.excite.rehearsal import faulty_loop, rehearse
+from afdsvc.testing.machines import bearing_problem, unstable_problem
+
+CASES = [("proportional", 0), ("proportional", 1100), ("lqg", 0), ("lqg", 1100)]
+
+
+@pytest.mark.parametrize(("controller", "rpm"), CASES)
+def test_all_four_faults_can_be_told_apart_inside_the_limits(controller, rpm):
+    problem = bearing_problem(controller, rpm)
+    burst = default_burst(problem, problem.limits)
+    assert burst.samples * problem.plant.dt == pytest.approx(2.5)
+    assert "not_separated" not in burst.notes
+    assert worst_separation(burst_prospect(problem, burst), -0.5) > 0.99 * separation_wanted(0.99, 0.99999)
+    _, noise = noise_deviations(problem)
+    for fault in (None, *problem.fault_names):
+        for severity in (-0.5, -1.0):
+            faults = {fault: severity} if fault else {}
+            run = rehearse(problem, burst.play(problem.plant.dt), np.zeros((burst.samples, 2)), faults)
+            assert (np.abs(run.y).max(axis=0) < 2.5).all()  # of 10 um
+            assert (np.abs(run.u).max(axis=0) + 5 * noise < problem.limits.input).all()
+
+
+def test_lines_have_whole_periods_in_the_steady_part_and_differ():
+    problem = bearing_problem()
+    burst = default_burst(problem, problem.limits)
+    periods = [line.omega * steady_samples(burst) * problem.plant.dt / (2 * np.pi) for line in burst.lines]
+    assert np.allclose(periods, np.round(periods))
+    assert len(set(periods)) == len(burst.lines) == 2
+    assert {line.input for line in burst.lines} == {0, 1}
+
+
+def test_alpha_starts_and_ends_at_rest():
+    problem = bearing_problem()
+    alpha = default_burst(problem, problem.limits).play(problem.plant.dt)
+    assert np.abs(alpha[[0, -1]]).max() < 1e-9
+    assert np.abs(np.diff(alpha, axis=0))[[0, -1]].max() < 1e-3 * np.abs(alpha).max()
+
+
+def test_output_amplitude_is_what_is_asked_for():
+    problem = bearing_problem()
+    burst = default_burst(problem, problem.limits, output_amplitude=0.4)
+    for line in burst.lines:
+        assert line.amplitude * costs(problem, [line.omega]).output[0, :, line.input].max() == pytest.approx(0.4)
+    assert "not_separated" in burst.notes
+    assert "horizontal_actuator from horizontal_sensor" in burst.notes["not_separated"]
+
+
+def test_noise_deviations_against_a_long_run():
+    problem = bearing_problem("lqg")
+    y, u = noise_deviations(problem)
+    v = np.random.default_rng(1).normal(size=(200_000, 2)) @ np.linalg.cholesky(problem.covariance).T
+    run = rehearse(problem, np.zeros_like(v), v, loop=faulty_loop(problem, {}))
+    assert run.y.std(axis=0) == pytest.approx(y, rel=0.02)
+    assert run.u.std(axis=0) == pytest.approx(u, rel=0.02)
+
+
+def test_a_smaller_loss_needs_more():
+    problem = bearing_problem()
+    small = default_burst(problem, problem.limits, aim=Aim(severity=-0.25))
+    large = default_burst(problem, problem.limits, aim=Aim(severity=-0.5))
+    assert float(small.notes["output_amplitude"]) > 1.5 * float(large.notes["output_amplitude"])
+
+
+def test_limits_are_kept_even_when_they_defeat_the_aim():
+    problem = bearing_problem()
+    tight = Limits(np.array([10.0, 10]), np.array([10.0, 10]), np.array([0.5, 0.5]))
+    burst = default_burst(problem, tight)
+    assert np.abs(burst.play(problem.plant.dt)).max() <= 0.5 + 1e-12
+    assert "not_separated" in burst.notes
+
+
+def test_one_input_machine_gets_one_line():
+    problem = unstable_problem()
+    loose = replace(problem.limits, output=np.array([50.0]), input=np.array([50.0]), alpha=np.array([50.0]))
+    burst = default_burst(problem, loose, seconds=3.0)
+    assert [line.input for line in burst.lines] == [0]
+
+
+def test_no_room_and_nonsense_are_refused_with_reasons():
+    problem = bearing_problem()
+    full = Limits(np.array([1.0, 1]), np.array([10.0, 10]), np.array([10.0, 10]))
+    with pytest.raises(Refused, match="no room is left"):
+        default_burst(problem, full)
+    with pytest.raises(BadInput, match="positive numbers"):
+        default_burst(problem, problem.limits, seconds=-1.0)
+    with pytest.raises(BadInput, match="too few"):
+        default_burst(problem, problem.limits, seconds=0.003)

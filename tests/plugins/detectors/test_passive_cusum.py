@@ -1,0 +1,92 @@
+"""The CUSUM between bursts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from afdsvc.detect.arl import run_length
+from afdsvc.excite.rehearsal import faulty_loop, rehearse
+from afdsvc.plugins.detectors.cusum import PassiveCusumDesign
+from afdsvc.testing.machines import bearing_problem, with_rate
+
+DT = 2e-4
+
+
+def quiet(problem, n, seed, severities=None, loop=None):
+    v = np.random.default_rng(seed).normal(size=(n, 2)) @ np.linalg.cholesky(problem.covariance).T
+    return rehearse(problem, np.zeros((n, 2)), v, severities or {}, loop)
+
+
+def evidence(detector, record, size=1000, gap_at=None):
+    state, found = detector.start(), []
+    for block in record.blocks(size):
+        state, new = detector.step(state, replace(block, gap=block.k0 == gap_at))
+        found += new
+    return found
+
+
+def test_loop_noise_alone_gives_half_a_loss_away_within_seconds():
+    problem = bearing_problem("lqg")
+    found = evidence(PassiveCusumDesign().design(problem, {}), quiet(problem, 15_000, 1, {"horizontal_actuator": -0.5}))
+    first = found[0]
+    assert first.detected
+    assert first.trustworthy
+    assert first.k * DT < 1.0
+    assert first.weights["horizontal_actuator"] + first.weights["horizontal_sensor"] > 0.99
+    assert abs(first.severity.value + 0.5) < 3 * first.severity.sd
+    assert len(found) == 1  # silent for ten seconds after an alarm
+
+
+def test_run_length_is_the_one_promised():
+    # one alarm in 4000 samples is promised; alarms within a million samples are counted, restarted after each
+    problem = bearing_problem("lqg")
+    wanted = 4000
+    detector = PassiveCusumDesign().design(with_rate(problem, per_hour=3600 / (wanted * DT)), {"silence_seconds": 0.0})
+    n, alarms = 600_000, 0
+    loop = faulty_loop(problem, {})
+    for seed in range(2):
+        alarms += sum(e.detected for e in evidence(detector, quiet(problem, n, 50 + seed, loop=loop), 50_000))
+    expected = 2 * n / wanted
+    assert alarms == pytest.approx(expected, abs=2.58 * np.sqrt(expected) + 0.1 * expected)
+
+
+def test_boundary_for_one_fault_is_that_of_the_run_length():
+    problem = bearing_problem("lqg")
+    detector = PassiveCusumDesign().design(problem, {"severity": -0.3})
+    mu = 0.3 * np.sqrt(0.7986)
+    alone = run_length(mu, detector.boundary)
+    # four faults in two pairs of near twins: between two and three times as many alarms as one of them
+    assert 1.9 < alone / (720 * 3600 / DT) < 4.0
+
+
+def test_coloured_noise_is_told_once_and_not_alarmed():
+    problem = bearing_problem("lqg")
+    record = quiet(problem, 20_000, 3)
+    slow = record.r + 0.5 * np.vstack([np.zeros((1, 2)), record.r[:-1]])
+    found = evidence(PassiveCusumDesign().design(problem, {}), replace(record, r=slow / np.sqrt(1.25)))
+    assert len(found) >= 1
+    assert not any(e.detected for e in found)
+    assert "not white" in found[0].reason
+    assert not found[0].trustworthy
+
+
+def test_after_a_gap_the_filters_settle_before_anything_is_said():
+    problem = bearing_problem("lqg")
+    detector = PassiveCusumDesign().design(problem, {})
+    record = quiet(problem, 6_000, 4, {"vertical_actuator": -0.6})
+    first = evidence(detector, record, 500)[0].k
+    later = evidence(detector, record, 500, gap_at=500 * (first // 500))
+    assert later[0].k > 500 * (first // 500) + detector.gate.settle
+
+
+def test_a_frozen_sensor_is_named():
+    problem = bearing_problem("lqg")
+    record = quiet(problem, 9_000, 5)
+    y = record.y.copy()
+    y[4000:, 0] = y[4000, 0]
+    r = record.r.copy()
+    r[4000:, 0] += 3.0
+    found = evidence(PassiveCusumDesign().design(problem, {}), replace(record, y=y, r=r), 250)
+    assert not found[0].detected
+    assert any("sensor 'horizontal' stands still" in e.reason for e in found)
