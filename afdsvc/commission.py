@@ -26,6 +26,7 @@ from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import innovations, whitening_filter
 from afdsvc.plants.registry import plant as plant_by_name
+from afdsvc.plugins.controllers.lqg import gains
 from afdsvc.plugins.manager import Plugins
 from afdsvc.record.model_file import model_text, read_model
 from afdsvc.record.tables import read_table
@@ -216,12 +217,24 @@ def problem(machine: Commissioned, output_cov: Array, process_cov: Array | None,
 
 
 def _loop(machine: Commissioned, output_cov: Array, process_cov: Array | None) -> tuple[StateSpace, StateSpace]:
-    """Return J_K and the filter from beta to r; of an unknown controller nothing is said: no excitation, no beta."""
+    """Return J_K and the filter from beta to r.
+
+    For a controller nobody stated, the LQ controller of the nominal model stands in: the passive detectors need some loop to
+    reckon what its noise gives away. Such a machine has no beta, and bursts are not available on it.
+    """
     if machine.controller is None:
-        p, m = machine.plant.outputs, machine.plant.inputs
-        return StateSpace.gain(np.zeros((m + p, p + m)), machine.plant.dt), StateSpace.gain(np.eye(p), machine.plant.dt)
+        return _stand_in(machine.plant), StateSpace.gain(np.eye(machine.plant.outputs), machine.plant.dt)
     fact = machine.controller.factorisation
     return machine.controller.interconnection, whitening_filter(fact, output_cov, process_cov)[0]
+
+
+def _stand_in(G: StateSpace) -> StateSpace:
+    """Return J_K of the observer-based LQ controller with default weights (D of the plant included)."""
+    F, L = gains(G, {})
+    A = G.A + G.B @ F + L @ (G.C + G.D @ F)
+    C = np.vstack([F, -(G.C + G.D @ F)])
+    D = np.block([[np.zeros((G.inputs, G.outputs)), np.eye(G.inputs)], [np.eye(G.outputs), -G.D]])
+    return StateSpace(A, np.hstack([-L, G.B + L @ G.D]), C, D, G.dt)
 
 
 def expectation(machine: Commissioned, frozen_after: int = 50) -> Expectation:

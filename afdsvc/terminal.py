@@ -80,6 +80,8 @@ def diagnosis_table(document: dict[str, Any]) -> None:
         else:
             OUT.print(f"[bold]{recording['recording']}[/] ({recording['machine']}): no bursts", soft_wrap=True)
         _passive(recording)
+        for remark in recording["remarks"][:10]:
+            OUT.print(f"note: {remark}", soft_wrap=True)
         verdict = recording["verdict"]
         words = verdict["fault"] or ("a fault, not singled out" if verdict["first_detected_s"] is not None else "no fault")
         OUT.print(f"verdict: {words} {percent(verdict['severity'])} {verdict.get('reason', '')}")
