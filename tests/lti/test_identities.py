@@ -173,12 +173,12 @@ def test_parametrisations(plant: StateSpace) -> None:
     S = random_stable(rng, p, m, 3, plant.dt)
     q, s = response(Q), response(S)
     k = response(controller_from(f, Q))
-    assert distance((F.Vt + q @ F.Nt) @ k, F.Ut + q @ F.Mt) < 1e-8
-    assert distance(k @ (F.V + F.N @ q), F.U + F.M @ q) < 1e-8
+    assert distance((F.Vt + q @ F.Nt) @ k, F.Ut + q @ F.Mt) < 1e-9
+    assert distance(k @ (F.V + F.N @ q), F.U + F.M @ q) < 1e-9
     true = plant_from(f, S)
     g = response(true)
-    assert distance(g @ (F.M + F.U @ s), F.N + F.V @ s) < 1e-8
-    assert distance((F.Mt + s @ F.Ut) @ g, F.Nt + s @ F.Vt) < 1e-8
+    assert distance(g @ (F.M + F.U @ s), F.N + F.V @ s) < 1e-9
+    assert distance((F.Mt + s @ F.Ut) @ g, F.Nt + s @ F.Vt) < 1e-9
     assert distance(response(deviation_system(f, true)), s) < 1e-9
 
 
@@ -193,30 +193,30 @@ def test_deviation_and_every_closed_loop_path(kind: str, plant: StateSpace, seed
     assert distance(response(deviation_system(f, plant)), 0 * S) < 1e-9  # S(0) = 0
     Gt, eye = response(true), np.eye(plant.outputs)
     # S = V^-1 (I - Gt K)^-1 (Gt - G) M, multiplied out; and its mirror image from the left
-    assert distance((eye - Gt @ F.K) @ F.V @ S, (Gt - F.G) @ F.M) < 1e-8 * max(1.0, np.abs(Gt).max() / np.abs(F.G).max())
+    assert distance((eye - Gt @ F.K) @ F.V @ S, (Gt - F.G) @ F.M) < 1e-9 * max(1.0, np.abs(Gt).max() / np.abs(F.G).max())
     loop = closed_loop(f, true)
     path = {(o, i): response(loop.path(o, i)) for o in ("y", "y_m", "u", "beta") for i in ("d", "r1", "r2", "alpha")}
     y, u, beta = F.N + F.V @ S, F.M + F.U @ S, F.Mt + S @ F.Ut
     assert distance(path["beta", "alpha"], S) < 1e-9
-    assert distance(path["beta", "d"], beta) < 1e-8
-    assert distance(path["beta", "r1"], beta) < 1e-8
-    assert distance(path["beta", "r2"], F.Nt + S @ F.Vt) < 1e-8
+    assert distance(path["beta", "d"], beta) < 1e-9
+    assert distance(path["beta", "r1"], beta) < 1e-9
+    assert distance(path["beta", "r2"], F.Nt + S @ F.Vt) < 1e-9
     for signal, factor in (("y", y), ("u", u)):
-        assert distance(path[signal, "alpha"], factor) < 1e-8
-        assert distance(path[signal, "d"], factor @ F.Ut) < 1e-8
-        assert distance(path[signal, "r1"], factor @ F.Ut) < 1e-8
-        assert distance(path[signal, "r2"], factor @ F.Vt) < 1e-8
-    assert distance(path["y_m", "d"], F.V @ beta) < 1e-8
+        assert distance(path[signal, "alpha"], factor) < 1e-9
+        assert distance(path[signal, "d"], factor @ F.Ut) < 1e-9
+        assert distance(path[signal, "r1"], factor @ F.Ut) < 1e-9
+        assert distance(path[signal, "r2"], factor @ F.Vt) < 1e-9
+    assert distance(path["y_m", "d"], F.V @ beta) < 1e-9
     # a reference instead of alpha, compensated: the same residual through S
     compensation = response(reference_compensation(f))
     p = plant.outputs
-    assert distance(path["beta", "r1"] - compensation[:, :, :p], S @ F.Ut) < 1e-8
-    assert distance(path["beta", "r2"] - compensation[:, :, p:], S @ F.Vt) < 1e-8
+    assert distance(path["beta", "r1"] - compensation[:, :, :p], S @ F.Ut) < 1e-9
+    assert distance(path["beta", "r2"] - compensation[:, :, p:], S @ F.Vt) < 1e-9
     # and without any access to the controller: eps = Mt y_m - Nt u
     generator, m = response(residual_generator(f)), plant.inputs
     for excitation, through in (("r1", F.Ut), ("r2", F.Vt), ("alpha", np.eye(m))):
         eps = generator[:, :, :m] @ path["u", excitation] + generator[:, :, m:] @ path["y_m", excitation]
-        assert distance(eps, S @ through) < 1e-8
+        assert distance(eps, S @ through) < 1e-9
 
 
 @given(kind=st.sampled_from(KINDS), plant=plants(discrete=True), seed=st.integers(0, 1000))
