@@ -19,6 +19,7 @@ The rooms, from thinking (pure) over knowing how (swappable) to doing (bytes, ti
 - `commission`: from one machine of the site file to its concrete parts
 - `service`: the only place that joins concrete parts
 - `offline`: the service's pipeline over recordings
+- `modelling`: a modeller's files in, a better model and a page out
 - `demo`: the main job on one command
 - `terminal`: tables and progress bars
 - `cli`: arguments, nothing else

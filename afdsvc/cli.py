@@ -208,6 +208,28 @@ def diagnose(
 
 
 @app.command()
+def identify(
+    model: Annotated[Path, typer.Argument(metavar="MODEL.toml", help="What the simulation believes now.")],
+    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="MCAP recordings or tables.")],
+    holdout: Annotated[list[Path] | None, typer.Option(help="Recordings never used in fitting; may be repeated.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="MODEL.toml", help="Where the new model goes.")] = None,
+    method: Annotated[str, typer.Option(help="auto, hansen, subspace, pbsid, greybox or indirect")] = "auto",
+    order: Annotated[int | None, typer.Option(help="Order to identify; chosen from the data otherwise.")] = None,
+    reduce_to: Annotated[int | None, typer.Option(help="Order of the plant; the nominal model's otherwise.")] = None,
+    starts: Annotated[int | None, typer.Option(help="Starting points of the grey-box search.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the starting points.")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Identify the plant from recordings made in closed loop, and judge it on data not used."""
+    from afdsvc.modelling import identify_files
+    from afdsvc.terminal import identify_table
+
+    options = {"method": method, "order": order, "reduce_to": reduce_to, "starts": starts}
+    document = identify_files(model, recordings, holdout or [], out, options, seed)
+    _show(as_json, document, lambda: identify_table(document))
+
+
+@app.command()
 def review(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="An MCAP recording.")],
     save: Annotated[

@@ -88,6 +88,22 @@ def diagnosis_table(document: dict[str, Any]) -> None:
         _weights(verdict["weights"])
 
 
+def identify_table(document: dict[str, Any]) -> None:
+    """Show what was identified and how it does on data not used."""
+    OUT.print(f"{document['method']}, order {document['order']} ({document.get('order_reason', '')})", soft_wrap=True)
+    table = Table(title="R2 (thesis Eq. 4.38: 1 - |y - yhat| / |y - mean|) on data not used")
+    for column in ("output", "before", "after"):
+        table.add_column(column)
+    for name, fit in document["fit"]["per_output"].items():
+        table.add_row(name, f"{fit['before']['r2']:.4f}", f"{fit['after']['r2']:.4f}")
+    OUT.print(table)
+    for name, p in document["parameters"].items():
+        OUT.print(f"{name} = {p['value']:.6g} ± {p['sd']:.2g} {p['unit']}")
+    for line in (*document.get("notes", []), *document.get("warnings", [])):
+        OUT.print(f"note: {line}", soft_wrap=True)
+    OUT.print(f"model  {document['model']}\nreport {document['report']}", soft_wrap=True)
+
+
 def _passive(recording: dict[str, Any]) -> None:
     """Show what the passive detectors did, beside the rate they promise."""
     for name, promised in recording["promised_alarms"].items():
@@ -104,7 +120,7 @@ def _passive(recording: dict[str, Any]) -> None:
 def status_table(status: dict[str, Any]) -> None:
     """Show the machines of a service."""
     table = Table(title=f"{status['site']}: afdsvc {status['version']}, up {status['uptime']:.0f} s")
-    for column in ("machine", "state", "blocks", "lost samples", "late", "burst", "next burst", "alarms", "remark"):
+    for column in ("machine", "state", "blocks", "lost samples", "late", "head-room", "burst", "next burst", "alarms", "remark"):
         table.add_column(column)
     for m in status["machines"]:
         alarms = ", ".join(a["fault"] for a in m["alarms"] if a["active"]) or "none"
@@ -114,6 +130,7 @@ def status_table(status: dict[str, Any]) -> None:
             str(m["blocks"]),
             str(m["lost_blocks"]),
             str(m["late"]),
+            f"{100 * m['head_room']:.0f} %",
             m["burst"] or "no",
             f"{m['next_burst']:.1f} s",
             alarms,
