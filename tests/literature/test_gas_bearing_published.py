@@ -213,3 +213,20 @@ def test_efficiency_of_the_horizontal_actuator_grows_as_published(omega: float, 
     r = signatures(G, f, omega)["horizontal_actuator"][0, 0]
     N = frequency_response(f.N, [omega])[0]
     assert abs(r) / np.linalg.norm(N[:, 0]) == pytest.approx(efficiency, abs=5e-4)
+
+
+@pytest.mark.parametrize(("controller", "probability"), [("proportional", 1.4e-2), ("lqg", 7e-10)])
+def test_without_whitening_the_designed_false_alarm_probability_means_nothing(controller: str, probability: float) -> None:
+    """A 62 rad/s template on beta, its threshold set for 2e-5 from the variance of beta, as if beta were white."""
+    from scipy.linalg import solve_discrete_lyapunov
+    from scipy.stats import norm
+
+    G, R = plant(), gas_bearing().output_cov
+    F, L = gains(G)
+    f = proportional_factorisation(G, 0.2, F) if controller == "proportional" else observer_factorisation(G, F, L)
+    Mt = f.Mt
+    P = solve_discrete_lyapunov(Mt.A, Mt.B @ R @ Mt.B.T)
+    variance = (Mt.C @ P @ Mt.C.T + Mt.D @ R @ Mt.D.T)[0, 0]
+    m = frequency_response(Mt, [62.0])[0]
+    density = (m @ R @ m.conj().T).real[0, 0]
+    assert norm.sf(norm.isf(2e-5) * np.sqrt(variance / density)) == pytest.approx(probability, rel=0.05)

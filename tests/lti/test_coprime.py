@@ -74,6 +74,20 @@ def test_observer_form_of_a_controller_designed_by_somebody_else() -> None:
     assert np.abs(J[:, :1, :1] - frequency_response(K, OMEGA)).max() < 1e-9
 
 
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+def test_observer_form_is_found_when_there_are_too_many_halves_to_try(dt: float) -> None:
+    """Order 14: forty million halves; neighbours in a few orders suffice."""
+    for seed in range(4):
+        rng, n = np.random.default_rng(seed), 14
+        A = rng.standard_normal((n, n))
+        A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
+        A = A if dt else 5 * (A - np.eye(n))
+        G = StateSpace.of(A, rng.standard_normal((n, 2)), rng.standard_normal((2, n)), None, dt)
+        F, L = lqr(G, 0.1 * np.eye(n), np.eye(2)), kalman_predictor_gain(G, 0.1 * np.eye(n), np.eye(2))
+        K = StateSpace(G.A + G.B @ F + L @ G.C, -L, F, np.zeros((2, 2)), dt)
+        assert observer_form(G, K).R.order == n
+
+
 def test_plants_without_a_real_half_fall_back_to_the_general_form() -> None:
     """A first-order plant whose loop has a complex pair: no real observer of order 1 exists."""
     G = StateSpace.of([[0.5]], [[1.0]], [[1.0]], None, 1.0)
