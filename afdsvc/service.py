@@ -71,7 +71,7 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
             sink = Fan([*outlets.of(machine), Publisher(keys, transport)])
             watches[id] = MachineWatch(id, stream, sink, clock)
             if machine.limits is not None and isinstance(stream, Pipeline):
-                scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(desks)), clock.monotonic())
+                scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(desks)), 0.0)
                 desks[id] = BurstDesk(id, burst_design(machine, stream), scheduler, stream, sink, keys, transport, clock)
         hub = Hub(keys, __version__, watches, desks, transport, clock, outlets.summary, outlets.files)
         hub.start()

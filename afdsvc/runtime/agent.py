@@ -16,6 +16,7 @@ from afdsvc.wire.keys import Keys, session_of
 from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, EventKind, Lease, RigDescription, RigEvent
 
 HEARTBEAT_SECONDS = 2.0
+LONGEST_LEAD_SECONDS = 10.0
 
 
 @dataclass
@@ -164,7 +165,10 @@ class RigAgent:
             drive.stop(reason)
 
     def _take(self) -> BurstRequest | None:
+        """Return the request whose first sample has come."""
         with self._lock:
+            if self._pending is None or self._k < self._pending.start:
+                return None
             request, self._pending = self._pending, None
             return request
 
@@ -190,6 +194,8 @@ class RigAgent:
             raise Refused(f"the request is for machine '{request.machine}'; this is '{self.machine}'")
         if self._watchdog.service_gone:
             raise Refused("the service is not there; nobody would watch the burst")
+        if (request.start - self._k) * self.port.dt > LONGEST_LEAD_SECONDS:
+            raise Refused(f"the burst is to start at sample {request.start}; it is {self._k} now, which is too far ahead")
         self.port.check(request.burst, self.limits)
 
     def _on_stop(self, payload: bytes) -> bytes:

@@ -20,6 +20,7 @@ from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import BurstRequest, BurstStop, EventKind, Lease, RigEvent
 
 LEASE_SECONDS = 2.0
+LEAD_SECONDS = 0.4  # a planned burst starts at its sample, however long the request was on its way
 ENDS = (EventKind.BURST_ENDED, EventKind.BURST_ABORTED, EventKind.BURST_REFUSED, EventKind.RIG_STOPPED)
 
 
@@ -41,21 +42,22 @@ class BurstDesk:
         self._lock = threading.Lock()
         self._deadline = 0.0
         self.session = ""
+        self.seconds = 0.0
         self.playing = ""
 
-    def present(self, session: str) -> None:
-        """Note which rig session is there ("" when none); a new one starts the period of bursts anew."""
+    def present(self, session: str, seconds: float) -> None:
+        """Note which rig session is there ("" when none) and its own time; a new one starts the period of bursts anew."""
+        self.seconds = seconds
         if session and session != self.session:
-            self.scheduler.machine_appeared(self.clock.monotonic())
+            self.scheduler.machine_appeared(seconds)
         self.session = session
 
     def tick(self) -> None:
         """Start what is due, renew the lease of what plays, give up on what never ended."""
-        now = self.clock.monotonic()
         if self.playing:
-            self._keep(now)
+            self._keep(self.clock.monotonic())
             return
-        wanted = self.scheduler.due(now, datetime.now()) if self.session else None
+        wanted = self.scheduler.due(self.seconds, datetime.now()) if self.session else None
         if wanted is not None:
             try:
                 self.play(wanted)
@@ -66,8 +68,8 @@ class BurstDesk:
         """Play a burst a person asked for, at once; returns its name, raises `Refused` with the reason."""
         if not self.session:
             raise Refused(f"machine '{self.machine}' is not there")
-        self.scheduler.request(wanted, self.clock.monotonic(), datetime.now())
-        due = self.scheduler.due(self.clock.monotonic(), datetime.now())
+        self.scheduler.request(wanted, self.seconds, datetime.now())
+        due = self.scheduler.due(self.seconds, datetime.now())
         if due is None:
             raise Refused("the machine is not ready for a burst")
         return self.play(due)
@@ -77,7 +79,8 @@ class BurstDesk:
         with self._lock:
             made = self.design(wanted)
             burst = replace(made, name=f"{self.session[:8]}-{next(self._count)}", notes={**made.notes, "reason": wanted.reason})
-            request = BurstRequest(self.machine, burst, LEASE_SECONDS, wanted.reason, self.clock.now_ns())
+            start = 0 if wanted.at is None else round((wanted.at + LEAD_SECONDS) / self.pipeline.problem.plant.dt)
+            request = BurstRequest(self.machine, burst, LEASE_SECONDS, wanted.reason, self.clock.now_ns(), start)
             self.pipeline.announce(burst)
             self.sink.request(request)
             self._begin(burst)
@@ -103,13 +106,13 @@ class BurstDesk:
             self._end()
 
     def _begin(self, burst: Burst) -> None:
-        seconds = burst.samples * self.pipeline.problem.plant.dt
+        seconds = burst.samples * self.pipeline.problem.plant.dt + LEAD_SECONDS
         self.playing, self._deadline = burst.name, self.clock.monotonic() + seconds + 5.0
         self.scheduler.started()
 
     def _end(self) -> None:
         self.playing = ""
-        self.scheduler.ended(self.clock.monotonic())
+        self.scheduler.ended(self.seconds)
 
     def _keep(self, now: float) -> None:
         if now > self._deadline:

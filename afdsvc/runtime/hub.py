@@ -104,7 +104,7 @@ class Hub:
     def _machine_status(self, machine: str) -> MachineStatus:
         desk = self.desks.get(machine)
         watch = self.watches[machine]
-        next_burst = desk.scheduler.seconds_to_next(self.clock.monotonic()) if desk else 0.0
+        next_burst = desk.scheduler.seconds_to_next(desk.seconds) if desk else 0.0
         return watch.status(desk.playing if desk else "", next_burst, self.alarms.of(machine))
 
     def _put(self, kind: str, key: str, what: Any) -> None:
@@ -165,7 +165,7 @@ class Hub:
     def _tell_desk(self, watch: MachineWatch) -> BurstDesk | None:
         desk = self.desks.get(watch.machine)
         if desk:
-            desk.present(watch.session if watch.present and watch.blocks else "")
+            desk.present(watch.session if watch.present and watch.blocks else "", watch.seconds_seen)
         return desk
 
     def _event(self, watch: MachineWatch, payload: bytes) -> None:

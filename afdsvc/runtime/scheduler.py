@@ -13,14 +13,15 @@ from afdsvc.runtime.site import Bursts
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A burst somebody wants: why, and in which sequence (1 for a first burst, 2 for one that separates two faults)."""
+    """A burst somebody wants: why, at which second of the machine's own time (at once when None), and the burst it follows."""
 
     reason: str
     follow_up: str = ""
+    at: float | None = None
 
 
 class Scheduler:
-    """Decides for one machine. Times are seconds of a monotonic clock; quiet hours use local wall time."""
+    """Decides for one machine. Times are seconds of the machine's own samples; quiet hours use local wall time."""
 
     def __init__(self, settings: Bursts, rng: np.random.Generator, now: float) -> None:
         self._settings, self._rng = settings, rng
@@ -64,8 +65,9 @@ class Scheduler:
         if self._queue:
             return self._queue.pop(0)
         if self._next is not None and now >= self._next:
-            self._plan(now)
-            return Wanted("periodic")
+            planned = self._next
+            self._plan(planned, now)
+            return Wanted("periodic", at=planned)
         return None
 
     def seconds_to_next(self, now: float) -> float:
@@ -84,9 +86,10 @@ class Scheduler:
         """Whether the wall time lies in a quiet interval; an interval may span midnight."""
         return any(_within(wall.time(), start, stop) for start, stop in self._settings.quiet_hours)
 
-    def _plan(self, now: float) -> None:
+    def _plan(self, planned: float, now: float) -> None:
+        """Set the next time from the planned one, so that the times do not depend on when somebody looked."""
         every, jitter = self._settings.every_seconds or 0.0, self._settings.jitter_seconds
-        self._next = now + max(every + jitter * self._rng.uniform(-1, 1), 0.0)
+        self._next = max(planned + max(every + jitter * self._rng.uniform(-1, 1), 0.0), now)
 
 
 def _within(t: time, start: time, stop: time) -> bool:

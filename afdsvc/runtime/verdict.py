@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby, takewhile
+
+from scipy.stats import chi2
 
 from afdsvc.api.evidence import Evidence, Severity
 
@@ -33,20 +36,50 @@ def alarms(evidence: Sequence[Evidence]) -> list[Evidence]:
 def conclude(evidence: Sequence[Evidence]) -> Verdict:
     """Return the verdict of decisions in the order they were made.
 
-    The alarm is the first trustworthy detection. Fault and severity come from the newest trustworthy decision that names
-    one with certainty, the strongest (largest margin over its threshold) of the newest burst; else the newest weights. A
-    passive detection, which excites nothing, never overrides what a burst has told.
+    The alarm is the first trustworthy detection. The fault is the one the newest burst names with certainty (its strongest
+    decision: the largest margin over its threshold); its severity is pooled over the bursts before that named the same fault,
+    as long as they agree. Else the newest weights are told. A passive detection, which excites nothing, never overrides what a
+    burst has told.
     """
     found = alarms(evidence)
     untrusted = [e for e in evidence if not e.trustworthy]
     if not found:
         reason = untrusted[-1].reason if untrusted and untrusted[-1] is evidence[-1] else ""
         return Verdict(trustworthy=not reason, reason=reason)
-    told = [e for e in found if e.burst] or found
-    newest = [e for e in told if e.burst == told[-1].burst]
-    named = [e for e in newest if e.fault and e.severity]
-    if named:
-        best = max(named, key=lambda e: e.statistic - e.threshold)
-        return Verdict(best.fault, best.severity, found[0].seconds, best.weights, True)
-    weighted = [e for e in newest if e.weights] or newest
-    return Verdict(None, None, found[0].seconds, weighted[-1].weights, True)
+    told = [list(group) for _, group in groupby((e for e in found if e.burst), key=lambda e: e.burst)] or [found]
+    best = [strongest(group) for group in told]
+    newest = best[-1]
+    if newest is None:
+        weighted = [e for e in told[-1] if e.weights] or told[-1]
+        return Verdict(None, None, found[0].seconds, weighted[-1].weights, True)
+    same = list(takewhile(lambda e: e is not None and e.fault == newest.fault, reversed(best)))
+    severity = pooled([e.severity for e in same if e is not None and e.severity is not None])
+    return Verdict(newest.fault, severity, found[0].seconds, newest.weights, True)
+
+
+def strongest(decisions: Sequence[Evidence]) -> Evidence | None:
+    """Return the decision that names a fault with the largest margin over its threshold, None when none does."""
+    named = [e for e in decisions if e.fault and e.severity]
+    return max(named, key=lambda e: e.statistic - e.threshold, default=None)
+
+
+def pooled(newest_first: Sequence[Severity]) -> Severity:
+    """Return the weighted mean of independent estimates, newest first, leaving out older ones that do not agree.
+
+    An older estimate joins while all of them together pass the chi-square test of one common value at 1 %: a fault that
+    grows is told as it is now.
+    """
+    kept = list(newest_first[:1])
+    for s in newest_first[1:]:
+        mean = _mean([*kept, s])
+        spread = sum(((k.value - mean.value) / k.sd) ** 2 for k in (*kept, s))
+        if spread > chi2.ppf(0.99, len(kept)):
+            break
+        kept.append(s)
+    return _mean(kept)
+
+
+def _mean(estimates: Sequence[Severity]) -> Severity:
+    weights = [1 / s.sd**2 for s in estimates]
+    value = sum(w * s.value for w, s in zip(weights, estimates, strict=True)) / sum(weights)
+    return Severity(value, sum(weights) ** -0.5)

@@ -92,18 +92,20 @@ class Burst(_message.Message):
     def __init__(self, name: _Optional[str] = ..., inputs: _Optional[int] = ..., samples: _Optional[int] = ..., ramp: _Optional[int] = ..., lines: _Optional[_Iterable[_Union[Line, _Mapping]]] = ..., waveform: _Optional[_Iterable[_Union[Column, _Mapping]]] = ..., settle: _Optional[int] = ..., purpose: _Optional[str] = ..., notes: _Optional[_Mapping[str, str]] = ...) -> None: ...
 
 class BurstRequest(_message.Message):
-    __slots__ = ("timestamp", "machine", "burst", "lease", "asked_by")
+    __slots__ = ("timestamp", "machine", "burst", "lease", "asked_by", "start")
     TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
     MACHINE_FIELD_NUMBER: _ClassVar[int]
     BURST_FIELD_NUMBER: _ClassVar[int]
     LEASE_FIELD_NUMBER: _ClassVar[int]
     ASKED_BY_FIELD_NUMBER: _ClassVar[int]
+    START_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     machine: str
     burst: Burst
     lease: float
     asked_by: str
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., machine: _Optional[str] = ..., burst: _Optional[_Union[Burst, _Mapping]] = ..., lease: _Optional[float] = ..., asked_by: _Optional[str] = ...) -> None: ...
+    start: int
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., machine: _Optional[str] = ..., burst: _Optional[_Union[Burst, _Mapping]] = ..., lease: _Optional[float] = ..., asked_by: _Optional[str] = ..., start: _Optional[int] = ...) -> None: ...
 
 class BurstReply(_message.Message):
     __slots__ = ("accepted", "reason", "burst")

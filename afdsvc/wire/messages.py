@@ -40,13 +40,15 @@ class RigEvent:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BurstRequest:
-    """A burst to be played; the rig ends it when the lease [s] runs out without renewal."""
+    """A burst to be played from sample ``start`` on (at once when it has passed); the rig ends it when the lease [s] runs
+    out without renewal."""
 
     machine: str
     burst: Burst
     lease: float
     asked_by: str
     t_ns: int
+    start: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,3 +57,21 @@ def test_undecided_evidence_gives_weights_and_no_name():
     assert verdict.fault is None
     assert verdict.detected
     assert verdict.weights == {"a": 0.5, "b": 0.5}
+
+
+def test_severities_of_bursts_that_agree_are_pooled():
+    """Four independent estimates: the standard error halves."""
+    verdict = conclude([said(burst=f"b{i}") for i in range(4)])
+    assert abs(verdict.severity.value + 0.5) < 1e-12
+    assert abs(verdict.severity.sd - 0.05) < 1e-12
+
+
+def test_an_estimate_that_does_not_agree_is_left_out():
+    """The fault appeared in the middle of the first burst, or grows."""
+    from dataclasses import replace
+
+    early = replace(said(burst="b0"), severity=Severity(-0.1, 0.01))
+    late = [replace(said(burst=f"b{i}"), severity=Severity(-0.5, 0.01)) for i in (1, 2)]
+    verdict = conclude([early, *late])
+    assert verdict.severity.value == -0.5
+    assert abs(verdict.severity.sd - 0.01 / 2**0.5) < 1e-12
