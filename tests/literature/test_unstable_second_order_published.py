@@ -91,3 +91,23 @@ def test_excitation_frequency_is_the_upper_bound() -> None:
     assert inside[-1] == pytest.approx(0.0358, abs=1e-4)
     assert efficiency(466.0) == pytest.approx(0.0751, abs=1e-4)
     assert efficiency(466.0) > max(efficiency(400.0), efficiency(540.0))
+
+
+def test_second_fault_is_not_detectable_as_shown() -> None:
+    """Figure 0.14b shows a 10 % loss of b2 detected; amplitude 0.06 in noise of variance 0.147 gives P_D below 2 %."""
+    from afdsvc.detect.power import detection_probability
+
+    amplitude = EXCITATION * abs(residual("b2", OMEGA))
+    assert amplitude == pytest.approx(0.0605, abs=1e-4)
+    assert detection_probability(1e-4, amplitude * np.sqrt(200 / 2 / 0.147194)) == pytest.approx(0.016, abs=0.001)
+
+
+def test_bias_by_the_uncertain_parameter() -> None:
+    """One per cent of a11 causes a wave of 0.0425; the bias N A0 A_mu / 2 it can add is 1.2, not the printed 0.1."""
+    p, f = unstable_second_order(), factors()
+    W, _ = whitening_filter(f, p.output_cov)
+    S = fault_signature(p.faults(["a11"]), interconnection(f), [0.01])
+    A_mu = EXCITATION * abs((frequency_response(W, [OMEGA]) @ frequency_response(S, [OMEGA]))[0, 0, 0])
+    assert A_mu == pytest.approx(0.0425, abs=1e-4)
+    A0 = EXCITATION * abs(residual("b1", OMEGA))
+    assert 200 * A0 * A_mu / 2 == pytest.approx(1.23, abs=0.01)

@@ -74,6 +74,7 @@ def test_names_units_and_stability(form: str, parameters: str) -> None:
     assert [v.rate_of for v in p.states[2:4]] == ["horizontal", "vertical"]
     assert G.is_stable()
     assert G.dt == 2e-4
+    assert len(p.recommended["lqg"]["state_weight"]) == G.order
 
 
 @pytest.mark.parametrize("form", FORMS)
