@@ -30,7 +30,9 @@ class DetectionProblem:
     ``interconnection`` the controller as J_K (inputs ``[y, alpha]``, outputs ``[u, beta]``), ``innovations`` the filter
     from ``[y; u]`` to the white residual r, ``covariance`` that of r, shape ``(p, p)``. ``residual_gain`` is the system
     from beta to r. ``output_names`` has length p, ``severity_range`` the bounds of every fault. ``limits`` are those of the
-    rig (None when nobody stated them): an actuator at its limit spoils a burst.
+    rig (None when nobody stated them): an actuator at its limit spoils a burst. ``uncertain`` is the same plant with its
+    uncertain parameters pulled out, ``uncertainty`` their relative standard deviations by name; None and empty for a model
+    that is taken as certain.
     """
 
     machine: str
@@ -46,6 +48,7 @@ class DetectionProblem:
     severity_range: tuple[float, float] = (-1.0, 0.0)
     uncertainty: Mapping[str, float] = field(default_factory=dict)
     limits: Limits | None = None
+    uncertain: AugmentedPlant | None = None
 
     @property
     def fault_names(self) -> tuple[str, ...]:

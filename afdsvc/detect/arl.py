@@ -13,6 +13,7 @@ moved by Siegmund's 1.166 mu, which is accurate to O(mu^2) there.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import brentq
@@ -26,17 +27,21 @@ _STEP = 0.2
 _FINEST = 150.0  # largest b / mu given to the integral equation
 
 
-def run_length(mu: float, b: float, changed: bool = False) -> float:
-    """Return the average run length in samples, before (``changed`` False) or from the change, started at 0."""
+def run_length(mu: float, b: float, changed: bool = False, bias: float = 0.0) -> float:
+    """Return the average run length in samples, before (``changed`` False) or from the change, started at 0.
+
+    ``bias`` is added to the mean of every increment: what a wrong model does to it.
+    """
     _check(mu, b)
+    drift = _drift(mu, changed) + bias
     if b > _FINEST * mu:
-        return _diffusion(mu, b + OVERSHOOT * mu, 1.0 if changed else -1.0)
-    x, w, kernel = _grid(mu, b, changed)
-    from_zero = _density(x, mu, changed)
+        return _diffusion(mu, b + OVERSHOOT * mu, drift)
+    x, w, kernel = _grid(mu, b, drift)
     steps = np.linalg.solve(np.eye(len(x)) - kernel, np.ones(len(x)))
-    over = np.linalg.solve(np.eye(len(x)) - kernel, _over(x, mu, b, changed))
-    N = 1 + float(np.sum(w * from_zero * steps))
-    R = float(_over(np.zeros(1), mu, b, changed)[0]) + float(np.sum(w * from_zero * over))
+    over = np.linalg.solve(np.eye(len(x)) - kernel, _over(x, mu, b, drift))
+    from_zero = w * _density(x, mu, drift)
+    N = 1 + float(from_zero @ steps)
+    R = float(_over(np.zeros(1), mu, b, drift)[0]) + float(from_zero @ over)
     return N / R
 
 
@@ -47,25 +52,23 @@ def boundary(mu: float, samples: float) -> float:
     if not samples > shortest:
         raise BadInput(f"run length of {samples:.3g} samples; one above {shortest:.3g} is wanted")
     goal = math.log(samples)
-    high = math.log(samples) + 2 * abs(math.log(mu)) + 5  # ARL0 >= e^b
-    high = min(high, math.log(samples) + 1e-9 + 1) if mu > 10 else high
-    return float(brentq(lambda b: math.log(run_length(mu, b)) - goal, 1e-9, high, xtol=1e-7))
+    return float(brentq(lambda b: math.log(run_length(mu, b)) - goal, 1e-9, goal + 1, xtol=1e-7))  # ARL >= e^b
 
 
-def alarm_probability(mu: float, b: float, samples: int, changed: bool = False) -> float:
-    """Return the probability of an alarm within ``samples`` samples of the start at 0.
+def alarm_probability(mu: float, b: float, samples: int, changed: bool = False, bias: float = 0.0) -> float:
+    """Return the probability of an alarm within ``samples`` samples of the start at 0; ``bias`` as in `run_length`.
 
     Steps smaller than 0.2 are taken several at a time, the boundary moved as above.
     """
     _check(mu, b)
     wide = max(mu, _STEP)
     lump = (wide / mu) ** 2
-    width = max(b + OVERSHOOT * (mu - wide), 1e-6)
-    x, w, kernel = _grid(wide, width, changed)
+    width, drift = max(b + OVERSHOOT * (mu - wide), 1e-6), (_drift(mu, changed) + bias) * lump
+    x, w, kernel = _grid(wide, width, drift)
     n = len(x)
     walk = np.zeros((n + 1, n + 1))  # state 0 is the atom at zero; alarms leave
-    walk[1:, 1:], walk[1:, 0] = kernel, _under(x, wide, changed)
-    walk[0, 1:], walk[0, 0] = _density(x, wide, changed) * w, _under(np.zeros(1), wide, changed)[0]
+    walk[1:, 1:], walk[1:, 0] = kernel, _under(x, wide, drift)
+    walk[0, 1:], walk[0, 0] = _density(x, wide, drift) * w, _under(np.zeros(1), wide, drift)[0]
     return float(1 - np.linalg.matrix_power(walk, max(1, round(samples / lump)))[0].sum())
 
 
@@ -73,39 +76,47 @@ def burst_boundary(mu: float, samples: int, false_alarm: float) -> float:
     """Return b at which a CUSUM started at 0 alarms within ``samples`` samples with probability ``false_alarm``."""
     if not 0 < false_alarm < 0.5:
         raise BadInput(f"false-alarm probability {false_alarm}; a number between 0 and 0.5 is wanted")
-    # E exp(max LLR) is bounded by the number of restarts: P(alarm) <= samples e^-b, and e^b mu^2 / 2 restarts suffice
-    high = math.log(samples / false_alarm) + 1e-3
-    low = 1e-3 * mu
+    high, low = math.log(samples / false_alarm) + 1e-3, 1e-3 * mu  # P(alarm) <= samples e^-b
     if alarm_probability(mu, low, samples) <= false_alarm:
         return low
     return float(brentq(lambda b: math.log(alarm_probability(mu, b, samples) / false_alarm), low, high, xtol=1e-4))
 
 
-def _grid(mu: float, b: float, changed: bool) -> tuple[Array, Array, Array]:
+def _drift(mu: float, changed: bool) -> float:
+    return (1 if changed else -1) * mu**2 / 2
+
+
+def _grid(mu: float, b: float, drift: float) -> tuple[Array, Array, Array]:
     n = 24 + math.ceil(1.6 * b / mu)  # one node per standard deviation is already spectrally accurate
-    x, w = np.polynomial.legendre.leggauss(n)
+    x, w = _nodes(n)
     x, w = 0.5 * b * (x + 1), 0.5 * b * w
-    step = x[None, :] - x[:, None] - (1 if changed else -1) * mu**2 / 2
-    kernel = np.exp(-0.5 * (step / mu) ** 2) / (mu * math.sqrt(2 * math.pi)) * w[None, :]
-    return x, w, kernel
+    return x, w, _density(x[None, :] - x[:, None], mu, drift) * w[None, :]
 
 
-def _density(x: Array, mu: float, changed: bool) -> Array:
-    return np.exp(-0.5 * ((x - (1 if changed else -1) * mu**2 / 2) / mu) ** 2) / (mu * math.sqrt(2 * math.pi))
+@lru_cache(maxsize=32)
+def _nodes(n: int) -> tuple[Array, Array]:
+    x, w = np.polynomial.legendre.leggauss(n)
+    return x, w
 
 
-def _over(x: Array, mu: float, b: float, changed: bool) -> Array:
-    return np.asarray(ndtr((x - b + (1 if changed else -1) * mu**2 / 2) / mu))
+def _density(x: Array, mu: float, drift: float) -> Array:
+    return np.asarray(np.exp(-0.5 * ((x - drift) / mu) ** 2) / (mu * math.sqrt(2 * math.pi)))
 
 
-def _under(x: Array, mu: float, changed: bool) -> Array:
-    return np.asarray(ndtr((-x - (1 if changed else -1) * mu**2 / 2) / mu))
+def _over(x: Array, mu: float, b: float, drift: float) -> Array:
+    return np.asarray(ndtr((x - b + drift) / mu))
 
 
-def _diffusion(mu: float, b: float, sign: float) -> float:
-    """Return the run length of the reflected Brownian motion with drift ``sign mu^2/2``: the small-step limit."""
-    kl = mu**2 / 2
-    return (math.exp(-sign * b) + sign * b - 1) / kl
+def _under(x: Array, mu: float, drift: float) -> Array:
+    return np.asarray(ndtr((-x - drift) / mu))
+
+
+def _diffusion(mu: float, b: float, drift: float) -> float:
+    """Return the run length of the reflected Brownian motion: the small-step limit."""
+    k = 2 * drift / mu**2
+    if abs(k * b) < 1e-6:
+        return (b / mu) ** 2
+    return 2 / mu**2 * (math.exp(-k * b) + k * b - 1) / k**2
 
 
 def _check(mu: float, b: float) -> None:

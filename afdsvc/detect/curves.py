@@ -7,7 +7,7 @@ never by multiplying factor transfer functions. Source: thesis equations 2.19 an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,6 +56,12 @@ class LoopResponse:
         inner = np.linalg.solve(np.eye(own.stop - own.start) - th * Gzw, direct)
         return self._close(Gyu + Gyw @ inner)
 
+    def together(self, severities: Mapping[str, float]) -> Paths:
+        """Return the responses with several faults present at once (T = 1)."""
+        k, th = self.augmented.channels, self.augmented.severities(severities)[:, None]
+        inner = np.linalg.solve(np.eye(k) - th * self.plant[:, :k, :k], th * self.plant[:, :k, k:])
+        return self._close((self.plant[:, k:, k:] + self.plant[:, k:, :k] @ inner)[None])
+
     def healthy(self) -> Paths:
         """Return the responses without a fault (T = 1)."""
         k = self.augmented.channels
@@ -99,13 +105,18 @@ class FaultCurves:
         """Return the points of one curve."""
         return self._points(self.response.paths(fault, severities))
 
-    def coloured(self, fault: str, severities: Sequence[float] | Array) -> tuple[Array, Whiteners]:
-        """Return the points of one curve and the whitening of the noise that comes with each."""
+    def together(self, severities: Mapping[str, float]) -> Array:
+        """Return the point ``(2 L, p)`` where several faults are present at once."""
+        return np.asarray(self._points(self.response.together(severities))[0])
+
+    def coloured(self, fault: str, severities: Sequence[float] | Array) -> tuple[Array, Array]:
+        """Return the points of one curve and the covariance ``(T, D, D)`` of the noise that comes with each.
+
+        ``D = 2 L p``; the covariance is that of standardised coordinates, the identity for the healthy machine.
+        """
         paths = self.response.paths(fault, severities)
         T = self.Li @ paths.noise @ np.linalg.inv(self.Li)
-        factor = np.linalg.cholesky(T @ np.swapaxes(T.conj(), -1, -2))
-        logdet = 2 * np.sum(np.log(np.real(np.diagonal(factor, axis1=-2, axis2=-1))), axis=(1, 2))
-        return self._points(paths), Whiteners(np.asarray(np.linalg.inv(factor)), np.asarray(logdet))
+        return self._points(paths), _covariance(T @ np.swapaxes(T.conj(), -1, -2))
 
     def slope(self, fault: str, severity: float) -> Array:
         """Return the derivative of a curve by severity, shape ``(2 L, p)``."""
@@ -118,19 +129,14 @@ class FaultCurves:
         return coefficients((picked * self.drive[None, :, None]) @ self.Li.T)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Whiteners:
-    """Inverse factors ``(T, L, p, p)`` of the noise spectrum at each line, and half the log determinant of the
-    covariance of all sines and cosines, ``(T,)``; both are relative to the healthy machine.
-    """
-
-    inverse: ComplexArray
-    half_logdet: Array
-
-    def apply(self, z: Array) -> Array:
-        """Return standardised coordinates of ``z (T, 2 L, p)``: the noise becomes independent standard normals."""
-        complex_z = z[:, 0::2] + 1j * z[:, 1::2]
-        return coefficients(np.einsum("tlpq,tlq->tlp", self.inverse, complex_z))
+def _covariance(spectrum: ComplexArray) -> Array:
+    """Return the covariance of sines and cosines whose spectra ``(T, L, p, p)`` are flat around every line."""
+    T, L, p, _ = spectrum.shape
+    full = np.zeros((T, L, 2, p, L, 2, p))
+    for k in range(L):
+        full[:, k, 0, :, k, 0], full[:, k, 1, :, k, 1] = spectrum[:, k].real, spectrum[:, k].real
+        full[:, k, 1, :, k, 0], full[:, k, 0, :, k, 1] = spectrum[:, k].imag, -spectrum[:, k].imag
+    return full.reshape(T, 2 * L * p, 2 * L * p)
 
 
 def fault_curves(problem: DetectionProblem, lines: Sequence[Line]) -> FaultCurves:

@@ -12,7 +12,7 @@ alarms, so that the promised rate is kept and not divided by the number of fault
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -25,10 +25,13 @@ from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect import arl, maximum
 from afdsvc.detect.hypotheses import linear_fit, weights
+from afdsvc.detect.stated import uncertain_parameters
 from afdsvc.detect.templates import templates
+from afdsvc.detect.uncertainty import as_faults
 from afdsvc.detect.watch import BurstSamples, Finding
 from afdsvc.lti.statespace import Array
 
+HERMITE = 15  # models averaged over in one direction
 UNSEEN = 1e-3  # deflection of a wave over the whole burst below which the fault is left out
 
 
@@ -100,7 +103,9 @@ class ActiveCusum:
         seen = np.flatnonzero(np.sqrt(np.diag(found.gram)) > UNSEEN)
         waves = found.waves[:, seen] / theta[seen, None]
         gram = found.gram[np.ix_(seen, seen)]
-        boundary = _burst_boundary(gram, burst.samples, problem.false_alarms.per_burst) if len(seen) else math.inf
+        bias = _burst_bias(problem, asked, found.waves[:, seen])
+        rate = problem.false_alarms.per_burst
+        boundary = _burst_boundary(gram, bias, burst.samples, rate) if len(seen) else math.inf
         return ActiveSums(waves, seen, theta[seen], boundary, CusumState.start(len(seen)), 0.0)
 
     def step(self, sums: ActiveSums, samples: BurstSamples) -> tuple[ActiveSums, Finding | None]:
@@ -143,38 +148,72 @@ def segment_finding(
     return Finding(peak, boundary, fits, weights(fits), parts)
 
 
-def _burst_boundary(gram: Array, samples: int, false_alarm: float) -> float:
+def _burst_bias(problem: DetectionProblem, asked: Array, waves: Array) -> Array:
+    """Return the standard deviation, over uncertain models, of the mean increment of every CUSUM, shape ``(K,)``."""
+    deviations = uncertain_parameters(problem)
+    if not deviations:
+        return np.zeros(waves.shape[1])
+    wrong = templates(as_faults(problem), asked, _small(problem, deviations))
+    picked = [problem.uncertain.fault_names.index(n) for n in deviations] if problem.uncertain else []
+    overlap = np.einsum("tip,tjp->ij", waves, wrong.waves[:, picked]) / len(asked)
+    return np.asarray(np.sqrt(np.sum(overlap**2, axis=1)))
+
+
+def _small(problem: DetectionProblem, deviations: Mapping[str, float]) -> Array:
+    """Return one standard deviation for every parameter of the uncertain plant, 0 for those that are certain."""
+    names = problem.uncertain.fault_names if problem.uncertain else ()
+    return np.array([deviations.get(name, 0.0) for name in names])
+
+
+def _burst_boundary(gram: Array, bias: Array, samples: int, false_alarm: float) -> float:
     """Return the boundary for K CUSUMs over one burst, by the shares they have in the union of alarms."""
     mu = np.sqrt(np.diag(gram) / samples)
     share = maximum.shares(_unit_vectors(gram), _level(false_alarm / len(mu)))
-    steps, together = _grouped(mu, share)
+    steps = _grouped(mu, bias, share)
 
     def excess(b: float) -> float:
-        p = [arl.alarm_probability(s, b, samples) for s in steps]
-        return math.log(float(np.dot(together, p)) / false_alarm)
+        p = sum(w * arl.alarm_probability(s, b, samples, bias=d) for s, d, w in steps)
+        return math.log(p / false_alarm)
 
-    high = math.log(samples * len(mu) / false_alarm)
+    high = math.log(samples * len(mu) / false_alarm) * (1 + _worst(mu, bias))
     return float(brentq(excess, 0.05, high, xtol=1e-3)) if excess(0.05) > 0 else 0.05
 
 
-def rate_boundary(correlation: Array, mu: Array, per_sample: float) -> float:
+def rate_boundary(correlation: Array, mu: Array, bias: Array, per_sample: float) -> float:
     """Return the boundary at which K CUSUMs that run always alarm ``per_sample`` times per sample in all.
 
-    ``mu (K,)`` is the deflection per sample of each, ``correlation (K, K)`` that of their log-likelihood ratios.
+    ``mu (K,)`` is the deflection per sample of each, ``correlation (K, K)`` that of their log-likelihood ratios,
+    ``bias (K,)`` the standard deviation of their mean increments over uncertain models.
     """
     share = maximum.shares(_unit_vectors(correlation), _level(per_sample))
-    steps, together = _grouped(mu, share)
+    steps = _grouped(mu, bias, share)
 
     def excess(b: float) -> float:
-        return math.log(sum(w / arl.run_length(s, b) for s, w in zip(steps, together, strict=True)) / per_sample)
+        return math.log(sum(w / arl.run_length(s, b, bias=d) for s, d, w in steps) / per_sample)
 
-    return float(brentq(excess, 0.05, math.log(len(mu) / per_sample) + 1, xtol=1e-4))
+    high = (math.log(len(mu) / per_sample) + 1) * (1 + _worst(mu, bias))
+    return float(brentq(excess, 0.05, high, xtol=1e-4))
 
 
-def _grouped(mu: Array, share: Array) -> tuple[list[float], list[float]]:
-    """Return the distinct deflections per sample, to a per cent, and the shares that go with each."""
-    steps, which = np.unique(np.round(np.log(mu), 2), return_inverse=True)
-    return [float(s) for s in np.exp(steps)], [float(w) for w in np.bincount(which.ravel(), weights=share)]
+def _grouped(mu: Array, bias: Array, share: Array) -> list[tuple[float, float, float]]:
+    """Return distinct (deflection per sample, bias, weight): CUSUMs alike to a per cent together, the bias averaged
+    over its normal distribution by Gauss-Hermite quadrature.
+    """
+    keys = np.round(np.column_stack([np.log(mu), bias / mu**2]), 2)
+    distinct, which = np.unique(keys, axis=0, return_inverse=True)
+    weight = np.bincount(which.ravel(), weights=share)
+    z, w = np.polynomial.hermite_e.hermegauss(HERMITE) if bias.any() else (np.zeros(1), np.ones(1))
+    w = w / w.sum()
+    steps = []
+    for (log_mu, relative), total in zip(distinct, weight, strict=True):
+        s = float(np.exp(log_mu))
+        steps += [(s, float(relative * s**2 * zq), float(total * wq)) for zq, wq in zip(z, w, strict=True)]
+    return steps
+
+
+def _worst(mu: Array, bias: Array) -> float:
+    """Return by how much the boundary may have to grow: the largest bias met over the drift that opposes it."""
+    return 20 * float(np.max(bias / (mu**2 / 2)))
 
 
 def _level(probability: float) -> float:

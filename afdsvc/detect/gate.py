@@ -8,6 +8,7 @@ the decisions on good data are refused.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -27,7 +28,6 @@ class Gate:
     lags: int = 20
     window: int = 2500
     settle: int = 0
-    bounds: tuple[float, float] = (-1.0, 0.0)
 
     @property
     def needed(self) -> int:
@@ -64,8 +64,13 @@ class Gate:
         """Samples in one part sum."""
         return max(1, -(-self.window // PARTS))
 
-    def judge(self, state: GateState, names: tuple[str, ...] = ()) -> Judgement:
-        """Return whether the quiet data can be trusted, and if not, why; ``names`` are the faults of the series."""
+    def judge(
+        self, state: GateState, names: tuple[str, ...] = (), bounds: Sequence[tuple[float, float]] = ()
+    ) -> Judgement:
+        """Return whether the quiet data can be trusted, and if not, why.
+
+        ``names`` are the faults and uncertain parameters of the series, ``bounds`` the values they may have.
+        """
         sums = state.sums()
         if sums.n < self.needed:
             return Judgement(
@@ -75,9 +80,8 @@ class Gate:
         plain = whiteness(sums)
         if plain.p >= self.level:
             return Judgement(True, "", plain)
-        for i, name in enumerate(names):
-            theta, _ = sums.severity(i)
-            theta = min(max(theta, self.bounds[0]), self.bounds[1])
+        for i, (name, (low, high)) in enumerate(zip(names, bounds, strict=True)):
+            theta = min(max(sums.severity(i)[0], low), high)
             explained = whiteness_without(sums, i, theta)
             if theta and explained.p >= self.level:
                 return Judgement(True, "", explained, name)

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.special import log_ndtr, logsumexp
 
 from afdsvc.detect.curves import FaultCurves
@@ -46,10 +47,27 @@ def linear_fit(fault: str, score: float, information: float, bounds: tuple[float
     return Fit(fault, theta, sd, score * theta - 0.5 * information * theta**2, evidence)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LineData:
+    """Excited lines in standardised coordinates: ``z (2 L, p)`` and ``R (2 L, 2 L)`` as in `demodulate.Lines`.
+
+    ``doubt (D, D)`` is what an uncertain model adds to the covariance of z; zero for a model that is certain.
+    """
+
+    z: Array
+    R: Array
+    doubt: Array
+
+    def whitened(self, covariance: Array, *values: Array) -> list[Array]:
+        """Return arrays shaped like z as vectors in which the covariance plus doubt is the identity."""
+        factor = np.linalg.cholesky(covariance + self.doubt)
+        return [np.asarray(solve_triangular(factor, v.ravel(), lower=True)) for v in values]
+
+
 def curve_fit(
-    curves: FaultCurves, fault: str, z: Array, R: Array, bounds: tuple[float, float], points: int = 33
+    curves: FaultCurves, fault: str, data: LineData, bounds: tuple[float, float], points: int = 33
 ) -> Fit:
-    """Return the likeliest point of a fault's curve (``z`` and ``R`` as in `demodulate.Lines`).
+    """Return the likeliest point of a fault's curve.
 
     A grid finds the neighbourhood, Gauss-Newton the point. Distances are measured in the noise the faulty loop makes,
     which is not that of the healthy one; its dependence on the severity is left out of the derivatives only. The
@@ -57,34 +75,44 @@ def curve_fit(
     """
     low, high = bounds
     grid = np.linspace(low, high, points)
-    theta = float(grid[int(np.argmax(_log_likelihoods(curves, fault, grid, z, R)))])
+    theta = float(grid[int(np.argmax(_log_likelihoods(curves, fault, grid, data)))])
     for _ in range(20):
-        rest, tangent = _linearised(curves, fault, theta, z, R)
+        rest, tangent = _linearised(curves, fault, theta, data)
         moved = min(max(theta + _newton(rest, tangent), low), high)
         if abs(moved - theta) < 1e-12:
             break
         theta = moved
-    rest, tangent = _linearised(curves, fault, theta, z, R)
-    information = float(np.sum(tangent**2))
+    rest, tangent = _linearised(curves, fault, theta, data)
+    information = float(tangent @ tangent)
     if not information > 1e-12:
         return Fit(fault, theta, math.inf, 0.0, 0.0)
-    gain = float(_log_likelihoods(curves, fault, np.array([theta]), z, R)[0])
-    around = linear_fit(fault, float(np.sum(rest * tangent)), information, (low - theta, high - theta))
+    gain = float(_log_likelihoods(curves, fault, np.array([theta]), data)[0])
+    around = linear_fit(fault, float(rest @ tangent), information, (low - theta, high - theta))
     return Fit(fault, theta, around.sd, gain, gain + around.log_evidence)
 
 
-def _log_likelihoods(curves: FaultCurves, fault: str, severities: Array, z: Array, R: Array) -> Array:
+def _log_likelihoods(curves: FaultCurves, fault: str, severities: Array, data: LineData) -> Array:
     """Return log likelihood ratios against the healthy machine, one for each severity."""
-    points, whiten = curves.coloured(fault, severities)
-    left = whiten.apply(z - R @ points)
-    return np.asarray(0.5 * np.sum(z**2) - 0.5 * np.sum(left**2, axis=(1, 2)) - whiten.half_logdet)
+    points, covariances = curves.coloured(fault, severities)
+    left = data.z - data.R @ points
+    return _log_density(left.reshape(len(left), -1), covariances + data.doubt) - _log_density(
+        data.z.reshape(1, -1), np.eye(data.z.size)[None] + data.doubt
+    )
 
 
-def _linearised(curves: FaultCurves, fault: str, theta: float, z: Array, R: Array) -> tuple[Array, Array]:
+def _log_density(z: Array, covariance: Array) -> Array:
+    """Return log densities of vectors ``(T, D)`` with covariances ``(T, D, D)``, up to a constant."""
+    factor = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(factor, z[:, :, None])
+    logdet = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
+    return np.asarray(-0.5 * np.sum(white**2, axis=(1, 2)) - logdet)
+
+
+def _linearised(curves: FaultCurves, fault: str, theta: float, data: LineData) -> tuple[Array, Array]:
     """Return what a point of the curve leaves of z, and the curve's tangent there, both whitened."""
-    points, whiten = curves.coloured(fault, [theta])
-    both = whiten.apply(z - R @ points)[0], whiten.apply((R @ curves.slope(fault, theta))[None])[0]
-    return both
+    points, covariances = curves.coloured(fault, [theta])
+    rest, tangent = data.whitened(covariances[0], data.z - data.R @ points[0], data.R @ curves.slope(fault, theta))
+    return rest, tangent
 
 
 def weights(

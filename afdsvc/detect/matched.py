@@ -14,12 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from afdsvc.api.bursts import Burst
+from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect import maximum
 from afdsvc.detect.curves import FaultCurves, fault_curves
 from afdsvc.detect.demodulate import Basis, BasisSums, Lines, project
-from afdsvc.detect.hypotheses import anything_log_evidence, curve_fit, weights
+from afdsvc.detect.hypotheses import LineData, anything_log_evidence, curve_fit, weights
+from afdsvc.detect.uncertainty import model_doubt
 from afdsvc.detect.watch import BurstSamples, Finding
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
@@ -66,24 +67,25 @@ class MatchedFilter:
 
     def decide(self, sums: BasisSums, burst: Burst, dt: float) -> Sequence[Finding]:
         """Return one finding for all lines and outputs together."""
-        lines = project(sums, self.basis(burst))
-        curves = fault_curves(self.problem, sorted(burst.lines, key=lambda line: line.omega))
-        directions = self._directions(curves, lines)
+        ordered = sorted(burst.lines, key=lambda line: line.omega)
+        lines, curves = project(sums, self.basis(burst)), fault_curves(self.problem, ordered)
+        data = LineData(lines.z, lines.R, model_doubt(self.problem, ordered, lines.R))
+        directions = self._directions(curves, data)
         if not len(directions):
             return [Finding(0.0, float("inf"))]
         e = directions / np.linalg.norm(directions, axis=1)[:, None]
-        statistic = float(np.max(e @ lines.z.ravel()))
+        z = data.whitened(np.eye(data.z.size), data.z)[0]
         h = maximum.threshold(e, self.problem.false_alarms.per_burst)
-        fits = tuple(curve_fit(curves, n, lines.z, lines.R, self.problem.severity_range) for n in curves.names)
-        parts = {"samples": float(sums.n), "tests": maximum.tests_counted(e, h), **_amplitudes(lines, burst)}
-        return [Finding(statistic, h, fits, weights(fits, anything_log_evidence(lines.z)), parts)]
+        fits = tuple(curve_fit(curves, n, data, self.problem.severity_range) for n in curves.names)
+        parts = {"samples": float(sums.n), "tests": maximum.tests_counted(e, h), **_amplitudes(lines, ordered)}
+        return [Finding(float(np.max(e @ z)), h, fits, weights(fits, anything_log_evidence(z)), parts)]
 
-    def _directions(self, curves: FaultCurves, lines: Lines) -> Array:
-        """Return the templates ``(faults x severities, 2 L p)`` of all faults this burst can see."""
-        points = np.concatenate([lines.R @ curves.at(name, self.severities) for name in curves.names])
-        flat = points.reshape(len(points), -1)
-        length = np.linalg.norm(flat, axis=1)
-        return np.asarray(flat[length > UNSEEN * max(length.max(initial=0.0), 1e-12)])
+    def _directions(self, curves: FaultCurves, data: LineData) -> Array:
+        """Return the whitened templates ``(faults x severities, D)`` of all faults this burst can see."""
+        points = np.concatenate([data.R @ curves.at(name, self.severities) for name in curves.names])
+        white = np.stack(data.whitened(np.eye(data.z.size), *points))
+        length = np.linalg.norm(white, axis=1)
+        return np.asarray(white[length > UNSEEN * max(length.max(initial=0.0), 1e-12)])
 
     def _angle(self, samples: BurstSamples, a: int, b: int) -> Array | None:
         if not self.orders:
@@ -98,11 +100,11 @@ def window(burst: Burst) -> tuple[int, int]:
     return min(burst.ramp + burst.settle, burst.samples), max(burst.samples - burst.ramp, 0)
 
 
-def _amplitudes(lines: Lines, burst: Burst) -> dict[str, float]:
+def _amplitudes(lines: Lines, ordered: Sequence[Line]) -> dict[str, float]:
     """Return the amplitude found on every line and output, in standard deviations of the normalised residual."""
     c = np.linalg.solve(lines.R, lines.z)
     found = {}
-    for k, line in enumerate(sorted(burst.lines, key=lambda line: line.omega)):
+    for k, line in enumerate(ordered):
         for i in range(c.shape[1]):
             found[f"amplitude.{line.omega:.6g}.{i}"] = float(np.hypot(c[2 * k, i], c[2 * k + 1, i]))
     return found

@@ -33,7 +33,7 @@ class NoiseDriven:
     """
 
     loop: StateSpace
-    faults: int
+    count: int
     gram: Array
     skew: Array
     spread: Array
@@ -47,10 +47,10 @@ class NoiseDriven:
 
     def excited(self, burst: Burst) -> tuple[Array, Array]:
         """Return what a burst's lines add per sample to information and skew, both ``(K,)``."""
-        active, skew = np.zeros(self.faults), np.zeros(self.faults)
+        active, skew = np.zeros(self.count), np.zeros(self.count)
         if not burst.lines:
             return active, skew
-        H, S = _split(self.loop, self.faults, np.array([line.omega for line in burst.lines]))
+        H, S = _split(self.loop, self.count, np.array([line.omega for line in burst.lines]))
         for k, line in enumerate(burst.lines):
             s = line.amplitude * S[k, :, :, line.input]
             active += 0.5 * np.sum(np.abs(s) ** 2, axis=1)
@@ -64,7 +64,7 @@ class NoiseDriven:
         DiCiccio and M. A. Martin, *Biometrika* 80, 1993). With ``x = b / sd(b)``, ``y = G / E G - 1`` both follow
         from the moments of ``x (1 + y)^-1/2``. Faults without information get 0 and 1.
         """
-        active, skew = self.excited(burst) if burst is not None else (np.zeros(self.faults), np.zeros(self.faults))
+        active, skew = self.excited(burst) if burst is not None else (np.zeros(self.count), np.zeros(self.count))
         information = samples * (self.passive + active)
         safe = np.where(information > 0, information, np.inf)
         cut, whole = _within(self.skew, samples), self.skew.sum(axis=0)

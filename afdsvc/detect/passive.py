@@ -119,7 +119,7 @@ class PassiveDetector:
         return self._evidence(state, finding, k, dt)
 
     def _evidence(self, state: PassiveState, finding: Finding, k: int, dt: float) -> Evidence:
-        judgement = self.gate.judge(state.gate, self.filters.names)
+        judgement = self.gate.judge(state.gate, self.filters.names, self.filters.bounds)
         still = [i for i, run in enumerate(state.runs.length) if run >= self.frozen]
         complaint = f"sensor '{self._output(still[0])}' stands still" if still else ""
         return evidence(self.name, self.problem.machine, k, dt, "", finding, judgement, complaint, self.sure)
@@ -128,7 +128,7 @@ class PassiveDetector:
         """Say once that the quiet data cannot be trusted, again only after they could be in between."""
         if state.gate.sums().n < self.gate.needed:
             return state
-        ok = self.gate.judge(state.gate, self.filters.names).ok
+        ok = self.gate.judge(state.gate, self.filters.names, self.filters.bounds).ok
         if not ok and not state.doubted:
             peak = float(state.cusum.g.max(initial=0.0))
             found.append(self._evidence(state, Finding(peak, self.boundary), k, dt))
@@ -149,14 +149,17 @@ def passive_detector(
     """Return the passive CUSUM; raises `BadInput` when the loop's noise tells nothing about any fault."""
     filters = regressors(problem)
     noise = noise_driven(problem, filters)
-    which = np.flatnonzero(noise.passive > 1e-12 * max(noise.passive.max(initial=0.0), 1e-300))
+    passive = noise.passive[: filters.faults]
+    which = np.flatnonzero(passive > 1e-12 * max(passive.max(initial=0.0), 1e-300))
     if not len(which):
         raise BadInput(f"detector '{name}': the loop's own noise shows none of the faults; a burst is wanted for them")
     theta = np.full(len(which), severity)
     per_sample = problem.false_alarms.per_hour * problem.plant.dt / 3600
-    mu = np.abs(theta) * np.sqrt(noise.passive[which])
-    boundary = rate_boundary(correlation(noise)[np.ix_(which, which)], mu, per_sample)
-    gate = replace(gate, settle=filters.settling(), bounds=problem.severity_range)
+    mu = np.abs(theta) * np.sqrt(passive[which])
+    wrong = noise.gram[: filters.faults, filters.faults :][which] * filters.sd[None, :]
+    bias = np.abs(theta) * np.linalg.norm(wrong, axis=1)
+    boundary = rate_boundary(correlation(noise)[np.ix_(which, which)], mu, bias, per_sample)
+    gate = replace(gate, settle=filters.settling())
     silence = math.ceil(silence_seconds / problem.plant.dt)
     return PassiveDetector(name, problem, filters, gate, which, theta, boundary, silence, sure, frozen)
 

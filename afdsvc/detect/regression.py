@@ -22,6 +22,7 @@ from afdsvc.detect import maximum
 from afdsvc.detect.demodulate import Basis, BasisSums, project
 from afdsvc.detect.hypotheses import anything_log_evidence, linear_fit, weights
 from afdsvc.detect.noise_driven import NoiseDriven, noise_driven
+from afdsvc.detect.regressors import Regressors
 from afdsvc.detect.watch import BurstSamples, Finding
 from afdsvc.lti.statespace import Array
 
@@ -40,9 +41,12 @@ class RegressionSums:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Regression:
-    """Statistic of the regression detector. ``false_alarm`` is per burst, ``bounds`` those of the severities."""
+    """Statistic of the regression detector. ``false_alarm`` is per burst, ``bounds`` those of the severities, ``sd``
+    the standard deviations of the model's uncertain parameters, which are averaged out.
+    """
 
     names: tuple[str, ...]
+    sd: Array
     outputs: int
     false_alarm: float
     bounds: tuple[float, float]
@@ -50,7 +54,7 @@ class Regression:
 
     def start(self, burst: Burst, dt: float) -> RegressionSums:
         """Return empty sums."""
-        K = len(self.names)
+        K = len(self.names) + len(self.sd)
         return RegressionSums(0, np.zeros(K), np.zeros((K, K)), BasisSums.empty(_basis(burst), self.outputs))
 
     def step(self, sums: RegressionSums, samples: BurstSamples) -> tuple[RegressionSums, None]:
@@ -63,29 +67,41 @@ class Regression:
 
     def decide(self, sums: RegressionSums, burst: Burst, dt: float) -> Sequence[Finding]:
         """Return one finding for all outputs together."""
-        G = np.diag(sums.G)
-        seen = np.flatnonzero(G > UNSEEN * max(G.max(initial=0.0), 1e-300))
+        b, G = averaged_out(sums.b, sums.G, self.sd)
+        information = np.diag(G)
+        seen = np.flatnonzero(information > UNSEEN * max(information.max(initial=0.0), 1e-300))
         if not len(seen):
             return [Finding(0.0, float("inf"))]
-        t = -sums.b[seen] / np.sqrt(G[seen])
-        correlation = sums.G[np.ix_(seen, seen)] / np.sqrt(np.outer(G[seen], G[seen]))
+        t = -b[seen] / np.sqrt(information[seen])
+        correlation = G[np.ix_(seen, seen)] / np.sqrt(np.outer(information[seen], information[seen]))
         h = maximum.threshold(_square_root(correlation), self.false_alarm)
         mean, sd = (v[seen] for v in self.noise.signed_root(sums.n, burst))
-        fits = [linear_fit(n, float(b), float(g), self.bounds) for n, b, g in zip(self.names, sums.b, G, strict=True)]
-        statistic = float(np.max((t - mean) / sd))
+        fits = [linear_fit(n, float(v), float(g), self.bounds) for n, v, g in zip(self.names, b, information, strict=True)]
         parts = {"samples": float(sums.n), "deflection": float(max(0.0, np.max(t)))}
         weight = weights(fits, self._anything(sums, burst))
-        return [Finding(statistic, h, tuple(fits), weight, parts)]
+        return [Finding(float(np.max((t - mean) / sd)), h, tuple(fits), weight, parts)]
 
     def _anything(self, sums: RegressionSums, burst: Burst) -> float | None:
         basis = _basis(burst)
         return anything_log_evidence(project(sums.lines, basis).z) if basis.omega else None
 
 
-def regression(problem: DetectionProblem) -> Regression:
-    """Return the statistic for one machine."""
+def averaged_out(b: Array, G: Array, sd: Array) -> tuple[Array, Array]:
+    """Return score and information of the faults when the last ``len(sd)`` parameters are N(0, sd^2) and averaged
+    over.
+    """
+    K = len(b) - len(sd)
+    if not len(sd):
+        return b, G
+    gain = np.linalg.solve(G[K:, K:] + np.diag(1 / sd**2), np.column_stack([b[K:], G[K:, :K]]))
+    return b[:K] - G[:K, K:] @ gain[:, 0], G[:K, :K] - G[:K, K:] @ gain[:, 1:]
+
+
+def regression(problem: DetectionProblem, filters: Regressors) -> Regression:
+    """Return the statistic for one machine and its regressors."""
     p, rate = problem.plant.outputs, problem.false_alarms.per_burst
-    return Regression(problem.fault_names, p, rate, problem.severity_range, noise_driven(problem))
+    noise = noise_driven(problem, filters)
+    return Regression(problem.fault_names, filters.sd, p, rate, problem.severity_range, noise)
 
 
 def _basis(burst: Burst | None) -> Basis:

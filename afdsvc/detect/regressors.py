@@ -21,7 +21,9 @@ from numba import njit
 
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.residual import decay
+from afdsvc.detect.stated import uncertain_parameters
 from afdsvc.errors import BadInput
+from afdsvc.lti.lft import AugmentedPlant
 from afdsvc.lti.statespace import Array, StateSpace
 
 _NO_GAIN = 1e-9  # a predictor gain below this is the rounding of a Riccati solver
@@ -40,10 +42,15 @@ class Regressors:
     """The filters from ``[y, u]`` to the normalised residual ``Li r`` and the normalised ``Li psi_i`` of K faults.
 
     ``Li`` is the inverse Cholesky factor of the residual's covariance, so the noise in ``Li r`` is white with unit
-    covariance. Build one with `regressors`.
+    covariance. The first ``faults`` of the ``names`` are faults, the others uncertain parameters of the model;
+    ``bounds`` are the values they may have, ``sd`` the standard deviations of the uncertain ones. Build one with
+    `regressors`.
     """
 
     names: tuple[str, ...]
+    faults: int
+    bounds: tuple[tuple[float, float], ...]
+    sd: Array
     exact: tuple[bool, ...]
     plant: StateSpace
     Kp: Array
@@ -76,25 +83,47 @@ class Regressors:
 
 
 def regressors(problem: DetectionProblem) -> Regressors:
-    """Return the regressors of every fault; raises `BadInput` when the innovations do not belong to the plant.
+    """Return the regressors of every fault, then of every uncertain parameter; raises `BadInput` when the innovations
+    do not belong to the plant.
 
     A fault with several channels (``w = theta z`` with vectors w and z) is one regressor.
     """
-    s, k = problem.augmented.system, problem.augmented.channels
     g = problem.augmented.plant
-    Kp = predictor_gain(problem, g)
-    Dzw = s.D[:k, :k]
-    own = [problem.augmented.channels_of(name) for name in problem.fault_names]
-    width = max((c.stop - c.start for c in own), default=1)
-    n, m, p, K = g.order, g.inputs, g.outputs, len(own)
+    Kp, uncertain = predictor_gain(problem, g), uncertain_parameters(problem)
+    ways = [_way(problem.augmented, name, Kp) for name in problem.fault_names]
+    if problem.uncertain is not None:
+        ways += [_way(problem.uncertain, name, Kp) for name in uncertain]
+    width = max((way.Bw.shape[1] for way in ways), default=1)
+    n, m, p, K = g.order, g.inputs, g.outputs, len(ways)
     Bw, Dyw = np.zeros((K, n, width)), np.zeros((K, p, width))
     Cz, Dzu = np.zeros((K, width, n)), np.zeros((K, width, m))
-    for i, c in enumerate(own):
-        r = c.stop - c.start
-        Bw[i, :, :r], Dyw[i, :, :r] = s.B[:, c] - Kp @ s.D[k:, c], s.D[k:, c]
-        Cz[i, :r], Dzu[i, :r] = s.C[c], s.D[c, k:]
-    exact = tuple(not Kp.any() and not Dzw[c, c].any() and _no_return(s, c) for c in own)
-    return Regressors(problem.fault_names, exact, g, Kp, Bw, Dyw, Cz, Dzu, whitener(problem.covariance))
+    for i, way in enumerate(ways):
+        r = way.Bw.shape[1]
+        Bw[i, :, :r], Dyw[i, :, :r], Cz[i, :r], Dzu[i, :r] = way.Bw, way.Dyw, way.Cz, way.Dzu
+    sd = np.array(list(uncertain.values()))
+    bounds = (problem.severity_range,) * len(problem.fault_names) + tuple((-4 * s, 4 * s) for s in sd.tolist())
+    names, exact = (*problem.fault_names, *uncertain), tuple(way.exact for way in ways)
+    return Regressors(
+        names, len(problem.fault_names), bounds, sd, exact, g, Kp, Bw, Dyw, Cz, Dzu, whitener(problem.covariance)
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Way:
+    """How one parameter enters: from its z into the error filter and the residual, and what its z is made of."""
+
+    Bw: Array
+    Dyw: Array
+    Cz: Array
+    Dzu: Array
+    exact: bool
+
+
+def _way(augmented: AugmentedPlant, name: str, Kp: Array) -> _Way:
+    s, k, own = augmented.system, augmented.channels, augmented.channels_of(name)
+    no_state = not Kp.any() or not s.C[own].any()  # then z is known without error, not estimated
+    exact = no_state and not s.D[own, own].any() and _no_return(s, own)
+    return _Way(s.B[:, own] - Kp @ s.D[k:, own], s.D[k:, own], s.C[own], s.D[own, k:], exact)
 
 
 def whitener(covariance: Array) -> Array:

@@ -173,7 +173,7 @@ class BurstDetector:
     def _early(self, state: WatchState, now: Playing, finding: Finding, piece: ResidualBlock) -> list[Evidence]:
         """Report a finding before the burst has ended, unless something speaks against it (then the end decides)."""
         complaint = now.checks.complaint(now.checks.n, self.frozen, self.problem.input_names, self.problem.output_names)
-        judgement = self.gate.judge(state.gate, self.filters.names)
+        judgement = self.gate.judge(state.gate, self.filters.names, self.filters.bounds)
         if complaint or not judgement.ok:
             return []
         k = now.start + int(finding.parts.get("sample", now.checks.n - 1))
@@ -184,7 +184,7 @@ class BurstDetector:
             return []
         problem = self.problem
         complaint = now.checks.complaint(now.burst.samples, self.frozen, problem.input_names, problem.output_names)
-        judgement = self.gate.judge(state.gate, self.filters.names)
+        judgement = self.gate.judge(state.gate, self.filters.names, self.filters.bounds)
         try:
             findings = [] if now.checks.bad or now.checks.gap else self.statistic.decide(now.sums, now.burst, dt)
         except AfdsvcError as error:
@@ -257,10 +257,16 @@ def _fit_parts(fits: Sequence[Fit]) -> dict[str, float]:
 
 
 def burst_detector(
-    name: str, problem: DetectionProblem, statistic: BurstStatistic, gate: Gate, sure: float, frozen: int
+    name: str,
+    problem: DetectionProblem,
+    statistic: BurstStatistic,
+    gate: Gate,
+    sure: float,
+    frozen: int,
+    filters: Regressors | None = None,
 ) -> BurstDetector:
     """Return a burst detector with the filters of the problem's faults and a gate that waits for them to settle."""
-    filters = regressors(problem)
+    filters = regressors(problem) if filters is None else filters
     settle = filters.settling()
-    gate = replace(gate, settle=settle, bounds=problem.severity_range)
+    gate = replace(gate, settle=settle)
     return BurstDetector(name, problem, statistic, filters, gate, sure, frozen)

@@ -14,7 +14,9 @@ import numpy as np
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.curves import FaultCurves, fault_curves
-from afdsvc.detect.hypotheses import curve_fit
+from afdsvc.detect.hypotheses import LineData, curve_fit
+from afdsvc.detect.power import tail
+from afdsvc.detect.uncertainty import model_doubt
 from afdsvc.lti.statespace import Array
 
 
@@ -27,34 +29,46 @@ class Prospect:
     curves: FaultCurves
     R: Array
     bounds: tuple[float, float]
+    doubt: Array
 
     def wave(self, fault: str, severity: float) -> Array:
-        """Return the point of a curve, shape ``(2 L, p)``; its length is the deflection."""
+        """Return the point of a curve, shape ``(2 L, p)``; without doubt its length is the deflection."""
         return np.asarray(self.R @ self.curves.at(fault, [severity])[0])
 
+    def data(self, z: Array) -> LineData:
+        """Return the measurement z would be."""
+        return LineData(z, self.R, self.doubt)
+
     def deflection(self, fault: str, severity: float) -> float:
-        """Return how many standard deviations the burst shows of this fault."""
-        return float(np.linalg.norm(self.wave(fault, severity)))
+        """Return how many standard deviations of the healthy machine the burst shows of this fault."""
+        z = self.wave(fault, severity)
+        return float(np.linalg.norm(self.data(z).whitened(np.eye(z.size), z)[0]))
+
+    def detection(self, fault: str, severity: float, threshold: float) -> float:
+        """Return the probability that a matched filter tuned to this wave exceeds the threshold.
+
+        The faulty loop makes other noise than the healthy one, so the statistic's spread is not 1.
+        """
+        z, covariance = self.wave(fault, severity), self.curves.coloured(fault, [severity])[1][0]
+        healthy = np.linalg.inv(np.linalg.cholesky(np.eye(z.size) + self.doubt))
+        d = healthy @ z.ravel()
+        length = float(np.linalg.norm(d))
+        if not length > 0:
+            return tail(threshold)
+        e = healthy.T @ d / length
+        return tail((threshold - length) / float(np.sqrt(e @ (covariance + self.doubt) @ e)))
 
     def deviation(self, fault: str, severity: float) -> float:
         """Return the Cramer-Rao standard error of the severity; inf when the burst cannot see the fault."""
-        whiten = self.curves.coloured(fault, [severity])[1]
-        length = float(np.linalg.norm(whiten.apply((self.R @ self.curves.slope(fault, severity))[None])))
+        slope, covariance = self.R @ self.curves.slope(fault, severity), self.curves.coloured(fault, [severity])[1][0]
+        length = float(np.linalg.norm(self.data(slope).whitened(covariance, slope)[0]))
         return 1 / length if length > 0 else float("inf")
-
-    def deviation_of_statistic(self, fault: str, severity: float, direction: Array) -> float:
-        """Return the standard deviation of a matched filter's statistic ``<direction, z>`` while the fault is
-        present.
-        """
-        factor = np.linalg.inv(self.curves.coloured(fault, [severity])[1].inverse[0])
-        e = direction[0::2] + 1j * direction[1::2]
-        return float(np.linalg.norm(np.einsum("lqp,lq->lp", factor.conj(), e)))
 
     def separation(self, fault: str, severity: float, other: str) -> float:
         """Return the distance from one fault to the nearest point of another fault's curve, in standard deviations."""
-        z, whiten = self.wave(fault, severity), self.curves.coloured(fault, [severity])[1]
-        nearest = curve_fit(self.curves, other, z, self.R, self.bounds)
-        return float(np.linalg.norm(whiten.apply((z - self.wave(other, nearest.severity))[None])))
+        z, covariance = self.wave(fault, severity), self.curves.coloured(fault, [severity])[1][0]
+        nearest = curve_fit(self.curves, other, self.data(z), self.bounds)
+        return float(np.linalg.norm(self.data(z).whitened(covariance, z - self.wave(other, nearest.severity))[0]))
 
     def separations(self, severity: float) -> Array:
         """Return the separations of every fault (row) from every other (column), shape ``(K, K)``, inf on the
@@ -72,7 +86,7 @@ class Prospect:
 def prospect(problem: DetectionProblem, lines: Sequence[Line], samples: int) -> Prospect:
     """Return the prospect of lines played steadily for ``samples`` samples (whole periods of distinct frequencies)."""
     R = np.sqrt(samples / 2) * np.eye(2 * len(lines))
-    return Prospect(fault_curves(problem, lines), R, problem.severity_range)
+    return Prospect(fault_curves(problem, lines), R, problem.severity_range, model_doubt(problem, lines, R))
 
 
 def burst_prospect(problem: DetectionProblem, burst: Burst) -> Prospect:

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from afdsvc.api.detection import DetectorDesign
 from afdsvc.plugins.detectors.cusum import ActiveCusumDesign, PassiveCusumDesign
+from afdsvc.plugins.detectors.fault_curves import FaultCurvesDesign
 from afdsvc.plugins.detectors.matched_filter import MatchedFilterDesign
 from afdsvc.plugins.detectors.regression import RegressionDesign
 from afdsvc.plugins.hookspecs import hookimpl
@@ -14,4 +15,4 @@ from afdsvc.plugins.hookspecs import hookimpl
 @hookimpl
 def afdsvc_detectors() -> Iterable[DetectorDesign]:
     """Return the built-in detectors."""
-    return [MatchedFilterDesign(), RegressionDesign(), ActiveCusumDesign(), PassiveCusumDesign()]
+    return [MatchedFilterDesign(), FaultCurvesDesign(), RegressionDesign(), ActiveCusumDesign(), PassiveCusumDesign()]

@@ -7,6 +7,7 @@ from typing import Any
 
 from afdsvc.api.detection import DetectionProblem, Detector
 from afdsvc.detect.regression import regression
+from afdsvc.detect.regressors import regressors
 from afdsvc.detect.settings import gate_of, read
 from afdsvc.detect.watch import burst_detector
 
@@ -21,4 +22,6 @@ class RegressionDesign:
         """Return the detector; raises `BadInput` for a setting that is unknown or out of range."""
         values = read(self.name, settings, {})
         frozen = int(values["frozen_samples"])
-        return burst_detector(self.name, problem, regression(problem), gate_of(values), values["sure"], frozen)
+        filters = regressors(problem)
+        statistic = regression(problem, filters)
+        return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen, filters)
