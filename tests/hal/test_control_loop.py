@@ -14,7 +14,7 @@ from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.errors import Refused
 from afdsvc.hal.loop import LoopSettings
 from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, Simulator
-from afdsvc.runtime.clock import FastClock
+from afdsvc.runtime.clock import FastClock, RealClock
 
 
 def burst(amplitude: float = 0.3, samples: int = 1000, inputs: int = 2) -> Burst:
@@ -92,6 +92,17 @@ def test_same_samples_at_any_cut(bearing, block, slice, start, fault):
     assert np.array_equal(values(a)[:2500], values(b)[:2500])
     assert [x.seq for x in b] == list(range(len(b)))
     assert all(y.k0 == x.k0 + len(x) for x, y in pairwise(b))
+
+
+def test_real_time_and_fast_give_the_same_samples(bearing):
+    machine = bearing()
+    fast = simulator(machine)
+    real = simulator(machine)
+    real._clock = RealClock()
+    request = burst(0.5, 700)
+    a, _ = run(fast, 1500, request, at=300)
+    b, _ = run(real, 1500, request, at=300)
+    assert np.array_equal(values(a), values(b))
 
 
 def test_blocks_never_span_an_edge_of_a_burst(bearing):

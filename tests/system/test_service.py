@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -118,6 +119,23 @@ def test_people_can_ask_and_are_told_why_not(free_port, tmp_path):
                 service.ask_service(site, "explode", "Ada")
             with pytest.raises(AfdsvcError, match="no alarm 'a'"):
                 service.ask_service(site, "ack", "Ada", alarm="a")
+
+
+def listening() -> list[str]:
+    """Return the addresses this process listens at, as the kernel writes them."""
+    mine = {os.readlink(f) for f in Path("/proc/self/fd").iterdir() if f.is_symlink() and f.exists()}
+    rows = [
+        row.split() for kind in ("tcp", "tcp6", "udp", "udp6") for row in Path(f"/proc/net/{kind}").read_text().splitlines()[1:]
+    ]
+    return [r[1].split(":")[0] for r in rows if r[3] in ("0A", "07") and f"socket:[{r[9]}]" in mine]
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs Linux's /proc")
+def test_the_service_listens_on_loopback_only(free_port, tmp_path):
+    site = site_of(free_port, tmp_path, more='[review]\nrerun = "file"')
+    with service.serving(site) as hub, rig(site):
+        eventually(lambda: hub.watches["bearing"].blocks > 5)
+        assert listening() == ["0100007F"]
 
 
 class Stranger:
