@@ -1,7 +1,7 @@
 """zenoh, tamed: loopback by default, nothing lost in a stall, sessions that always close.
 
-Settings follow what was measured with eclipse-zenoh 1.10: advanced publishers with a cache and recovery survive a stalled
-subscriber of 8 s without loss, shared memory leaves files behind when a process is killed (so it is off), and a session
+Settings follow what was measured with eclipse-zenoh 1.10: advanced publishers with a cache and recovery survive a subscriber
+that stalls for 8 s without loss (with zenoh's own lease of 10 s; a shorter one cuts the link in the stall), shared memory leaves files behind when a process is killed (so it is off), and a session
 that is not closed hangs the interpreter (so a `Transport` is a context manager).
 """
 
@@ -45,7 +45,6 @@ def configuration(settings: site_file.Transport, hub: bool) -> zenoh.Config:
     put("scouting/multicast/enabled", False)
     put("scouting/gossip/enabled", False)
     put("transport/shared_memory/enabled", False)
-    put("transport/link/tx/lease", 2000)
     put("connect/retry", {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2})
     if not hub:
         put("connect/timeout_ms", round(1000 * settings.patience_seconds))
