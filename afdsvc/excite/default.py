@@ -7,19 +7,19 @@ pair, the amplitude for a separation that singles out the right fault nearly alw
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.curves import loop_response
-from afdsvc.detect.demodulate import coefficients
-from afdsvc.detect.power import separation_wanted
-from afdsvc.detect.regressors import whitener
+from afdsvc.detect.hypotheses import NONE
+from afdsvc.detect.power import deflection_wanted, separation_wanted
 from afdsvc.detect.residual import decay
 from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.budget import Costs, Room, costs, room
+from afdsvc.excite.powers import candidates
 from afdsvc.excite.prospect import Prospect, burst_prospect
 from afdsvc.excite.rehearsal import faulty_loop
 from afdsvc.lti.statespace import Array
@@ -35,11 +35,18 @@ CLOSEST = 0.02  # smallest relative distance of two lines
 @dataclass(frozen=True, slots=True)
 class Aim:
     """What a burst is sized for: the right fault out of any two, ``severity`` large, gets ``weight`` with probability
-    ``certainty``."""
+    ``certainty``. ``suspects`` restricts it to these faults: the second burst of a two-step isolation."""
 
     severity: float = -0.5
     weight: float = 0.99
     certainty: float = 0.99999
+    suspects: tuple[str, ...] = ()
+
+    def goal(self, problem: DetectionProblem) -> float:
+        """Return the separation wanted or, for a machine with a single fault, the deflection wanted."""
+        if len(problem.fault_names) < 2:
+            return deflection_wanted(problem.false_alarms.per_burst, self.certainty)
+        return separation_wanted(self.weight, self.certainty)
 
 
 def default_burst(
@@ -58,25 +65,56 @@ def default_burst(
     """
     if not seconds > 0 or (output_amplitude is not None and not output_amplitude > 0):
         raise BadInput(f"burst of {seconds} s and amplitude {output_amplitude}; positive numbers are wanted")
-    frame = _frame(problem, min(seconds, limits.seconds), name)
-    omega = _frequencies(frame, problem)
-    spent, left = costs(problem, omega), room(problem, limits)
+    left = room(problem, limits)
     if not left.output.min() > 0 or not left.input.min() > 0:
         raise Refused(f"burst '{name}': noise alone fills the limits of machine '{problem.machine}'; no room is left")
-    wanted = separation_wanted(aim.weight, aim.certainty)
-    gains = _pair_gains(problem, omega, aim.severity)
-    best: tuple[float, float, Burst] | None = None
+    plan = _best_plan(problem, _frame(problem, min(seconds, limits.seconds), name), left, aim)
+    share = min(1.0, aim.goal(problem) / plan.reach) if 0 < plan.reach < np.inf else 1.0
+    amplitude = min(plan.largest, plan.largest * share if output_amplitude is None else output_amplitude)
+    return _described(problem, _scaled(plan.unit, amplitude), amplitude, aim)
+
+
+def second_burst(
+    problem: DetectionProblem, limits: Limits, weights: Mapping[str, float], severity: float, seconds: float = 2.5
+) -> Burst:
+    """Return the burst that tells the two likeliest faults apart, given the weights a first burst left (thesis 5.5: a
+    second test at a frequency chosen for the difference of the two). ``severity`` is the one estimated."""
+    suspects = sorted((n for n in weights if n != NONE), key=lambda n: -weights[n])[:2]
+    if len(suspects) < 2:
+        raise BadInput(f"weights of {', '.join(weights) or 'no fault'}; two suspects are wanted for a second burst")
+    aim = Aim(severity=severity, suspects=tuple(suspects))
+    return replace(default_burst(problem, limits, seconds, None, aim, "isolation"), purpose="isolate")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plan:
+    """Unit lines, the largest factor on them inside the limits, and the separation reached with it."""
+
+    unit: Burst
+    largest: float
+    reach: float
+
+
+def _best_plan(problem: DetectionProblem, frame: Burst, left: Room, aim: Aim) -> _Plan:
+    """Return the plan that disturbs the outputs least if it reaches the aim, else the one that uses the limits best."""
+    omega = _frequencies(frame, problem)
+    spent, gains = costs(problem, omega), _gains(problem, omega, aim)
+    plans = []
     for price in (spent.output.max(axis=1), _share_of_room(spent, left)):
         unit = replace(frame, lines=_unit_lines(omega, spent, _choose(gains, price, omega)))
         largest = _largest(unit.lines, omega, spent, left)
-        reach = worst_separation(burst_prospect(problem, replace(unit, lines=_scaled(unit.lines, largest))), aim.severity)
-        if best is None or best[0] < min(reach, wanted):
-            best = (reach, largest, unit)
-    assert best is not None  # noqa: S101 - the loop above ran
-    reach, largest, unit = best
-    smallest = largest * min(1.0, wanted / reach) if 0 < reach < np.inf else largest
-    amplitude = min(largest, smallest if output_amplitude is None else output_amplitude)
-    return _described(problem, replace(unit, lines=_scaled(unit.lines, amplitude)), amplitude, aim)
+        plans.append(_Plan(unit, largest, _reach(burst_prospect(problem, _scaled(unit, largest)), aim)))
+    goal = aim.goal(problem)
+    return plans[0] if plans[0].reach >= min(goal, plans[1].reach) else plans[1]
+
+
+def _reach(seen: Prospect, aim: Aim) -> float:
+    """Return the smallest separation the aim is about, or the deflection of a single fault."""
+    names = seen.curves.names
+    if len(names) < 2:
+        return seen.deflection(names[0], aim.severity)
+    suspects = aim.suspects or names
+    return min(seen.separation(a, aim.severity, b) for a in suspects for b in suspects if a != b)
 
 
 def _frame(problem: DetectionProblem, seconds: float, name: str) -> Burst:
@@ -125,26 +163,22 @@ def _choose(pair_gains: Array, price: Array, omega: Array) -> tuple[int, ...]:
     return tuple(chosen[j] for j in sorted(chosen))
 
 
-def _pair_gains(problem: DetectionProblem, omega: Array, severity: float) -> Array:
-    """Return the squared separation per sample of every pair of faults for a unit line, shape ``(L, m, pairs)``.
+def _gains(problem: DetectionProblem, omega: Array, aim: Aim) -> Array:
+    """Return the squared separation per sample of every pair that matters for a unit line, shape ``(L, m, pairs)``.
 
-    The nearest point of the other fault's curve is taken on its chord, which is what it is to first order.
+    With one fault there is no pair and its squared deflection counts.
     """
-    response, Li = loop_response(problem, omega), whitener(problem.covariance)
-    waves = []
-    for fault in problem.fault_names:
-        r = np.einsum("pq,lqm->lmp", Li, response.paths(fault, [severity]).r[0])
-        waves.append(coefficients(r[:, :, None, :]).reshape(len(omega), problem.plant.inputs, -1))
-    pairs = [(a, b) for a in range(len(waves)) for b in range(len(waves)) if a != b]
-    if not pairs:
-        return 0.5 * np.stack([np.sum(w**2, axis=-1) for w in waves], axis=-1)
-    return 0.5 * np.stack([_beside(waves[a], waves[b]) for a, b in pairs], axis=-1)
+    found = candidates(problem, omega, aim.severity)
+    gains = found.separation[_rows(problem, found.pairs, aim)] if found.pairs else found.deflection
+    return np.asarray(np.moveaxis(gains.reshape(len(gains), len(omega), problem.plant.inputs), 0, 2))
 
 
-def _beside(a: Array, b: Array) -> Array:
-    """Return the squared length of what a has beside the direction of b."""
-    along, length = np.sum(a * b, axis=-1), np.sum(b * b, axis=-1)
-    return np.asarray(np.maximum(np.sum(a * a, axis=-1) - along**2 / np.maximum(length, 1e-300), 0.0))
+def _rows(problem: DetectionProblem, pairs: tuple[tuple[int, int], ...], aim: Aim) -> list[int]:
+    """Return the positions of the pairs the aim is about."""
+    for name in aim.suspects:
+        problem.augmented.channels_of(name)  # names an unknown fault
+    wanted = [problem.fault_names.index(name) for name in aim.suspects] or list(range(len(problem.fault_names)))
+    return [i for i, (a, b) in enumerate(pairs) if a in wanted and b in wanted]
 
 
 def _unit_lines(omega: Array, spent: Costs, chosen: tuple[int, ...]) -> tuple[Line, ...]:
@@ -169,27 +203,20 @@ def _largest(lines: tuple[Line, ...], omega: Array, spent: Costs, left: Room) ->
     return float(np.min(have / np.maximum(used, 1e-300))) if lines else 0.0
 
 
-def worst_separation(seen: Prospect, severity: float) -> float:
-    """Return the smallest separation of any fault from any other."""
-    return float(seen.separations(severity).min(initial=np.inf))
-
-
-def _scaled(lines: tuple[Line, ...], factor: float) -> tuple[Line, ...]:
-    return tuple(replace(line, amplitude=line.amplitude * factor) for line in lines)
+def _scaled(burst: Burst, factor: float) -> Burst:
+    return replace(burst, lines=tuple(replace(line, amplitude=line.amplitude * factor) for line in burst.lines))
 
 
 def _described(problem: DetectionProblem, burst: Burst, amplitude: float, aim: Aim) -> Burst:
     """Return the burst with notes on what it does and what it cannot do."""
-    seen, wanted = burst_prospect(problem, burst), separation_wanted(aim.weight, aim.certainty)
+    seen, goal = burst_prospect(problem, burst), aim.goal(problem)
     notes = {"output_amplitude": f"{amplitude:.4g}"}
-    names = problem.fault_names
-    table = seen.separations(aim.severity)
-    close = [
-        f"{names[i]} from {names[j]} ({table[i, j]:.3g} of {wanted:.3g} standard deviations)"
-        for i in range(len(names))
-        for j in range(len(names))
-        if table[i, j] < 0.999 * wanted
-    ]
+    names = aim.suspects or problem.fault_names
+    if len(problem.fault_names) < 2:
+        close = [n for n in names if seen.deflection(n, aim.severity) < 0.999 * goal]
+        return replace(burst, notes={**notes, **({"not_detected": ", ".join(close)} if close else {})})
+    found = {(a, b): seen.separation(a, aim.severity, b) for a in names for b in names if a != b}
+    close = [f"{a} from {b} ({s:.3g} of {goal:.3g} standard deviations)" for (a, b), s in found.items() if s < 0.999 * goal]
     if close:
         notes["not_separated"] = f"at severity {aim.severity:g}: " + ", ".join(close)
     return replace(burst, notes=notes)

@@ -13,8 +13,10 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect import maximum
 from afdsvc.detect.curves import FaultCurves, fault_curves
 from afdsvc.detect.hypotheses import LineData, curve_fit
+from afdsvc.detect.matched import UNSEEN
 from afdsvc.detect.power import tail
 from afdsvc.detect.uncertainty import model_doubt
 from afdsvc.lti.statespace import Array
@@ -43,6 +45,15 @@ class Prospect:
         """Return how many standard deviations of the healthy machine the burst shows of this fault."""
         z = self.wave(fault, severity)
         return float(np.linalg.norm(self.data(z).whitened(np.eye(z.size), z)[0]))
+
+    def threshold(self, false_alarm: float, severities: int = 8) -> float:
+        """Return the threshold of the matched filter over all faults at so many severities."""
+        steps = np.linspace(self.bounds[1], self.bounds[0], severities + 1)[1:]
+        points = np.concatenate([self.R @ self.curves.at(name, steps) for name in self.curves.names])
+        white = np.stack(self.data(points[0]).whitened(np.eye(points[0].size), *points))
+        length = np.linalg.norm(white, axis=1)
+        seen = white[length > UNSEEN * max(length.max(initial=0.0), 1e-12)]
+        return maximum.threshold(seen, false_alarm) if len(seen) else float("inf")
 
     def detection(self, fault: str, severity: float, threshold: float) -> float:
         """Return the probability that a matched filter tuned to this wave exceeds the threshold.

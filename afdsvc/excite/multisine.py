@@ -1,0 +1,131 @@
+"""The shortest burst for a wish: detect faults of a given size, tell them apart, disturb no more than allowed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from afdsvc.api.bursts import Burst, Limits, Line
+from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect.curves import loop_response
+from afdsvc.detect.power import deflection_wanted, separation_wanted
+from afdsvc.detect.residual import decay
+from afdsvc.errors import BadInput, Refused
+from afdsvc.excite.budget import costs, room
+from afdsvc.excite.crest import low_crest
+from afdsvc.excite.powers import Allocation, Candidates, allocate, candidates
+from afdsvc.excite.prospect import prospect
+from afdsvc.excite.rehearsal import faulty_loop
+from afdsvc.lti.statespace import Array
+
+FREQUENCIES = 200
+RAMP = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What the burst shall do: detect faults of ``severity`` with probability ``detection`` at ``false_alarm`` per
+    burst and, when ``tell_apart``, single out the right one with ``weight`` and probability ``certainty``.
+
+    ``output_amplitude`` [output unit] is that of the sine with the same mean square as all outputs together.
+    """
+
+    severity: float
+    output_amplitude: float
+    detection: float = 0.99
+    false_alarm: float = 1e-3
+    tell_apart: bool = False
+    weight: float = 0.99
+    certainty: float = 0.999
+
+
+def multisine(
+    problem: DetectionProblem, limits: Limits, wish: Wish, band: tuple[float, float] | None = None, name: str = "multisine"
+) -> Burst:
+    """Return the burst; ``band`` [rad/s] bounds its frequencies (default: a hundredth to half of Nyquist).
+
+    Raises `Refused` when no burst within the limits' duration can do it, saying how long it would take.
+    """
+    allocation = shortest(problem, wish, band)
+    steady = _long_enough(problem, wish, allocation)
+    dt, settle, ramp = problem.plant.dt, decay(faulty_loop(problem, {}), 1e-3), max(math.ceil(RAMP * steady), 1)
+    samples = steady + settle + 2 * ramp
+    if samples * dt > limits.seconds:
+        raise Refused(
+            f"burst '{name}': {samples * dt:.3g} s are needed for faults of severity {wish.severity:g} at an output "
+            f"amplitude of {wish.output_amplitude:g}; at most {limits.seconds:.3g} s are allowed"
+        )
+    lines = _phased(problem, limits, _whole_periods(allocation.lines, steady * dt), steady * dt)
+    _fits(problem, limits, lines, name)
+    return Burst(name, problem.plant.inputs, samples, ramp, lines, settle=settle)
+
+
+def _long_enough(problem: DetectionProblem, wish: Wish, allocation: Allocation) -> int:
+    """Return the samples with which every fault is detected as wished.
+
+    The programme counts on one template and on the healthy machine's noise; the threshold of the whole set and the
+    noise of the faulty loop ask for a little more.
+    """
+    samples = max(math.ceil(allocation.samples), 16)
+    for _ in range(12):
+        seen = prospect(problem, allocation.lines, samples)
+        h = seen.threshold(wish.false_alarm)
+        if min(seen.detection(name, wish.severity, h) for name in problem.fault_names) >= wish.detection:
+            return samples
+        samples = math.ceil(1.06 * samples)
+    return samples
+
+
+def shortest(problem: DetectionProblem, wish: Wish, band: tuple[float, float] | None = None) -> Allocation:
+    """Return the split of the output budget that needs the fewest samples."""
+    if not (wish.output_amplitude > 0 and wish.severity != 0):
+        raise BadInput(f"output amplitude {wish.output_amplitude} and severity {wish.severity}; both are wanted nonzero")
+    nyquist = math.pi / problem.plant.dt
+    low, high = band or (nyquist / 100, nyquist / 2)
+    found = candidates(problem, np.linspace(low, high, FREQUENCIES), wish.severity)
+    return allocate(found, _wanted(found, wish), [(found.output.sum(axis=0), wish.output_amplitude**2 / 2)])
+
+
+def _wanted(found: Candidates, wish: Wish) -> Array:
+    faults = np.full(len(found.deflection), deflection_wanted(wish.false_alarm, wish.detection))
+    apart = separation_wanted(wish.weight, wish.certainty) if wish.tell_apart else 0.0
+    return np.concatenate([faults, np.full(len(found.pairs), apart)])
+
+
+def _whole_periods(lines: tuple[Line, ...], seconds: float) -> tuple[Line, ...]:
+    """Return the lines on the nearest frequencies with whole periods, no two on one."""
+    taken: set[int] = set()
+    moved = []
+    for line in sorted(lines, key=lambda line: -line.amplitude):
+        wanted = max(round(line.omega * seconds / (2 * math.pi)), 1)
+        periods = next(
+            k for step in range(len(lines) + 1) for k in (wanted + step, wanted - step) if k > 0 and k not in taken
+        )
+        taken.add(periods)
+        moved.append(replace(line, omega=2 * math.pi * periods / seconds))
+    return tuple(sorted(moved, key=lambda line: line.omega))
+
+
+def _phased(problem: DetectionProblem, limits: Limits, lines: tuple[Line, ...], seconds: float) -> tuple[Line, ...]:
+    response = loop_response(problem, [line.omega for line in lines]).healthy()
+    inputs = [line.input for line in lines]
+    y = response.y[0, np.arange(len(lines)), :, inputs]
+    u = response.u[0, np.arange(len(lines)), :, inputs]
+    bounds = np.concatenate([np.asarray(limits.output, dtype=float), np.asarray(limits.input, dtype=float)])
+    return low_crest(lines, np.hstack([y, u]), seconds, bounds)
+
+
+def _fits(problem: DetectionProblem, limits: Limits, lines: tuple[Line, ...], name: str) -> None:
+    """Raise `Refused` when the lines together may break a limit under any single fault."""
+    left, spent = room(problem, limits), costs(problem, [line.omega for line in lines])
+    y, u, alpha = np.zeros_like(left.output), np.zeros_like(left.input), np.zeros_like(left.alpha)
+    for k, line in enumerate(lines):
+        y += line.amplitude * spent.output[k, :, line.input]
+        u += line.amplitude * spent.input[k, :, line.input]
+        alpha[line.input] += line.amplitude
+    for what, used, bound in (("output", y, left.output), ("input", u, left.input), ("alpha", alpha, left.alpha)):
+        if (used > bound).any():
+            i = int(np.argmax(used - bound))
+            raise Refused(f"burst '{name}' may reach {used[i]:.3g} on {what} {i}; noise leaves {bound[i]:.3g} there")
