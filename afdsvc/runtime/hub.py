@@ -157,6 +157,7 @@ class Hub:
         desk = self._tell_desk(watch)
         for finding in watch.fresh_findings() if outcome else ():
             alarm = self.alarms.take(finding)
+            watch.doubt_model()
             if alarm is not None:
                 watch.say("error", sentence_of(finding))
                 if desk:

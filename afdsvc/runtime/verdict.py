@@ -83,3 +83,27 @@ def _mean(estimates: Sequence[Severity]) -> Severity:
     weights = [1 / s.sd**2 for s in estimates]
     value = sum(w * s.value for w, s in zip(weights, estimates, strict=True)) / sum(weights)
     return Severity(value, sum(weights) ** -0.5)
+
+
+def model_gap(evidence: Sequence[Evidence], bursts: int = 3) -> str:
+    """Return a notice when the model, not a part, is to be doubted; "" otherwise.
+
+    That is when each of the newest ``bursts`` bursts failed the whiteness gate, or fitted none of the faults, and no decision
+    on them names a fault: something is there that neither the model nor the fault list knows.
+    """
+    names = list(dict.fromkeys(e.burst for e in reversed(evidence) if e.burst))[:bursts]
+    if len(names) < bursts:
+        return ""
+    by_burst = [[e for e in evidence if e.burst == name] for name in names]
+    if any(e.fault and e.trustworthy and e.detected for group in by_burst for e in group):
+        return ""
+    if not all(any(_doubts_model(e) for e in group) for group in by_burst):
+        return ""
+    return (
+        f"model gap suspected: in {bursts} bursts in a row the residual fits neither noise nor any fault; see 'afdsvc explain'"
+    )
+
+
+def _doubts_model(e: Evidence) -> bool:
+    not_white = not e.trustworthy and e.p_white is not None and e.p_white < 0.01
+    return not_white or e.weights.get("none_of_these", 0.0) > 0.5

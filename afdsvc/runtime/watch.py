@@ -10,7 +10,7 @@ from afdsvc.api.evidence import Evidence
 from afdsvc.errors import BadInput
 from afdsvc.runtime.pipeline import Outcome, Stream
 from afdsvc.runtime.sinks import Sink
-from afdsvc.runtime.verdict import Verdict, conclude
+from afdsvc.runtime.verdict import Verdict, conclude, model_gap
 from afdsvc.wire import codec
 from afdsvc.wire.messages import Alarm, Finding, MachineStatus, RigEvent
 
@@ -40,7 +40,7 @@ class MachineWatch:
         self.seconds_seen = 0.0
         self.head_room = 1.0
         self.present = False
-        self.trouble = ""
+        self.trouble = self._doubt = ""
         self._last = float("-inf")
         self._twins: set[str] = set()
         self._fresh: list[Finding] = []
@@ -112,6 +112,13 @@ class MachineWatch:
             self.present = False
             self.say("warning", f"rig agent of '{self.machine}' is gone")
 
+    def doubt_model(self) -> None:
+        """Say once, until it is over, that the model seems to miss something: a notice, not an alarm."""
+        doubt = model_gap(self.evidence)
+        if doubt and not self._doubt:
+            self.say("warning", doubt)
+        self._doubt = doubt
+
     def verdict(self) -> Verdict:
         """Return what the kept decisions amount to."""
         return conclude(list(self.evidence))
@@ -129,7 +136,7 @@ class MachineWatch:
             self.machine,
             state,
             self.session,
-            reason or verdict.reason,
+            reason or self._doubt or verdict.reason,
             self.blocks,
             self.lost_samples,
             self.late,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from afdsvc.api.evidence import Evidence, Severity
-from afdsvc.runtime.verdict import conclude
+from afdsvc.runtime.verdict import conclude, model_gap
 
 
 def said(detector="regression", statistic=10.0, burst="b1", seconds=5.0, fault="a", detected=True, trustworthy=True, **more):
@@ -75,3 +75,17 @@ def test_an_estimate_that_does_not_agree_is_left_out():
     verdict = conclude([early, *late])
     assert verdict.severity.value == -0.5
     assert abs(verdict.severity.sd - 0.01 / 2**0.5) < 1e-12
+
+
+def test_a_model_gap_is_suspected_when_bursts_keep_fitting_nothing():
+    from dataclasses import replace
+
+    odd = [replace(said(burst=f"b{i}", fault=None), weights={"none_of_these": 0.9}) for i in range(3)]
+    blind = [replace(said(burst=f"b{i}", fault=None, trustworthy=False, detected=False), p_white=1e-6) for i in range(3)]
+    assert "model gap suspected" in model_gap(odd)
+    assert "model gap suspected" in model_gap(blind)
+    assert model_gap(odd[:2]) == ""
+    assert model_gap([*odd, said(burst="b3")]) == ""
+    assert model_gap([said(burst=f"b{i}", fault=None, detected=False) for i in range(5)]) == ""
+    frozen = [replace(e, p_white=None) for e in blind]
+    assert model_gap(frozen) == ""
