@@ -1,8 +1,9 @@
 """zenoh, tamed: loopback by default, nothing lost in a stall, sessions that always close.
 
-Settings follow what was measured with eclipse-zenoh 1.10: advanced publishers with a cache and recovery survive a subscriber
-that stalls for 8 s without loss (with zenoh's own lease of 10 s; a shorter one cuts the link in the stall), shared memory leaves files behind when a process is killed (so it is off), and a session
-that is not closed hangs the interpreter (so a `Transport` is a context manager).
+Settings follow what was measured with eclipse-zenoh 1.10. Advanced publishers with a cache and recovery survive a subscriber
+that stalls for 8 s without loss (with zenoh's own lease of 10 s; a shorter one cuts the link in the stall). Shared memory
+leaves files behind when a process is killed, so it is off. A session that is not closed hangs the interpreter, so a
+`Transport` is a context manager.
 """
 
 from __future__ import annotations
