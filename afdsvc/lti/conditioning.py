@@ -10,11 +10,11 @@ from afdsvc.lti.frequency import transfer
 from afdsvc.lti.stability import eigenvalues
 from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
 
-LIMIT = 1e-11  # of the identity at the poles' frequencies; whatever is derived from the factors then holds to 1e-9
+LIMIT = 1e-10  # of the identity at the poles' frequencies; whatever is derived from the factors then holds to 1e-9
 
 
 def require_identity(R: StateSpace, Lf: StateSpace) -> None:
-    """Raise `IllConditioned` with both numbers unless ``R Lf = Lf R = I`` holds to 1e-11."""
+    """Raise `IllConditioned` with both numbers unless ``R Lf = Lf R = I`` holds to 1e-10."""
     residual = identity_residual(R, Lf)
     if residual <= LIMIT:
         return

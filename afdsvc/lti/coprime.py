@@ -7,7 +7,7 @@ Positive feedback ``u = K y``. One square system holds all eight factors,
 
 with ``G = N M^-1 = Mt^-1 Nt`` and ``K = U V^-1 = Vt^-1 Ut``. Everything holds unchanged in continuous and discrete time
 and with feedthrough D in the plant. Every function refuses with `IllConditioned` when rounding breaks the Bezout
-identity beyond 1e-11 (`afdsvc.lti.conditioning`).
+identity beyond 1e-10 (`afdsvc.lti.conditioning`).
 
 Thesis 2.5-2.9, 2.21-2.35: A. K. Sekunda, "Fault Diagnosis and Identification of Electro-Mechanical Systems", DTU 2017;
 the sign of 2.28-2.33 is corrected here, see docs/explanation/errata.md.

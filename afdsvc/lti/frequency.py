@@ -27,28 +27,28 @@ def frequency_response(system: StateSpace, omega_rad_s: ArrayLike) -> ComplexArr
 def transfer(system: StateSpace, points: ComplexArray) -> ComplexArray:
     """Return the transfer matrix at complex points s or z, shape ``(k, p, m)``.
 
-    One Schur form for all points, then back-substitution vectorised over the points: backward stable whatever the
-    eigenvectors look like.
+    One Schur form for all points, back-substitution vectorised over the points, and one step of refinement: backward
+    stable whatever the eigenvectors look like, and accurate when fast and slow states live in one matrix.
     """
     D = np.broadcast_to(system.D.astype(np.complex128), (points.size, *system.D.shape))
     if not system.order or not points.size:
         return D.copy()
     scaled, _ = balanced(system)
-    T, Z = schur(scaled.A, output="complex")
-    X = _solve_triangular(np.asarray(T), Z.conj().T @ scaled.B, points)
-    # (p, n) @ (n, m * k) in one product
+    T, Z = (np.asarray(x, dtype=np.complex128) for x in schur(scaled.A, output="complex"))
     n, m, k = system.order, system.inputs, points.size
-    return D + np.moveaxis(((scaled.C @ Z) @ X.reshape(n, m * k)).reshape(-1, m, k), 2, 0)
+    wanted = np.broadcast_to(scaled.B[:, :, None], (n, m, k)).reshape(n, m * k)
+    repeated = np.tile(points, m)
+    X = Z @ _solve_triangular(T, Z.conj().T @ wanted, repeated)
+    X += Z @ _solve_triangular(T, Z.conj().T @ (wanted - repeated * X + scaled.A @ X), repeated)
+    return D + np.moveaxis((scaled.C @ X).reshape(-1, m, k), 2, 0)
 
 
 def _solve_triangular(T: ComplexArray, rhs: ComplexArray, points: ComplexArray) -> ComplexArray:
-    """Return the solutions of ``(s_k I - T) X_k = rhs`` for upper triangular T, shape ``(n, m, k)``."""
-    n, m = rhs.shape
-    X = np.empty((n, m, points.size), dtype=np.complex128)
-    for i in range(n - 1, -1, -1):
+    """Return the solutions of ``(s_k I - T) x_k = rhs_k`` for upper triangular T, one column for each point."""
+    X = np.empty_like(rhs)
+    for i in range(T.shape[0] - 1, -1, -1):
         pivot = points - T[i, i]
         if not np.abs(pivot).min() > 0:
             raise IllConditioned(f"a frequency sits exactly on the pole {T[i, i]:.6g}; leave it out")
-        carried = (T[i, i + 1 :] @ X[i + 1 :].reshape(n - 1 - i, -1)).reshape(m, -1) if i < n - 1 else 0.0
-        X[i] = (rhs[i][:, None] + carried) / pivot
+        X[i] = (rhs[i] + T[i, i + 1 :] @ X[i + 1 :]) / pivot
     return X

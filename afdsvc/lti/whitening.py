@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from afdsvc.errors import BadInput, IllConditioned
+from afdsvc.lti.balance import state_scaling
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.riccati import covariance, cross_covariance, riccati
+from afdsvc.lti.stabilise import mirror
 from afdsvc.lti.stability import describe_pole, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.structure import trim
@@ -72,19 +74,27 @@ def innovations(
 
 
 def _predictor(plant: StateSpace, Q: Array, R: Array, S: Array) -> tuple[Array, Array]:
-    """Return the error covariance and the predictor gain; without process noise a stable plant needs neither."""
+    """Return the error covariance and the predictor gain ``(A P C' + S) Xi^-1``."""
     pole, margin = worst_pole(plant.A, plant.dt)
-    if not Q.any() and not S.any():
-        if margin > 1e-9:
-            return np.zeros_like(Q), np.zeros((plant.order, plant.outputs))
-        _refuse_border(plant)
     try:
+        if not Q.any() and not S.any():
+            _refuse_border(plant)
+            return _without_process_noise(plant, R)
         P, F = riccati(plant.A.T, plant.C.T, Q, R, S, plant.dt)
     except IllConditioned as failed:
         raise IllConditioned(
             f"the plant with the pole {describe_pole(pole, plant.dt)} has no steady innovations for this noise: {failed}"
         ) from failed
     return P, -F.T
+
+
+def _without_process_noise(plant: StateSpace, R: Array) -> tuple[Array, Array]:
+    """Return the same for output noise alone: the spectral factor that mirrors the unstable poles, zero without any."""
+    t = state_scaling(plant.A)
+    A, C = plant.A * (t[None, :] / t[:, None]), plant.C * t[None, :]
+    whitener = np.linalg.inv(np.linalg.cholesky(R))
+    P, F = mirror(A.T, (whitener @ C).T, plant.discrete)
+    return P * (t[:, None] * t[None, :]), t[:, None] * (-F.T @ whitener)
 
 
 def _refuse_border(plant: StateSpace) -> None:
@@ -95,8 +105,8 @@ def _refuse_border(plant: StateSpace) -> None:
         return
     pole = complex(poles[int(np.argmin(distance))])
     raise IllConditioned(
-        f"the plant has the pole {pole:.6g} on the border of stability and no process noise: its innovations never "
-        "settle; give process_cov, or allow regularise=1e-6 and accept residuals that are white only approximately"
+        f"the pole {pole:.6g} lies on the border of stability and no process noise reaches it; give process_cov, or allow "
+        "regularise=1e-6 and accept residuals that are white only approximately"
     )
 
 

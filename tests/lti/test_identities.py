@@ -152,9 +152,12 @@ def test_interconnections(kind: str, plant: StateSpace) -> None:
     assert J.order == f.R.order
     if kind in ("observer", "static"):
         assert J.order == plant.order
-    loop = star(JG, J, p, m)
-    swap = np.block([[np.zeros((m, p)), np.eye(m)], [np.eye(p), np.zeros((p, m))]])
-    assert distance(response(loop), swap) < 1e-9
+    # J_G * J_K: eta = alpha, beta = eps; the other two blocks vanish relative to what cancels in them
+    loop, jg = response(star(JG, J, p, m)), response(JG)
+    assert distance(loop[:, :m, p:], np.eye(m)) < 1e-9
+    assert distance(loop[:, m:, :p], np.eye(p)) < 1e-9
+    assert np.abs(loop[:, :m, :p]).max() < 1e-9 * max(1.0, np.abs(jg[:, :m, :p]).max())
+    assert np.abs(loop[:, m:, p:]).max() < 1e-9 * max(1.0, np.abs(response(J)[:, m:, p:]).max())
     # thesis 2.11, each block against the factors
     j = response(J)
     assert distance(j[:, :m, :p], F.K) < 1e-9
@@ -237,7 +240,7 @@ def test_beta_in_time_is_s_alpha_plus_noise_path(kind: str, plant: StateSpace, s
 
 
 def test_refusals_are_rare() -> None:
-    """LQG loops of 150 random plants: no stable plant is refused, of the unstable ones at most one in six."""
+    """LQG loops of 150 random plants: no stable plant is refused, of the unstable ones at most one in eight."""
     refused, counted = {True: 0, False: 0}, {True: 0, False: 0}
     for seed in range(150):
         rng = np.random.default_rng(seed)
@@ -255,5 +258,5 @@ def test_refusals_are_rare() -> None:
         except IllConditioned:
             refused[plant.is_stable()] += 1
     assert refused[True] == 0
-    assert 0 < refused[False] < counted[False] / 6
+    assert 0 < refused[False] < counted[False] / 8
     assert min(counted.values()) > 40

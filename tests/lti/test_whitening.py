@@ -181,6 +181,18 @@ def test_a_pole_next_to_the_circle_is_exact() -> None:
     assert innovations(G, [[0.2]]).covariance[0, 0] == pytest.approx(0.2 * 1.000001**2, rel=1e-12)
 
 
+def test_poles_in_mirrored_pairs() -> None:
+    """Two undamped magnetic bearings, poles at +-180 and +-200 rad/s: what is mirrored falls on poles already there."""
+    A = np.kron(np.eye(2), [[0.0, 1.0], [0.0, 0.0]]) + np.diag([180.0**2, 0.0, 200.0**2], -1)
+    B, C = np.kron(np.eye(2), [[0.0], [1.0]]), np.kron(np.eye(2), [[1.0, 0.0]])
+    for G in (sample_zoh(StateSpace.of(A, B, C), 1e-3), StateSpace.of(A, B, C)):
+        found = innovations(G, 0.25 * np.eye(2))
+        assert found.filter.is_stable()
+        if G.discrete:
+            growth = np.exp(2 * (180 + 200) * G.dt)
+            assert np.linalg.det(found.covariance) == pytest.approx(0.25**2 * growth, rel=1e-9)
+
+
 def test_kalman_observer_has_white_innovation() -> None:
     """Own observer = Kalman predictor: beta itself is white and the filter is the identity."""
     G, Q = plant(stable=False), process(False)
