@@ -21,6 +21,8 @@ from afdsvc.lti.statespace import Array
 
 #: Power of a spectral bin, relative to the strongest, above which it counts as excited.
 LINE_LEVEL = 1e-5
+#: Movement, relative to that of the plant's input, below which an excitation counts as none (filter transients remain).
+LEAST_MOVEMENT = 3e-3
 #: Share of an input's power that the other inputs may explain (95 % would still separate them, poorly).
 DEPENDENCE_LIMIT = 0.999
 
@@ -54,15 +56,22 @@ def excitation(recordings: Sequence[Recording]) -> Excitation:
 
 
 def require_excitation(
-    recordings: Sequence[Recording], order: int, names: Sequence[str], outputs: int, band_hz: tuple[float, float]
+    recordings: Sequence[Recording],
+    order: int,
+    names: Sequence[str],
+    outputs: int,
+    band_hz: tuple[float, float],
+    scale: Array | None = None,
 ) -> Excitation:
     """Return the excitation when it supports the order; raises `BadInput` naming the input and the burst to play
     instead.
 
-    ``names`` are those of the inputs, ``band_hz`` the band in which the plant acts.
+    ``names`` are those of the inputs, ``band_hz`` the band in which the plant acts, ``scale (m,)`` the size of the
+    plant's inputs: what moves less than `LEAST_MOVEMENT` of it does not move.
     """
+    least = LEAST_MOVEMENT * scale if scale is not None else np.zeros(len(names))
     for j, name in enumerate(names):
-        if not any(np.ptp(r.u[:, j]) > 0 for r in recordings):
+        if not any(np.ptp(r.u[:, j]) > least[j] for r in recordings):
             raise BadInput(f"input '{name}' never moves; {advice(order, outputs, band_hz)}")
     found, wanted = excitation(recordings), needed_order(order, outputs)
     for name, lines in zip(names, found.lines, strict=True):

@@ -21,7 +21,7 @@ from afdsvc.identify.innovations import InnovationsForm, fitted_errors
 from afdsvc.identify.noisy_structure import PredictorPoint, plant_point, predictor_point
 from afdsvc.identify.recordings import Recording
 from afdsvc.identify.structure import Structure
-from afdsvc.identify.sweep import NormalEquations, sweep, whitening_of
+from afdsvc.identify.sweep import eliminate_state, sweep, whitening_of
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.stability import is_stable, worst_pole
 from afdsvc.lti.statespace import Array
@@ -53,7 +53,7 @@ def fit_greybox(
 
     Raises `BadInput` when a parameter has no influence on the recordings or cannot be told from the others.
     """
-    objective = _Objective(structure, recordings, options.prior)
+    objective = Likelihood(structure, recordings, options.prior)
     minima, failures = [], []
     for theta in _starts(structure, options, rng, start):
         try:
@@ -84,7 +84,7 @@ def _bounds(structure: Structure) -> tuple[Array, Array]:
     return np.asarray([p.lower for p in structure.parameters]), np.asarray([p.upper for p in structure.parameters])
 
 
-class _Objective:
+class Likelihood:
     """The negative log-likelihood over ``z = [theta / scale, log noise]``, remembering initial states between calls."""
 
     def __init__(self, structure: Structure, recordings: Sequence[Recording], prior: bool) -> None:
@@ -93,13 +93,18 @@ class _Objective:
         self.dt, self.outputs = recordings[0].dt, recordings[0].y.shape[1]
         self.states: list[Array] = []
 
-    def minimise(self, theta: Array, steps: int) -> Minimum:
-        noise = self._first_noise(theta)
+    def start(self, theta: Array) -> Array:
+        """Return the point to start from, noise guessed from the simulation errors, initial states zero."""
         order = self.structure.build(theta).order
         self.states = [np.zeros(order) for _ in self.recordings]
+        return np.concatenate([theta / self.scales, self._first_noise(theta)])
+
+    def minimise(self, theta: Array, steps: int) -> Minimum:
+        """Return the local minimum reached from these parameters."""
+        start = self.start(theta)
+        noise = start[self.count :]
         lower, upper = (b / self.scales for b in _bounds(self.structure))
-        wide = np.full(len(noise), 40.0)  # noise may grow or shrink by e^40, that is without bounds
-        start = np.concatenate([theta / self.scales, noise])
+        wide = np.full(len(noise), 12.0)  # noise may grow or shrink by e^12; below that it counts as absent
         return descend(
             self.local, start, np.concatenate([lower, noise - wide]), np.concatenate([upper, noise + wide]), steps
         )
@@ -124,7 +129,7 @@ class _Objective:
         for recording, x0 in zip(self.recordings, self.states, strict=True):
             inputs = np.hstack([recording.u, recording.y])
             found = sweep(at.predictor, at.slopes, inputs, recording.y, x0, whitener)
-            value, slope, curvature, x0 = _eliminate(found, len(z), x0)
+            value, slope, curvature, x0 = eliminate_state(found, len(z), x0)
             value_xi, slope_xi = _covariance_terms(at, whitener, found.spread)
             cost, gradient, information = cost + value, gradient + slope + slope_xi, information + curvature
             fitted.append(x0)
@@ -182,23 +187,13 @@ def _response_power(A: Array, C: Array, column: Array, steps: int = 200) -> Arra
     return power
 
 
-def _eliminate(found: NormalEquations, count: int, x0: Array) -> tuple[float, Array, Array, Array]:
-    """Fit the initial state and return cost, gradient and curvature of the rest (it enters the errors linearly)."""
-    g, H = found.gradient, found.matrix
-    Hxx = H[count:, count:] + 1e-12 * max(float(np.trace(H[count:, count:])), 1e-300) * np.eye(len(x0))
-    solved = np.linalg.solve(Hxx, np.column_stack([g[count:], H[count:, :count]]))
-    shift, coupling = solved[:, 0], solved[:, 1:]
-    cost = found.cost - 0.5 * float(g[count:] @ shift)
-    return cost, g[:count] - H[:count, count:] @ shift, H[:count, :count] - H[:count, count:] @ coupling, x0 - shift
-
-
 def _covariance_terms(at: PredictorPoint, whitener: Array, spread: Array) -> tuple[float, Array]:
     inverse = whitener.T @ whitener
     moved = inverse @ at.covariance_slopes @ inverse
     return 0.0, -0.5 * np.einsum("aij,ji->a", moved, spread)
 
 
-def _fit(objective: _Objective, best: Minimum, notes: tuple[str, ...]) -> Fit:
+def _fit(objective: Likelihood, best: Minimum, notes: tuple[str, ...]) -> Fit:
     structure, at = objective.structure, objective.point(best.point)
     covariance = _standard_errors(objective, best)
     theta, noise = objective.split(best.point)
@@ -216,7 +211,7 @@ def _fit(objective: _Objective, best: Minimum, notes: tuple[str, ...]) -> Fit:
     )
 
 
-def _standard_errors(objective: _Objective, best: Minimum) -> Array:
+def _standard_errors(objective: Likelihood, best: Minimum) -> Array:
     """Return the covariance of the physical parameters; raises `BadInput` naming one that the data do not determine."""
     information, count = best.local.curvature, objective.count
     size = np.sqrt(np.clip(np.diag(information), 0.0, None))

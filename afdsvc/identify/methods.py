@@ -244,7 +244,8 @@ def _known_controller(problem: Prepared, method: str) -> Factorisation:
 
 def _exciting(problem: Prepared, recordings: Sequence[Recording], order: int) -> None:
     names = [v.name for v in problem.model.inputs]
-    require_excitation(recordings, order, names, problem.nominal.outputs, band_hz(problem.nominal))
+    size = np.max([r.u.std(axis=0) for r in problem.training], axis=0)
+    require_excitation(recordings, order, names, problem.nominal.outputs, band_hz(problem.nominal), size)
 
 
 def _order(

@@ -20,10 +20,14 @@ from afdsvc.identify.methods import Outcome, omega_grid
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.preparation import Prepared, nominal_plant, prepare
 from afdsvc.identify.recordings import Recording
+from afdsvc.identify.residual_tests import residual_tests
 from afdsvc.identify.result import IdentifyResult, improved_model
-from afdsvc.identify.validation import Split, heldout_measures, split, validated
+from afdsvc.identify.validation import Split, can_be_simulated, heldout_measures, split, validated
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
+
+#: Probability of calling an open loop closed.
+FEEDBACK_LEVEL = 0.01
 
 
 def identify(
@@ -79,12 +83,28 @@ def _method(problem: Prepared, options: IdentifyOptions) -> str:
             f"({', '.join(problem.closed_loop_signs)}): add [controller], or choose method pbsid or greybox, "
             "which need none"
         )
-    return "pbsid"
+    return "auto"
+
+
+def _open_or_closed(problem: Prepared, options: IdentifyOptions) -> Outcome:
+    """Identify without a controller: PBSIDopt, which feedback does not bias; the better conditioned open-loop method
+    when the prediction errors show no trace of feedback, or when PBSIDopt finds a plant nobody could have run in open
+    loop.
+    """
+    first = methods.pbsid(problem, replace(options, groups=0))
+    model = first.fit.model
+    errors = np.vstack([model.errors(r.u, r.y) for r in problem.training])
+    tests = residual_tests(errors, np.vstack([r.u for r in problem.training]))
+    feedback = tests.p_feedback.min() * tests.p_feedback.size < FEEDBACK_LEVEL
+    usable = all(can_be_simulated(model.system, len(r)) for r in (*problem.training, *problem.heldout))
+    return methods.pbsid(problem, options) if feedback and usable else methods.subspace(problem, options)
 
 
 def _run(method: str, problem: Prepared, options: IdentifyOptions, rng: np.random.Generator | None) -> Outcome:
     if method == "greybox":
         return methods.greybox(problem, options, rng)
+    if method == "auto":
+        return _open_or_closed(problem, options)
     ways = {
         "hansen": methods.hansen,
         "subspace": methods.subspace,

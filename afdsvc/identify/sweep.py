@@ -70,6 +70,19 @@ def sweep(
     return NormalEquations(cost, parts.sum(axis=0), matrix, spread, len(outputs), parts)
 
 
+def eliminate_state(found: NormalEquations, count: int, x0: Array) -> tuple[float, Array, Array, Array]:
+    """Fit the initial state and return cost, gradient, curvature of the first ``count`` parameters and the state.
+
+    It enters the errors linearly, so this is exact for the 2-norm.
+    """
+    g, H = found.gradient, found.matrix
+    Hxx = H[count:, count:] + 1e-12 * max(float(np.trace(H[count:, count:])), 1e-300) * np.eye(len(x0))
+    solved = np.linalg.solve(Hxx, np.column_stack([g[count:], H[count:, :count]]))
+    shift, coupling = solved[:, 0], solved[:, 1:]
+    cost = found.cost - 0.5 * float(g[count:] @ shift)
+    return cost, g[:count] - H[:count, count:] @ shift, H[:count, :count] - H[:count, count:] @ coupling, x0 - shift
+
+
 def whitening_of(covariance: Array) -> Array:
     """Return W with ``W covariance W' = I``."""
     return np.asarray(linalg.solve_triangular(np.linalg.cholesky(covariance), np.eye(len(covariance)), lower=True))

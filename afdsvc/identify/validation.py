@@ -16,8 +16,11 @@ from afdsvc.identify.recordings import Recording
 from afdsvc.identify.residual_tests import residual_tests
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.simulate import simulate
-from afdsvc.lti.stability import is_stable
+from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace
+
+#: Growth of a slightly unstable mode over a recording up to which an open-loop simulation still means something.
+LARGEST_GROWTH = 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,19 +45,28 @@ def split(training: Sequence[Recording], heldout: Sequence[Recording], share: fl
 def predicted_outputs(system: StateSpace, recording: Recording, fact: Factorisation | None = None) -> Array:
     """Return what a model makes of a recording, shape ``(N, p)``, with the best initial state.
 
-    A stable plant is simulated from the recorded input; an unstable one inside its loop, from the excitation the
-    recording contains (``fact`` is needed then, and the controller must stabilise the model).
+    A stable (or integrating) plant is simulated from the recorded input; an unstable one inside its loop, from the
+    excitation the recording contains (``fact`` is needed then, and the controller must stabilise the model).
     """
-    if is_stable(system.A, system.dt):
+    if can_be_simulated(system, len(recording)):
         return np.asarray(recording.y - fitted_errors(system, recording.u, recording.y))
     if fact is None:
-        raise BadInput("an unstable model cannot be simulated without its controller; name the controller in the model")
+        raise BadInput(
+            f"the model has the pole {describe_pole(worst_pole(system.A, system.dt)[0], system.dt)}: it cannot be simulated "
+            "without its controller; name the controller in the model, or identify with a smaller order"
+        )
     m = fact.plant.inputs
     eta = simulate(fact.Lf, np.hstack([recording.u, recording.y]))[0][:, :m]
     loop = excited_loop(fact, system).select(slice(m, None), slice(None))
     if not is_stable(loop.A, loop.dt):
         raise BadInput("the controller does not stabilise the model, so nothing can be predicted with it")
     return np.asarray(recording.y - fitted_errors(loop, eta, recording.y))
+
+
+def can_be_simulated(system: StateSpace, samples: int) -> bool:
+    """Whether nothing grows by more than `LARGEST_GROWTH` over the recording; integrators may be simulated."""
+    margin = worst_pole(system.A, system.dt)[1]
+    return bool(-margin * samples < np.log(LARGEST_GROWTH))
 
 
 def heldout_measures(

@@ -1,0 +1,80 @@
+"""Systems and recordings that several tests of identification share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from afdsvc.identify.recordings import Recording
+from afdsvc.lti.coprime import Factorisation, observer_factorisation
+from afdsvc.lti.riccati import kalman_predictor_gain, lqr
+from afdsvc.lti.simulate import simulate
+from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.lti.yjbk import closed_loop
+from afdsvc.plants.gas_bearing import gas_bearing
+
+
+@pytest.fixture(scope="session")
+def oscillators() -> Callable[[int, int, int, int], StateSpace]:
+    """A stable system of well separated modes, from a seed and (order, inputs, outputs)."""
+
+    def make(seed: int, order: int = 6, inputs: int = 2, outputs: int = 2) -> StateSpace:
+        rng = np.random.default_rng(seed)
+        A = np.zeros((order, order))
+        for i in range(0, order - 1, 2):
+            radius, angle = rng.uniform(0.75, 0.95), (i + 1 + rng.uniform(-0.4, 0.4)) * 2.6 / order
+            block = [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+            A[i : i + 2, i : i + 2] = radius * np.array(block)
+        if order % 2:
+            A[-1, -1] = rng.uniform(0.3, 0.8)
+        B, C = rng.standard_normal((order, inputs)), rng.standard_normal((outputs, order))
+        return StateSpace.of(A, B, C, np.zeros((outputs, inputs)), 1.0)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def bearing() -> StateSpace:
+    """The gas bearing of P5 table 0.1 at 5 kHz."""
+    return gas_bearing(0).discrete()
+
+
+@pytest.fixture(scope="session")
+def observer_loop() -> Callable[[StateSpace], Factorisation]:
+    """P5's observer-based controller designed for a plant of the bearing's form."""
+
+    def design(plant: StateSpace) -> Factorisation:
+        F = lqr(plant, 1e-4 * np.diag([0, 0, 1.0, 1, 0, 0]), np.eye(2))
+        return observer_factorisation(plant, F, kalman_predictor_gain(plant, 0.01 * np.eye(6), np.eye(2)))
+
+    return design
+
+
+@pytest.fixture(scope="session")
+def binary() -> Callable[[np.random.Generator, int, int, float], Array]:
+    """Random binary excitation, flipped by a coin every fourth sample."""
+
+    def make(rng: np.random.Generator, samples: int, inputs: int = 2, amplitude: float = 1.0) -> Array:
+        coins = rng.integers(0, 2, size=(-(-samples // 4), inputs)) * 2.0 - 1.0
+        return amplitude * np.repeat(coins, 4, axis=0)[:samples]
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def run_loop() -> Callable[..., tuple[Recording, Array, Array]]:
+    """Run a loop with excitation alpha (and references r1, r2) and output disturbance d: plant recording, alpha, beta."""
+
+    def run(
+        fact: Factorisation, true: StateSpace, alpha: Array, d: Array, r1: Array | None = None, r2: Array | None = None
+    ) -> tuple[Recording, Array, Array]:
+        p, m = true.outputs, true.inputs
+        zero_p, zero_m = np.zeros((len(alpha), p)), np.zeros((len(alpha), m))
+        inputs = np.hstack([d, zero_p if r1 is None else r1, zero_m if r2 is None else r2, alpha])
+        out, _ = simulate(closed_loop(fact, true).system, inputs)
+        y_m, u, beta = out[:, p : 2 * p], out[:, 2 * p : 2 * p + m], out[:, 2 * p + m :]
+        return Recording.of(u, y_m, true.dt), alpha, beta
+
+    return run
