@@ -37,11 +37,9 @@ def run_length(mu: float, b: float, changed: bool = False, bias: float = 0.0) ->
     if b > _FINEST * mu:
         return _diffusion(mu, b + OVERSHOOT * mu, drift)
     x, w, kernel = _grid(mu, b, drift)
-    steps = np.linalg.solve(np.eye(len(x)) - kernel, np.ones(len(x)))
-    over = np.linalg.solve(np.eye(len(x)) - kernel, _over(x, mu, b, drift))
-    from_zero = w * _density(x, mu, drift)
-    N = 1 + float(from_zero @ steps)
-    R = float(_over(np.zeros(1), mu, b, drift)[0]) + float(from_zero @ over)
+    both = np.linalg.solve(np.eye(len(x)) - kernel, np.column_stack([np.ones(len(x)), _over(x, mu, b, drift)]))
+    steps, over = (w * _density(x, mu, drift)) @ both
+    N, R = 1 + float(steps), float(_over(np.zeros(1), mu, b, drift)[0]) + float(over)
     return N / R
 
 

@@ -47,15 +47,22 @@ class NoiseDriven:
 
     def excited(self, burst: Burst) -> tuple[Array, Array]:
         """Return what a burst's lines add per sample to information and skew, both ``(K,)``."""
-        active, skew = np.zeros(self.count), np.zeros(self.count)
         if not burst.lines:
-            return active, skew
+            return np.zeros(self.count), np.zeros(self.count)
+        H, s = self._at_lines(burst)
+        skew = 0.5 * np.real(np.einsum("lip,lipq,liq->i", s.conj(), H, s))
+        return 0.5 * np.sum(np.abs(s) ** 2, axis=(0, 2)), skew
+
+    def active_gram(self, burst: Burst) -> Array:
+        """Return what the lines of a burst add per sample to ``sum psi_i' psi_j``, shape ``(K, K)``."""
+        s = self._at_lines(burst)[1]
+        return np.asarray(0.5 * np.einsum("lip,ljp->ij", s.conj(), s).real)
+
+    def _at_lines(self, burst: Burst) -> tuple[ComplexArray, ComplexArray]:
+        """Return the noise response ``(L, K, p, p)`` and the waves ``(L, K, p)`` at the lines of a burst."""
         H, S = _split(self.loop, self.count, np.array([line.omega for line in burst.lines]))
-        for k, line in enumerate(burst.lines):
-            s = line.amplitude * S[k, :, :, line.input]
-            active += 0.5 * np.sum(np.abs(s) ** 2, axis=1)
-            skew += 0.5 * np.real(np.einsum("ip,ipq,iq->i", s.conj(), H[k], s))
-        return active, skew
+        waves = [line.amplitude * S[k, :, :, line.input] for k, line in enumerate(burst.lines)]
+        return H, np.stack(waves)
 
     def signed_root(self, samples: int, burst: Burst | None = None) -> tuple[Array, Array]:
         """Return mean and standard deviation of every ``-b_i / sqrt(G_i)`` without a fault.

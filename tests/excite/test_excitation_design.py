@@ -53,7 +53,8 @@ def test_best_single_frequency_of_the_unstable_plant():
 def test_two_lines_reach_the_computed_limit_where_one_needs_hours(controller, single, mixture):
     # all four faults at -10 %, P_D 0.99 at 1e-6, 0.1 um at the output
     problem = bearing_problem(controller)
-    assert samples_for(efficiency(problem, GRID, -0.1).best_single()[2], 0.1, 1e-6, 0.99) * DT == pytest.approx(single, rel=2e-3)
+    alone = efficiency(problem, GRID, -0.1).best_single()[2]
+    assert samples_for(alone, 0.1, 1e-6, 0.99) * DT == pytest.approx(single, rel=2e-3)
     found = candidates(problem, GRID, -0.1)
     wanted = np.concatenate([np.full(4, deflection_wanted(1e-6, 0.99)), np.zeros(len(found.pairs))])
     split = allocate(found, wanted, [(found.output.sum(axis=0), 0.1**2 / 2)])

@@ -1,0 +1,67 @@
+"""What the built-in detectors promise for one burst: thresholds and false alarms per hour."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from afdsvc.api.bursts import Burst
+from afdsvc.api.detection import DetectionProblem, FalseAlarms
+from afdsvc.detect import maximum
+from afdsvc.detect.cusum import ActiveCusum
+from afdsvc.detect.gate import Gate
+from afdsvc.detect.noise_driven import noise_driven
+from afdsvc.detect.passive import passive_detector
+from afdsvc.excite.prospect import burst_prospect
+
+
+def thresholds(problem: DetectionProblem, burst: Burst, alarms: Mapping[str, FalseAlarms]) -> dict[str, float]:
+    """Return the threshold of every detector in ``alarms`` at its own promised rate; foreign detectors are left out."""
+    return {
+        name: _THRESHOLDS[name](replace(problem, false_alarms=promised), burst)
+        for name, promised in alarms.items()
+        if name in _THRESHOLDS
+    }
+
+
+def alarms_per_hour(alarms: Mapping[str, FalseAlarms], bursts_per_hour: float) -> float:
+    """Return the false alarms per hour of all detectors together; ``passive_...`` ones run always, others per burst."""
+    rates = [
+        promised.per_hour if name.startswith("passive") else promised.per_burst * bursts_per_hour
+        for name, promised in alarms.items()
+    ]
+    return float(sum(rates))
+
+
+def _lines(severities: int) -> Callable[[DetectionProblem, Burst], float]:
+    return lambda problem, burst: burst_prospect(problem, burst).threshold(problem.false_alarms.per_burst, severities)
+
+
+def _regression(problem: DetectionProblem, burst: Burst) -> float:
+    """Return the threshold for the information expected; the detector uses what it finds."""
+    noise, K = noise_driven(problem), len(problem.fault_names)
+    gram = (noise.gram + noise.active_gram(burst))[:K, :K]
+    seen = np.diag(gram) > 0
+    gram = gram[np.ix_(seen, seen)]
+    scale = np.sqrt(np.diag(gram))
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    return maximum.threshold(vectors * np.sqrt(np.maximum(values, 0.0)), problem.false_alarms.per_burst)
+
+
+def _cusum(problem: DetectionProblem, burst: Burst) -> float:
+    return ActiveCusum(problem).prepare(burst, problem.plant.dt).boundary
+
+
+def _passive(problem: DetectionProblem, burst: Burst) -> float:
+    return passive_detector("passive_cusum", problem, Gate(), -0.3, 0.0, 0.99, 100).boundary
+
+
+_THRESHOLDS: dict[str, Callable[[DetectionProblem, Burst], float]] = {
+    "matched_filter": _lines(8),
+    "fault_curves": _lines(32),
+    "regression": _regression,
+    "cusum": _cusum,
+    "passive_cusum": _passive,
+}

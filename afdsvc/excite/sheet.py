@@ -1,0 +1,133 @@
+"""The design sheet: what a machine's diagnosis will be able to do, before it does it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+
+from afdsvc.api.bursts import Burst
+from afdsvc.api.detection import DetectionProblem, FalseAlarms
+from afdsvc.detect.curves import loop_response
+from afdsvc.detect.power import pair_confusion
+from afdsvc.excite.budget import costs
+from afdsvc.excite.efficiency import efficiency
+from afdsvc.excite.promises import alarms_per_hour, thresholds
+from afdsvc.excite.prospect import Prospect, burst_prospect
+from afdsvc.excite.visibility import blind_pairs, unseen
+
+SEVERITIES = (-0.1, -0.25, -0.5, -1.0)
+DETECTED = 0.99  # probability that counts as "detectable"
+RARE = 1e-6  # confusions less likely than this are not listed
+
+
+def design_sheet(
+    problem: DetectionProblem,
+    bursts: Sequence[Burst],
+    alarms: Mapping[str, FalseAlarms],
+    bursts_per_hour: float,
+    severities: Sequence[float] = SEVERITIES,
+) -> dict[str, Any]:
+    """Return the sheet as a JSON document.
+
+    ``alarms`` are the promised rates of the machine's detectors by name. Probabilities are those of the first burst
+    and of the matched filter at the first burst detector's rate; ``p_detect`` counts the noise the faulty loop makes,
+    ``confused_with`` is the probability that the other fault comes out likelier, ``smallest_detectable`` the severity
+    that is found with probability 0.99. Documented keys: bursts, false_alarms_per_hour, thresholds, faults; beyond
+    these ``unseen``, ``blind_pairs``, ``isolation`` and ``best_single_frequency`` say what the burst cannot do, and
+    why.
+    """
+    burst, seen = bursts[0], burst_prospect(problem, bursts[0])
+    rate = next((a.per_burst for n, a in alarms.items() if not n.startswith("passive")), problem.false_alarms.per_burst)
+    h = seen.threshold(rate)
+    omega = np.geomspace(math.pi / problem.plant.dt / 1000, 0.6 * math.pi / problem.plant.dt, 200)
+    response = loop_response(problem, omega)
+    efficient = efficiency(problem, omega, min(severities), response)
+    best = efficient.best_single()
+    return {
+        "machine": problem.machine,
+        "bursts": [entry for b in bursts for entry in _burst_entries(problem, b)],
+        "false_alarms_per_hour": alarms_per_hour(alarms, bursts_per_hour),
+        "thresholds": thresholds(problem, burst, alarms),
+        "faults": [entry for fault in problem.fault_names for entry in _fault_entries(problem, seen, fault, severities, h)],
+        "unseen": [{"fault": name, "why": why} for name, why in unseen(problem, response).items()],
+        "blind_pairs": blind_pairs(problem, efficient.pairs, problem.input_names),
+        "isolation": _isolation(seen, -0.5 if -0.5 in severities else severities[0], burst),
+        "best_single_frequency": {
+            "input": _name(problem.input_names, best[1]), "rad_s": best[0], "efficiency": best[2],
+        },
+    }  # fmt: skip
+
+
+def _burst_entries(problem: DetectionProblem, burst: Burst) -> list[dict[str, Any]]:
+    """Return one entry for every input the burst plays on."""
+    entries = []
+    for j in sorted({line.input for line in burst.lines}):
+        lines = [line for line in burst.lines if line.input == j]
+        peak = sum(line.amplitude * costs(problem, [line.omega]).output[0, :, j] for line in lines)
+        entries.append({
+            "burst": burst.name, "input": _name(problem.input_names, j),
+            "frequencies_rad_s": [line.omega for line in lines], "amplitudes": [line.amplitude for line in lines],
+            "seconds": burst.samples * problem.plant.dt, "peak_output": float(np.max(peak)), "notes": dict(burst.notes),
+        })  # fmt: skip
+    return entries
+
+
+def _fault_entries(
+    problem: DetectionProblem, seen: Prospect, fault: str, severities: Sequence[float], h: float
+) -> list[dict[str, Any]]:
+    smallest, entries = smallest_detectable(seen, fault, h), []
+    for severity in severities:
+        gain, phase, channel = _strongest(problem, seen, fault, severity)
+        entries.append({
+            "fault": fault, "severity": severity, "gain": gain, "phase_deg": phase, "channel": channel,
+            "p_detect": seen.detection(fault, severity, h), "deflection": seen.deflection(fault, severity),
+            "smallest_detectable": smallest, "confused_with": _confusions(seen, fault, severity),
+            "cramer_rao_sd": _finite(seen.deviation(fault, severity)),
+        })  # fmt: skip
+    return entries
+
+
+def smallest_detectable(seen: Prospect, fault: str, threshold: float) -> float | None:
+    """Return the severity found with probability 0.99, or None when even total loss is not."""
+    low, high = seen.bounds
+    if seen.detection(fault, low, threshold) < DETECTED:
+        return None
+    return float(brentq(lambda s: seen.detection(fault, s, threshold) - DETECTED, low, high - 1e-6 * (high - low)))
+
+
+def _confusions(seen: Prospect, fault: str, severity: float) -> dict[str, float]:
+    others = {o: pair_confusion(seen.separation(fault, severity, o)) for o in seen.curves.names if o != fault}
+    return {o: p for o, p in others.items() if p > RARE}
+
+
+def _strongest(problem: DetectionProblem, seen: Prospect, fault: str, severity: float) -> tuple[float, float, str]:
+    """Return gain and phase [deg] of the whitened residual per unit alpha on the line and output that show the fault
+    most, and their names."""
+    r = seen.curves.response.paths(fault, [severity]).r[0]
+    picked = np.stack([r[k, :, j] for k, j in enumerate(seen.curves.inputs)])
+    shown = np.abs(picked * seen.curves.drive[:, None]) / np.sqrt(np.diag(problem.covariance))
+    k, i = np.unravel_index(int(np.argmax(shown)), shown.shape)
+    value = complex(picked[k, i])
+    channel = f"{_name(problem.input_names, seen.curves.inputs[k])} to {_name(problem.output_names, int(i))}"
+    return abs(value), float(np.degrees(np.angle(value)) % 360), channel
+
+
+def _isolation(seen: Prospect, severity: float, burst: Burst) -> dict[str, Any]:
+    table = seen.separations(severity)
+    rows = {
+        a: {b: _finite(float(table[i, j])) for j, b in enumerate(seen.curves.names) if j != i}
+        for i, a in enumerate(seen.curves.names)
+    }
+    return {"severity": severity, "separations": rows, "not_separated": burst.notes.get("not_separated", "")}
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _name(names: Sequence[str], index: int) -> str:
+    return names[index] if index < len(names) else str(index)
