@@ -208,6 +208,21 @@ def diagnose(
 
 
 @app.command()
+def design(
+    site: SiteFile,
+    machine: MachineOption = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE.html", help="Where the page goes.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Make the design sheet: burst, thresholds, detection probabilities, smallest faults, what cannot be told apart."""
+    from afdsvc.modelling import design_files
+    from afdsvc.terminal import design_table
+
+    document = design_files(site, machine, out)
+    _show(as_json, document, lambda: design_table(document))
+
+
+@app.command()
 def identify(
     model: Annotated[Path, typer.Argument(metavar="MODEL.toml", help="What the simulation believes now.")],
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="MCAP recordings or tables.")],

@@ -1,4 +1,4 @@
-"""A modeller's files: recordings in, a better MODEL.toml and a page out. Reading, handing over, writing; nothing else."""
+"""Files of those who design and model: site, models and recordings in; pages and better models out."""
 
 from __future__ import annotations
 
@@ -8,15 +8,21 @@ from typing import Any
 
 import numpy as np
 
+from afdsvc import commission
+from afdsvc.api.detection import FalseAlarms
 from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
+from afdsvc.excite.default import default_burst
+from afdsvc.excite.sheet import design_sheet
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.procedure import identify
 from afdsvc.offline import TABLES
+from afdsvc.plugins.manager import load
 from afdsvc.record.model_file import read_model, write_model
 from afdsvc.record.reader import Recording
 from afdsvc.record.tables import read_table, with_units
-from afdsvc.report.identify_page import identify_page
+from afdsvc.report.design_page import design_page
+from afdsvc.runtime.site import read_site
 
 
 def read_traces(paths: Sequence[Path], machine: str | None = None) -> list[Trace]:
@@ -40,5 +46,26 @@ def identify_files(
         raise BadInput(f"--out {target}: the nominal model would be overwritten; another name is wanted")
     write_model(result.model, target)
     page = target.with_suffix(".html")
+    from afdsvc.report.identify_page import identify_page
+
     page.write_text(identify_page(result), encoding="utf-8")
     return {**result.json(str(target)), "report": str(page)}
+
+
+def design_files(site_file: Path, machine: str | None, out: Path | None) -> dict[str, Any]:
+    """Return the design sheet of a machine (``design --json``) and write its page beside the site file."""
+    site, plugins = read_site(site_file), load()
+    config = site.machine(machine) if machine else site.machines[0]
+    parts = commission.commission(config, plugins)
+    if parts.limits is None or parts.output_cov is None:
+        raise BadInput(f"machine '{config.id}' can be watched, not excited; there is no burst to design")
+    alarms = {d.kind: FalseAlarms(d.false_alarms_per_1000_bursts / 1000, d.false_alarms_per_day / 24) for d in config.detectors}
+    first = next(iter(alarms.values()), FalseAlarms())
+    problem = commission.problem(parts, parts.output_cov, parts.process_cov, first)
+    wanted = config.bursts
+    burst = default_burst(problem, parts.limits, seconds=wanted.seconds, output_amplitude=wanted.output_amplitude)
+    per_hour = 3600 / wanted.every_seconds if wanted.every_seconds else 0.0
+    sheet = design_sheet(problem, [burst], alarms, per_hour)
+    page = out or site_file.with_name(f"{site_file.stem}.{config.id}.design.html")
+    page.write_text(design_page(problem, burst, sheet), encoding="utf-8")
+    return {**sheet, "machine": config.id, "report": str(page)}

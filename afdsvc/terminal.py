@@ -88,6 +88,25 @@ def diagnosis_table(document: dict[str, Any]) -> None:
         _weights(verdict["weights"])
 
 
+def design_table(document: dict[str, Any]) -> None:
+    """Show what the burst finds and what it cannot."""
+    for burst in document["bursts"]:
+        lines = ", ".join(f"{w:.0f} rad/s" for w in burst["frequencies_rad_s"])
+        OUT.print(
+            f"burst on {burst['input']}: {lines}, {burst['seconds']:.2f} s, up to {burst['peak_output']:.3g} at the outputs"
+        )
+    table = Table(title=f"{document['machine']}: false alarms per hour {document['false_alarms_per_hour']:.3g}")
+    for column in ("fault", "severity", "detected with", "smallest found (99 %)", "standard error", "confused with"):
+        table.add_column(column)
+    for f in document["faults"]:
+        confused = ", ".join(f"{name} {100 * p:.1f} %" for name, p in f["confused_with"].items())
+        smallest = "never" if f["smallest_detectable"] is None else f"{100 * f['smallest_detectable']:.2f} %"
+        sd = "" if f["cramer_rao_sd"] is None else f"{100 * f['cramer_rao_sd']:.2f} %"
+        table.add_row(f["fault"], f"{100 * f['severity']:.0f} %", f"{f['p_detect']:.4f}", smallest, sd, confused)
+    OUT.print(table)
+    OUT.print(f"page {document['report']}", soft_wrap=True)
+
+
 def identify_table(document: dict[str, Any]) -> None:
     """Show what was identified and how it does on data not used."""
     OUT.print(f"{document['method']}, order {document['order']} ({document.get('order_reason', '')})", soft_wrap=True)
@@ -120,7 +139,18 @@ def _passive(recording: dict[str, Any]) -> None:
 def status_table(status: dict[str, Any]) -> None:
     """Show the machines of a service."""
     table = Table(title=f"{status['site']}: afdsvc {status['version']}, up {status['uptime']:.0f} s")
-    for column in ("machine", "state", "blocks", "lost samples", "late", "head-room", "burst", "next burst", "alarms", "remark"):
+    for column in (
+        "machine",
+        "state",
+        "blocks",
+        "lost samples",
+        "late",
+        "head-room",
+        "burst",
+        "next burst",
+        "alarms",
+        "remark",
+    ):
         table.add_column(column)
     for m in status["machines"]:
         alarms = ", ".join(a["fault"] for a in m["alarms"] if a["active"]) or "none"

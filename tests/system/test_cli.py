@@ -85,6 +85,22 @@ def test_bad_input_is_one_sentence(tmp_path: Path, arguments, words):
     one_sentence(afdsvc(*arguments, cwd=tmp_path), *words)
 
 
+def test_design_says_what_the_burst_finds(tmp_path: Path):
+    site = tmp_path / "site.toml"
+    site.write_text('site = "t"\n[[machines]]\nid = "m"\nplant = "gas_bearing"\nbursts = {every_seconds = 60}\n')
+    done = afdsvc("design", str(site), "--json")
+    assert done.returncode == 0, done.stderr
+    sheet = json.loads(done.stdout)
+    assert {b["input"] for b in sheet["bursts"]} == {"horizontal", "vertical"}
+    assert set(sheet["thresholds"]) == {"matched_filter", "regression", "cusum", "passive_cusum"}
+    half = {f["fault"]: f for f in sheet["faults"] if f["severity"] == -0.5}
+    assert set(half) == {"horizontal_actuator", "vertical_actuator", "horizontal_sensor", "vertical_sensor"}
+    assert all(f["p_detect"] > 0.999 and f["cramer_rao_sd"] < 0.01 for f in half.values())
+    # three detectors at 1 per 1000 of 60 bursts an hour, and a passive one at 1 in 30 days
+    assert abs(sheet["false_alarms_per_hour"] - (3 * 60 / 1000 + 1 / 720)) < 1e-9
+    assert Path(sheet["report"]).read_text().startswith("<!")
+
+
 def test_plugins_list_and_version(tmp_path: Path):
     found = json.loads(afdsvc("plugins", "list", "--json").stdout)
     assert found["broken"] == {}
