@@ -122,6 +122,9 @@ def test_cheapest_gain_moves_only_what_lacks_the_margin() -> None:
     F = gain_with_margin(A, np.ones((3, 1)), 1.0, 0.05)
     poles = np.sort(np.linalg.eigvals(A + np.ones((3, 1)) @ F).real)
     assert poles == pytest.approx([0.2, 0.95**2 / 1.25, 0.9], abs=1e-9)
+    units = np.array([1e3, 1e-5])  # of two equal inputs: each does half the work in its own unit
+    two = gain_with_margin(A, np.ones((3, 2)) * units, 1.0, 0.05) * units[:, None]
+    assert two[0] == pytest.approx(two[1], rel=1e-9)
     assert not gain_with_margin(A[1:, 1:], np.ones((2, 1)), 1.0, 0.05).any()
     with pytest.raises(IllConditioned, match="cannot be reached"):
         gain_with_margin(A, np.array([[0.0], [1.0], [1.0]]), 1.0, 0.05)
