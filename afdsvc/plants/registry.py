@@ -11,6 +11,7 @@ from afdsvc.api.plant import PhysicalPlant
 from afdsvc.errors import BadInput
 
 PLANTS = {
+    "amb_turboexpander": "afdsvc.plants.amb_turboexpander",
     "gas_bearing": "afdsvc.plants.gas_bearing",
     "unstable_second_order": "afdsvc.plants.unstable_second_order",
 }

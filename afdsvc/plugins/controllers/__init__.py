@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from afdsvc.api.control_plugins import ControllerDesign
 from afdsvc.plugins.controllers.lqg import Lqg
+from afdsvc.plugins.controllers.pid import Pid
 from afdsvc.plugins.controllers.proportional import Proportional
 from afdsvc.plugins.controllers.state_space import Linear
 from afdsvc.plugins.hookspecs import hookimpl
@@ -13,5 +14,5 @@ from afdsvc.plugins.hookspecs import hookimpl
 
 @hookimpl
 def afdsvc_controllers() -> Iterable[ControllerDesign]:
-    """Offer the proportional, the LQG and the general linear controller."""
-    return [Proportional(), Lqg(), Linear()]
+    """Offer the proportional, the LQG, the PID and the general linear controller."""
+    return [Proportional(), Lqg(), Pid(), Linear()]
