@@ -21,8 +21,8 @@ from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.preparation import Prepared, nominal_plant, prepare
 from afdsvc.identify.recordings import Recording
 from afdsvc.identify.residual_tests import residual_tests
-from afdsvc.identify.result import IdentifyResult, improved_model
-from afdsvc.identify.validation import Split, can_be_simulated, heldout_measures, split, validated
+from afdsvc.identify.result import IdentifyResult, Preview, improved_model
+from afdsvc.identify.validation import Split, can_be_simulated, heldout_measures, predicted_outputs, split, validated
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
 
@@ -68,6 +68,7 @@ def identify(
         outcome.full,
         outcome.reductions,
         check,
+        _preview(problem, parts, fit.system),
         (*warning, *_warnings(fit.heldout, before, stable)),
     )
 
@@ -137,6 +138,20 @@ def _cross_check(
     if other.band is None or not excited.any():
         return None, ()
     return agreement(_only(band, excited), _only(other.band, excited)), ()
+
+
+def _preview(problem: Prepared, parts: Split, system: StateSpace, samples: int = 600) -> Preview:
+    """Return the middle of the first recording not used, with what nominal model and fit make of it."""
+    recording = parts.heldout[0].centred()
+    start = max(0, (len(recording) - samples) // 2)
+    shown = slice(start, start + samples)
+    try:
+        before = predicted_outputs(problem.nominal, recording, problem.fact)[shown]
+    except BadInput:
+        before = None
+    after = predicted_outputs(system, recording, problem.fact)[shown]
+    t = recording.dt * np.arange(start, start + len(after))
+    return Preview(parts.names[0], t, recording.y[shown], before, after)
 
 
 def _excited(recordings: Sequence[Recording], band: ResponseBand) -> np.ndarray:

@@ -13,7 +13,21 @@ from afdsvc.identify.agreement import Agreement
 from afdsvc.identify.fit import Fit, ResponseBand
 from afdsvc.identify.measures import Measures
 from afdsvc.identify.reduction import ReducedPlant
-from afdsvc.lti.statespace import StateSpace
+from afdsvc.lti.statespace import Array, StateSpace
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Preview:
+    """A stretch of a recording not used, for the eye: ``t (N,)`` [s], measured and predicted outputs, each ``(N, p)``.
+
+    ``before`` is None when the nominal model cannot be simulated.
+    """
+
+    recording: str
+    t: Array
+    measured: Array
+    before: Array | None
+    after: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +51,7 @@ class IdentifyResult:
     full: StateSpace | None = None
     reductions: tuple[ReducedPlant, ...] = ()
     cross_check: Agreement | None = None
+    preview: Preview | None = None
     warnings: tuple[str, ...] = ()
 
     def json(self, model_path: str | None = None) -> dict[str, Any]:
