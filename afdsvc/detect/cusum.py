@@ -52,16 +52,18 @@ class CusumState:
         return cls(np.zeros(faults), np.zeros((faults, faults)), np.zeros((faults, faults)), np.zeros(faults))
 
     def step(
-        self, e: Array, waves: Array, theta: Array, boundary: float, peak: float
+        self, e: Array, waves: Array, psi: Array, theta: Array, boundary: float, peak: float
     ) -> tuple[CusumState, int, int, float]:
         """Return the state, the sample at which the boundary was crossed (-1 if not), by which fault, and the peak so
         far.
 
-        ``e (n, p)`` is the normalised residual, ``waves (n, K, p)`` what severity 1 would add, ``theta (K,)`` the
-        severities of the log-likelihood ratios. Stops at the crossing.
+        ``e (n, p)`` is the normalised residual, ``waves (n, K, p)`` what severity 1 would add in the log-likelihood
+        ratios and ``theta (K,)`` their severities; ``psi (n, K, p)`` are the regressors severities are estimated
+        with. Stops at the crossing.
         """
         g, b, G, n = self.g.copy(), self.b.copy(), self.G.copy(), self.n.copy()
-        at, who, peak = _cusum(np.ascontiguousarray(e), np.ascontiguousarray(waves), theta, boundary, peak, g, b, G, n)
+        e, waves, psi = np.ascontiguousarray(e), np.ascontiguousarray(waves), np.ascontiguousarray(psi)
+        at, who, peak = _cusum(e, waves, psi, theta, boundary, peak, g, b, G, n)
         return CusumState(g, b, G, n), at, who, peak
 
 
@@ -112,7 +114,8 @@ class ActiveCusum:
         """Return the state after the samples and a finding at the first crossing."""
         e = samples.series[:, 0]
         waves = sums.waves[samples.first : samples.first + len(e)]
-        state, at, who, peak = sums.state.step(e, waves, sums.theta, sums.boundary, sums.peak)
+        psi = samples.series[:, 1 + sums.seen]
+        state, at, who, peak = sums.state.step(e, waves, psi, sums.theta, sums.boundary, sums.peak)
         sums = ActiveSums(sums.waves, sums.seen, sums.theta, sums.boundary, state, peak)
         return sums, None if at < 0 else self._finding(sums, who, samples.first + at)
 
@@ -228,19 +231,18 @@ def _unit_vectors(gram: Array) -> Array:
 
 
 @njit(cache=True)
-def _cusum(e, waves, theta, boundary, peak, g, b, G, n):  # type: ignore[no-untyped-def]
+def _cusum(e, waves, psi, theta, boundary, peak, g, b, G, n):  # type: ignore[no-untyped-def]
     K, p = theta.size, e.shape[1]
     score, information = np.zeros(K), np.zeros(K)
     for t in range(e.shape[0]):
-        for i in range(K):
-            s = v = 0.0
-            for q in range(p):
-                s += waves[t, i, q] * e[t, q]
-                v += waves[t, i, q] * waves[t, i, q]
-            score[i], information[i] = s, v
+        _score(psi[t], e[t], score, information)
         highest = 0
         for i in range(K):
-            g[i] += theta[i] * score[i] - 0.5 * theta[i] * theta[i] * information[i]
+            step = 0.0
+            for q in range(p):
+                wave = theta[i] * waves[t, i, q]
+                step += wave * e[t, q] - 0.5 * wave * wave
+            g[i] += step
             _segment(g, b, G, n, i, score, information)
             if g[i] > g[highest]:
                 highest = i
@@ -248,6 +250,16 @@ def _cusum(e, waves, theta, boundary, peak, g, b, G, n):  # type: ignore[no-unty
         if g[highest] > boundary:
             return t, highest, peak
     return -1, -1, peak
+
+
+@njit(cache=True)
+def _score(psi, e, score, information):  # type: ignore[no-untyped-def]
+    for i in range(score.size):
+        s = v = 0.0
+        for q in range(e.size):
+            s += psi[i, q] * e[q]
+            v += psi[i, q] * psi[i, q]
+        score[i], information[i] = s, v
 
 
 @njit(cache=True)

@@ -104,7 +104,7 @@ class PassiveDetector:
         self, state: PassiveState, series: Array, k: int, dt: float, found: list[Evidence]
     ) -> tuple[PassiveState, int]:
         waves = series[:, 1 + self.which]
-        cusum, at, who, _ = state.cusum.step(series[:, 0], waves, self.theta, self.boundary, 0.0)
+        cusum, at, who, _ = state.cusum.step(series[:, 0], waves, waves, self.theta, self.boundary, 0.0)
         n = len(series) if at < 0 else at + 1
         state = replace(state, cusum=cusum, gate=self.gate.add(state.gate, series[:n]))
         if at < 0:

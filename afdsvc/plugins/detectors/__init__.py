@@ -1,12 +1,14 @@
-"""Built-in detectors, one file each."""
+"""Built-in detectors."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
 from afdsvc.api.detection import DetectorDesign
+from afdsvc.plugins.detectors.baselines import DESIGNS as BASELINES
 from afdsvc.plugins.detectors.cusum import ActiveCusumDesign, PassiveCusumDesign
 from afdsvc.plugins.detectors.fault_curves import FaultCurvesDesign
+from afdsvc.plugins.detectors.iterated_regression import IteratedRegressionDesign
 from afdsvc.plugins.detectors.matched_filter import MatchedFilterDesign
 from afdsvc.plugins.detectors.regression import RegressionDesign
 from afdsvc.plugins.hookspecs import hookimpl
@@ -14,5 +16,8 @@ from afdsvc.plugins.hookspecs import hookimpl
 
 @hookimpl
 def afdsvc_detectors() -> Iterable[DetectorDesign]:
-    """Return the built-in detectors."""
-    return [MatchedFilterDesign(), FaultCurvesDesign(), RegressionDesign(), ActiveCusumDesign(), PassiveCusumDesign()]
+    """Return the built-in detectors; the last five are there to be compared with."""
+    return [
+        MatchedFilterDesign(), FaultCurvesDesign(), RegressionDesign(), IteratedRegressionDesign(), ActiveCusumDesign(),
+        PassiveCusumDesign(), *BASELINES,
+    ]  # fmt: skip

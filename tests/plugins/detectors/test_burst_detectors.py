@@ -19,7 +19,7 @@ QUIET = 3000
 @pytest.mark.parametrize("fault", range(4))
 def test_half_a_loss_is_found_in_the_right_part_with_its_severity(name, controller, fault, bursts, run, shown):
     problem, burst = bursts(controller)
-    (found,) = shown(DESIGNS[name].design(problem, {}), run(problem, burst, {problem.fault_names[fault]: -0.5}, fault), burst)
+    found, *_ = shown(DESIGNS[name].design(problem, {}), run(problem, burst, {problem.fault_names[fault]: -0.5}, fault), burst)
     assert found.trustworthy
     assert found.detected
     assert found.fault == problem.fault_names[fault]
@@ -30,7 +30,7 @@ def test_half_a_loss_is_found_in_the_right_part_with_its_severity(name, controll
 @pytest.mark.parametrize("name", BURST)
 def test_a_healthy_machine_raises_no_alarm(name, bursts, run, shown):
     problem, burst = bursts()
-    (found,) = shown(DESIGNS[name].design(problem, {}), run(problem, burst, seed=3), burst)
+    found, *_ = shown(DESIGNS[name].design(problem, {}), run(problem, burst, seed=3), burst)
     assert found.trustworthy
     assert not found.detected
     assert found.fault is None
@@ -43,7 +43,7 @@ def test_a_small_burst_names_both_suspects_and_is_not_sure(name, bursts, run, sh
     unsure = 0
     for seed in range(6):
         record = run(problem, burst, {"horizontal_actuator": -0.5}, 100 + seed)
-        (found,) = shown(DESIGNS[name].design(problem, {}), record, burst)
+        found, *_ = shown(DESIGNS[name].design(problem, {}), record, burst)
         assert found.detected
         assert found.fault in (None, "horizontal_actuator")
         axis = found.weights["horizontal_actuator"] + found.weights["horizontal_sensor"]
@@ -117,7 +117,7 @@ def test_an_unfit_burst_is_not_judged(name, words, bursts, run, shown):
     problem, burst = bursts()
     detector = DESIGNS[name].design(problem, {"deflection": 100.0} if name == "cusum" else {})
     found = shown(detector, run(problem, burst, {}, 7), burst, spoil=spoilt(problem, burst)[words])
-    assert len(found) == 1
+    assert len({e.k for e in found}) == 1
     assert not found[0].trustworthy
     assert words in found[0].reason
     assert not found[0].detected
@@ -130,7 +130,7 @@ def test_a_saturated_actuator_is_seen_without_a_stated_limit(name, bursts, run, 
     detector = DESIGNS[name].design(replace(problem, limits=None), {})
     clip = np.array([np.inf, np.quantile(np.abs(run(problem, burst, {}, 7).u[:, 1]), 0.9)])
     spoil = lambda b: replace(b, u=np.clip(b.u, -clip, clip))  # noqa: E731
-    (found,) = shown(detector, run(problem, burst, {}, 7), burst, spoil=spoil)
+    found, *_ = shown(detector, run(problem, burst, {}, 7), burst, spoil=spoil)
     assert "actuator 'vertical' was saturated" in found.reason
 
 
@@ -139,7 +139,7 @@ def test_a_saturated_actuator_is_seen_without_a_stated_limit(name, bursts, run, 
 def test_a_wrong_noise_model_is_said_and_not_judged(name, scale, words, bursts, run, shown):
     problem, burst = bursts()
     wrong = replace(problem, covariance=problem.covariance / scale**2)
-    (found,) = shown(DESIGNS[name].design(wrong, {}), run(problem, burst, {}, 8), burst)
+    found, *_ = shown(DESIGNS[name].design(wrong, {}), run(problem, burst, {}, 8), burst)
     assert not found.trustworthy
     assert "times the stated standard deviation" in found.reason
     assert words in found.reason or f"{scale - 0.01:.2f}" in found.reason or f"{scale + 0.01:.2f}" in found.reason
@@ -151,7 +151,7 @@ def test_a_coloured_residual_is_said_and_not_judged(name, bursts, run, shown):
     problem, burst = bursts()
     record = run(problem, burst, {}, 9)
     slow = record.r + 0.3 * np.vstack([np.zeros((1, 2)), record.r[:-1]])
-    (found,) = shown(DESIGNS[name].design(problem, {}), replace(record, r=slow / np.sqrt(1.09)), burst)
+    found, *_ = shown(DESIGNS[name].design(problem, {}), replace(record, r=slow / np.sqrt(1.09)), burst)
     assert not found.trustworthy
     assert "not white" in found.reason
 
@@ -163,7 +163,7 @@ def test_a_fault_colours_the_loop_noise_and_is_judged_all_the_same(name, bursts,
     record = run(problem, burst, {"horizontal_actuator": -1.0}, 10)
     quiet = record.r[1000:QUIET, 0]
     assert quiet.var() > 1.2 * problem.covariance[0, 0]
-    (found,) = shown(DESIGNS[name].design(problem, {}), record, burst)
+    found, *_ = shown(DESIGNS[name].design(problem, {}), record, burst)
     assert found.trustworthy
     assert found.fault == "horizontal_actuator"
 

@@ -1,0 +1,75 @@
+"""Detectors to compare with: as published, fault-blind ones, and a bank of models."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from afdsvc.api.detection import DetectionProblem, Detector, DetectorDesign
+from afdsvc.detect.bank import bank
+from afdsvc.detect.energy import Energy
+from afdsvc.detect.published import PublishedFilter
+from afdsvc.detect.regressors import regressors
+from afdsvc.detect.settings import Range, gate_of, read
+from afdsvc.detect.watch import BurstStatistic, burst_detector
+
+
+@dataclass(slots=True)
+class PublishedDesign:
+    """The thesis' matched filter with statistic A_0 or A_phi. Setting besides the common ones: ``severity`` of the
+    design."""
+
+    name: str
+    summary: str
+    follow_phase: bool
+
+    def design(self, problem: DetectionProblem, settings: Mapping[str, Any]) -> Detector:
+        """Return the detector; raises `BadInput` for a setting that is unknown or out of range."""
+        values = read(self.name, settings, {"severity": Range(-0.1, -1.0, -0.001)})
+        statistic = PublishedFilter(problem, self.follow_phase, values["severity"])
+        return _framed(self.name, problem, statistic, values)
+
+
+@dataclass(slots=True)
+class EnergyDesign:
+    """Fault-blind: chi-squared energy of the residual or, with ``peak``, its largest sample. Common settings only."""
+
+    name: str
+    summary: str
+    peak: bool
+
+    def design(self, problem: DetectionProblem, settings: Mapping[str, Any]) -> Detector:
+        """Return the detector; raises `BadInput` for a setting that is unknown or out of range."""
+        values = read(self.name, settings, {})
+        statistic = Energy(problem.plant.outputs, problem.false_alarms.per_burst, self.peak)
+        return _framed(self.name, problem, statistic, values)
+
+
+class ModelBankDesign:
+    """Setting besides the common ones: ``severities``, models for every fault from small to total loss."""
+
+    name = "model_bank"
+    summary = "one predictor for every fault at several severities; the likeliest wins"
+
+    def design(self, problem: DetectionProblem, settings: Mapping[str, Any]) -> Detector:
+        """Return the detector; raises `BadInput` for a setting that is unknown or out of range."""
+        values = read(self.name, settings, {"severities": Range(10, 1, 100, whole=True)})
+        low, high = problem.severity_range
+        steps = [float(v) for v in np.linspace(high, low, int(values["severities"]) + 1)[1:]]
+        return _framed(self.name, problem, bank(problem, steps, regressors(problem).settling()), values)
+
+
+def _framed(name: str, problem: DetectionProblem, statistic: BurstStatistic, values: Mapping[str, float]) -> Detector:
+    return burst_detector(name, problem, statistic, gate_of(values), values["sure"], int(values["frozen_samples"]))
+
+
+DESIGNS: tuple[DetectorDesign, ...] = (
+    PublishedDesign("published_a0", "the thesis' matched filter, one amplitude for all phases (5.21)", False),
+    PublishedDesign("published_a_phi", "the thesis' matched filter, the amplitude of the phase found (P4 42)", True),
+    EnergyDesign("chi_square", "energy of the white residual; knows no faults", False),
+    EnergyDesign("limit_check", "largest sample of the open-loop residual; knows no faults", True),
+    ModelBankDesign(),
+)

@@ -1,0 +1,27 @@
+"""Regression repeated at the severity found, for faults the residual is not linear in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from afdsvc.api.detection import DetectionProblem, Detector
+from afdsvc.detect.iterated import iterated
+from afdsvc.detect.regressors import regressors
+from afdsvc.detect.settings import gate_of, read
+from afdsvc.detect.watch import burst_detector
+
+
+class IteratedRegressionDesign:
+    """Takes the common settings only. Keeps the samples of one burst."""
+
+    name = "iterated_regression"
+    summary = "regression for parameters the residual is not linear in: stiffness, damping, poles"
+
+    def design(self, problem: DetectionProblem, settings: Mapping[str, Any]) -> Detector:
+        """Return the detector; raises `BadInput` for a setting that is unknown or out of range."""
+        values = read(self.name, settings, {})
+        frozen = int(values["frozen_samples"])
+        filters = regressors(problem)
+        statistic = iterated(problem, filters.settling(1e-3))
+        return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen, filters)
