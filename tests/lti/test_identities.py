@@ -137,10 +137,9 @@ def test_bezout_and_factors(kind: str, plant: StateSpace) -> None:
     assert distance(F.N @ F.Vt, F.V @ F.Nt) < 1e-9
     assert distance(F.V @ F.Mt - F.N @ F.Ut, p) < 1e-9
     assert all(is_stable(getattr(f, name).A, plant.dt) for name in ("M", "N", "U", "V", "Mt", "Nt", "Ut", "Vt"))
-    assert distance(F.N, F.G @ F.M) < 1e-9
-    assert distance(F.Nt, F.Mt @ F.G) < 1e-9
-    assert distance(F.U, F.K @ F.V) < 1e-9
-    assert distance(F.Ut, F.Vt @ F.K) < 1e-9
+    for whole, left, right in ((F.N, F.G, F.M), (F.Nt, F.Mt, F.G), (F.U, F.K, F.V), (F.Ut, F.Vt, F.K)):
+        # next to a pole of G (or K) the product is small against its factors
+        assert np.abs(whole - left @ right).max() < 1e-9 * max(1.0, (np.abs(left) @ np.abs(right)).max())
 
 
 @given(kind=st.sampled_from(KINDS), plant=plants())
