@@ -1,0 +1,1 @@
+"""Blind trials: a truth written apart from everything it tests."""
