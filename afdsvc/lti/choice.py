@@ -10,7 +10,7 @@ from afdsvc.lti.statespace import StateSpace
 def factorise(plant: StateSpace, controller: StateSpace) -> Factorisation:
     """Return coprime factors of the plant and the controller that stabilises it (positive feedback ``u = K y``).
 
-    1. a static controller P: ``F = (I - P D)^-1 P C``, so V = Vt = I and beta = y - N alpha;
+    1. a static controller P: ``F = (I - P D)^-1 P C``, so V = I, Vt is static and beta = y - N alpha;
     2. a controller of the plant's order: its observer form when well conditioned, so J_K has the plant's order;
     3. any other: the general form, of order n + n_K, with the cheapest gains keeping half the loop's stability margin.
 

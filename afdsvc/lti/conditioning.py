@@ -40,7 +40,7 @@ def amplification(R: StateSpace, Lf: StateSpace) -> float:
 
     To first order a change E of A moves a transfer matrix by ``C F E F B`` with ``F = (sI - A)^-1``; E is taken as
     large as rounding makes it (relative to the norm of balanced A and to the products it was summed from).
-    Multiplied by 1.1e-16 this predicts the residual of the identities within a factor of about a hundred either way.
+    Multiplied by 1.1e-16 this bounds the residual of the identities, which is typically a hundredth of it.
     """
     points = _points(R, Lf)
     (right, right_error), (left, left_error) = _response(R, points), _response(Lf, points)

@@ -134,7 +134,8 @@ def proportional_factorisation(plant: StateSpace, P: ArrayLike, F: ArrayLike | N
     """Return the factors belonging to the static controller ``u = P y`` (thesis 2.23, 2.24, any D).
 
     ``F (m, n)`` is any gain with A + B F stable; without it ``F = (I - P D)^-1 P C``, which is stable because P
-    stabilises the plant, and gives ``V = Vt = I`` and ``M = (I - P G)^-1``. Raises `NotStabilising` or `BadInput`.
+    stabilises the plant, and gives ``V = I``, ``Vt = (I - P D)^-1`` and ``M = (I - P G)^-1 (I - P D)``. Raises
+    `NotStabilising` or `BadInput`.
     """
     P = _static("P", P, plant.inputs, plant.outputs)
     controller = StateSpace.gain(P, plant.dt)

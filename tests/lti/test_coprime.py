@@ -105,6 +105,20 @@ def test_default_gain_of_a_static_controller_makes_v_the_identity() -> None:
         assert np.array_equal(factor.D, np.eye(2))
 
 
+def test_default_gain_with_feedthrough() -> None:
+    """``V = I``, ``Vt = (I - P D)^-1`` and ``M = (I - P G)^-1 (I - P D)``."""
+    rng = np.random.default_rng(2)
+    A = rng.standard_normal((4, 4))
+    A *= 0.8 / np.abs(np.linalg.eigvals(A)).max()
+    G = StateSpace.of(A, rng.standard_normal((4, 2)), rng.standard_normal((3, 4)), rng.standard_normal((3, 2)), 1.0)
+    P = 0.1 * rng.standard_normal((2, 3))
+    f, g = proportional_factorisation(G, P), frequency_response(G, OMEGA)
+    assert f.V.order == 0
+    keep = np.eye(2) - P @ G.D
+    assert np.abs(frequency_response(f.Vt, OMEGA) - np.linalg.inv(keep)).max() < 1e-12
+    assert np.abs(frequency_response(f.M, OMEGA) - np.linalg.inv(np.eye(2) - P @ g) @ keep).max() < 1e-11
+
+
 def test_signs_of_thesis_2_28_to_2_33_as_corrected() -> None:
     """With M = (I + K G)^-1 as printed the Bezout identity misses by more than one; with (I - K G)^-1 it holds."""
     G = gas_bearing().discrete()
@@ -180,6 +194,19 @@ def test_ill_conditioned_factors_are_refused_with_both_numbers() -> None:
     F = lqr(G, np.eye(8), 1.0)
     with pytest.raises(IllConditioned, match=r"holds only to .*\(below 1e-10 is wanted\): rounding is amplified .* times"):
         observer_factorisation(G, F, F.T)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize("unstable", [2, 4, 6, 8])
+def test_amplification_predicts_the_residual(unstable: int, dt: float) -> None:
+    """Over eighteen orders of magnitude the residual is 1e-3 to 0.1 of amplification times 1.1e-16."""
+    s = np.arange(1.0, unstable + 1)
+    G = StateSpace.of(np.diag(np.exp(dt * s) if dt else s), np.ones((unstable, 1)), np.ones((1, unstable)), None, dt)
+    F = lqr(G, np.eye(unstable), 1.0)
+    R = StateSpace(G.A + G.B @ F, np.hstack([G.B, -F.T]), np.vstack([F, G.C]), np.eye(2), dt)
+    Lf = StateSpace(G.A + F.T @ G.C, np.hstack([-G.B, F.T]), np.vstack([F, G.C]), np.eye(2), dt)
+    ratio = identity_residual(R, Lf) / (1.1e-16 * amplification(R, Lf))
+    assert 1e-3 < ratio < 0.1
 
 
 def test_conditioning_numbers_do_not_depend_on_units() -> None:
