@@ -19,19 +19,20 @@ _UNIT = 1e-3
 
 
 def local_structure(system: StateSpace) -> Structure:
-    """Return the structure of all discrete systems near this one, of the same order; the nominal values are zero."""
+    """Return the structure of all discrete systems near this one, of the same order; the nominal values are zero.
+
+    Columns of D that are zero stay zero.
+    """
     n, m, p = system.order, system.inputs, system.outputs
-    directions = _across(system)
-    if system.D.any():
-        directions = linalg.block_diag(directions, np.eye(p * m))
-    origin = np.concatenate([system.A.ravel(), system.B.ravel(), system.C.ravel(), system.D.ravel()])[: len(directions)]
+    direct = np.flatnonzero(np.broadcast_to(system.D.any(axis=0), (p, m)).ravel())
+    directions = linalg.block_diag(_across(system), np.eye(p * m)[:, direct])
+    origin = np.concatenate([system.A.ravel(), system.B.ravel(), system.C.ravel(), system.D.ravel()])
     unit = _UNIT * float(np.linalg.norm(origin))
 
     def build(z: Array) -> StateSpace:
         v = origin + directions @ z
-        A, B, C, rest = np.split(v, np.cumsum([n * n, n * m, p * n]))
-        D = rest.reshape(p, m) if rest.size else np.zeros((p, m))
-        return StateSpace(A.reshape(n, n), B.reshape(n, m), C.reshape(p, n), D, system.dt)
+        A, B, C, D = np.split(v, np.cumsum([n * n, n * m, p * n]))
+        return StateSpace(A.reshape(n, n), B.reshape(n, m), C.reshape(p, n), D.reshape(p, m), system.dt)
 
     names = (Parameter(f"z{i + 1}", 0.0, "", unit) for i in range(directions.shape[1]))
     return Structure(tuple(names), build)

@@ -20,6 +20,8 @@ from afdsvc.identify.jackknife import jackknife_band
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.order import choose_order
 from afdsvc.identify.pbsid import decompose_predictor, realise_predictor
+from afdsvc.identify.polish import polish
+from afdsvc.identify.presence import answer_p, simulated_order
 from afdsvc.identify.preparation import Prepared
 from afdsvc.identify.recordings import Recording
 from afdsvc.identify.reduction import ReducedPlant, compare_reductions, judged
@@ -125,6 +127,10 @@ def _hansen_repeat(
     return estimate
 
 
+#: Probability of seeing an answer to the inputs where there is none.
+ANSWER_LEVEL = 1e-4
+
+
 def _open_loop_order(
     recordings: Sequence[Recording], slowest: float, largest: int, options: IdentifyOptions
 ) -> tuple[Subspace, int, str]:
@@ -133,6 +139,10 @@ def _open_loop_order(
     horizon = options.horizon or choose_horizon(recordings, slowest)
     order, reason = _order(recordings, horizon, min(largest, (horizon - 1) * p), options, closed_loop=False)
     found = decompose(recordings, horizon, weighting)
+    if order == 0 and answer_p(recordings) < ANSWER_LEVEL:
+        most = min(largest, (horizon - 1) * p)
+        order, lead = simulated_order(recordings, lambda n: realise(found, n, stable=True).system, most)
+        reason = f"order {order}: the outputs answer to the inputs, and it simulates best (criterion lower by {lead:.4g})"
     if options.horizon is None and order:
         longer = choose_horizon(recordings, memory(realise(found, order, stable=True).system.poles()))
         if longer > 1.3 * horizon:
@@ -175,6 +185,18 @@ def pbsid(problem: Prepared, options: IdentifyOptions) -> Outcome:
     def estimate(recordings: Sequence[Recording]) -> StateSpace:
         return realise_predictor(decompose_predictor(recordings, past), order).system
 
+    return Outcome(_banded(fit, estimate, problem.training, options))
+
+
+def pem(problem: Prepared, options: IdentifyOptions) -> Outcome:
+    """Identify the plant from u and y by prediction errors, a black box started from PBSIDopt."""
+    fit = pbsid(problem, replace(options, groups=0)).fit
+    past, order = int(fit.notes[0].rsplit(" ", 1)[1]), fit.order
+
+    def estimate(recordings: Sequence[Recording]) -> StateSpace:
+        return polish(realise_predictor(decompose_predictor(recordings, past), order), recordings).system
+
+    fit = replace(fit, method="pem", model=polish(fit.model, problem.training))
     return Outcome(_banded(fit, estimate, problem.training, options))
 
 
@@ -298,4 +320,4 @@ def _banded(
     return replace(fit, band=band)
 
 
-__all__ = ["Outcome", "band_hz", "greybox", "hansen", "indirect", "loop_is_stable", "omega_grid", "pbsid", "subspace"]
+__all__ = ["Outcome", "band_hz", "greybox", "hansen", "indirect", "omega_grid", "pbsid", "pem", "subspace"]

@@ -10,7 +10,7 @@ from afdsvc.errors import BadInput
 from afdsvc.identify.reduction import TRUNCATIONS
 from afdsvc.identify.subspace import WEIGHTINGS
 
-METHODS = ("auto", "hansen", "subspace", "pbsid", "greybox", "indirect")
+METHODS = ("auto", "hansen", "subspace", "pbsid", "pem", "greybox", "indirect")
 
 
 @dataclass(frozen=True, slots=True)

@@ -150,7 +150,7 @@ def _preview(problem: Prepared, parts: Split, system: StateSpace, samples: int =
     except BadInput:
         before = None
     after = predicted_outputs(system, recording, problem.fact)[shown]
-    t = recording.dt * np.arange(start, start + len(after))
+    t = recording.dt * np.arange(start, start + len(after), dtype=np.float64)
     return Preview(parts.names[0], t, recording.y[shown], before, after)
 
 

@@ -24,8 +24,8 @@ def identify_page(result: IdentifyResult, model_path: str | None = None) -> str:
          "order was reduced where that was done.", _bode(result)),
         ("On a recording not used", "Measured output and what the two models make of it.", _time(result)),
         ("Order", result.fit.order_reason or "The structure fixes the order.", _singular_values(result)),
-        ("Residuals", "Correlations of what remains on the recordings not used; dashed lines hold 95 % of them when nothing is left. "
-         "Autocorrelations outside: the noise has colour (a simulation keeps it). Cross-correlations outside at positive "
+        ("Residuals", "Correlations of what remains on the recordings not used; dashed lines hold 95 % of them when nothing "
+         "is left. Autocorrelations outside: the noise has colour (a simulation keeps it). Cross-correlations outside at positive "
          "lags: the plant misses something; at negative lags: the input answers to the noise (feedback).", _residuals(result)),
     ]  # fmt: skip
     page = Environment(loader=PackageLoader("afdsvc.report", "."), autoescape=select_autoescape(["j2"]))

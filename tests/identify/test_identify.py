@@ -151,9 +151,11 @@ def test_every_order_can_be_asked_for(model, run, bearing):
 
 def test_pbsid_and_greybox_need_no_controller(bearing, run):
     bare = Model("bearing", PLANT.inputs, PLANT.outputs, PLANT.states, bearing, sample_time=bearing.dt)
-    found = identify(bare, [run(8, 12_000, ("u", "y"))], options=IdentifyOptions(method="pbsid", groups=0))
-    assert found.loop_stable is None
-    assert _error(found.model.plant, bearing) < 0.1
+    for method in ("pbsid", "pem"):
+        found = identify(bare, [run(8, 8000, ("u", "y"))], options=IdentifyOptions(method=method, groups=0))
+        assert found.fit.method == method
+        assert found.loop_stable is None
+        assert _error(found.model.plant, bearing) < 0.1
     continuous = PLANT.continuous(gain_hh=4.0e6)
     deviations = {"B": np.zeros((6, 2)), "A": np.zeros((6, 6))}
     deviations["A"][2, 4] = 0.5e6  # the input gain of the horizontal axis
