@@ -1,0 +1,59 @@
+"""A trial on disk: the model, the recordings, and nothing else that would tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from afdsvc.api.signals import Trace
+from afdsvc.errors import BadInput
+from afdsvc.trial.generate import Trial
+from afdsvc.trial.model_text import model_text
+
+FORMATS = ("npz", "csv")
+
+
+@dataclass(frozen=True, slots=True)
+class Paths:
+    """Where the parts of a trial are: what `explain` is given."""
+
+    model: Path
+    recordings: tuple[Path, ...]
+    holdout: Path
+
+    @property
+    def all(self) -> tuple[Path, ...]:
+        """Every file."""
+        return (self.model, *self.recordings, self.holdout)
+
+
+def write(trial: Trial, folder: str | Path, form: str = "npz") -> Paths:
+    """Write MODEL.toml, the recordings and the holdout as tables (``npz`` or ``csv``) and return their paths.
+
+    The folder is made; a file that is there already is an error (`BadInput`), so that no trial overwrites another.
+    """
+    if form not in FORMATS:
+        raise BadInput(f"recordings are written as {' or '.join(FORMATS)}, not as '{form}'")
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    names = [f"{trace.name}.{form}" for trace in (*trial.recordings, trial.holdout)]
+    model, *tables = (folder / name for name in ("MODEL.toml", *names))
+    for path in (model, *tables):
+        if path.exists():
+            raise BadInput(f"{path}: is there already; an empty folder is wanted")
+    model.write_text(model_text(trial.machine, trial.options.known_controller), encoding="utf-8")
+    for path, trace in zip(tables, (*trial.recordings, trial.holdout), strict=True):
+        _write_table(path, trace)
+    return Paths(model, tuple(tables[:-1]), tables[-1])
+
+
+def _write_table(path: Path, trace: Trace) -> None:
+    """Write one column per channel and the time, with the fixed column roles as names."""
+    names = ["t", *(channel.name for channel in trace.channels)]
+    values = np.column_stack([trace.t, trace.values])
+    if path.suffix == ".npz":
+        np.savez(path, **dict(zip(names, values.T, strict=True)))
+    else:
+        np.savetxt(path, values, fmt="%.12g", delimiter=",", header=",".join(names), comments="")

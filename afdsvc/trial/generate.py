@@ -1,0 +1,159 @@
+"""Making up a trial: recordings of a machine in which something is hidden, and the answer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from afdsvc.api.model import Variable
+from afdsvc.api.signals import Channel, Trace
+from afdsvc.trial.ambient import UNITS
+from afdsvc.trial.answer import Answer, Hidden
+from afdsvc.trial.catalogue import make, outside_at, physics_at, sites_of
+from afdsvc.trial.effect import Effect, Truth
+from afdsvc.trial.machine import Machine
+from afdsvc.trial.options import Options
+from afdsvc.trial.run import Run, Signals, play
+from afdsvc.trial.severity import scaled_to, visibility
+from afdsvc.trial.site import Site, Sizes, sizes
+from afdsvc.trial.staging import TRAIN, stage, true_constants
+
+DIRT, DIRT_RHO = 4, 0.04
+NOTHING = "nothing"
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What to hide: canonical name (``parameter_change:stiffness`` and so on for a change), site (None: any), and rho."""
+
+    physics: str
+    site: str | None
+    rho: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """A trial: what the solver may see (``recordings``, ``holdout``, the nominal ``machine``), and what it may not.
+
+    ``runs`` and ``truth`` are kept for the oracle; ``played`` are the signals of the runs, their first samples included.
+    """
+
+    machine: Machine
+    options: Options
+    recordings: tuple[Trace, ...]
+    holdout: Trace
+    answer: Answer
+    truth: Truth
+    runs: tuple[Run, ...]
+    played: tuple[Signals, ...]
+
+
+def generate(
+    physics: str, site: str | None, rho: float, generator: np.random.Generator, options: Options | None = None
+) -> Trial:
+    """Return a trial that hides one effect (``physics`` "nothing" or ``rho`` 0: none) at a site (None: drawn) with this rho.
+
+    The same generator state gives the same trial. Raises `BadInput` for a name or site the machine does not have and
+    `Refused` when no severity gives this rho.
+    """
+    nothing = physics == NOTHING or rho == 0
+    return generate_several([] if nothing else [Wish(physics, site, rho)], generator, options)
+
+
+def generate_several(
+    wishes: Sequence[Wish], generator: np.random.Generator, options: Options | None = None, seed: str = ""
+) -> Trial:
+    """Return a trial that hides several effects at once; rho is each one's alone, ``seed`` is noted in the answer.
+
+    See `generate`.
+    """
+    options = options or Options()
+    machine = options.build()
+    constants, plan, shapes, dirt = generator.spawn(4)
+    runs = stage(machine, options, plan)
+    scene = _scene(machine, options, Truth(true_constants(machine, options, constants)), runs)
+    if options.dirty:
+        wanted = _dirt(machine, {wish.physics for wish in wishes}, dirt)
+        scene = replace(scene, truth=Truth(scene.truth.theta, (), _effects(scene, wanted, dirt)))
+    truth = scene.truth.with_effects(*_effects(scene, wishes, shapes))
+    played = tuple(play(machine, truth, run) for run in runs)
+    traces = tuple(_trace(machine, run, signals) for run, signals in zip(runs, played, strict=True))
+    answer = _answer(replace(scene, truth=truth), options, [wish.rho for wish in wishes], seed)
+    return Trial(machine, options, traces[:-1], traces[-1], answer, truth, runs, played)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scene:
+    """The machine before the question: its truth so far, the runs that define rho, sizes of its signals, measure of rho."""
+
+    machine: Machine
+    truth: Truth
+    runs: tuple[Run, ...]
+    sizes: Sizes
+    measure: str
+
+
+def _scene(machine: Machine, options: Options, truth: Truth, runs: tuple[Run, ...]) -> _Scene:
+    train = runs[:TRAIN]
+    return _Scene(machine, truth, train, sizes(machine, truth, train), options.measured(machine))
+
+
+def _effects(scene: _Scene, wishes: Sequence[Wish], chance: np.random.Generator) -> tuple[Effect, ...]:
+    """Return the wished effects, each scaled with the others absent."""
+    return tuple(_effect(scene, w, g) for w, g in zip(wishes, chance.spawn(len(wishes)), strict=True))
+
+
+def _effect(scene: _Scene, wish: Wish, chance: np.random.Generator) -> Effect:
+    name = wish.site or str(chance.choice(sites_of(scene.machine, wish.physics)))
+    shape = make(Site(scene.machine, scene.sizes, name, scene.machine.index(name), chance), wish.physics)
+    return scaled_to(scene.machine, scene.truth, shape, scene.runs, wish.rho, scene.measure)
+
+
+def _dirt(machine: Machine, taken: set[str], generator: np.random.Generator) -> list[Wish]:
+    """Return small unrelated effects of different names, none of those taken."""
+    names = sorted({name for name, _ in physics_at(machine)} - taken)
+    return [Wish(str(name), None, DIRT_RHO) for name in generator.choice(names, DIRT, replace=False)]
+
+
+def _trace(machine: Machine, run: Run, signals: Signals) -> Trace:
+    """Return the recorded part as a trace with the fixed column roles; the rotor angle is wrapped to one turn."""
+    kept, ref, s = signals.kept(run), machine.outputs if machine.recording.reference else (), run.skip
+    aux = tuple(Variable(name, UNITS[name]) for name in machine.aux)
+    around = run.aux[s:-1].copy()
+    if machine.rotating:
+        around[:, machine.aux.index("angle")] %= 2 * np.pi
+    roles = (("u", machine.inputs), ("y", machine.outputs), ("alpha", machine.inputs), ("ref", ref), ("aux", aux))
+    channels = tuple(Channel(f"{role}_{v.name}", v.unit) for role, variables in roles for v in variables)
+    values = np.hstack([kept.u, kept.y, run.alpha[s:], run.ref[s:, : len(ref)], around])
+    return Trace(run.name, machine.dt, channels, values)
+
+
+def _answer(scene: _Scene, options: Options, asked: list[float], seed: str) -> Answer:
+    _, seen = visibility(scene.machine, scene.truth, scene.runs, scene.measure)
+    outside = {name for name, _ in outside_at(scene.machine)}
+    effects = scene.truth.effects
+    return Answer(
+        machine=options.machine,
+        hidden=tuple(_hidden(scene, e, rho) for e, rho in zip(effects, asked, strict=True)),
+        minor=tuple(_hidden(scene, e, DIRT_RHO) for e in scene.truth.minor),
+        seen={v.name: float(s) for v, s in zip(scene.machine.outputs, seen, strict=True)},
+        outside=any(e.physics in outside for e in effects),
+        seed=seed,
+        options=asdict(options),
+    )
+
+
+def _hidden(scene: _Scene, effect: Effect, asked: float) -> Hidden:
+    alone = Truth(scene.truth.theta, (effect,))
+    rho, _ = visibility(scene.machine, alone, scene.runs, scene.measure)
+    in_loop, _ = visibility(scene.machine, alone, scene.runs, "loop")
+    prior = _in_prior(scene.machine, effect)
+    return Hidden(effect.physics, effect.site, asked, rho, in_loop, effect.described(), effect.parameter, prior)
+
+
+def _in_prior(machine: Machine, effect: Effect) -> float | None:
+    """Return a change in units of the stated standard deviation of the constants it moves."""
+    sd = max((machine.theta_sd[i] for i in effect.shifts), default=0.0)
+    return float(abs(effect.values[0]) / sd) if sd > 0 else None

@@ -1,0 +1,115 @@
+"""What the generator knows of a machine: names, axes, true constants, controller and how it is recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from afdsvc.api.model import Variable
+from afdsvc.errors import BadInput
+from afdsvc.lti.statespace import Array, StateSpace
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """A direction of motion: numbers of its position, velocity, output and input."""
+
+    position: int
+    velocity: int
+    output: int
+    input: int
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """How the machine is recorded: seconds of one period, periods kept, seconds before the record begins, lowest and
+    highest excited frequency [Hz], and the rms of the outputs in their unit for train (two levels), select and holdout.
+    ``ref_share`` is the share of the excitation that comes through the reference (0 without one)."""
+
+    period: float
+    periods: int
+    preroll: float
+    band: tuple[float, float]
+    levels: tuple[float, float, float, float]
+    speeds: tuple[float, float, float, float]
+    reference: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Machine:
+    """A machine whose recordings are made up.
+
+    ``build`` returns continuous A, B, C (D is zero) for the physical constants ``theta``, of which ``nominal`` are those in
+    the MODEL.toml and ``theta_sd`` their relative standard deviations. ``controller`` maps ``y - ref`` to u (positive
+    feedback), ``loop`` is the same with inputs ``[y - ref, alpha]``. ``sigma`` is the noise of each output,
+    ``reach`` the largest reading a sound machine may show.
+    ``changes`` maps a site and the name of a parameter to the constants that change with it, with their exponents.
+    """
+
+    name: str
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    states: tuple[Variable, ...]
+    axes: tuple[Axis, ...]
+    theta_names: tuple[str, ...]
+    nominal: Array
+    theta_sd: Array
+    build: Callable[[Array], tuple[Array, Array, Array]]
+    controller: StateSpace
+    loop: StateSpace
+    sigma: Array
+    reach: float
+    dt: float
+    substeps: int
+    aux: tuple[str, ...]
+    recording: Recording
+    changes: dict[tuple[str, str], dict[str, float]]
+
+    @property
+    def rotating(self) -> bool:
+        """Whether there is a rotor, so that speed and angle are recorded."""
+        return "speed" in self.aux
+
+    @property
+    def stable(self) -> bool:
+        """Whether the nominal plant is stable without its controller."""
+        A, _, _ = self.build(self.nominal)
+        return bool(np.linalg.eigvals(A).real.max() < 0)
+
+    def input_site(self, i: int) -> str:
+        """Return the site of input i."""
+        return f"input:{self.inputs[i].name}"
+
+    def output_site(self, i: int) -> str:
+        """Return the site of output i."""
+        return f"output:{self.outputs[i].name}"
+
+    def force_site(self, axis: int) -> str:
+        """Return the site of forces on an axis: the state they accelerate."""
+        return f"state:{self.states[self.axes[axis].velocity].name}"
+
+    def index(self, site: str) -> int:
+        """Return the number of the input, axis or output a site names (0 for the machine); raises `BadInput`."""
+        if site == "machine":
+            return 0
+        for place in (self.input_site, self.force_site, self.output_site):
+            count = {"input_site": len(self.inputs), "force_site": len(self.axes)}.get(place.__name__, len(self.outputs))
+            for i in range(count):
+                if place(i) == site:
+                    return i
+        raise BadInput(f"machine '{self.name}' has no site '{site}'")
+
+    def constant(self, name: str) -> int:
+        """Return the number of a physical constant."""
+        return self.theta_names.index(name)
+
+    def with_controller(self, controller: StateSpace, loop: StateSpace) -> Machine:
+        """Return the machine under another controller."""
+        return replace(self, controller=controller, loop=loop)
+
+    def matrices(self, theta: Array) -> tuple[Array, Array, Array]:
+        """Return contiguous A, B, C."""
+        a, b, c = self.build(theta)
+        return np.ascontiguousarray(a), np.ascontiguousarray(b), np.ascontiguousarray(c)
