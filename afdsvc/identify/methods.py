@@ -12,7 +12,7 @@ from afdsvc.errors import BadInput
 from afdsvc.identify.excitation import require_excitation
 from afdsvc.identify.fit import Fit
 from afdsvc.identify.greybox import GreyboxOptions, fit_greybox, greybox_band
-from afdsvc.identify.hansen import loop_is_stable, rebuilt_plant, youla_signals
+from afdsvc.identify.hansen import rebuilt_plant, youla_signals
 from afdsvc.identify.horizon import choose_horizon, memory
 from afdsvc.identify.indirect import fit_indirect
 from afdsvc.identify.innovations import InnovationsForm
@@ -21,8 +21,8 @@ from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.order import choose_order
 from afdsvc.identify.pbsid import decompose_predictor, realise_predictor
 from afdsvc.identify.polish import polish
-from afdsvc.identify.presence import answer_p, simulated_order
 from afdsvc.identify.preparation import Prepared
+from afdsvc.identify.presence import answer_p, simulated_order
 from afdsvc.identify.recordings import Recording
 from afdsvc.identify.reduction import ReducedPlant, compare_reductions, judged
 from afdsvc.identify.refinement import refine

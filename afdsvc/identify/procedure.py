@@ -110,6 +110,7 @@ def _run(method: str, problem: Prepared, options: IdentifyOptions, rng: np.rando
         "hansen": methods.hansen,
         "subspace": methods.subspace,
         "pbsid": methods.pbsid,
+        "pem": methods.pem,
         "indirect": methods.indirect,
     }
     return ways[method](problem, options)
