@@ -52,7 +52,7 @@ def test_a_spoiled_start_comes_back_to_the_same_minimum(oscillators):
     before = start.errors(records[0].u, records[0].y)
     assert np.linalg.det(found.covariance) < np.linalg.det(before.T @ before / len(before))
     errors = found.errors(records[0].u, records[0].y)
-    assert np.allclose(errors.T @ errors / len(errors), found.covariance, rtol=1e-6, atol=1e-5)
+    assert np.allclose(errors.T @ errors / len(errors), found.covariance, atol=1e-3)  # the initial state is weighted a little differently
     assert whiteness(errors) > 1e-3
 
 
