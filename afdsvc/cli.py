@@ -166,9 +166,14 @@ def ack(
 
 
 @app.command()
-def burst(machine: MachineOption = None, site: SiteOption = HERE, as_json: Json = False) -> None:
+def burst(
+    purpose: Annotated[str, typer.Option(help="diagnose, identify, identify_binary or identify_sweep")] = "diagnose",
+    machine: MachineOption = None,
+    site: SiteOption = HERE,
+    as_json: Json = False,
+) -> None:
     """Play a burst now; refused with its reason when a limit or rule would be broken."""
-    found = _ask(site, "burst", machine=machine)
+    found = _ask(site, "burst", machine=machine, purpose=purpose)
     _show(as_json, found, lambda: print(f"burst {found['burst']} accepted"))
 
 

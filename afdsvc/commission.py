@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from afdsvc.api.bursts import Limits
+from afdsvc.api.bursts import Burst, Limits
 from afdsvc.api.clock import Clock
 from afdsvc.api.control_plugins import DesignedController
 from afdsvc.api.detection import DetectionProblem, Detector, FalseAlarms
@@ -18,11 +18,13 @@ from afdsvc.api.plant import PhysicalPlant
 from afdsvc.api.port import Port
 from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput
+from afdsvc.excite.identification_bursts import Band, multisine_burst, random_binary_burst, sweep_burst
 from afdsvc.hal.loop import LoopSettings, Prediction
 from afdsvc.hal.replay import Replay, blocks_of
 from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, Simulator
 from afdsvc.lti.lft import AugmentedPlant, FaultDirection, augment
 from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import innovations, whitening_filter
 from afdsvc.plants.registry import plant as plant_by_name
@@ -281,6 +283,34 @@ def prediction(machine: Commissioned) -> Prediction:
         raise BadInput(f"machine '{machine.config.id}' has no controller; bursts cannot be predicted")
     both = fact.R.select(slice(None), range(machine.plant.inputs))
     return Prediction(both, 5 * np.sqrt(np.diag(machine.output_cov)))
+
+
+IDENTIFICATION = {"identify": "multisine", "identify_binary": "random binary", "identify_sweep": "sweep"}
+
+
+def identification_burst(machine: Commissioned, purpose: str, rng: np.random.Generator) -> Burst:
+    """Return a broad burst for identification, as large as half the room its nominal answer leaves within the limits.
+
+    ``purpose`` is ``identify`` (odd random-phase multisine with detection lines), ``identify_binary`` or ``identify_sweep``.
+    """
+    limits, dt = machine.limits, machine.plant.dt
+    if purpose not in IDENTIFICATION or limits is None:
+        raise BadInput(f"burst purpose '{purpose}'; one of diagnose, {', '.join(IDENTIFICATION)} is wanted")
+    seconds = min(limits.seconds, 10.0)
+    unit = _broad(purpose, Band(4 / seconds, 0.12 / dt, np.ones(machine.plant.inputs), dt), seconds, rng)
+    told = prediction(machine)
+    answer = np.abs(simulate(told.system, unit.play(dt))[0]).max(axis=0)
+    room = np.concatenate([limits.input, limits.output - told.noise])
+    size = 0.5 * float(np.min(room / np.maximum(answer, 1e-12)))
+    size = min(size, float(np.min(limits.alpha / np.maximum(np.abs(unit.play(dt)).max(axis=0), 1e-12))))
+    lines = tuple(replace(line, amplitude=size * line.amplitude) for line in unit.lines)
+    return replace(unit, lines=lines, waveform=None if unit.waveform is None else size * unit.waveform)
+
+
+def _broad(purpose: str, band: Band, seconds: float, rng: np.random.Generator) -> Burst:
+    if purpose == "identify_binary":
+        return random_binary_burst(band, seconds, rng)
+    return sweep_burst(band, seconds) if purpose == "identify_sweep" else multisine_burst(band, seconds, rng, "odd_random")
 
 
 def _simulator(machine: Commissioned, settings: LoopSettings, clock: Clock) -> Simulator:

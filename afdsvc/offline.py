@@ -171,21 +171,24 @@ def _burst(
 
 
 def decision(e: Evidence) -> dict[str, Any]:
-    """Return one decision as JSON values."""
-    return {
-        "detector": e.detector,
-        "output": e.output,
-        "fault": e.fault,
-        "detected": e.detected and e.trustworthy,
-        "statistic": e.statistic,
-        "threshold": e.threshold,
-        "severity": plain(e.severity),
-        "weights": dict(e.weights),
-        "seconds": e.seconds,
-        "trustworthy": e.trustworthy,
-        "reason": e.reason,
-        "p_white": e.p_white,
-    }
+    """Return one decision as JSON values; an infinite threshold (nothing to decide on) is None."""
+    found: dict[str, Any] = plain(
+        {
+            "detector": e.detector,
+            "output": e.output,
+            "fault": e.fault,
+            "detected": e.detected and e.trustworthy,
+            "statistic": e.statistic,
+            "threshold": e.threshold,
+            "severity": plain(e.severity),
+            "weights": dict(e.weights),
+            "seconds": e.seconds,
+            "trustworthy": e.trustworthy,
+            "reason": e.reason,
+            "p_white": e.p_white,
+        }
+    )
+    return found
 
 
 def _promised(parts: Commissioned, seconds: float) -> dict[str, float]:

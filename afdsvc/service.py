@@ -124,12 +124,15 @@ def _teller(what: str) -> Callable[[str], None]:
 
 
 def burst_design(machine: Commissioned, stream: Pipeline) -> Callable[[Wanted], Burst]:
-    """Return the design of the machine's bursts; the diagnosis burst is computed once."""
+    """Return the design of the machine's bursts by purpose; the diagnosis burst is computed once."""
     settings, limits = machine.config.bursts, machine.limits
     if limits is None:
         raise BadInput(f"machine '{machine.config.id}' can be watched, not excited")
     burst = default_burst(stream.problem, limits, seconds=settings.seconds, output_amplitude=settings.output_amplitude)
-    return lambda wanted: burst
+    rng = np.random.default_rng(0)
+    return lambda wanted: (
+        burst if wanted.purpose == "diagnose" else commission.identification_burst(machine, wanted.purpose, rng)
+    )
 
 
 def rig_agent(site: Site, id: str, transport: Transport, clock: Clock) -> RigAgent:

@@ -33,6 +33,11 @@ def percent(severity: dict[str, float] | None) -> str:
     return "" if severity is None else f"{100 * severity['value']:+.1f} ± {100 * severity['sd']:.1f} %"
 
 
+def number(value: float | None) -> str:
+    """Return a number in three digits; what is not finite is a dash."""
+    return "-" if value is None else f"{value:.3g}"
+
+
 def demo_table(document: dict[str, Any]) -> None:
     """Show truth beside verdict, and the files to open."""
     verdict = document["recordings"][0]["verdict"]
@@ -69,8 +74,8 @@ def diagnosis_table(document: dict[str, Any]) -> None:
                 table.add_row(
                     f"{burst['start_s']:.2f} s",
                     d["detector"],
-                    f"{d['statistic']:.3g}",
-                    f"{d['threshold']:.3g}",
+                    number(d["statistic"]),
+                    number(d["threshold"]),
                     decision,
                     d["fault"] or "",
                     percent(d["severity"]),
@@ -127,7 +132,7 @@ def _passive(recording: dict[str, Any]) -> None:
     """Show what the passive detectors did, beside the rate they promise."""
     for name, promised in recording["promised_alarms"].items():
         decisions = [d for d in recording["passive"] if d["detector"] == name]
-        crossed = sum(d["statistic"] >= d["threshold"] for d in decisions)
+        crossed = sum((d["statistic"] or 0.0) >= (d["threshold"] or float("inf")) for d in decisions)
         raised = sum(d["detected"] for d in decisions)
         if decisions:
             counts = f"{crossed} crossings of the threshold, {raised} alarms in {recording['watched_s']:.1f} s"

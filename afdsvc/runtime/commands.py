@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -37,7 +38,9 @@ def ask(send: Callable[[bytes], bytes], name: str, asked_by: str, **arguments: A
 
 
 def plain(value: Any) -> Any:
-    """Return dataclasses, mappings and sequences as JSON values."""
+    """Return dataclasses, mappings and sequences as JSON values; a number that is not finite becomes None."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, Mapping):

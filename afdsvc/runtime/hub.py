@@ -193,7 +193,9 @@ class Hub:
             "status": lambda a, who: self.status(),
             "alarms": lambda a, who: list(self.alarms.alarms.values()),
             "ack": lambda a, who: self.alarms.acknowledge(str(a.get("alarm", "")), who, str(a.get("comment", ""))),
-            "burst": lambda a, who: {"burst": self._desk(a).ask(Wanted(f"asked by {who}"))},
+            "burst": lambda a, who: {
+                "burst": self._desk(a).ask(Wanted(f"asked by {who}", purpose=str(a.get("purpose") or "diagnose")))
+            },
             "stop": lambda a, who: self._desk(a).stop(str(a.get("reason", "")), who),
             "pause": lambda a, who: self._pause(a, f"by {who}: {a.get('reason', '')}"),
             "resume": lambda a, who: self._pause(a, ""),

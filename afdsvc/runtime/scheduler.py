@@ -18,6 +18,7 @@ class Wanted:
     reason: str
     follow_up: str = ""
     at: float | None = None
+    purpose: str = "diagnose"
 
 
 class Scheduler:

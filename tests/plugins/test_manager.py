@@ -62,8 +62,10 @@ def test_a_wrong_plugin_is_named_and_stops_no_other(hooks, why):
 
 
 def test_an_unknown_name_lists_what_there_is():
-    with pytest.raises(BadInput, match="no plugin 'pid' among the controllers; installed are: lqg, proportional, state_space"):
-        load().get("controllers", "pid")
+    with pytest.raises(
+        BadInput, match="no plugin 'fuzzy' among the controllers; installed are: lqg, pid, proportional, state_space"
+    ):
+        load().get("controllers", "fuzzy")
 
 
 def test_the_marker_is_the_projects_own():

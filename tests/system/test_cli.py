@@ -48,7 +48,7 @@ def test_demo_names_the_fault(tmp_path: Path):
     [
         (("serve", "missing.toml"), ("missing.toml", "cannot be read")),
         (("serve", "wrong.toml"), ("wrong.toml", "machines.0.blok", "found 3")),
-        (("serve", "plugin.toml"), ("machine 'm'", "no plugin 'pid' among the controllers", "lqg, proportional")),
+        (("serve", "plugin.toml"), ("machine 'm'", "no plugin 'fuzzy' among the controllers", "lqg, pid, proportional")),
         (("serve", "unstable.toml"), ("machine 'm'", "does not stabilise")),
         (("serve", "shape.toml"), ("machine 'm'", "gain", "(2, 2)")),
         (("serve", "setting.toml"), ("machine 'm'", "unknown setting 'gian'")),
@@ -70,7 +70,7 @@ def test_bad_input_is_one_sentence(tmp_path: Path, arguments, words):
     files = {
         "good.toml": "",
         "wrong.toml": "blok = 3\n",
-        "plugin.toml": 'controller = {kind = "pid"}\n',
+        "plugin.toml": 'controller = {kind = "fuzzy"}\n',
         "unstable.toml": 'controller = {kind = "proportional", settings = {gain = 5.0}}\n',
         "shape.toml": 'controller = {kind = "proportional", settings = {gain = [[1.0]]}}\n',
         "setting.toml": 'controller = {kind = "proportional", settings = {gian = 0.2}}\n',
