@@ -32,7 +32,8 @@ class DetectionProblem:
     from beta to r. ``output_names`` has length p, ``severity_range`` the bounds of every fault. ``limits`` are those of the
     rig (None when nobody stated them): an actuator at its limit spoils a burst. ``uncertain`` is the same plant with its
     uncertain parameters pulled out, ``uncertainty`` their relative standard deviations by name; None and empty for a model
-    that is taken as certain.
+    that is taken as certain. ``output_cov (p, p)`` and ``process_cov (n, n)`` are the noises the innovations were made
+    from, where known: a parameter of A or C also moves the predictor's gain.
     """
 
     machine: str
@@ -49,6 +50,8 @@ class DetectionProblem:
     uncertainty: Mapping[str, float] = field(default_factory=dict)
     limits: Limits | None = None
     uncertain: AugmentedPlant | None = None
+    output_cov: Array | None = None
+    process_cov: Array | None = None
 
     @property
     def fault_names(self) -> tuple[str, ...]:

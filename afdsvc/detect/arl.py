@@ -59,7 +59,7 @@ def alarm_probability(mu: float, b: float, samples: int, changed: bool = False, 
     Steps smaller than 0.2 are taken several at a time, the boundary moved as above.
     """
     _check(mu, b)
-    wide = max(mu, _STEP)
+    wide = max(mu, _STEP, b / 300)
     lump = (wide / mu) ** 2
     width, drift = max(b + OVERSHOOT * (mu - wide), 1e-6), (_drift(mu, changed) + bias) * lump
     x, w, kernel = _grid(wide, width, drift)

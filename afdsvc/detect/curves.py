@@ -105,9 +105,10 @@ class FaultCurves:
         """Return the points of one curve."""
         return self._points(self.response.paths(fault, severities))
 
-    def together(self, severities: Mapping[str, float]) -> Array:
-        """Return the point ``(2 L, p)`` where several faults are present at once."""
-        return np.asarray(self._points(self.response.together(severities))[0])
+    def together(self, severities: Mapping[str, float]) -> tuple[Array, Array]:
+        """Return the point ``(2 L, p)`` where several faults are present at once, and the covariance of its noise."""
+        paths = self.response.together(severities)
+        return self._points(paths)[0], self._noise(paths)[0]
 
     def coloured(self, fault: str, severities: Sequence[float] | Array) -> tuple[Array, Array]:
         """Return the points of one curve and the covariance ``(T, D, D)`` of the noise that comes with each.
@@ -115,14 +116,17 @@ class FaultCurves:
         ``D = 2 L p``; the covariance is that of standardised coordinates, the identity for the healthy machine.
         """
         paths = self.response.paths(fault, severities)
-        T = self.Li @ paths.noise @ np.linalg.inv(self.Li)
-        return self._points(paths), _covariance(T @ np.swapaxes(T.conj(), -1, -2))
+        return self._points(paths), self._noise(paths)
 
     def slope(self, fault: str, severity: float) -> Array:
         """Return the derivative of a curve by severity, shape ``(2 L, p)``."""
         h = 1e-4
         low, high = self.at(fault, [severity - h, severity + h])
         return np.asarray((high - low) / (2 * h))
+
+    def _noise(self, paths: Paths) -> Array:
+        T = self.Li @ paths.noise @ np.linalg.inv(self.Li)
+        return _covariance(T @ np.swapaxes(T.conj(), -1, -2))
 
     def _points(self, paths: Paths) -> Array:
         picked = np.stack([paths.r[:, i, :, column] for i, column in enumerate(self.inputs)], axis=1)

@@ -12,7 +12,7 @@ alarms, so that the promised rate is kept and not divided by the number of fault
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -24,10 +24,11 @@ from scipy.optimize import brentq
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect import arl, maximum
+from afdsvc.detect.demodulate import Basis, BasisSums, project
 from afdsvc.detect.hypotheses import linear_fit, weights
-from afdsvc.detect.stated import uncertain_parameters
+from afdsvc.detect.reach import reachable
 from afdsvc.detect.templates import templates
-from afdsvc.detect.uncertainty import as_faults
+from afdsvc.detect.uncertainty import models
 from afdsvc.detect.watch import BurstSamples, Finding
 from afdsvc.lti.statespace import Array
 
@@ -96,18 +97,17 @@ class ActiveCusum:
     def prepare(self, burst: Burst, dt: float) -> ActiveSums:
         """Return waves and boundary for a burst, computed anew."""
         problem = self.problem
-        asked, low = burst.play(dt), problem.severity_range[0]
-        theta = np.full(len(problem.fault_names), low)
+        asked, reach = burst.play(dt), reachable(problem)
+        low = 0.999 * np.array([reach[name][0] for name in problem.fault_names])
+        theta = 0.05 * low
         found = templates(problem, asked, theta)
-        for _ in range(3):  # the deflection is not quite proportional to the severity
+        for _ in range(4):  # the deflection is not quite proportional to the severity
             theta = np.maximum(low, theta * self.deflection / np.maximum(np.sqrt(np.diag(found.gram)), 1e-12))
             found = templates(problem, asked, theta)
         seen = np.flatnonzero(np.sqrt(np.diag(found.gram)) > UNSEEN)
         waves = found.waves[:, seen] / theta[seen, None]
         gram = found.gram[np.ix_(seen, seen)]
-        bias = _burst_bias(problem, asked, found.waves[:, seen])
-        rate = problem.false_alarms.per_burst
-        boundary = _burst_boundary(gram, bias, burst.samples, rate) if len(seen) else math.inf
+        boundary = _burst_boundary(problem, burst, gram, found.waves[:, seen]) if len(seen) else math.inf
         return ActiveSums(waves, seen, theta[seen], boundary, CusumState.start(len(seen)), 0.0)
 
     def step(self, sums: ActiveSums, samples: BurstSamples) -> tuple[ActiveSums, Finding | None]:
@@ -151,35 +151,37 @@ def segment_finding(
     return Finding(peak, boundary, fits, weights(fits), parts)
 
 
-def _burst_bias(problem: DetectionProblem, asked: Array, waves: Array) -> Array:
-    """Return the standard deviation, over uncertain models, of the mean increment of every CUSUM, shape ``(K,)``."""
-    deviations = uncertain_parameters(problem)
-    if not deviations:
-        return np.zeros(waves.shape[1])
-    wrong = templates(as_faults(problem), asked, _small(problem, deviations))
-    picked = [problem.uncertain.fault_names.index(n) for n in deviations] if problem.uncertain else []
-    overlap = np.einsum("tip,tjp->ij", waves, wrong.waves[:, picked]) / len(asked)
-    return np.asarray(np.sqrt(np.sum(overlap**2, axis=1)))
+def _burst_steps(problem: DetectionProblem, burst: Burst, gram: Array, waves: Array, share: Array) -> list[Step]:
+    """Return how the CUSUMs walk under every model the uncertainty allows, weighted by share and model."""
+    mu = np.sqrt(np.diag(gram) / burst.samples)
+    if not problem.uncertainty:
+        return _grouped(mu, share)
+    ordered = sorted(burst.lines, key=lambda line: line.omega)
+    basis = Basis(tuple(line.omega for line in ordered))
+    steps = []
+    for k in range(len(mu)):
+        sums = BasisSums.empty(basis, waves.shape[2]).add(basis, 0, problem.plant.dt, waves[:, k])
+        lines = project(sums, basis)
+        found = models(problem, ordered, lines.R)
+        mean, sd = found.along(lines.z.ravel() / np.linalg.norm(lines.z))
+        for q, weight in enumerate(found.weights):
+            s = float(mu[k] * sd[q])
+            # the wave's part along the lines moves every increment; more noise widens it
+            bias = float(mean[q] * np.linalg.norm(lines.z) / burst.samples) + (s**2 - float(mu[k]) ** 2) / 2
+            steps.append(Step(s, bias, float(share[k] * weight)))
+    return steps
 
 
-def _small(problem: DetectionProblem, deviations: Mapping[str, float]) -> Array:
-    """Return one standard deviation for every parameter of the uncertain plant, 0 for those that are certain."""
-    names = problem.uncertain.fault_names if problem.uncertain else ()
-    return np.array([deviations.get(name, 0.0) for name in names])
-
-
-def _burst_boundary(gram: Array, bias: Array, samples: int, false_alarm: float) -> float:
+def _burst_boundary(problem: DetectionProblem, burst: Burst, gram: Array, waves: Array) -> float:
     """Return the boundary for K CUSUMs over one burst, by the shares they have in the union of alarms."""
-    mu = np.sqrt(np.diag(gram) / samples)
-    share = maximum.shares(_unit_vectors(gram), _level(false_alarm / len(mu)))
-    steps = _grouped(mu, bias, share)
+    rate, samples = problem.false_alarms.per_burst, burst.samples
+    share = maximum.shares(_unit_vectors(gram), _level(rate / len(gram)))
+    steps = _burst_steps(problem, burst, gram, waves, share)
 
     def excess(b: float) -> float:
-        p = sum(w * arl.alarm_probability(s, b, samples, bias=d) for s, d, w in steps)
-        return math.log(p / false_alarm)
+        return math.log(sum(s.weight * arl.alarm_probability(s.mu, b, samples, bias=s.bias) for s in steps) / rate)
 
-    high = math.log(samples * len(mu) / false_alarm) * (1 + _worst(mu, bias))
-    return float(brentq(excess, 0.05, high, xtol=1e-3)) if excess(0.05) > 0 else 0.05
+    return _crossing(excess, math.log(samples * len(gram) / rate), 1e-3)
 
 
 def rate_boundary(correlation: Array, mu: Array, bias: Array, per_sample: float) -> float:
@@ -189,34 +191,46 @@ def rate_boundary(correlation: Array, mu: Array, bias: Array, per_sample: float)
     ``bias (K,)`` the standard deviation of their mean increments over uncertain models.
     """
     share = maximum.shares(_unit_vectors(correlation), _level(per_sample))
-    steps = _grouped(mu, bias, share)
+    steps = _grouped(mu, share) if not bias.any() else _biased(mu, bias, share)
 
     def excess(b: float) -> float:
-        return math.log(sum(w / arl.run_length(s, b, bias=d) for s, d, w in steps) / per_sample)
+        return math.log(sum(s.weight / arl.run_length(s.mu, b, bias=s.bias) for s in steps) / per_sample)
 
-    high = (math.log(len(mu) / per_sample) + 1) * (1 + _worst(mu, bias))
-    return float(brentq(excess, 0.05, high, xtol=1e-4))
+    return _crossing(excess, math.log(len(mu) / per_sample) + 1, 1e-4)
 
 
-def _grouped(mu: Array, bias: Array, share: Array) -> list[tuple[float, float, float]]:
-    """Return distinct (deflection per sample, bias, weight): CUSUMs alike to a per cent together, the bias averaged
-    over its normal distribution by Gauss-Hermite quadrature.
-    """
-    keys = np.round(np.column_stack([np.log(mu), bias / mu**2]), 2)
-    distinct, which = np.unique(keys, axis=0, return_inverse=True)
+@dataclass(frozen=True, slots=True)
+class Step:
+    """Increments of one CUSUM under one model: deflection per sample, bias of the mean, weight in the sum of rates."""
+
+    mu: float
+    bias: float
+    weight: float
+
+
+def _grouped(mu: Array, share: Array) -> list[Step]:
+    """Return the distinct deflections per sample, to a per cent, and the shares that go with each."""
+    steps, which = np.unique(np.round(np.log(mu), 2), return_inverse=True)
     weight = np.bincount(which.ravel(), weights=share)
-    z, w = np.polynomial.hermite_e.hermegauss(HERMITE) if bias.any() else (np.zeros(1), np.ones(1))
-    w = w / w.sum()
-    steps = []
-    for (log_mu, relative), total in zip(distinct, weight, strict=True):
-        s = float(np.exp(log_mu))
-        steps += [(s, float(relative * s**2 * zq), float(total * wq)) for zq, wq in zip(z, w, strict=True)]
-    return steps
+    return [Step(float(np.exp(s)), 0.0, float(w)) for s, w in zip(steps, weight, strict=True)]
 
 
-def _worst(mu: Array, bias: Array) -> float:
-    """Return by how much the boundary may have to grow: the largest bias met over the drift that opposes it."""
-    return 20 * float(np.max(bias / (mu**2 / 2)))
+def _biased(mu: Array, bias: Array, share: Array) -> list[Step]:
+    """Return steps whose bias is normal, by Gauss-Hermite quadrature."""
+    z, w = np.polynomial.hermite_e.hermegauss(HERMITE)
+    nodes = list(zip(z, w / w.sum(), strict=True))
+    triples = zip(mu, bias, share, strict=True)
+    return [Step(float(m), float(d * zq), float(s * wq)) for m, d, s in triples for zq, wq in nodes]
+
+
+def _crossing(excess: Callable[[float], float], high: float, xtol: float) -> float:
+    """Return the boundary at which the logarithm of found over wanted rate falls through zero."""
+    low = 0.05
+    if excess(low) <= 0:
+        return low
+    while excess(high) > 0:  # biased increments may need a higher boundary than any unbiased ones
+        high *= 1.5
+    return float(brentq(excess, low, high, xtol=xtol))
 
 
 def _level(probability: float) -> float:

@@ -9,7 +9,7 @@ Source: A. K. Sekunda, "Fault Diagnosis and Identification of Electro-Mechanical
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,8 @@ from afdsvc.detect import maximum
 from afdsvc.detect.curves import FaultCurves, fault_curves
 from afdsvc.detect.demodulate import Basis, BasisSums, Lines, project
 from afdsvc.detect.hypotheses import LineData, anything_log_evidence, curve_fit, weights
-from afdsvc.detect.uncertainty import model_doubt
+from afdsvc.detect.reach import reachable
+from afdsvc.detect.uncertainty import model_doubt, models, robust_threshold
 from afdsvc.detect.watch import BurstSamples, Finding
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
@@ -70,19 +71,28 @@ class MatchedFilter:
         ordered = sorted(burst.lines, key=lambda line: line.omega)
         lines, curves = project(sums, self.basis(burst)), fault_curves(self.problem, ordered)
         data = LineData(lines.z, lines.R, model_doubt(self.problem, ordered, lines.R))
-        directions = self._directions(curves, data)
+        directions = self._directions(curves, data, reachable(self.problem))
         if not len(directions):
             return [Finding(0.0, float("inf"))]
         e = directions / np.linalg.norm(directions, axis=1)[:, None]
         z = data.whitened(np.eye(data.z.size), data.z)[0]
-        h = maximum.threshold(e, self.problem.false_alarms.per_burst)
-        fits = tuple(curve_fit(curves, n, data, self.problem.severity_range) for n in curves.names)
+        h = self._threshold(e, data, ordered)
+        reach = reachable(self.problem)
+        fits = tuple(curve_fit(curves, n, data, reach[n]) for n in curves.names)
         parts = {"samples": float(sums.n), "tests": maximum.tests_counted(e, h), **_amplitudes(lines, ordered)}
         return [Finding(float(np.max(e @ z)), h, fits, weights(fits, anything_log_evidence(z)), parts)]
 
-    def _directions(self, curves: FaultCurves, data: LineData) -> Array:
+    def _threshold(self, e: Array, data: LineData, ordered: Sequence[Line]) -> float:
+        rate = self.problem.false_alarms.per_burst
+        if not self.problem.uncertainty:
+            return maximum.threshold(e, rate)
+        factor = np.linalg.cholesky(np.eye(data.z.size) + data.doubt)
+        raw = np.linalg.solve(factor.T, e.T).T  # <raw, z> is <e, whitened z>
+        return robust_threshold(raw, models(self.problem, ordered, data.R), rate)
+
+    def _directions(self, curves: FaultCurves, data: LineData, reach: Mapping[str, tuple[float, float]]) -> Array:
         """Return the whitened templates ``(faults x severities, D)`` of all faults this burst can see."""
-        points = np.concatenate([data.R @ curves.at(name, self.severities) for name in curves.names])
+        points = np.concatenate([data.R @ curves.at(name, _within(self.severities, *r)) for name, r in reach.items()])
         white = np.stack(data.whitened(np.eye(data.z.size), *points))
         length = np.linalg.norm(white, axis=1)
         return np.asarray(white[length > UNSEEN * max(length.max(initial=0.0), 1e-12)])
@@ -93,6 +103,12 @@ class MatchedFilter:
         if self.angle not in samples.block.aux:
             raise BadInput(f"the block has no aux '{self.angle}'; the rotor angle is wanted to remove its waves")
         return samples.block.aux[self.angle].reshape(len(samples.block), -1)[a:b, 0]
+
+
+def _within(severities: Sequence[float], low: float, high: float) -> list[float]:
+    """Return the severities the loop survives; the largest survivable one when it survives none of them."""
+    inside = [s for s in severities if low <= s <= high]
+    return inside or [low if abs(low) > abs(high) else high]
 
 
 def window(burst: Burst) -> tuple[int, int]:

@@ -122,7 +122,7 @@ def _loop(problem: DetectionProblem, f: Regressors) -> StateSpace:
     filters = np.kron(np.eye(K), g.A - f.Kp @ g.C)
     into = np.vstack([np.zeros((0, n)), *(f.Bw[i] @ f.Cz[i] for i in range(K))])
     A = np.block([[g.A, np.zeros((n, n * K))], [into, filters]])
-    B = np.vstack([np.hstack([f.Kp, g.B]), *(np.hstack([np.zeros((n, p)), f.Bw[i] @ f.Dzu[i]]) for i in range(K))])
+    B = np.vstack([np.hstack([f.Kp, g.B]), *(np.hstack([f.Kd[i], f.Bw[i] @ f.Dzu[i]]) for i in range(K))])
     psi = np.hstack([np.vstack([np.zeros((0, n)), *(f.Dyw[i] @ f.Cz[i] for i in range(K))]), np.kron(np.eye(K), g.C)])
     direct = np.vstack([np.zeros((0, g.inputs)), *(f.Dyw[i] @ f.Dzu[i] for i in range(K))])
     C = np.vstack([psi, np.hstack([g.C, np.zeros((p, n * K))])])

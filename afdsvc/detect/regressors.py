@@ -25,7 +25,9 @@ from afdsvc.detect.stated import uncertain_parameters
 from afdsvc.errors import BadInput
 from afdsvc.lti.lft import AugmentedPlant
 from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.lti.whitening import innovations
 
+NUDGE = 1e-5  # by which parameters are moved for derivatives
 _NO_GAIN = 1e-9  # a predictor gain below this is the rounding of a Riccati solver
 
 
@@ -58,6 +60,7 @@ class Regressors:
     Dyw: Array
     Cz: Array
     Dzu: Array
+    Kd: Array
     Li: Array
 
     def start(self) -> RegressorState:
@@ -71,7 +74,7 @@ class Regressors:
         series = np.empty((len(r), 1 + len(self.names), self.plant.outputs))
         g = self.plant
         _run(
-            g.A, g.B, g.C, g.D, self.Kp, self.Bw, self.Dyw, self.Cz, self.Dzu, self.Li,
+            g.A, g.B, g.C, g.D, self.Kp, self.Bw, self.Dyw, self.Cz, self.Dzu, self.Kd, self.Li,
             x, e, _rows(r), _rows(y), _rows(u), series,
         )
         return RegressorState(x, e), series
@@ -90,40 +93,54 @@ def regressors(problem: DetectionProblem) -> Regressors:
     """
     g = problem.augmented.plant
     Kp, uncertain = predictor_gain(problem, g), uncertain_parameters(problem)
-    ways = [_way(problem.augmented, name, Kp) for name in problem.fault_names]
+    ways = [_way(problem, problem.augmented, name, Kp) for name in problem.fault_names]
     if problem.uncertain is not None:
-        ways += [_way(problem.uncertain, name, Kp) for name in uncertain]
+        ways += [_way(problem, problem.uncertain, name, Kp) for name in uncertain]
     width = max((way.Bw.shape[1] for way in ways), default=1)
     n, m, p, K = g.order, g.inputs, g.outputs, len(ways)
     Bw, Dyw = np.zeros((K, n, width)), np.zeros((K, p, width))
-    Cz, Dzu = np.zeros((K, width, n)), np.zeros((K, width, m))
+    Cz, Dzu, Kd = np.zeros((K, width, n)), np.zeros((K, width, m)), np.zeros((K, n, p))
     for i, way in enumerate(ways):
         r = way.Bw.shape[1]
         Bw[i, :, :r], Dyw[i, :, :r], Cz[i, :r], Dzu[i, :r] = way.Bw, way.Dyw, way.Cz, way.Dzu
+        Kd[i] = way.Kd
     sd = np.array(list(uncertain.values()))
     bounds = (problem.severity_range,) * len(problem.fault_names) + tuple((-4 * s, 4 * s) for s in sd.tolist())
     names, exact = (*problem.fault_names, *uncertain), tuple(way.exact for way in ways)
     return Regressors(
-        names, len(problem.fault_names), bounds, sd, exact, g, Kp, Bw, Dyw, Cz, Dzu, whitener(problem.covariance)
+        names, len(problem.fault_names), bounds, sd, exact, g, Kp, Bw, Dyw, Cz, Dzu, Kd, whitener(problem.covariance)
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Way:
-    """How one parameter enters: from its z into the error filter and the residual, and what its z is made of."""
+    """How one parameter enters: from its z into the error filter and the residual, what its z is made of, and how the
+    predictor's gain follows it."""
 
     Bw: Array
     Dyw: Array
     Cz: Array
     Dzu: Array
+    Kd: Array
     exact: bool
 
 
-def _way(augmented: AugmentedPlant, name: str, Kp: Array) -> _Way:
+def _way(problem: DetectionProblem, augmented: AugmentedPlant, name: str, Kp: Array) -> _Way:
     s, k, own = augmented.system, augmented.channels, augmented.channels_of(name)
     no_state = not Kp.any() or not s.C[own].any()  # then z is known without error, not estimated
     exact = no_state and not s.D[own, own].any() and _no_return(s, own)
-    return _Way(s.B[:, own] - Kp @ s.D[k:, own], s.D[k:, own], s.C[own], s.D[own, k:], exact)
+    Kd = np.zeros_like(Kp) if no_state else _gain_derivative(problem, augmented, name)
+    return _Way(s.B[:, own] - Kp @ s.D[k:, own], s.D[k:, own], s.C[own], s.D[own, k:], Kd, exact)
+
+
+def _gain_derivative(problem: DetectionProblem, augmented: AugmentedPlant, name: str) -> Array:
+    """Return how the optimal predictor's gain changes with the parameter; 0 where the noises are not stated."""
+    n, p = augmented.plant.order, augmented.plant.outputs
+    if problem.output_cov is None:
+        return np.zeros((n, p))
+    plants = [augmented.close({name: s * NUDGE}) for s in (1, -1)]
+    gains = [innovations(g, problem.output_cov, problem.process_cov).gain for g in plants]
+    return np.asarray((gains[0] - gains[1]) / (2 * NUDGE))
 
 
 def whitener(covariance: Array) -> Array:
@@ -168,7 +185,7 @@ def _rows(a: Array) -> Array:
 
 
 @njit(cache=True)
-def _run(A, B, C, D, Kp, Bw, Dyw, Cz, Dzu, Li, x, e, r, y, u, series):  # type: ignore[no-untyped-def]
+def _run(A, B, C, D, Kp, Bw, Dyw, Cz, Dzu, Kd, Li, x, e, r, y, u, series):  # type: ignore[no-untyped-def]
     n, p, K, width = x.size, y.shape[1], e.shape[0], Bw.shape[2]
     innovation, new, raw, seen, z = np.zeros(p), np.zeros(n), np.zeros(p), np.zeros(p), np.zeros(width)
     for k in range(r.shape[0]):
@@ -191,6 +208,7 @@ def _run(A, B, C, D, Kp, Bw, Dyw, Cz, Dzu, Li, x, e, r, y, u, series):  # type: 
             _add(A, e[f], new, 1.0)
             _add(Kp, seen, new, -1.0)
             _add(Bw[f], z, new, 1.0)
+            _add(Kd[f], innovation, new, 1.0)
             e[f] = new
         new[:] = 0.0
         _add(A, x, new, 1.0)

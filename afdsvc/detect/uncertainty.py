@@ -10,17 +10,25 @@ energy formula has the wrong units, the expected statistic is linear in the wave
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.special import ndtr, ndtri
+from scipy.stats import qmc
 
 from afdsvc.api.bursts import Line
 from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect import maximum
 from afdsvc.detect.curves import fault_curves
 from afdsvc.detect.stated import uncertain_parameters
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
+
+NODES = 15  # models of one uncertain parameter
+POINTS = 128  # models of several
 
 
 def as_faults(problem: DetectionProblem) -> DetectionProblem:
@@ -46,29 +54,78 @@ def model_doubt(problem: DetectionProblem, lines: Sequence[Line], R: Array) -> A
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SampledWaves:
-    """Waves ``(n, D)`` of models drawn from their uncertainty, in the healthy machine's standard deviations."""
+class Models:
+    """Healthy machines as they may be: ``weights (Q,)``, their waves ``(Q, D)`` and noise covariances ``(Q, D, D)``
+    in the nominal machine's standard deviations, without linearisation. A wrong model also colours the loop's own
+    noise.
+    """
 
+    weights: Array
     waves: Array
+    covariances: Array
 
     @property
-    def mean(self) -> Array:
-        """Mean wave; what linearisation takes for zero."""
-        return np.asarray(self.waves.mean(axis=0))
+    def spread(self) -> Array:
+        """Second moment of the waves about zero, ``(D, D)``; to first order that is `model_doubt`."""
+        return np.asarray(np.einsum("q,qi,qj->ij", self.weights, self.waves, self.waves))
 
-    @property
-    def covariance(self) -> Array:
-        """Second moment about zero, to be compared with `model_doubt`."""
-        return np.asarray(self.waves.T @ self.waves / len(self.waves))
+    def along(self, direction: Array) -> tuple[Array, Array]:
+        """Return mean and standard deviation of ``<direction, z>`` for every model, both ``(Q,)``."""
+        variance = np.einsum("i,qij,j->q", direction, self.covariances, direction)
+        return self.waves @ direction, np.sqrt(np.maximum(variance, 0.0))
 
 
-def sampled_waves(
+def models(problem: DetectionProblem, lines: Sequence[Line], R: Array) -> Models:
+    """Return the machines the uncertainty allows: quadrature nodes for one parameter, a low-discrepancy set for more."""
+    deviations, D = uncertain_parameters(problem), R.shape[0] * problem.plant.outputs
+    if not deviations:
+        return Models(np.ones(1), np.zeros((1, D)), np.eye(D)[None])
+    z, weights = _nodes(len(deviations))
+    curves = fault_curves(as_faults(problem), lines)
+    found = [curves.together({n: float(sd * zj) for (n, sd), zj in zip(deviations.items(), row, strict=True)}) for row in z]
+    waves = np.array([(R @ point).ravel() for point, _ in found])
+    return Models(weights, waves, np.array([covariance for _, covariance in found]))
+
+
+def sampled_models(
     problem: DetectionProblem, lines: Sequence[Line], R: Array, draws: int, generator: np.random.Generator
-) -> SampledWaves:
-    """Return the waves of ``draws`` models whose uncertain parameters are drawn together, without linearisation."""
+) -> Models:
+    """Return models whose parameters are drawn at random, to check the others with."""
     deviations, curves = uncertain_parameters(problem), fault_curves(as_faults(problem), lines)
-    waves = []
-    for _ in range(draws):
-        drawn = {name: float(sd * generator.normal()) for name, sd in deviations.items()}
-        waves.append((R @ curves.together(drawn)).ravel())
-    return SampledWaves(np.array(waves))
+    found = [
+        curves.together({name: float(sd * generator.normal()) for name, sd in deviations.items()}) for _ in range(draws)
+    ]
+    waves = np.array([(R @ point).ravel() for point, _ in found])
+    return Models(np.full(draws, 1 / draws), waves, np.array([covariance for _, covariance in found]))
+
+
+def robust_threshold(directions: Array, found: Models, false_alarm: float) -> float:
+    """Return h at which ``max_k <e_k, z>`` exceeds h with probability ``false_alarm`` averaged over the models.
+
+    ``directions (K, D)`` need not be unit vectors: ``<e_k, z>`` has unit variance in the nominal machine plus doubt.
+    Every direction counts with its share in the union of alarms, found at the threshold of the nominal machine.
+    """
+    nominal = maximum.threshold(directions, false_alarm)
+    if len(found.weights) == 1:
+        return nominal
+    share = maximum.shares(directions, nominal)
+    along = [found.along(e) for e in directions]
+
+    def excess(h: float) -> float:
+        rates = [found.weights @ ndtr((mean - h) / np.maximum(sd, 1e-12)) for mean, sd in along]
+        return math.log(float(share @ np.array(rates)) / false_alarm)
+
+    high = nominal
+    while excess(high) > 0:
+        high *= 1.5
+    return float(brentq(excess, 0.0, high, xtol=1e-6)) if excess(0.0) > 0 else 0.0
+
+
+def _nodes(parameters: int) -> tuple[Array, Array]:
+    """Return standard normal nodes ``(Q, J)`` and their weights."""
+    if parameters == 1:
+        z, w = np.polynomial.hermite_e.hermegauss(NODES)
+        return z[:, None], w / w.sum()
+    u = qmc.Sobol(parameters, scramble=False).random(POINTS)
+    shifted = np.modf(u + (1 + np.arange(parameters)) * 0.6180339887498949)[0]
+    return np.asarray(ndtri(np.clip(shifted, 1e-9, 1 - 1e-9))), np.full(POINTS, 1 / POINTS)

@@ -6,7 +6,7 @@ own noise adds for the regression detector comes on top and is not counted on.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,8 @@ from afdsvc.detect.curves import FaultCurves, fault_curves
 from afdsvc.detect.hypotheses import LineData, curve_fit
 from afdsvc.detect.matched import UNSEEN
 from afdsvc.detect.power import tail
-from afdsvc.detect.uncertainty import model_doubt
+from afdsvc.detect.reach import reachable
+from afdsvc.detect.uncertainty import Models, model_doubt, models, robust_threshold
 from afdsvc.lti.statespace import Array
 
 
@@ -30,8 +31,9 @@ class Prospect:
 
     curves: FaultCurves
     R: Array
-    bounds: tuple[float, float]
+    reach: Mapping[str, tuple[float, float]]
     doubt: Array
+    models: Models | None = None
 
     def wave(self, fault: str, severity: float) -> Array:
         """Return the point of a curve, shape ``(2 L, p)``; without doubt its length is the deflection."""
@@ -48,12 +50,22 @@ class Prospect:
 
     def threshold(self, false_alarm: float, severities: int = 8) -> float:
         """Return the threshold of the matched filter over all faults at so many severities."""
-        steps = np.linspace(self.bounds[1], self.bounds[0], severities + 1)[1:]
-        points = np.concatenate([self.R @ self.curves.at(name, steps) for name in self.curves.names])
+        points = np.concatenate([self.R @ self.curves.at(name, self._steps(name, severities)) for name in self.curves.names])
         white = np.stack(self.data(points[0]).whitened(np.eye(points[0].size), *points))
         length = np.linalg.norm(white, axis=1)
-        seen = white[length > UNSEEN * max(length.max(initial=0.0), 1e-12)]
-        return maximum.threshold(seen, false_alarm) if len(seen) else float("inf")
+        seen = length > UNSEEN * max(length.max(initial=0.0), 1e-12)
+        if not seen.any():
+            return float("inf")
+        unit = white[seen] / length[seen, None]
+        if self.models is None:
+            return maximum.threshold(unit, false_alarm)
+        factor = np.linalg.cholesky(np.eye(len(self.doubt)) + self.doubt)
+        return robust_threshold(np.linalg.solve(factor.T, unit.T).T, self.models, false_alarm)
+
+    def _steps(self, name: str, severities: int) -> Array:
+        """Return severities of one fault from small to the largest the loop survives."""
+        low, high = self.reach[name]
+        return np.linspace(high, low, severities + 1)[1:]
 
     def detection(self, fault: str, severity: float, threshold: float) -> float:
         """Return the probability that a matched filter tuned to this wave exceeds the threshold.
@@ -78,7 +90,7 @@ class Prospect:
     def separation(self, fault: str, severity: float, other: str) -> float:
         """Return the distance from one fault to the nearest point of another fault's curve, in standard deviations."""
         z, covariance = self.wave(fault, severity), self.curves.coloured(fault, [severity])[1][0]
-        nearest = curve_fit(self.curves, other, self.data(z), self.bounds)
+        nearest = curve_fit(self.curves, other, self.data(z), self.reach[other])
         return float(np.linalg.norm(self.data(z).whitened(covariance, z - self.wave(other, nearest.severity))[0]))
 
     def separations(self, severity: float) -> Array:
@@ -97,7 +109,8 @@ class Prospect:
 def prospect(problem: DetectionProblem, lines: Sequence[Line], samples: int) -> Prospect:
     """Return the prospect of lines played steadily for ``samples`` samples (whole periods of distinct frequencies)."""
     R = np.sqrt(samples / 2) * np.eye(2 * len(lines))
-    return Prospect(fault_curves(problem, lines), R, problem.severity_range, model_doubt(problem, lines, R))
+    doubt, found = model_doubt(problem, lines, R), models(problem, lines, R) if problem.uncertainty else None
+    return Prospect(fault_curves(problem, lines), R, reachable(problem), doubt, found)
 
 
 def burst_prospect(problem: DetectionProblem, burst: Burst) -> Prospect:

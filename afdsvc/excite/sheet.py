@@ -93,7 +93,7 @@ def _fault_entries(
 
 def smallest_detectable(seen: Prospect, fault: str, threshold: float) -> float | None:
     """Return the severity found with probability 0.99, or None when even total loss is not."""
-    low, high = seen.bounds
+    low, high = seen.reach[fault]
     if seen.detection(fault, low, threshold) < DETECTED:
         return None
     return float(brentq(lambda s: seen.detection(fault, s, threshold) - DETECTED, low, high - 1e-6 * (high - low)))

@@ -60,8 +60,8 @@ def _efficiency_figure(problem: DetectionProblem, burst: Burst) -> str:
 def _curve_figure(problem: DetectionProblem, seen: Prospect) -> str:
     lines, p = len(seen.curves.inputs), problem.plant.outputs
     figure, axes = _axes(p, lines, 2.9)
-    severities = np.linspace(0, seen.bounds[0], 81)
     for k, name in enumerate(seen.curves.names):
+        severities = np.linspace(0, seen.reach[name][0], 81)
         points = seen.R @ seen.curves.at(name, severities)
         for column in range(lines):
             for i in range(p):
@@ -79,9 +79,8 @@ def _curve_figure(problem: DetectionProblem, seen: Prospect) -> str:
 
 def _severity_figure(seen: Prospect, h: float) -> str:
     figure, (ax,) = _axes(1, 1, 3.0)
-    low = seen.bounds[0]
-    severities = -np.geomspace(1e-3, abs(low), 80)
     for k, name in enumerate(seen.curves.names):
+        severities = -np.geomspace(1e-3, abs(seen.reach[name][0]), 80)
         ax.semilogx(-severities, [seen.detection(name, float(s), h) for s in severities], color=_colour(k), label=name)
     ax.set(xlabel="loss (share of the gain)", ylabel="probability of detection", ylim=(0, 1.02))
     ax.legend(fontsize=7, frameon=False)

@@ -48,6 +48,7 @@ def _problem(
         physical.name, plant, directions or physical.faults(faults), designed.interconnection, residual.filter, whitening,
         residual.covariance, tuple(v.name for v in physical.outputs), FalseAlarms(per_burst=per_burst),
         tuple(v.name for v in physical.inputs), limits=Limits(np.minimum(physical.output_limit, 1e6), limit, 10 * limit),
+        output_cov=physical.output_cov,
     )
 
 
