@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import brentq
@@ -77,6 +78,12 @@ class Models:
 
 def models(problem: DetectionProblem, lines: Sequence[Line], R: Array) -> Models:
     """Return the machines the uncertainty allows: quadrature nodes for one parameter, a low-discrepancy set for more."""
+    return _models(problem, tuple(lines), np.ascontiguousarray(R).tobytes())
+
+
+@lru_cache(maxsize=16)  # the same burst asks for the same machines again and again
+def _models(problem: DetectionProblem, lines: tuple[Line, ...], raw: bytes) -> Models:
+    R = np.frombuffer(raw).reshape(2 * len(lines), 2 * len(lines))
     deviations, D = uncertain_parameters(problem), R.shape[0] * problem.plant.outputs
     if not deviations:
         return Models(np.ones(1), np.zeros((1, D)), np.eye(D)[None])
