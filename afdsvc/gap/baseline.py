@@ -1,41 +1,57 @@
-"""Where the search starts: predictor gain, noise, and the nominal model refitted within what its owner allows."""
+"""Where the search starts: predictor gain, noise, and the nominal model refitted within what its owner allows.
+
+Two situations are told apart. *Noise-limited*: the excitation repeats, so the noise is known apart from the model, and the
+residual is of its size. Then the predictor and the whitening are those of the noise, and sums of squares are likelihoods.
+*Model-limited*: the residual towers over the noise, or the noise is not known. Weighting by the noise would then stress
+whatever the model gets wrong at the quietest frequencies, so plain simulation is compared (corrected only slowly where
+the plant would drift away), and the residual itself, with its own correlation time, is the measure.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from afdsvc.errors import BadInput
 from afdsvc.gap import noise
-from afdsvc.gap.fit import moved
 from afdsvc.gap.nominal import Nominal
-from afdsvc.gap.objective import Objective, Point, Tangent, tangent
+from afdsvc.gap.objective import Objective, Point
 from afdsvc.gap.runs import Run
+from afdsvc.gap.settle import raw, settle
 from afdsvc.gap.simulator import Simulator
-from afdsvc.gap.whitening import white
+from afdsvc.gap.whitening import correlation_time, white
 from afdsvc.lti.statespace import Array
 
 WORTH_A_GAIN = 10.0  # gain of log-likelihood that justifies process noise instead of output noise alone
+FAR_ABOVE = 10.0  # power of the residual over the noise's from which on the model limits, not the noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Baseline:
     """The objective on the training runs and the point the next effect is added to.
 
-    ``ratio`` is the process noise the predictor assumes, as a share of the input's power.
+    ``ratio`` is the process noise the predictor assumes, as a share of the input's power; ``limited`` says whether noise
+    limits ("noise") or the model ("model"); ``memory`` how many samples of the residual count as one in the latter case.
     """
 
     objective: Objective
     point: Point
     floor: noise.Floor
     ratio: float
+    limited: str
+    memory: float = 1.0
 
     @property
     def nominal(self) -> Nominal:
         """The nominal model."""
         return self.objective.simulator.nominal
+
+    @property
+    def counts(self) -> float:
+        """How many independent numbers the training residual is worth."""
+        return self.objective.samples / self.memory
 
 
 def start_point(nominal: Nominal, runs: Sequence[Run]) -> Point:
@@ -44,79 +60,143 @@ def start_point(nominal: Nominal, runs: Sequence[Run]) -> Point:
 
 
 def baseline(nominal: Nominal, runs: Sequence[Run], point: Point | None = None) -> Baseline:
-    """Choose the predictor gain, measure the noise and refit the nuisance, twice, so each rests on the other."""
+    """Choose the predictor, measure the noise and refit the nuisance, from the nominal model or from ``point``."""
     point = point or start_point(nominal, runs)
+    calm = _model_limited(nominal, runs, point)
+    if calm.floor.known and _excess(calm) < FAR_ABOVE:
+        return _noise_limited(nominal, runs, calm.point) or calm
+    return calm
+
+
+def _excess(base: Baseline) -> float:
+    """Return the power of the residual over that of the noise, the larger of the outputs'."""
+    power = np.mean([(e**2).mean(0) for e in raw(base.objective, base.point)], axis=0)
+    return float(np.max(power / base.floor.sd**2))
+
+
+def _noise_limited(nominal: Nominal, runs: Sequence[Run], point: Point) -> Baseline | None:
     for _ in range(2):
-        simulator, ratio, point = choose_gain(nominal, runs, point)
+        simulator, ratio, point = likeliest_gain(nominal, runs, point)
         objective = Objective(simulator, tuple(runs), white(np.ones(nominal.plant.outputs)))
         found = noise.floor(runs, raw(objective, point))
+        if not found.known:
+            return None
         objective = replace(objective, whitener=found.whitener)
         point = settle(objective, point)
-        found = noise.floor(runs, raw(objective, point))
+    found = noise.floor(runs, raw(objective, point))
     objective = replace(objective, whitener=found.whitener)
-    return Baseline(objective, settle(objective, point, 2), found, ratio)
+    return Baseline(objective, settle(objective, point, 2), found, ratio, "noise")
 
 
-def raw(objective: Objective, point: Point) -> list[Array]:
-    """Return the residuals before whitening, one ``(n, p)`` per run."""
-    return [objective.residual(i, point.theta, x0, point.effects) for i, x0 in enumerate(point.x0)]
+def _model_limited(nominal: Nominal, runs: Sequence[Run], point: Point) -> Baseline:
+    """Return the baseline for held inputs, or for smooth ones where the inputs may be and that explains more."""
+    held = _calm(nominal, runs, point, ramped=False)
+    if nominal.plant.discrete or nominal.model.controller is not None or any(_driven(r) for r in runs):
+        return held
+    smooth = _calm(nominal, runs, point, ramped=True)
+    return min(held, smooth, key=_power)
 
 
-def settle(objective: Objective, point: Point, iterations: int = 6, states_only: bool = False) -> Point:
-    """Return the point refitted in its nuisance by Gauss-Newton with step halving."""
-    for _ in range(iterations):
-        t = tangent(objective, point, states_only)
-        before = float(t.full @ t.full)
-        point, after = _descend(objective, t, before, states_only)
-        if before - after < 1e-3 * before and before - after < 1.0:
-            break
-    return point
+def _driven(run: Run) -> bool:
+    """Whether the input comes from a controller, which holds it."""
+    return run.W is not None or bool(np.ptp(run.REF, axis=0).max(initial=0.0) > 0) or run.commanded
 
 
-def _descend(objective: Objective, t: Tangent, before: float, states_only: bool) -> tuple[Point, float]:
-    step = t.shift(t.full)
-    for factor in (1.0, 0.5, 0.2, 0.05, 0.01):
-        new = moved_states(t.point, factor * step) if states_only else moved(t.point, factor * step)
-        cost = full_cost(objective, new, states_only)
-        if cost < before:
-            return new, cost
-    return t.point, before
+def _power(base: Baseline) -> float:
+    scale = np.sqrt(noise.positive(np.mean([np.nanvar(r.Y, axis=0) for r in base.objective.runs], axis=0)))
+    return float(sum(((e / scale) ** 2).sum() for e in raw(base.objective, base.point)))
 
 
-def moved_states(point: Point, step: Array) -> Point:
-    """Return a point whose initial states alone have moved."""
-    at, x0 = 0, []
-    for x in point.x0:
-        x0.append(x + step[at : at + len(x)])
-        at += len(x)
-    return replace(point, x0=tuple(x0))
+def _calm(nominal: Nominal, runs: Sequence[Run], point: Point, ramped: bool) -> Baseline:
+    simulator, ratio, point = calm_gain(nominal, runs, point, ramped)
+    objective = Objective(simulator, tuple(runs), white(np.ones(nominal.plant.outputs)))
+    memory = 1.0
+    for _ in range(2):
+        residuals = raw(objective, point)
+        scale = noise.positive(np.mean([(e**2).mean(0) for e in residuals], axis=0))
+        memory = float(np.mean([correlation_time(e / np.sqrt(scale)) for e in residuals]))
+        objective = replace(objective, whitener=white(scale * memory))
+        point = settle(objective, point)
+    return Baseline(objective, point, noise.floor(runs, raw(objective, point)), ratio, "model", memory)
 
 
-def full_cost(objective: Objective, point: Point, states_only: bool = False) -> float:
-    """Return the sum of squares with the prior of theta."""
-    data = objective.vector(point)
-    return float(data @ data) + (0.0 if states_only else float(point.theta @ point.theta))
+def likeliest_gain(nominal: Nominal, runs: Sequence[Run], point: Point) -> tuple[Simulator, float, Point]:
+    """Return the simulator whose predictor leaves the least of what does not repeat, its ratio, and fitted initial states.
 
-
-def choose_gain(nominal: Nominal, runs: Sequence[Run], point: Point) -> tuple[Simulator, float, Point]:
-    """Return the simulator with the predictor gain whose residual is likeliest, its ratio, and the fitted initial states."""
+    Every second ratio is tried, then the neighbours of the best.
+    """
     sizes, drive = _sizes(runs)
-    plant = nominal.at(point.theta)
-    found: list[tuple[float, float, Simulator, Point]] = []
+    tried: dict[float, tuple[float, Simulator, Point]] = {}
+
+    def attempt(ratio: float) -> None:
+        simulator = _predictor(nominal, point, ratio, sizes, drive)
+        if simulator is not None and ratio not in tried:
+            objective = Objective(simulator, tuple(runs), white(sizes**2))
+            start = settle(objective, point, 1, states_only=True)
+            tried[ratio] = _misfit(runs, raw(objective, start)), simulator, start
+
+    for ratio in noise.RATIOS[::2]:
+        attempt(ratio)
+    _demand(nominal, tried)
+    centre = noise.RATIOS.index(min(tried, key=lambda r: tried[r][0]))
+    for k in (centre - 1, centre + 1):
+        if 0 <= k < len(noise.RATIOS):
+            attempt(noise.RATIOS[k])
+    best = min(tried, key=lambda r: tried[r][0])
+    if 0.0 in tried and not tried[0.0][1].gain.any() and tried[0.0][0] < tried[best][0] + WORTH_A_GAIN:
+        best = 0.0
+    return tried[best][1], best, tried[best][2]
+
+
+def calm_gain(nominal: Nominal, runs: Sequence[Run], point: Point, ramped: bool = False) -> tuple[Simulator, float, Point]:
+    """Return the weakest predictor that forgets within a twentieth of a run, but not faster than the excitation's lower edge."""
+    longest = max(len(r) for r in runs) * nominal.dt
+    wanted = max(20 / longest, 0.5 * lower_edge(runs))
+    sizes, drive = _sizes(runs)
+    found: dict[float, Simulator] = {}
     for ratio in noise.RATIOS:
-        gain = noise.predictor_gain(plant, nominal, ratio, sizes, drive)
-        if gain is None:
-            continue
-        simulator = Simulator(nominal, gain)
-        objective = Objective(simulator, tuple(runs), white(sizes**2))
-        start = settle(objective, point, 1, states_only=True)
-        found.append((_misfit(runs, raw(objective, start)), ratio, simulator, start))
+        simulator = _predictor(nominal, point, ratio, sizes, drive, ramped)
+        if simulator is not None:
+            found[ratio] = simulator
+            if _slowest(simulator) >= (wanted if simulator.gain.any() else 3 / longest):
+                break
+    _demand(nominal, found)
+    ratio, simulator = list(found.items())[-1]
+    objective = Objective(simulator, tuple(runs), white(sizes**2))
+    return simulator, ratio, settle(objective, point, 1, states_only=True)
+
+
+def _predictor(
+    nominal: Nominal, point: Point, ratio: float, sizes: Array, drive: Array, ramped: bool = False
+) -> Simulator | None:
+    gain = noise.predictor_gain(nominal.at(point.theta), nominal, ratio, sizes, drive)
+    return None if gain is None else Simulator(nominal, gain, ramped)
+
+
+def _demand(nominal: Nominal, found: Mapping[float, object]) -> None:
     if not found:
-        raise BadInput(f"model '{nominal.model.name}': no predictor is stable; a model whose unstable modes are seen at the outputs is wanted")
-    best = min(found, key=lambda f: f[0])
-    first = found[0]
-    chosen = first if first[1] == 0.0 and first[0] < best[0] + WORTH_A_GAIN else best
-    return chosen[2], chosen[1], chosen[3]
+        raise BadInput(
+            f"model '{nominal.model.name}': no predictor is stable; a model whose unstable modes are seen at the outputs is wanted"
+        )
+
+
+def _slowest(simulator: Simulator) -> float:
+    """Return the rate [rad/s] of the predictor's slowest mode."""
+    nominal = simulator.nominal
+    s = nominal.steps(np.zeros(len(nominal.entries)))
+    a = np.linalg.matrix_power(s.phi, s.nsub) - simulator.gain @ nominal.plant.C
+    size = np.abs(np.linalg.eigvals(a)).max(initial=0.0)
+    return float(-np.log(max(size, 1e-300)) / nominal.dt)
+
+
+def lower_edge(runs: Sequence[Run]) -> float:
+    """Return the angular frequency [rad/s] below which 2 % of the input's power about its mean lies."""
+    edges = []
+    for r in runs:
+        power = (np.abs(np.fft.rfft(r.U - r.U.mean(0), axis=0)) ** 2).sum(1)
+        share = np.cumsum(power) / max(float(power.sum()), 1e-300)
+        edges.append(2 * np.pi * int(np.searchsorted(share, 0.02)) / (len(r) * r.dt))
+    return float(min(edges))
 
 
 def _sizes(runs: Sequence[Run]) -> tuple[Array, Array]:
@@ -124,7 +204,8 @@ def _sizes(runs: Sequence[Run]) -> tuple[Array, Array]:
     rough = np.sqrt(np.mean([_roughness(r.Y) for r in runs], axis=0))
     whole = np.sqrt(np.mean([np.nanvar(r.Y, axis=0) for r in runs], axis=0))
     drive = np.sqrt(np.mean([(r.U**2).mean(0) for r in runs], axis=0))
-    return np.maximum(rough, 1e-7 * np.maximum(whole, 1e-12 * max(whole.max(), 1e-300))), np.maximum(drive, 1e-12 * max(drive.max(), 1e-300))
+    least = 1e-7 * np.maximum(whole, 1e-12 * max(float(whole.max()), 1e-300))
+    return np.maximum(rough, least), np.maximum(drive, 1e-12 * max(float(drive.max()), 1e-300))
 
 
 def _roughness(Y: Array) -> Array:
@@ -134,7 +215,7 @@ def _roughness(Y: Array) -> Array:
 
 
 def _misfit(runs: Sequence[Run], residuals: Sequence[Array]) -> float:
-    """Half the samples times the log determinant of the residual's covariance: of what does not repeat, where it can be told."""
+    """Half the samples times the log determinant of the covariance of what does not repeat."""
     pieces = noise.wandering(runs, residuals) or [np.nan_to_num(e) for e in residuals]
     everything = np.vstack(pieces)
     if not np.isfinite(everything).all() or np.abs(everything).max() > 1e100:

@@ -71,9 +71,22 @@ def _middle(phih, x, gamh, ue, rows, base, s):  # type: ignore[no-untyped-def]
         s[base + i] = a
 
 
+@njit(cache=True, nogil=True, fastmath=True)
+def _between(U, k, w, out):  # type: ignore[no-untyped-def]
+    """Write the cubic through four samples around ``k``, at ``w`` of the way from sample k to k + 1."""
+    N = U.shape[0]
+    a, b, c = max(k - 1, 0), min(k + 1, N - 1), min(k + 2, N - 1)
+    l0 = -w * (w - 1) * (w - 2) / 6
+    l1 = (w + 1) * (w - 1) * (w - 2) / 2
+    l2 = -(w + 1) * w * (w - 2) / 2
+    l3 = (w + 1) * w * (w - 1) / 6
+    for j in range(out.size):
+        out[j] = l0 * U[a, j] + l1 * U[k, j] + l2 * U[b, j] + l3 * U[c, j]
+
+
 @njit(
     types.void(
-        types.boolean, _I, types.float64, types.float64, _M, _M, _M, _M, _M, _M, _M, _M, _IV, _IV,
+        types.boolean, types.boolean, _I, types.float64, types.float64, _M, _M, _M, _M, _M, _M, _M, _M, _IV, _IV,
         _M, _M, _M, _M, _M, _M, _M, _M, _V,
         FunctionType(LAW), FunctionType(LAW), FunctionType(LAW), FunctionType(LAW), FunctionType(LAW), FunctionType(LAW),
         _IM, _M, _V,
@@ -81,8 +94,8 @@ def _middle(phih, x, gamh, ue, rows, base, s):  # type: ignore[no-untyped-def]
     ),
     cache=True, nogil=True,
 )
-def simulate_linear(  # type: ignore[no-untyped-def]
-    closed, nsub, dt, t0, phi, gam, gx, phih, gamh, C, D, Kp, forced, middle,
+def simulate_linear(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compiled loop over samples
+    closed, ramped, nsub, dt, t0, phi, gam, gx, phih, gamh, C, D, Kp, forced, middle,
     KA, KB, KC, KD, U, Y, R, AUX, x0,
     law0, law1, law2, law3, law4, law5, plan, par, mem,
     yhat, uhat, xhat,
@@ -90,7 +103,8 @@ def simulate_linear(  # type: ignore[no-untyped-def]
     """Fill ``yhat (n, p)``, ``uhat (n, m)`` (the input before effects) and ``xhat (n, states)``.
 
     Open: ``U (n, m)`` is the measured input. Closed: ``u = K (yhat - R) + U`` with ``U`` what was added to the controller's
-    output. Samples where Y is not finite correct nothing.
+    output. Samples where Y is not finite correct nothing. ``ramped`` (open only) takes the input to run smoothly from sample
+    to sample instead of being held; input laws then see no states.
     """
     laws = (law0, law1, law2, law3, law4, law5)
     N, p = Y.shape
@@ -99,6 +113,7 @@ def simulate_linear(  # type: ignore[no-untyped-def]
     x, new, f = x0.copy(), np.zeros(n), np.zeros(n)
     xk, knew, e = np.zeros(nk), np.zeros(nk), np.zeros(p)
     u, ue, held, y = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(p)
+    mean = np.zeros(m)
     s, work = np.zeros(m + n + p + na + 1), np.zeros(2 * MOST_SIGNALS)
     it = m + n + p + na
     phit, gamt, gxt, ct, dtr, kt = phi.T.copy(), gam.T.copy(), gx.T.copy(), C.T.copy(), D.T.copy(), Kp.T.copy()
@@ -109,13 +124,25 @@ def simulate_linear(  # type: ignore[no-untyped-def]
     for i in range(plan.shape[0]):
         shaped = shaped or plan[i, 0] == INPUT
         observed = observed or plan[i, 0] == OUTPUT
+    smooth = U.copy() if ramped else U
+    if ramped and shaped:
+        for k in range(N):
+            s[it] = t0 + k * dt
+            for j in range(na):
+                s[m + n + p + j] = AUX[k, j]
+            for j in range(m):
+                s[j] = smooth[k, j]
+            _apply(INPUT, laws, plan, par, mem, s, work, dt, smooth[k], 0)
     for k in range(N):
         s[it] = t0 + k * dt
         for j in range(na):
             s[m + n + p + j] = AUX[k, j]
         for j in range(n):
             s[m + j] = x[j]
-        if direct:  # the input reaches the output at once, so it comes first; the loop cannot be closed then
+        if ramped:
+            for j in range(m):
+                ue[j] = smooth[k, j]
+        elif direct:  # the input reaches the output at once, so it comes first; the loop cannot be closed then
             for j in range(m):
                 u[j] = U[k, j]
                 ue[j] = u[j]
@@ -135,7 +162,7 @@ def simulate_linear(  # type: ignore[no-untyped-def]
             _affine(KCt, xk, KDt, e, u)
             _affine(KAt, xk, KBt, e, knew)
             xk[:] = knew
-        if not direct:
+        if not direct and not ramped:
             for j in range(m):
                 u[j] = U[k, j] + (u[j] if closed else 0.0)
                 ue[j] = u[j]
@@ -145,15 +172,22 @@ def simulate_linear(  # type: ignore[no-untyped-def]
         for j in range(p):
             yhat[k, j] = y[j]
         for j in range(m):
-            uhat[k, j] = u[j]
+            uhat[k, j] = U[k, j] if not closed else u[j]
             held[j] = ue[j]
             s[j] = ue[j]
         for i in range(n):
             xhat[k, i] = x[i]
-        for _ in range(nsub):
-            _affine(phit, x, gamt, ue, new)
+        for sub in range(nsub):
+            if ramped:
+                _between(smooth, k, (sub + 0.5) / nsub, mean)
+                for j in range(m):
+                    s[j] = mean[j]
+            else:
+                for j in range(m):
+                    mean[j] = ue[j]
+            _affine(phit, x, gamt, mean, new)
             if forced.size:
-                _middle(phih, x, gamh, ue, middle, m, s)
+                _middle(phih, x, gamh, mean, middle, m, s)
                 for j in forced:
                     f[j] = 0.0
                 _apply(FORCE, laws, plan, par, mem, s, work, h, f, -1)

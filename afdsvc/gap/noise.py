@@ -78,11 +78,11 @@ def floor(runs: Sequence[Run], residuals: Sequence[Array]) -> Floor:
     elif known:
         whitener = fit(_toneless(pieces))
     else:
-        whitener = white(_positive((everything**2).mean(0)))
-    return Floor(whitener, known, np.sqrt(_positive(everything.var(0))), p_white, len(everything))
+        whitener = white(positive((everything**2).mean(0)))
+    return Floor(whitener, known, np.sqrt(positive(everything.var(0))), p_white, len(everything))
 
 
-def _positive(variance: Array) -> Array:
+def positive(variance: Array) -> Array:
     return np.maximum(variance, 1e-24 * max(float(variance.max(initial=0.0)), 1e-200))
 
 

@@ -7,7 +7,8 @@ standard deviation. They are counted in units of that deviation, so their prior 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.linalg as sla
@@ -59,11 +60,16 @@ class Nominal:
         parts = {"A": self.plant.A.copy(), "B": self.plant.B.copy(), "C": self.plant.C.copy(), "D": self.plant.D.copy()}
         for value, entry in zip(theta, self.entries, strict=True):
             parts[entry.matrix][entry.row, entry.column] += value * entry.sd
-        return replace(self.plant, **parts)
+        return StateSpace(parts["A"], parts["B"], parts["C"], parts["D"], self.plant.dt)
 
-    def steps(self, theta: Array) -> Steps:
-        """Return the matrices the simulation needs."""
-        return steps(self.at(theta), self.dt)
+    def steps(self, theta: Array, least: int = 1) -> Steps:
+        """Return the matrices the simulation needs, in at least that many sub-steps."""
+        return _cached_steps(self, theta.tobytes(), least)
+
+
+@lru_cache(maxsize=64)
+def _cached_steps(nominal: Nominal, theta: bytes, least: int) -> Steps:
+    return steps(nominal.at(np.frombuffer(theta)), nominal.dt, least)
 
 
 def nominal(model: Model, dt: float) -> Nominal:
@@ -121,12 +127,12 @@ def _default_sd(matrix: Array) -> Array:
     return np.where(fixed, 0.0, DEFAULT_RELATIVE_SD * np.abs(matrix))
 
 
-def steps(plant: StateSpace, dt: float) -> Steps:
+def steps(plant: StateSpace, dt: float, least: int = 1) -> Steps:
     """Return the sub-step matrices of a plant sampled every ``dt`` seconds."""
     if plant.discrete:
         return _discrete_steps(plant)
     fastest = float(np.abs(plant.poles()).max(initial=0.0))
-    nsub = int(np.clip(np.ceil(fastest * dt / STEP_ANGLE), 1, 20))
+    nsub = int(np.clip(np.ceil(fastest * dt / STEP_ANGLE), least, 20))
     return _continuous_steps(plant, dt, nsub)
 
 

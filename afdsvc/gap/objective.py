@@ -89,10 +89,16 @@ class Tangent:
         v[: data.size] = data
         return np.asarray(v - self.q @ (self.q[: data.size].T @ data))
 
-    def shift(self, residual: Array) -> Array:
-        """Return the nuisance step that answers a full residual (data rows with prior rows) best, in natural units."""
-        step = sla.solve_triangular(self.r, self.q.T @ residual)
-        return np.asarray(-step * self.scales)
+    def shift(self, residual: Array, damping: float = 0.0) -> Array:
+        """Return the nuisance step that answers a full residual (data rows with prior rows) best, in natural units.
+
+        ``damping`` shortens it towards steepest descent (Levenberg-Marquardt).
+        """
+        seen = self.q.T @ residual
+        if not damping:
+            return np.asarray(-sla.solve_triangular(self.r, seen) * self.scales)
+        H = self.r.T @ self.r
+        return np.asarray(-np.linalg.solve(H + damping * np.diag(np.diag(H)), self.r.T @ seen) * self.scales)
 
     def with_data(self, data: Array) -> Array:
         """Return the full residual vector that has these data rows and the prior rows of the point."""

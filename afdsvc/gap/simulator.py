@@ -39,10 +39,14 @@ class Simulated:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulator:
-    """A nominal model and the predictor gain ``Kp (n, p)`` its states are corrected with (zero: pure simulation)."""
+    """A nominal model and the predictor gain ``Kp (n, p)`` its states are corrected with (zero: pure simulation).
+
+    ``ramped`` takes measured inputs to run smoothly between samples, as those of an analogue source do, instead of held.
+    """
 
     nominal: Nominal
     gain: Array
+    ramped: bool = False
 
     def run(
         self, run: Run, theta: Array, x0: Array, effects: Sequence[Effect] = (), closed: bool = False, free: bool = False
@@ -52,15 +56,15 @@ class Simulator:
         ``closed`` feeds the simulated output back through the model's controller; ``free`` leaves out the correction of
         the states, for a simulation from the measured input alone.
         """
-        s = self.nominal.steps(theta)
+        s = self.nominal.steps(theta, 4 if self.ramped else 1)
         plant = self.nominal.at(theta)
         n, p, m = len(run), plant.outputs, plant.inputs
         K, U = self._loop(run, closed)
         table = _table(effects, m, plant.order, p, run.AUX.shape[1])
         y, u, x = np.empty((n, p)), np.empty((n, m)), np.empty((n, plant.order))
         gain = np.zeros_like(self.gain) if free or closed else self.gain
-        kernel.simulate_linear(
-            closed, s.nsub, run.dt, run.t0, s.phi, s.gam, s.gx, s.phih, s.gamh, _c(plant.C), _c(plant.D), _c(gain),
+        kernel.simulate_linear(  # type: ignore[call-arg]
+            closed, self.ramped and not closed, s.nsub, run.dt, run.t0, s.phi, s.gam, s.gx, s.phih, s.gamh, _c(plant.C), _c(plant.D), _c(gain),
             table.forced, table.middle, *K, U, run.Y, run.REF, run.AUX, np.array(x0, dtype=np.float64), *table.arguments(), y, u, x,
         )
         return Simulated(y, u, x)

@@ -8,9 +8,10 @@ import numpy as np
 
 from afdsvc.api.model import Variable
 from afdsvc.api.physics import Axis, Machine, Size
-from afdsvc.gap.baseline import Baseline, raw
+from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.nominal import continuous
 from afdsvc.gap.runs import Run
+from afdsvc.gap.settle import raw
 from afdsvc.lti.statespace import Array, StateSpace
 
 
@@ -29,7 +30,7 @@ def machine(base: Baseline, tones: Sequence[float] = (), peaks: Sequence[float] 
     return Machine(
         inputs, _sizes(model.outputs, np.vstack([r.Y for r in runs])), states,
         tuple(_axes(model.states, states, inputs, smooth, x)),
-        {name: size for name, size in zip(runs[0].aux, _sizes([Variable(a) for a in runs[0].aux], aux), strict=True)},
+        dict(zip(runs[0].aux, _sizes([Variable(a) for a in runs[0].aux], aux), strict=True)),
         runs[0].dt, sum(len(r) for r in runs) * runs[0].dt, bandwidth(runs), smooth, np.sqrt((e**2).mean(0)), tuple(tones), tuple(peaks),
     )
 
@@ -73,11 +74,11 @@ def _axes(
 
 def bandwidth(runs: Sequence[Run]) -> float:
     """Return the angular frequency [rad/s] below which 99 % of the input's power lies."""
-    power = None
+    power: Array = np.zeros(16385)
     for r in runs:
         n = min(len(r), 16384)
         spectrum = (np.abs(np.fft.rfft((r.U - r.U.mean(0))[:n] * np.hanning(n)[:, None], 32768, axis=0)) ** 2).sum(1)
-        power = spectrum if power is None else power + spectrum
+        power = power + spectrum
     share = np.cumsum(power) / max(float(np.sum(power)), 1e-300)
     k = int(np.searchsorted(share, 0.99)) + 1
     return float(min(k, 16384) * 2 * np.pi / (32768 * runs[0].dt))

@@ -27,7 +27,7 @@ class Whitener:
     @property
     def order(self) -> int:
         """How many past samples are used."""
-        return self.a.shape[0]
+        return len(self.a)
 
     @property
     def covariance(self) -> Array:
@@ -39,7 +39,7 @@ class Whitener:
         w = e.copy()
         for i in range(self.order):
             w[i + 1 :] -= e[: -i - 1] @ self.a[i].T
-        return np.asarray(np.linalg.solve(self.chol, w.T).T)
+        return np.asarray(w @ np.linalg.inv(self.chol).T)
 
     def scaled(self, variance: float) -> Whitener:
         """Return the same filter for noise of ``variance`` times the power."""
@@ -49,7 +49,7 @@ class Whitener:
 def white(variance: Array) -> Whitener:
     """Return the whitener of white noise with this variance per channel, shape ``(p,)``, or covariance ``(p, p)``."""
     cov = np.diag(variance) if variance.ndim == 1 else variance
-    return Whitener(np.zeros((0, *cov.shape)), np.linalg.cholesky(cov))
+    return Whitener(np.zeros((0, *cov.shape)), np.asarray(np.linalg.cholesky(cov), dtype=np.float64))
 
 
 def fit(pieces: Sequence[Array], order: int = ORDER) -> Whitener:
@@ -107,7 +107,7 @@ def correlation_time(w: Array) -> float:
         rho = np.fft.irfft(spectrum)[:n]
         rho = rho / max(rho[0], 1e-300)
         total += 1 + 2 * float((_initial_positive(rho[1 : n // 4]) ** 2).sum())
-    return total / p
+    return float(total / p)
 
 
 def _initial_positive(rho: Array) -> Array:

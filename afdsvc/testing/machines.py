@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,7 @@ def unstable_problem(per_burst: float = 1e-3, faults: Sequence[str] | None = Non
 
 
 def _problem(
-    physical: PhysicalPlant, kind: str, per_burst: float, faults: Sequence[str] | None = None, weights: dict | None = None
+    physical: PhysicalPlant, kind: str, per_burst: float, faults: Sequence[str] | None = None, weights: dict[str, Any] | None = None
 ) -> DetectionProblem:
     plant = physical.discrete()
     settings = physical.recommended.get(kind, weights or {})

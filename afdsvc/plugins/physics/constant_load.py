@@ -22,7 +22,7 @@ class ConstantLoad:
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per axis, or per input when no axis is known."""
-        words = {
+        words: dict[str, Any] = {
             "predicts": "a shift of the mean that is the same at every level",
             "refuted_by": "a mean that follows the level or the direction of motion",
         }

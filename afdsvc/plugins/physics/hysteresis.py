@@ -39,7 +39,7 @@ class Hysteresis:
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per input and per axis, with loops narrow and wide against the motion."""
-        words = {
+        words: dict[str, Any] = {
             "physics": self.name, "family": "memory", "memory": 3,
             "predicts": "odd distortion with a lag that does not depend on frequency, and a loop that depends on the level",
             "refuted_by": "a lag that grows with frequency, or a residual that does not depend on the level",

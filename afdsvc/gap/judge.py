@@ -1,0 +1,133 @@
+"""Judging one round: is anything added at all, by which hypothesis, and which others the data cannot tell from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from afdsvc.gap.baseline import Baseline
+from afdsvc.gap.search import Candidate
+from afdsvc.lti.statespace import Array
+
+SURE = 1e-5  # false-acceptance probability of one hypothesis on the training runs
+CLOSE = 10.0  # score units within which a rival is a look-alike
+APART = 3.0  # standard errors by which blocks must differ to tell two hypotheses apart
+FAR_OFF = 5.0  # prior standard deviations a nuisance parameter may move without being suspect
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rival:
+    """A candidate beside the best: how much it falls behind (``score``), in how many standard errors (``z``), its weight."""
+
+    candidate: Candidate
+    score: float
+    z: float
+    weight: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ruling:
+    """The outcome of one round: accepted or not and why, the rivals in order (the first is the choice), the others.
+
+    ``gain`` is the log-likelihood ratio (twice) on the training runs, ``share`` the part of the selection runs' residual
+    power above the noise floor that the choice takes away.
+    """
+
+    accepted: bool
+    reason: str
+    rivals: tuple[Rival, ...]
+    beaten: tuple[Rival, ...]
+    nothing: Candidate
+    gain: float
+    share: float
+
+
+def judge(base: Baseline, candidates: Sequence[Candidate], tried: int, samples: tuple[int, int]) -> Ruling:
+    """Rule on the candidates of a round; ``tried`` hypotheses were looked at, ``samples`` are those of train and select."""
+    nothing = next(c for c in candidates if c.hypothesis is None)
+    named = [c for c in candidates if c.hypothesis is not None and np.isfinite(c.train)]
+    if not named:
+        return Ruling(False, "no hypothesis applies to this machine", (), (), nothing, 0.0, 0.0)
+    scored = sorted(((score(base, nothing, c, samples), c) for c in named), key=lambda s: -s[0])
+    best_score, best = scored[0]
+    rivals, beaten = _rivals(base, scored, samples)
+    rivals = _simplest_first(rivals)
+    choice = rivals[0].candidate
+    gain, gain_select = gains(base, nothing, choice, samples)
+    reason = _objection(base, nothing, choice, gain, gain_select, tried, samples)
+    return Ruling(not reason, reason, tuple(rivals), tuple(beaten), nothing, gain, share(base, nothing, choice, samples))
+
+
+def gains(base: Baseline, nothing: Candidate, c: Candidate, samples: tuple[int, int]) -> tuple[float, float]:
+    """Return twice the log-likelihood ratio on train and select against adding nothing."""
+    if base.limited == "noise":
+        return nothing.train - c.train, nothing.select - c.select
+    worth = [n / base.memory for n in samples]
+    return (
+        worth[0] * float(np.log(nothing.train / max(c.train, 1e-300))),
+        worth[1] * float(np.log(max(nothing.select, 1e-300) / max(c.select, 1e-300))) if samples[1] else 0.0,
+    )
+
+
+def score(base: Baseline, nothing: Candidate, c: Candidate, samples: tuple[int, int]) -> float:
+    """Return the gain on train and select less the price of the parameters."""
+    train, select = gains(base, nothing, c, samples)
+    return train + select - c.parameters * float(np.log(max(sum(samples) / base.memory, 2.0)))
+
+
+def _rivals(
+    base: Baseline, scored: Sequence[tuple[float, Candidate]], samples: tuple[int, int]
+) -> tuple[list[Rival], list[Rival]]:
+    """Split into those within reach of the best (with weights) and those beaten."""
+    top, best = scored[0]
+    rivals: list[Rival] = []
+    beaten: list[Rival] = []
+    for value, c in scored:
+        z = separation(c.blocks, best.blocks)
+        behind = top - value
+        evidence = min(behind, max(z, 0.0) ** 2) if c is not best else 0.0
+        rival = Rival(c, behind, z, float(np.exp(-evidence / 2)))
+        (rivals if c is best or behind < CLOSE or z < APART else beaten).append(rival)
+    total = sum(r.weight for r in rivals)
+    return [Rival(r.candidate, r.score, r.z, r.weight / total) for r in rivals], beaten
+
+
+def separation(worse: Array, better: Array) -> float:
+    """Return by how many standard errors the blocks of one candidate cost more than the other's."""
+    d = worse - better
+    spread = float(d.std(ddof=1)) * np.sqrt(len(d))
+    return float(d.sum()) / spread if spread > 0 else 0.0
+
+
+def _simplest_first(rivals: list[Rival]) -> list[Rival]:
+    """Put the one with the fewest parameters first among those that are as good as the best."""
+    equal = [r for r in rivals if r.score < 2.0]
+    first = min(equal, key=lambda r: (r.candidate.parameters, r.score))
+    rest = sorted((r for r in rivals if r is not first), key=lambda r: -r.weight)
+    return [first, *rest]
+
+
+def _objection(
+    base: Baseline, nothing: Candidate, c: Candidate, gain: float, gain_select: float, tried: int, samples: tuple[int, int]
+) -> str:
+    """Return why the choice is not accepted, or ""."""
+    k = max(c.parameters, 1)
+    wanted = max(float(stats.chi2.isf(SURE / tried, k)), k * float(np.log(max(samples[0] / base.memory, 2.0))))
+    if gain < wanted:
+        return f"the best hypothesis ({c.key}) gains {gain:.1f} where chance and {tried} trials ask for {wanted:.1f}"
+    if samples[1] and gain_select <= 2.0:
+        return f"the best hypothesis ({c.key}) does not improve the recording kept for selection"
+    off = float(np.abs(c.point.theta).max(initial=0.0))
+    if off > max(FAR_OFF, float(np.abs(nothing.point.theta).max(initial=0.0)) + 1.0):
+        return f"the best hypothesis ({c.key}) needs a model parameter {off:.1f} standard deviations off"
+    return ""
+
+
+def share(base: Baseline, nothing: Candidate, c: Candidate, samples: tuple[int, int]) -> float:
+    """Return the part of the gap (cost above the noise floor) that the candidate closes, on the selection runs if any."""
+    before, after, n = (nothing.select, c.select, samples[1]) if samples[1] else (nothing.train, c.train, samples[0])
+    floor = float(n) if base.limited == "noise" else 0.0
+    return (before - after) / max(before - floor, 1e-9 * before, 1e-300)

@@ -1,0 +1,105 @@
+"""Spectral lines of the residual: tones that do not come from the excitation, and peaks where it stands out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from afdsvc.gap.noise import fold, running_median
+from afdsvc.gap.runs import Run
+from afdsvc.lti.statespace import Array
+
+TALL = 7.0  # how far a tone towers over the median of its neighbourhood (amplitude)
+NEIGHBOURHOOD = 61
+
+
+@dataclass(frozen=True, slots=True)
+class Tone:
+    """A line in the residual: angular frequency [rad/s], amplitude per output's unit, output, height over its neighbourhood."""
+
+    omega: float
+    amplitude: float
+    output: int
+    height: float
+
+
+def tones(runs: Sequence[Run], residuals: Sequence[Array], most: int = 4) -> list[Tone]:
+    """Return lines of the part of the residual that does not repeat with the excitation, tallest first.
+
+    Without a repeating excitation, lines where the input has power are left out: they may be the machine's own.
+    """
+    found: list[Tone] = []
+    for run, e in zip(runs, residuals, strict=True):
+        for tone in _lines(run, _unsynchronised(run, np.nan_to_num(e))):
+            resolution = 4 * np.pi / (len(e) * run.dt)
+            same = [t for t in found if abs(t.omega - tone.omega) < resolution]
+            if not same:
+                found.append(tone)
+            elif tone.height > same[0].height:
+                found[found.index(same[0])] = tone
+    return sorted(found, key=lambda t: -t.height)[:most]
+
+
+def _unsynchronised(run: Run, e: Array) -> Array:
+    folded = fold(run, e)
+    if folded is None or folded.shape[0] < 3:
+        return e
+    return np.asarray((folded - folded.mean(0)).reshape(-1, e.shape[1]))
+
+
+def _lines(run: Run, e: Array) -> list[Tone]:
+    n = len(e)
+    if n < 256:
+        return []
+    window = np.hanning(n)[:, None]
+    size = np.abs(np.fft.rfft((e - e.mean(0)) * window, axis=0)) * 4 / n
+    around = np.maximum(running_median(size, NEIGHBOURHOOD), 1e-300)
+    quiet = _quiet(run, n, window)
+    found = []
+    for j in range(e.shape[1]):
+        height = size[:, j] / around[:, j]
+        for k in range(4, len(height) - 2):
+            if height[k] > TALL and height[k] == height[k - 2 : k + 3].max() and quiet[k]:
+                found.append(Tone(_centre(size[:, j], k) * 2 * np.pi / (n * run.dt), float(size[k, j]) / 2, j, float(height[k])))
+    return found
+
+
+def _quiet(run: Run, n: int, window: Array) -> NDArray[np.bool_]:
+    """Return the bins that are no line of a repeating excitation, or where a non-repeating one has no power."""
+    bins = np.arange(n // 2 + 1)
+    if run.period:
+        orders = bins * run.period / n
+        return np.abs(orders - np.round(orders)) > 1.6 * run.period / n
+    drive = np.abs(np.fft.rfft(run.U[-n:] * window, axis=0)).max(1)
+    return np.asarray(drive < 0.02 * drive.max())
+
+
+def _centre(size: Array, k: int) -> float:
+    """Return the bin of a Hann-windowed line, interpolated from its neighbours."""
+    a, b, c = size[k - 1], size[k], size[k + 1]
+    side = 1 if c > a else -1
+    ratio = (c if side > 0 else a) / b
+    return float(k + side * (2 * ratio - 1) / (ratio + 1))
+
+
+def peaks(runs: Sequence[Run], residuals: Sequence[Array], most: int = 4) -> list[float]:
+    """Return angular frequencies [rad/s] at which the smoothed spectrum of the residual stands out, highest first."""
+    n = min(min(len(e) for e in residuals), 8192)
+    power: Array = np.zeros(n // 2 + 1)
+    for e in residuals:
+        x = np.nan_to_num(e)
+        scale = np.maximum(x.std(0), 1e-300)
+        for start in range(0, len(x) - n + 1, n):
+            power += (np.abs(np.fft.rfft((x[start : start + n] / scale) * np.hanning(n)[:, None], axis=0)) ** 2).sum(1)
+    smooth = np.convolve(power, np.ones(5) / 5, "same")
+    inner = np.arange(3, len(smooth) - 1)
+    tops = inner[(smooth[inner] >= smooth[inner - 1]) & (smooth[inner] > smooth[inner + 1])]
+    best = sorted(tops, key=lambda k: -smooth[k] * np.sqrt(k))[: 4 * most]
+    chosen: list[int] = []
+    for k in best:
+        if all(abs(k - c) > 0.1 * c for c in chosen):
+            chosen.append(int(k))
+    return [float(2 * np.pi * k / (n * runs[0].dt)) for k in chosen[:most]]

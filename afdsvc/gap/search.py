@@ -1,0 +1,125 @@
+"""One round of the search: every hypothesis screened, the promising fitted, the best refined with the nuisance and scored."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from afdsvc.api.physics import Hypothesis
+from afdsvc.gap.baseline import Baseline
+from afdsvc.gap.fit import Trial, apply_shift, fit, screen
+from afdsvc.gap.objective import Point, Tangent, tangent
+from afdsvc.gap.runs import Run
+from afdsvc.gap.settle import full_cost, settle
+from afdsvc.gap.simulator import Effect
+from afdsvc.lti.statespace import Array
+
+Mapper = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
+FITTED, REFINED, SETTLED = 18, 8, 4  # how many hypotheses survive each stage
+BLOCKS = 60
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A refined hypothesis (None: nothing added): where the search would stand with it, and what it costs.
+
+    ``train`` is the full cost on the training runs (prior included), ``select`` the cost on runs never fitted, ``blocks``
+    the costs of consecutive pieces of both, ``parameters`` how many numbers were fitted for it.
+    """
+
+    hypothesis: Hypothesis | None
+    point: Point
+    train: float
+    select: float
+    blocks: Array
+    parameters: int
+
+    @property
+    def effect(self) -> Effect:
+        """The effect this candidate adds."""
+        return self.point.effects[-1]
+
+    @property
+    def key(self) -> str:
+        """Name and site of the hypothesis; "nothing" when there is none."""
+        return self.hypothesis.key if self.hypothesis else "nothing"
+
+
+def evaluate(base: Baseline, select: Sequence[Run], hypothesis: Hypothesis | None, point: Point) -> Candidate:
+    """Return the candidate with its costs; the initial states of the selection runs are fitted, nothing else there."""
+    train = full_cost(base.objective, point)
+    chosen = replace(base.objective, runs=tuple(select))
+    start = Point(point.theta, tuple(np.zeros(base.nominal.plant.order) for _ in select), point.effects)
+    there = settle(chosen, start, 2, states_only=True) if select else start
+    pieces = [*base.objective.whitened(point), *(chosen.whitened(there) if select else [])]
+    chosen_cost = float(sum((w**2).sum() for w in pieces[len(base.objective.runs) :]))
+    parameters = sum(c.free for c in hypothesis.parameters) if hypothesis else 0
+    return Candidate(hypothesis, point, train, chosen_cost, block_costs(pieces), parameters)
+
+
+def block_costs(pieces: Sequence[Array]) -> Array:
+    """Return sums of squares over about `BLOCKS` consecutive pieces of equal length."""
+    length = max(1, sum(len(w) for w in pieces) // BLOCKS)
+    costs = []
+    for w in pieces:
+        count = max(1, len(w) // length)
+        squares = (w**2).sum(1)[: count * (len(w) // count)]
+        costs += list(squares.reshape(count, -1).sum(1))
+    return np.array(costs)
+
+
+def round_of(
+    base: Baseline, select: Sequence[Run], hypotheses: Sequence[Hypothesis], mapper: Mapper = map,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> list[Candidate]:
+    """Return the refined candidates of one round, by cost on the training runs, the empty one among them."""
+    t = tangent(base.objective, base.point)
+    progress("screening", 0.0)
+    trials = sorted(mapper(partial(screen, t), hypotheses), key=lambda x: x.cost)
+    progress("fitting", 0.3)
+    fitted = sorted(mapper(partial(_fitted, t), trials[:FITTED]), key=lambda x: x.cost)
+    progress("refining", 0.6)
+    close = sorted(mapper(partial(_shifted, base, t), _diverse(fitted, REFINED)), key=lambda pair: pair[0])
+    settled = list(mapper(partial(_settled, base), close[:SETTLED])) + [(h, p) for _, h, p in close[SETTLED:]]
+    refined = list(mapper(partial(_evaluated, base, select), settled))
+    nothing = evaluate(base, select, None, base.point)
+    progress("refining", 1.0)
+    return sorted([nothing, *refined], key=lambda c: c.train)
+
+
+def _fitted(t: Tangent, trial: Trial) -> Trial:
+    return fit(t, trial.hypothesis, trial.values)
+
+
+def _diverse(trials: Sequence[Trial], count: int) -> list[Trial]:
+    """Return the best trials and, besides, the best of every other family among them."""
+    best = list(trials[:count])
+    families = {t.hypothesis.family for t in best}
+    for t in trials[count:]:
+        if t.hypothesis.family not in families:
+            families.add(t.hypothesis.family)
+            best.append(t)
+    return best
+
+
+def _shifted(base: Baseline, t: Tangent, trial: Trial) -> tuple[float, Hypothesis, Point]:
+    """Return the cost and the point with the hypothesis, the nuisance shifted with it or left, whichever is better."""
+    effect = Effect(trial.hypothesis, trial.values)
+    both = [(full_cost(base.objective, p), p) for p in (apply_shift(t, effect), t.point.with_effect(effect))]
+    cost, point = min(both, key=lambda pair: pair[0])
+    if cost > trial.cost + max(1.0, 3e-3 * trial.cost):
+        point = settle(base.objective, point, 2)
+        cost = full_cost(base.objective, point)
+    return cost, trial.hypothesis, point
+
+
+def _settled(base: Baseline, found: tuple[float, Hypothesis, Point]) -> tuple[Hypothesis, Point]:
+    return found[1], settle(base.objective, found[2], 20)
+
+
+def _evaluated(base: Baseline, select: Sequence[Run], found: tuple[Hypothesis, Point]) -> Candidate:
+    return evaluate(base, select, *found)

@@ -1,0 +1,57 @@
+"""Refitting the nuisance at a point: Gauss-Newton on the true cost, with step halving."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from afdsvc.gap.fit import moved
+from afdsvc.gap.objective import Objective, Point, Tangent, tangent
+from afdsvc.lti.statespace import Array
+
+
+def raw(objective: Objective, point: Point) -> list[Array]:
+    """Return the residuals before whitening, one ``(n, p)`` per run."""
+    return [objective.residual(i, point.theta, x0, point.effects) for i, x0 in enumerate(point.x0)]
+
+
+def settle(objective: Objective, point: Point, iterations: int = 6, states_only: bool = False) -> Point:
+    """Return the point refitted in its nuisance (initial states, theta within its prior, parameters of its effects)."""
+    damping = 0.0
+    for _ in range(iterations):
+        t = tangent(objective, point, states_only)
+        before = float(t.full @ t.full)
+        point, after, damping = _descend(objective, t, before, damping, states_only)
+        if before - after < 3e-4 * before and before - after < 1.0:
+            break
+    return point
+
+
+def _descend(
+    objective: Objective, t: Tangent, before: float, damping: float, states_only: bool
+) -> tuple[Point, float, float]:
+    """Return the first point along ever more damped steps that costs less, its cost, and the damping to go on with."""
+    for tried in (damping, *(10.0**k for k in (-3, -2, -1, 0, 1, 2))):
+        if tried < damping:
+            continue
+        step = t.shift(t.full, tried)
+        new = _moved_states(t.point, step) if states_only else moved(t.point, step)
+        cost = full_cost(objective, new, states_only)
+        if cost < before:
+            return new, cost, tried / 10 if tried > 1e-3 else 0.0
+    return t.point, before, damping
+
+
+def _moved_states(point: Point, step: Array) -> Point:
+    at, x0 = 0, []
+    for x in point.x0:
+        x0.append(x + step[at : at + len(x)])
+        at += len(x)
+    return replace(point, x0=tuple(x0))
+
+
+def full_cost(objective: Objective, point: Point, states_only: bool = False) -> float:
+    """Return the sum of squares with the prior of theta."""
+    data = objective.vector(point)
+    return float(data @ data) + (0.0 if states_only else float(np.dot(point.theta, point.theta)))
