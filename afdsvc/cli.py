@@ -82,17 +82,17 @@ def demo(
     fault: Annotated[list[str] | None, typer.Option(metavar="NAME=SEVERITY@SECONDS", help="May be repeated.")] = None,
     healthy: Annotated[bool, typer.Option("--healthy", help="Inject no fault.")] = False,
     controller: Annotated[str, typer.Option(help="lqg or proportional")] = "lqg",
-    rpm: Annotated[int, typer.Option(help="Rotor speed.")] = 0,
+    rpm: Annotated[int | None, typer.Option(help="Rotor speed; the plant's own otherwise.")] = None,
     seconds: Annotated[float, typer.Option(help="Length of the run.")] = 30.0,
     seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 1,
     out: Annotated[Path, typer.Option(help="Folder of the recording.")] = Path("recordings"),
     as_json: Json = False,
 ) -> None:
     """Watch a simulated machine from its first burst to a named fault, on this computer alone."""
-    from afdsvc.demo import DemoOptions, parse_fault, run_demo
+    from afdsvc.demo import DemoOptions, first_fault, parse_fault, run_demo
     from afdsvc.terminal import demo_table, progress
 
-    wanted = [] if healthy else fault or ["horizontal_actuator=-0.5@12"]
+    wanted = [] if healthy else fault or [f"{first_fault(plant)}=-0.5@12"]
     options = DemoOptions(plant, controller, rpm, tuple(parse_fault(f) for f in wanted), seconds, seed, out)
     with progress("running the machine", seconds) as tell:
         document = run_demo(options, lambda done, hub: tell(done))

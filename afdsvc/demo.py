@@ -16,6 +16,7 @@ from typing import Any
 
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.offline import diagnose_recordings
+from afdsvc.plants.registry import plant as plant_by_name
 from afdsvc.runtime.hub import Hub
 from afdsvc.runtime.site import Site, read_site
 from afdsvc.service import serving
@@ -25,16 +26,21 @@ _FAULT = re.compile(r"(?P<name>[a-z0-9_]+)=(?P<severity>[-+0-9.eE]+)(@(?P<at>[0-
 
 @dataclass(frozen=True, slots=True)
 class DemoOptions:
-    """What is demonstrated: plant, controller, rotor speed [rpm], faults as (name, severity, second), length, seed, folder."""
+    """What is demonstrated: plant, controller, rotor speed [rpm] (None: the plant's own), faults (name, severity, second), ..."""
 
     plant: str = "gas_bearing"
     controller: str = "lqg"
-    rpm: int = 0
+    rpm: int | None = None
     faults: tuple[tuple[str, float, float], ...] = (("horizontal_actuator", -0.5, 12.0),)
     seconds: float = 30.0
     seed: int = 1
     out: Path = Path("recordings")
     every: float = 5.0
+
+
+def first_fault(plant: str) -> str:
+    """Return the fault a demonstration of this plant shows when nobody asks for one; raises `BadInput` without such a plant."""
+    return next(iter(plant_by_name(plant).fault_sites))
 
 
 def parse_fault(text: str) -> tuple[str, float, float]:
@@ -54,6 +60,7 @@ def parse_fault(text: str) -> tuple[str, float, float]:
 def site_text(options: DemoOptions, port: int) -> str:
     """Return the site file of the demonstration."""
     faults = ", ".join(f'{{name = "{n}", severity = {s!r}, at_seconds = {t!r}}}' for n, s, t in options.faults)
+    rpm = "" if options.rpm is None else f"rpm = {options.rpm}"
     settings = "settings = {gain = 0.2}" if options.controller == "proportional" else "settings = {}"
     return f"""# Written by `afdsvc demo`: one simulated machine, zenoh on loopback.
 site = "demo"
@@ -70,7 +77,7 @@ rerun = "file"
 [[machines]]
 id = "bearing"
 plant = "{options.plant}"
-options = {{rpm = {options.rpm}}}
+options = {{{rpm}}}
 driver = {{kind = "simulator", real_time = true, seed = {options.seed}, faults = [{faults}]}}
 controller = {{kind = "{options.controller}", {settings}}}
 bursts = {{every_seconds = {options.every!r}, jitter_seconds = 0.2, first_after_seconds = 2.0}}
