@@ -5,9 +5,14 @@ from afdsvc.trial.folder import Paths, write
 from afdsvc.trial.generate import NOTHING, Trial, Wish, generate, generate_several
 from afdsvc.trial.options import Options
 from afdsvc.trial.oracle import Oracle, oracle
+from afdsvc.trial.pages import markdown, page
+from afdsvc.trial.plan import Request, make_trial, plan
+from afdsvc.trial.score import Score, score
 from afdsvc.trial.seal import open_seal, seal
+from afdsvc.trial.study import results, study
 
 __all__ = [
-    "NOTHING", "Answer", "Hidden", "Options", "Oracle", "Paths", "Trial", "Wish", "generate", "generate_several", "open_seal",
-    "oracle", "seal", "write",
+    "NOTHING", "Answer", "Hidden", "Options", "Oracle", "Paths", "Request", "Score", "Trial", "Wish", "generate",
+    "generate_several", "make_trial", "markdown", "open_seal", "oracle", "page", "plan", "results", "score", "seal", "study",
+    "write",
 ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+Row = list[float]  # what a law reads and writes by number; compiled, a one-dimensional array
+
 # Where a law acts, which is its number without the last digit: on the command before it drives the plant, on the rates of
 # the states, on the sensed output, on the reading (the output with its noise).
 COMMAND, COMMAND_WITH_MEMORY, AXIS, AXIS_WITH_MEMORY, MACHINE, SENSOR, SENSOR_WITH_MEMORY, READING = range(8)

@@ -11,15 +11,15 @@ import math
 
 import numba
 
-from afdsvc.lti.statespace import Array
 from afdsvc.trial import codes as c
 from afdsvc.trial import memory_laws as ml
 from afdsvc.trial import scalar_laws as sl
 from afdsvc.trial import state_laws as st
+from afdsvc.trial.codes import Row
 
 
 @numba.njit(cache=True, error_model="numpy")
-def on_command(code: int, at: Array, p: Array, v: Array, aux: Array, clock: Array) -> None:
+def on_command(code: int, at: list[int], p: Row, v: Row, aux: Row, clock: Row) -> None:
     """Laws without memory, on the command v in place."""
     i = at[0]
     if code == c.DEAD_ZONE:
@@ -36,7 +36,7 @@ def on_command(code: int, at: Array, p: Array, v: Array, aux: Array, clock: Arra
 
 @numba.njit(cache=True, error_model="numpy")
 def on_command_with_memory(
-    code: int, at: Array, p: Array, v: Array, s: Array, ds: Array, m: Array, clock: Array, commit: bool
+    code: int, at: list[int], p: Row, v: Row, s: Row, ds: Row, m: Row, clock: Row, commit: bool
 ) -> None:
     """Laws with memory, on the command v in place."""
     i = at[0]
@@ -59,7 +59,7 @@ def on_command_with_memory(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def on_axis(code: int, at: Array, p: Array, x: Array, clock: Array, dx: Array) -> None:
+def on_axis(code: int, at: list[int], p: Row, x: Row, clock: Row, dx: Row) -> None:
     """Forces on one axis (position at[0], velocity at[1]) that follow from its state at once, added to dx."""
     q, v = x[at[0]], x[at[1]]
     if code == c.COULOMB:
@@ -82,7 +82,7 @@ def on_axis(code: int, at: Array, p: Array, x: Array, clock: Array, dx: Array) -
 
 @numba.njit(cache=True, error_model="numpy")
 def on_axis_with_memory(
-    code: int, at: Array, p: Array, x: Array, s: Array, ds: Array, m: Array, dx: Array, commit: bool
+    code: int, at: list[int], p: Row, x: Row, s: Row, ds: Row, m: Row, dx: Row, commit: bool
 ) -> None:
     """Forces on one axis that depend on its past, added to dx."""
     q, v = x[at[0]], x[at[1]]
@@ -97,7 +97,7 @@ def on_axis_with_memory(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def on_machine(code: int, at: Array, p: Array, x: Array, v: Array, aux: Array, clock: Array, dx: Array) -> None:
+def on_machine(code: int, at: list[int], p: Row, x: Row, v: Row, aux: Row, clock: Row, dx: Row) -> None:
     """Forces between axes or from the rotor, added to dx; at[4] is the auxiliary signal or the command they follow."""
     if code == c.GYROSCOPIC:
         st.gyroscopic(at, p, x, aux[at[4]], dx)
@@ -114,7 +114,7 @@ def on_machine(code: int, at: Array, p: Array, x: Array, v: Array, aux: Array, c
 
 
 @numba.njit(cache=True, error_model="numpy")
-def on_sensor(code: int, at: Array, p: Array, y: Array, clock: Array) -> None:
+def on_sensor(code: int, at: list[int], p: Row, y: Row, clock: Row) -> None:
     """What a sensor makes of the output at once, on y in place (at[0] the output, at[1] another one)."""
     i = at[0]
     if code == c.CROSSTALK:
@@ -136,7 +136,7 @@ def on_sensor(code: int, at: Array, p: Array, y: Array, clock: Array) -> None:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def on_sensor_with_memory(code: int, at: Array, p: Array, y: Array, aux: Array, m: Array, clock: Array) -> None:
+def on_sensor_with_memory(code: int, at: list[int], p: Row, y: Row, aux: Row, m: Row, clock: Row) -> None:
     """What a sensor makes of the output and of time, on y in place; called once per integration step."""
     i, h = at[0], clock[2]
     if code == c.SENSOR_LAG:

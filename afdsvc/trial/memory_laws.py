@@ -11,15 +11,15 @@ import math
 
 import numba
 
-from afdsvc.lti.statespace import Array
+from afdsvc.trial.codes import Row
 
 SECOND_POLE = 0.15  # a lag's second, faster time constant, as a share of the first
 
 
 @numba.njit(cache=True, error_model="numpy")
-def delayed(u: float, m: Array, steps: float, commit: bool) -> float:
+def delayed(u: float, m: Row, steps: float, commit: bool) -> float:
     """Return u as it was ``steps`` integration steps ago (fractions by interpolation, exact for held commands in the mean)."""
-    size = m.size - 1
+    size = len(m) - 1
     head, whole = int(m[0]), int(steps)
     newer = u if whole == 0 else m[1 + (head - whole) % size]
     older = m[1 + (head - whole - 1) % size]
@@ -30,7 +30,7 @@ def delayed(u: float, m: Array, steps: float, commit: bool) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def lag(u: float, p: Array, m: Array, h: float, commit: bool) -> float:
+def lag(u: float, p: Row, m: Row, h: float, commit: bool) -> float:
     """Time constant p0 and a second pole at `SECOND_POLE` p0, solved exactly for an input held during the step: its mean."""
     a, b = 1.0 / p[0], 1.0 / (SECOND_POLE * p[0])
     ea, eb = math.exp(-a * h), math.exp(-b * h)
@@ -42,7 +42,7 @@ def lag(u: float, p: Array, m: Array, h: float, commit: bool) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def ramp_lag(y: float, tau: float, m: Array, at: int, h: float) -> float:
+def ramp_lag(y: float, tau: float, m: Row, at: int, h: float) -> float:
     """First-order lag over one step in which the input went straight from m[at + 1] to y; exact, memory at m[at]."""
     slope = (y - m[at + 1]) / h
     m[at] = y - slope * tau + (m[at] - m[at + 1] + slope * tau) * math.exp(-h / tau)
@@ -51,7 +51,7 @@ def ramp_lag(y: float, tau: float, m: Array, at: int, h: float) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def backlash(u: float, p: Array, m: Array, commit: bool) -> float:
+def backlash(u: float, p: Row, m: Row, commit: bool) -> float:
     """Mean of five plays, half widths 0.8 to 1.2 of p0: an edge worn unevenly."""
     total = 0.0
     for k in range(5):
@@ -64,14 +64,14 @@ def backlash(u: float, p: Array, m: Array, commit: bool) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def bouc_wen_slope(z: float, direction: float, p: Array) -> float:
+def bouc_wen_slope(z: float, direction: float, p: Row) -> float:
     """Return dz/d(u / p1) of the Bouc-Wen loop of exponent p2 and skew p3, for motion in this direction."""
     turning = p[3] + (1.0 - p[3]) * math.copysign(1.0, direction * z)
-    return 1.0 - abs(z) ** p[2] * turning
+    return float(1.0 - abs(z) ** p[2] * turning)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def hysteresis(u: float, p: Array, m: Array, commit: bool) -> float:
+def hysteresis(u: float, p: Row, m: Row, commit: bool) -> float:
     """Rate-independent loop u - p0 p1 z, z the Bouc-Wen variable driven by u (memory: z and the last u)."""
     z, step = m[0], (u - m[1]) / 8.0
     for _ in range(8):
@@ -83,7 +83,7 @@ def hysteresis(u: float, p: Array, m: Array, commit: bool) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def slew(u: float, p: Array, m: Array, h: float, commit: bool) -> float:
+def slew(u: float, p: Row, m: Row, h: float, commit: bool) -> float:
     """Rate limit p0 per second upwards and 0.85 p0 downwards: the mean of the ramp over the step."""
     start, way = m[0], u - m[0]
     rate = p[0] if way > 0 else 0.85 * p[0]
@@ -95,7 +95,7 @@ def slew(u: float, p: Array, m: Array, h: float, commit: bool) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def stick_slip(q: float, p: Array, m: Array, commit: bool) -> float:
+def stick_slip(q: float, p: Row, m: Row, commit: bool) -> float:
     """A bristle of stiffness p0 that lets go at a random stretch around p1 and grips again where it then is.
 
     Memory: anchor, stretch at which it lets go, state of the random sequence (seeded by p2).

@@ -16,6 +16,7 @@ from afdsvc.trial.effect import Effect, Truth
 from afdsvc.trial.generate import Trial
 from afdsvc.trial.run import Run, Signals, play, replay
 
+Data = list[tuple[Run, Signals]]
 STEP = 1e-3  # relative step of the finite differences
 
 
@@ -48,16 +49,30 @@ def oracle(trial: Trial) -> Oracle:
 
 
 def refit(trial: Trial, start: Truth) -> Truth:
-    """Return the structure of ``start`` without dirt (and without steps in the reading, which no simulation predicts), its parameters and the plant's constants fitted to the recordings."""
+    """Return the structure of ``start`` without dirt (and without steps in the reading, which no simulation predicts), its
+    parameters and the plant's constants fitted to the recordings by one Gauss-Newton step."""
     start = Truth(start.theta, tuple(e for e in start.effects if e.code // 10 != c.READING))
-    parameters = _parameters(trial, start)
-    fit = list(zip(trial.runs[:-1], trial.played[:-1], strict=True))
-    residual = np.concatenate([_residual(trial, start, *pair) for pair in fit])
+    return gauss_newton(trial, start, list(zip(trial.runs[:-1], trial.played[:-1], strict=True)))
+
+
+def gauss_newton(trial: Trial, start: Truth, data: Data, damping: float = 1.0) -> Truth:
+    """Return the structure one (damped) Gauss-Newton step nearer to the data, constants held by their uncertainty."""
+    residual = residuals(trial, start, data)
     columns = []
-    for i in range(parameters.size):
-        moved = _moved(trial, start, parameters, i)
-        columns.append((residual - np.concatenate([_residual(trial, moved, *pair) for pair in fit])) / STEP)
-    return _at(trial, start, _solve(trial, start, np.column_stack(columns), residual))
+    for i in range(_parameters(trial, start).size):
+        columns.append((residual - residuals(trial, _moved(trial, start, i), data)) / STEP)
+    return _at(trial, start, damping * _solve(trial, start, np.column_stack(columns), residual))
+
+
+def residuals(trial: Trial, truth: Truth, data: Data) -> Array:
+    """Return the simulation errors of the recorded parts in units of the noise, as one column."""
+    return np.concatenate([_residual(trial, truth, *pair) for pair in data])
+
+
+def prior(trial: Trial, truth: Truth) -> float:
+    """Return the square of the constants' distance from nominal in stated standard deviations."""
+    sd, nominal = trial.machine.theta_sd, trial.machine.nominal
+    return float(np.sum(((truth.theta - nominal)[sd > 0] / (nominal * sd)[sd > 0]) ** 2))
 
 
 def _objective(trial: Trial) -> str:
@@ -88,9 +103,9 @@ def _parameters(trial: Trial, truth: Truth) -> Array:
     return np.array([*truth.theta[trial.machine.theta_sd > 0], *free, *changed])
 
 
-def _moved(trial: Trial, truth: Truth, parameters: Array, i: int) -> Truth:
+def _moved(trial: Trial, truth: Truth, i: int) -> Truth:
     """Return the structure with parameter i moved by the relative step."""
-    shift = np.zeros(parameters.size)
+    shift = np.zeros(_parameters(trial, truth).size)
     shift[i] = STEP
     return _at(trial, truth, shift)
 

@@ -7,7 +7,7 @@ import math
 import numba
 import numpy as np
 
-from afdsvc.lti.statespace import Array
+from afdsvc.trial.codes import Row
 
 # s^-1/2 = (1/pi) integral of x^-1/2 / (s + x) dx, as a sum over nodes evenly spaced in log x.
 _SPACING = 1.15
@@ -16,7 +16,7 @@ WEIGHTS = np.sqrt(NODES) * _SPACING / np.pi
 
 
 @numba.njit(cache=True, error_model="numpy")
-def resonance(u: float, p: Array, s: Array, ds: Array) -> float:
+def resonance(u: float, p: Row, s: Row, ds: Row) -> float:
     """Second order, p0 rad/s, damping ratio p1, with a relaxing branch (10 % of the stiffness, cut at 2 p0): gain 1 at rest."""
     w = p[0]
     ds[0] = s[1]
@@ -26,7 +26,7 @@ def resonance(u: float, p: Array, s: Array, ds: Array) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def creep(u: float, p: Array, s: Array, ds: Array) -> float:
+def creep(u: float, p: Row, s: Row, ds: Row) -> float:
     """Logarithmic creep as three equal relaxations 30 ms, 0.2 s and 1.4 s: u + p0 times their mean."""
     ds[0] = (u - s[0]) / 0.03
     ds[1] = (u - s[1]) / 0.2
@@ -35,7 +35,7 @@ def creep(u: float, p: Array, s: Array, ds: Array) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def memory_polynomial(u: float, p: Array, s: Array, ds: Array) -> float:
+def memory_polynomial(u: float, p: Row, s: Row, ds: Row) -> float:
     """u + p0 u (w / p1 + (w / p1)^2), w the command of p2 seconds before (as a lag): products of now and before."""
     ds[0] = (u - s[0]) / p[2]
     w = s[0] / p[1]
@@ -43,7 +43,7 @@ def memory_polynomial(u: float, p: Array, s: Array, ds: Array) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def flexible_mode(q: float, v: float, p: Array, s: Array, ds: Array) -> float:
+def flexible_mode(q: float, v: float, p: Row, s: Row, ds: Row) -> float:
     """A mass p0 (relative) on a joint of p1 rad/s, damping ratio p2, 10 % stiffer at a stretch p3; its pull on the axis."""
     stretch = s[0] - q
     ds[0] = s[1]
@@ -52,7 +52,7 @@ def flexible_mode(q: float, v: float, p: Array, s: Array, ds: Array) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def hysteretic_force(v: float, p: Array, s: Array, ds: Array) -> float:
+def hysteretic_force(v: float, p: Row, s: Row, ds: Row) -> float:
     """Bouc-Wen force -p0 z; z is driven by the motion in units of p1, with exponent p2 and skew p3."""
     z = s[0]
     turning = p[3] + (1.0 - p[3]) * math.copysign(1.0, v * z)
@@ -61,7 +61,7 @@ def hysteretic_force(v: float, p: Array, s: Array, ds: Array) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def fractional_damping(v: float, p: Array, s: Array, ds: Array) -> float:
+def fractional_damping(v: float, p: Row, s: Row, ds: Row) -> float:
     """-p0 times the half derivative of the position, by the nodes above."""
     total = 0.0
     for k in range(8):
@@ -71,14 +71,14 @@ def fractional_damping(v: float, p: Array, s: Array, ds: Array) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def gyroscopic(at: Array, p: Array, x: Array, speed: float, dx: Array) -> None:
+def gyroscopic(at: list[int], p: Row, x: Row, speed: float, dx: Row) -> None:
     """Turning rotor: -p0 speed v2 on the first axis, 0.9 p0 speed v1 on the second (an inertia not quite round)."""
     dx[at[1]] -= p[0] * speed * x[at[3]]
     dx[at[3]] += 0.9 * p[0] * speed * x[at[1]]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def cross_coupled(at: Array, p: Array, x: Array, speed: float, dx: Array) -> None:
+def cross_coupled(at: list[int], p: Row, x: Row, speed: float, dx: Row) -> None:
     """Swirling film: -k q2 on the first axis, k q1 on the second, k = p0 (speed / p1)^0.9."""
     k = p[0] * abs(speed / p[1]) ** 0.9
     dx[at[1]] -= k * x[at[2]]
@@ -86,7 +86,7 @@ def cross_coupled(at: Array, p: Array, x: Array, speed: float, dx: Array) -> Non
 
 
 @numba.njit(cache=True, error_model="numpy")
-def unbalance(at: Array, p: Array, speed: float, angle: float, dx: Array) -> None:
+def unbalance(at: list[int], p: Row, speed: float, angle: float, dx: Row) -> None:
     """Eccentricity p0 at phase p1, 5 % weaker on the second axis."""
     pull = p[0] * speed * speed
     dx[at[1]] += pull * math.cos(angle + p[1])
@@ -94,7 +94,7 @@ def unbalance(at: Array, p: Array, speed: float, angle: float, dx: Array) -> Non
 
 
 @numba.njit(cache=True, error_model="numpy")
-def stiffness_follows(at: Array, p: Array, x: Array, signal: float, dx: Array) -> None:
+def stiffness_follows(at: list[int], p: Row, x: Row, signal: float, dx: Row) -> None:
     """Stiffness p3 (first axis) and p4 (second) grow by p0 (d + 0.2 d^2), d the signal's deviation from p1 in units of p2."""
     d = (signal - p[1]) / p[2]
     more = p[0] * (d + 0.2 * d * d)
@@ -104,12 +104,12 @@ def stiffness_follows(at: Array, p: Array, x: Array, signal: float, dx: Array) -
 
 
 @numba.njit(cache=True, error_model="numpy")
-def parametric(at: Array, p: Array, x: Array, t: float, dx: Array) -> None:
+def parametric(at: list[int], p: Row, x: Row, t: float, dx: Row) -> None:
     """Stiffness p3 modulated by p0 sin(p1 t + p2)."""
     dx[at[1]] -= p[0] * p[3] * math.sin(p[1] * t + p[2]) * x[at[0]]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def bilinear(at: Array, p: Array, x: Array, v: Array, dx: Array) -> None:
+def bilinear(at: list[int], p: Row, x: Row, v: Row, dx: Row) -> None:
     """Damping of the axis modulated by a command: p0 (command / p1) velocity."""
     dx[at[1]] += p[0] * v[at[4]] / p[1] * x[at[1]]

@@ -29,7 +29,7 @@ KINDS = (
     "runout", "periodic_disturbance", "actuator_gain", "sensor_gain", "stiffness", "damping", "force_hysteresis",
 )
 SITES = {
-    **{k: "input:horizontal" for k in KINDS[1:11]}, **{k: "state:horizontal_rate" for k in KINDS[11:17]},
+    **dict.fromkeys(KINDS[1:11], "input:horizontal"), **dict.fromkeys(KINDS[11:17], "state:horizontal_rate"),
     "flexible_mode": "machine", "gyroscopic_coupling": "machine", "cross_coupled_stiffness": "machine", "unbalance": "machine",
     "constant_load": "state:horizontal_rate", "gain_follows_aux": "input:horizontal", "stiffness_follows_aux": "state:horizontal_rate",
     **{k: "output:horizontal" for k in KINDS if k.startswith("sensor_")}, "sensor_misalignment": "machine",
@@ -61,7 +61,7 @@ def loop(relative_sd: float = 0.02) -> Loop:
 
 
 @njit(cache=True)
-def _truth(kind, p, A, B, KA, KB, KC, alpha, noise, aux, sub, dt, process):  # type: ignore[no-untyped-def]
+def _truth(kind, p, A, B, KA, KB, KC, alpha, noise, aux, sub, dt, process):  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compiled loop, a branch an effect
     n = alpha.shape[0]
     u_out, y_out = np.zeros((n, 2)), np.zeros((n, 2))
     x, xk = np.zeros(6), np.zeros(KA.shape[0])
@@ -198,9 +198,6 @@ def _truth(kind, p, A, B, KA, KB, KC, alpha, noise, aux, sub, dt, process):  # t
             x = x + h / 6 * (kx[0] + 2 * kx[1] + 2 * kx[2] + kx[3])
             if kind == 24:
                 w[0] += (1 - np.exp(-h / p[0])) * (x[0] - w[0])
-        if kind == 17:
-            for j in range(2):
-                pass
     return u_out, y_out
 
 

@@ -39,7 +39,7 @@ def test_half_the_stiffness_is_found_as_in_the_paper(full: bool) -> None:
     beta, _ = simulate(S, alpha)
     fit = fit_indirect(physical_structure(plant, [STIFFNESS]), fact, [Recording.of(alpha, beta, SAMPLE_TIME)])
     theta = fit.parameters[0].value / nominal - 1
-    assert theta == pytest.approx(-0.5, abs=0.002 if full else 1e-6)
+    assert theta == pytest.approx(-0.5, abs=0.002 if full else 1e-4)  # without noise: where the descent stops
 
 
 def test_the_column_of_the_bearing_and_not_of_the_shaft() -> None:

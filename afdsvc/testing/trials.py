@@ -1,0 +1,95 @@
+"""Many bursts of one machine, played on paper and shown to bare statistics: for alarm rates and powers by simulation.
+
+Rare alarms are counted by importance sampling: a wave is added to the noise so that alarms are common, and every run is
+weighted by the likelihood ratio of the noise it really used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from afdsvc.api.bursts import Burst
+from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect.regressors import Regressors, regressors
+from afdsvc.detect.templates import templates
+from afdsvc.detect.watch import BurstSamples
+from afdsvc.excite.rehearsal import faulty_loop, played, rehearse
+from afdsvc.lti.statespace import Array, StateSpace
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trials:
+    """One burst under one condition; ``before`` quiet samples let filters settle."""
+
+    problem: DetectionProblem
+    burst: Burst
+    filters: Regressors
+    loop: StateSpace
+    alpha: Array
+    before: int
+    root: Array
+
+    def noise(self, seed: int) -> Array:
+        """Return standard normal noise, shape ``(before + samples, p)``."""
+        return np.random.default_rng(seed).normal(size=(len(self.alpha), self.problem.plant.outputs))
+
+    def samples(self, noise: Array) -> BurstSamples:
+        """Return what a burst statistic is shown when the normalised noise was this."""
+        run = rehearse(self.problem, self.alpha, noise @ self.root.T, loop=self.loop)
+        _, series = self.filters.step(self.filters.start(), run.r, run.y, run.u)
+        block = next(b for b in run.blocks(len(run), self.burst, self.before) if b.burst is not None)
+        return BurstSamples(0, self.problem.plant.dt, series[self.before :], block)
+
+
+def trials(
+    problem: DetectionProblem, burst: Burst, severities: Mapping[str, float] | None = None, before: int | None = None,
+    truth: DetectionProblem | None = None, filters: Regressors | None = None,
+) -> Trials:
+    """Return trials of a burst; ``truth`` is the machine that makes the data when it is not the one that is believed."""
+    filters = regressors(problem) if filters is None else filters
+    before = filters.settling(1e-3) if before is None else before
+    loop = faulty_loop(truth or problem, severities or {})
+    root = noise_root(problem)
+    return Trials(problem, burst, filters, loop, played(burst, problem.plant.dt, before), before, root)
+
+
+def noise_root(problem: DetectionProblem) -> Array:
+    """Return a square root of the output noise's covariance (that of the residual where no other is stated)."""
+    return np.asarray(np.linalg.cholesky(problem.covariance if problem.output_cov is None else problem.output_cov))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tilted:
+    """Noise pushed towards an alarm: by the wave of a fault drawn at random, ``length`` standard deviations long.
+
+    Valid where the residual is the noise itself (stable plant, output noise).
+    """
+
+    trials: Trials
+    waves: Array
+    length: float
+
+    def draw(self, seed: int) -> tuple[BurstSamples, float]:
+        """Return samples and their weight, the density of plain noise over that of the mixture used."""
+        rng = np.random.default_rng(seed)
+        e = rng.normal(size=(self.trials.before + self.waves.shape[0], self.waves.shape[2]))
+        pushed = self.waves[:, int(rng.integers(self.waves.shape[1]))]
+        e[self.trials.before :] += self.length * pushed
+        along = np.einsum("tkp,tp->k", self.waves, e[self.trials.before :])
+        ratio = np.mean(np.exp(self.length * along - self.length**2 / 2))
+        return self.trials.samples(e), float(1 / ratio)
+
+
+def tilted(
+    base: Trials, length: float, severities: Sequence[float] = (-0.3,), span: tuple[int, int] | None = None
+) -> Tilted:
+    """Return trials tilted along every fault's wave at every severity, the waves of unit energy within ``span``."""
+    problem, alpha = base.problem, base.burst.play(base.problem.plant.dt)
+    found = [templates(problem, alpha, np.full(len(problem.fault_names), s)).waves for s in severities]
+    waves = np.concatenate(found, axis=1)
+    first, last = span or (0, len(alpha))
+    waves[:first], waves[last:] = 0.0, 0.0
+    return Tilted(base, waves / np.linalg.norm(waves, axis=(0, 2))[None, :, None], length)

@@ -1,0 +1,112 @@
+"""A study: many trials through one `explain`, resumable, each result kept in a file of its own."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from joblib import Parallel, delayed
+
+from afdsvc.errors import BadInput
+from afdsvc.trial.answer import Answer
+from afdsvc.trial.folder import Paths, write
+from afdsvc.trial.generate import Trial
+from afdsvc.trial.oracle import Oracle, oracle
+from afdsvc.trial.plan import Request, make_trial
+from afdsvc.trial.rival import apart
+from afdsvc.trial.score import score
+from afdsvc.trial.seal import open_seal, seal
+
+Explain = Callable[[Path, tuple[Path, ...], Path], Mapping[str, Any]]
+Result = dict[str, Any]
+
+
+def study(
+    requests: Sequence[Request], explain: Explain, folder: str | Path, jobs: int = 1, keep: bool = False
+) -> list[Result]:
+    """Return the results of all requests, running those that are not in ``folder`` yet, ``jobs`` at a time.
+
+    ``explain(model, recordings, holdout)`` gets paths and returns the document of `explain --json`; an exception it raises
+    is a result too. Recordings are removed after scoring unless ``keep`` is True. A study that was interrupted goes on where
+    it stopped when it is called again with the same folder.
+    """
+    folder = Path(folder)
+    for name in ("trials", "sealed", "results"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    _same_study(requests, folder)
+    missing = [r for r in requests if not _result_path(folder, r.number).exists()]
+    Parallel(n_jobs=jobs)(delayed(run_one)(r, explain, folder, keep) for r in missing)
+    return results(folder)
+
+
+def results(folder: str | Path) -> list[Result]:
+    """Return the results that are in the folder of a study, by number."""
+    paths = sorted((Path(folder) / "results").glob("*.json"))
+    return [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+
+
+def run_one(request: Request, explain: Explain, folder: Path, keep: bool) -> Result:
+    """Make, seal, explain, open and score one trial; keep its result and return it."""
+    place = folder / "trials" / f"{request.number:04d}"
+    shutil.rmtree(place, ignore_errors=True)
+    trial = make_trial(request)
+    paths = write(trial, place)
+    kept = seal(trial.answer, paths, folder / "sealed")
+    explanation, seconds = _explained(explain, paths)
+    answer, best = open_seal(place, kept), oracle(trial)
+    result = {
+        "number": request.number, "part": request.part, "answer": answer.as_json(), "explanation": explanation,
+        "oracle": asdict(best), "seconds": seconds, "score": score(explanation, answer, best).as_json(),
+    }
+    result["apart"] = _apart(trial, result)
+    _write_whole(_result_path(folder, request.number), result)
+    if not keep:
+        shutil.rmtree(place)
+    return result
+
+
+def rescored(result: Mapping[str, Any]) -> Result:
+    """Return a kept result scored anew."""
+    answer, best = Answer.from_json(result["answer"]), Oracle(**result["oracle"])
+    return {**result, "score": score(result["explanation"], answer, best).as_json()}
+
+
+def _apart(trial: Trial, result: Result) -> float | None:
+    """Return how far apart, for this data, the first name and what was hidden are; None where the first name is not wrong."""
+    named = result["explanation"].get("named", [])
+    if result["score"]["first"] is not False or not named or len(trial.truth.effects) != 1:
+        return None
+    return apart(trial, named[0])
+
+
+def _explained(explain: Explain, paths: Paths) -> tuple[dict[str, Any], float]:
+    begin = time.perf_counter()
+    try:
+        explanation = dict(explain(paths.model, paths.recordings, paths.holdout))
+    except Exception as error:  # whatever it is, it belongs into the report and must not end the study
+        explanation = {"verdict": "error", "error": f"{type(error).__name__}: {error}"}
+    return explanation, time.perf_counter() - begin
+
+
+def _result_path(folder: Path, number: int) -> Path:
+    return folder / "results" / f"{number:04d}.json"
+
+
+def _write_whole(path: Path, result: Result) -> None:
+    partial = path.with_suffix(".part")
+    partial.write_text(json.dumps(result, indent=1, default=str), encoding="utf-8")
+    partial.replace(path)
+
+
+def _same_study(requests: Sequence[Request], folder: Path) -> None:
+    """Raise `BadInput` when the folder holds another study."""
+    path = folder / "plan.json"
+    text = json.dumps([r.as_json() for r in requests], indent=1)
+    if path.exists() and path.read_text(encoding="utf-8") != text:
+        raise BadInput(f"{path}: is the plan of another study; an empty folder, or the same plan, is wanted")
+    path.write_text(text, encoding="utf-8")
