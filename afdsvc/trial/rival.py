@@ -35,7 +35,12 @@ def apart(trial: Trial, entry: Mapping[str, Any]) -> float:
     if physics == CHANGE:
         physics = next((f"{CHANGE}:{p}" for s, p in trial.machine.changes if same_change(trial.machine, (p, s), entry)), "")
         site = next((s for name, s in changes_at(trial.machine) if name == physics), site)
-    return min(_fitted(trial, physics, site, start) for start in range(STARTS))
+    best = float("inf")
+    for start in range(STARTS):
+        best = min(best, _fitted(trial, physics, site, start))
+        if best < UNDECIDABLE:
+            break
+    return best
 
 
 def _fitted(trial: Trial, physics: str, site: str, start: int) -> float:
@@ -57,12 +62,16 @@ def _question(trial: Trial) -> Truth:
 
 
 def _shape(trial: Trial, size: Sizes, physics: str, site: str, start: int) -> Effect:
-    """Return the rival with shapes drawn anew but for those it shares with what is hidden."""
+    """Return the rival with shapes drawn anew but for those it shares with what is hidden.
+
+    It may move no more parameters than what is hidden has: a law that contains another is told from it by parsimony.
+    """
     machine = trial.machine
     effect = make(Site(machine, size, site, machine.index(site), np.random.default_rng(start)), physics)
     known = dict(zip(trial.truth.effects[0].names, trial.truth.effects[0].values, strict=True))
     shared = (known.get(name, value) if name in SHARED else value for name, value in zip(effect.names, effect.base, strict=True))
-    return replace(effect, base=tuple(float(v) for v in shared))
+    free = effect.free[: len(trial.truth.effects[0].free)]
+    return replace(effect, base=tuple(float(v) for v in shared), free=free)
 
 
 def _scaled(trial: Trial, effect: Effect) -> Effect:
@@ -83,7 +92,7 @@ def _descend(trial: Trial, truth: Truth, data: Data) -> float:
         if not new < cost:
             damping /= 4
             continue
-        done = cost - new < 0.1
+        done = cost - new < 0.1 or new < 1.0
         truth, cost, damping = step, new, min(1.0, 2 * damping)
         if done:
             break

@@ -9,7 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from afdsvc.trial.rival import UNDECIDABLE
+
 Result = Mapping[str, Any]
+NOTE = (
+    "One effect hidden, multisines at two levels. Intervals: 95 %, Wilson. Not decidable: the first name, fitted as well as it "
+    f"can be, differs from what is hidden by less than d = {UNDECIDABLE} (the best possible test errs more than once in a hundred)."
+)
 PLAIN = ("bearing", "axis")  # parts that ask for one effect under good conditions
 
 
@@ -56,12 +62,25 @@ def _count(scores: Iterable[Mapping[str, Any]], key: str) -> str:
 
 def _severity(results: Sequence[Result]) -> Table:
     rows = []
-    scores = [s for s in _scores(results, PLAIN) if s["question"] == "physics"]
+    plain = [r for r in results if r["part"] in PLAIN and r["score"]["question"] == "physics"]
+    scores = _scores(plain)
     for rho in sorted({s["rho"] for s in scores}, reverse=True):
         here = [s for s in scores if s["rho"] == rho]
-        rows.append((f"{rho:g}", *(_count(here, k) for k in ("first", "in_set", "place", "verdict_ok", "confident_false"))))
-    head = ("rho", "right name and site first", "among the look-alikes", "right site", "right verdict", "confident false name")
-    return Table("By severity", "One effect hidden, multisines at two levels. Intervals: 95 %, Wilson.", head, tuple(rows))
+        decided = _decidable([r for r in plain if r["score"]["rho"] == rho])
+        columns = [_count(here, k) for k in ("first", "in_set", "place", "verdict_ok", "confident_false")]
+        rows.append((f"{rho:g}", columns[0], decided, *columns[1:]))
+    head = (
+        "rho", "right name and site first", "or not decidable and among the look-alikes", "among the look-alikes", "right site",
+        "right verdict", "confident false name",
+    )
+    return Table("By severity", NOTE, head, tuple(rows))
+
+
+def _decidable(results: Sequence[Result]) -> str:
+    """Return how often the first name was right, or the right one among the look-alikes where no test could tell them apart."""
+    close = [r.get("apart") is not None and r["apart"] < UNDECIDABLE and r["score"]["in_set"] for r in results]
+    good = [bool(r["score"]["first"]) or c for r, c in zip(results, close, strict=True)]
+    return share(sum(good), len(good))
 
 
 def _parts(results: Sequence[Result]) -> Table:
@@ -121,8 +140,10 @@ def _failures(results: Sequence[Result]) -> Table:
         s = r["score"]
         wrong = s["false_name"] or not s["verdict_ok"] or s["first"] is False
         if wrong:
-            rows.append((str(r["number"]), r["part"], _hidden(r), f"{s['rho']:g}", s["verdict"], _named(r), r["answer"]["seed"]))
-    head = ("trial", "part", "hidden", "rho", "verdict", "named", "seed")
+            d = "" if r.get("apart") is None else f"{r['apart']:.1f}"
+            what = (_hidden(r), f"{s['rho']:g}", s["verdict"], _named(r))
+            rows.append((str(r["number"]), r["part"], *what, d, r["answer"]["seed"]))
+    head = ("trial", "part", "hidden", "rho", "verdict", "named", "d", "seed")
     return Table("Every failure", "Wrong verdict, wrong first name, or a false name.", head, tuple(rows))
 
 
