@@ -144,6 +144,15 @@ def test_cheapest_gain_moves_only_what_lacks_the_margin() -> None:
         gain_with_margin(A, np.array([[0.0], [1.0], [1.0]]), 1.0, 0.05)
 
 
+def test_default_gains_keep_half_the_margin_of_the_loop() -> None:
+    """A double integrator under a lead: the fictitious state feedback is at least half as fast as the loop."""
+    G = StateSpace.of([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]])
+    K = StateSpace.of([[-20.0]], [[1.0]], [[300.0]], [[-17.0]])
+    f = controller_factorisation(G, K)
+    loop = f.Lf.stability_margin()
+    assert f.R.stability_margin() > 0.49 * loop > 0
+
+
 def test_unstable_gains_are_refused_with_their_pole() -> None:
     G = unstable_second_order().discrete()
     F, L = np.array([[-0.4236, 0.1252]]), np.array([[0.2258], [-0.1229]])

@@ -118,6 +118,23 @@ def test_unstable_modes_are_kept(dt: float) -> None:
         balanced_truncation(joint, 0)
 
 
+@pytest.mark.parametrize("dt", [0.0, 0.2])
+def test_stable_and_unstable_parts_add_up(dt: float) -> None:
+    """Modes coupled through a full A: the Sylvester equation has something to do."""
+    rng = np.random.default_rng(5)
+    A = rng.standard_normal((7, 7))
+    A *= 1.4 / np.abs(np.linalg.eigvals(A)).max()
+    system = StateSpace.of(A, rng.standard_normal((7, 2)), rng.standard_normal((3, 7)), rng.standard_normal((3, 2)), dt)
+    stable, rest = split_stable(system)
+    assert stable.order + rest.order == 7
+    assert stable.is_stable()
+    assert 0 < rest.order < 7
+    assert min(abs(p) if dt else p.real for p in rest.poles()) > (1 if dt else 0)
+    wanted = frequency_response(system, grid(system))
+    both = frequency_response(stable, grid(system)) + frequency_response(rest, grid(system))
+    assert np.abs(both - wanted).max() < 1e-11 * np.abs(wanted).max()
+
+
 def test_weights_move_the_error_where_it_does_not_matter() -> None:
     system = chain(0.0)
     low_pass = StateSpace.of([[-0.2]], [[0.2]], [[1.0]])
