@@ -11,7 +11,7 @@ import sys
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ[name] = "1"
 
-import itertools
+import itertools  # noqa: E402
 
 import numpy as np  # noqa: E402
 from bearing import PLANT, TRUE, binary, controller, run, stabilises  # noqa: E402
