@@ -72,7 +72,8 @@ class Hypothesis:
 
     ``site`` is ``input:NAME``, ``state:NAME``, ``output:NAME`` or ``machine``. ``family`` groups laws that resemble each
     other in data. ``starts`` are starting points of the search (values in the order of ``parameters``), guessed from the
-    recordings. ``linear`` returns the extended linear plant when the law is linear, given the continuous or discrete plant
+    recordings. ``substeps`` asks for that many calls per sample of a continuous model, for laws that act within a sample.
+    ``linear`` returns the extended linear plant when the law is linear, given the continuous or discrete plant
     and the fitted values. ``predicts`` and ``refuted_by`` are sentences for people.
     """
 
@@ -86,6 +87,7 @@ class Hypothesis:
     parameters: tuple[Coefficient, ...]
     starts: tuple[tuple[float, ...], ...]
     memory: int = 0
+    substeps: int = 1
     linear: Callable[[StateSpace, Sequence[float]], StateSpace] | None = None
     predicts: str = ""
     refuted_by: str = ""

@@ -85,8 +85,9 @@ def _rivals(
     top, best = scored[0]
     rivals: list[Rival] = []
     beaten: list[Rival] = []
+    price = float(np.log(max(sum(samples) / base.memory, 2.0)))
     for value, c in scored:
-        z = separation(c.blocks, best.blocks)
+        z = separation(c.blocks, best.blocks, (c.parameters - best.parameters) * price)
         behind = top - value
         evidence = min(behind, max(z, 0.0) ** 2) if c is not best else 0.0
         rival = Rival(c, behind, z, float(np.exp(-evidence / 2)))
@@ -95,11 +96,11 @@ def _rivals(
     return [Rival(r.candidate, r.score, r.z, r.weight / total) for r in rivals], beaten
 
 
-def separation(worse: Array, better: Array) -> float:
-    """Return by how many standard errors the blocks of one candidate cost more than the other's."""
+def separation(worse: Array, better: Array, price: float = 0.0) -> float:
+    """Return by how many standard errors the blocks of one candidate (and the ``price`` of its parameters) cost more."""
     d = worse - better
     spread = float(d.std(ddof=1)) * np.sqrt(len(d))
-    return float(d.sum()) / spread if spread > 0 else 0.0
+    return (float(d.sum()) + price) / spread if spread > 0 else 0.0
 
 
 def _simplest_first(rivals: list[Rival]) -> list[Rival]:

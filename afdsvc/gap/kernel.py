@@ -2,7 +2,7 @@
 
 The linear part is advanced exactly (matrix exponentials), forces by the exponential midpoint rule: evaluated at the
 predicted middle of the step and held over it, an error of second order in step times bandwidth. Inputs are held between
-samples. With a gain ``Kp`` the states are corrected by ``y - yhat`` at every sample, which makes the residual that of a
+samples; what effects make of them is worked out in every sub-step. With a gain ``Kp`` the states are corrected by ``y - yhat`` at every sample, which makes the residual that of a
 one-step predictor; in the loop (``closed``) the simulated output feeds the controller and nothing is corrected.
 """
 
@@ -17,7 +17,7 @@ _M = types.float64[:, ::1]
 LAW = types.void(_V, _V, _V, types.float64, _V)
 MOST_EFFECTS = 6
 MOST_SIGNALS = 16
-READS = 6  # columns of a plan: stage, reads, writes, parameters, memory from, memory to, then addresses
+READS = 7  # columns of a plan: stage, reads, writes, parameters, memory from, memory to, bent, then addresses
 INPUT, FORCE, OUTPUT = 0, 1, 2
 _I, _IV, _IM = types.int64, types.int64[::1], types.int64[:, ::1]
 
@@ -26,7 +26,8 @@ _I, _IV, _IM = types.int64, types.int64[::1], types.int64[:, ::1]
 def _apply(stage, laws, plan, par, mem, s, work, dt, target, base):  # type: ignore[no-untyped-def]
     """Add to ``target`` what every effect of this stage contributes, given the signals ``s``.
 
-    With ``base >= 0`` the signals from there on are kept equal to the target, so later effects see earlier ones.
+    With ``base >= 0`` the signals from there on are kept equal to the target, so later effects see earlier ones. A bent
+    law is multiplied by ``1 + c1 w + c2 w^2``, ``w`` the size of its first signal over a reference (the last parameters).
     """
     for i in range(plan.shape[0]):
         if plan[i, 0] != stage:
@@ -38,9 +39,13 @@ def _apply(stage, laws, plan, par, mem, s, work, dt, target, base):  # type: ign
         for k in range(nwrite):
             out[k] = 0.0
         laws[i](par[i, : plan[i, 3]], z, mem[plan[i, 4] : plan[i, 5]], dt, out)
+        factor = 1.0
+        if plan[i, 6]:
+            w = abs(z[0]) / par[i, par.shape[1] - 1]
+            factor += par[i, par.shape[1] - 3] * w + par[i, par.shape[1] - 2] * w * w
         for k in range(nwrite):
             j = plan[i, READS + MOST_SIGNALS + k]
-            target[j] += out[k]
+            target[j] += out[k] * factor
             if base >= 0:
                 s[base + j] = target[j]
 
@@ -167,7 +172,7 @@ def simulate_linear(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - on
                 u[j] = U[k, j] + (u[j] if closed else 0.0)
                 ue[j] = u[j]
                 s[j] = u[j]
-            if shaped:
+            if shaped and nsub == 1:
                 _apply(INPUT, laws, plan, par, mem, s, work, dt, ue, 0)
         for j in range(p):
             yhat[k, j] = y[j]
@@ -182,6 +187,13 @@ def simulate_linear(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - on
                 _between(smooth, k, (sub + 0.5) / nsub, mean)
                 for j in range(m):
                     s[j] = mean[j]
+            elif shaped and nsub > 1 and not direct:
+                for j in range(m):
+                    mean[j] = u[j]
+                    s[j] = u[j]
+                _apply(INPUT, laws, plan, par, mem, s, work, h, mean, 0)
+                for j in range(m):
+                    held[j] = mean[j]
             else:
                 for j in range(m):
                     mean[j] = ue[j]

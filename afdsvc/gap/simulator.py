@@ -22,10 +22,15 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Effect:
-    """A hypothesis with values for its parameters, shape ``(len(parameters),)``."""
+    """A hypothesis with values for its parameters, shape ``(len(parameters),)``.
+
+    ``bend = (c1, c2, reference)`` multiplies the law by ``1 + c1 w + c2 w^2``, ``w`` the size of its first signal over the
+    reference: a test of the law's shape.
+    """
 
     hypothesis: Hypothesis
     values: Array
+    bend: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +61,7 @@ class Simulator:
         ``closed`` feeds the simulated output back through the model's controller; ``free`` leaves out the correction of
         the states, for a simulation from the measured input alone.
         """
-        s = self.nominal.steps(theta, 4 if self.ramped else 1)
+        s = self.nominal.steps(theta, max([4 if self.ramped else 1, *(e.hypothesis.substeps for e in effects)]))
         plant = self.nominal.at(theta)
         n, p, m = len(run), plant.outputs, plant.inputs
         K, U = self._loop(run, closed)
@@ -105,15 +110,17 @@ def _table(effects: Sequence[Effect], m: int, n: int, p: int, a: int) -> _Table:
         raise BadInput(f"{k} effects at once; at most {kernel.MOST_EFFECTS} can be simulated")
     laws = [compiled(e.hypothesis.law) for e in effects] + [idle()] * (kernel.MOST_EFFECTS - k)
     plan = np.zeros((k, kernel.READS + 2 * kernel.MOST_SIGNALS), np.int64)
-    par = np.zeros((k, max([len(e.values) for e in effects], default=0) + 1))
+    par = np.zeros((k, max([len(e.values) for e in effects], default=0) + 3))
     start = 0
     for i, e in enumerate(effects):
         h = e.hypothesis
-        plan[i, : kernel.READS] = _STAGE[h.stage], len(h.reads), len(h.writes), len(e.values), start, start + h.memory
+        fixed = _STAGE[h.stage], len(h.reads), len(h.writes), len(e.values), start, start + h.memory, e.bend is not None
+        plan[i, : kernel.READS] = fixed
         plan[i, kernel.READS : kernel.READS + len(h.reads)] = [_address(s, m, n, p, a) for s in h.reads]
         first = kernel.READS + kernel.MOST_SIGNALS
         plan[i, first : first + len(h.writes)] = [s.index for s in h.writes]
         par[i, : len(e.values)] = e.values
+        par[i, -3:] = e.bend or (0.0, 0.0, 1.0)
         start += h.memory
     forces = [e.hypothesis for e in effects if e.hypothesis.stage == "force"]
     forced = np.unique(np.array([s.index for h in forces for s in h.writes], dtype=np.int64))

@@ -36,13 +36,13 @@ class TransportDelay:
         """Return one hypothesis per input and per output."""
         longest = max(8 * machine.dt, min(3 / machine.bandwidth, 400 * machine.dt))
         parts: dict[str, Any] = {
-            "physics": self.name, "family": "timing", "memory": int(longest / machine.dt) + 4,
+            "physics": self.name, "family": "timing",
             "parameters": [Coefficient("delay", "s", 0.01 * machine.dt, longest, 0.2 * machine.dt)],
             "starts": [(0.5 * machine.dt,), (1.5 * machine.dt,), (0.25 * longest,), (0.6 * longest,)],
             "predicts": "phase lag proportional to frequency at an unchanged gain",
             "refuted_by": "a gain that changes with the phase, or a phase lag that levels off",
         }
         for port in machine.inputs:
-            yield at_input(port, delay, **parts)
+            yield at_input(port, delay, memory=int(4 * longest / machine.dt) + 4, substeps=4, **parts)
         for port in machine.outputs:
-            yield at_output(port, delay, **parts)
+            yield at_output(port, delay, memory=int(longest / machine.dt) + 4, **parts)

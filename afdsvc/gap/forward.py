@@ -1,0 +1,151 @@
+"""Forward selection: effects are added one at a time while the data ask for them, and dropped again when they do not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from afdsvc.api.physics import Hypothesis, Machine, Physics
+from afdsvc.gap.baseline import Baseline, baseline
+from afdsvc.gap.judge import Ruling, judge, separation
+from afdsvc.gap.lines import peaks, tones
+from afdsvc.gap.nominal import Nominal
+from afdsvc.gap.objective import Objective, Point
+from afdsvc.gap.runs import Run
+from afdsvc.gap.search import Mapper, block_costs, round_of
+from afdsvc.gap.settle import raw, settle
+from afdsvc.gap.sizes import machine
+
+WORTH_SAYING = 0.03  # share of the gap below which a further effect is not named
+BETTER_SHAPE = 0.25  # share below which a second effect of the same family and place is only a better shape of the first
+SURE_SECOND = 4.0  # standard errors a further effect must show
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """An accepted effect: the ruling that chose it and the share of the whole gap it closes."""
+
+    ruling: Ruling
+    share: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """The outcome of the search: the start, where it ended, the accepted steps, and the ruling that stopped it (or None).
+
+    ``order`` gives, for every effect of the final point, the number of its step.
+    """
+
+    start: Baseline
+    end: Baseline
+    steps: tuple[Step, ...]
+    last: Ruling | None
+    order: tuple[int, ...]
+    machine: Machine
+
+
+def forward(
+    nominal: Nominal, train: Sequence[Run], select: Sequence[Run], physics: Iterable[Physics], most: int = 3,
+    mapper: Mapper = map, progress: Progress = lambda what, share: None,
+) -> Found:
+    """Add effects until none is worth saying; ``most`` at most."""
+    base = start = baseline(nominal, train)
+    yardstick = Yardstick(start, tuple(select))
+    first = seen(start)
+    costs, steps, order = [yardstick.cost(start.point)], [], []
+    last: Ruling | None = None
+    samples = (sum(r.Y.size for r in train), sum(r.Y.size for r in select))
+    for number in range(most):
+        sight = first if number == 0 else seen(base)
+        there = {e.hypothesis.key for e in base.point.effects}
+        library = [h for p in physics for h in p.hypotheses(sight) if h.key not in there]
+        candidates = round_of(base, select, library, mapper, _part(progress, number))
+        ruling = judge(base, candidates, len(library), samples)
+        if not ruling.accepted:
+            last = ruling
+            break
+        point = ruling.rivals[0].candidate.point
+        cost = yardstick.cost(point)
+        share = (costs[-1] - cost) / max(costs[0] - yardstick.least, 1e-12 * costs[0])
+        objection = _second(ruling, share, base.point) if number else ""
+        if objection:
+            last = replace(ruling, accepted=False, reason=objection)
+            break
+        steps.append(Step(ruling, share))
+        order.append(number)
+        costs.append(cost)
+        base = baseline(nominal, train, point)
+        base, order = _without_superfluous(base, order, samples)
+    return Found(start, base, tuple(steps), last, tuple(order), first)
+
+
+def seen(base: Baseline) -> Machine:
+    """Return the machine as it is seen from a baseline, with the tones and peaks of its residual."""
+    residuals = raw(base.objective, base.point)
+    runs = base.objective.runs
+    return machine(base, [t.omega for t in tones(runs, residuals)], peaks(runs, residuals))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Yardstick:
+    """The one measure all points are compared with: the first baseline's sum of squares over train and select."""
+
+    base: Baseline
+    select: tuple[Run, ...]
+
+    @property
+    def least(self) -> float:
+        """The cost noise alone would leave; 0 when the noise is not known."""
+        return float(sum(r.Y.size for r in self._objective.runs)) if self.base.limited == "noise" else 0.0
+
+    @property
+    def _objective(self) -> Objective:
+        return replace(self.base.objective, runs=(*self.base.objective.runs, *self.select))
+
+    def cost(self, point: Point) -> float:
+        """Return the sum of squares with the initial states refitted."""
+        return float(sum((w**2).sum() for w in self.whitened(point)))
+
+    def whitened(self, point: Point) -> list[np.ndarray]:
+        """Return the whitened residual of every run with the initial states refitted."""
+        objective = self._objective
+        x0 = tuple(np.zeros(self.base.nominal.plant.order) for _ in objective.runs)
+        return objective.whitened(settle(objective, replace(point, x0=x0), 2, states_only=True))
+
+
+def _part(progress: Progress, number: int) -> Progress:
+    return lambda what, share: progress(f"effect {number + 1}: {what}", share)
+
+
+def _second(ruling: Ruling, share: float, before: Point) -> str:
+    """Return why a further effect is not worth saying, or ""."""
+    choice = ruling.rivals[0].candidate
+    if share < WORTH_SAYING:
+        return f"a further effect ({choice.key}) would close only {100 * share:.1f} % of the gap"
+    z = separation(ruling.nothing.blocks, choice.blocks)
+    if z < SURE_SECOND:
+        return f"a further effect ({choice.key}) shows in {z:.1f} standard errors only"
+    same = [e.hypothesis for e in before.effects if choice.hypothesis is not None and _alike(e.hypothesis, choice.hypothesis)]
+    if same and share < BETTER_SHAPE:
+        return f"a further effect ({choice.key}) only mends the shape of {same[0].key}"
+    return ""
+
+
+def _alike(a: Hypothesis, b: Hypothesis) -> bool:
+    return a.family == b.family and a.site == b.site
+
+
+def _without_superfluous(base: Baseline, order: list[int], samples: tuple[int, int]) -> tuple[Baseline, list[int]]:
+    """Drop earlier effects whose absence the newest one makes up for."""
+    for k in range(len(base.point.effects) - 2, -1, -1):
+        effects = base.point.effects[:k] + base.point.effects[k + 1 :]
+        without = settle(base.objective, replace(base.point, effects=effects), 6)
+        with_it, lacking = block_costs(base.objective.whitened(base.point)), block_costs(base.objective.whitened(without))
+        price = sum(c.free for c in base.point.effects[k].hypothesis.parameters) * float(np.log(samples[0] / base.memory))
+        if float((lacking - with_it).sum()) < price + 10 or separation(lacking, with_it, -price) < 2.0:
+            base = replace(base, point=without)
+            order = order[:k] + order[k + 1 :]
+    return base, order
