@@ -215,6 +215,9 @@ def problem(machine: Commissioned, output_cov: Array, process_cov: Array | None,
         tuple(v.name for v in machine.outputs),
         alarms,
         tuple(v.name for v in machine.inputs),
+        limits=machine.limits,
+        output_cov=output_cov,
+        process_cov=process_cov,
     )
 
 

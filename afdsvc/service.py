@@ -18,7 +18,7 @@ from afdsvc.api.clock import Clock
 from afdsvc.api.detection import FalseAlarms
 from afdsvc.commission import Commissioned
 from afdsvc.errors import BadInput
-from afdsvc.excite.default import default_burst
+from afdsvc.excite.default import default_burst, second_burst
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.review.sink import ReviewSink
 from afdsvc.runtime import commands
@@ -130,9 +130,15 @@ def burst_design(machine: Commissioned, stream: Pipeline) -> Callable[[Wanted], 
         raise BadInput(f"machine '{machine.config.id}' can be watched, not excited")
     burst = default_burst(stream.problem, limits, seconds=settings.seconds, output_amplitude=settings.output_amplitude)
     rng = np.random.default_rng(0)
-    return lambda wanted: (
-        burst if wanted.purpose == "diagnose" else commission.identification_burst(machine, wanted.purpose, rng)
-    )
+
+    def design(wanted: Wanted) -> Burst:
+        if wanted.purpose == "diagnose":
+            return burst
+        if wanted.question:
+            return second_burst(stream.problem, limits, wanted.question.weights, wanted.question.severity, settings.seconds)
+        return commission.identification_burst(machine, wanted.purpose, rng)
+
+    return design
 
 
 def rig_agent(site: Site, id: str, transport: Transport, clock: Clock) -> RigAgent:

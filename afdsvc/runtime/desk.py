@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import itertools
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.clock import Clock
+from afdsvc.api.evidence import Evidence
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.runtime.pipeline import Pipeline
 from afdsvc.runtime.scheduler import Scheduler, Wanted
 from afdsvc.runtime.sinks import Sink
 from afdsvc.runtime.transport import Transport
+from afdsvc.runtime.verdict import open_question
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import BurstRequest, BurstStop, EventKind, Lease, RigEvent
@@ -104,6 +106,17 @@ class BurstDesk:
         """Take an event of the rig into account."""
         if event.kind in ENDS and (event.burst == self.playing or event.kind is EventKind.RIG_STOPPED) and self.playing:
             self._end()
+
+    def consider(self, burst: str, decisions: Sequence[Evidence]) -> None:
+        """Plan a second burst when the decisions on a diagnosis burst leave open which fault it is; drop it when they do not."""
+        known = self.pipeline.bursts.get(burst)
+        if known is None or known.purpose != "diagnose":
+            return
+        question = open_question(decisions)
+        if question:
+            self.scheduler.follow_up(question)
+        else:
+            self.scheduler.settle(burst)
 
     def _begin(self, burst: Burst) -> None:
         seconds = burst.samples * self.pipeline.problem.plant.dt + LEAD_SECONDS

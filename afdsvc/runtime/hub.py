@@ -155,13 +155,17 @@ class Hub:
     def _block(self, watch: MachineWatch, payload: bytes) -> None:
         outcome = watch.take_block(payload)
         desk = self._tell_desk(watch)
-        for finding in watch.fresh_findings() if outcome else ():
+        fresh = watch.fresh_findings() if outcome else []
+        for finding in fresh:
             alarm = self.alarms.take(finding)
             watch.doubt_model()
             if alarm is not None:
                 watch.say("error", sentence_of(finding))
                 if desk:
                     desk.scheduler.after_event(alarm.id)
+        if desk:
+            for burst in {f.evidence.burst for f in fresh if f.evidence.burst}:
+                desk.consider(burst, watch.decisions_on(burst))
 
     def _tell_desk(self, watch: MachineWatch) -> BurstDesk | None:
         desk = self.desks.get(watch.machine)

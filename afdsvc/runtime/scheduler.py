@@ -9,16 +9,18 @@ import numpy as np
 
 from afdsvc.errors import Refused
 from afdsvc.runtime.site import Bursts
+from afdsvc.runtime.verdict import Question
 
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A burst somebody wants: why, at which second of the machine's own time (at once when None), and the burst it follows."""
+    """A burst somebody wants: why, at which second of the machine's own time (at once when None), what for, and, for a burst
+    that is to isolate a fault, the question it answers."""
 
     reason: str
-    follow_up: str = ""
     at: float | None = None
     purpose: str = "diagnose"
+    question: Question | None = None
 
 
 class Scheduler:
@@ -55,9 +57,15 @@ class Scheduler:
         if self._settings.after_event and not self._queue:
             self._queue.append(Wanted(f"after event: {reason}"))
 
-    def follow_up(self, reason: str, burst: str) -> None:
-        """Queue a second burst that separates the faults the first one left open."""
-        self._queue.append(Wanted(reason, burst))
+    def follow_up(self, question: Question) -> None:
+        """Queue the burst that separates the two likeliest faults of a question, once per question (two-step isolation)."""
+        self.settle(question.burst)
+        if self._settings.isolate:
+            self._queue.append(Wanted(str(question), purpose="isolate", question=question))
+
+    def settle(self, burst: str) -> None:
+        """Drop what was to follow a burst that has answered its own question after all."""
+        self._queue = [w for w in self._queue if w.question is None or w.question.burst != burst]
 
     def due(self, now: float, wall: datetime) -> Wanted | None:
         """Return the burst to play now, or None."""

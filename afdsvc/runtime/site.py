@@ -125,6 +125,7 @@ class Bursts(_Strict):
     jitter_seconds: Annotated[float, Field(ge=0)] = 0.0
     rest_seconds: Annotated[float, Field(ge=0)] = 1.0
     after_event: bool = False
+    isolate: bool = True
     first_after_seconds: Annotated[float, Field(ge=0)] = 2.0
     seconds: Positive = 2.5
     output_amplitude: Positive | None = None

@@ -9,6 +9,9 @@ from itertools import groupby, takewhile
 from scipy.stats import chi2
 
 from afdsvc.api.evidence import Evidence, Severity
+from afdsvc.detect.hypotheses import NONE
+
+TYPICAL = -0.5  # severity a second burst is made for when the first could not tell any
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +29,19 @@ class Verdict:
     detected: bool = False
     trustworthy: bool = True
     reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What a burst left open: its name, the faults still possible with their weights, and the severity they share."""
+
+    burst: str
+    weights: Mapping[str, float]
+    severity: float
+
+    def __str__(self) -> str:
+        likely = sorted(self.weights, key=lambda name: -self.weights[name])[:2]
+        return f"burst {self.burst} leaves open whether it is {' or '.join(likely)}"
 
 
 def alarms(evidence: Sequence[Evidence]) -> list[Evidence]:
@@ -61,6 +77,16 @@ def strongest(decisions: Sequence[Evidence]) -> Evidence | None:
     """Return the decision that names a fault with the largest margin over its threshold, None when none does."""
     named = [e for e in decisions if e.fault and e.severity]
     return max(named, key=lambda e: e.statistic - e.threshold, default=None)
+
+
+def open_question(decisions: Sequence[Evidence]) -> Question | None:
+    """Return what the decisions on one burst leave open: a fault for sure, but which of two or more; None otherwise."""
+    verdict = conclude(decisions)
+    suspects = {name: w for name, w in verdict.weights.items() if name != NONE}
+    if not verdict.detected or verdict.fault or len(suspects) < 2 or verdict.weights.get(NONE, 0.0) > 0.5:
+        return None
+    told = [e.severity.value for e in alarms(decisions) if e.severity]
+    return Question(decisions[-1].burst, suspects, told[-1] if told else TYPICAL)
 
 
 def pooled(newest_first: Sequence[Severity]) -> Severity:

@@ -79,6 +79,10 @@ class MachineWatch:
         fresh, self._fresh = self._fresh, []
         return fresh
 
+    def decisions_on(self, burst: str) -> list[Evidence]:
+        """Return the kept decisions on one burst."""
+        return [e for e in self.evidence if e.burst == burst]
+
     def take_event(self, payload: bytes) -> RigEvent | None:
         """Pass an event of the rig on; None when it cannot be decoded."""
         try:

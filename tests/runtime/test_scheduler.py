@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from afdsvc.errors import Refused
 from afdsvc.runtime.scheduler import Scheduler, Wanted
 from afdsvc.runtime.site import Bursts
+from afdsvc.runtime.verdict import Question
 
 NOON = datetime(2026, 11, 21, 12, 0)
 
@@ -95,3 +96,21 @@ def test_an_event_asks_for_one_burst_only_where_the_site_wants_it():
     quiet = scheduler()
     quiet.after_event("x")
     assert played(quiet, 20) == []
+
+
+def test_an_open_question_gets_one_second_burst_unless_it_is_settled_first():
+    s = scheduler(rest_seconds=1.0)
+    question = Question("b1", {"actuator": 0.6, "sensor": 0.4, "other": 0.0}, -0.2)
+    s.follow_up(question)
+    s.follow_up(question)
+    wanted = s.due(0.0, NOON)
+    assert wanted is not None
+    assert (wanted.purpose, wanted.question) == ("isolate", question)
+    assert wanted.reason == "burst b1 leaves open whether it is actuator or sensor"
+    assert s.due(0.0, NOON) is None
+    s.follow_up(question)
+    s.settle("b1")
+    assert s.due(0.0, NOON) is None
+    off = scheduler(isolate=False)
+    off.follow_up(question)
+    assert off.due(0.0, NOON) is None

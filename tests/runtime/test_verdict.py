@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from afdsvc.api.evidence import Evidence, Severity
-from afdsvc.runtime.verdict import conclude, model_gap
+from afdsvc.runtime.verdict import conclude, model_gap, open_question
 
 
 def said(detector="regression", statistic=10.0, burst="b1", seconds=5.0, fault="a", detected=True, trustworthy=True, **more):
@@ -89,3 +89,13 @@ def test_a_model_gap_is_suspected_when_bursts_keep_fitting_nothing():
     assert model_gap([said(burst=f"b{i}", fault=None, detected=False) for i in range(5)]) == ""
     frozen = [replace(e, p_white=None) for e in blind]
     assert model_gap(frozen) == ""
+
+
+def test_a_question_is_open_when_a_fault_is_sure_and_its_name_is_not():
+    question = open_question([said(fault=None)])
+    assert question is not None
+    assert (question.burst, dict(question.weights)) == ("b1", {"a": 0.5, "b": 0.5})
+    assert open_question([said()]) is None
+    assert open_question([said(fault=None), said("fault_curves")]) is None
+    assert open_question([said(fault=None, detected=False)]) is None
+    assert open_question([said(fault=None, trustworthy=False)]) is None

@@ -98,6 +98,28 @@ bursts = {every_seconds = 3.5, first_after_seconds = 0.5, seconds = 2.0}"""
     assert verdict["first_detected_s"] > 4.0
 
 
+def test_a_burst_that_tells_a_fault_but_not_which_is_followed_by_one_that_tells(free_port, tmp_path):
+    """Two-step isolation (thesis 5.5): a faint burst first, then one made for the two likeliest faults."""
+    machine = """plant = "gas_bearing"
+driver = {seed = 4, faults = [{name = "vertical_actuator", severity = -0.5, at_seconds = 0.0}]}
+detectors = [{kind = "fault_curves"}]
+bursts = {every_seconds = 30.0, first_after_seconds = 0.5, seconds = 1.0, output_amplitude = 0.3}"""
+    site = site_of(free_port, tmp_path, machine=machine)
+    with service.serving(site) as hub, rig(site, 6.0) as thread:
+        thread.join(40)
+        hub.drain()
+        first, second = hub.watches["bearing"].evidence
+    assert first.detected
+    assert first.fault is None
+    assert second.fault == "vertical_actuator"
+    assert second.severity is not None
+    assert abs(second.severity.value + 0.5) < 4 * second.severity.sd
+    (path,) = tmp_path.glob("*.mcap")
+    requests = list(Recording(path).requests("bearing"))
+    assert [r.burst.purpose for r in requests] == ["diagnose", "isolate"]
+    assert "leaves open whether it is" in requests[1].asked_by
+
+
 def test_people_can_ask_and_are_told_why_not(free_port, tmp_path):
     site = site_of(free_port, tmp_path)
     with service.serving(site) as hub:
