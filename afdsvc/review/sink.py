@@ -9,7 +9,7 @@ from afdsvc.lti.statespace import Array
 from afdsvc.record.foxglove_log import Level
 from afdsvc.review.log import ReviewLog
 from afdsvc.runtime.publishing import residual_block
-from afdsvc.wire.messages import BurstRequest, Finding, RigEvent
+from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RigEvent
 
 _LEVELS = {"info": Level.INFO, "warning": Level.WARNING, "error": Level.ERROR}
 
@@ -52,6 +52,10 @@ class ReviewSink:
     def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
         """Tell a sentence."""
         self._open(t_ns).note(t_ns, _LEVELS[level], sentence, machine)
+
+    def alarm(self, change: AlarmChange) -> None:
+        """Show what happened to an alarm in the log."""
+        self.notice(change.alarm.machine, "info", f"alarm {change.alarm.id} {change.event}", change.t_ns)
 
     def tick(self) -> None:
         """Nothing: samples are sent as their own time goes on."""

@@ -9,7 +9,7 @@ from afdsvc.lti.statespace import Array
 from afdsvc.runtime.transport import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import BurstRequest, Finding, RigEvent
+from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RigEvent
 
 
 def residual_block(block: Block, residual: Array) -> Block:
@@ -45,6 +45,10 @@ class Publisher:
 
     def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
         """Nothing: sentences go to the recording and the log."""
+
+    def alarm(self, change: AlarmChange) -> None:
+        """Publish what happened to an alarm."""
+        self.transport.publish(self.keys.alarm(change.alarm.machine), codec.encode_alarm_change(change))
 
     def tick(self) -> None:
         """Nothing."""

@@ -15,9 +15,16 @@ from afdsvc.record.recorder import Recorder, RecordingFailed, RecordingSettings
 from afdsvc.runtime.publishing import residual_block
 from afdsvc.runtime.site import Recording
 from afdsvc.wire import codec
-from afdsvc.wire.messages import BurstRequest, Finding, RigEvent
+from afdsvc.wire.messages import AlarmChange, AlarmKind, BurstRequest, Finding, RigEvent
 
 LEVELS = {"info": Level.INFO, "warning": Level.WARNING, "error": Level.ERROR}
+
+
+def alarm_sentence(change: AlarmChange) -> str:
+    """Return what happened to an alarm as one sentence."""
+    by = f" by {change.who}" if change.who else ""
+    why = f": {change.why}" if change.why else ""
+    return f"alarm {change.alarm.id} {change.event}{by}{why}"
 
 
 class RecorderSink:
@@ -74,6 +81,11 @@ class RecorderSink:
     def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
         """Record a sentence."""
         self._open().note(t_ns, LEVELS[level], sentence, machine)
+
+    def alarm(self, change: AlarmChange) -> None:
+        """Record what happened to an alarm as a sentence."""
+        level = Level.INFO if not change.alarm.active or change.alarm.kind is AlarmKind.NOTICE else Level.WARNING
+        self._open().note(change.t_ns, level, alarm_sentence(change), change.alarm.machine)
 
     def tick(self) -> None:
         """Flush when it is due."""

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from afdsvc.api.signals import Block
 from afdsvc.lti.statespace import Array
-from afdsvc.wire.messages import BurstRequest, Finding, RigEvent
+from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RigEvent
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +40,10 @@ class Sink(Protocol):
 
     def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
         """Take a sentence of the service about a machine; level is info, warning or error."""
+        ...
+
+    def alarm(self, change: AlarmChange) -> None:
+        """Take what happened to an alarm."""
         ...
 
     def tick(self) -> None:
@@ -88,6 +92,10 @@ class ThreadedSink:
     def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
         """Queue a sentence."""
         self._put("notice", machine, level, sentence, t_ns)
+
+    def alarm(self, change: AlarmChange) -> None:
+        """Queue what happened to an alarm."""
+        self._put("alarm", change)
 
     def tick(self) -> None:
         """Nothing to do: the thread ticks the sink itself."""
@@ -167,6 +175,11 @@ class Fan:
         """Pass a sentence on."""
         for sink in self.sinks:
             sink.notice(machine, level, sentence, t_ns)
+
+    def alarm(self, change: AlarmChange) -> None:
+        """Pass on what happened to an alarm."""
+        for sink in self.sinks:
+            sink.alarm(change)
 
     def tick(self) -> None:
         """Pass the tick on."""

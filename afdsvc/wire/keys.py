@@ -89,6 +89,10 @@ class Keys:
         """Decisions of the detectors, published by the service for viewers and whoever reacts to them."""
         return self._of(machine, "evidence")
 
+    def alarm(self, machine: str) -> str:
+        """What happens to the machine's alarms, published by the service for displays and whoever must be told."""
+        return self._of(machine, "alarm")
+
     def service_alive(self) -> str:
         """Liveliness token of the service: its loss ends bursts on the rigs, its presence stops a second service."""
         return f"{ROOT}/{self.site}/{SERVICE}/alive"
@@ -98,7 +102,7 @@ class Keys:
         return f"{ROOT}/{self.site}/{SERVICE}/status"
 
     def command(self) -> str:
-        """Query to the service from people: status, burst, alarms, ack, pause, resume."""
+        """Query to the service from people: status, burst, alarms, ack, confirm, shelve, pause, resume."""
         return f"{ROOT}/{self.site}/{SERVICE}/command"
 
     def blocks(self) -> str:
@@ -124,6 +128,10 @@ class Keys:
     def evidences(self) -> str:
         """The decisions about every machine of the site, for viewers."""
         return self._every("evidence")
+
+    def alarms(self) -> str:
+        """The alarms of every machine of the site, for displays."""
+        return self._every("alarm")
 
     def _of(self, machine: str, what: str) -> str:
         return f"{ROOT}/{self.site}/{checked_machine(machine)}/{what}"

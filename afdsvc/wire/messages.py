@@ -111,9 +111,22 @@ class Finding:
     t_ns: int
 
 
+class AlarmKind(StrEnum):
+    """What an alarm is about: a fault of the machine, the watching itself (a dead sensor), or something merely worth saying."""
+
+    FAULT = "fault"
+    SYSTEM = "system"
+    NOTICE = "notice"
+
+
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """A fault that decisions support: since when, how often, whether still, and who has seen it."""
+    """One alarm in the words of OPC UA Part 9: since when, how often supported, whether still, and who did what about it.
+
+    ``active`` says the condition holds, ``acknowledged`` that somebody has seen it, ``confirmed`` that somebody has dealt with
+    it. A ``latched`` alarm has ended and waits to be reset. ``shelved_until_ns`` (0: not shelved) and ``shelved_by`` are a
+    person's doing, ``suppressed`` (why, "" otherwise) is the service's; ``cause`` is the id of the alarm it follows from.
+    """
 
     id: str
     machine: str
@@ -126,6 +139,37 @@ class Alarm:
     acknowledged: bool = False
     acknowledged_by: str = ""
     comment: str = ""
+    kind: AlarmKind = AlarmKind.FAULT
+    confirmed: bool = False
+    confirmed_by: str = ""
+    latched: bool = False
+    shelved_until_ns: int = 0
+    shelved_by: str = ""
+    suppressed: str = ""
+    cause: str = ""
+    ended_ns: int = 0
+    sentence: str = ""
+
+    @property
+    def retained(self) -> bool:
+        """Whether it stays on the list: it still holds, is latched, or nobody has seen it (a notice ends by itself)."""
+        return self.active or self.latched or (not self.acknowledged and self.kind is not AlarmKind.NOTICE)
+
+    @property
+    def announced(self) -> bool:
+        """Whether it is to call for attention now: on the list, neither shelved nor suppressed."""
+        return self.retained and not self.shelved_until_ns and not self.suppressed
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmChange:
+    """What happened to an alarm, when, by whom ("" for the service itself) and why; ``alarm`` is how it stands afterwards."""
+
+    alarm: Alarm
+    event: str
+    t_ns: int
+    who: str = ""
+    why: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from afdsvc.errors import BadInput
 from afdsvc.wire import afdsvc_pb2 as pb
 from afdsvc.wire.keys import checked_machine
-from afdsvc.wire.messages import Alarm, Command, CommandReply, MachineStatus, ServiceStatus
+from afdsvc.wire.messages import Alarm, AlarmChange, AlarmKind, Command, CommandReply, MachineStatus, ServiceStatus
 from afdsvc.wire.parsing import (
     build,
     count,
@@ -89,11 +89,29 @@ def _machine(m: pb.MachineStatus) -> MachineStatus:
     )
 
 
+def encode_alarm_change(change: AlarmChange) -> bytes:
+    """Return the message."""
+    return build(
+        pb.AlarmChange, timestamp=stamp(change.t_ns), alarm=_alarm_message(change.alarm), event=change.event, who=change.who,
+        why=change.why,
+    ).SerializeToString()
+
+
+def decode_alarm_change(data: bytes) -> AlarmChange:
+    """Return the change; raises `BadInput` naming what is missing."""
+    message = parse(pb.AlarmChange, data)
+    required(message, "timestamp", "alarm", "event")
+    return AlarmChange(_alarm(message.alarm), message.event, nanoseconds(message.timestamp), message.who, message.why)
+
+
 def _alarm_message(a: Alarm) -> pb.Alarm:
     return build(
         pb.Alarm, id=a.id, machine=a.machine, fault=a.fault, severity=severity_message(a.severity),
         since=stamp(a.since_ns), last=stamp(a.last_ns), count=a.count, active=a.active, acknowledged=a.acknowledged,
-        acknowledged_by=a.acknowledged_by, comment=a.comment,
+        acknowledged_by=a.acknowledged_by, comment=a.comment, kind=a.kind.value, confirmed=a.confirmed,
+        confirmed_by=a.confirmed_by, latched=a.latched, shelved_until=stamp(a.shelved_until_ns) if a.shelved_until_ns else None,
+        shelved_by=a.shelved_by, suppressed=a.suppressed, cause=a.cause, ended=stamp(a.ended_ns) if a.ended_ns else None,
+        sentence=a.sentence,
     )
 
 
@@ -101,5 +119,14 @@ def _alarm(m: pb.Alarm) -> Alarm:
     required(m, "id", "machine", "since", "last")
     return Alarm(
         m.id, checked_machine(m.machine), m.fault, nanoseconds(m.since), nanoseconds(m.last), count(m, "count"),
-        m.active, severity_of(m), m.acknowledged, m.acknowledged_by, m.comment,
+        m.active, severity_of(m), m.acknowledged, m.acknowledged_by, m.comment, _kind(m.kind), m.confirmed, m.confirmed_by,
+        m.latched, nanoseconds(m.shelved_until) if m.HasField("shelved_until") else 0, m.shelved_by, m.suppressed, m.cause,
+        nanoseconds(m.ended) if m.HasField("ended") else 0, m.sentence,
     )
+
+
+def _kind(value: str) -> AlarmKind:
+    try:
+        return AlarmKind(value or "fault")
+    except ValueError:
+        raise BadInput(f"an alarm of kind '{value[:40]}'; fault, system or notice is wanted") from None

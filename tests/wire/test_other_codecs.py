@@ -15,6 +15,8 @@ from afdsvc.wire import afdsvc_pb2 as pb
 from afdsvc.wire import codec
 from afdsvc.wire.messages import (
     Alarm,
+    AlarmChange,
+    AlarmKind,
     BurstReply,
     BurstRequest,
     BurstStop,
@@ -59,8 +61,12 @@ EVIDENCE = Evidence(
     0.4,
     {"amplitude": 1 / 3, "phase": float("nan")},
 )
+SHELVED = Alarm(
+    "a2", "m1", "frozen_sensor", T, T, kind=AlarmKind.SYSTEM, confirmed=True, confirmed_by="kim", latched=True, shelved_until_ns=T + 9,
+    shelved_by="lee", suppressed="consequence of a1", cause="a1", ended_ns=T + 7, sentence="stands still",
+)
 ALARM = Alarm("a1", "m1", "horizontal_actuator", T, T + 5, 3, True, Severity(-0.5, 0.1), True, "kim", "seen")
-MACHINE = MachineStatus("m1", "stale", "s1", "no block for 3 s", 10, 1, 2, 0.7, 3.0, "b1", 12.5, False, (ALARM,))
+MACHINE = MachineStatus("m1", "stale", "s1", "no block for 3 s", 10, 1, 2, 0.7, 3.0, "b1", 12.5, False, (ALARM, SHELVED))
 
 MESSAGES = {
     "burst_request": BurstRequest("m1", SINES, 2.0, "scheduler", T),
@@ -85,6 +91,7 @@ MESSAGES = {
     "status": ServiceStatus(
         "plant", "0.1", T, 3.5, (MACHINE, MachineStatus("m2", "running")), "r.mcap", 5, "disk full", 6
     ),
+    "alarm_change": AlarmChange(SHELVED, "shelved", T, "lee", "cleaning"),
     "command": Command("ack", {"alarm": "a1", "n": [1, 2.5, None]}, "kim"),
     "command_reply": CommandReply(True, {"machines": [{"id": "m1"}]}),
 }
