@@ -27,6 +27,10 @@ class PhysicalPlant:
     operation in the units of the signals. ``fault_sites`` names the gain faults: ``("input", i)`` or ``("output", i)``;
     ``usual_faults`` are those meant when no names are given (every gain fault if empty).
     ``recommended`` holds settings for controllers by their name, where a source gives them.
+
+    A rotating machine has a ``speed`` [rad/s] and may have ``unbalance (m,)``: complex amplitudes per input of the force
+    that turns with the rotor at that speed, in the unit of the input. ``at_speed(rad/s)`` returns the same machine, with
+    the same states, at another speed; None when nobody knows it there.
     """
 
     name: str
@@ -44,6 +48,9 @@ class PhysicalPlant:
     usual_faults: tuple[str, ...] = ()
     source: str = ""
     recommended: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    speed: float = 0.0
+    unbalance: Array | None = None
+    at_speed: Callable[[float], PhysicalPlant] | None = None
 
     def values(self, changes: Mapping[str, float] | None = None) -> dict[str, float]:
         """Return the parameter values by name, some of them replaced; raises `BadInput` for an unknown name."""

@@ -9,7 +9,8 @@ noise. Every number marked "chosen" is one an engineer would accept for a machin
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import replace
+from functools import lru_cache, partial
 
 import numpy as np
 from scipy.linalg import eigh
@@ -75,23 +76,30 @@ def _first_bending(K: Array, M: Array) -> float:
 
 
 def amb_turboexpander(
-    rpm: float = NOMINAL_RPM, states: int = STATES, sample_time: float = SAMPLE_TIME, shear: bool = False
+    rpm: float = NOMINAL_RPM,
+    states: int = STATES,
+    sample_time: float = SAMPLE_TIME,
+    shear: bool = False,
+    balance_grade: float = BALANCE_GRADE,
 ) -> PhysicalPlant:
     """Return the turboexpander reduced to ``states``: 8 are the paper's rigid rotor, every further 4 keep a bending pair.
 
     Currents [A] and displacements [um] are ordered ``a_x, a_y, b_x, b_y``; a is the bearing beside the expander wheel.
-    Raises `BadInput` for a number of states that splits a pair of modes.
+    ``balance_grade`` [mm/s] of ISO 21940 is that of the balancing, done at ``rpm``; 0 is a perfect rotor. Raises `BadInput`
+    for a number of states that splits a pair of modes.
     """
     if not np.isfinite(rpm):
         raise BadInput(f"rpm {rpm}; a finite speed is wanted")
+    if not 0 <= balance_grade < float("inf"):
+        raise BadInput(f"balance_grade {balance_grade} mm/s; 0 or more is wanted")
     rotor = turboexpander_rotor(float(rpm), shear)
     build, _ = rotor.family(states)
     names = rotor.channels
     stiffness = tuple(f"stiffness_{name}" for name in names)
     sites = {f"{n}_actuator": ("input", i) for i, n in enumerate(names)}
     sites |= {f"{n}_sensor": ("output", i) for i, n in enumerate(names)}
-    return PhysicalPlant(
-        name=f"turboexpander on magnetic bearings, {rpm:g} rpm, {states} states",
+    plant = PhysicalPlant(
+        name=f"turboexpander on magnetic bearings, {states} states",
         inputs=tuple(Variable(name, "A") for name in names),
         outputs=tuple(Variable(name, "um") for name in names),
         states=magnetic_rotor.states(states),
@@ -105,4 +113,15 @@ def amb_turboexpander(
         usual_faults=(*stiffness, *sites),
         source="A. K. Sekunda, PhD thesis, DTU 2017, publication P1; geometry and constants chosen",
         recommended=RECOMMENDED,
+    )
+    return _at_speed(rotor.unbalance(balance_grade), rotor.speed, plant, rotor.speed)
+
+
+def _at_speed(unbalance: Array, balanced_at: float, plant: PhysicalPlant, speed: float) -> PhysicalPlant:
+    """Return the plant turning at ``speed`` [rad/s]; its unbalance was that at ``balanced_at``."""
+    ratio = speed / balanced_at if balanced_at else 0.0
+    turning = plant if speed == plant.parameters["speed"].value else plant.at(speed=speed)
+    return replace(
+        turning, name=f"{plant.name}, {speed * 30 / np.pi:g} rpm", speed=speed, unbalance=unbalance * ratio**2,
+        at_speed=partial(_at_speed, unbalance, balanced_at, plant),
     )

@@ -76,11 +76,14 @@ PARAMETER_SETS: dict[str, Values] = {
 FORMS = ("first_order_actuators", "delay", "second_order_actuators")
 
 
+FASTEST_RPM = 1100
+
+
 def gas_bearing(
-    rpm: int = 0, parameters: str | None = None, form: str = "first_order_actuators", sample_time: float = SAMPLE_TIME
+    rpm: float = 0, parameters: str | None = None, form: str = "first_order_actuators", sample_time: float = SAMPLE_TIME
 ) -> PhysicalPlant:
     """Return the gas bearing at 0 or 1100 rpm (P5 tables 0.1 and 0.2 corrected), or with another published parameter
-    set.
+    set. Between the two speeds every parameter is interpolated linearly, which nobody has measured.
 
     ``form`` is the way the actuators are modelled:
 
@@ -92,18 +95,20 @@ def gas_bearing(
     6-state forms lag alike at low frequency), the actuator poles of the 10-state form to p and 10 p with the delay a
     tenth of 1/p. Raises `BadInput` for an unknown rpm, parameter set or form.
     """
-    name = parameters or _set_for(rpm)
-    if name not in PARAMETER_SETS:
-        raise BadInput(f"the gas bearing has no parameter set '{name}'; it has {', '.join(PARAMETER_SETS)}")
+    name, values = _values(rpm, parameters)
     if form not in FORMS:
         raise BadInput(f"the gas bearing has no form '{form}'; it has {', '.join(FORMS)}")
-    build, extra, states = _FORMS[form](PARAMETER_SETS[name])
+    build, extra, states = _FORMS[form](values)
+
+    def at_speed(speed: float) -> PhysicalPlant:
+        return gas_bearing(_round_rpm(speed), None, form, sample_time)
+
     return PhysicalPlant(
         name=f"gas bearing, {name}, {form}",
         inputs=tuple(Variable(axis, "V") for axis in AXES),
         outputs=tuple(Variable(axis, "um") for axis in AXES),
         states=(*_BODY_STATES, *states),
-        parameters={**_body_parameters(PARAMETER_SETS[name]), **extra},
+        parameters={**_body_parameters(values), **extra},
         build=build,
         sample_time=sample_time,
         output_cov=np.diag(NOISE_VARIANCE),
@@ -112,6 +117,8 @@ def gas_bearing(
         fault_sites=FAULTS,
         source="A. K. Sekunda, PhD thesis, DTU 2017, publication P5 and chapter 3",
         recommended={"lqg": _weights(2 + len(states)), "proportional": _weights(2 + len(states))},
+        speed=2 * np.pi * rpm / 60,
+        at_speed=None if parameters else at_speed,
     )
 
 
@@ -121,11 +128,31 @@ def _weights(after_velocities: int) -> dict[str, Any]:
     return {"state_weight": velocities, "input_weight": 1.0, "process_weight": 0.01, "noise_weight": 1.0}
 
 
-def _set_for(rpm: int) -> str:
-    sets = {0: "table_0_1", 1100: "table_0_2"}
-    if rpm not in sets:
-        raise BadInput(f"the gas bearing was identified at 0 and 1100 rpm, not at {rpm}")
-    return sets[rpm]
+def _values(rpm: float, parameters: str | None) -> tuple[str, Values]:
+    """Return the name and the values of a parameter set, or those for a speed."""
+    if parameters is not None:
+        if parameters not in PARAMETER_SETS:
+            raise BadInput(f"the gas bearing has no parameter set '{parameters}'; it has {', '.join(PARAMETER_SETS)}")
+        return parameters, PARAMETER_SETS[parameters]
+    if rpm in (0, FASTEST_RPM):
+        name = "table_0_2" if rpm else "table_0_1"
+        return name, PARAMETER_SETS[name]
+    if not 0 < rpm < FASTEST_RPM:
+        raise BadInput(f"the gas bearing was identified at 0 and {FASTEST_RPM} rpm, not at {rpm:g}; a speed between them is interpolated")
+    return f"{rpm:g} rpm interpolated", _between(rpm / FASTEST_RPM)
+
+
+def _between(share: float) -> Values:
+    """Return the parameters at a share of the way from standstill to the faster published speed."""
+    def mixed(key: str) -> Any:
+        return ((1 - share) * np.asarray(TABLE_0_1[key]) + share * np.asarray(TABLE_0_2[key])).tolist()
+
+    return {key: mixed(key) for key in TABLE_0_1}
+
+
+def _round_rpm(speed: float) -> float:
+    """Return rpm of a speed [rad/s], without the rounding of the conversion."""
+    return float(np.round(speed * 30 / np.pi, 9))
 
 
 _BODY_STATES = (

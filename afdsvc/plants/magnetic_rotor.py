@@ -52,16 +52,17 @@ class MagneticRotor:
         return tuple(f"{b.name}_{axis}" for b in self.bearings for axis in AXES)
 
     def parameters(self) -> dict[str, Quantity]:
-        """Return stiffness and current gain of every axis, by name."""
+        """Return stiffness and current gain of every axis, and the speed, by name."""
         axes = [(f"{b.name}_{axis}", b) for b in self.bearings for axis in AXES]
         stiffness = {f"stiffness_{name}": Quantity(b.stiffness, "N/m") for name, b in axes}
-        return {**stiffness, **{f"current_gain_{name}": Quantity(b.current_gain, "N/A") for name, b in axes}}
+        gains = {f"current_gain_{name}": Quantity(b.current_gain, "N/A") for name, b in axes}
+        return {**stiffness, **gains, "speed": Quantity(self.speed, "rad/s")}
 
     def full(self, values: Mapping[str, float]) -> FullRotor:
         """Return all the rotor's states with these parameter values."""
         at = self._directions([b.node for b in self.bearings])
         K = np.array([values[f"stiffness_{name}"] for name in self.channels])
-        return full_rotor(self.rotor, self.speed, at.T @ (K[:, None] * at))
+        return full_rotor(self.rotor, values["speed"], at.T @ (K[:, None] * at))
 
     def full_system(self, values: Mapping[str, float]) -> StateSpace:
         """Return the full model from currents [A] to displacements [um]: the 320 states of 40 nodes."""
@@ -77,7 +78,10 @@ class MagneticRotor:
         return StateSpace.of(basis.left @ full.A @ basis.right, basis.left @ B, C @ basis.right)
 
     def family(self, states: int) -> tuple[Build, ModalBasis]:
-        """Return the small model as a function of its parameters, and the basis; the states are those of nominal values."""
+        """Return the small model as a function of its parameters, and the basis; the states are those of nominal values.
+
+        The speed enters linearly, through the gyroscopic matrix carried into the basis of the nominal speed.
+        """
         nominal = {name: q.value for name, q in self.parameters().items()}
         full = self.full(nominal)
         readings = self._readings(full)
@@ -85,10 +89,12 @@ class MagneticRotor:
         A, C = basis.left @ full.A @ basis.right, readings @ basis.right
         pushes = basis.left @ self._forces(full)  # of a force on every bearing axis
         moves = self._positions(full) @ basis.right  # displacement of every bearing axis
+        gyroscopic = basis.left @ (self.full({**nominal, "speed": self.speed + 1.0}).A - full.A) @ basis.right
 
         def build(values: Mapping[str, float]) -> StateSpace:
             change = np.array([values[n] - nominal[n] for n in (f"stiffness_{name}" for name in self.channels)])
-            return StateSpace.of(A - (pushes * change) @ moves, pushes * self._gains(values), C)
+            turned = A + (values["speed"] - nominal["speed"]) * gyroscopic
+            return StateSpace.of(turned - (pushes * change) @ moves, pushes * self._gains(values), C)
 
         return build, basis
 
@@ -96,7 +102,7 @@ class MagneticRotor:
         """Return the complex currents ``(channels,)`` that act like unbalance of ISO 21940 grade G ``grade`` [mm/s].
 
         ``grade / speed`` is the eccentricity of the rotor's mass, shared by the bearings; at the angle ``speed t`` the force
-        turns with the rotor. Zero at standstill.
+        turns with the rotor. Zero at standstill. At another speed the same rotor's force goes with the square of the speed.
         """
         force = self.rotor.total_mass() * grade * 1e-3 * abs(self.speed) / len(self.bearings)
         return np.array([force / b.current_gain * turn for b in self.bearings for turn in (1.0, -1j)])

@@ -145,3 +145,26 @@ def test_unbalance_of_grade_2_5_is_an_eccentricity_of_three_quarters_of_a_microm
     assert np.abs(y) == pytest.approx(np.full(4, eccentricity), rel=0.25)
     assert np.allclose(y[1::2] / y[0::2], -1j, atol=1e-3)
     assert not turboexpander_rotor(0.0).unbalance(BALANCE_GRADE).any()
+
+
+@pytest.mark.parametrize("rpm", [0.0, 6000.0, 21000.0])
+def test_speed_is_a_parameter_of_the_same_states(rpm: float) -> None:
+    """The basis of full speed serves every speed: the oracle is the model reduced anew from the full rotor turning so."""
+    speed = 2 * np.pi * rpm / 60
+    plant, rotor = amb_turboexpander(), turboexpander_rotor(31500.0)
+    assert plant.at_speed is not None
+    slower = plant.at_speed(speed)
+    a, b = (frequency_response(g, BAND) for g in (slower.continuous(), rotor.full_system(slower.values())))
+    own = frequency_response(turboexpander_rotor(rpm).reduced(slower.values(), 8), BAND) if rpm else a
+    error = np.linalg.norm(a - own, 2, (1, 2)) / np.linalg.norm(own, 2, (1, 2))
+    assert error.max() < 5e-3
+    assert np.abs(20 * np.log10(np.linalg.norm(a, 2, (1, 2)) / np.linalg.norm(b, 2, (1, 2))))[BAND < 15000].max() < 1.1
+    assert slower.speed == speed
+    assert slower.unbalance == pytest.approx(rotor.unbalance(BALANCE_GRADE) * (rpm / 31500) ** 2, rel=1e-12)
+
+
+def test_speed_is_pulled_out_as_a_fraction_of_itself() -> None:
+    plant = amb_turboexpander()
+    assert plant.at_speed is not None
+    found, wanted = plant.faults(["speed"]).close([-0.2]), plant.at_speed(0.8 * plant.speed).discrete()
+    assert all(np.allclose(getattr(found, m), getattr(wanted, m), rtol=0, atol=1e-10) for m in "ABCD")

@@ -141,3 +141,12 @@ def test_refusals() -> None:
         gas_bearing().faults(["leak"])
     with pytest.raises(BadInput, match="no gain fault 'leak'"):
         gas_bearing().gain_faults(["leak"])
+
+
+def test_between_its_two_speeds_the_bearing_is_interpolated() -> None:
+    ends = [gas_bearing(rpm) for rpm in (0, 1100)]
+    half = gas_bearing(550)
+    for name, q in half.parameters.items():
+        assert q.value == pytest.approx(sum(e.parameters[name].value for e in ends) / 2, rel=1e-12)
+    assert ends[0].at_speed is not None
+    assert ends[0].at_speed(2 * np.pi * 1100 / 60).values() == ends[1].values()
