@@ -1,0 +1,130 @@
+"""The whole way from a model and recordings to an explanation of the gap between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from afdsvc.api.model import Model
+from afdsvc.api.physics import Physics
+from afdsvc.api.signals import Trace
+from afdsvc.gap.explanation import Course, Explanation, OutputFit
+from afdsvc.gap.forward import Found, Progress, Yardstick, forward
+from afdsvc.gap.improved import extended
+from afdsvc.gap.naming import names, rejections
+from afdsvc.gap.nominal import nominal
+from afdsvc.gap.objective import Objective, Point
+from afdsvc.gap.prediction import Player, nrmse, player
+from afdsvc.gap.runs import Run, prepare
+from afdsvc.gap.search import Mapper
+from afdsvc.gap.settle import settle
+from afdsvc.gap.spectra import spectra
+from afdsvc.gap.split import Split, split
+from afdsvc.gap.verdict import Judgement, judged
+from afdsvc.gap.verify import explained
+from afdsvc.gap.whitening import whiteness_p
+from afdsvc.lti.statespace import Array
+
+MOST_EFFECTS = 3
+
+
+def explain(
+    model: Model, recordings: Sequence[Trace], holdout: Sequence[Trace], library: Iterable[Physics], *,
+    mapper: Mapper = map, progress: Progress = lambda what, share: None, most: int = MOST_EFFECTS,
+) -> Explanation:
+    """Locate the gap between a model and recordings, name the physics left out, model it, and show the fit.
+
+    ``holdout`` is never looked at before the report; without one the last recording, or the last third of a single one, is
+    kept back. ``mapper`` may run hypotheses in parallel; ``progress`` is told what is going on and how far it is (0 to 1).
+    Nothing is drawn at random. Raises `BadInput` for recordings that do not fit the model.
+    """
+    progress("reading", 0.0)
+    offered = list(library)
+    runs = prepare(model, [*recordings, *holdout])
+    roles = split(runs[: len(recordings)], runs[len(recordings) :])
+    start = nominal(model, runs[0].dt)
+    found = forward(start, roles.train, roles.select, offered, most, mapper, progress)
+    progress("reporting", 0.9)
+    answer = _answer(found, roles, offered)
+    progress("reporting", 1.0)
+    return answer
+
+
+def _answer(found: Found, roles: Split, offered: Sequence[Physics]) -> Explanation:
+    nom = found.start.nominal
+    playing = player(nom, (*roles.train, *roles.select, *roles.heldout), found.start.point, found.end.objective.simulator.ramped)
+    courses = _courses(found, roles, playing)
+    held = [c for c in courses if c.role == "heldout"]
+    judgement = judged(found, roles.select)
+    yardstick = Yardstick(found.start, roles.select)
+    done = explained(yardstick, found.start.point, found.end.point)
+    floor = tuple(float(v) for v in found.end.floor.sd) if found.end.floor.known else None
+    named = names(found, {p.name: p.summary for p in offered}) if judgement.tells_names else ()
+
+    def error(point: Point) -> float:
+        return nrmse(*_stacked([(r.Y, playing.outputs(r, point)) for r in roles.heldout]))
+
+    return Explanation(
+        verdict=judgement.verdict,
+        located=(),
+        named=(*named, *judgement.extra),
+        rejected=rejections(found, error),
+        fit=tuple(_fit(held, j, v.name, floor) for j, v in enumerate(nom.model.outputs)),
+        heldout=roles.heldout_names,
+        whiteness_p=_whiteness(found, roles.heldout),
+        simulated=playing.way,
+        explained=(done.fraction, done.sd),
+        check=(),
+        sentences=_sentences(judgement, found),
+        next_experiment=None,
+        remainder=judgement.remainder,
+        noise_floor=floor,
+        courses=courses,
+        spectra=spectra(roles.heldout, held, [v.name for v in nom.model.outputs]),
+        nominal=nom,
+        point=found.end.point,
+        improved=extended(nom, found.end.point),
+        notes={"limited_by": found.start.limited, "process_noise_ratio": found.start.ratio},
+    )
+
+
+def _courses(found: Found, roles: Split, playing: Player) -> tuple[Course, ...]:
+    before = Point(np.zeros(len(found.start.point.theta)), ())
+    listed = []
+    for role, runs in (("train", roles.train), ("select", roles.select), ("heldout", roles.heldout)):
+        for r in runs:
+            t: Array = np.asarray(r.t0 + r.dt * np.arange(len(r)), dtype=np.float64)
+            listed.append(Course(r.name, role, t, r.Y, playing.outputs(r, before), playing.outputs(r, found.end.point)))
+    return tuple(listed)
+
+
+def _fit(held: Sequence[Course], j: int, name: str, floor: Sequence[float] | None) -> OutputFit:
+    y = np.concatenate([c.measured[:, j] for c in held])
+    before, after = (np.concatenate([getattr(c, k)[:, j] for c in held]) for k in ("before", "after"))
+    noise = None if floor is None else floor[j] / max(float(np.nanstd(y)), 1e-300)
+    return OutputFit(name, nrmse(y, before), nrmse(y, after), noise)
+
+
+def _stacked(pairs: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Return measured and simulated outputs of all runs as one column each, every output in units of its own spread."""
+    sizes = np.maximum(np.nanstd(np.vstack([y for y, _ in pairs]), axis=0), 1e-300)
+    return tuple(np.concatenate([(p[k] / sizes).ravel() for p in pairs]) for k in (0, 1))  # type: ignore[return-value]
+
+
+def _whiteness(found: Found, heldout: Sequence[Run]) -> tuple[float, float]:
+    objective = replace(found.end.objective, runs=tuple(heldout))
+    return _white(objective, Point(np.zeros(len(found.start.point.theta)), ())), _white(objective, found.end.point)
+
+
+def _white(objective: Objective, point: Point) -> float:
+    x0 = tuple(np.zeros(objective.simulator.nominal.plant.order) for _ in objective.runs)
+    there = settle(objective, replace(point, x0=x0), 2, states_only=True)
+    pieces = objective.whitened(there)
+    return whiteness_p(pieces) if all(np.isfinite(w).all() for w in pieces) else 0.0
+
+
+def _sentences(judgement: Judgement, found: Found) -> tuple[str, ...]:
+    stop = () if found.last is None else (f"the search stopped: {found.last.reason}",)
+    return (*judgement.sentences, *stop)

@@ -1,0 +1,103 @@
+"""From rulings to names: look-alikes with weights, parameters with standard deviations, sentences; and who was rejected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from afdsvc.api.physics import Hypothesis
+from afdsvc.gap.baseline import Baseline
+from afdsvc.gap.estimates import deviations, estimates
+from afdsvc.gap.explanation import Estimate, Named, Rejected
+from afdsvc.gap.forward import Found, Step
+from afdsvc.gap.judge import Rival
+from afdsvc.gap.objective import Point
+from afdsvc.lti.statespace import Array
+
+LEAST_WEIGHT = 1e-3
+MOST_NAMES = 8
+CHANGE = "parameter_change"
+
+
+def names(found: Found, summaries: Mapping[str, str]) -> tuple[Named, ...]:
+    """Return the names of every accepted effect with their look-alikes, effect by effect, likeliest first."""
+    listed: list[Named] = []
+    final = {e.hypothesis.key: (e, sd) for e, sd in zip(found.end.point.effects, deviations(found.end.objective, found.end.point), strict=True)}
+    B = found.end.nominal.plant.B
+    for count, number in enumerate(found.order, start=1):
+        step = found.steps[number]
+        for rival in _told(step):
+            h = rival.candidate.hypothesis
+            assert h is not None  # noqa: S101
+            effect, sd = final.get(h.key, (rival.candidate.effect, None))
+            if sd is None:
+                sd = _deviation(found.start, rival.candidate.point)
+            listed.append(_named(h, rival, step, count, estimates(effect, sd, B), summaries))
+    return tuple(listed)
+
+
+def _deviation(base: Baseline, point: Point) -> Array:
+    return deviations(base.objective, point)[-1]
+
+
+def _told(step: Step) -> list[Rival]:
+    rivals = [r for r in step.ruling.rivals if r.weight >= LEAST_WEIGHT or r is step.ruling.rivals[0]][:MOST_NAMES]
+    return rivals
+
+
+def _named(
+    h: Hypothesis, rival: Rival, step: Step, count: int, parameters: Mapping[str, Estimate], summaries: Mapping[str, str]
+) -> Named:
+    what = h.notes.get("variant", "") if h.physics == CHANGE else ""
+    told = "; ".join(_value(name, e) for name, e in parameters.items())
+    law = what + " other than stated" if what else summaries.get(h.physics, h.physics.replace("_", " "))
+    sentence = (
+        f"{place(h)}: {law}{' (' + told + ')' if told else ''}; closes {100 * min(max(step.share, 0.0), 1.0):.0f} % of the gap, "
+        f"weight {rival.weight:.2f} among {len(_told(step))} that fit alike"
+    )
+    return Named(h.physics, h.site, rival.weight, parameters, sentence, count, float(step.share), h.family, what)
+
+
+def _value(name: str, e: Estimate) -> str:
+    spread = "" if e.sd is None else f" +- {e.sd:.2g}"
+    return f"{name} {e.value:.4g}{spread}{' ' + e.unit if e.unit else ''}"
+
+
+def place(h: Hypothesis) -> str:
+    """Return a site in words."""
+    kind, _, name = h.site.partition(":")
+    return {"input": f"input {name}", "state": f"force on {name}", "output": f"sensor {name}"}.get(kind, "machine")
+
+
+def rejections(
+    found: Found, error: Callable[[Point], float], most: int = 6
+) -> tuple[Rejected, ...]:
+    """Return the hypotheses that were refined and lost, round by round; ``error`` gives a point's held-out nrmse."""
+    listed: list[Rejected] = []
+    rounds = [(s.ruling.beaten, s.ruling.rivals[0]) for s in found.steps]
+    for beaten, winner in rounds:
+        for rival in beaten[:most]:
+            h = rival.candidate.hypothesis
+            assert h is not None  # noqa: S101
+            if any((r.physics, r.site) == (h.physics, h.site) for r in listed):
+                continue
+            e = error(rival.candidate.point)
+            listed.append(Rejected(h.physics, h.site, e, _why(rival, winner)))
+    last = found.last
+    for rival in last.rivals[:1] if last is not None and not last.accepted else ():
+        h = rival.candidate.hypothesis
+        if h is not None and last is not None and not any((r.physics, r.site) == (h.physics, h.site) for r in listed):
+            listed.append(Rejected(h.physics, h.site, error(rival.candidate.point), last.reason))
+    return tuple(listed)
+
+
+def _why(rival: Rival, winner: Rival) -> str:
+    rest, best = float(np.sum(rival.candidate.blocks)), float(np.sum(winner.candidate.blocks))
+    more = 100 * (np.sqrt(rest / max(best, 1e-300)) - 1)
+    return f"error {more:.2g} % higher than with {winner.candidate.key} ({rival.z:.1f} standard errors)"
+
+
+def is_change(hypotheses: Sequence[Hypothesis]) -> bool:
+    """Whether all that was found are parameters off their stated value."""
+    return bool(hypotheses) and all(h.physics == CHANGE for h in hypotheses)
