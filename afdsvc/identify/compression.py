@@ -42,7 +42,7 @@ def compress(recordings: Sequence[Recording], length: int, route: Route = "auto"
 
 def _factor(stacks: Sequence[Array], length: int, route: Route) -> Array:
     if route != "qr":
-        fast = _cholesky(np.sum([_gram(w, length) for w in stacks if len(w) >= length], axis=0))
+        fast = _cholesky(np.sum([window_products(w, length) for w in stacks if len(w) >= length], axis=0))
         if route == "gram" and fast is None:
             raise BadInput("the data matrix is singular, so route 'gram' cannot factorise it; use route 'qr'")
         if fast is not None and (route == "gram" or _well_conditioned(fast)):
@@ -109,7 +109,9 @@ def lags(width: int, channels: Sequence[int], start: int, stop: int) -> Array:
     return np.asarray([lag * width + c for lag in range(start, stop) for c in channels], dtype=np.intp)
 
 
-def _gram(w: Array, length: int) -> Array:
+def window_products(w: Array, length: int) -> Array:
+    """Return ``sum_k window(k) window(k)'`` for the windows of ``length`` lags of signals ``w (N, c)``, from
+    correlations."""
     count, width = len(w) - length + 1, w.shape[1]
     gram = np.empty((length, width, length, width))
     for j in range(length):

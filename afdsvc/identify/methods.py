@@ -142,7 +142,9 @@ def _open_loop_order(
     if order == 0 and answer_p(recordings) < ANSWER_LEVEL:
         most = min(largest, (horizon - 1) * p)
         order, lead = simulated_order(recordings, lambda n: realise(found, n, stable=True).system, most)
-        reason = f"order {order}: the outputs answer to the inputs, and it simulates best (criterion lower by {lead:.4g})"
+        reason = (
+            f"order {order}: the outputs answer to the inputs, and it simulates best (criterion lower by {lead:.4g})"
+        )
     if options.horizon is None and order:
         longer = choose_horizon(recordings, memory(realise(found, order, stable=True).system.poles()))
         if longer > 1.3 * horizon:

@@ -1,9 +1,9 @@
 """Direct prediction-error identification of a black box, from a subspace estimate onwards.
 
-The predictor ``x+ = (A - K C) x + [B - K D, K][u; y]`` is itself a stable system; all systems near it of the same order are
-its local coordinates, and the determinant of the errors' covariance is minimised over them (maximum likelihood for
-Gaussian noise; Ljung, System Identification, 1999, section 7.4). Plant and noise model move together, so feedback does no
-harm when the noise model is rich enough and u answers to y with a delay (D zero).
+The predictor ``x+ = (A - K C) x + [B - K D, K][u; y]`` is itself a stable system; all systems near it of the same order
+are its local coordinates, and the determinant of the errors' covariance is minimised over them (maximum likelihood for
+Gaussian noise; Ljung, System Identification, 1999, section 7.4). Plant and noise model move together, so feedback does
+no harm when the noise model is rich enough and u answers to y with a delay (D zero).
 """
 
 from __future__ import annotations
@@ -59,7 +59,9 @@ class _Prediction:
         # The structure is linear in its parameters: its slopes are the same everywhere.
         units = np.eye(len(self.structure.parameters)) * self.structure.scales
         moved = [self.structure.build(h) for h in units]
-        self.slopes = Slopes(*(np.stack([getattr(s, k) - getattr(start, k) for s in moved]) for k in ("A", "B", "C", "D")))
+        self.slopes = Slopes(
+            *(np.stack([getattr(s, k) - getattr(start, k) for s in moved]) for k in ("A", "B", "C", "D"))
+        )
 
     def local(self, z: Array) -> Local:
         """Return cost, gradient and curvature with the initial states fitted."""

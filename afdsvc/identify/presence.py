@@ -1,9 +1,9 @@
 """Is there anything to identify, although windows left out do not call for a state?
 
-Leaving windows out weighs what the past tells of future outputs once the future inputs are known. A deviation that answers a
-broad input at once and is buried in noise then goes unseen. The regression of the outputs on the inputs of the last samples
-sees it: an F test says whether there is an answer at all, and the orders compete by the error of their simulation with the
-Bayesian information criterion (G. Schwarz, Annals of Statistics 6, 1978).
+Leaving windows out weighs what the past tells of future outputs once the future inputs are known. A deviation that
+answers a broad input at once and is buried in noise then goes unseen. The regression of the outputs on the inputs of
+the last samples sees it: an F test says whether there is an answer at all, and the orders compete by the error of their
+simulation with the Bayesian information criterion (G. Schwarz, Annals of Statistics 6, 1978).
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from afdsvc.lti.statespace import Array, StateSpace
 
 
 def answer_p(recordings: Sequence[Recording], memory: int = 40) -> float:
-    """Return the p-value of "no output answers to any input of the last ``memory`` samples" (Bonferroni over outputs)."""
+    """Return the p-value of "no output answers to any input of the last ``memory`` samples" (Bonferroni over
+    outputs)."""
     U = np.vstack([_lagged(r.u, memory) for r in recordings])
     Y = np.vstack([r.y[memory - 1 :] - r.y.mean(axis=0) for r in recordings])
     predicted = U @ linalg.lstsq(U, Y)[0]
@@ -33,7 +34,8 @@ def answer_p(recordings: Sequence[Recording], memory: int = 40) -> float:
 def simulated_order(
     recordings: Sequence[Recording], system_of: Callable[[int], StateSpace], largest: int
 ) -> tuple[int, float]:
-    """Return the order from 0 to ``largest`` with the smallest criterion of its simulation, and its lead over order 0."""
+    """Return the order from 0 to ``largest`` with the smallest criterion of its simulation, and its lead over order
+    0."""
     criteria = [_criterion(recordings, None)]
     criteria += [_criterion(recordings, system_of(n)) for n in range(1, largest + 1)]
     best = int(np.argmin(criteria))

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.identify.fit import ResponseBand
+from afdsvc.identify.impulse_fit import approach
 from afdsvc.identify.indirect import Mismatch
 from afdsvc.identify.local_coordinates import local_structure
 from afdsvc.identify.recordings import Recording
@@ -61,20 +62,36 @@ class Refinement:
 
 
 def refine(fact: Factorisation, signals: Sequence[Recording], start: StateSpace) -> Refinement:
-    """Return the plant of the order of ``start`` whose S explains ``signals`` (alpha as u, beta as y) best."""
-    system, first = start, float("nan")
+    """Return the plant of the order of ``start`` whose S explains ``signals`` (alpha as u, beta as y) best.
+
+    Correlations bring the start near at a cost that does not grow with the recordings; sweeps over the samples have
+    the last word, so neither the start nor where an impulse response was cut off is left in the result.
+    """
+    first = _left(_objective(fact, signals, start))
+    system = approach(fact, signals, _balanced(start))
+    objective = _objective(fact, signals, system)
+    if _left(objective) > first:
+        objective = _objective(fact, signals, start)
     for _ in range(_RESTARTS):  # the coordinates are those of the point they start from
-        objective = Mismatch(local_structure(_balanced(system)), fact, signals, 2, None)
-        z = np.zeros(len(objective.structure.parameters))
+        before, z = _left(objective), np.zeros(len(objective.structure.parameters))
         unbounded = np.full(len(z), np.inf)
-        before = float(np.trace(objective.error_covariance(z)))
-        first = before if np.isnan(first) else first
         best, _ = objective.minimise(z, -unbounded, unbounded)
-        after = float(np.trace(objective.error_covariance(best.point * objective.structure.scales)))
         system = objective.structure.build(best.point * objective.structure.scales)
-        if after > before * (1 - 1e-4):
+        found = Refinement(system, _left(objective, best.point) / first, objective, best.point)
+        if found.gain * first > before * (1 - 1e-4):
             break
-    return Refinement(system, after / first, objective, best.point)
+        objective = _objective(fact, signals, system)
+    return found
+
+
+def _objective(fact: Factorisation, signals: Sequence[Recording], around: StateSpace) -> Mismatch:
+    return Mismatch(local_structure(_balanced(around)), fact, signals, 2, None)
+
+
+def _left(objective: Mismatch, z: Array | None = None) -> float:
+    """Return the mean square of what the plant at z (at the origin of the coordinates) leaves unexplained."""
+    z = np.zeros(len(objective.structure.parameters)) if z is None else z
+    return float(np.trace(objective.error_covariance(z * objective.structure.scales)))
 
 
 def _balanced(system: StateSpace) -> StateSpace:

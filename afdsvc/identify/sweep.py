@@ -70,6 +70,34 @@ def sweep(
     return NormalEquations(cost, parts.sum(axis=0), matrix, spread, len(outputs), parts)
 
 
+def responses(system: StateSpace, slopes: Slopes, inputs: Array) -> tuple[Array, Array]:
+    """Return the outputs ``(N, p)`` from rest and their slopes ``(N, p, q)``."""
+    q, n, p, count = len(slopes.A), system.order, system.outputs, len(inputs)
+    packed = (
+        *map(np.ascontiguousarray, (system.A, system.B, system.C, system.D)),
+        *(np.ascontiguousarray(np.moveaxis(s, 0, -1)) for s in (slopes.A, slopes.B, slopes.C, slopes.D)),
+    )
+    A, B, C, D, dA, dB, dC, dD = packed
+    errors, jacobian = np.empty((count, p)), np.empty((count, p, q))
+    _step(
+        A,
+        B,
+        C,
+        D,
+        dA,
+        dB,
+        dC,
+        dD,
+        np.ascontiguousarray(inputs),
+        np.zeros((count, p)),
+        np.zeros(n),
+        np.zeros((n, q)),
+        errors,
+        jacobian,
+    )
+    return -errors, -jacobian
+
+
 def eliminate_state(found: NormalEquations, count: int, x0: Array) -> tuple[float, Array, Array, Array]:
     """Fit the initial state and return cost, gradient, curvature of the first ``count`` parameters and the state.
 
