@@ -181,7 +181,17 @@ def _burst_boundary(problem: DetectionProblem, burst: Burst, gram: Array, waves:
     def excess(b: float) -> float:
         return math.log(sum(s.weight * arl.alarm_probability(s.mu, b, samples, bias=s.bias) for s in steps) / rate)
 
-    return _crossing(excess, math.log(samples * len(gram) / rate), 1e-3)
+    return max(_crossing(excess, math.log(samples * len(gram) / rate), 1e-3) - _uneven(waves), 0.05)
+
+
+def _uneven(waves: Array) -> float:
+    """Return by how much uneven steps overshoot a boundary more than equal ones of the same mean square.
+
+    A boundary is crossed where information comes in, so the mean step at a crossing is ``sum |s|^3 / sum |s|^2``.
+    """
+    size = np.linalg.norm(waves, axis=2)
+    square = np.sum(size**2, axis=0)
+    return float(arl.OVERSHOOT * np.mean(np.sum(size**3, axis=0) / square - np.sqrt(square / len(waves))))
 
 
 def rate_boundary(correlation: Array, mu: Array, bias: Array, per_sample: float) -> float:

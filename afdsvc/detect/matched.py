@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -68,19 +69,33 @@ class MatchedFilter:
 
     def decide(self, sums: BasisSums, burst: Burst, dt: float) -> Sequence[Finding]:
         """Return one finding for all lines and outputs together."""
-        ordered = sorted(burst.lines, key=lambda line: line.omega)
-        lines, curves = project(sums, self.basis(burst)), fault_curves(self.problem, ordered)
-        data = LineData(lines.z, lines.R, model_doubt(self.problem, ordered, lines.R))
+        lines, curves, data = self._reduced(sums, burst)
+        statistic, h, e = self._judged(curves, data, burst)
+        if not len(e):
+            return [Finding(0.0, float("inf"))]
+        z, reach = data.whitened(np.eye(data.z.size), data.z)[0], reachable(self.problem)
+        fits = tuple(curve_fit(curves, n, data, reach[n]) for n in curves.names)
+        parts = {"samples": float(sums.n), "tests": maximum.tests_counted(e, h), **_amplitudes(lines, _ordered(burst))}
+        return [Finding(statistic, h, fits, weights(fits, anything_log_evidence(z)), parts)]
+
+    def test(self, sums: BasisSums, burst: Burst) -> tuple[float, float]:
+        """Return statistic and threshold only."""
+        _, curves, data = self._reduced(sums, burst)
+        return self._judged(curves, data, burst)[:2]
+
+    def _reduced(self, sums: BasisSums, burst: Burst) -> tuple[Lines, FaultCurves, LineData]:
+        lines, ordered = project(sums, self.basis(burst)), _ordered(burst)
+        doubt = model_doubt(self.problem, ordered, lines.R)
+        return lines, _curves(self.problem, ordered), LineData(lines.z, lines.R, doubt)
+
+    def _judged(self, curves: FaultCurves, data: LineData, burst: Burst) -> tuple[float, float, Array]:
+        """Return the statistic, its threshold and the unit directions it is the largest over."""
         directions = self._directions(curves, data, reachable(self.problem))
         if not len(directions):
-            return [Finding(0.0, float("inf"))]
+            return 0.0, float("inf"), directions
         e = directions / np.linalg.norm(directions, axis=1)[:, None]
         z = data.whitened(np.eye(data.z.size), data.z)[0]
-        h = self._threshold(e, data, ordered)
-        reach = reachable(self.problem)
-        fits = tuple(curve_fit(curves, n, data, reach[n]) for n in curves.names)
-        parts = {"samples": float(sums.n), "tests": maximum.tests_counted(e, h), **_amplitudes(lines, ordered)}
-        return [Finding(float(np.max(e @ z)), h, fits, weights(fits, anything_log_evidence(z)), parts)]
+        return float(np.max(e @ z)), self._threshold(e, data, _ordered(burst)), e
 
     def _threshold(self, e: Array, data: LineData, ordered: Sequence[Line]) -> float:
         rate = self.problem.false_alarms.per_burst
@@ -103,6 +118,15 @@ class MatchedFilter:
         if self.angle not in samples.block.aux:
             raise BadInput(f"the block has no aux '{self.angle}'; the rotor angle is wanted to remove its waves")
         return samples.block.aux[self.angle].reshape(len(samples.block), -1)[a:b, 0]
+
+
+def _ordered(burst: Burst) -> tuple[Line, ...]:
+    return tuple(sorted(burst.lines, key=lambda line: line.omega))
+
+
+@lru_cache(maxsize=16)  # the same lines are played again and again
+def _curves(problem: DetectionProblem, lines: tuple[Line, ...]) -> FaultCurves:
+    return fault_curves(problem, lines)
 
 
 def _within(severities: Sequence[float], low: float, high: float) -> list[float]:

@@ -59,6 +59,46 @@ def tests_counted(directions: Array, h: float) -> float:
     return exceedance(directions, h) / tail(h)
 
 
+def ratio_threshold(waves: Array, false_alarm: float) -> float:
+    """Return c with ``P(max_k (<z, t_k> - |t_k|^2 / 2) > c) = false_alarm`` for waves t_k of shape ``(K, D)``.
+
+    The likelihood ratio on a curve of waves: a wave has its own length, so a long one is not looked for in short data.
+    Wave k exceeds c where ``<z, e_k> > c / |t_k| + |t_k| / 2``; the union is estimated as above, each direction with its
+    own height.
+    """
+    t = np.ascontiguousarray(waves, dtype=float)
+    return _ratio_threshold(t.tobytes(), t.shape, false_alarm)
+
+
+@lru_cache(maxsize=64)
+def _ratio_threshold(raw: bytes, shape: tuple[int, int], false_alarm: float) -> float:
+    t = np.frombuffer(raw).reshape(shape)
+    e, length = _reduced(t), np.linalg.norm(t, axis=1)
+    wanted = math.log(false_alarm)
+
+    def excess(c: float) -> float:
+        return math.log(max(_heights_exceeded(e, c / length + length / 2), 1e-300)) - wanted
+
+    low, high = 1e-6, math.log(1 / false_alarm) + math.log(len(t)) + 1.0  # P <= K e^-c
+    return low if excess(low) <= 0 else float(brentq(excess, low, high, xtol=1e-6))
+
+
+def _heights_exceeded(e: Array, h: Array) -> float:
+    """Return the probability that any ``<z, e_k>`` exceeds its own height ``h_k``."""
+    tails = ndtr(-h)
+    total = float(tails.sum())
+    if not total > 0:
+        return 0.0
+    u = _points(e.shape[1])
+    edges = np.cumsum(tails) / total
+    k = np.minimum(np.searchsorted(edges, (np.arange(len(u)) + 0.5) / len(u)), len(e) - 1)
+    along = -ndtri(u[:, 0] * tails[k])
+    w = ndtri(u[:, 1:])
+    z = w + (along - np.sum(w * e[k], axis=1))[:, None] * e[k]
+    above = np.maximum((z @ e.T > h).sum(axis=1), 1)
+    return total * float(np.mean(1 / above))
+
+
 def shares(directions: Array, h: float) -> Array:
     """Return ``E[1 / number of exceedances | <z, e_k> > h]`` for every k, shape ``(K,)``: the part each adds to the
     union.

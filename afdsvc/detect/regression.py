@@ -68,18 +68,26 @@ class Regression:
     def decide(self, sums: RegressionSums, burst: Burst, dt: float) -> Sequence[Finding]:
         """Return one finding for all outputs together."""
         b, G = averaged_out(sums.b, sums.G, self.sd)
+        statistic, h = self._judged(sums.n, b, G, burst)
+        both = zip(self.names, b, np.diag(G), strict=True)
+        fits = tuple(linear_fit(name, float(v), float(g), self.bounds) for name, v, g in both)
+        parts = {"samples": float(sums.n)}
+        return [Finding(statistic, h, fits, weights(fits, self._anything(sums, burst)), parts)]
+
+    def test(self, sums: RegressionSums, burst: Burst) -> tuple[float, float]:
+        """Return statistic and threshold only."""
+        return self._judged(sums.n, *averaged_out(sums.b, sums.G, self.sd), burst)
+
+    def _judged(self, samples: int, b: Array, G: Array, burst: Burst) -> tuple[float, float]:
+        """Return the largest signed root and its threshold."""
         information = np.diag(G)
         seen = np.flatnonzero(information > UNSEEN * max(information.max(initial=0.0), 1e-300))
         if not len(seen):
-            return [Finding(0.0, float("inf"))]
+            return 0.0, float("inf")
         t = -b[seen] / np.sqrt(information[seen])
         correlation = G[np.ix_(seen, seen)] / np.sqrt(np.outer(information[seen], information[seen]))
-        h = maximum.threshold(_square_root(correlation), self.false_alarm)
-        mean, sd = (v[seen] for v in self.noise.signed_root(sums.n, burst))
-        fits = [linear_fit(n, float(v), float(g), self.bounds) for n, v, g in zip(self.names, b, information, strict=True)]
-        parts = {"samples": float(sums.n), "deflection": float(max(0.0, np.max(t)))}
-        weight = weights(fits, self._anything(sums, burst))
-        return [Finding(float(np.max((t - mean) / sd)), h, tuple(fits), weight, parts)]
+        mean, sd = (v[seen] for v in self.noise.signed_root(samples, burst))
+        return float(np.max((t - mean) / sd)), maximum.threshold(_square_root(correlation), self.false_alarm)
 
     def _anything(self, sums: RegressionSums, burst: Burst) -> float | None:
         basis = _basis(burst)

@@ -38,10 +38,14 @@ class Trials:
 
     def samples(self, noise: Array) -> BurstSamples:
         """Return what a burst statistic is shown when the normalised noise was this."""
+        return self.whole(noise)[0]
+
+    def whole(self, noise: Array) -> tuple[BurstSamples, Array]:
+        """Return the samples of the burst, and residual and regressors of the quiet samples before it as well."""
         run = rehearse(self.problem, self.alpha, noise @ self.root.T, loop=self.loop)
         _, series = self.filters.step(self.filters.start(), run.r, run.y, run.u)
         block = next(b for b in run.blocks(len(run), self.burst, self.before) if b.burst is not None)
-        return BurstSamples(0, self.problem.plant.dt, series[self.before :], block)
+        return BurstSamples(0, self.problem.plant.dt, series[self.before :], block), series
 
 
 def trials(
@@ -93,3 +97,36 @@ def tilted(
     first, last = span or (0, len(alpha))
     waves[:first], waves[last:] = 0.0, 0.0
     return Tilted(base, waves / np.linalg.norm(waves, axis=(0, 2))[None, :, None], length)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Faulty:
+    """Runs of faulty machines, weighted back to the healthy one.
+
+    Valid where the regression on psi is exact: the log likelihood ratio of a run is ``theta b - theta^2 G / 2`` over all its
+    samples, noise-driven part included.
+    """
+
+    machines: tuple[Trials, ...]
+    severities: Array
+
+    def draw(self, seed: int) -> tuple[BurstSamples, float]:
+        """Return samples and their weight, the likelihood of the healthy machine over that of the mixture."""
+        rng = np.random.default_rng(seed)
+        machine = self.machines[int(rng.integers(len(self.machines)))]
+        samples, series = machine.whole(rng.normal(size=(len(machine.alpha), series_width(machine))))
+        b = np.einsum("tkp,tp->k", series[:, 1:], series[:, 0])
+        G = np.einsum("tkp,tkp->k", series[:, 1:], series[:, 1:])
+        return samples, float(1 / np.mean(np.exp(self.severities * b - self.severities**2 * G / 2)))
+
+
+def series_width(machine: Trials) -> int:
+    """Return the number of outputs."""
+    return machine.problem.plant.outputs
+
+
+def faulty(problem: DetectionProblem, burst: Burst, severities: Array, filters: Regressors) -> Faulty:
+    """Return runs of machines each with one fault, of the given severity."""
+    pairs = zip(problem.fault_names, severities, strict=True)
+    machines = tuple(trials(problem, burst, {n: float(s)}, filters=filters) for n, s in pairs)
+    return Faulty(machines, np.asarray(severities, dtype=float))

@@ -1,0 +1,156 @@
+"""Alarm rates: within their 99 per cent Monte Carlo interval of what is promised, down to one in ten thousand bursts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from afdsvc.api.bursts import Limits
+from afdsvc.detect.cusum import ActiveCusum
+from afdsvc.detect.matched import MatchedFilter, window
+from afdsvc.detect.noise_driven import noise_driven
+from afdsvc.detect.regression import regression
+from afdsvc.detect.regressors import regressors
+from afdsvc.detect.watch import BurstSamples
+from afdsvc.excite.default import default_burst
+from afdsvc.testing.machines import bearing_problem, unstable_problem, with_rate
+from afdsvc.testing.trials import faulty, tilted, trials
+
+MACHINES = {
+    "proportional 0": lambda: bearing_problem("proportional", 0),
+    "proportional 1100": lambda: bearing_problem("proportional", 1100),
+    "lqg 0": lambda: bearing_problem("lqg", 0),
+    "lqg 1100": lambda: bearing_problem("lqg", 1100),
+    "unstable": unstable_problem,
+}
+STEPS = tuple(float(v) for v in np.linspace(0, -1, 9)[1:])
+
+
+def statistics(problem):
+    filters = regressors(problem)
+    return filters, {
+        "matched_filter": MatchedFilter(problem, STEPS),
+        "fault_curves": MatchedFilter(problem, tuple(float(v) for v in np.linspace(0, -1, 33)[1:]), drift=True),
+        "regression": regression(problem, filters),
+        "cusum": ActiveCusum(problem),
+    }
+
+
+def short_burst(problem):
+    """A burst of a few hundred samples at moderate size, where small-sample effects would show."""
+    limits = problem.limits or Limits(np.full(1, 50.0), np.full(1, 50.0), np.full(1, 50.0))
+    loose = replace(limits, output=np.minimum(limits.output, 50.0))
+    samples = 2500 if problem.plant.dt < 1e-3 else 600
+    return default_burst(problem, loose, samples * problem.plant.dt, 0.4)
+
+
+def alarmed(statistic, samples, burst, dt):
+    """Whether one burst raises an alarm."""
+    sums, early = statistic.step(statistic.start(burst, dt), samples)
+    if early is not None:
+        return True
+    if hasattr(statistic, "test"):
+        found, threshold = statistic.test(sums, burst)
+        return found > threshold
+    finding = statistic.decide(sums, burst, dt)[0]
+    return finding.statistic > finding.threshold
+
+
+def rate(name, machine, per_burst, runs, seed=0):
+    problem = with_rate(MACHINES[machine](), per_burst=per_burst)
+    burst = short_burst(problem)
+    filters, known = statistics(problem)
+    base = trials(problem, burst, filters=filters)
+    return np.mean([alarmed(known[name], base.samples(base.noise(seed + k)), burst, problem.plant.dt) for k in range(runs)])
+
+
+def rare_rate(name, machine, per_burst, runs, seed=0):
+    """Rate and its standard error by importance sampling."""
+    problem = with_rate(MACHINES[machine](), per_burst=per_burst)
+    burst = short_burst(problem)
+    filters, known = statistics(problem)
+    weights = []
+    if name == "regression":
+        noise = noise_driven(problem, filters)
+        information = burst.samples * (noise.passive + noise.excited(burst)[0])
+        source = faulty(problem, burst, -3.9 / np.sqrt(information), filters)
+    else:
+        source = tilted(trials(problem, burst, filters=filters), 3.7, STEPS[::2], window(burst))
+    for k in range(runs):
+        samples, weight = source.draw(seed + k)
+        weights.append(weight * alarmed(known[name], samples, burst, problem.plant.dt))
+    return np.mean(weights), np.std(weights) / np.sqrt(runs)
+
+
+def rare_cusum_rate(machine, per_burst, runs):
+    """The same for the CUSUM: waves that set in at a random time, weighted at the alarm by all the times they might have.
+
+    The residual of a healthy machine is the noise itself, so the loop need not be simulated.
+    """
+    problem = with_rate(MACHINES[machine](), per_burst=per_burst)
+    burst, dt = short_burst(problem), problem.plant.dt
+    statistic = ActiveCusum(problem)
+    start = statistic.start(burst, dt)
+    waves = start.waves * start.theta[:, None]
+    n, K, p = waves.shape
+    rng, weights = np.random.default_rng(11), []
+    for _ in range(runs):
+        e, k, tau = rng.normal(size=(n, p)), rng.integers(K), rng.integers(n)
+        e[tau:] += waves[tau:, k]
+        series = np.concatenate([e[:, None], np.zeros((n, K, p))], axis=1)
+        _, found = statistic.step(start, BurstSamples(0, dt, series, None))
+        weight = 0.0
+        if found is not None:
+            T = int(found.parts["sample"]) + 1
+            ratio = np.cumsum(np.einsum("tkp,tp->tk", waves[:T], e[:T]) - 0.5 * np.sum(waves[:T] ** 2, axis=2), axis=0)
+            since = ratio[-1] - np.vstack([np.zeros(K), ratio[:-1]])
+            weight = 1 / ((np.exp(since).sum() / K + (n - T)) / n)
+        weights.append(weight)
+    return np.mean(weights), np.std(weights) / np.sqrt(runs)
+
+
+@pytest.mark.parametrize(("name", "machine"), [("matched_filter", "proportional 0"), ("cusum", "lqg 0"), ("regression", "lqg 0")])
+def test_one_alarm_in_twenty_bursts(name, machine):
+    runs = 400
+    assert rate(name, machine, 0.05, runs) == pytest.approx(0.05, abs=2.58 * np.sqrt(0.05 * 0.95 / runs))
+
+
+@pytest.mark.parametrize("name", ["matched_filter", "regression"])
+def test_one_alarm_in_ten_thousand_bursts(name):
+    found, error = rare_rate(name, "proportional 0", 1e-4, 250)
+    assert error < 0.2e-4
+    assert found == pytest.approx(1e-4, abs=2.58 * error + 0.03e-4)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("machine", list(MACHINES))
+@pytest.mark.parametrize("name", ["matched_filter", "fault_curves", "regression", "cusum"])
+@pytest.mark.parametrize("per_burst", [0.1, 0.01])
+def test_frequent_alarms_on_every_machine(name, machine, per_burst):
+    runs = int(300 / per_burst**0.5)
+    error = np.sqrt(per_burst * (1 - per_burst) / runs)
+    assert rate(name, machine, per_burst, runs) == pytest.approx(per_burst, abs=2.58 * error)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("machine", [m for m in MACHINES if m != "unstable"])
+@pytest.mark.parametrize("name", ["matched_filter", "fault_curves", "regression"])
+@pytest.mark.parametrize("per_burst", [1e-3, 1e-4])
+def test_rare_alarms_by_importance_sampling(name, machine, per_burst):
+    found, error = rare_rate(name, machine, per_burst, 1500)
+    assert error < 0.15 * per_burst
+    assert found == pytest.approx(per_burst, abs=2.58 * error + 0.02 * per_burst)
+
+
+def test_rare_alarms_of_the_cusum():
+    found, error = rare_cusum_rate("proportional 0", 1e-4, 1500)
+    assert error < 0.12e-4
+    assert found == pytest.approx(1e-4, abs=2.58 * error + 0.05e-4)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("machine", [m for m in MACHINES if m != "unstable"])
+@pytest.mark.parametrize("per_burst", [1e-2, 1e-3, 1e-4])
+def test_rare_alarms_of_the_cusum_on_every_machine(machine, per_burst):
+    found, error = rare_cusum_rate(machine, per_burst, 10_000)
+    assert found == pytest.approx(per_burst, abs=2.58 * error + 0.05 * per_burst)
