@@ -58,7 +58,7 @@ def recorded(
 
 
 def cubic(q: float, v: float) -> float:
-    return -1000.0 * q**3 * (1 + 0.001 * q**2)
+    return -1000.0 * q**3 * (1 + 1e-4 * q**2)
 
 
 def four(**how: object) -> list[Trace]:
