@@ -21,6 +21,7 @@ from afdsvc.errors import BadInput
 from afdsvc.excite.identification_bursts import Band, multisine_burst, random_binary_burst, sweep_burst
 from afdsvc.hal.loop import LoopSettings, Prediction
 from afdsvc.hal.replay import Replay, blocks_of
+from afdsvc.hal.rotation import SpeedProfile
 from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, Simulator
 from afdsvc.lti.lft import AugmentedPlant, FaultDirection, augment
 from afdsvc.lti.sampling import sample_zoh
@@ -29,6 +30,7 @@ from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import innovations, whitening_filter
 from afdsvc.plants.registry import plant as plant_by_name
 from afdsvc.plugins.controllers.lqg import gains
+from afdsvc.plugins.fault_set import FaultSet, chosen_faults, usual_faults
 from afdsvc.plugins.manager import Plugins
 from afdsvc.record.model_file import model_text, read_model
 from afdsvc.record.tables import read_table
@@ -56,6 +58,8 @@ class Commissioned:
     channels: tuple[Channel, ...]
     speed: float = 0.0
     raw_model: str = ""
+    physical: PhysicalPlant | None = None
+    faults: FaultSet | None = None
 
     def model_text(self) -> str:
         """Return what the simulation believes as MODEL.toml text, for recordings."""
@@ -99,8 +103,9 @@ def _from_plant(config: site_file.Machine, plugins: Plugins) -> Commissioned:
         discrete, _controller_settings(config.controller, physical)
     )
     output_cov = physical.output_cov if config.output_sd is None else np.diag(np.square(config.output_sd))
-    speed = 2 * np.pi * float(config.options.get("rpm", 0)) / 60
     limits = _limits(config.limits, physical.output_limit, physical.input_limit)
+    faults = _faults(config, physical, plugins)
+    turns = bool(physical.speed or any(rpm for _, rpm in config.driver.speed))
     return Commissioned(
         config,
         discrete,
@@ -109,11 +114,20 @@ def _from_plant(config: site_file.Machine, plugins: Plugins) -> Commissioned:
         output_cov,
         None,
         controller,
-        augment(discrete, _directions(config, discrete, physical.inputs, physical.outputs, plugins)),
+        faults.augmented(physical),
         limits,
-        _channels(physical.inputs, physical.outputs, True, speed),
-        speed,
+        _channels(physical.inputs, physical.outputs, True, turns),
+        physical.speed,
+        physical=physical,
+        faults=faults,
     )
+
+
+def _faults(config: site_file.Machine, physical: PhysicalPlant, plugins: Plugins) -> FaultSet:
+    """Return the faults of the site file, or the plant's usual ones when it names none."""
+    if config.faults is None:
+        return usual_faults(physical)
+    return chosen_faults([(f.name, plugins.get("faults", f.kind), f.settings) for f in config.faults])
 
 
 def _read_watched(config: site_file.Machine) -> Watched:
@@ -189,13 +203,13 @@ def _limits(settings: site_file.LimitSettings, output: Array, input: Array) -> L
     return Limits(bound("output", settings.output, output), u, bound("alpha", settings.alpha, 10 * u), settings.seconds)
 
 
-def _channels(inputs: tuple[Variable, ...], outputs: tuple[Variable, ...], known: bool, speed: float) -> tuple[Channel, ...]:
+def _channels(inputs: tuple[Variable, ...], outputs: tuple[Variable, ...], known: bool, turns: bool) -> tuple[Channel, ...]:
     """Return the channels in the order of `hal.loop.Samples.values`."""
     columns = [Channel(f"u_{v.name}", v.unit) for v in inputs] + [Channel(f"y_{v.name}", v.unit) for v in outputs]
     if known:
         columns += [Channel(f"alpha_{v.name}", v.unit) for v in inputs]
         columns += [Channel(f"beta_{v.name}", v.unit) for v in outputs]
-    if speed:
+    if turns:
         columns += [Channel("aux_speed", "rad/s"), Channel("aux_angle", "rad")]
     return tuple(columns)
 
@@ -325,8 +339,38 @@ def _simulator(machine: Commissioned, settings: LoopSettings, clock: Clock) -> S
         if f.name not in known:
             raise BadInput(f"fault '{f.name}' is unknown; this machine has {', '.join(known)}")
     faults = tuple(ScheduledFault(f.name, f.severity, round(f.at_seconds / dt)) for f in driver.faults)
-    plant = SimulatedPlant(machine.augmented.close, noise, None, machine.speed, None, faults)
+    plant = _simulated(machine, noise, faults)
     interconnection = machine.controller.interconnection
     return Simulator(
         plant, interconnection, machine.channels, machine.limits, settings, clock, driver.seed, prediction(machine)
     )
+
+
+def _simulated(machine: Commissioned, noise: Array, faults: tuple[ScheduledFault, ...]) -> SimulatedPlant:
+    """Return what is simulated: the model itself, or another one where the driver says so or the speed changes."""
+    driver, config, physical = machine.config.driver, machine.config, machine.physical
+    faulty = machine.faults
+    if physical is None or faulty is None or not (driver.options or driver.speed):
+        unbalance = None if physical is None else physical.unbalance
+        return SimulatedPlant(machine.augmented.close, noise, None, machine.speed, unbalance, faults)
+    true = plant_by_name(config.plant or "", **{**config.options, **driver.options})
+    if true.sample_time != physical.sample_time:
+        raise BadInput(f"key 'driver.options' gives sample time {true.sample_time} s; the machine's is {physical.sample_time} s")
+    profile = SpeedProfile.of([(t, 2 * np.pi * rpm / 60) for t, rpm in driver.speed], true.speed, true.sample_time)
+
+    def turning(severities: Mapping[str, float], speed: float) -> StateSpace:
+        return faulty.true_plant(_turned(true, speed), severities)
+
+    def still(severities: Mapping[str, float]) -> StateSpace:
+        return turning(severities, true.speed)
+
+    return SimulatedPlant(still, noise, None, true.speed, true.unbalance, faults, profile, turning)
+
+
+def _turned(physical: PhysicalPlant, speed: float) -> PhysicalPlant:
+    """Return the plant at a speed [rad/s]; raises `BadInput` for a plant that is known at one speed only."""
+    if speed == physical.speed:
+        return physical
+    if physical.at_speed is None:
+        raise BadInput(f"plant '{physical.name}' is known at {physical.speed:.4g} rad/s only, not at {speed:.4g} rad/s")
+    return physical.at_speed(speed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.lft import FaultDirection
@@ -46,4 +46,13 @@ class FaultKind(Protocol):
 
     def direction(self, plant: StateSpace, name: str, settings: Mapping[str, Any]) -> FaultDirection:
         """Return the rank-one (or higher) direction through which the fault enters."""
+        ...
+
+
+@runtime_checkable
+class ParameterFaultKind(Protocol):
+    """A kind of fault that changes a named parameter of a physical plant; the plant itself says how that enters."""
+
+    def parameter(self, name: str, settings: Mapping[str, Any]) -> str:
+        """Return the name of the parameter that the fault ``name`` changes."""
         ...

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from afdsvc.api.bursts import Limits
 from afdsvc.api.clock import Clock
-from afdsvc.api.signals import Channel
+from afdsvc.api.signals import Channel, of_role
+from afdsvc.errors import BadInput
 from afdsvc.hal import kernel
 from afdsvc.hal.loop import ControlLoop, LoopSettings, Prediction, Samples
 from afdsvc.lti.statespace import Array, StateSpace
@@ -42,8 +43,20 @@ class Driver(Protocol):
         ...
 
 
+@runtime_checkable
+class RotatingDriver(Protocol):
+    """What the driver of a rotating machine offers besides."""
+
+    def rotation(self) -> tuple[float, float]:
+        """Return speed [rad/s] and angle [rad] of the rotor at the tick `read` has just waited for."""
+        ...
+
+
 class DrivenRig(ControlLoop):
-    """A `DrivablePort` around a `Driver`: the same control sample as the simulator, paced by the hardware's clock."""
+    """A `DrivablePort` around a `Driver`: the same control sample as the simulator, paced by the hardware's clock.
+
+    A machine with the channels ``aux_speed`` and ``aux_angle`` wants a `RotatingDriver`; `BadInput` is raised without.
+    """
 
     def __init__(
         self,
@@ -57,6 +70,10 @@ class DrivenRig(ControlLoop):
     ) -> None:
         super().__init__(interconnection, channels, limits, settings, clock, prediction)
         self._driver = driver
+        self._rotor = driver if isinstance(driver, RotatingDriver) else None
+        self._aux = len(of_role(channels, "aux"))
+        if self._aux and self._rotor is None:
+            raise BadInput(f"driver {type(driver).__name__} has no 'rotation()'; a rotating machine records speed and angle")
         self._last = float("nan")
         driver.open()
 
@@ -79,6 +96,7 @@ class DrivenRig(ControlLoop):
     def _run(self, alpha: Array, limits: Limits | None) -> Samples:
         n = len(alpha)
         u, y, beta = np.empty((n, self.m)), np.empty((n, self.p)), np.empty((n, self.p))
+        aux = np.zeros((n, self._aux))
         bounds, cause, at, worked = limits or self._limits, kernel.NO_CAUSE, -1, 0.0
         try:
             for k in range(n):
@@ -92,6 +110,8 @@ class DrivenRig(ControlLoop):
                 u[k] = self._u
                 if armed and found != kernel.NO_CAUSE:
                     cause, at = found, k
+                if self._rotor is not None and self._aux:
+                    aux[k] = self._rotor.rotation()
                 ended = self._clock.monotonic()
                 worked += ended - began
                 self._late += self._missed(began, ended)
@@ -99,7 +119,7 @@ class DrivenRig(ControlLoop):
             self._driver.rest()
             raise
         self._head_room = 1 - worked / (n * self.dt)
-        return Samples(u, y, beta, alpha, np.zeros((n, 0)), cause, at)
+        return Samples(u, y, beta, alpha, aux, cause, at)
 
     def _sample(self, y: Array, alpha: Array, armed: bool, bounds: Limits, beta: Array) -> int:
         K = self._K

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +15,7 @@ from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput
 from afdsvc.hal import kernel
 from afdsvc.hal.loop import ControlLoop, LoopSettings, Prediction, Samples
+from afdsvc.hal.rotation import SpeedProfile
 from afdsvc.lti.statespace import Array, StateSpace
 
 
@@ -34,7 +35,9 @@ class SimulatedPlant:
     ``at(severities)`` returns the discrete plant with these faults (all of one order; D = 0). ``output_cov (p, p)`` is the
     covariance of the white output noise, ``process_cov (m, m)`` that of white noise added to the inputs, ``speed`` the
     rotor speed in rad/s (its angle is then recorded).
-    ``unbalance`` is the complex amplitude of a rotation-synchronous force per input, in the unit of the input.
+    ``unbalance`` is the complex amplitude of a rotation-synchronous force per input, in the unit of the input, at that
+    speed; it grows with the square of the speed. With a ``profile`` the speed changes and ``turning(severities, rad/s)``
+    returns the plant at a speed, in the same states.
     """
 
     at: Callable[[dict[str, float]], StateSpace]
@@ -43,6 +46,8 @@ class SimulatedPlant:
     speed: float = 0.0
     unbalance: Array | None = None
     faults: Sequence[ScheduledFault] = field(default_factory=tuple)
+    profile: SpeedProfile | None = None
+    turning: Callable[[dict[str, float], float], StateSpace] | None = None
 
 
 class Simulator(ControlLoop):
@@ -62,6 +67,7 @@ class Simulator(ControlLoop):
         super().__init__(interconnection, channels, limits, settings, clock, prediction)
         self._plant = plant
         self._changes = sorted({f.start for f in plant.faults if f.start > 0})
+        self._profile = plant.profile or SpeedProfile.of([], plant.speed, interconnection.dt)
         self._G = self._plant_at(0)
         self._x = np.zeros(self._G.order)
         self._chol = np.linalg.cholesky(plant.output_cov)
@@ -72,30 +78,26 @@ class Simulator(ControlLoop):
         """Add a fault that starts at its sample, or at the next one when that has passed."""
         start = max(fault.start, self._k)
         later = ScheduledFault(fault.name, fault.severity, start)
-        self._plant = SimulatedPlant(
-            self._plant.at,
-            self._plant.output_cov,
-            self._plant.process_cov,
-            self._plant.speed,
-            self._plant.unbalance,
-            (*self._plant.faults, later),
-        )
+        self._plant = replace(self._plant, faults=(*self._plant.faults, later))
         self._changes = sorted({*self._changes, start})
         if start == self._k:
             self._G = self._plant_at(start)
 
     def _plant_at(self, k: int) -> StateSpace:
-        system = self._plant.at({f.name: f.severity for f in self._plant.faults if f.start <= k})
+        present = {f.name: f.severity for f in self._plant.faults if f.start <= k}
+        turning = self._plant.turning
+        system = self._plant.at(present) if turning is None else turning(present, float(self._profile.at(np.array([k]))[0]))
         if np.abs(system.D).max(initial=0.0) > 0:
             raise BadInput("the simulated plant has a direct term D; a sampled plant with D = 0 is wanted")
         return kernel.contiguous(system)
 
     def _run(self, alpha: Array, limits: Limits | None) -> Samples:
-        """Run the slice in pieces that end where a fault starts."""
-        edges = [0, *(c - self._k for c in self._changes if 0 < c - self._k < len(alpha)), len(alpha)]
+        """Run the slice in pieces that end where a fault starts or the speed has moved on."""
+        due = self._profile.steps(self._k, len(alpha)) | set(self._changes)
+        edges = [0, *sorted(c - self._k for c in due if 0 < c - self._k < len(alpha)), len(alpha)]
         pieces: list[Samples] = []
         for a, b in pairwise(edges):
-            if self._k + a in self._changes:
+            if self._k + a in due:
                 self._G = self._plant_at(self._k + a)
             if pieces and pieces[-1].cause != kernel.NO_CAUSE:
                 alpha[a:b] = 0.0
@@ -136,14 +138,16 @@ class Simulator(ControlLoop):
 
     def _rotation(self, k: NDArray[np.int64]) -> tuple[Array, Array]:
         """Return the auxiliary columns (speed, angle) and the unbalance force of these samples."""
-        n, speed = len(k), self._plant.speed
+        n, profile = len(k), self._profile
         force = np.zeros((n, self.m))
-        if not speed:
+        if not profile.turning:
             return np.zeros((n, 0)), force
-        angle = np.mod(speed * self.dt * k, 2 * np.pi)
+        angle, speed = profile.angle(k), profile.at(k)
         if self._plant.unbalance is not None:
             force = np.real(np.exp(1j * angle)[:, None] * self._plant.unbalance[None, :])
-        return np.column_stack([np.full(n, speed), angle]), force
+            if self._plant.profile is not None:
+                force *= (speed[:, None] / self._plant.speed) ** 2
+        return np.column_stack([speed, angle]), force
 
 
 def _join(pieces: list[Samples]) -> Samples:

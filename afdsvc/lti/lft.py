@@ -188,13 +188,16 @@ class AugmentedPlant:
 
     def with_gain_faults(self, sites: Mapping[str, tuple[str, int]], order: Sequence[str]) -> AugmentedPlant:
         """Return the plant with gain faults ``name: ("input" or "output", index)`` added, all in the given order."""
-        plant, k, s = self.plant, self.channels, self.system
-        inner = FaultDirection("", s.B[:, :k], s.D[k:, :k], s.C[:k], s.D[:k, k:], s.D[:k, :k])
         make = {"input": actuator_gain, "output": sensor_gain}
-        gains = [make[kind](plant, name, index) for name, (kind, index) in sites.items()]
-        both = augment(plant, [inner, *gains])
-        joined = AugmentedPlant(both.system, (*self.fault_names, *sites), (*self.widths, *(1 for _ in sites)))
-        return joined.reordered(order)
+        return self.with_directions([make[kind](self.plant, name, i) for name, (kind, i) in sites.items()], order)
+
+    def with_directions(self, directions: Sequence[FaultDirection], order: Sequence[str]) -> AugmentedPlant:
+        """Return the plant with further faults, given as directions of its healthy plant, all in the given order."""
+        k, s = self.channels, self.system
+        inner = FaultDirection("", s.B[:, :k], s.D[k:, :k], s.C[:k], s.D[:k, k:], s.D[:k, :k])
+        both = augment(self.plant, [inner, *directions])
+        names = (*self.fault_names, *(d.name for d in directions))
+        return AugmentedPlant(both.system, names, (*self.widths, *(d.width for d in directions))).reordered(order)
 
 
 def augment(plant: StateSpace, directions: Sequence[FaultDirection]) -> AugmentedPlant:

@@ -53,6 +53,39 @@ class Recording(_Strict):
     preview_hz: Positive = 100.0
 
 
+class Named(_Strict):
+    """A plugin by name with its settings."""
+
+    kind: str
+    settings: dict[str, Any] = {}
+
+
+class Alarms(_Strict):
+    """How eager alarms are, how long their history is kept, and who is told (notifier plugins)."""
+
+    raise_after: Annotated[int, Field(ge=1, le=20)] = 1
+    clear_after: Annotated[int, Field(ge=1, le=100)] = 2
+    latch: bool = False
+    shelve_minutes: Positive = 24 * 60.0
+    history: Path | None = None
+    keep_days: Positive = 3650.0
+    before_seconds: Annotated[float, Field(ge=0, le=600)] = 60.0
+    notify: list[Named] = []
+
+
+class Metrics(_Strict):
+    """Where Prometheus may ask for figures; nowhere unless told."""
+
+    listen: str | None = None
+
+    @field_validator("listen")
+    @classmethod
+    def _host_and_port(cls, value: str | None) -> str | None:
+        if value is not None and not re.fullmatch(r"[^:/\s]+:\d{1,5}", value):
+            raise ValueError("host:port, like 127.0.0.1:9464, is wanted")
+        return value
+
+
 class Review(_Strict):
     """Rerun: off, a file beside each recording, or a live viewer on loopback."""
 
@@ -69,13 +102,19 @@ class FaultInjection(_Strict):
 
 
 class Driver(_Strict):
-    """What stands behind the machine: the simulator, a replay of a recording, or a driver plugin."""
+    """What stands behind the machine: the simulator, a replay of a recording, or a driver plugin.
+
+    ``options`` are those in which the simulated plant differs from the machine's own ``options``; ``speed`` is its speed
+    over time as ``[second, rpm]``, linear in between.
+    """
 
     kind: str = "simulator"
     real_time: bool = True
     seed: int = 0
     recording: Path | None = None
     faults: list[FaultInjection] = []
+    options: dict[str, Any] = {}
+    speed: list[tuple[Annotated[float, Field(ge=0)], float]] = []
     settings: dict[str, Any] = {}
 
     @model_validator(mode="after")
@@ -83,13 +122,6 @@ class Driver(_Strict):
         if self.kind == "replay" and self.recording is None:
             raise ValueError("a replay needs 'recording', the path of the file to replay")
         return self
-
-
-class Named(_Strict):
-    """A plugin by name with its settings."""
-
-    kind: str
-    settings: dict[str, Any] = {}
 
 
 class Fault(_Strict):
@@ -172,6 +204,8 @@ class Site(_Strict):
     transport: Transport = Transport()
     recording: Recording = Recording()
     review: Review = Review()
+    alarms: Alarms = Alarms()
+    metrics: Metrics = Metrics()
     text: str = Field(default="", exclude=True)
     origin: str = Field(default="", exclude=True)
 

@@ -8,6 +8,7 @@ import pytest
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.port import DrivablePort, Port
 from afdsvc.api.signals import Channel, Trace
+from afdsvc.errors import BadInput
 from afdsvc.hal.loop import LoopSettings
 from afdsvc.hal.replay import Replay, blocks_of
 from afdsvc.hal.rig import DrivenRig
@@ -116,3 +117,17 @@ def test_replay_cannot_be_driven_and_passes_values_bit_for_bit():
         blocks.append(block)
     assert [len(b) for b in blocks] == [250, 250, 250, 250, 3]
     assert np.array_equal(np.vstack([b.values for b in blocks]), trace.values)
+
+
+def test_a_rotating_machine_records_speed_and_angle_of_its_driver(bearing):
+    machine = bearing(rpm=1100)
+
+    class Turning(PlantDriver):
+        def rotation(self) -> tuple[float, float]:
+            return 115.2, 0.01 * self.k
+
+    with pytest.raises(BadInput, match=r"driver PlantDriver has no 'rotation\(\)'; a rotating machine records"):
+        rig(machine, PlantDriver(machine))
+    block = rig(machine, Turning(machine)).read()
+    assert block.column("aux_speed") == pytest.approx(np.full(250, 115.2))
+    assert block.column("aux_angle") == pytest.approx(0.01 * np.arange(1, 251))
