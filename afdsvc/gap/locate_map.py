@@ -1,0 +1,182 @@
+"""The state map: on which of the machine's signals a disturbance must depend, and where it must enter, to be the residual.
+
+Every group of columns is sent through the predictor and the whitening, what the nuisance parameters can imitate is taken
+out, and the groups are chosen one after the other by a cross-validated regression. The F test of each is corrected for the
+number of groups tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy import stats
+
+from afdsvc.api.physics import Machine
+from afdsvc.gap.locate_features import Group, groups
+from afdsvc.gap.locate_sweep import responses
+from afdsvc.gap.locate_view import View, per_run
+from afdsvc.lti.statespace import Array
+
+SURE = 1e-4  # false-acceptance probability of the map as a whole
+FOLDS = 10
+MOST = 6
+WORTH = 0.05  # share of the first group's gain below which a further one is not worth saying
+NEAR = 0.85  # share of the best group's gain from which another place explains nearly as much
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dependence:
+    """A chosen group: its ``gain`` (fall of the cost), the p-value of its F test times the groups tried, the gain on samples
+    kept out (``validated``), what it takes from the residual (``component``, per run, outputs' units, the nuisance refitted with
+    it), and groups ``nearly`` as good.
+    """
+
+    group: Group
+    gain: float
+    f: float
+    p: float
+    validated: float
+    component: tuple[Array, ...]
+    nearly: tuple[Group, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Gram:
+    """Inner products per fold: ``matrix (folds, b, b)``, ``vector (folds, b)`` with the residual, and the cost to lower; the
+    projected responses ``columns (rows, b)`` themselves."""
+
+    columns: Array
+    matrix: Array
+    vector: Array
+    cost: float
+    counts: float
+
+
+def dependences(view: View, machine: Machine) -> list[Dependence]:
+    """Return the groups the residual depends on, the largest first; none when nothing is significant."""
+    library = groups(view, machine)
+    if not library:
+        return []
+    gram, slices = _gram(view, library)
+    chosen: list[int] = []
+    found: list[Dependence] = []
+    while len(chosen) < MOST:
+        step = _next(gram, slices, chosen, library)
+        if step is None or (found and step.gain < WORTH * found[0].gain):
+            break
+        best = library.index(step.group)
+        chosen.append(best)
+        found.append(step)
+    return _with_components(view, gram, slices, chosen, found)
+
+
+def _gram(view: View, library: Sequence[Group]) -> tuple[_Gram, list[slice]]:
+    """Return the inner products of all responses with the nuisance projected out, fold by fold."""
+    slices, start = [], 0
+    for g in library:
+        slices.append(slice(start, start + g.size))
+        start += g.size
+    t, width = view.tangent, start
+    rows = [_rows(view, library, i, width) for i in range(len(view.runs))]
+    everything = np.vstack(rows)
+    q = t.q[: len(everything)]
+    imitated = q.T @ everything
+    everything -= q @ imitated
+    rest = t.rest[: len(everything)]
+    edges = np.linspace(0, len(everything), FOLDS + 1).astype(int)
+    pieces = [(everything[a:b], rest[a:b]) for a, b in pairwise(edges)]
+    matrix = np.stack([x.T @ x for x, _ in pieces])
+    vector = np.stack([x.T @ r for x, r in pieces])
+    return _Gram(everything, matrix, vector, float(t.rest @ t.rest), view.counts), slices
+
+
+def _rows(view: View, library: Sequence[Group], i: int, width: int) -> Array:
+    columns = np.hstack([g.columns[i] for g in library])
+    states = np.hstack([np.repeat(g.states[:, None], g.size, 1) for g in library])
+    outputs = np.hstack([np.repeat(g.outputs[:, None], g.size, 1) for g in library])
+    o = view.objective
+    response = responses(o.simulator, view.point.theta, columns, states, outputs, o.whitener)
+    gaps = ~np.isfinite(view.runs[i].Y)
+    if gaps.any():
+        response[gaps] = 0.0
+    return response.reshape(-1, width)
+
+
+def _next(gram: _Gram, slices: Sequence[slice], chosen: list[int], library: Sequence[Group]) -> Dependence | None:
+    """Return the best further group, or None when it is not significant or does not carry over to samples kept out."""
+    base = _gain(gram, _index(slices, chosen))
+    order = []
+    for k, g in enumerate(library):
+        if k in chosen:
+            continue
+        gain = _gain(gram, _index(slices, [*chosen, k])) - base
+        order.append((gain - g.size * float(np.log(max(gram.counts, 3.0))), gain, k))
+    order.sort(key=lambda o: -o[0])
+    _, gain, best = order[0]
+    group = library[best]
+    freedom = max(gram.counts - len(_index(slices, chosen)) - group.size, 1.0)
+    f = gain / group.size / max((gram.cost - base - gain) / freedom, 1e-300)
+    p = min(1.0, float(stats.f.sf(f, group.size, freedom)) * len(library))
+    folds = _validated(gram, _index(slices, [*chosen, best])) - _validated(gram, _index(slices, chosen))
+    if p > SURE or not _carries_over(folds):
+        return None
+    nearly = tuple(library[k] for _, g, k in order[1:] if g > NEAR * gain and library[k].size <= group.size + 3)
+    return Dependence(group, gain, f, p, float(folds.sum()), (), nearly[:3])
+
+
+def _carries_over(folds: Array) -> bool:
+    """Whether the gain on samples kept out is positive by two standard errors of its scatter between folds."""
+    spread = float(folds.std(ddof=1)) * np.sqrt(len(folds))
+    return bool(folds.sum() > max(2.0 * spread, 0.0))
+
+
+def _index(slices: Sequence[slice], chosen: Sequence[int]) -> list[int]:
+    return [i for k in chosen for i in range(slices[k].start, slices[k].stop)]
+
+
+def _solve(matrix: Array, vector: Array) -> Array:
+    """Return the least-squares coefficients, directions without weight left at zero."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scaled = np.linalg.lstsq(matrix / np.outer(scale, scale), vector / scale, rcond=1e-9)[0]
+    return np.asarray(scaled / scale)
+
+
+def _gain(gram: _Gram, index: list[int]) -> float:
+    if not index:
+        return 0.0
+    G, b = gram.matrix.sum(0)[np.ix_(index, index)], gram.vector.sum(0)[index]
+    return float(b @ _solve(G, b))
+
+
+def _validated(gram: _Gram, index: list[int]) -> Array:
+    """Return the fall of the cost in every fold by coefficients fitted on the others, shape ``(folds,)``."""
+    if not index:
+        return np.zeros(FOLDS)
+    where = np.ix_(index, index)
+    G, b = gram.matrix.sum(0)[where], gram.vector.sum(0)[index]
+    out = np.zeros(FOLDS)
+    for k in range(FOLDS):
+        own, left = gram.matrix[k][where], gram.vector[k][index]
+        c = _solve(G - own, b - left)
+        out[k] = 2 * c @ left - c @ own @ c
+    return out
+
+
+def _with_components(
+    view: View, gram: _Gram, slices: Sequence[slice], chosen: list[int], found: Sequence[Dependence]
+) -> list[Dependence]:
+    """Return the chosen groups with what each adds to the outputs, all fitted together."""
+    index = _index(slices, chosen)
+    if not index:
+        return []
+    c = _solve(gram.matrix.sum(0)[np.ix_(index, index)], gram.vector.sum(0)[index])
+    out, start = [], 0
+    for d in found:
+        own = slice(start, start + d.group.size)
+        start = own.stop
+        taken = gram.columns[:, index[own]] @ c[own]
+        out.append(replace(d, component=tuple(per_run(taken, view.objective))))
+    return out
