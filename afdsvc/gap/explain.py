@@ -57,9 +57,8 @@ def _answer(found: Found, roles: Split, offered: Sequence[Physics]) -> Explanati
     playing = player(nom, (*roles.train, *roles.select, *roles.heldout), found.start.point, found.end.objective.simulator.ramped)
     courses = _courses(found, roles, playing)
     held = [c for c in courses if c.role == "heldout"]
-    judgement = judged(found, roles.select)
-    yardstick = Yardstick(found.start, roles.select)
-    done = explained(yardstick, found.start.point, found.end.point)
+    done = explained(Yardstick(found.start, roles.select), found.start.point, found.end.point)
+    judgement = judged(found, done)
     floor = tuple(float(v) for v in found.end.floor.sd) if found.end.floor.known else None
     named = names(found, {p.name: p.summary for p in offered}) if judgement.tells_names else ()
 

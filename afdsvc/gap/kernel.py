@@ -9,8 +9,10 @@ one-step predictor; in the loop (``closed``) the simulated output feeds the cont
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, types
+from numba import carray, njit, types  # type: ignore[attr-defined]
+from numba.core import cgutils
 from numba.core.types import FunctionType
+from numba.extending import intrinsic
 
 _V = types.float64[::1]
 _M = types.float64[:, ::1]
@@ -20,6 +22,16 @@ MOST_SIGNALS = 16
 READS = 7  # columns of a plan: stage, reads, writes, parameters, memory from, memory to, bent, then addresses
 INPUT, FORCE, OUTPUT = 0, 1, 2
 _I, _IV, _IM = types.int64, types.int64[::1], types.int64[:, ::1]
+
+
+@intrinsic
+def _pointer(typingctx, address):  # type: ignore[no-untyped-def]
+    """Return an address as a pointer, so that views of memory can be made without counting references."""
+
+    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
+
+    return types.voidptr(address), build
 
 
 @njit(cache=True, nogil=True)
@@ -33,12 +45,15 @@ def _apply(stage, laws, plan, par, mem, s, work, dt, target, base):  # type: ign
         if plan[i, 0] != stage:
             continue
         nread, nwrite = plan[i, 1], plan[i, 2]
-        z, out = work[:nread], work[MOST_SIGNALS : MOST_SIGNALS + nwrite]
+        z = carray(_pointer(work.ctypes.data), nread, np.float64)  # type: ignore[call-arg]
+        out = carray(_pointer(work.ctypes.data + 8 * MOST_SIGNALS), nwrite, np.float64)
+        values = carray(_pointer(par.ctypes.data + 8 * i * par.shape[1]), plan[i, 3], np.float64)
+        memory = carray(_pointer(mem.ctypes.data + 8 * plan[i, 4]), plan[i, 5] - plan[i, 4], np.float64)
         for k in range(nread):
             z[k] = s[plan[i, READS + k]]
         for k in range(nwrite):
             out[k] = 0.0
-        laws[i](par[i, : plan[i, 3]], z, mem[plan[i, 4] : plan[i, 5]], dt, out)
+        laws[i](values, z, memory, dt, out)
         factor = 1.0
         if plan[i, 6]:
             w = abs(z[0]) / par[i, par.shape[1] - 1]

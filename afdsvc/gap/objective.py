@@ -43,9 +43,12 @@ class Objective:
         """How many numbers the residual holds."""
         return sum(r.Y.size for r in self.runs)
 
-    def residual(self, i: int, theta: Array, x0: Array, effects: Sequence[Effect]) -> Array:
-        """Return the residual ``y - yhat`` of run ``i``, shape ``(n, p)``, zero in gaps; `FAR` where the simulation left."""
-        run = self.runs[i]
+    def residual(self, i: int, theta: Array, x0: Array, effects: Sequence[Effect], first: int | None = None) -> Array:
+        """Return the residual ``y - yhat`` of run ``i``, shape ``(n, p)``, zero in gaps; `FAR` where the simulation left.
+
+        ``first`` asks for so many samples only.
+        """
+        run = self.runs[i] if first is None else self.runs[i].span(0, first)
         e = run.Y - self.simulator.run(run, theta, x0, effects).y
         lost = ~np.isfinite(e) & np.isfinite(run.Y)
         if lost.any():
@@ -132,27 +135,45 @@ def _columns(
     _state_columns(objective, point, J, scales, k)
     if etas:
         _effect_columns(objective, point, data, J, scales, k + states)
-    weight, own = np.full(total, 1e-3), np.zeros(total)
-    weight[:k], own[:k] = 1.0, point.theta[:k]
-    return J, (np.diag(weight), own), scales
+    weight = np.full(total, 1e-3)
+    weight[:k] = 1.0
+    return J, (np.diag(weight), prior_rows(point, k, total)), scales
+
+
+def prior_rows(point: Point, k: int, total: int) -> Array:
+    """Return the residual of the prior: theta for its ``k`` freed entries, nothing for the other nuisance."""
+    own = np.zeros(total)
+    own[:k] = point.theta[:k]
+    return own
 
 
 def _state_columns(objective: Objective, point: Point, J: Array, scales: Array, first: int) -> None:
     """Fill the columns of the initial states, one unit being what moves the residual by its own size."""
     row, column = 0, first
     for i, (run, x0) in enumerate(zip(objective.runs, point.x0, strict=True)):
-        size = run.Y.size
-        base = objective.whitener(objective.residual(i, point.theta, x0, point.effects)).ravel()
+        memory = min(len(run), _memory(objective, point.theta))
+        base = objective.whitener(objective.residual(i, point.theta, x0, point.effects, memory)).ravel()
         for j in range(len(x0)):
             moved = x0.copy()
             step = 1e-3 * max(abs(x0[j]), _state_step(run, objective, j))
             moved[j] += step
-            change = objective.whitener(objective.residual(i, point.theta, moved, point.effects)).ravel() - base
+            change = objective.whitener(objective.residual(i, point.theta, moved, point.effects, memory)).ravel() - base
             norm = float(np.linalg.norm(change))
             scales[column] = step / norm if norm > 0 else 0.0
-            J[row : row + size, column] = change / norm if norm > 0 else 0.0
+            J[row : row + base.size, column] = change / norm if norm > 0 else 0.0
             column += 1
-        row += size
+        row += run.Y.size
+
+
+def _memory(objective: Objective, theta: Array) -> int:
+    """Return after how many samples the initial state is forgotten by the corrected simulation, to nine digits."""
+    nominal = objective.simulator.nominal
+    s = nominal.steps(theta)
+    kept = np.linalg.matrix_power(s.phi, s.nsub) - objective.simulator.gain @ nominal.at(theta).C
+    slowest = float(np.abs(np.linalg.eigvals(kept)).max(initial=0.0))
+    if slowest >= 1 - 1e-9:
+        return int(1e9)
+    return 100 + int(1.3 * np.log(1e-9) / np.log(max(slowest, 1e-3)))
 
 
 def _state_step(run: Run, objective: Objective, j: int) -> float:

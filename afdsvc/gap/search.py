@@ -21,6 +21,7 @@ from afdsvc.lti.statespace import Array
 Mapper = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 FITTED, REFINED, SETTLED = 18, 8, 4  # how many hypotheses survive each stage
 BLOCKS = 60
+HOPELESS = 8.0  # fall of the cost that no hypothesis reached in the screen below which none is fitted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,13 +81,15 @@ def round_of(
     t = tangent(base.objective, base.point)
     progress("screening", 0.0)
     trials = sorted(mapper(partial(screen, t), hypotheses), key=lambda x: x.cost)
+    nothing = evaluate(base, select, None, base.point)
+    if not trials or t.cost - trials[0].cost < HOPELESS:
+        return [nothing, *(evaluate(base, select, x.hypothesis, apply_shift(t, Effect(x.hypothesis, x.values))) for x in trials[:1])]
     progress("fitting", 0.3)
     fitted = sorted(mapper(partial(_fitted, t), trials[:FITTED]), key=lambda x: x.cost)
     progress("refining", 0.6)
     close = sorted(mapper(partial(_shifted, base, t), _diverse(fitted, REFINED)), key=lambda pair: pair[0])
     settled = list(mapper(partial(_settled, base), close[:SETTLED])) + [(h, p) for _, h, p in close[SETTLED:]]
     refined = list(mapper(partial(_evaluated, base, select), settled))
-    nothing = evaluate(base, select, None, base.point)
     progress("refining", 1.0)
     return sorted([nothing, *refined], key=lambda c: c.train)
 

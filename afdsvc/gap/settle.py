@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from afdsvc.gap.fit import moved
-from afdsvc.gap.objective import Objective, Point, Tangent, tangent
+from afdsvc.gap.objective import Objective, Point, Tangent, prior_rows, tangent
 from afdsvc.lti.statespace import Array
+
+REUSED = 3  # steps taken with one tangent
 
 
 def raw(objective: Objective, point: Point) -> list[Array]:
@@ -23,9 +25,32 @@ def settle(objective: Objective, point: Point, iterations: int = 6, states_only:
         t = tangent(objective, point, states_only)
         before = float(t.full @ t.full)
         point, after, damping = _descend(objective, t, before, damping, states_only)
-        if before - after < 3e-4 * before and before - after < 1.0:
+        if _done(before, after):
+            break
+        point, done = _again(objective, t, point, after, states_only)
+        if done:
             break
     return point
+
+
+def _done(before: float, after: float) -> bool:
+    return before - after < 3e-4 * before and before - after < 1.0
+
+
+def _again(objective: Objective, t: Tangent, point: Point, cost: float, states_only: bool) -> tuple[Point, bool]:
+    """Return the point after further steps with the same tangent, each a single simulation, and whether they converged."""
+    k = 0 if states_only else len(point.theta)
+    for _ in range(REUSED):
+        full = np.concatenate([objective.vector(point), prior_rows(point, k, t.r.shape[0])])
+        step = t.shift(full)
+        new = _moved_states(point, step) if states_only else moved(point, step)
+        after = full_cost(objective, new, states_only)
+        if not after < cost:
+            return point, cost - after > -1e-3
+        point, before, cost = new, cost, after
+        if _done(before, after):
+            return point, True
+    return point, False
 
 
 def _descend(

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from afdsvc.gap.explanation import Named, Remainder
-from afdsvc.gap.forward import Found, Yardstick
+from afdsvc.gap.forward import Found
 from afdsvc.gap.naming import is_change
 from afdsvc.gap.repeating import Repeating
-from afdsvc.gap.runs import Run
-from afdsvc.gap.verify import Explained, explained
+from afdsvc.gap.verify import Explained
 
 ENOUGH = 0.8  # explained fraction below which names are withdrawn
 SOMETHING = 1e-6  # p-value of what repeats below which something is there
@@ -27,9 +25,8 @@ class Judgement:
     remainder: Remainder | None = None
 
 
-def judged(found: Found, select: Sequence[Run]) -> Judgement:
+def judged(found: Found, done: Explained) -> Judgement:
     """Return the verdict on a finished search."""
-    done = explained(Yardstick(found.start, tuple(select)), found.start.point, found.end.point)
     if not found.steps:
         return _nothing_named(done)
     if done.fraction + 2 * done.sd < ENOUGH:
