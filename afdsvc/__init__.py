@@ -13,11 +13,13 @@ The rooms, from thinking (pure) over knowing how (swappable) to doing (bytes, ti
 - `hal`: simulator, replay, rig drivers under one contract
 - `wire`: protobuf codec and every zenoh key
 - `record`: MCAP recordings, tables and model files
+- `alarms`: states, history and delivery of alarms, the minute before each
 - `runtime`: clock, scheduler, bursts, safety, transport
 - `review`: Rerun logging and blueprint
 - `report`: tables, figures, HTML
 - `commission`: from one machine of the site file to its concrete parts
 - `service`: the only place that joins concrete parts
+- `outlets`: where recordings, reviews and alarms of a site go
 - `offline`: the service's pipeline over recordings
 - `modelling`: a modeller's files in, a better model and a page out
 - `demo`: the main job on one command

@@ -145,24 +145,68 @@ def status(site: SiteOption = HERE, as_json: Json = False) -> None:
 
 
 @app.command()
-def alarms(site: SiteOption = HERE, as_json: Json = False) -> None:
-    """Show the alarms."""
-    from afdsvc.terminal import alarm_table
+def alarms(
+    history: Annotated[bool, typer.Option("--history", help="What happened, by whom and why, instead of how they stand.")] = False,
+    alarm: Annotated[str, typer.Argument(help="Only this one, in the history.")] = "",
+    site: SiteOption = HERE,
+    as_json: Json = False,
+) -> None:
+    """Show the alarms, or what happened to them."""
+    from afdsvc.terminal import alarm_table, history_table
 
-    found = _ask(site, "alarms")
-    _show(as_json, found, lambda: alarm_table(found))
+    found = _ask(site, "history", alarm=alarm) if history else _ask(site, "alarms")
+    _show(as_json, found, lambda: (history_table if history else alarm_table)(found))
+
+
+AlarmId = Annotated[str, typer.Argument(help="Id of the alarm, as `afdsvc alarms` shows it.")]
+Comment = Annotated[str, typer.Option(help="Why, for the history.")]
 
 
 @app.command()
 def ack(
-    alarm: Annotated[str, typer.Argument(help="Id of the alarm, as `afdsvc alarms` shows it.")],
-    comment: Annotated[str, typer.Option(help="Why, for the log.")] = "",
+    alarm: AlarmId,
+    comment: Comment = "",
+    since: Annotated[int | None, typer.Option(help="`since_ns` of the occurrence you saw: a later one is refused.")] = None,
     site: SiteOption = HERE,
     as_json: Json = False,
 ) -> None:
     """Acknowledge an alarm: somebody has seen it."""
-    found = _ask(site, "ack", alarm=alarm, comment=comment)
+    found = _ask(site, "ack", alarm=alarm, comment=comment, seen_ns=since)
     _show(as_json, found, lambda: print(f"{found['id']} acknowledged by {found['acknowledged_by']}"))
+
+
+@app.command()
+def confirm(alarm: AlarmId, comment: Comment = "", site: SiteOption = HERE, as_json: Json = False) -> None:
+    """Confirm an acknowledged alarm: somebody has dealt with it."""
+    found = _ask(site, "confirm", alarm=alarm, comment=comment)
+    _show(as_json, found, lambda: print(f"{found['id']} confirmed by {found['confirmed_by']}"))
+
+
+@app.command()
+def reset(alarm: AlarmId, comment: Comment = "", site: SiteOption = HERE, as_json: Json = False) -> None:
+    """Release a latched alarm that has ended and is acknowledged."""
+    found = _ask(site, "reset", alarm=alarm, comment=comment)
+    _show(as_json, found, lambda: print(f"{found['id']} reset"))
+
+
+@app.command()
+def shelve(
+    alarm: AlarmId,
+    minutes: Annotated[float, typer.Option(help="For how long.")],
+    reason: Annotated[str, typer.Option(help="Why, for the history.")],
+    site: SiteOption = HERE,
+    as_json: Json = False,
+) -> None:
+    """Put an alarm aside for a time."""
+    found = _ask(site, "shelve", alarm=alarm, minutes=minutes, comment=reason)
+    _show(as_json, found, lambda: print(f"{found['id']} shelved by {found['shelved_by']} for {minutes:g} minutes"))
+
+
+@app.command()
+def unshelve(alarm: AlarmId, site: SiteOption = HERE, as_json: Json = False) -> None:
+    """Take an alarm from the shelf."""
+    found = _ask(site, "unshelve", alarm=alarm)
+    _show(as_json, found, lambda: print(f"{found['id']} is back"))
 
 
 @app.command()

@@ -7,30 +7,30 @@ import threading
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from afdsvc import __version__, commission
+from afdsvc.alarms.book import Policy
 from afdsvc.api.bursts import Burst
 from afdsvc.api.clock import Clock
 from afdsvc.api.detection import FalseAlarms
 from afdsvc.commission import Commissioned
 from afdsvc.errors import BadInput
 from afdsvc.excite.default import default_burst, second_burst
+from afdsvc.outlets import Outlets, open_outboxes
 from afdsvc.plugins.manager import Plugins, load
-from afdsvc.review.sink import ReviewSink
 from afdsvc.runtime import commands
 from afdsvc.runtime.agent import RigAgent
 from afdsvc.runtime.clock import RealClock
 from afdsvc.runtime.desk import BurstDesk
 from afdsvc.runtime.hub import Hub
+from afdsvc.runtime.metrics import serve_metrics
 from afdsvc.runtime.pipeline import CalibratedPipeline, Pipeline, Stream, calibrated
 from afdsvc.runtime.publishing import Publisher
-from afdsvc.runtime.recording import RecorderSink
 from afdsvc.runtime.scheduler import Scheduler, Wanted
-from afdsvc.runtime.sinks import Fan, Sink, ThreadedSink
+from afdsvc.runtime.sinks import Fan
 from afdsvc.runtime.site import Site
 from afdsvc.runtime.transport import NoPeer, Transport
 from afdsvc.runtime.watch import MachineWatch
@@ -73,54 +73,21 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
             if machine.limits is not None and isinstance(stream, Pipeline):
                 scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(desks)), 0.0)
                 desks[id] = BurstDesk(id, burst_design(machine, stream), scheduler, stream, sink, keys, transport, clock)
-        hub = Hub(keys, __version__, watches, desks, transport, clock, outlets.summary, outlets.files)
+        history = outlets.history()
+        outboxes = open_outboxes(site, history, plugins)
+        for outbox in outboxes:
+            stack.callback(outbox.close)
+        a = site.alarms
+        policy = Policy(a.raise_after, a.clear_after, a.latch, a.shelve_minutes)
+        hub = Hub(
+            keys, __version__, watches, desks, transport, clock, outlets.summary, outlets.files, policy=policy, history=history,
+            outboxes=outboxes,
+        )  # fmt: skip
         hub.start()
         stack.callback(hub.stop)
+        if site.metrics.listen:
+            stack.callback(serve_metrics(site.metrics.listen, hub.status))
         yield hub
-
-
-class Outlets:
-    """The recordings of all machines and the one review of the site, and what went wrong with them."""
-
-    def __init__(self, site: Site, clock: Clock) -> None:
-        self._site, self._clock = site, clock
-        self._recorders: list[tuple[RecorderSink, ThreadedSink]] = []
-        self._review: tuple[ReviewSink, ThreadedSink] | None = None
-
-    def of(self, machine: Commissioned) -> list[Sink]:
-        """Return the sinks of one machine; the review is shared, one tab per machine."""
-        id, site = machine.config.id, self._site
-        facts = {"site": site.site}
-        recorder = RecorderSink(site.recording, id, site.text, machine.model_text(), self._clock.now_ns(), facts)
-        recording = ThreadedSink(recorder, f"recorder of {id}", _teller("recording"))
-        self._recorders.append((recorder, recording))
-        if self._review is None and site.review.rerun != "off":
-            live = site.review.port if site.review.rerun == "live" else None
-            review = ReviewSink(recorder.base.with_suffix(".rrd"), live)
-            self._review = review, ThreadedSink(review, "review", _teller("review"))
-        return [recording] if self._review is None else [recording, self._review[1]]
-
-    def summary(self) -> tuple[str, int, str, int]:
-        """Return files, bytes, failure and drops of the recordings."""
-        files = ", ".join(str(r.paths[-1]) for r, _ in self._recorders if r.paths)
-        failure = next((t.failure for _, t in self._recorders if t.failure), "")
-        return files, sum(r.bytes_written for r, _ in self._recorders), failure, sum(t.dropped for _, t in self._recorders)
-
-    def files(self) -> list[Path]:
-        """Return every file written so far."""
-        reviews = self._review[0].paths if self._review else []
-        return [path for r, _ in self._recorders for path in r.paths] + list(reviews)
-
-    def close(self) -> None:
-        """Finish every file."""
-        for _, recording in self._recorders:
-            recording.close()
-        if self._review:
-            self._review[1].close()
-
-
-def _teller(what: str) -> Callable[[str], None]:
-    return lambda why: print(f"afdsvc: {what}: {why}", file=sys.stderr, flush=True)
 
 
 def burst_design(machine: Commissioned, stream: Pipeline) -> Callable[[Wanted], Burst]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import datetime
 from typing import Any
 
 from rich.console import Console
@@ -158,7 +159,7 @@ def status_table(status: dict[str, Any]) -> None:
     ):
         table.add_column(column)
     for m in status["machines"]:
-        alarms = ", ".join(a["fault"] for a in m["alarms"] if a["active"]) or "none"
+        alarms = ", ".join(a["fault"] for a in m["alarms"] if a["active"] and not a["suppressed"]) or "none"
         table.add_row(
             m["machine"],
             m["state"],
@@ -180,13 +181,42 @@ def status_table(status: dict[str, Any]) -> None:
 
 
 def alarm_table(alarms: list[dict[str, Any]]) -> None:
-    """Show the alarms."""
+    """Show the alarms: what calls for attention first, then what is put aside or over."""
     table = Table(title="Alarms")
-    for column in ("id", "severity", "decisions", "state", "acknowledged by", "comment"):
+    for column in ("id", "kind", "state", "since", "severity", "decisions", "people", "what"):
         table.add_column(column)
-    for a in alarms:
-        state = "active" if a["active"] else "ended"
-        table.add_row(a["id"], percent(a["severity"]), str(a["count"]), state, a["acknowledged_by"], a["comment"])
+    for a in sorted(alarms, key=lambda a: (not a["active"], bool(a["cause"]), -a["since_ns"])):
+        style = "bold red" if a["active"] and not (a["acknowledged"] or a["suppressed"] or a["shelved_until_ns"]) else ""
+        people = ", ".join(f"{what} by {a[by]}" for what, by in PEOPLE if a[by])
+        said = f"{a['suppressed'] or a['sentence']} {a['comment']}".strip()
+        row = (a["id"], a["kind"], alarm_state(a), moment(a["since_ns"]), percent(a["severity"]), str(a["count"]), people, said)
+        table.add_row(*row, style=style)
+    OUT.print(table)
+
+
+PEOPLE = (("acknowledged", "acknowledged_by"), ("confirmed", "confirmed_by"), ("shelved", "shelved_by"))
+
+
+def alarm_state(a: dict[str, Any]) -> str:
+    """Return how an alarm stands, in the words of OPC UA Part 9."""
+    words = ["active" if a["active"] else "latched" if a["latched"] else "inactive"]
+    words += ["acknowledged" if a["acknowledged"] else "unacknowledged"] if a["kind"] != "notice" else []
+    words += [word for word, on in (("shelved", a["shelved_until_ns"]), ("suppressed", a["suppressed"])) if on]
+    return ", ".join(words)
+
+
+def moment(t_ns: int) -> str:
+    """Return a time as people read it, in this computer's time zone."""
+    return datetime.fromtimestamp(t_ns / 1e9).astimezone().strftime("%Y-%m-%d %H:%M:%S")
+
+
+def history_table(changes: list[dict[str, Any]]) -> None:
+    """Show what happened to alarms, oldest first."""
+    table = Table(title="What happened to alarms")
+    for column in ("when", "alarm", "event", "by", "why"):
+        table.add_column(column)
+    for c in changes:
+        table.add_row(moment(c["t_ns"]), c["alarm"]["id"], c["event"], c["who"] or "the service", c["why"])
     OUT.print(table)
 
 

@@ -9,6 +9,7 @@ import pluggy
 
 from afdsvc.api.control_plugins import ControllerDesign, FaultKind
 from afdsvc.api.detection import DetectorDesign
+from afdsvc.api.notify import NotifierDesign
 
 PROJECT = "afdsvc"
 hookspec = pluggy.HookspecMarker(PROJECT)
@@ -38,3 +39,8 @@ def afdsvc_physics() -> Iterable[Any]:  # type: ignore[empty-body]
 @hookspec
 def afdsvc_drivers() -> Iterable[Any]:  # type: ignore[empty-body]
     """Return the drivers of real hardware a plugin offers."""
+
+
+@hookspec
+def afdsvc_notifiers() -> Iterable[NotifierDesign]:  # type: ignore[empty-body]
+    """Return the ways of telling people about alarms a plugin offers."""

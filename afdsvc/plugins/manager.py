@@ -18,6 +18,7 @@ FAMILIES = {
     "detectors": "afdsvc_detectors",
     "physics": "afdsvc_physics",
     "drivers": "afdsvc_drivers",
+    "notifiers": "afdsvc_notifiers",
 }
 
 

@@ -6,24 +6,29 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from afdsvc.alarms.book import AlarmBook, Policy
+from afdsvc.alarms.history import History
+from afdsvc.alarms.outbox import Outbox
 from afdsvc.api.clock import Clock
-from afdsvc.errors import AfdsvcError, BadInput
-from afdsvc.runtime.alarms import AlarmBook
+from afdsvc.errors import BadInput
 from afdsvc.runtime.commands import answer
 from afdsvc.runtime.desk import BurstDesk
-from afdsvc.runtime.scheduler import Wanted
+from afdsvc.runtime.pipeline import Outcome
+from afdsvc.runtime.requests import Requests
 from afdsvc.runtime.transport import Transport
 from afdsvc.runtime.watch import MachineWatch
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys, machine_of, session_of
-from afdsvc.wire.messages import EventKind, Finding, MachineStatus, ServiceStatus
+from afdsvc.wire.messages import AlarmChange, AlarmKind, EventKind, Finding, MachineStatus, ServiceStatus
 
 log = logging.getLogger(__name__)
+TROUBLE = ("bad_samples", "frozen_sensor", "plugin_failed")  # findings about the watching that call for a person
+PASSING = ("bad_samples", "frozen_sensor")  # those that end by themselves
 TICK_SECONDS = 0.05
 STATUS_SECONDS = 1.0
 
@@ -44,7 +49,9 @@ class Hub:
     recording: Callable[[], tuple[str, int, str, int]]
     files: Callable[[], list[Path]] = list
     queue_size: int = 40_000
-    alarms: AlarmBook = field(default_factory=AlarmBook)
+    policy: Policy = field(default_factory=Policy)
+    history: History | None = None
+    outboxes: Sequence[Outbox] = ()
 
     def __post_init__(self) -> None:
         self._queue: queue.Queue[tuple[str, str, Any] | None] = queue.Queue(self.queue_size)
@@ -52,12 +59,14 @@ class Hub:
         self._began = self.clock.monotonic()
         self._next_status = self._began
         self._strangers: set[str] = set()
+        self.alarms = AlarmBook(self.policy, self._told)
         self.dropped = 0
         self.findings: list[Finding] = []
         self.refusals: list[str] = []
 
     def start(self) -> None:
-        """Refuse a second service, then listen, watch for rigs, answer people."""
+        """Take up the alarms of the last run, then listen, watch for rigs, answer people."""
+        self._remember()
         t, keys = self.transport, self.keys
         self._threads = [
             threading.Thread(target=self._guard, args=(self._work,), name="afdsvc-worker", daemon=True),
@@ -69,8 +78,16 @@ class Hub:
         t.subscribe(keys.events(), lambda key, payload: self._put("event", key, payload))
         t.subscribe(keys.descriptions(), lambda key, payload: self._put("description", key, payload))
         t.watch(keys.all_alive(), lambda key, alive: self._put("alive", key, alive))
-        t.serve(keys.command(), lambda payload: answer(self._handlers(), payload))
+        t.serve(keys.command(), lambda payload: answer(Requests(self).handlers(), payload))
         t.announce(keys.service_alive())
+
+    def _remember(self) -> None:
+        if self.history is None:
+            return
+        try:
+            self.alarms.restore(self.history.last(), self.clock.now_ns())
+        except BadInput as error:
+            log.error("the alarms of the last run are not known: %s", error)
 
     def drain(self, seconds: float = 10.0) -> None:
         """Wait until what has arrived is worked off."""
@@ -155,17 +172,48 @@ class Hub:
     def _block(self, watch: MachineWatch, payload: bytes) -> None:
         outcome = watch.take_block(payload)
         desk = self._tell_desk(watch)
-        fresh = watch.fresh_findings() if outcome else []
+        if outcome is None:
+            return
+        self._note_conditions(watch, outcome)
+        fresh = watch.fresh_findings()
         for finding in fresh:
-            alarm = self.alarms.take(finding)
-            watch.doubt_model()
+            sentence = sentence_of(finding)
+            alarm = self.alarms.take(finding, sentence)
             if alarm is not None:
-                watch.say("error", sentence_of(finding))
+                watch.say("error", sentence)
                 if desk:
                     desk.scheduler.after_event(alarm.id)
+        if fresh:
+            self._sum_up(watch, fresh[-1].t_ns)
         if desk:
             for burst in {f.evidence.burst for f in fresh if f.evidence.burst}:
                 desk.consider(burst, watch.decisions_on(burst))
+
+    def _note_conditions(self, watch: MachineWatch, outcome: Outcome) -> None:
+        """Trouble with the watching itself is an alarm of its own, over with the next samples that are as they should be."""
+        now = self.clock.now_ns()
+        for finding in outcome.findings:
+            if finding.kind in TROUBLE:
+                self.alarms.condition(watch.machine, finding.kind, AlarmKind.SYSTEM, True, finding.message, now)
+        if outcome.residual is not None:
+            for kind in PASSING:
+                self.alarms.condition(watch.machine, kind, AlarmKind.SYSTEM, False, "the samples are as they should be again", now)
+
+    def _sum_up(self, watch: MachineWatch, t_ns: int) -> None:
+        """Group alarms under what the evidence as a whole names; say when the model rather than a part is to be doubted."""
+        watch.doubt_model()
+        why = watch.doubt or "the residual fits the model or a fault again"
+        self.alarms.condition(watch.machine, "model_gap", AlarmKind.NOTICE, bool(watch.doubt), why, t_ns)
+        if any(a.active for a in self.alarms.of(watch.machine)):
+            self.alarms.group(watch.machine, watch.verdict().fault, t_ns)
+
+    def _told(self, change: AlarmChange) -> None:
+        """Pass a change of an alarm to whoever keeps or tells it."""
+        watch = self.watches.get(change.alarm.machine)
+        if watch:
+            watch.sink.alarm(change)
+        for outbox in self.outboxes:
+            outbox.put(change)
 
     def _tell_desk(self, watch: MachineWatch) -> BurstDesk | None:
         desk = self.desks.get(watch.machine)
@@ -191,32 +239,7 @@ class Hub:
             if self.clock.monotonic() >= self._next_status:
                 self._next_status = self.clock.monotonic() + STATUS_SECONDS
                 self.transport.publish(self.keys.status(), codec.encode_status(self.status()))
-
-    def _handlers(self) -> dict[str, Callable[[Mapping[str, Any], str], Any]]:
-        return {
-            "status": lambda a, who: self.status(),
-            "alarms": lambda a, who: list(self.alarms.alarms.values()),
-            "ack": lambda a, who: self.alarms.acknowledge(str(a.get("alarm", "")), who, str(a.get("comment", ""))),
-            "burst": lambda a, who: {
-                "burst": self._desk(a).ask(Wanted(f"asked by {who}", purpose=str(a.get("purpose") or "diagnose")))
-            },
-            "stop": lambda a, who: self._desk(a).stop(str(a.get("reason", "")), who),
-            "pause": lambda a, who: self._pause(a, f"by {who}: {a.get('reason', '')}"),
-            "resume": lambda a, who: self._pause(a, ""),
-        }
-
-    def _desk(self, arguments: Mapping[str, Any]) -> BurstDesk:
-        machine = arguments.get("machine") or (next(iter(self.watches)) if len(self.watches) == 1 else "")
-        if machine not in self.watches:
-            raise BadInput(f"machine {machine!r} is unknown; this site has {', '.join(self.watches)}")
-        if machine not in self.desks:
-            raise AfdsvcError(f"machine '{machine}' can be watched, not excited")
-        return self.desks[str(machine)]
-
-    def _pause(self, arguments: Mapping[str, Any], why: str) -> dict[str, str]:
-        desk = self._desk(arguments)
-        desk.scheduler.paused = why
-        return {"machine": desk.machine, "paused": why}
+                self.alarms.tick(self.clock.now_ns())
 
 
 def sentence_of(finding: Finding) -> str:

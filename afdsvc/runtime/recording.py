@@ -44,7 +44,7 @@ class RecorderSink:
             60 * settings.max_minutes,
             preview_hertz=settings.preview_hz,
         )
-        self._header = Header(site, {machine: model}, {"software": f"afdsvc {__version__}", "machine": machine, **facts})
+        self.header = Header(site, {machine: model}, {"software": f"afdsvc {__version__}", "machine": machine, **facts})
         self._recorder: Recorder | None = None
 
     @property
@@ -103,5 +103,5 @@ class RecorderSink:
                 self._settings.path.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise RecordingFailed(f"{self._settings.path.parent}: cannot be made: {error.strerror}") from None
-            self._recorder = Recorder(self._settings, self._header)
+            self._recorder = Recorder(self._settings, self.header)
         return self._recorder

@@ -161,6 +161,7 @@ class Bursts(_Strict):
     first_after_seconds: Annotated[float, Field(ge=0)] = 2.0
     seconds: Positive = 2.5
     output_amplitude: Positive | None = None
+    severity: Annotated[float, Field(ge=-1, lt=0)] = -0.5
     quiet_hours: list[tuple[time, time]] = []
 
 
@@ -174,6 +175,7 @@ class Machine(_Strict):
     driver: Driver = Driver()
     controller: Named = Named(kind="lqg")
     faults: list[Fault] | None = None
+    speed_step_rpm: Positive | None = None
     limits: LimitSettings = LimitSettings()
     output_sd: list[Positive] | None = None
     calibrate_seconds: Annotated[float, Field(ge=0)] = 0.0
@@ -191,6 +193,8 @@ class Machine(_Strict):
     def _one_source(self) -> Machine:
         if (self.plant is None) == (self.model is None):
             raise ValueError("exactly one of 'plant' and 'model' is wanted")
+        if self.speed_step_rpm and (self.model or self.calibrate_seconds):
+            raise ValueError("'speed_step_rpm' needs 'plant' and stated noise: noise learnt at one speed is not that at another")
         if self.calibrate_on and not self.calibrate_seconds:
             raise ValueError("'calibrate_on' needs 'calibrate_seconds', the length of its quiet beginning")
         return self

@@ -40,7 +40,7 @@ class MachineWatch:
         self.seconds_seen = 0.0
         self.head_room = 1.0
         self.present = False
-        self.trouble = self._doubt = ""
+        self.trouble = self.doubt = ""
         self._last = float("-inf")
         self._twins: set[str] = set()
         self._fresh: list[Finding] = []
@@ -119,9 +119,9 @@ class MachineWatch:
     def doubt_model(self) -> None:
         """Say once, until it is over, that the model seems to miss something: a notice, not an alarm."""
         doubt = model_gap(self.evidence)
-        if doubt and not self._doubt:
+        if doubt and not self.doubt:
             self.say("warning", doubt)
-        self._doubt = doubt
+        self.doubt = doubt
 
     def verdict(self) -> Verdict:
         """Return what the kept decisions amount to."""
@@ -140,7 +140,7 @@ class MachineWatch:
             self.machine,
             state,
             self.session,
-            reason or self._doubt or verdict.reason,
+            reason or self.doubt or verdict.reason,
             self.blocks,
             self.lost_samples,
             self.late,

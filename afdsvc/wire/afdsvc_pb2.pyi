@@ -286,7 +286,7 @@ class Evidence(_message.Message):
     def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., machine: _Optional[str] = ..., session: _Optional[str] = ..., detector: _Optional[str] = ..., k: _Optional[int] = ..., seconds: _Optional[float] = ..., statistic: _Optional[float] = ..., threshold: _Optional[float] = ..., detected: _Optional[bool] = ..., burst: _Optional[str] = ..., output: _Optional[str] = ..., fault: _Optional[str] = ..., severity: _Optional[_Union[Severity, _Mapping]] = ..., weights: _Optional[_Iterable[_Union[NamedValue, _Mapping]]] = ..., trustworthy: _Optional[bool] = ..., reason: _Optional[str] = ..., p_white: _Optional[float] = ..., parts: _Optional[_Iterable[_Union[NamedValue, _Mapping]]] = ...) -> None: ...
 
 class Alarm(_message.Message):
-    __slots__ = ("id", "machine", "fault", "severity", "since", "last", "count", "active", "acknowledged", "acknowledged_by", "comment", "kind", "confirmed", "confirmed_by", "latched", "shelved_until", "shelved_by", "suppressed", "cause", "ended", "sentence")
+    __slots__ = ("id", "machine", "fault", "severity", "since", "last", "count", "active", "acknowledged", "acknowledged_by", "comment", "kind", "confirmed", "confirmed_by", "latched", "shelved_until", "shelved_by", "suppressed", "cause", "ended", "sentence", "raised_by")
     ID_FIELD_NUMBER: _ClassVar[int]
     MACHINE_FIELD_NUMBER: _ClassVar[int]
     FAULT_FIELD_NUMBER: _ClassVar[int]
@@ -308,6 +308,7 @@ class Alarm(_message.Message):
     CAUSE_FIELD_NUMBER: _ClassVar[int]
     ENDED_FIELD_NUMBER: _ClassVar[int]
     SENTENCE_FIELD_NUMBER: _ClassVar[int]
+    RAISED_BY_FIELD_NUMBER: _ClassVar[int]
     id: str
     machine: str
     fault: str
@@ -329,7 +330,8 @@ class Alarm(_message.Message):
     cause: str
     ended: _timestamp_pb2.Timestamp
     sentence: str
-    def __init__(self, id: _Optional[str] = ..., machine: _Optional[str] = ..., fault: _Optional[str] = ..., severity: _Optional[_Union[Severity, _Mapping]] = ..., since: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., last: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., count: _Optional[int] = ..., active: _Optional[bool] = ..., acknowledged: _Optional[bool] = ..., acknowledged_by: _Optional[str] = ..., comment: _Optional[str] = ..., kind: _Optional[str] = ..., confirmed: _Optional[bool] = ..., confirmed_by: _Optional[str] = ..., latched: _Optional[bool] = ..., shelved_until: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., shelved_by: _Optional[str] = ..., suppressed: _Optional[str] = ..., cause: _Optional[str] = ..., ended: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., sentence: _Optional[str] = ...) -> None: ...
+    raised_by: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, id: _Optional[str] = ..., machine: _Optional[str] = ..., fault: _Optional[str] = ..., severity: _Optional[_Union[Severity, _Mapping]] = ..., since: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., last: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., count: _Optional[int] = ..., active: _Optional[bool] = ..., acknowledged: _Optional[bool] = ..., acknowledged_by: _Optional[str] = ..., comment: _Optional[str] = ..., kind: _Optional[str] = ..., confirmed: _Optional[bool] = ..., confirmed_by: _Optional[str] = ..., latched: _Optional[bool] = ..., shelved_until: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., shelved_by: _Optional[str] = ..., suppressed: _Optional[str] = ..., cause: _Optional[str] = ..., ended: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., sentence: _Optional[str] = ..., raised_by: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class AlarmChange(_message.Message):
     __slots__ = ("timestamp", "alarm", "event", "who", "why")

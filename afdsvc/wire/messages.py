@@ -125,7 +125,8 @@ class Alarm:
 
     ``active`` says the condition holds, ``acknowledged`` that somebody has seen it, ``confirmed`` that somebody has dealt with
     it. A ``latched`` alarm has ended and waits to be reset. ``shelved_until_ns`` (0: not shelved) and ``shelved_by`` are a
-    person's doing, ``suppressed`` (why, "" otherwise) is the service's; ``cause`` is the id of the alarm it follows from.
+    person's doing, ``suppressed`` (why, "" otherwise) is the service's; ``cause`` is the id of the alarm it follows from,
+    ``raised_by`` the detectors that support it.
     """
 
     id: str
@@ -149,6 +150,7 @@ class Alarm:
     cause: str = ""
     ended_ns: int = 0
     sentence: str = ""
+    raised_by: tuple[str, ...] = ()
 
     @property
     def retained(self) -> bool:

@@ -111,7 +111,7 @@ def _alarm_message(a: Alarm) -> pb.Alarm:
         acknowledged_by=a.acknowledged_by, comment=a.comment, kind=a.kind.value, confirmed=a.confirmed,
         confirmed_by=a.confirmed_by, latched=a.latched, shelved_until=stamp(a.shelved_until_ns) if a.shelved_until_ns else None,
         shelved_by=a.shelved_by, suppressed=a.suppressed, cause=a.cause, ended=stamp(a.ended_ns) if a.ended_ns else None,
-        sentence=a.sentence,
+        sentence=a.sentence, raised_by=a.raised_by,
     )
 
 
@@ -121,7 +121,7 @@ def _alarm(m: pb.Alarm) -> Alarm:
         m.id, checked_machine(m.machine), m.fault, nanoseconds(m.since), nanoseconds(m.last), count(m, "count"),
         m.active, severity_of(m), m.acknowledged, m.acknowledged_by, m.comment, _kind(m.kind), m.confirmed, m.confirmed_by,
         m.latched, nanoseconds(m.shelved_until) if m.HasField("shelved_until") else 0, m.shelved_by, m.suppressed, m.cause,
-        nanoseconds(m.ended) if m.HasField("ended") else 0, m.sentence,
+        nanoseconds(m.ended) if m.HasField("ended") else 0, m.sentence, tuple(m.raised_by),
     )
 
 

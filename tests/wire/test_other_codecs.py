@@ -63,7 +63,7 @@ EVIDENCE = Evidence(
 )
 SHELVED = Alarm(
     "a2", "m1", "frozen_sensor", T, T, kind=AlarmKind.SYSTEM, confirmed=True, confirmed_by="kim", latched=True, shelved_until_ns=T + 9,
-    shelved_by="lee", suppressed="consequence of a1", cause="a1", ended_ns=T + 7, sentence="stands still",
+    shelved_by="lee", suppressed="consequence of a1", cause="a1", ended_ns=T + 7, sentence="stands still", raised_by=("regression", "cusum"),
 )
 ALARM = Alarm("a1", "m1", "horizontal_actuator", T, T + 5, 3, True, Severity(-0.5, 0.1), True, "kim", "seen")
 MACHINE = MachineStatus("m1", "stale", "s1", "no block for 3 s", 10, 1, 2, 0.7, 3.0, "b1", 12.5, False, (ALARM, SHELVED))

@@ -1,0 +1,1 @@
+"""Alarms as operators expect them: one state per fault, a history that survives restarts, and somebody who is told."""

@@ -1,0 +1,77 @@
+"""One receiver of alarm changes behind a bounded queue and a thread of its own: slow, failing or gone, it holds nobody up."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+from collections.abc import Callable
+
+from afdsvc.wire.messages import AlarmChange
+
+log = logging.getLogger(__name__)
+PAUSES = (1.0, 5.0, 25.0)  # seconds between attempts; after the last the change is given up and counted
+
+
+class Outbox:
+    """Hands changes to ``receive`` in order; one that fails is tried again, then dropped, counted and logged."""
+
+    def __init__(
+        self, name: str, receive: Callable[[AlarmChange], object], pauses: tuple[float, ...] = PAUSES, size: int = 1000
+    ) -> None:
+        self.name, self._receive, self._pauses = name, receive, pauses
+        self._queue: queue.Queue[AlarmChange | None] = queue.Queue(size)
+        self._stopping = threading.Event()
+        self.dropped = 0
+        self.failure = ""
+        self._thread = threading.Thread(target=self._work, name=f"alarms to {name}", daemon=True)
+        self._thread.start()
+
+    def put(self, change: AlarmChange) -> None:
+        """Queue a change; when the queue is full it is dropped and counted."""
+        try:
+            self._queue.put_nowait(change)
+        except queue.Full:
+            self._drop(change, "the queue is full")
+
+    def flush(self, seconds: float) -> bool:
+        """Wait until everything queued has been handed over; returns whether it has."""
+        waiter = threading.Thread(target=self._queue.join, daemon=True)
+        waiter.start()
+        waiter.join(seconds)
+        return not waiter.is_alive()
+
+    def close(self, seconds: float = 5.0) -> None:
+        """Hand over what is queued as far as it goes without waiting for retries, and stop."""
+        self._stopping.set()
+        try:
+            self._queue.put(None, timeout=seconds)
+        except queue.Full:
+            log.error("alarms to %s: the queue is full; %d changes are lost", self.name, self._queue.qsize())
+        self._thread.join(seconds)
+
+    def _work(self) -> None:
+        while True:
+            change = self._queue.get()
+            try:
+                if change is None:
+                    return
+                self._hand_over(change)
+            finally:
+                self._queue.task_done()
+
+    def _hand_over(self, change: AlarmChange) -> None:
+        for pause in (*self._pauses, None):
+            try:
+                self._receive(change)
+                self.failure = ""
+                return
+            except Exception as error:
+                self.failure = f"{type(error).__name__}: {error}"
+            if pause is None or self._stopping.wait(pause):
+                break
+        self._drop(change, self.failure)
+
+    def _drop(self, change: AlarmChange, why: str) -> None:
+        self.dropped += 1
+        log.error("alarm %s (%s) could not be delivered to %s: %s", change.alarm.id, change.event, self.name, why)

@@ -1,0 +1,94 @@
+"""Where a site's recordings, reviews and alarms go: files, viewers and people."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from afdsvc.alarms.black_box import BlackBox
+from afdsvc.alarms.history import History
+from afdsvc.alarms.outbox import Outbox
+from afdsvc.api.clock import Clock
+from afdsvc.api.notify import Notify
+from afdsvc.commission import Commissioned
+from afdsvc.plugins.manager import Plugins
+from afdsvc.review.sink import ReviewSink
+from afdsvc.runtime.commands import plain
+from afdsvc.runtime.recording import RecorderSink
+from afdsvc.runtime.sinks import Sink, ThreadedSink
+from afdsvc.runtime.site import Site
+from afdsvc.wire.messages import AlarmChange
+
+
+class Outlets:
+    """The recordings of all machines and the one review of the site, and what went wrong with them."""
+
+    def __init__(self, site: Site, clock: Clock) -> None:
+        self._site, self._clock = site, clock
+        self._recorders: list[tuple[RecorderSink, ThreadedSink]] = []
+        self._review: tuple[ReviewSink, ThreadedSink] | None = None
+        self._boxes: list[ThreadedSink] = []
+
+    def of(self, machine: Commissioned) -> list[Sink]:
+        """Return the sinks of one machine; the review is shared, one tab per machine."""
+        id, site = machine.config.id, self._site
+        facts = {"site": site.site}
+        recorder = RecorderSink(site.recording, id, site.text, machine.model_text(), self._clock.now_ns(), facts)
+        recording = ThreadedSink(recorder, f"recorder of {id}", _teller("recording"))
+        self._recorders.append((recorder, recording))
+        if self._review is None and site.review.rerun != "off":
+            live = site.review.port if site.review.rerun == "live" else None
+            review = ReviewSink(recorder.base.with_suffix(".rrd"), live)
+            self._review = review, ThreadedSink(review, "review", _teller("review"))
+        return [recording, *self._black_box(recorder, id), *([self._review[1]] if self._review else [])]
+
+    def _black_box(self, recorder: RecorderSink, id: str) -> list[ThreadedSink]:
+        """Return what keeps the time before an alarm, where the site wants that."""
+        seconds = self._site.alarms.before_seconds
+        if not seconds:
+            return []
+        box = BlackBox(recorder.base.parent / "alarms" / recorder.base.name, recorder.header, seconds)
+        self._boxes.append(ThreadedSink(box, f"black box of {id}", _teller("black box")))
+        return self._boxes[-1:]
+
+    def history(self) -> History:
+        """Return the history of alarms, beside the recordings unless the site says where."""
+        path = self._site.alarms.history or self._site.recording.folder / f"{self._site.site}-alarms.sqlite"
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            _teller("alarm history")(f"{path.parent}: cannot be made: {error.strerror}")
+        return History(path)
+
+    def summary(self) -> tuple[str, int, str, int]:
+        """Return files, bytes, failure and drops of the recordings."""
+        files = ", ".join(str(r.paths[-1]) for r, _ in self._recorders if r.paths)
+        failure = next((t.failure for _, t in self._recorders if t.failure), "")
+        return files, sum(r.bytes_written for r, _ in self._recorders), failure, sum(t.dropped for _, t in self._recorders)
+
+    def files(self) -> list[Path]:
+        """Return every file written so far."""
+        reviews = self._review[0].paths if self._review else []
+        return [path for r, _ in self._recorders for path in r.paths] + list(reviews)
+
+    def close(self) -> None:
+        """Finish every file."""
+        for sink in [recording for _, recording in self._recorders] + self._boxes:
+            sink.close()
+        if self._review:
+            self._review[1].close()
+
+
+def _teller(what: str) -> Callable[[str], None]:
+    return lambda why: print(f"afdsvc: {what}: {why}", file=sys.stderr, flush=True)
+
+
+def open_outboxes(site: Site, history: History, plugins: Plugins) -> list[Outbox]:
+    """Return who hears of alarms: the history first, then every notifier of the site file."""
+    opened = [(n.kind, plugins.get("notifiers", n.kind).open(n.settings)) for n in site.alarms.notify]
+    return [Outbox("the history", history.add)] + [Outbox(name, _as_values(notify)) for name, notify in opened]
+
+
+def _as_values(notify: Notify) -> Callable[[AlarmChange], None]:
+    return lambda change: notify(plain(change))

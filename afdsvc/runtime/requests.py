@@ -1,0 +1,89 @@
+"""What people ask of the running service, carried out: bursts, pauses, and everything one can do to an alarm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from afdsvc.errors import AfdsvcError, BadInput
+from afdsvc.runtime.desk import BurstDesk
+from afdsvc.runtime.scheduler import Wanted
+from afdsvc.wire.messages import Alarm
+
+if TYPE_CHECKING:
+    from afdsvc.runtime.hub import Hub
+
+Arguments = Mapping[str, Any]
+PATIENCE = 2.0  # seconds a person waits for the disk to keep what they did
+
+
+class Requests:
+    """The requests one hub answers; each takes arguments and who asks, and returns something `commands.plain` can tell."""
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+
+    def handlers(self) -> dict[str, Callable[[Arguments, str], Any]]:
+        """Return them by name."""
+        return {
+            "status": lambda a, who: self._hub.status(),
+            "alarms": lambda a, who: list(self._hub.alarms.alarms.values()),
+            "history": self._history,
+            "ack": self._acknowledge,
+            "confirm": lambda a, who: self._done(self._hub.alarms.confirm(_id(a), who, _comment(a), self._now())),
+            "reset": lambda a, who: self._done(self._hub.alarms.reset(_id(a), who, _comment(a), self._now())),
+            "shelve": lambda a, who: self._done(self._hub.alarms.shelve(_id(a), who, _minutes(a), _comment(a), self._now())),
+            "unshelve": lambda a, who: self._done(self._hub.alarms.unshelve(_id(a), who, self._now())),
+            "burst": self._burst,
+            "stop": lambda a, who: self._desk(a).stop(str(a.get("reason", "")), who),
+            "pause": lambda a, who: self._pause(a, f"by {who}: {a.get('reason', '')}"),
+            "resume": lambda a, who: self._pause(a, ""),
+        }
+
+    def _now(self) -> int:
+        return self._hub.clock.now_ns()
+
+    def _history(self, a: Arguments, who: str) -> list[Any]:
+        return self._hub.history.changes(str(a.get("alarm") or "")) if self._hub.history else []
+
+    def _acknowledge(self, a: Arguments, who: str) -> Alarm:
+        return self._done(self._hub.alarms.acknowledge(_id(a), who, _comment(a), self._now(), a.get("seen_ns")))
+
+    def _done(self, alarm: Alarm) -> Alarm:
+        """What a person did is kept before it is confirmed to them, unless the disk takes too long."""
+        for outbox in self._hub.outboxes[:1]:
+            outbox.flush(PATIENCE)
+        return alarm
+
+    def _burst(self, a: Arguments, who: str) -> dict[str, str]:
+        wanted = Wanted(f"asked by {who}", purpose=str(a.get("purpose") or "diagnose"))
+        return {"burst": self._desk(a).ask(wanted)}
+
+    def _desk(self, a: Arguments) -> BurstDesk:
+        watches, desks = self._hub.watches, self._hub.desks
+        machine = a.get("machine") or (next(iter(watches)) if len(watches) == 1 else "")
+        if machine not in watches:
+            raise BadInput(f"machine {machine!r} is unknown; this site has {', '.join(watches)}")
+        if machine not in desks:
+            raise AfdsvcError(f"machine '{machine}' can be watched, not excited")
+        return desks[str(machine)]
+
+    def _pause(self, a: Arguments, why: str) -> dict[str, str]:
+        desk = self._desk(a)
+        desk.scheduler.paused = why
+        return {"machine": desk.machine, "paused": why}
+
+
+def _id(a: Arguments) -> str:
+    return str(a.get("alarm") or "")
+
+
+def _comment(a: Arguments) -> str:
+    return str(a.get("comment") or "")
+
+
+def _minutes(a: Arguments) -> float:
+    try:
+        return float(a.get("minutes") or 0)
+    except (TypeError, ValueError):
+        raise BadInput(f"minutes {a.get('minutes')!r}; a number is wanted") from None
