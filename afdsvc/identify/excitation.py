@@ -3,7 +3,8 @@
 A model of order n with p outputs needs inputs that are persistently exciting of order ``n + l + 1``, l the number of
 samples after which the outputs show every state, at least n/p (Willems, Rapisarda, Markovsky and De Moor, Systems and
 Control Letters 54, 2005). One spectral line gives order 2, so lines are counted: peaks of the windowed spectrum, and
-for bands the number of lines the recording can resolve in them.
+for bands the number of lines the recording can resolve in them. Several bursts count together, each judged over the
+time it lasts (van Waarde et al., IEEE Control Systems Letters 4, 2020).
 """
 
 from __future__ import annotations
@@ -21,6 +22,11 @@ from afdsvc.lti.statespace import Array
 
 #: Power of a spectral bin, relative to the strongest, above which it counts as excited.
 LINE_LEVEL = 1e-5
+#: A single line of a Blackman window fills up to 7 bins above -50 dB; bins further on are further lines.
+_LINE_BINS = 7
+#: Movement, relative to the liveliest two-hundredth of a recording, below which an input pauses; inside a recording for
+#: at least five of those (a slow sine is smaller than that for three of them when it crosses zero).
+QUIET_LEVEL, _PAUSE_BLOCKS, _SHORTEST = 0.05, 5, 16
 #: Movement, relative to that of the plant's input, below which an excitation counts as none (filter transients remain).
 LEAST_MOVEMENT = 3e-3
 #: Share of an input's power that the other inputs may explain (95 % would still separate them, poorly).
@@ -47,6 +53,11 @@ class Excitation:
 def needed_order(order: int, outputs: int) -> int:
     """Return the order of persistent excitation that a model of this order needs."""
     return order + -(-order // outputs) + 1
+
+
+def supported_order(persistent: int, outputs: int) -> int:
+    """Return the largest order of a model that persistent excitation of some order can carry."""
+    return max((n for n in range(persistent) if needed_order(n, outputs) <= persistent), default=0)
 
 
 def excitation(recordings: Sequence[Recording]) -> Excitation:
@@ -77,9 +88,9 @@ def require_excitation(
     for name, lines in zip(names, found.lines, strict=True):
         if 2 * lines < wanted:
             raise BadInput(
-                f"input '{name}' holds {lines} spectral line{'s' if lines != 1 else ''} (persistent excitation "
-                "of order "
-                f"{2 * lines}); order {order} needs {wanted}: {advice(order, outputs, band_hz)}"
+                f"input '{name}' holds {lines} spectral line{'s' if lines != 1 else ''}: persistent excitation of order "
+                f"{2 * lines} was found where {wanted} is wanted for a model of order {order}; "
+                f"{advice(order, outputs, band_hz)}"
             )
     for name, share in zip(names, found.dependence, strict=True):
         if share > DEPENDENCE_LIMIT:
@@ -95,35 +106,64 @@ def advice(order: int, outputs: int, band_hz: tuple[float, float]) -> str:
     """Return in words which burst would support the order."""
     lines = max(2 * needed_order(order, outputs), 20)
     low, high = band_hz
+    seconds = max(2 * lines / max(high - low, 1e-9), 10 / low)
     return (
-        f"play a multisine with at least {lines} lines between {low:.3g} and {high:.3g} Hz on every input "
-        f"(multisine_burst), or a random binary burst of at least {lines / max(high - low, 1e-9) * 2:.3g} s "
-        "(random_binary_burst)"
+        "play a broad burst instead (afdsvc burst --purpose identify): a multisine with at least "
+        f"{lines} lines between {low:.3g} and {high:.3g} Hz on every input, or (--purpose identify_binary) random "
+        f"binary steps for at least {seconds:.3g} s"
     )
 
 
 def _lines(recordings: Sequence[Recording], j: int) -> tuple[int, tuple[float, float]]:
-    """Return the spectral lines of one input and the band they fill, best recording for the count, union for the
-    band."""
-    best, low, high = 0, np.inf, 0.0
-    for r in recordings:
-        count, bottom, top = _spectrum_lines(r.u[:, j] - r.u[:, j].mean(), r.dt)
-        best = max(best, count)
-        if count:
+    """Return the spectral lines of one input over all stretches in which it moves, and the band they fill."""
+    found = [_stretch_lines(r.u[a:b, j] - r.u[:, j].mean(), r.dt) for r in recordings for a, b in _stretches(r.u[:, j])]
+    held, low, high = np.zeros(0), np.inf, 0.0
+    for centres, width, (bottom, top) in sorted(found, key=lambda f: -len(f[0])):
+        new = centres if not held.size else centres[_distance(held, centres) > width / 2]
+        held = np.sort(np.concatenate([held, new]))
+        if centres.size:
             low, high = min(low, bottom), max(high, top)
-    return best, (float(min(low, high)), float(high))
+    return len(held), (float(min(low, high)), float(high))
 
 
-def _spectrum_lines(u: Array, dt: float) -> tuple[int, float, float]:
+def _stretches(u: Array) -> list[tuple[int, int]]:
+    """Return where an input moves: a burst is judged on its own, not with the silence around it.
+
+    Switching a sine on and off spreads it over many bins of a long recording, but it remains one line.
+    """
+    size = max(1, len(u) // 200)
+    starts = np.arange(0, len(u), size)
+    power = np.add.reduceat((u - u.mean()) ** 2, starts) / np.diff([*starts, len(u)])
+    silent = power <= QUIET_LEVEL**2 * power.max()
+    runs = np.split(np.arange(len(starts)), np.flatnonzero(np.diff(silent.astype(int))) + 1)
+    ends = (0, len(starts) - 1)
+    pauses = [r for r in runs if silent[r[0]] and (len(r) >= _PAUSE_BLOCKS or r[0] in ends or r[-1] in ends)]
+    if not power.max() > 0:
+        return []
+    edges = [0, *(edge for run in pauses for edge in (run[0] * size, (run[-1] + 1) * size)), len(u)]
+    pairs = zip(edges[::2], np.minimum(edges[1::2], len(u)), strict=True)
+    return [(int(a), int(b)) for a, b in pairs if b - a >= _SHORTEST]
+
+
+def _stretch_lines(u: Array, dt: float) -> tuple[Array, float, tuple[float, float]]:
+    """Return the frequencies [Hz] of the lines of a stretch, the width of a line, and the band they fill."""
+    step = 1 / (len(u) * dt)
     power = np.abs(np.fft.rfft(u * np.blackman(len(u)))) ** 2
     if not power.max() > 0:
-        return 0, 0.0, 0.0
+        return np.zeros(0), _LINE_BINS * step, (0.0, 0.0)
     above = np.flatnonzero(power > LINE_LEVEL * power.max())
-    # A single line of a Blackman window fills up to 7 bins above -50 dB; bins further on are further lines.
-    runs = np.split(above, np.flatnonzero(np.diff(above) > 1) + 1)
-    count = sum(max(1, round(len(run) / 7)) for run in runs)
-    step = 1 / (len(u) * dt)
-    return count, float(above[0] * step), float(above[-1] * step)
+    centres = []
+    for run in np.split(above, np.flatnonzero(np.diff(above) > 1) + 1):
+        count = max(1, round(len(run) / _LINE_BINS))
+        centres.append(run[0] + (np.arange(count) + 0.5) * len(run) / count - 0.5)
+    return np.concatenate(centres) * step, _LINE_BINS * step, (float(above[0] * step), float(above[-1] * step))
+
+
+def _distance(held: Array, centres: Array) -> Array:
+    """Return how far each of the centres is from the nearest one held (both sorted)."""
+    place = np.searchsorted(held, centres)
+    left, right = held[np.maximum(place - 1, 0)], held[np.minimum(place, len(held) - 1)]
+    return np.asarray(np.minimum(np.abs(centres - left), np.abs(centres - right)))
 
 
 def _dependence(recordings: Sequence[Recording]) -> list[float]:

@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 
 from afdsvc.errors import BadInput
-from afdsvc.identify.excitation import require_excitation
+from afdsvc.identify.excitation import Excitation, require_excitation, supported_order
 from afdsvc.identify.fit import Fit
 from afdsvc.identify.greybox import GreyboxOptions, fit_greybox, greybox_band
 from afdsvc.identify.hansen import rebuilt_plant, youla_signals
@@ -63,8 +63,9 @@ def hansen(problem: Prepared, options: IdentifyOptions) -> Outcome:
     """Identify S from (eta, eps), rebuild the plant, reduce it."""
     fact = _known_controller(problem, "hansen")
     signals = [youla_signals(fact, r).centred() for r in problem.training]
-    _exciting(problem, signals, options.order or problem.nominal.order)
+    offered = _exciting(problem, signals, options.order or problem.nominal.order)
     largest = 2 * problem.nominal.order + fact.controller.order + 4
+    largest = min(largest, supported_order(offered.persistent_order, problem.nominal.outputs))
     found, order, reason = _open_loop_order(signals, problem.slowest, largest, options)
     if order == 0:
         return Outcome(_nominal_stands(problem, reason))
@@ -180,6 +181,8 @@ def subspace(problem: Prepared, options: IdentifyOptions) -> Outcome:
 def pbsid(problem: Prepared, options: IdentifyOptions) -> Outcome:
     """Identify the plant from u and y with feedback present or not, by PBSIDopt."""
     _exciting(problem, problem.training, options.order or problem.nominal.order)
+    if problem.played:  # noise that the controller brings back to u is no excitation to rely on
+        _exciting(problem, problem.played, options.order or problem.nominal.order)
     past, order, reason = _closed_loop_order(problem, options)
     found = decompose_predictor(problem.training, past)
     fit = Fit("pbsid", realise_predictor(found, order), found.singular_values, reason, notes=(f"past window {past}",))
@@ -266,10 +269,10 @@ def _known_controller(problem: Prepared, method: str) -> Factorisation:
     return problem.fact
 
 
-def _exciting(problem: Prepared, recordings: Sequence[Recording], order: int) -> None:
+def _exciting(problem: Prepared, recordings: Sequence[Recording], order: int) -> Excitation:
     names = [v.name for v in problem.model.inputs]
     size = np.max([r.u.std(axis=0) for r in problem.training], axis=0)
-    require_excitation(recordings, order, names, problem.nominal.outputs, band_hz(problem.nominal), size)
+    return require_excitation(recordings, order, names, problem.nominal.outputs, band_hz(problem.nominal), size)
 
 
 def _order(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -30,7 +30,8 @@ _CHECKED = 20_000
 @dataclass(frozen=True, slots=True, eq=False)
 class Prepared:
     """Everything a method needs: the nominal plant at the recordings' sample time, the controller and their factors
-    (None without a controller), and the recordings of u and y with the operating point removed.
+    (None without a controller), and the recordings of u and y with the operating point removed. ``played`` holds the
+    recorded alpha in place of u where alpha excites the loop and no reference does, and is empty otherwise.
     """
 
     model: Model
@@ -39,6 +40,7 @@ class Prepared:
     training: tuple[Recording, ...]
     heldout: tuple[Recording, ...]
     closed_loop_signs: tuple[str, ...]
+    played: tuple[Recording, ...] = ()
 
     @property
     def slowest(self) -> float:
@@ -61,7 +63,9 @@ def prepare(model: Model, traces: Sequence[Trace], heldout: Sequence[Trace], nee
         for trace, recording in zip((*traces, *heldout), (*training, *away), strict=True):
             require_controller(fact, model, trace, recording)
     signs = tuple(c.name for c in traces[0].channels if c.role in ("alpha", "beta", "ref"))
-    return Prepared(model, nominal, fact, tuple(r.centred() for r in training), tuple(away), signs)
+    played = tuple(_played(model, t, r) for t, r in zip(traces, training, strict=True))
+    played = played if any(p.u.any() for p in played) and not any(_referenced(model, t) for t in traces) else ()
+    return Prepared(model, nominal, fact, tuple(r.centred() for r in training), tuple(away), signs, played)
 
 
 def nominal_plant(model: Model, dt: float) -> StateSpace:
@@ -143,6 +147,14 @@ def _explained(signal: Array, alpha: Array, lags: int = 40) -> Array:
     rows = window.reshape(len(alpha), -1)
     solution = linalg.lstsq(rows, signal, lapack_driver="gelsy")[0]
     return np.asarray(rows @ solution)
+
+
+def _played(model: Model, trace: Trace, recording: Recording) -> Recording:
+    return replace(recording, u=_columns(trace, "alpha", [v.name for v in model.inputs], optional=True))
+
+
+def _referenced(model: Model, trace: Trace) -> bool:
+    return bool(np.ptp(_columns(trace, "ref", [v.name for v in model.outputs], optional=True), axis=0).any())
 
 
 def _recording(model: Model, trace: Trace) -> Recording:

@@ -47,7 +47,8 @@ def identify(
     order = options.order or nominal_plant(model, traces[0].dt).order if traces else 1
     problem = prepare(model, traces, holdout, samples_needed(len(model.inputs), len(model.outputs), order))
     parts = split(problem.training, problem.heldout)
-    problem = replace(problem, training=parts.training)
+    kept = tuple(a.span(0, len(r)) for a, r in zip(problem.played, parts.training, strict=False))
+    problem = replace(problem, training=parts.training, played=kept)
     method = _method(problem, options)
     outcome = _run(method, problem, options, rng)
     names = [v.name for v in model.outputs]

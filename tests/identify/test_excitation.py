@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from afdsvc.api.bursts import Burst
 from afdsvc.errors import BadInput
-from afdsvc.identify.excitation import excitation, needed_order, require_excitation
+from afdsvc.identify.excitation import excitation, needed_order, require_excitation, supported_order
 from afdsvc.identify.recordings import Recording
 
 DT, N = 2e-4, 50_000
@@ -29,6 +30,30 @@ def test_every_line_of_a_multisine_is_counted(frequencies):
     assert found.band_hz[0] == pytest.approx((frequencies[0], frequencies[-1]), abs=1.0)
 
 
+def test_a_line_switched_on_and_off_is_still_one_line():
+    for repeats in (1, 3):
+        gate = Burst("gate", 1, 8000, 300).envelope()
+        u = np.zeros(N)
+        for k in range(repeats):
+            u[2000 + 15_000 * k :][: len(gate)] = _sines([120.0])[: len(gate)] * gate
+        assert excitation(_record(u)).lines == (1,)
+
+
+def test_lines_of_several_bursts_count_together():
+    """Eight recordings of one sine each carry what one recording of eight sines does."""
+    sines = [Recording.of(s := _sines([f])[:10_000], s, DT) for f in np.arange(50, 450, 50.0)]
+    assert excitation(sines).lines == (8,)
+    assert excitation([sines[0], sines[0], sines[1]]).lines == (2,)
+
+
+def test_supported_order_is_the_inverse_of_the_needed_one():
+    for outputs in (1, 2, 3):
+        for order in range(1, 20):
+            needed = needed_order(order, outputs)
+            assert supported_order(needed, outputs) == order
+            assert supported_order(needed - 1, outputs) < order
+
+
 def test_broadband_signals_hold_hundreds_of_lines():
     assert excitation(_record(np.random.default_rng(1).standard_normal(N))).lines[0] > 1000
 
@@ -46,7 +71,7 @@ def test_one_sine_cannot_carry_order_six_and_the_refusal_says_what_can():
     with pytest.raises(BadInput) as told:
         require_excitation(_record(_sines([62.0])), 6, ["valve"], 2, (5.0, 400.0))
     text = str(told.value)
-    assert "input 'valve' holds 1 spectral line (persistent excitation of order 2); order 6 needs 10" in text
+    assert "input 'valve' holds 1 spectral line: persistent excitation of order 2 was found where 10 is wanted for a model of order 6" in text
     assert "multisine with at least 20 lines between 5 and 400 Hz" in text
     assert needed_order(6, 2) == 10
 

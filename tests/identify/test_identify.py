@@ -5,10 +5,12 @@ import json
 import numpy as np
 import pytest
 
+from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.errors import BadInput
 from afdsvc.identify import IdentifyOptions, identify
+from afdsvc.identify.excitation import needed_order
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plants.gas_bearing import gas_bearing
@@ -220,15 +222,47 @@ def test_saturated_actuator(model, run):
         identify(model, [Trace("run.mcap", trace.dt, trace.channels, table)])
 
 
-def test_not_exciting(model, fact, bearing, run_loop):
-    t = np.arange(6000) * bearing.dt
-    alpha = np.column_stack([np.sin(62 * t), np.sin(700 * t)])
-    record, alpha, _ = run_loop(fact, bearing, alpha, 0.3 * np.random.default_rng(13).standard_normal((6000, 2)))
-    trace = Trace("sine.mcap", bearing.dt, _channels(("u", "y", "alpha")), np.hstack([record.u, record.y, alpha]))
-    with pytest.raises(
-        BadInput, match=r"input 'horizontal' holds [12] spectral lines? .*play a multisine with at least"
-    ):
-        identify(model, [trace])
+@pytest.fixture
+def diagnosis_burst(model, fact, bearing, run_loop):
+    """One second of silence, a burst of one sine per input with ramps, silence: what a diagnosis plays."""
+    lines = (Line(0, 2 * np.pi * 121, 2.0), Line(1, 2 * np.pi * 197, 2.0))
+    played = Burst("diagnose", 2, 12_500, 300, lines).play(bearing.dt)
+    alpha = np.vstack([np.zeros((5000, 2)), played, np.zeros((5000, 2))])
+    d = np.sqrt([0.12, 0.15]) * np.random.default_rng(13).standard_normal((len(alpha), 2))
+    record, alpha, _ = run_loop(fact, bearing, alpha, d)
+    table = np.hstack([record.u, record.y, alpha])
+    return Trace("burst.mcap", bearing.dt, _channels(("u", "y", "alpha")), table)
+
+
+def test_not_exciting(model, diagnosis_burst):
+    """One sentence: the order of persistent excitation found, the one wanted, and the burst to play instead."""
+    with pytest.raises(BadInput) as told:
+        identify(model, [diagnosis_burst])
+    text = str(told.value)
+    assert "input 'horizontal' holds 1 spectral line: persistent excitation of order 2 was found" in text
+    assert "where 10 is wanted for a model of order 6" in text
+    assert "afdsvc burst --purpose identify" in text
+    assert "\n" not in text
+
+
+def test_noise_that_comes_back_through_the_controller_is_no_excitation(model, diagnosis_burst):
+    from dataclasses import replace
+
+    bare = replace(model, controller=None)
+    for method in ("pbsid", "pem"):
+        with pytest.raises(BadInput, match=r"persistent excitation of order [24] was found where 10 is wanted"):
+            identify(bare, [diagnosis_burst], options=IdentifyOptions(method=method))
+
+
+def test_the_order_of_S_stays_within_what_the_burst_supports(model, fact, bearing, run_loop):
+    """Six lines on every input: a plant of order 6 can be carried (10 of 12), S of order 12 (needs 19) cannot."""
+    lines = [Line(j, 2 * np.pi * f, 1.0, f) for j in (0, 1) for f in (40.0 + 17 * j + 60.0 * np.arange(6))]
+    alpha = Burst("six", 2, 10_000, 300, tuple(lines)).play(bearing.dt)
+    d = np.sqrt([0.12, 0.15]) * np.random.default_rng(14).standard_normal((10_000, 2))
+    record, alpha, _ = run_loop(fact, bearing, alpha, d)
+    trace = Trace("six.mcap", bearing.dt, _channels(("u", "y", "alpha")), np.hstack([record.u, record.y, alpha]))
+    found = identify(model, [trace], options=QUICK)
+    assert needed_order(found.fit.deviation.order, 2) <= 12
 
 
 def test_no_excitation_at_all(model, run):
