@@ -17,13 +17,13 @@ from afdsvc.api.model import Model, Variable
 from afdsvc.api.plant import PhysicalPlant
 from afdsvc.api.port import Port
 from afdsvc.api.signals import Channel
-from afdsvc.errors import BadInput
+from afdsvc.errors import BadInput, NotStabilising
 from afdsvc.excite.identification_bursts import Band, multisine_burst, random_binary_burst, sweep_burst
 from afdsvc.hal.loop import LoopSettings, Prediction
 from afdsvc.hal.replay import Replay, blocks_of
 from afdsvc.hal.rotation import SpeedProfile
 from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, Simulator
-from afdsvc.lti.lft import AugmentedPlant, FaultDirection, augment
+from afdsvc.lti.lft import AugmentedPlant, FaultDirection, augment, star
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
@@ -128,6 +128,22 @@ def _faults(config: site_file.Machine, physical: PhysicalPlant, plugins: Plugins
     if config.faults is None:
         return usual_faults(physical)
     return chosen_faults([(f.name, plugins.get("faults", f.kind), f.settings) for f in config.faults])
+
+
+def at_speed(machine: Commissioned, speed: float) -> Commissioned:
+    """Return the machine with the model of another speed [rad/s]; its controller stays the one it runs with.
+
+    Raises `BadInput` for a machine that has no model there, `NotStabilising` when the controller does not hold it there.
+    """
+    if machine.physical is None or machine.faults is None or machine.controller is None:
+        raise BadInput(f"machine '{machine.config.id}' has no plant of ours; its model belongs to one speed")
+    physical = _turned(machine.physical, speed)
+    K = machine.controller.factorisation.K
+    worst = float(np.abs(star(physical.discrete(), K, K.inputs, K.outputs).poles()).max())
+    if worst >= 1:
+        raise NotStabilising(f"machine '{machine.config.id}': the loop at {speed * 30 / np.pi:.0f} rpm has a pole of modulus {worst:.6g}")
+    augmented = machine.faults.augmented(physical)
+    return replace(machine, plant=augmented.plant, augmented=augmented, speed=speed, physical=physical)
 
 
 def _read_watched(config: site_file.Machine) -> Watched:

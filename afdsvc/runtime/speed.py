@@ -1,0 +1,112 @@
+"""A machine whose speed changes: every speed has its own model, thresholds and detectors, and none is used at another.
+
+Speeds are rounded to multiples of a spacing; at each the machine is commissioned when it first runs there. While the speed is further
+from that of the model than half the spacing (and a tenth, so that it does not flutter) nothing is judged. Once it has kept
+still for a while, the parts for the new speed take over and begin anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from afdsvc.api.bursts import Burst
+from afdsvc.api.detection import DetectionProblem
+from afdsvc.api.signals import Block
+from afdsvc.errors import AfdsvcError, BadInput, Refused
+from afdsvc.lti.statespace import Array
+from afdsvc.runtime.intake import Finding
+from afdsvc.runtime.pipeline import Outcome, Pipeline
+
+RPM = 30 / np.pi  # rpm per rad/s
+SLACK = 0.6  # of the spacing: how far the speed may be from that of the model in use
+STILL = 0.25  # of the spacing: how far the speed may move while it counts as still
+REMEMBERED = 64
+
+
+@dataclass
+class SpeedPipeline:
+    """The pipeline of a machine that records ``aux_speed``.
+
+    ``design(speed)`` returns the pipeline for a speed [rad/s]; it raises `AfdsvcError` where there is no model. ``spacing``
+    [rad/s] is that of the speeds with a model, ``still_seconds`` how long a new speed must last, ``speed`` where the machine begins.
+    """
+
+    design: Callable[[float], Pipeline]
+    spacing: float
+    speed: float
+    still_seconds: float = 1.0
+    bursts: dict[str, Burst] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._node = self._nearest(self.speed)
+        self._pipeline: Pipeline | None = self.design(self._node)
+        self._problem = self._pipeline.problem
+        self._held, self._from = 0.0, self._node
+        self._without = float("nan")  # the speed last found to have no model
+
+    @property
+    def problem(self) -> DetectionProblem:
+        """The detection problem at the speed the machine was last commissioned at; raises `Refused` while there is none."""
+        if self._pipeline is None:
+            raise Refused(f"the speed has left {self._node * RPM:.0f} rpm and is not steady yet; a burst would tell nothing")
+        return self._problem
+
+    @property
+    def dt(self) -> float:
+        """Sample time, the same at every speed."""
+        return self._problem.plant.dt
+
+    def announce(self, burst: Burst) -> None:
+        """Make a burst known before its blocks come."""
+        self.bursts[burst.name] = burst
+        while len(self.bursts) > REMEMBERED:
+            self.bursts.pop(next(iter(self.bursts)))
+        if self._pipeline is not None:
+            self._pipeline.announce(burst)
+
+    def step(self, block: Block) -> Outcome:
+        """Return what a block leads to; between two speeds that is nothing but a sentence."""
+        try:
+            speed = block.column("aux_speed")
+        except BadInput as missing:
+            return Outcome((), (Finding("bad_block", f"block {block.seq} of '{block.machine}': {missing}"),), None)
+        findings: list[Finding] = []
+        if self._pipeline is not None and not np.abs(speed - self._node).max() <= SLACK * self.spacing:
+            findings.append(self._leave(block))
+        if self._pipeline is not None:
+            return self._pipeline.step(block)
+        findings += self._wait(block, speed)
+        return Outcome((), tuple(findings), None)
+
+    def _leave(self, block: Block) -> Finding:
+        self._pipeline, self._held, self._from = None, 0.0, float("nan")
+        lost = f"; burst {block.burst} is not judged" if block.burst else ""
+        return Finding("speed", f"the speed leaves {self._node * RPM:.0f} rpm: nothing is judged until it is steady{lost}")
+
+    def _wait(self, block: Block, speed: Array) -> list[Finding]:
+        """Count how long the speed has kept still; commission the machine where it has."""
+        if not np.abs(speed - self._from).max() <= STILL * self.spacing:
+            self._held, self._from = 0.0, float(speed[-1])
+            return []
+        self._held += len(block) * block.dt
+        if self._held < self.still_seconds or block.burst:
+            return []
+        self._held, node = 0.0, self._nearest(float(speed[-1]))
+        return [] if node == self._without else [self._commission(node)]
+
+    def _commission(self, node: float) -> Finding:
+        try:
+            pipeline = self.design(node)
+        except AfdsvcError as error:
+            self._without = node
+            return Finding("speed", f"at {node * RPM:.0f} rpm nothing can be judged: {error}")
+        for burst in self.bursts.values():
+            pipeline.announce(burst)
+        self._node, self._pipeline, self._problem, self._without = node, pipeline, pipeline.problem, float("nan")
+        return Finding("speed", f"model, thresholds and detectors are those of {node * RPM:.0f} rpm now")
+
+    def _nearest(self, speed: float) -> float:
+        return self.spacing * round(speed / self.spacing)
