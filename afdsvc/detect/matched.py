@@ -9,7 +9,8 @@ Source: A. K. Sekunda, "Fault Diagnosis and Identification of Electro-Mechanical
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -17,23 +18,23 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect import maximum
 from afdsvc.detect.curves import FaultCurves, fault_curves
 from afdsvc.detect.demodulate import Basis, BasisSums, Lines, project
 from afdsvc.detect.hypotheses import LineData, anything_log_evidence, curve_fit, weights
+from afdsvc.detect.line_tests import LargestProjection, LikelihoodRatio, LineTest
+from afdsvc.detect.power import tail
 from afdsvc.detect.reach import reachable
-from afdsvc.detect.uncertainty import model_doubt, models, robust_threshold
+from afdsvc.detect.uncertainty import model_doubt, models
 from afdsvc.detect.watch import BurstSamples, Finding
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
-
-UNSEEN = 1e-6  # length of a template, as a share of the longest, below which this burst cannot see the fault
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedFilter:
     """Statistic of the matched filter. ``severities`` are those whose phases are in the set, ``angle`` the ``aux``
-    label of the rotor angle; the other nuisances are described in `demodulate.Basis`.
+    label of the rotor angle; the other nuisances are described in `demodulate.Basis`. With ``likelihood`` the largest
+    likelihood ratio along the whole curves is compared instead of the largest projection.
     """
 
     problem: DetectionProblem
@@ -42,6 +43,12 @@ class MatchedFilter:
     mains: tuple[float, ...] = ()
     orders: tuple[int, ...] = ()
     angle: str = "angle"
+    likelihood: bool = False
+
+    @property
+    def line_test(self) -> LineTest:
+        """How the lines are judged."""
+        return LikelihoodRatio() if self.likelihood else LargestProjection(self.severities)
 
     def basis(self, burst: Burst) -> Basis:
         """Return what a burst is regressed on; raises `BadInput` for a burst that is no sum of sines."""
@@ -70,47 +77,33 @@ class MatchedFilter:
     def decide(self, sums: BasisSums, burst: Burst, dt: float) -> Sequence[Finding]:
         """Return one finding for all lines and outputs together."""
         lines, curves, data = self._reduced(sums, burst)
-        statistic, h, e = self._judged(curves, data, burst)
-        if not len(e):
-            return [Finding(0.0, float("inf"))]
+        statistic, h = self._judged(curves, data, burst)
+        if not h < math.inf:
+            return [Finding(statistic, h)]
         z, reach = data.whitened(np.eye(data.z.size), data.z)[0], reachable(self.problem)
         fits = tuple(curve_fit(curves, n, data, reach[n]) for n in curves.names)
-        parts = {"samples": float(sums.n), "tests": maximum.tests_counted(e, h), **_amplitudes(lines, _ordered(burst))}
+        parts = {"samples": float(sums.n), "tests": self.problem.false_alarms.per_burst / tail(h), **_amplitudes(lines, _ordered(burst))}
         return [Finding(statistic, h, fits, weights(fits, anything_log_evidence(z)), parts)]
 
     def test(self, sums: BasisSums, burst: Burst) -> tuple[float, float]:
         """Return statistic and threshold only."""
         _, curves, data = self._reduced(sums, burst)
-        return self._judged(curves, data, burst)[:2]
+        return self._judged(curves, data, burst)
 
     def _reduced(self, sums: BasisSums, burst: Burst) -> tuple[Lines, FaultCurves, LineData]:
         lines, ordered = project(sums, self.basis(burst)), _ordered(burst)
         doubt = model_doubt(self.problem, ordered, lines.R)
         return lines, _curves(self.problem, ordered), LineData(lines.z, lines.R, doubt)
 
-    def _judged(self, curves: FaultCurves, data: LineData, burst: Burst) -> tuple[float, float, Array]:
-        """Return the statistic, its threshold and the unit directions it is the largest over."""
-        directions = self._directions(curves, data, reachable(self.problem))
-        if not len(directions):
-            return 0.0, float("inf"), directions
-        e = directions / np.linalg.norm(directions, axis=1)[:, None]
+    def _judged(self, curves: FaultCurves, data: LineData, burst: Burst) -> tuple[float, float]:
+        """Return the statistic and its threshold; 0 and inf when the burst sees no fault."""
+        looked_for = self.line_test.waves(curves, data, reachable(self.problem))
+        if not len(looked_for):
+            return 0.0, math.inf
         z = data.whitened(np.eye(data.z.size), data.z)[0]
-        return float(np.max(e @ z)), self._threshold(e, data, _ordered(burst)), e
-
-    def _threshold(self, e: Array, data: LineData, ordered: Sequence[Line]) -> float:
+        found = models(self.problem, _ordered(burst), data.R) if self.problem.uncertainty else None
         rate = self.problem.false_alarms.per_burst
-        if not self.problem.uncertainty:
-            return maximum.threshold(e, rate)
-        factor = np.linalg.cholesky(np.eye(data.z.size) + data.doubt)
-        raw = np.linalg.solve(factor.T, e.T).T  # <raw, z> is <e, whitened z>
-        return robust_threshold(raw, models(self.problem, ordered, data.R), rate)
-
-    def _directions(self, curves: FaultCurves, data: LineData, reach: Mapping[str, tuple[float, float]]) -> Array:
-        """Return the whitened templates ``(faults x severities, D)`` of all faults this burst can see."""
-        points = np.concatenate([data.R @ curves.at(name, _within(self.severities, *r)) for name, r in reach.items()])
-        white = np.stack(data.whitened(np.eye(data.z.size), *points))
-        length = np.linalg.norm(white, axis=1)
-        return np.asarray(white[length > UNSEEN * max(length.max(initial=0.0), 1e-12)])
+        return self.line_test.statistic(looked_for, z), self.line_test.threshold(looked_for, data, found, rate)
 
     def _angle(self, samples: BurstSamples, a: int, b: int) -> Array | None:
         if not self.orders:
@@ -127,12 +120,6 @@ def _ordered(burst: Burst) -> tuple[Line, ...]:
 @lru_cache(maxsize=16)  # the same lines are played again and again
 def _curves(problem: DetectionProblem, lines: tuple[Line, ...]) -> FaultCurves:
     return fault_curves(problem, lines)
-
-
-def _within(severities: Sequence[float], low: float, high: float) -> list[float]:
-    """Return the severities the loop survives; the largest survivable one when it survives none of them."""
-    inside = [s for s in severities if low <= s <= high]
-    return inside or [low if abs(low) > abs(high) else high]
 
 
 def window(burst: Burst) -> tuple[int, int]:

@@ -32,7 +32,7 @@ _SAME = 1e-9  # singular values below this share of the largest are rounding
 
 def exceedance(directions: Array, h: float) -> float:
     """Return ``P(max_k <z, e_k> > h)`` for ``directions`` of shape ``(K, D)`` (any lengths above 0) and ``h >= 0``."""
-    return _exceedance(_reduced(directions), h)
+    return _exceedance(reduced(directions), h)
 
 
 def threshold(directions: Array, false_alarm: float) -> float:
@@ -40,7 +40,7 @@ def threshold(directions: Array, false_alarm: float) -> float:
 
     ``false_alarm`` must leave h non-negative.
     """
-    e = _reduced(directions)
+    e = reduced(directions)
     return _threshold(np.ascontiguousarray(e).tobytes(), e.shape, false_alarm)
 
 
@@ -59,51 +59,11 @@ def tests_counted(directions: Array, h: float) -> float:
     return exceedance(directions, h) / tail(h)
 
 
-def ratio_threshold(waves: Array, false_alarm: float) -> float:
-    """Return c with ``P(max_k (<z, t_k> - |t_k|^2 / 2) > c) = false_alarm`` for waves t_k of shape ``(K, D)``.
-
-    The likelihood ratio on a curve of waves: a wave has its own length, so a long one is not looked for in short data.
-    Wave k exceeds c where ``<z, e_k> > c / |t_k| + |t_k| / 2``; the union is estimated as above, each direction with its
-    own height.
-    """
-    t = np.ascontiguousarray(waves, dtype=float)
-    return _ratio_threshold(t.tobytes(), t.shape, false_alarm)
-
-
-@lru_cache(maxsize=64)
-def _ratio_threshold(raw: bytes, shape: tuple[int, int], false_alarm: float) -> float:
-    t = np.frombuffer(raw).reshape(shape)
-    e, length = _reduced(t), np.linalg.norm(t, axis=1)
-    wanted = math.log(false_alarm)
-
-    def excess(c: float) -> float:
-        return math.log(max(_heights_exceeded(e, c / length + length / 2), 1e-300)) - wanted
-
-    low, high = 1e-6, math.log(1 / false_alarm) + math.log(len(t)) + 1.0  # P <= K e^-c
-    return low if excess(low) <= 0 else float(brentq(excess, low, high, xtol=1e-6))
-
-
-def _heights_exceeded(e: Array, h: Array) -> float:
-    """Return the probability that any ``<z, e_k>`` exceeds its own height ``h_k``."""
-    tails = ndtr(-h)
-    total = float(tails.sum())
-    if not total > 0:
-        return 0.0
-    u = _points(e.shape[1])
-    edges = np.cumsum(tails) / total
-    k = np.minimum(np.searchsorted(edges, (np.arange(len(u)) + 0.5) / len(u)), len(e) - 1)
-    along = -ndtri(u[:, 0] * tails[k])
-    w = ndtri(u[:, 1:])
-    z = w + (along - np.sum(w * e[k], axis=1))[:, None] * e[k]
-    above = np.maximum((z @ e.T > h).sum(axis=1), 1)
-    return total * float(np.mean(1 / above))
-
-
 def shares(directions: Array, h: float) -> Array:
     """Return ``E[1 / number of exceedances | <z, e_k> > h]`` for every k, shape ``(K,)``: the part each adds to the
     union.
     """
-    e = _reduced(directions)
+    e = reduced(directions)
     return np.array([_share(e, k, h) for k in range(len(e))])
 
 
@@ -126,13 +86,13 @@ def _in_a_plane(e: Array, h: float) -> float:
 def _union_terms(e: Array, h: float) -> Array:
     """Return K times the mean of 1/count, as one term per point; the points take the K directions in turn."""
     K, D = e.shape
-    u = _points(D)
+    u = points(D)
     k = np.arange(len(u)) % K
     return np.asarray(K / len(u) / _counts(e, k, u, h))
 
 
 def _share(e: Array, k: int, h: float) -> float:
-    u = _points(e.shape[1])
+    u = points(e.shape[1])
     return float(np.mean(1 / _counts(e, np.full(len(u), k), u, h)))
 
 
@@ -147,14 +107,14 @@ def _counts(e: Array, k: Array, u: Array, h: float) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _points(dimension: int) -> Array:
+def points(dimension: int) -> Array:
     """Return Sobol points in (0, 1), shape ``(POINTS, 1 + dimension)``, shifted off the edges of the cube."""
     sobol = qmc.Sobol(1 + dimension, scramble=False).random(POINTS)
     shift = np.modf((1 + np.arange(1 + dimension)) * 0.6180339887498949)[0]
     return np.array(np.clip(np.modf(sobol + shift)[0], 1e-12, 1 - 1e-12), dtype=np.float64)
 
 
-def _reduced(directions: Array) -> Array:
+def reduced(directions: Array) -> Array:
     """Return unit vectors expressed in the subspace they span; equal directions are kept once."""
     e = np.atleast_2d(np.asarray(directions, dtype=float))
     lengths = np.linalg.norm(e, axis=1)

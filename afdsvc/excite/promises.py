@@ -35,8 +35,12 @@ def alarms_per_hour(alarms: Mapping[str, FalseAlarms], bursts_per_hour: float) -
     return float(sum(rates))
 
 
-def _lines(severities: int) -> Callable[[DetectionProblem, Burst], float]:
-    return lambda problem, burst: burst_prospect(problem, burst).threshold(problem.false_alarms.per_burst, severities)
+def _largest(problem: DetectionProblem, burst: Burst) -> float:
+    return burst_prospect(problem, burst).threshold(problem.false_alarms.per_burst)
+
+
+def _ratio(problem: DetectionProblem, burst: Burst) -> float:
+    return burst_prospect(problem, burst).ratio_threshold(problem.false_alarms.per_burst)
 
 
 def _regression(problem: DetectionProblem, burst: Burst) -> float:
@@ -59,8 +63,8 @@ def _passive(problem: DetectionProblem, burst: Burst) -> float:
 
 
 _THRESHOLDS: dict[str, Callable[[DetectionProblem, Burst], float]] = {
-    "matched_filter": _lines(8),
-    "fault_curves": _lines(32),
+    "matched_filter": _largest,
+    "fault_curves": _ratio,
     "regression": _regression,
     "cusum": _cusum,
     "passive_cusum": _passive,

@@ -13,13 +13,12 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect import maximum
 from afdsvc.detect.curves import FaultCurves, fault_curves
 from afdsvc.detect.hypotheses import LineData, curve_fit
-from afdsvc.detect.matched import UNSEEN
+from afdsvc.detect.line_tests import LargestProjection, LikelihoodRatio, LineTest
 from afdsvc.detect.power import tail
 from afdsvc.detect.reach import reachable
-from afdsvc.detect.uncertainty import Models, model_doubt, models, robust_threshold
+from afdsvc.detect.uncertainty import Models, model_doubt, models
 from afdsvc.lti.statespace import Array
 
 
@@ -34,6 +33,7 @@ class Prospect:
     reach: Mapping[str, tuple[float, float]]
     doubt: Array
     models: Models | None = None
+    severity_range: tuple[float, float] = (-1.0, 0.0)
 
     def wave(self, fault: str, severity: float) -> Array:
         """Return the point of a curve, shape ``(2 L, p)``; without doubt its length is the deflection."""
@@ -50,22 +50,17 @@ class Prospect:
 
     def threshold(self, false_alarm: float, severities: int = 8) -> float:
         """Return the threshold of the matched filter over all faults at so many severities."""
-        points = np.concatenate([self.R @ self.curves.at(name, self._steps(name, severities)) for name in self.curves.names])
-        white = np.stack(self.data(points[0]).whitened(np.eye(points[0].size), *points))
-        length = np.linalg.norm(white, axis=1)
-        seen = length > UNSEEN * max(length.max(initial=0.0), 1e-12)
-        if not seen.any():
-            return float("inf")
-        unit = white[seen] / length[seen, None]
-        if self.models is None:
-            return maximum.threshold(unit, false_alarm)
-        factor = np.linalg.cholesky(np.eye(len(self.doubt)) + self.doubt)
-        return robust_threshold(np.linalg.solve(factor.T, unit.T).T, self.models, false_alarm)
+        low, high = self.severity_range
+        return self._threshold(LargestProjection(tuple(np.linspace(high, low, severities + 1)[1:].tolist())), false_alarm)
 
-    def _steps(self, name: str, severities: int) -> Array:
-        """Return severities of one fault from small to the largest the loop survives."""
-        low, high = self.reach[name]
-        return np.linspace(high, low, severities + 1)[1:]
+    def ratio_threshold(self, false_alarm: float) -> float:
+        """Return the threshold of the likelihood ratio along the curves of all faults."""
+        return self._threshold(LikelihoodRatio(), false_alarm)
+
+    def _threshold(self, test: LineTest, false_alarm: float) -> float:
+        data = self.data(np.zeros((len(self.R), self.curves.Li.shape[0])))
+        waves = test.waves(self.curves, data, self.reach)
+        return test.threshold(waves, data, self.models, false_alarm) if len(waves) else float("inf")
 
     def detection(self, fault: str, severity: float, threshold: float) -> float:
         """Return the probability that a matched filter tuned to this wave exceeds the threshold.
@@ -110,7 +105,7 @@ def prospect(problem: DetectionProblem, lines: Sequence[Line], samples: int) -> 
     """Return the prospect of lines played steadily for ``samples`` samples (whole periods of distinct frequencies)."""
     R = np.sqrt(samples / 2) * np.eye(2 * len(lines))
     doubt, found = model_doubt(problem, lines, R), models(problem, lines, R) if problem.uncertainty else None
-    return Prospect(fault_curves(problem, lines), R, reachable(problem), doubt, found)
+    return Prospect(fault_curves(problem, lines), R, reachable(problem), doubt, found, problem.severity_range)
 
 
 def burst_prospect(problem: DetectionProblem, burst: Burst) -> Prospect:

@@ -30,7 +30,7 @@ def statistics(problem):
     filters = regressors(problem)
     return filters, {
         "matched_filter": MatchedFilter(problem, STEPS),
-        "fault_curves": MatchedFilter(problem, tuple(float(v) for v in np.linspace(0, -1, 33)[1:]), drift=True),
+        "fault_curves": MatchedFilter(problem, (), drift=True, likelihood=True),
         "regression": regression(problem, filters),
         "cusum": ActiveCusum(problem),
     }

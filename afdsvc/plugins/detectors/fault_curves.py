@@ -6,14 +6,10 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from afdsvc.api.detection import DetectionProblem, Detector
 from afdsvc.detect.matched import MatchedFilter
 from afdsvc.detect.settings import Range, gate_of, read
 from afdsvc.detect.watch import burst_detector
-
-POINTS = 32  # severities on every curve; neighbours are closer than the noise can tell
 
 
 class FaultCurvesDesign:
@@ -32,11 +28,9 @@ class FaultCurvesDesign:
             "rotor_orders": Range(0, 0, 20, whole=True),
         }
         values = read(self.name, settings, own)
-        low, high = problem.severity_range
-        steps = tuple(float(v) for v in np.linspace(high, low, POINTS + 1)[1:])
         mains = _mains(values["mains_hz"], int(values["mains_harmonics"]), problem.plant.dt)
         orders = tuple(range(1, int(values["rotor_orders"]) + 1))
-        statistic = MatchedFilter(problem, steps, bool(values["drift"]), mains, orders)
+        statistic = MatchedFilter(problem, (), bool(values["drift"]), mains, orders, likelihood=True)
         frozen = int(values["frozen_samples"])
         return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen)
 
