@@ -13,6 +13,7 @@ from afdsvc.gap.judge import Ruling, judge, separation
 from afdsvc.gap.lines import peaks, tones
 from afdsvc.gap.nominal import Nominal
 from afdsvc.gap.objective import Objective, Point
+from afdsvc.gap.reconsider import reconsidered
 from afdsvc.gap.runs import Run
 from afdsvc.gap.search import Mapper, block_costs, round_of
 from afdsvc.gap.settle import raw, settle
@@ -79,7 +80,26 @@ def forward(
         costs.append(cost)
         base = baseline(nominal, train, point)
         base, order = _without_superfluous(base, order, samples)
+    base, order, steps = _reconsider(base, order, steps, select, samples, mapper)
     return Found(start, base, tuple(steps), last, tuple(order), first)
+
+
+def _reconsider(
+    base: Baseline, order: list[int], steps: list[Step], select: Sequence[Run], samples: tuple[int, int], mapper: Mapper
+) -> tuple[Baseline, list[int], list[Step]]:
+    """Judge every effect anew with the others in place."""
+    if len(order) < 2 and base.limited == "noise":
+        return base, order, steps
+    steps = list(steps)
+    for number in list(order):
+        at = order.index(number)
+        new = reconsidered(base, at, steps[number].ruling, select, samples, mapper)
+        if new is None:
+            continue
+        base, ruling = new
+        steps[number] = replace(steps[number], ruling=ruling)
+        order = [*order[:at], *order[at + 1 :], number]
+    return base, order, steps
 
 
 def seen(base: Baseline) -> Machine:

@@ -1,0 +1,53 @@
+"""Every name judged again with everything else in place: the first choice was made while later effects were still missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+from afdsvc.gap.baseline import Baseline
+from afdsvc.gap.judge import Rival, Ruling, judge
+from afdsvc.gap.runs import Run
+from afdsvc.gap.search import Candidate, Mapper, evaluate
+from afdsvc.gap.settle import settle
+from afdsvc.gap.simulator import Effect
+
+RIVALS = 7  # how many look-alikes of an effect are tried in its place
+PASSES = 8
+
+
+def reconsidered(
+    base: Baseline, number: int, ruling: Ruling, select: Sequence[Run], samples: tuple[int, int], mapper: Mapper = map
+) -> tuple[Baseline, Ruling] | None:
+    """Return the end of the search with effect ``number`` moved to the end, the best of its look-alikes in its place, and
+    the new ruling; None when nothing is accepted there any more."""
+    point = base.point
+    kept = point.effects[:number] + point.effects[number + 1 :]
+    without = replace(base, point=settle(base.objective, replace(point, effects=kept), PASSES))
+    nothing = evaluate(without, select, None, without.point)
+    found = list(mapper(partial(_swapped, base, kept, select), _contenders(point.effects[number], kept, ruling)))
+    new = judge(without, [nothing, *found], max(len(found), 1), samples)
+    if not new.accepted:
+        return None
+    return replace(base, point=new.rivals[0].candidate.point), replace(new, beaten=_all_beaten(new, ruling))
+
+
+def _contenders(current: Effect, kept: Sequence[Effect], ruling: Ruling) -> list[Effect]:
+    """Return the effect itself and its look-alikes as they were fitted, those in use elsewhere left out."""
+    used = {e.hypothesis.key for e in (*kept, current)}
+    ranked = [*ruling.rivals, *ruling.beaten]
+    others = [r.candidate.effect for r in ranked if r.candidate.key not in used]
+    return [current, *others[: max(RIVALS - 1, 0)]]
+
+
+def _swapped(base: Baseline, kept: tuple[Effect, ...], select: Sequence[Run], effect: Effect) -> Candidate:
+    point = settle(base.objective, replace(base.point, effects=(*kept, effect)), PASSES)
+    return evaluate(base, select, effect.hypothesis, point)
+
+
+def _all_beaten(new: Ruling, old: Ruling) -> tuple[Rival, ...]:
+    """Return the beaten of this ruling and of the one before, each once."""
+    known = {r.candidate.key for r in (*new.rivals, *new.beaten)}
+    return (*new.beaten, *(r for r in old.beaten if r.candidate.key not in known))
+
