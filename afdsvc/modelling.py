@@ -12,7 +12,7 @@ from afdsvc import commission
 from afdsvc.api.detection import FalseAlarms
 from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
-from afdsvc.excite.default import default_burst
+from afdsvc.excite.default import Aim, default_burst
 from afdsvc.excite.sheet import design_sheet
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.procedure import identify
@@ -63,7 +63,7 @@ def design_files(site_file: Path, machine: str | None, out: Path | None) -> dict
     first = next(iter(alarms.values()), FalseAlarms())
     problem = commission.problem(parts, parts.output_cov, parts.process_cov, first)
     wanted = config.bursts
-    burst = default_burst(problem, parts.limits, seconds=wanted.seconds, output_amplitude=wanted.output_amplitude)
+    burst = default_burst(problem, parts.limits, wanted.seconds, wanted.output_amplitude, Aim(severity=wanted.severity))
     per_hour = 3600 / wanted.every_seconds if wanted.every_seconds else 0.0
     sheet = design_sheet(problem, [burst], alarms, per_hour)
     page = out or site_file.with_name(f"{site_file.stem}.{config.id}.design.html")

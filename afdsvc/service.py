@@ -7,6 +7,7 @@ import threading
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,13 +16,14 @@ from afdsvc import __version__, commission
 from afdsvc.alarms.book import Policy
 from afdsvc.api.bursts import Burst
 from afdsvc.api.clock import Clock
-from afdsvc.api.detection import FalseAlarms
+from afdsvc.api.detection import DetectionProblem, FalseAlarms
 from afdsvc.commission import Commissioned
 from afdsvc.errors import BadInput
-from afdsvc.excite.default import default_burst, second_burst
+from afdsvc.excite.default import Aim, default_burst, second_burst
 from afdsvc.outlets import Outlets, open_outboxes
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.runtime import commands
+from afdsvc.runtime.access import SERVICE, access_control, rig_name
 from afdsvc.runtime.agent import RigAgent
 from afdsvc.runtime.clock import RealClock
 from afdsvc.runtime.desk import BurstDesk
@@ -29,30 +31,62 @@ from afdsvc.runtime.hub import Hub
 from afdsvc.runtime.metrics import serve_metrics
 from afdsvc.runtime.pipeline import CalibratedPipeline, Pipeline, Stream, calibrated
 from afdsvc.runtime.publishing import Publisher
+from afdsvc.runtime.requests import QUESTIONS
 from afdsvc.runtime.scheduler import Scheduler, Wanted
 from afdsvc.runtime.sinks import Fan
 from afdsvc.runtime.site import Site
-from afdsvc.runtime.transport import NoPeer, Transport
+from afdsvc.runtime.speed import SpeedPipeline
+from afdsvc.runtime.transport import Access, NoPeer, Transport
 from afdsvc.runtime.watch import MachineWatch
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import RigDescription
 
 
-def pipeline_of(machine: Commissioned, plugins: Plugins) -> Stream:
-    """Return the machine's way from blocks to evidence, calibrated on its first quiet data where the site wants that."""
+def pipeline_of(machine: Commissioned, plugins: Plugins, ready: Callable[[DetectionProblem], object] | None = None) -> Stream:
+    """Return the machine's way from blocks to evidence, calibrated on its first quiet data where the site wants that.
 
-    def design(output_cov: np.ndarray, process_cov: np.ndarray | None, frozen_after: int) -> Pipeline:
-        base = commission.problem(machine, output_cov, process_cov, FalseAlarms())
-        return Pipeline(base, commission.detectors(machine, base, plugins), commission.expectation(machine, frozen_after))
-
+    A machine with ``speed_step_rpm`` has one way for every speed; ``ready`` is called with the problem of each.
+    """
+    if machine.config.speed_step_rpm:
+        return _speed_pipeline(machine, plugins, ready)
+    design = _design(machine, plugins)
     samples = round(machine.config.calibrate_seconds / machine.plant.dt)
     if machine.config.calibrate_on:
         return calibrated(machine.plant, *commission.quiet_samples(machine, samples), design)[0]
     if samples:
         return CalibratedPipeline(machine.plant, commission.expectation(machine, 0), samples, design)
+    return design(*_stated_noise(machine), 50)
+
+
+def _stated_noise(machine: Commissioned) -> tuple[np.ndarray, np.ndarray | None]:
     if machine.output_cov is None:
         raise BadInput(f"machine '{machine.config.id}': the noise is unknown; set 'output_sd' or 'calibrate_seconds'")
-    return design(machine.output_cov, machine.process_cov, 50)
+    return machine.output_cov, machine.process_cov
+
+
+def _design(machine: Commissioned, plugins: Plugins) -> Callable[[np.ndarray, np.ndarray | None, int], Pipeline]:
+    def design(output_cov: np.ndarray, process_cov: np.ndarray | None, frozen_after: int) -> Pipeline:
+        base = commission.problem(machine, output_cov, process_cov, FalseAlarms())
+        return Pipeline(base, commission.detectors(machine, base, plugins), commission.expectation(machine, frozen_after))
+
+    return design
+
+
+def _speed_pipeline(machine: Commissioned, plugins: Plugins, ready: Callable[[DetectionProblem], object] | None) -> SpeedPipeline:
+    """Return the pipeline of a machine whose speed changes; what was designed for a speed is kept."""
+    if "aux_speed" not in {c.name for c in machine.channels}:
+        raise BadInput(f"machine '{machine.config.id}' does not turn; 'speed_step_rpm' is for one that records aux_speed")
+    noise, kept = _stated_noise(machine), dict[float, Pipeline]()
+
+    def design(speed: float) -> Pipeline:
+        if speed not in kept:
+            kept[speed] = _design(commission.at_speed(machine, speed), plugins)(*noise, 50)
+            if ready:
+                ready(kept[speed].problem)
+        made = kept[speed]
+        return Pipeline(made.problem, made.detectors, made.expected)
+
+    return SpeedPipeline(design, (machine.config.speed_step_rpm or 0.0) * np.pi / 30, machine.speed)
 
 
 @contextmanager
@@ -62,17 +96,18 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
     machines = [commission.commission(m, plugins) for m in site.machines]
     keys, outlets = Keys(site.site), Outlets(site, clock)
     with ExitStack() as stack:
-        transport = stack.enter_context(Transport(site.transport, hub=True))
+        transport = stack.enter_context(Transport(site.transport, True, access_of(site, SERVICE)))
         stack.callback(outlets.close)
         watches: dict[str, MachineWatch] = {}
         desks: dict[str, BurstDesk] = {}
         for machine in machines:
-            id, stream = machine.config.id, pipeline_of(machine, plugins)
+            id, diagnosis = machine.config.id, diagnosis_burst(machine)
+            stream = pipeline_of(machine, plugins, diagnosis)
             sink = Fan([*outlets.of(machine), Publisher(keys, transport)])
             watches[id] = MachineWatch(id, stream, sink, clock)
-            if machine.limits is not None and isinstance(stream, Pipeline):
+            if machine.limits is not None and isinstance(stream, (Pipeline, SpeedPipeline)):
                 scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(desks)), 0.0)
-                desks[id] = BurstDesk(id, burst_design(machine, stream), scheduler, stream, sink, keys, transport, clock)
+                desks[id] = BurstDesk(id, burst_design(machine, stream, diagnosis), scheduler, stream, sink, keys, transport, clock)
         history = outlets.history()
         outboxes = open_outboxes(site, history, plugins)
         for outbox in outboxes:
@@ -90,19 +125,36 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         yield hub
 
 
-def burst_design(machine: Commissioned, stream: Pipeline) -> Callable[[Wanted], Burst]:
-    """Return the design of the machine's bursts by purpose; the diagnosis burst is computed once."""
+def diagnosis_burst(machine: Commissioned) -> Callable[[DetectionProblem], Burst]:
+    """Return the design of the machine's diagnosis burst, computed once for every problem."""
+
+    @lru_cache(maxsize=64)
+    def design(problem: DetectionProblem) -> Burst:
+        settings, limits = machine.config.bursts, machine.limits
+        if limits is None:
+            raise BadInput(f"machine '{machine.config.id}' can be watched, not excited")
+        return default_burst(problem, limits, settings.seconds, settings.output_amplitude, Aim(severity=settings.severity))
+
+    return design
+
+
+def burst_design(
+    machine: Commissioned, stream: Pipeline | SpeedPipeline, diagnosis: Callable[[DetectionProblem], Burst] | None = None
+) -> Callable[[Wanted], Burst]:
+    """Return the design of the machine's bursts by purpose, for the speed the machine runs at."""
     settings, limits = machine.config.bursts, machine.limits
     if limits is None:
         raise BadInput(f"machine '{machine.config.id}' can be watched, not excited")
-    burst = default_burst(stream.problem, limits, seconds=settings.seconds, output_amplitude=settings.output_amplitude)
+    diagnosis = diagnosis or diagnosis_burst(machine)
+    diagnosis(stream.problem)
     rng = np.random.default_rng(0)
 
     def design(wanted: Wanted) -> Burst:
+        problem = stream.problem
         if wanted.purpose == "diagnose":
-            return burst
+            return diagnosis(problem)
         if wanted.question:
-            return second_burst(stream.problem, limits, wanted.question.weights, wanted.question.severity, settings.seconds)
+            return second_burst(problem, limits, wanted.question.weights, wanted.question.severity, settings.seconds)
         return commission.identification_burst(machine, wanted.purpose, rng)
 
     return design
@@ -129,7 +181,7 @@ def run_rig(site: Site, id: str, seconds: float | None, stop: threading.Event) -
     clock, told = RealClock(), False
     while not stop.is_set():
         try:
-            with Transport(site.transport, hub=False) as transport:
+            with Transport(site.transport, False, access_of(site, rig_name(id))) as transport:
                 agent = rig_agent(site, id, transport, clock)
                 agent.stopping = stop
                 return agent.run(seconds)
@@ -140,7 +192,20 @@ def run_rig(site: Site, id: str, seconds: float | None, stop: threading.Event) -
 
 
 def ask_service(site: Site, name: str, asked_by: str, **arguments: Any) -> Any:
-    """Ask the running service of a site; returns JSON values, raises the service's own sentence."""
-    with Transport(site.transport, hub=False) as transport:
-        key = Keys(site.site).command()
+    """Ask the running service of a site; returns JSON values, raises the service's own sentence.
+
+    On a secured site ``asked_by`` is the name in the certificate that is shown.
+    """
+    with Transport(site.transport, False, access_of(site, asked_by)) as transport:
+        keys = Keys(site.site)
+        key = keys.question() if name in QUESTIONS else keys.command()
         return commands.ask(lambda payload: transport.ask(key, payload), name, asked_by, **arguments)
+
+
+def access_of(site: Site, identity: str) -> Access:
+    """Return who a process of the site is, and the rules by which its service lets others speak."""
+    security = site.transport.security
+    if security is None:
+        return Access(identity)
+    machines = [m.id for m in site.machines]
+    return Access(identity, access_control(Keys(site.site), machines, security.operators, security.viewers))

@@ -15,6 +15,7 @@ from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.runtime.pipeline import Pipeline
 from afdsvc.runtime.scheduler import Scheduler, Wanted
 from afdsvc.runtime.sinks import Sink
+from afdsvc.runtime.speed import SpeedPipeline
 from afdsvc.runtime.transport import Transport
 from afdsvc.runtime.verdict import open_question
 from afdsvc.wire import codec
@@ -33,7 +34,7 @@ class BurstDesk:
     machine: str
     design: Callable[[Wanted], Burst]
     scheduler: Scheduler
-    pipeline: Pipeline
+    pipeline: Pipeline | SpeedPipeline
     sink: Sink
     keys: Keys
     transport: Transport
@@ -81,7 +82,7 @@ class BurstDesk:
         with self._lock:
             made = self.design(wanted)
             burst = replace(made, name=f"{self.session[:8]}-{next(self._count)}", notes={**made.notes, "reason": wanted.reason})
-            start = 0 if wanted.at is None else round((wanted.at + LEAD_SECONDS) / self.pipeline.problem.plant.dt)
+            start = 0 if wanted.at is None else round((wanted.at + LEAD_SECONDS) / self.pipeline.dt)
             request = BurstRequest(self.machine, burst, LEASE_SECONDS, wanted.reason, self.clock.now_ns(), start)
             self.pipeline.announce(burst)
             self.sink.request(request)
@@ -119,7 +120,7 @@ class BurstDesk:
             self.scheduler.settle(burst)
 
     def _begin(self, burst: Burst) -> None:
-        seconds = burst.samples * self.pipeline.problem.plant.dt + LEAD_SECONDS
+        seconds = burst.samples * self.pipeline.dt + LEAD_SECONDS
         self.playing, self._deadline = burst.name, self.clock.monotonic() + seconds + 5.0
         self.scheduler.started()
 

@@ -57,6 +57,11 @@ class Pipeline:
         self._gap = True
         self._burst: tuple[str, int] = ("", 0)
 
+    @property
+    def dt(self) -> float:
+        """Sample time in seconds."""
+        return self.problem.plant.dt
+
     def announce(self, burst: Burst) -> None:
         """Make a burst known before its blocks come; the memory of old ones is bounded."""
         self.bursts[burst.name] = burst
