@@ -132,7 +132,17 @@ def _ask(site: Path, name: str, **arguments: Any) -> Any:
     from afdsvc.runtime.site import read_site
     from afdsvc.service import ask_service
 
-    return ask_service(read_site(site), name, getpass.getuser(), **arguments)
+    return ask_service(read_site(site), name, os.environ.get("AFDSVC_USER") or getpass.getuser(), **arguments)
+
+
+@app.command()
+def certificates(site: SiteFile, as_json: Json = False) -> None:
+    """Make the private authority and certificates of a secured site: service, rigs, operators, viewers; what is there is kept."""
+    from afdsvc.runtime.certificates import make_certificates
+    from afdsvc.runtime.site import read_site
+
+    made = [str(path) for path in make_certificates(read_site(site))]
+    _show(as_json, {"made": made}, lambda: print("\n".join(made) or "everything is there already"))
 
 
 @app.command()

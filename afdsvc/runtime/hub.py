@@ -78,7 +78,9 @@ class Hub:
         t.subscribe(keys.events(), lambda key, payload: self._put("event", key, payload))
         t.subscribe(keys.descriptions(), lambda key, payload: self._put("description", key, payload))
         t.watch(keys.all_alive(), lambda key, alive: self._put("alive", key, alive))
-        t.serve(keys.command(), lambda payload: answer(Requests(self).handlers(), payload))
+        requests = Requests(self)
+        t.serve(keys.command(), lambda payload: answer(requests.handlers(), payload))
+        t.serve(keys.question(), lambda payload: answer(requests.questions(), payload))
         t.announce(keys.service_alive())
 
     def _remember(self) -> None:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from afdsvc.runtime.hub import Hub
 
 Arguments = Mapping[str, Any]
+QUESTIONS = ("status", "alarms", "history")  # requests that change nothing
 PATIENCE = 2.0  # seconds a person waits for the disk to keep what they did
 
 
@@ -39,6 +40,10 @@ class Requests:
             "pause": lambda a, who: self._pause(a, f"by {who}: {a.get('reason', '')}"),
             "resume": lambda a, who: self._pause(a, ""),
         }
+
+    def questions(self) -> dict[str, Callable[[Arguments, str], Any]]:
+        """Return those that change nothing."""
+        return {name: handler for name, handler in self.handlers().items() if name in QUESTIONS}
 
     def _now(self) -> int:
         return self._hub.clock.now_ns()

@@ -27,21 +27,61 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class Security(_Strict):
+    """Mutual TLS: the folder of keys and certificates, and the people (names in their certificates) by what they may do.
+
+    Operators may do everything people can; viewers see samples, decisions and the status, and can ask for nothing else.
+    """
+
+    keys: Path
+    operators: list[str] = []
+    viewers: list[str] = []
+
+    @field_validator("operators", "viewers")
+    @classmethod
+    def _plain(cls, value: list[str]) -> list[str]:
+        return [plain_id(name) for name in value]
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Security:
+        both = sorted(set(self.operators) & set(self.viewers))
+        if both:
+            raise ValueError(f"'{both[0]}' is operator and viewer; one of both is wanted")
+        return self
+
+
 class Transport(_Strict):
     """Where the service listens and how the others find it; loopback only unless told otherwise."""
 
     listen: list[str] = ["tcp/127.0.0.1:7447"]
     connect: list[str] = []
     mode: Literal["peer", "router"] = "peer"
-    ca: str | None = None
-    certificate: str | None = None
-    private_key: str | None = None
+    security: Security | None = None
+    trusted_network: bool = False
     patience_seconds: Positive = 5.0
     cache_blocks: Annotated[int, Field(ge=10)] = 4000
+
+    @model_validator(mode="after")
+    def _known_peers_only(self) -> Transport:
+        for endpoint in [*self.listen, *self.connect]:
+            protocol, _, address = endpoint.partition("/")
+            if self.security and protocol != "tls":
+                raise ValueError(f"with 'security' every endpoint is 'tls/host:port'; found '{endpoint}'")
+            if not (self.security or self.trusted_network or _loopback(address)):
+                raise ValueError(
+                    f"'{endpoint}' is reachable from other computers; set 'security', or 'trusted_network = true' where everybody "
+                    "who can reach it may move the machines"
+                )
+        return self
 
     def endpoints(self) -> list[str]:
         """Return the endpoints rig agents and viewers connect to."""
         return self.connect or self.listen
+
+
+def _loopback(address: str) -> bool:
+    host = address.split("#")[0].rsplit(":", 1)[0].strip("[]")
+    return host in ("localhost", "::1") or host.startswith("127.")
 
 
 class Recording(_Strict):
@@ -275,7 +315,12 @@ def _anchored(site: Site, folder: Path | None) -> Site:
         for m in site.machines
     ]
     recording = site.recording.model_copy(update={"folder": folder / site.recording.folder})
-    return site.model_copy(update={"machines": machines, "recording": recording})
+    alarms = site.alarms.model_copy(update={"history": site.alarms.history and folder / site.alarms.history})
+    transport, secure = site.transport, site.transport.security
+    if secure:
+        keys = secure.model_copy(update={"keys": folder / secure.keys})
+        transport = transport.model_copy(update={"security": keys})
+    return site.model_copy(update={"machines": machines, "recording": recording, "alarms": alarms, "transport": transport})
 
 
 def _sentence(origin: str, error: ValidationError) -> str:

@@ -11,7 +11,9 @@ from __future__ import annotations
 import json
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import zenoh
@@ -19,10 +21,22 @@ from zenoh import ext
 
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.runtime import site as site_file
+from afdsvc.runtime.certificates import key_files
 
 log = logging.getLogger(__name__)
 Receive = Callable[[str, bytes], None]
 Answer = Callable[[bytes], bytes]
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """Who this process is (the common name of its certificate) and, for the hub, zenoh's access rules."""
+
+    identity: str = ""
+    rules: Mapping[str, Any] = field(default_factory=dict)
+
+
+NOBODY = Access()
 
 
 class NoPeer(BadInput):
@@ -33,7 +47,7 @@ class PeerSilent(AfdsvcError):
     """Nobody answered a query in time."""
 
 
-def configuration(settings: site_file.Transport, hub: bool) -> zenoh.Config:
+def configuration(settings: site_file.Transport, hub: bool, access: Access = NOBODY) -> zenoh.Config:
     """Return the zenoh configuration of the hub (the service) or of a client (rig agent, viewer)."""
     config = zenoh.Config()
 
@@ -50,25 +64,29 @@ def configuration(settings: site_file.Transport, hub: bool) -> zenoh.Config:
     if not hub:
         put("connect/timeout_ms", round(1000 * settings.patience_seconds))
         put("connect/exit_on_failure", True)
-    _secure(put, settings, hub)
+    _secure(put, settings, hub, access)
     return config
 
 
-def _secure(put: Callable[[str, Any], None], settings: site_file.Transport, hub: bool) -> None:
-    if settings.ca is None:
+def _secure(put: Callable[[str, Any], None], settings: site_file.Transport, hub: bool, access: Access) -> None:
+    """Mutual TLS with the certificate of one's own name; the hub lets nobody say what is not theirs to say."""
+    if settings.security is None:
         return
-    put("transport/link/tls/root_ca_certificate", settings.ca)
-    put("transport/link/tls/enable_mtls", True)
+    files = key_files(settings.security, access.identity)
+    tls = {"root_ca_certificate": files.authority, "verify_name_on_connect": True, "enable_mtls": True}
     side = "listen" if hub else "connect"
-    put(f"transport/link/tls/{side}_certificate", settings.certificate)
-    put(f"transport/link/tls/{side}_private_key", settings.private_key)
+    tls |= {f"{side}_certificate": files.certificate, f"{side}_private_key": files.private_key}
+    for key, value in tls.items():
+        put(f"transport/link/tls/{key}", str(value) if isinstance(value, Path) else value)
+    if hub:
+        put("access_control", access.rules)
 
 
 class Transport:
     """One zenoh session. Use it as a context manager: leaving closes it, whatever happened."""
 
-    def __init__(self, settings: site_file.Transport, hub: bool) -> None:
-        self._settings, self._hub = settings, hub
+    def __init__(self, settings: site_file.Transport, hub: bool, access: Access = NOBODY) -> None:
+        self._settings, self._hub, self._access = settings, hub, access
         self._session: zenoh.Session | None = None
         self._publishers: dict[str, Any] = {}
         self._keep: list[Any] = []
@@ -77,7 +95,7 @@ class Transport:
 
     def __enter__(self) -> Transport:
         try:
-            self._session = zenoh.open(configuration(self._settings, self._hub))
+            self._session = zenoh.open(configuration(self._settings, self._hub, self._access))
         except zenoh.ZError as error:
             raise NoPeer(self._why_not(str(error))) from error
         return self
@@ -90,16 +108,23 @@ class Transport:
             except zenoh.ZError as error:
                 log.warning("closing the zenoh session: %s", error)
 
-    def publish(self, key: str, payload: bytes) -> None:
-        """Send bytes; late or stalled subscribers get what they missed from the publisher's cache."""
+    def publish(self, key: str, payload: bytes, keep: bool = True) -> None:
+        """Send bytes; late or stalled subscribers get what they missed from the publisher's cache.
+
+        What only its newest value matters of (``keep`` False) is not cached, and never waits for a stalled subscriber: it is
+        dropped for that one. Anything else may wait for some seconds, so send it from a thread that can.
+        """
         with self._lock:
             publisher = self._publishers.get(key)
             if publisher is None:
-                publisher = self._publishers[key] = self._declare_publisher(key)
+                publisher = self._publishers[key] = self._declare_publisher(key, keep)
         publisher.put(payload)
 
-    def subscribe(self, pattern: str, receive: Receive) -> None:
-        """Call ``receive(key, payload)`` for everything published on the pattern, in a thread of its own."""
+    def subscribe(self, pattern: str, receive: Receive, missed: bool = True) -> None:
+        """Call ``receive(key, payload)`` for everything published on the pattern, in a thread of its own.
+
+        ``missed`` asks publishers for what was said before and what got lost on the way; without it only news come.
+        """
 
         def hear(sample: zenoh.Sample) -> None:
             try:
@@ -107,6 +132,9 @@ class Transport:
             except Exception:
                 log.exception("a message on %s could not be handled", sample.key_expr)
 
+        if not missed:
+            self._keep.append(self._open().declare_subscriber(pattern, hear))
+            return
         subscriber = ext.declare_advanced_subscriber(
             self._open(),
             pattern,
@@ -157,7 +185,9 @@ class Transport:
         """Return the keys of the live tokens that match."""
         return [str(r.ok.key_expr) for r in self._open().liveliness().get(pattern, timeout=2.0) if r.ok is not None]
 
-    def _declare_publisher(self, key: str) -> Any:
+    def _declare_publisher(self, key: str, keep: bool) -> Any:
+        if not keep:
+            return self._open().declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
         return ext.declare_advanced_publisher(
             self._open(),
             key,

@@ -105,6 +105,10 @@ class Keys:
         """Query to the service from people: status, burst, alarms, ack, confirm, shelve, pause, resume."""
         return f"{ROOT}/{self.site}/{SERVICE}/command"
 
+    def question(self) -> str:
+        """Query to the service that changes nothing: status, alarms, history; apart, so that viewers can be let at it."""
+        return f"{ROOT}/{self.site}/{SERVICE}/question"
+
     def blocks(self) -> str:
         """The blocks of every machine of the site, for the service."""
         return self._every("block")

@@ -1,0 +1,80 @@
+"""Who may say what: zenoh's access control for one site, by the common names of the certificates peers show.
+
+Everything passes the service, which listens, so its rules are the site's. A rig may speak as itself and hear what is meant for it;
+an operator may ask the service anything; a viewer may look. Whatever is not allowed is dropped by zenoh before anybody sees it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from afdsvc.wire.keys import ROOT, Keys
+
+SERVICE = "service"
+SPEAK = ["put", "declare_queryable", "reply", "liveliness_token"]
+LISTEN = ["declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query"]
+EVERYTHING = f"{ROOT}/**"
+ADVANCED = "@adv/**"  # where zenoh's advanced publishers and subscribers find each other, below every key
+
+
+def rig_name(machine: str) -> str:
+    """Return the common name of a rig agent's certificate."""
+    return f"rig.{machine}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Role:
+    """What the peers of a role may say and hear, as key expressions."""
+
+    names: Sequence[str]
+    says: Sequence[str]
+    hears: Sequence[str]
+    asks: Sequence[str] = ()
+
+
+def access_control(keys: Keys, machines: Sequence[str], operators: Sequence[str], viewers: Sequence[str]) -> dict[str, Any]:
+    """Return zenoh's ``access_control`` section; nothing is allowed but what is listed."""
+    open_to_see = [keys.blocks(), keys.events(), keys.descriptions(), keys.residuals(), keys.evidences(), keys.alarms()]
+    seen = [*open_to_see, keys.all_alive(), keys.status(), keys.service_alive()]
+    roles = {f"rig-{i}": _rig(keys, machine) for i, machine in enumerate(machines)}
+    roles["operators"] = _Role(operators, [], seen, [keys.command(), keys.question()])
+    roles["viewers"] = _Role(viewers, [], seen, [keys.question()])
+    filled = {id: role for id, role in roles.items() if role.names}
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [rule for id, role in filled.items() for rule in _rules(id, role)],
+        "subjects": [{"id": id, "cert_common_names": list(role.names)} for id, role in filled.items()],
+        "policies": [{"rules": [r["id"] for r in _rules(id, role)], "subjects": [id]} for id, role in filled.items()],
+    }
+
+
+def _rig(keys: Keys, machine: str) -> _Role:
+    own = [
+        keys.block(machine), keys.event(machine), keys.description(machine), keys.burst(machine), keys.stop(machine),
+        keys.sessions(machine),
+    ]
+    return _Role([rig_name(machine)], own, [keys.lease(machine), keys.service_alive(), keys.sessions(machine)])
+
+
+def _rules(id: str, role: _Role) -> list[dict[str, Any]]:
+    """Return what comes in from the role's peers and what goes out to them, seen from the service."""
+    says, hears = _with_advanced(role.says), _with_advanced([*role.hears, *role.asks])
+    asked = _with_advanced([EVERYTHING]) if says else []  # the service listens with wildcards, which no narrower rule includes
+    rules = [
+        ("in-says", "ingress", SPEAK, says),
+        ("out-asked", "egress", LISTEN, asked),
+        ("in-hears", "ingress", LISTEN, hears),
+        ("out-heard", "egress", SPEAK, hears),
+    ]
+    return [
+        {"id": f"{id}-{name}", "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": exprs}
+        for name, flow, messages, exprs in rules
+        if exprs
+    ]
+
+
+def _with_advanced(exprs: Sequence[str]) -> list[str]:
+    return [e for expr in exprs for e in (expr, f"{expr}/{ADVANCED}")]
