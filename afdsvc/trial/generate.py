@@ -131,13 +131,13 @@ def _trace(machine: Machine, run: Run, signals: Signals) -> Trace:
 
 
 def _answer(scene: _Scene, options: Options, asked: list[float], seed: str) -> Answer:
-    _, seen = visibility(scene.machine, scene.truth, scene.runs, scene.measure)
+    together, seen = visibility(scene.machine, scene.truth, scene.runs, scene.measure)
     outside = {name for name, _ in outside_at(scene.machine)}
     effects = scene.truth.effects
     return Answer(
         machine=options.machine,
-        hidden=tuple(_hidden(scene, e, rho) for e, rho in zip(effects, asked, strict=True)),
-        minor=tuple(_hidden(scene, e, DIRT_RHO) for e in scene.truth.minor),
+        hidden=tuple(_hidden(scene, e, rho, together) for e, rho in zip(effects, asked, strict=True)),
+        minor=tuple(_hidden(scene, e, DIRT_RHO, together) for e in scene.truth.minor),
         seen={v.name: float(s) for v, s in zip(scene.machine.outputs, seen, strict=True)},
         outside=any(e.physics in outside for e in effects),
         seed=seed,
@@ -145,9 +145,12 @@ def _answer(scene: _Scene, options: Options, asked: list[float], seed: str) -> A
     )
 
 
-def _hidden(scene: _Scene, effect: Effect, asked: float) -> Hidden:
+def _hidden(scene: _Scene, effect: Effect, asked: float, together: float) -> Hidden:
+    """Return the effect as the answer keeps it; ``together`` is rho of everything hidden."""
     alone = Truth(scene.truth.theta, (effect,))
-    rho, _ = visibility(scene.machine, alone, scene.runs, scene.measure)
+    rho = together
+    if scene.truth.everything != (effect,):
+        rho, _ = visibility(scene.machine, alone, scene.runs, scene.measure)
     in_loop, _ = visibility(scene.machine, alone, scene.runs, "loop")
     prior = _in_prior(scene.machine, effect)
     return Hidden(effect.physics, effect.site, asked, rho, in_loop, effect.described(), effect.parameter, prior)

@@ -44,7 +44,7 @@ def oracle(trial: Trial) -> Oracle:
     held = trial.runs[-1], trial.played[-1]
     fitted = refit(trial, trial.truth)
     before = _squares(trial, Truth(trial.machine.nominal), *held)
-    floor = float(np.sum((held[0].noise.std(axis=0) / trial.machine.sigma) ** 2))
+    floor = float(np.square(held[0].noise[held[0].skip :] / trial.machine.sigma).mean(axis=0).sum())
     return Oracle(before, _squares(trial, fitted, *held), floor, _objective(trial))
 
 

@@ -92,7 +92,7 @@ def _descend(trial: Trial, truth: Truth, data: Data) -> float:
         if not new < cost:
             damping /= 4
             continue
-        done = cost - new < 0.1 or new < 1.0
+        done = cost - new < max(0.1, 0.03 * new) or new < 1.0
         truth, cost, damping = step, new, min(1.0, 2 * damping)
         if done:
             break

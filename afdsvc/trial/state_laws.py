@@ -13,6 +13,8 @@ from afdsvc.trial.codes import Row
 _SPACING = 1.15
 NODES = 4.0 * np.exp(_SPACING * np.arange(8))  # 4 to 12,500 rad/s
 WEIGHTS = np.sqrt(NODES) * _SPACING / np.pi
+WEIGHTS[0] += 2 / np.pi * np.sqrt(NODES[0]) * np.exp(-_SPACING / 4)  # all that lies below the lowest node
+ABOVE = 2 / np.pi / np.sqrt(NODES[-1]) * np.exp(-_SPACING / 4)  # all that lies above the highest
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -63,7 +65,7 @@ def hysteretic_force(v: float, p: Row, s: Row, ds: Row) -> float:
 @numba.njit(cache=True, error_model="numpy")
 def fractional_damping(v: float, p: Row, s: Row, ds: Row) -> float:
     """-p0 times the half derivative of the position, by the nodes above."""
-    total = 0.0
+    total = ABOVE * v
     for k in range(8):
         ds[k] = v - NODES[k] * s[k]
         total += WEIGHTS[k] * s[k]
