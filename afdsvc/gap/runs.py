@@ -102,6 +102,9 @@ def _driver(trace: Trace, U: Array, REF: Array) -> Array:
     return U
 
 
+EXACT = 1e-6  # difference between periods, over the power, of a signal that was computed and not measured
+
+
 def repetition(signal: Array, tolerance: float = 0.02) -> tuple[int, int]:
     """Return the period in samples of a repeating signal ``(n, channels)`` and the sample from which it repeats; (0, 0) if none.
 
@@ -112,10 +115,12 @@ def repetition(signal: Array, tolerance: float = 0.02) -> tuple[int, int]:
     n = len(x)
     if not np.ptp(x, axis=0).max(initial=0.0) > 0:
         return 0, 0
-    for lag in _candidate_lags(x):
-        period = _sharpen(x, lag)
-        if _difference(x, period, n // 4) < tolerance:
-            return period, _settled(x, period, tolerance)
+    lags = _candidate_lags(x)
+    for close in (min(EXACT, tolerance), tolerance):
+        for lag in lags:
+            period = _sharpen(x, lag)
+            if _difference(x, period, n // 4) < close and _keeps(x, period, close):
+                return period, _settled(x, period, tolerance)
     return 0, 0
 
 
@@ -138,6 +143,13 @@ def _sharpen(x: Array, lag: int) -> int:
         near = range(max(2, lag - width), lag + width + 1, step)
         lag = min(near, key=lambda k: _difference(x, k, len(x) // 4))
     return lag
+
+
+def _keeps(x: Array, period: int, tolerance: float) -> bool:
+    """Whether the signal still repeats after as many periods as fit: a sine nearly repeats over many a wrong period."""
+    start = len(x) // 4
+    most = (len(x) - start - 64) // period
+    return most < 2 or _difference(x, most * period, start) < 2 * tolerance
 
 
 def _difference(x: Array, lag: int, start: int) -> float:
