@@ -13,6 +13,7 @@ from afdsvc.api.signals import Trace
 from afdsvc.gap.explanation import Course, Explanation, OutputFit
 from afdsvc.gap.forward import Found, Progress, Yardstick, forward
 from afdsvc.gap.improved import extended
+from afdsvc.gap.locate import locate
 from afdsvc.gap.naming import names, rejections
 from afdsvc.gap.nominal import nominal
 from afdsvc.gap.objective import Objective, Point
@@ -23,7 +24,7 @@ from afdsvc.gap.settle import settle
 from afdsvc.gap.spectra import spectra
 from afdsvc.gap.split import Split, split
 from afdsvc.gap.verdict import Judgement, judged
-from afdsvc.gap.verify import explained
+from afdsvc.gap.verify import explained, shape
 from afdsvc.gap.whitening import whiteness_p
 from afdsvc.lti.statespace import Array
 
@@ -60,15 +61,15 @@ def _answer(found: Found, roles: Split, offered: Sequence[Physics]) -> Explanati
     done = explained(Yardstick(found.start, roles.select), found.start.point, found.end.point)
     judgement = judged(found, done)
     floor = tuple(float(v) for v in found.end.floor.sd) if found.end.floor.known else None
-    named = names(found, {p.name: p.summary for p in offered}) if judgement.tells_names else ()
+    named = names(found, {p.name: p.summary for p in offered}) if judgement.keeps else ()
 
     def error(point: Point) -> float:
         return nrmse(*_stacked([(r.Y, playing.outputs(r, point)) for r in roles.heldout]))
 
     return Explanation(
         verdict=judgement.verdict,
-        located=(),
-        named=(*named, *judgement.extra),
+        located=locate(found.start, roles.select, found.machine),
+        named=(*named, *judgement.names),
         rejected=rejections(found, error),
         fit=tuple(_fit(held, j, v.name, floor) for j, v in enumerate(nom.model.outputs)),
         heldout=roles.heldout_names,
@@ -78,15 +79,20 @@ def _answer(found: Found, roles: Split, offered: Sequence[Physics]) -> Explanati
         check=(),
         sentences=_sentences(judgement, found),
         next_experiment=None,
-        remainder=judgement.remainder,
+        remainder=None,
         noise_floor=floor,
         courses=courses,
         spectra=spectra(roles.heldout, held, [v.name for v in nom.model.outputs]),
         nominal=nom,
         point=found.end.point,
         improved=extended(nom, found.end.point),
-        notes={"limited_by": found.start.limited, "process_noise_ratio": found.start.ratio},
+        notes={"limited_by": found.start.limited, "process_noise_ratio": found.start.ratio, "shapes": _shapes(found)},
     )
+
+
+def _shapes(found: Found) -> list[float | None]:
+    tests = [shape(found.end, k) for k in range(len(found.end.point.effects))]
+    return [None if t is None else t.share for t in tests]
 
 
 def _courses(found: Found, roles: Split, playing: Player) -> tuple[Course, ...]:

@@ -76,7 +76,7 @@ def floor(runs: Sequence[Run], residuals: Sequence[Array]) -> Floor:
         cov = np.cov(everything.T).reshape(everything.shape[1], -1)
         whitener = white(cov)
     elif known:
-        whitener = fit(_toneless(pieces))
+        whitener = fit(toneless(pieces))
     else:
         whitener = white(positive((everything**2).mean(0)))
     return Floor(whitener, known, np.sqrt(positive(everything.var(0))), p_white, len(everything))
@@ -86,7 +86,7 @@ def positive(variance: Array) -> Array:
     return np.maximum(variance, 1e-24 * max(float(variance.max(initial=0.0)), 1e-200))
 
 
-def _toneless(pieces: Sequence[Array]) -> list[Array]:
+def toneless(pieces: Sequence[Array]) -> list[Array]:
     """Return the pieces with lines that tower over their neighbourhood pulled down to it, so they do not colour the floor."""
     return [_without_tones(x) for x in pieces]
 

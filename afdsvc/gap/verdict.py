@@ -1,50 +1,87 @@
-"""The verdict: consistent, a parameter off, physics left out, unexplained, or too little excitation to tell."""
+"""The verdict: consistent, a parameter off, physics left out, or unexplained."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from afdsvc.gap.explanation import Named, Remainder
+import numpy as np
+
+from afdsvc.gap.coloured import coloured
+from afdsvc.gap.explanation import Named
 from afdsvc.gap.forward import Found
 from afdsvc.gap.naming import is_change
-from afdsvc.gap.repeating import Repeating
+from afdsvc.gap.settle import raw
 from afdsvc.gap.verify import Explained
 
 ENOUGH = 0.8  # explained fraction below which names are withdrawn
 SOMETHING = 1e-6  # p-value of what repeats below which something is there
+OTHER_NOISE = 1.25  # ratio to the stated noise from which it is said
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """The verdict with its reasons; ``tells_names`` says whether the names found may be told as such."""
+    """The verdict with its reasons; ``names`` are those of the noise, ``keeps`` says whether the physics found may be named."""
 
     verdict: str
     sentences: tuple[str, ...]
-    tells_names: bool = False
-    extra: tuple[Named, ...] = ()
-    remainder: Remainder | None = None
+    keeps: bool = False
+    names: tuple[Named, ...] = ()
+    remains: bool = False
 
 
 def judged(found: Found, done: Explained) -> Judgement:
     """Return the verdict on a finished search."""
-    if not found.steps:
-        return _nothing_named(done)
-    if done.fraction + 2 * done.sd < ENOUGH:
-        return Judgement(
-            "unexplained",
-            (f"only {100 * done.fraction:.0f} % of the gap is explained by the best hypotheses; none of them may be claimed",),
-        )
-    hypotheses = [e.hypothesis for e in found.end.point.effects]
-    verdict = "parameter_change" if is_change(hypotheses) else "omitted_physics"
-    return Judgement(verdict, (f"{100 * min(done.fraction, 1.0):.0f} % of the gap is explained",), True)
+    noise = _noise_names(found)
+    words = (*_noise_words(found), *(n.sentence for n in noise))
+    if found.steps and _too_little(done):
+        best = found.steps[0].ruling.rivals[0].candidate.key
+        why = f"only {100 * done.fraction:.0f} % of the gap goes with the best hypotheses ({best} first), so none of them is claimed"
+        return Judgement("unexplained", (why, *words), remains=True)
+    if found.steps:
+        changed = is_change([e.hypothesis for e in found.end.point.effects]) and not noise
+        return Judgement("parameter_change" if changed else "omitted_physics", (_closed(done), *words), True, noise, _left(done))
+    if _left(done):
+        p = done.before.total.p if done.before else 0.0
+        why = f"something repeats with the excitation (p = {p:.1g}) that no hypothesis explains"
+        return Judgement("unexplained", (why, *words), remains=True)
+    if noise:
+        return Judgement("omitted_physics", words, True, noise)
+    return Judgement("consistent", ("nothing is left in the recordings but noise", *words))
 
 
-def _nothing_named(done: Explained) -> Judgement:
-    left = done.before
-    if left is None or not _significant(left):
-        return Judgement("consistent", ("nothing is left in the recordings but noise",))
-    return Judgement("unexplained", (f"something repeats with the excitation (p = {left.total.p:.1g}) that no hypothesis explains",))
+def _too_little(done: Explained) -> bool:
+    return bool(done.fraction + 2 * done.sd < ENOUGH)
 
 
-def _significant(left: Repeating) -> bool:
-    return left.total.p < SOMETHING
+def _left(done: Explained) -> bool:
+    """Whether something still repeats with the excitation at the end."""
+    return done.after is not None and done.after.total.p < SOMETHING
+
+
+def _closed(done: Explained) -> str:
+    said = f"{100 * min(done.fraction, 1.0):.0f} % of the gap is explained"
+    if not _left(done):
+        return said
+    assert done.after is not None  # noqa: S101
+    return f"{said}; a remainder still repeats with the excitation (p = {done.after.total.p:.1g})"
+
+
+def _noise_names(found: Found) -> tuple[Named, ...]:
+    outputs = [(v.name, v.unit) for v in found.end.nominal.model.outputs]
+    residuals = raw(found.end.objective, found.end.point)
+    return coloured(found.end.objective.runs, residuals, outputs, len(found.order) + 1)
+
+
+def _noise_words(found: Found) -> Sequence[str]:
+    """Return what the noise is beside what the model states."""
+    stated, floor = found.end.nominal.model.output_sd, found.end.floor
+    said = []
+    if floor.known and stated is not None:
+        ratios = floor.sd / np.maximum(stated, 1e-300)
+        for v, ratio in zip(found.end.nominal.model.outputs, ratios, strict=True):
+            if not 1 / OTHER_NOISE < ratio < OTHER_NOISE:
+                said.append(f"the noise of sensor {v.name} is {ratio:.2g} times the stated one")
+    if found.end.ratio > 0 and found.end.limited == "noise":
+        said.append("noise acts inside the machine too, not only on its sensors: the model is compared as a one-step predictor")
+    return said

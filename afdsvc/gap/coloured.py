@@ -1,0 +1,64 @@
+"""Noise that is not white: named from what does not repeat with the excitation, output by output."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from afdsvc.gap.explanation import Estimate, Named
+from afdsvc.gap.noise import toneless, wandering
+from afdsvc.gap.runs import Run
+from afdsvc.gap.whitening import whiteness_p
+from afdsvc.lti.statespace import Array
+
+SURE = 1e-6  # p-value of whiteness below which an output's noise counts as coloured
+LAGS = 6
+
+
+def coloured(runs: Sequence[Run], residuals: Sequence[Array], outputs: Sequence[tuple[str, str]], effect: int) -> tuple[Named, ...]:
+    """Return one name per output ``(name, unit)`` whose noise is coloured; none where nothing repeats, so noise is not known.
+
+    ``effect`` is the number the first of them gets. Lines are taken out first: a tone is no noise.
+    """
+    pieces = toneless([p - p.mean(0) for p in wandering(runs, residuals)])
+    if not pieces:
+        return ()
+    found: list[Named] = []
+    for j, (name, unit) in enumerate(outputs):
+        own = [p[:, [j]] for p in pieces]
+        p_white = whiteness_p(own)
+        if p_white < SURE:
+            found.append(_named(name, unit, own, p_white, effect + len(found), runs[0].dt))
+    return tuple(found)
+
+
+def _named(name: str, unit: str, pieces: Sequence[Array], p_white: float, effect: int, dt: float) -> Named:
+    r = _correlation(pieces)
+    pole, power = _first_order(r)
+    sd = float(np.sqrt(power))
+    seconds = -dt / np.log(pole)
+    told = {"rms": Estimate(sd, None, unit), "correlation time": Estimate(float(seconds), None, "s")}
+    share = float(np.clip(power / r[0], 0.0, 1.0))
+    sentence = (
+        f"noise of sensor {name}: coloured (whiteness p = {p_white:.1g}), rms {sd:.3g} {unit} with a correlation time of "
+        f"{seconds:.3g} s beside white noise; {100 * share:.0f} % of the noise's power"
+    )
+    return Named("coloured_noise", f"output:{name}", 1.0, told, sentence, effect, 0.0, "noise")
+
+
+def _correlation(pieces: Sequence[Array]) -> Array:
+    """Return the autocovariance at lags 0 to `LAGS`."""
+    n = sum(len(x) for x in pieces)
+    return np.array([sum(float((x[lag:, 0] * x[: len(x) - lag, 0]).sum()) for x in pieces) / n for lag in range(LAGS + 1)])
+
+
+def _first_order(r: Array) -> tuple[float, float]:
+    """Return pole and power of first-order noise beside white noise: ``r_k = power pole^k`` for k > 0, by log regression."""
+    k = np.arange(1, LAGS + 1)
+    good = r[1:] > 0
+    if good.sum() < 2:
+        return 0.5, float(max(abs(r[1]) * 2, 1e-12 * r[0]))
+    slope, level = np.polyfit(k[good], np.log(r[1:][good]), 1, w=r[1:][good])
+    pole = float(np.clip(np.exp(slope), 0.05, 0.9999))
+    return pole, float(min(np.exp(level), r[0]))
