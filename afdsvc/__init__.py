@@ -24,6 +24,7 @@ The rooms, from thinking (pure) over knowing how (swappable) to doing (bytes, ti
 - `modelling`: a modeller's files in, a better model and a page out
 - `demo`: the main job on one command
 - `terminal`: tables and progress bars
+- `supervision`: what systemd wants to know, and log lines a machine can read
 - `cli`: arguments, nothing else
 - `trial`: blind trials: a truth written apart from everything it tests
 - `testing`: the conformance suites and fixtures shipped to plugin authors

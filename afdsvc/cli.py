@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import getpass
 import json
+import logging
 import os
 import signal
 import sys
@@ -100,19 +101,27 @@ def demo(
 
 
 @app.command()
-def serve(site: SiteFile, seconds: Annotated[float | None, typer.Option(help="Stop after so long.")] = None) -> None:
+def serve(
+    site: SiteFile,
+    seconds: Annotated[float | None, typer.Option(help="Stop after so long.")] = None,
+    logs: Annotated[str, typer.Option("--log", metavar="text|json", help="How log lines are written on stderr.")] = "text",
+) -> None:
     """Run the service of one site until SIGTERM or Ctrl-C."""
     from afdsvc.runtime.site import read_site
     from afdsvc.service import serving
+    from afdsvc.supervision import start_logging, supervised
 
-    stop = _stop_on_signals()
-    with serving(read_site(site)) as hub:
-        print(
-            f"afdsvc {__version__}: serving '{hub.keys.site}' with {len(hub.watches)} machine(s)",
-            file=sys.stderr,
-            flush=True,
-        )
+    start_logging(_one_of("--log", logs, ("text", "json")))
+    stop, log = _stop_on_signals(), logging.getLogger("afdsvc")
+    with serving(read_site(site)) as hub, supervised(hub.healthy):
+        log.info("%s: serving '%s' with %d machine(s)", __version__, hub.keys.site, len(hub.watches))
         stop.wait(seconds)
+
+
+def _one_of(option: str, value: str, allowed: tuple[str, ...]) -> str:
+    if value not in allowed:
+        raise BadInput(f"{option} {value}: {' or '.join(allowed)} is wanted")
+    return value
 
 
 @app.command()
@@ -121,11 +130,17 @@ def rig(
     machine: Annotated[str, typer.Option("--machine", help="Id of the machine in the site file.")],
     seconds: Annotated[float | None, typer.Option(help="Stop after so long.")] = None,
 ) -> None:
-    """Run the rig agent of one machine: its control loop, its blocks, its bursts within its limits."""
+    """Run the rig agent of one machine: its control loop, its blocks, its bursts within its limits.
+
+    SIGTERM and Ctrl-C end a burst smoothly and stop; SIGUSR1 is the emergency stop: no excitation until it is started again.
+    """
     from afdsvc.runtime.site import read_site
     from afdsvc.service import run_rig
 
-    run_rig(read_site(site), machine, seconds, _stop_on_signals())
+    emergency = threading.Event()
+    if hasattr(signal, "SIGUSR1"):
+        signal.signal(signal.SIGUSR1, lambda *_: emergency.set())
+    run_rig(read_site(site), machine, seconds, _stop_on_signals(), emergency)
 
 
 def _ask(site: Path, name: str, **arguments: Any) -> Any:
@@ -322,6 +337,21 @@ def _open(made: Path) -> None:
     from afdsvc.review import open_viewer
 
     open_viewer(made)
+
+
+@app.command()
+def recover(
+    recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="A recording whose writer died, or that is damaged.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE.mcap", help="A new file, instead of in place.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Close and index a recording so that every tool opens it, and say what of it is lost."""
+    from afdsvc.record.recover import recover as copy
+    from afdsvc.record.recover import recover_in_place
+
+    done = copy(recording, out) if out else recover_in_place(recording)
+    value = {"recording": str(done.path), "messages": dict(done.messages), "loss": done.loss}
+    _show(as_json, value, lambda: print(f"{done.path}: {sum(done.messages.values())} messages; {done.loss or 'nothing is lost'}"))
 
 
 @app.command("import")

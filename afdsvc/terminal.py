@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from datetime import datetime
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -143,41 +144,39 @@ def _passive(recording: dict[str, Any]) -> None:
 
 
 def status_table(status: dict[str, Any]) -> None:
-    """Show the machines of a service."""
-    table = Table(title=f"{status['site']}: afdsvc {status['version']}, up {status['uptime']:.0f} s")
-    for column in (
-        "machine",
-        "state",
-        "blocks",
-        "lost samples",
-        "late",
-        "head-room",
-        "burst",
-        "next burst",
-        "alarms",
-        "remark",
-    ):
-        table.add_column(column)
+    """Show the machines of a service: what calls for attention first, then how the watching goes."""
+    table = Table(title=f"{status['site']}: afdsvc {status['version']}, up {status['uptime']:.0f} s", box=box.SIMPLE_HEAD)
+    for column in ("machine", "state", "alarms", "burst", "samples"):
+        table.add_column(column, overflow="fold")
     for m in status["machines"]:
-        alarms = ", ".join(a["fault"] for a in m["alarms"] if a["active"] and not a["suppressed"]) or "none"
-        table.add_row(
-            m["machine"],
-            m["state"],
-            str(m["blocks"]),
-            str(m["lost_blocks"]),
-            str(m["late"]),
-            f"{100 * m['head_room']:.0f} %",
-            m["burst"] or "no",
-            f"{m['next_burst']:.1f} s",
-            alarms,
-            m["reason"],
-        )
+        calling = [a for a in m["alarms"] if a["active"] and not a["suppressed"] and a["kind"] != "notice"]
+        style = "bold red" if any(not a["acknowledged"] for a in calling) else "" if m["state"] == "running" else "yellow"
+        row = (m["machine"], m["state"], "\n".join(map(_briefly, calling)) or "none", _burst(m), _samples(m))
+        table.add_row(*row, style=style)
     OUT.print(table)
+    for m in status["machines"]:
+        if m["reason"]:
+            OUT.print(f"{m['machine']}: {m['reason']}", soft_wrap=True)
     failure = f"; NOT RECORDING: {status['recording_failure']}" if status["recording_failure"] else ""
+    dropped = f"; {status['recording_dropped']} messages dropped" if status["recording_dropped"] else ""
     OUT.print(
-        f"recording {status['recording'] or 'nothing'} ({status['recording_bytes'] / 1e6:.1f} MB){failure}",
-        soft_wrap=True,
+        f"recording {status['recording'] or 'nothing'} ({status['recording_bytes'] / 1e6:.1f} MB){failure}{dropped}", soft_wrap=True
     )
+
+
+def _briefly(alarm: dict[str, Any]) -> str:
+    seen = "" if not alarm["acknowledged"] else f" (seen by {alarm['acknowledged_by']})"
+    return f"{alarm['fault']} {percent(alarm['severity'])}{seen}"
+
+
+def _burst(m: dict[str, Any]) -> str:
+    return "plays" if m["burst"] else f"in {m['next_burst']:.1f} s" if m["next_burst"] else "none planned"
+
+
+def _samples(m: dict[str, Any]) -> str:
+    lost = f", {m['lost_blocks']} lost" if m["lost_blocks"] else ""
+    late = f", {m['late']} late" if m["late"] else ""
+    return f"{m['blocks']} blocks{lost}{late}; head-room {100 * m['head_room']:.0f} %"
 
 
 def alarm_table(alarms: list[dict[str, Any]]) -> None:
@@ -230,3 +229,29 @@ def plugin_table(rows: list[dict[str, str]], broken: dict[str, str]) -> None:
     OUT.print(table)
     for name, why in broken.items():
         OUT.print(f"[red]{name} could not be loaded: {why}")
+
+
+def explain_table(document: dict[str, Any]) -> None:
+    """Show the verdict, the names with their look-alikes, and the fit before and after."""
+    OUT.print(f"[bold]verdict: {document['verdict'].replace('_', ' ')}[/]")
+    for sentence in (*document["check"], *document["sentences"]):
+        OUT.print(f"note: {sentence}", soft_wrap=True, markup=False)
+    for place in document["located"][:5]:
+        OUT.print(f"where: {place['evidence']}", soft_wrap=True, markup=False)
+    for named in document["named"]:
+        OUT.print(f"{named['weight']:.3f}  {named['sentence']}", soft_wrap=True, markup=False)
+    if document["next_experiment"]:
+        OUT.print(f"next experiment: {document['next_experiment']}", soft_wrap=True, markup=False)
+    table = Table(title=f"|y - yhat| / |y - mean| on {', '.join(document['fit']['heldout'])}")
+    for column in ("output", "before", "after", "noise floor"):
+        table.add_column(column)
+    for name, fit in document["fit"]["per_output"].items():
+        table.add_row(name, *(number(v) for v in (fit["before"]["nrmse"], fit["after"]["nrmse"], fit["noise_floor_nrmse"])))
+    OUT.print(table)
+    OUT.print(f"model  {document['model']}\nreport {document['report']}", soft_wrap=True, markup=False)
+
+
+def trial_table(document: dict[str, Any]) -> None:
+    """Show what came of blind trials, and where the report is."""
+    OUT.print(document["summary"], soft_wrap=True, markup=False)
+    OUT.print(f"report {document['markdown']}\n       {document['html']}", soft_wrap=True)

@@ -31,6 +31,7 @@ TROUBLE = ("bad_samples", "frozen_sensor", "plugin_failed")  # findings about th
 PASSING = ("bad_samples", "frozen_sensor")  # those that end by themselves
 TICK_SECONDS = 0.05
 STATUS_SECONDS = 1.0
+HUNG_SECONDS = 20.0  # a thread that has not come round for so long is stuck
 
 
 @dataclass
@@ -57,7 +58,7 @@ class Hub:
         self._queue: queue.Queue[tuple[str, str, Any] | None] = queue.Queue(self.queue_size)
         self._stop = threading.Event()
         self._began = self.clock.monotonic()
-        self._next_status = self._began
+        self._next_status = self._worked = self._ticked = self._began
         self._strangers: set[str] = set()
         self.alarms = AlarmBook(self.policy, self._told)
         self.dropped = 0
@@ -144,8 +145,20 @@ class Hub:
         except Exception:
             log.exception("a service thread failed")
 
+    def healthy(self) -> bool:
+        """Whether both threads have come round lately: what a watchdog is fed by."""
+        oldest = min(self._worked, self._ticked)
+        return self.clock.monotonic() - oldest < HUNG_SECONDS and all(t.is_alive() for t in self._threads)
+
     def _work(self) -> None:
-        while (item := self._queue.get()) is not None:
+        while True:
+            self._worked = self.clock.monotonic()
+            try:
+                item = self._queue.get(timeout=1.0)
+            except queue.Empty:
+                continue
+            if item is None:
+                return
             kind, key, what = item
             try:
                 self._handle(kind, key, what)
@@ -236,6 +249,7 @@ class Hub:
 
     def _tick_for_ever(self) -> None:
         while not self._stop.wait(TICK_SECONDS):
+            self._ticked = self.clock.monotonic()
             for desk in self.desks.values():
                 desk.tick()
             if self.clock.monotonic() >= self._next_status:

@@ -1,0 +1,76 @@
+"""What a supervisor of processes wants to know: ready, alive, stopping (systemd's notify protocol), and logs a machine can read."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import socket
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+FIELDS = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
+
+
+class JsonLines(logging.Formatter):
+    """One JSON object a line: time, level, logger, thread, message, and what the caller added with ``extra``."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line."""
+        line = {
+            "time": self.formatTime(record, "%Y-%m-%dT%H:%M:%S") + f".{int(record.msecs):03d}",
+            "level": record.levelname.lower(), "logger": record.name, "thread": record.threadName, "message": record.getMessage(),
+        }  # fmt: skip
+        if record.exc_info:
+            line["exception"] = self.formatException(record.exc_info)
+        line |= {key: value for key, value in vars(record).items() if key not in FIELDS}
+        return json.dumps(line, default=str)
+
+
+def start_logging(form: str) -> None:
+    """Send what the service logs to stderr, as ``text`` or as ``json`` lines."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(JsonLines() if form == "json" else logging.Formatter("afdsvc: %(levelname)s: %(message)s"))
+    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+
+
+def notify(state: str) -> None:
+    """Tell systemd (``NOTIFY_SOCKET``) about this process; does nothing where nobody asked for it."""
+    address = os.environ.get("NOTIFY_SOCKET")
+    if not address:
+        return
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as s:
+        try:
+            s.connect("\0" + address[1:] if address.startswith("@") else address)
+            s.sendall(state.encode())
+        except OSError as error:
+            logging.getLogger(__name__).warning("the supervisor could not be told '%s': %s", state, error)
+
+
+@contextmanager
+def supervised(healthy: Callable[[], bool]) -> Iterator[None]:
+    """Say ready on entry and stopping on exit; in between feed the watchdog as long as ``healthy()``.
+
+    A service whose worker hangs is not fed, and systemd restarts it.
+    """
+    over = threading.Event()
+    period = float(os.environ.get("WATCHDOG_USEC", 0)) / 1e6 / 3
+
+    def feed() -> None:
+        while not over.wait(period):
+            if healthy():
+                notify("WATCHDOG=1")
+
+    notify("READY=1")
+    thread = threading.Thread(target=feed, name="watchdog", daemon=True)
+    if period:
+        thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        notify("STOPPING=1")
+        if period:
+            thread.join(5)

@@ -1,0 +1,81 @@
+"""The service as a supervised process: ready, alive, stopping in time, and log lines that are JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from afdsvc.runtime.site import read_site
+from afdsvc.service import ask_service
+
+SITE = """site = "t"
+[transport]
+listen = ["tcp/127.0.0.1:{port}"]
+[[machines]]
+id = "bearing"
+plant = "gas_bearing"
+bursts = {{every_seconds = 4.0, first_after_seconds = 0.5}}
+"""
+
+
+def heard(s: socket.socket, wanted: str, seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        s.settimeout(max(deadline - time.monotonic(), 0.01))
+        if s.recv(200).decode() == wanted:
+            return
+    raise AssertionError(f"'{wanted}' was never heard")
+
+
+def ended(process: subprocess.Popen) -> str:
+    """End a process that has not, and return what it said."""
+    if process.poll() is None:
+        process.kill()
+    return process.communicate()[1].decode()
+
+
+@pytest.mark.skipif(not hasattr(socket, "AF_UNIX"), reason="needs Unix sockets")
+def test_a_supervisor_is_told_and_sigterm_ends_everything_in_time_even_in_a_burst(free_port, tmp_path):
+    site, address = tmp_path / "site.toml", tmp_path / "notify"
+    site.write_text(SITE.format(port=free_port))
+    ear = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    ear.bind(str(address))
+    environment = {**os.environ, "NOTIFY_SOCKET": str(address), "WATCHDOG_USEC": "300000"}
+    run = [sys.executable, "-m", "afdsvc"]
+    serve = subprocess.Popen([*run, "serve", str(site), "--log", "json"], stderr=subprocess.PIPE, env=environment, cwd=tmp_path)
+    rig = None
+    try:
+        heard(ear, "READY=1")
+        heard(ear, "WATCHDOG=1")
+        rig = subprocess.Popen([*run, "rig", str(site), "--machine", "bearing"], stderr=subprocess.PIPE, cwd=tmp_path)
+        deadline = time.monotonic() + 60
+        while not ask_service(read_site(site), "status", "kim")["machines"][0]["burst"]:
+            assert time.monotonic() < deadline, "no burst was ever played"
+        began = time.monotonic()
+        rig.send_signal(signal.SIGTERM)
+        assert rig.wait(5) == 0
+        serve.send_signal(signal.SIGTERM)
+        heard(ear, "STOPPING=1", 5)
+        assert serve.wait(5) == 0
+        assert time.monotonic() - began < 10
+    finally:
+        said = [ended(process) for process in (serve, rig) if process]
+        ear.close()
+    lines = [json.loads(line) for line in said[0].splitlines()]
+    assert any("serving 't' with 1 machine" in line["message"] for line in lines)
+    assert {"time", "level", "logger", "thread", "message"} <= set(lines[0])
+
+
+def test_the_shipped_units_start_what_there_is():
+    units = Path(__file__).parents[2] / "packaging"
+    commands = [line for u in units.glob("*.service") for line in u.read_text().splitlines() if line.startswith("ExecStart=")]
+    assert sorted(c.split()[1] for c in commands) == ["rig", "serve"]
+    assert "Type=notify" in (units / "afdsvc.service").read_text()
