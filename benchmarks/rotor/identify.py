@@ -1,24 +1,28 @@
 """How well bearing stiffness is found through S(theta): the published setting, then noise, unbalance, several at once.
 
-    python benchmarks/rotor/identify.py
+    python benchmarks/rotor/identify.py --runs 100
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import beta
 
 sys.path.insert(0, str(Path(__file__).parent))
 from loop import full_plant, record, without_rotation
 
 from afdsvc.identify.indirect import fit_indirect
+from afdsvc.identify.recentred import fit_recentred
 from afdsvc.identify.recordings import Recording
 from afdsvc.identify.structure import physical_structure
-from afdsvc.lti.whitening import whitening_filter
 from afdsvc.plants.amb_turboexpander import amb_turboexpander
 from afdsvc.plugins.controllers.lqg import Lqg
+
+SETTLED = 3000  # samples
 
 
 def published(full: bool, theta: float = -0.5, states: int = 8) -> float:
@@ -33,7 +37,7 @@ def published(full: bool, theta: float = -0.5, states: int = 8) -> float:
     return fit.parameters[0].value / plant.parameters["stiffness_b_y"].value - 1
 
 
-def deviations(seed: int, change: dict[str, float], full: bool, project: bool = True, samples: int = 5000) -> dict:
+def deviations(seed: int, change: dict[str, float], full: bool, project: bool = True, rounds: int = 3, samples: int = 10000) -> dict:
     """Return theta, its standard error and the error in standard errors, by name, with 0.5 um noise and G2.5 unbalance."""
     plant = amb_turboexpander(states=16 if full else 8)
     fact = Lqg().design(plant.discrete(), plant.recommended["lqg"]).factorisation
@@ -41,25 +45,44 @@ def deviations(seed: int, change: dict[str, float], full: bool, project: bool = 
     values = plant.values({name: nominal[name] * (1 + th) for name, th in change.items()})
     true = full_plant(values, 31500, plant.sample_time) if full else plant.discrete(**{n: values[n] for n in change})
     rng = np.random.default_rng(seed)
-    alpha = 0.05 * np.repeat(rng.choice([-1.0, 1.0], size=(samples // 10, 4)), 10, axis=0)
+    alpha = 0.05 * np.repeat(rng.choice([-1.0, 1.0], size=((samples + SETTLED) // 10, 4)), 10, axis=0)
     run = record(true, fact, alpha, rng, 0.5, 31500)
-    beta = without_rotation(run.beta, run.angle) if project else run.beta
-    whitener, _ = whitening_filter(fact, plant.output_cov)
-    fit = fit_indirect(
-        physical_structure(plant, list(change)), fact, [Recording.of(alpha, beta, plant.sample_time)], 2, whitener
-    )
+    steady = slice(SETTLED, None)  # the whirl has settled
+    signals = [without_rotation(s[steady], run.angle[steady]) if project else s[steady] for s in (run.u, run.y)]
+    recording = Recording.of(*signals, plant.sample_time)
+    fit = fit_recentred(physical_structure(plant, list(change)), fact.K, [recording], plant.output_cov, rounds)
     return {
         p.name: (p.value / nominal[p.name] - 1, p.sd / abs(nominal[p.name]), (p.value - values[p.name]) / p.sd)
         for p in fit.parameters
     } | {"peak": float(np.abs(run.y).max())}
 
 
+FOUR = dict(zip(("stiffness_a_x", "stiffness_a_y", "stiffness_b_x", "stiffness_b_y"), (-0.1, 0.2, -0.3, -0.5), strict=True))
+
+
+def coverage(runs: int, full: bool, project: bool = True) -> str:
+    """Return how often intervals of 95 and 99.7 % hold the truth, four stiffnesses at once, and how errors compare to them."""
+    errors = []
+    for seed in range(runs):
+        found = deviations(1000 + seed, FOUR, full, project)
+        errors.append([found[name][2] for name in FOUR])
+    e = np.array(errors)
+    told = []
+    for sds, level in ((1.96, 0.95), (3.0, 0.9973)):
+        inside = int((np.abs(e) <= sds).sum())
+        low, high = (beta.ppf(q, a, b) for q, a, b in ((0.005, inside, e.size - inside + 1), (0.995, inside + 1, e.size - inside)))
+        told.append(f"{inside}/{e.size} within {sds} standard errors (promised {level:.2%}, 99 % interval of the share {low:.3f} to {high:.3f})")
+    size = np.sqrt(np.mean(e**2))
+    return f"{'; '.join(told)}; errors over standard errors: mean {e.mean():.2f}, rms {size:.2f}, largest {np.abs(e).max():.2f}"
+
+
 if __name__ == "__main__":
-    print("published setting, 8 states on 8:", published(False), " on the full model:", published(True))
-    one = {"stiffness_b_y": -0.5}
-    four = dict(zip(("stiffness_a_x", "stiffness_a_y", "stiffness_b_x", "stiffness_b_y"), (-0.1, 0.2, -0.3, -0.5), strict=True))
-    for full in (False, True):
-        for change in (one, four):
-            for project in (True, False):
-                for seed in range(2):
-                    print(full, project, {k: np.round(v, 4) for k, v in deviations(seed, change, full, project).items()}, flush=True)
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--runs", type=int, default=100)
+    wanted = parser.parse_args()
+    print("published setting, 8 states on 8:", published(False), " on the full model:", published(True), flush=True)
+    print("one stiffness, noise and unbalance:", {k: np.round(v, 4) for k, v in deviations(0, {"stiffness_b_y": -0.5}, True).items()}, flush=True)
+    print("four at once:", {k: np.round(v, 4) for k, v in deviations(0, FOUR, True).items()}, flush=True)
+    for full, project, runs in ((False, True, wanted.runs), (True, True, wanted.runs // 4), (False, False, wanted.runs // 4)):
+        machine, treatment = "320 states" if full else "8 states", "projected out" if project else "left in"
+        print(f"{machine}, unbalance {treatment}: {coverage(runs, full, project)}", flush=True)
