@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -26,6 +26,7 @@ from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect import arl, maximum
 from afdsvc.detect.demodulate import Basis, BasisSums, project
 from afdsvc.detect.hypotheses import linear_fit, weights
+from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
 from afdsvc.detect.reach import reachable
 from afdsvc.detect.templates import templates
 from afdsvc.detect.uncertainty import models
@@ -78,6 +79,7 @@ class ActiveSums:
     boundary: float
     state: CusumState
     peak: float
+    cleaning: Cleaning | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,6 +91,7 @@ class ActiveCusum:
 
     problem: DetectionProblem
     deflection: float = 12.0
+    nuisances: Nuisances = NONE
 
     def start(self, burst: Burst, dt: float) -> ActiveSums:
         """Return the state before the first sample."""
@@ -112,11 +115,12 @@ class ActiveCusum:
 
     def step(self, sums: ActiveSums, samples: BurstSamples) -> tuple[ActiveSums, Finding | None]:
         """Return the state after the samples and a finding at the first crossing."""
-        e = samples.series[:, 0]
-        waves = sums.waves[samples.first : samples.first + len(e)]
-        psi = samples.series[:, 1 + sums.seen]
+        n, K = len(samples.series), samples.series.shape[1]
+        both = np.concatenate([samples.series, sums.waves[samples.first : samples.first + n]], axis=1)
+        cleaning, both, _ = self.nuisances.clean(sums.cleaning, samples.block, both)
+        e, psi, waves = both[:, 0], both[:, 1 + sums.seen], both[:, K:]
         state, at, who, peak = sums.state.step(e, waves, psi, sums.theta, sums.boundary, sums.peak)
-        sums = ActiveSums(sums.waves, sums.seen, sums.theta, sums.boundary, state, peak)
+        sums = replace(sums, state=state, peak=peak, cleaning=cleaning)
         return sums, None if at < 0 else self._finding(sums, who, samples.first + at)
 
     def decide(self, sums: ActiveSums, burst: Burst, dt: float) -> Sequence[Finding]:

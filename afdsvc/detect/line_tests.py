@@ -59,7 +59,7 @@ class LargestProjection:
         """Return the threshold of the largest projection."""
         if models is None:
             return maximum.threshold(_unit(waves), false_alarm)
-        raw = np.linalg.solve(_factor(data).T, _unit(waves).T).T  # <raw, z> is <e, whitened z>
+        raw = np.array(np.linalg.solve(_factor(data).T, _unit(waves).T).T, dtype=np.float64)  # <raw, z> is <e, whitened z>
         return robust_threshold(raw, models, false_alarm)
 
 

@@ -22,19 +22,19 @@ from afdsvc.detect.curves import FaultCurves, fault_curves
 from afdsvc.detect.demodulate import Basis, BasisSums, Lines, project
 from afdsvc.detect.hypotheses import LineData, anything_log_evidence, curve_fit, weights
 from afdsvc.detect.line_tests import LargestProjection, LikelihoodRatio, LineTest
+from afdsvc.detect.nuisances import Nuisances
 from afdsvc.detect.power import tail
 from afdsvc.detect.reach import reachable
 from afdsvc.detect.uncertainty import model_doubt, models
 from afdsvc.detect.watch import BurstSamples, Finding
 from afdsvc.errors import BadInput
-from afdsvc.lti.statespace import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedFilter:
-    """Statistic of the matched filter. ``severities`` are those whose phases are in the set, ``angle`` the ``aux``
-    label of the rotor angle; the other nuisances are described in `demodulate.Basis`. With ``likelihood`` the largest
-    likelihood ratio along the whole curves is compared instead of the largest projection.
+    """Statistic of the matched filter. ``severities`` are those whose phases are in the set. With ``likelihood`` the largest
+    likelihood ratio along the whole curves is compared instead of the largest projection. The others are those of
+    `nuisances.Nuisances`, what is projected out of the burst.
     """
 
     problem: DetectionProblem
@@ -44,20 +44,29 @@ class MatchedFilter:
     orders: tuple[int, ...] = ()
     angle: str = "angle"
     likelihood: bool = False
+    if_recorded: bool = False
 
     @property
     def line_test(self) -> LineTest:
         """How the lines are judged."""
         return LikelihoodRatio() if self.likelihood else LargestProjection(self.severities)
 
-    def basis(self, burst: Burst) -> Basis:
-        """Return what a burst is regressed on; raises `BadInput` for a burst that is no sum of sines."""
+    @property
+    def nuisances(self) -> Nuisances:
+        """What is projected out."""
+        return Nuisances(self.drift, self.mains, self.orders, self.if_recorded, self.angle)
+
+    def basis(self, burst: Burst, turning: bool = True) -> Basis:
+        """Return what a burst is regressed on, rotor-synchronous waves only of a machine that is ``turning``.
+
+        Raises `BadInput` for a burst that is no sum of sines.
+        """
         if not burst.lines or burst.waveform is not None:
             raise BadInput(f"burst '{burst.name}' is not a sum of sines; the matched filter needs one")
         omega = tuple(sorted({line.omega for line in burst.lines}))
         if len(omega) != len(burst.lines):
             raise BadInput(f"burst '{burst.name}' uses a frequency on two inputs; one for each input is wanted")
-        return Basis(omega, self.drift, self.mains, self.orders)
+        return self.nuisances.basis(omega, turning)
 
     def start(self, burst: Burst, dt: float) -> BasisSums:
         """Return empty sums."""
@@ -72,7 +81,11 @@ class MatchedFilter:
         e = samples.series[a:b, 0]
         if not len(e):
             return sums, None
-        return sums.add(self.basis(burst), samples.first + a, samples.dt, e, self._angle(samples, a, b)), None
+        angle = self.nuisances.angles(samples.block)
+        basis = self.basis(burst, angle is not None)
+        if not sums.n:
+            sums = BasisSums.empty(basis, e.shape[1])
+        return sums.add(basis, samples.first + a, samples.dt, e, None if angle is None else angle[a:b]), None
 
     def decide(self, sums: BasisSums, burst: Burst, dt: float) -> Sequence[Finding]:
         """Return one finding for all lines and outputs together."""
@@ -91,7 +104,10 @@ class MatchedFilter:
         return self._judged(curves, data, burst)
 
     def _reduced(self, sums: BasisSums, burst: Burst) -> tuple[Lines, FaultCurves, LineData]:
-        lines, ordered = project(sums, self.basis(burst)), _ordered(burst)
+        basis = self.basis(burst)
+        if len(sums.G) != basis.columns:
+            basis = self.basis(burst, turning=False)
+        lines, ordered = project(sums, basis), _ordered(burst)
         doubt = model_doubt(self.problem, ordered, lines.R)
         return lines, _curves(self.problem, ordered), LineData(lines.z, lines.R, doubt)
 
@@ -104,13 +120,6 @@ class MatchedFilter:
         found = models(self.problem, _ordered(burst), data.R) if self.problem.uncertainty else None
         rate = self.problem.false_alarms.per_burst
         return self.line_test.statistic(looked_for, z), self.line_test.threshold(looked_for, data, found, rate)
-
-    def _angle(self, samples: BurstSamples, a: int, b: int) -> Array | None:
-        if not self.orders:
-            return None
-        if self.angle not in samples.block.aux:
-            raise BadInput(f"the block has no aux '{self.angle}'; the rotor angle is wanted to remove its waves")
-        return samples.block.aux[self.angle].reshape(len(samples.block), -1)[a:b, 0]
 
 
 def _ordered(burst: Burst) -> tuple[Line, ...]:

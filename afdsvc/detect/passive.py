@@ -19,6 +19,7 @@ from afdsvc.detect.checks import Runs
 from afdsvc.detect.cusum import CusumState, rate_boundary, segment_finding
 from afdsvc.detect.gate import Gate, GateState, finite
 from afdsvc.detect.noise_driven import NoiseDriven, noise_driven
+from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
 from afdsvc.detect.regressors import Regressors, RegressorState, regressors
 from afdsvc.detect.watch import Finding, evidence, pieces
 from afdsvc.errors import BadInput
@@ -37,6 +38,7 @@ class PassiveState:
     cusum: CusumState
     silent: int = 0
     doubted: bool = False
+    cleaning: Cleaning | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +57,7 @@ class PassiveDetector:
     silence: int
     sure: float
     frozen: int
+    nuisances: Nuisances = NONE
 
     def start(self) -> PassiveState:
         """Return the initial state."""
@@ -76,20 +79,24 @@ class PassiveDetector:
                 state = self._restarted(state, "a sample that is not a finite number")
             elif piece.burst is None:
                 state = self._quiet(state, piece, series, found)
+            else:
+                state = replace(state, cleaning=None)
         return state, found
 
     def _restarted(self, state: PassiveState, because: str) -> PassiveState:
         return replace(
             state, filters=self.filters.start(), gate=self.gate.restart(state.gate, because),
-            cusum=CusumState.start(len(self.which)), silent=self.gate.settle,
+            cusum=CusumState.start(len(self.which)), silent=self.gate.settle, cleaning=None,
         )
 
     def _quiet(self, state: PassiveState, piece: ResidualBlock, series: Array, found: list[Evidence]) -> PassiveState:
         """Advance over quiet samples, stopping where a gate part is full and where silence or a CUSUM ends."""
+        cleaning, series, kept = self.nuisances.clean(state.cleaning, piece, series, self.gate.part)
+        state, series, index = replace(state, cleaning=cleaning), series[kept], np.flatnonzero(kept)
         t = 0
         while t < len(series):
             n = min(len(series) - t, self._to_part(state))
-            chunk, k = series[t : t + n], piece.k0 + t
+            chunk, k = series[t : t + n], piece.k0 + index[t : t + n]
             if state.silent:
                 n = min(n, state.silent)
                 state = replace(state, silent=state.silent - n, gate=self.gate.add(state.gate, chunk[:n]))
@@ -97,11 +104,11 @@ class PassiveDetector:
                 state, n = self._watch(state, chunk, k, piece.dt, found)
             t += n
             if self._to_part(state) == self.gate.part and not state.gate.skip:
-                state = self._doubt(state, piece.k0 + t - 1, piece.dt, found)
+                state = self._doubt(state, piece.k0 + int(index[t - 1]), piece.dt, found)
         return state
 
     def _watch(
-        self, state: PassiveState, series: Array, k: int, dt: float, found: list[Evidence]
+        self, state: PassiveState, series: Array, k: NDArray[np.intp], dt: float, found: list[Evidence]
     ) -> tuple[PassiveState, int]:
         waves = series[:, 1 + self.which]
         cusum, at, who, _ = state.cusum.step(series[:, 0], waves, waves, self.theta, self.boundary, 0.0)
@@ -109,7 +116,7 @@ class PassiveDetector:
         state = replace(state, cusum=cusum, gate=self.gate.add(state.gate, series[:n]))
         if at < 0:
             return state, n
-        found.append(self._alarm(state, who, k + at, dt))
+        found.append(self._alarm(state, who, int(k[at]), dt))
         return replace(state, cusum=CusumState.start(len(self.which)), silent=self.silence), n
 
     def _alarm(self, state: PassiveState, who: int, k: int, dt: float) -> Evidence:
@@ -144,7 +151,8 @@ class PassiveDetector:
 
 
 def passive_detector(
-    name: str, problem: DetectionProblem, gate: Gate, severity: float, silence_seconds: float, sure: float, frozen: int
+    name: str, problem: DetectionProblem, gate: Gate, severity: float, silence_seconds: float, sure: float, frozen: int,
+    nuisances: Nuisances = NONE,
 ) -> PassiveDetector:
     """Return the passive CUSUM; raises `BadInput` when the loop's noise tells nothing about any fault."""
     filters = regressors(problem)
@@ -161,7 +169,7 @@ def passive_detector(
     boundary = rate_boundary(correlation(noise)[np.ix_(which, which)], mu, bias, per_sample)
     gate = replace(gate, settle=filters.settling())
     silence = math.ceil(silence_seconds / problem.plant.dt)
-    return PassiveDetector(name, problem, filters, gate, which, theta, boundary, silence, sure, frozen)
+    return PassiveDetector(name, problem, filters, gate, which, theta, boundary, silence, sure, frozen, nuisances)
 
 
 def correlation(noise: NoiseDriven) -> Array:

@@ -22,6 +22,7 @@ from afdsvc.detect import maximum
 from afdsvc.detect.demodulate import Basis, BasisSums, project
 from afdsvc.detect.hypotheses import anything_log_evidence, linear_fit, weights
 from afdsvc.detect.noise_driven import NoiseDriven, noise_driven
+from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
 from afdsvc.detect.regressors import Regressors
 from afdsvc.detect.watch import BurstSamples, Finding
 from afdsvc.lti.statespace import Array
@@ -31,18 +32,20 @@ UNSEEN = 1e-9  # a fault whose information is below this share of the best seen 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegressionSums:
-    """``b (K,)`` and ``G (K, K)`` over ``n`` samples, and the residual on the excited lines."""
+    """``b (K,)`` and ``G (K, K)`` over ``n`` samples, the residual on the excited lines, and the nuisances learnt so far."""
 
     n: int
     b: Array
     G: Array
     lines: BasisSums
+    cleaning: Cleaning | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Regression:
     """Statistic of the regression detector. ``false_alarm`` is per burst, ``bounds`` those of the severities, ``sd``
-    the standard deviations of the model's uncertain parameters, which are averaged out.
+    the standard deviations of the model's uncertain parameters, which are averaged out, ``nuisances`` what is projected
+    out of residual and regressors.
     """
 
     names: tuple[str, ...]
@@ -51,19 +54,23 @@ class Regression:
     false_alarm: float
     bounds: tuple[float, float]
     noise: NoiseDriven
+    nuisances: Nuisances = NONE
 
     def start(self, burst: Burst, dt: float) -> RegressionSums:
         """Return empty sums."""
         K = len(self.names) + len(self.sd)
-        return RegressionSums(0, np.zeros(K), np.zeros((K, K)), BasisSums.empty(_basis(burst), self.outputs))
+        return RegressionSums(0, np.zeros(K), np.zeros((K, K)), BasisSums.empty(Basis(_omega(burst)), self.outputs))
 
     def step(self, sums: RegressionSums, samples: BurstSamples) -> tuple[RegressionSums, None]:
         """Return the sums with the samples added."""
         b, G = sums.b.copy(), sums.G.copy()
-        _accumulate(samples.series, b, G)
-        e = samples.series[:, 0]
-        lines = sums.lines.add(_basis(samples.block.burst), samples.first, samples.dt, e)
-        return RegressionSums(sums.n + len(e), b, G, lines), None
+        cleaning, clean, _ = self.nuisances.clean(sums.cleaning, samples.block, samples.series)
+        _accumulate(clean, b, G)
+        e, angle = samples.series[:, 0], self.nuisances.angles(samples.block)
+        basis = self.nuisances.basis(_omega(samples.block.burst), angle is not None)
+        lines = sums.lines if sums.n else BasisSums.empty(basis, self.outputs)
+        lines = lines.add(basis, samples.first, samples.dt, e, angle)
+        return RegressionSums(sums.n + len(e), b, G, lines, cleaning), None
 
     def decide(self, sums: RegressionSums, burst: Burst, dt: float) -> Sequence[Finding]:
         """Return one finding for all outputs together."""
@@ -90,7 +97,9 @@ class Regression:
         return float(np.max((t - mean) / sd)), maximum.threshold(_square_root(correlation), self.false_alarm)
 
     def _anything(self, sums: RegressionSums, burst: Burst) -> float | None:
-        basis = _basis(burst)
+        basis = self.nuisances.basis(_omega(burst), True)
+        if len(sums.lines.G) != basis.columns:
+            basis = self.nuisances.basis(_omega(burst), False)
         return anything_log_evidence(project(sums.lines, basis).z) if basis.omega else None
 
 
@@ -105,16 +114,15 @@ def averaged_out(b: Array, G: Array, sd: Array) -> tuple[Array, Array]:
     return b[:K] - G[:K, K:] @ gain[:, 0], G[:K, :K] - G[:K, K:] @ gain[:, 1:]
 
 
-def regression(problem: DetectionProblem, filters: Regressors) -> Regression:
+def regression(problem: DetectionProblem, filters: Regressors, nuisances: Nuisances = NONE) -> Regression:
     """Return the statistic for one machine and its regressors."""
     p, rate = problem.plant.outputs, problem.false_alarms.per_burst
     noise = noise_driven(problem, filters)
-    return Regression(problem.fault_names, filters.sd, p, rate, problem.severity_range, noise)
+    return Regression(problem.fault_names, filters.sd, p, rate, problem.severity_range, noise, nuisances)
 
 
-def _basis(burst: Burst | None) -> Basis:
-    omega = () if burst is None else tuple(sorted({line.omega for line in burst.lines}))
-    return Basis(omega)
+def _omega(burst: Burst | None) -> tuple[float, ...]:
+    return () if burst is None else tuple(sorted({line.omega for line in burst.lines}))
 
 
 def _square_root(correlation: Array) -> Array:

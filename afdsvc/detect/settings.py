@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from afdsvc.detect.gate import Gate
+from afdsvc.detect.nuisances import Nuisances
 from afdsvc.errors import BadInput
 
 
@@ -27,6 +29,21 @@ COMMON: Mapping[str, Range] = {
     "gate_window": Range(2500, 100, 1e7, whole=True),  # quiet samples remembered
     "frozen_samples": Range(100, 3, 1e7, whole=True),  # a sensor equal for so long stands still
 }
+
+NUISANCES: Mapping[str, Range] = {
+    "drift": Range(0, 0, 1, whole=True),  # 1: constant and slope are taken out
+    "mains_hz": Range(0.0, 0.0, 1000.0),  # 0: no mains hum
+    "mains_harmonics": Range(3, 1, 20, whole=True),
+    "rotor_orders": Range(-1, -1, 20, whole=True),  # multiples of the rotor angle; -1: two when it is recorded
+}
+
+
+def nuisances_of(values: Mapping[str, float], dt: float) -> Nuisances:
+    """Return what the nuisance settings take out of every residual."""
+    hz, orders = values["mains_hz"], int(values["rotor_orders"])
+    harmonics = range(1, int(values["mains_harmonics"]) + 1)
+    mains = tuple(2 * math.pi * hz * k for k in harmonics if 0 < hz * k < 0.5 / dt)
+    return Nuisances(bool(values["drift"]), mains, tuple(range(1, abs(2 * orders if orders < 0 else orders) + 1)), orders < 0)
 
 
 def read(detector: str, settings: Mapping[str, Any], own: Mapping[str, Range]) -> dict[str, float]:

@@ -19,6 +19,8 @@ from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.detect.checks import BurstChecks, Runs
 from afdsvc.detect.gate import Gate, GateState, Judgement, finite
 from afdsvc.detect.hypotheses import NONE, Fit
+from afdsvc.detect.nuisances import NONE as NO_NUISANCES
+from afdsvc.detect.nuisances import Cleaning, Nuisances
 from afdsvc.detect.regressors import Regressors, RegressorState, regressors
 from afdsvc.errors import AfdsvcError
 from afdsvc.lti.statespace import Array
@@ -80,17 +82,21 @@ class Playing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WatchState:
-    """State of a burst detector: filters, gate, runs of constant values, the burst in progress."""
+    """State of a burst detector: filters, gate, runs of constant values, the burst in progress, nuisances of quiet data."""
 
     filters: RegressorState
     gate: GateState
     runs: Runs
     playing: Playing | None = None
+    cleaning: Cleaning | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BurstDetector:
-    """A detector that decides at the end of every burst. ``sure`` is the weight that singles a fault out."""
+    """A detector that decides at the end of every burst. ``sure`` is the weight that singles a fault out.
+
+    Quiet data are judged after the ``nuisances`` are taken out: unbalance is no reason to distrust a model.
+    """
 
     name: str
     problem: DetectionProblem
@@ -99,6 +105,7 @@ class BurstDetector:
     gate: Gate
     sure: float = 0.99
     frozen: int = 100
+    nuisances: Nuisances = NO_NUISANCES
 
     def start(self) -> WatchState:
         """Return the initial state."""
@@ -122,7 +129,7 @@ class BurstDetector:
         if playing is not None:
             playing = replace(playing, checks=replace(playing.checks, gap=True))
         gate = self.gate.restart(state.gate, because)
-        return replace(state, filters=self.filters.start(), gate=gate, playing=playing), []
+        return replace(state, filters=self.filters.start(), gate=gate, playing=playing, cleaning=None), []
 
     def _piece(self, state: WatchState, piece: ResidualBlock) -> tuple[WatchState, list[Evidence]]:
         found: list[Evidence] = []
@@ -133,11 +140,13 @@ class BurstDetector:
         filters, series = self.filters.step(state.filters, piece.r, piece.y, piece.u)
         if not finite(series):
             filters, gate = self.filters.start(), self.gate.restart(state.gate, "a sample that is not a finite number")
-            state = replace(state, gate=gate)
+            state = replace(state, gate=gate, cleaning=None)
         elif piece.burst is None:
-            state = replace(state, gate=self.gate.add(state.gate, series))
+            cleaning, clean, kept = self.nuisances.clean(state.cleaning, piece, series, self.gate.part)
+            state = replace(state, gate=self.gate.add(state.gate, clean[kept]), cleaning=cleaning)
         state = replace(state, filters=filters, runs=runs)
         if piece.burst is not None:
+            state = replace(state, cleaning=None)
             state, evidence = self._burst_piece(state, piece, piece.burst, series, longest)
             found += evidence
         return state, found
@@ -264,9 +273,10 @@ def burst_detector(
     sure: float,
     frozen: int,
     filters: Regressors | None = None,
+    nuisances: Nuisances = NO_NUISANCES,
 ) -> BurstDetector:
     """Return a burst detector with the filters of the problem's faults and a gate that waits for them to settle."""
     filters = regressors(problem) if filters is None else filters
     settle = filters.settling()
     gate = replace(gate, settle=settle)
-    return BurstDetector(name, problem, statistic, filters, gate, sure, frozen)
+    return BurstDetector(name, problem, statistic, filters, gate, sure, frozen, nuisances)

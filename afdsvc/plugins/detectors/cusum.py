@@ -8,35 +8,37 @@ from typing import Any
 from afdsvc.api.detection import DetectionProblem, Detector
 from afdsvc.detect.cusum import ActiveCusum
 from afdsvc.detect.passive import passive_detector
-from afdsvc.detect.settings import Range, gate_of, read
+from afdsvc.detect.settings import NUISANCES, Range, gate_of, nuisances_of, read
 from afdsvc.detect.watch import burst_detector
 
 
 class ActiveCusumDesign:
-    """Settings besides the common ones: ``deflection`` of the waves looked for, over a whole burst."""
+    """Settings besides the common ones: ``deflection`` of the waves looked for, over a whole burst, and what is projected
+    out, as for ``fault_curves``."""
 
     name = "cusum"
     summary = "sequential test during a burst: alarms before the burst ends when the fault is large"
 
     def design(self, problem: DetectionProblem, settings: Mapping[str, Any]) -> Detector:
         """Return the detector; raises `BadInput` for a setting that is unknown or out of range."""
-        values = read(self.name, settings, {"deflection": Range(12.0, 1.0, 100.0)})
-        statistic = ActiveCusum(problem, values["deflection"])
-        frozen = int(values["frozen_samples"])
-        return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen)
+        values = read(self.name, settings, {**NUISANCES, "deflection": Range(12.0, 1.0, 100.0)})
+        out, frozen = nuisances_of(values, problem.plant.dt), int(values["frozen_samples"])
+        statistic = ActiveCusum(problem, values["deflection"], out)
+        return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen, nuisances=out)
 
 
 class PassiveCusumDesign:
-    """Settings besides the common ones: ``severity`` of the fault looked for, ``silence_seconds`` after an alarm."""
+    """Settings besides the common ones: ``severity`` of the fault looked for, ``silence_seconds`` after an alarm, and what
+    is projected out, as for ``fault_curves``."""
 
     name = "passive_cusum"
     summary = "sequential test between bursts on what the loop's own noise reveals"
 
     def design(self, problem: DetectionProblem, settings: Mapping[str, Any]) -> Detector:
         """Return the detector; raises `BadInput` for a setting that is unknown or out of range."""
-        own = {"severity": Range(-0.3, -1.0, -0.001), "silence_seconds": Range(10.0, 0.0, 1e6)}
+        own = {**NUISANCES, "severity": Range(-0.3, -1.0, -0.001), "silence_seconds": Range(10.0, 0.0, 1e6)}
         values = read(self.name, settings, own)
         return passive_detector(
             self.name, problem, gate_of(values), values["severity"], values["silence_seconds"], values["sure"],
-            int(values["frozen_samples"]),
+            int(values["frozen_samples"]), nuisances_of(values, problem.plant.dt),
         )

@@ -9,21 +9,23 @@ import numpy as np
 
 from afdsvc.api.detection import DetectionProblem, Detector
 from afdsvc.detect.matched import MatchedFilter
-from afdsvc.detect.settings import Range, gate_of, read
+from afdsvc.detect.settings import NUISANCES, Range, gate_of, nuisances_of, read
 from afdsvc.detect.watch import burst_detector
 
 
 class MatchedFilterDesign:
-    """Settings besides the common ones: ``severities``, how many steps from small to total loss are in the set."""
+    """Settings besides the common ones: ``severities``, how many steps from small to total loss are in the set, and what is
+    projected out, as for ``fault_curves``."""
 
     name = "matched_filter"
     summary = "burst lines against the phases of all faults; threshold for the largest of them"
 
     def design(self, problem: DetectionProblem, settings: Mapping[str, Any]) -> Detector:
         """Return the detector; raises `BadInput` for a setting that is unknown or out of range."""
-        values = read(self.name, settings, {"severities": Range(8, 1, 100, whole=True)})
+        values = read(self.name, settings, {**NUISANCES, "severities": Range(8, 1, 100, whole=True)})
         low, high = problem.severity_range
         steps = np.linspace(high, low, int(values["severities"]) + 1)[1:]
-        statistic = MatchedFilter(problem, tuple(float(v) for v in steps))
-        frozen = int(values["frozen_samples"])
-        return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen)
+        out, frozen = nuisances_of(values, problem.plant.dt), int(values["frozen_samples"])
+        severities = tuple(float(v) for v in steps)
+        statistic = MatchedFilter(problem, severities, out.drift, out.mains, out.orders, if_recorded=out.if_recorded)
+        return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen, nuisances=out)

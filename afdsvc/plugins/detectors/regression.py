@@ -8,20 +8,20 @@ from typing import Any
 from afdsvc.api.detection import DetectionProblem, Detector
 from afdsvc.detect.regression import regression
 from afdsvc.detect.regressors import regressors
-from afdsvc.detect.settings import gate_of, read
+from afdsvc.detect.settings import NUISANCES, gate_of, nuisances_of, read
 from afdsvc.detect.watch import burst_detector
 
 
 class RegressionDesign:
-    """Takes the common settings only."""
+    """Settings besides the common ones: what is projected out, as for ``fault_curves``."""
 
     name = "regression"
     summary = "residual on what each fault would add, from the measured input; uses the loop's own noise too"
 
     def design(self, problem: DetectionProblem, settings: Mapping[str, Any]) -> Detector:
         """Return the detector; raises `BadInput` for a setting that is unknown or out of range."""
-        values = read(self.name, settings, {})
-        frozen = int(values["frozen_samples"])
+        values = read(self.name, settings, NUISANCES)
+        out, frozen = nuisances_of(values, problem.plant.dt), int(values["frozen_samples"])
         filters = regressors(problem)
-        statistic = regression(problem, filters)
-        return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen, filters)
+        statistic = regression(problem, filters, out)
+        return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen, filters, out)
