@@ -26,6 +26,7 @@ from afdsvc.gap.whitening import whiteness_p
 from afdsvc.lti.statespace import Array
 
 SURE = 1e-5  # p-value below which what repeats in an output is no chance
+HINT = 1e-2  # and above which nothing can depend on the motion alone, as it would have to repeat with it
 SHOWS = 25.0  # sum of squares, in units of noise, from which a dependence shows in an output
 PART = 0.02  # and its share of what it adds to the output that shows it best
 
@@ -124,6 +125,8 @@ def _driven(facts: _Facts, j: int) -> Located | None:
     shown = [d for d in facts.of_kind("motion") if _shows(facts, d, j)]
     split = facts.splits[j] if facts.splits else None
     repeats = split is not None and split.total.p < SURE
+    if split is not None and split.total.p > HINT:
+        shown = [d for d in shown if _modulated(facts, d)]
     if not repeats and not shown:
         return None
     share = split.total.power / facts.view.power[j] if repeats and split else _explained(facts, shown, j)
@@ -143,6 +146,11 @@ def _kind(shown: Sequence[Dependence], split: Split | None) -> str:
     if power:
         return max(power, key=lambda k: power[k])
     return "odd" if shown and not shown[0].group.linear and "amplitude" in shown[0].group.depends_on else "linear"
+
+
+def _modulated(facts: _Facts, d: Dependence) -> bool:
+    """Whether a dependence goes with an auxiliary signal, so that it need not repeat with the excitation."""
+    return bool(set(d.group.depends_on) & set(facts.view.runs[0].aux))
 
 
 def _entry(facts: _Facts) -> Entry | None:
@@ -193,7 +201,8 @@ def spectral_band(x: Array, dt: float) -> tuple[float, float]:
 
 def _rotation(facts: _Facts, shown: Sequence[Dependence], j: int) -> Located:
     turning = [s / (2 * np.pi) for s in speeds(facts.view.runs)] or [0.0]
-    highest = 2 if any("twice" in d.group.law for d in shown) else 1
+    laws = " ".join(d.group.law for d in shown)
+    highest = 3 if "three" in laws else 2 if "twice" in laws else 1
     depends = tuple(dict.fromkeys(w for d in shown for w in d.group.depends_on))
     band = (min(turning), highest * max(turning))
     return _told(facts, shown, j, band, depends, words.rotation(shown, turning))

@@ -1,4 +1,4 @@
-"""What a residual may depend on: groups of columns that would be a disturbance at one place, made of what was predicted."""
+"""What a residual may depend on: groups of columns that would be a disturbance at one place, made of the machine's motion."""
 
 from __future__ import annotations
 
@@ -63,6 +63,7 @@ class _Place:
     def group(
         self, law: str, words: Sequence[str], columns: Sequence[Array], kind: str = "motion", linear: bool = False
     ) -> Group:
+        """Return a group here."""
         return Group(
             self.site, law, tuple(words), tuple(columns), self.states, self.outputs, kind, linear, self.input, self.output
         )
@@ -78,7 +79,7 @@ def groups(view: View, machine: Machine) -> list[Group]:
     for port in machine.inputs:
         place = _Place(view, machine, f"input:{port.name}", by_input[:, port.index], D[:, port.index], input=port.index)
         found += _of_input(place, port.index)
-    for number, axis in enumerate(machine.axes):
+    for number, axis in enumerate(machine.axes if _moves([s.x for s in view.motion]) else ()):
         i = axis.rate.index
         place = _Place(view, machine, f"state:{axis.rate.name}", by_rate[:, i], np.zeros(p), input=None)
         found += _of_axis(place, axis, [a for k, a in enumerate(machine.axes) if k != number])
@@ -91,7 +92,8 @@ def groups(view: View, machine: Machine) -> list[Group]:
 
 
 def _of_input(place: _Place, i: int) -> Iterator[Group]:
-    u = [r.U[:, i] for r in place.view.runs]
+    u = [s.u[:, i] for s in place.view.motion]
+    yield from _without_motion(place)
     if not _moves(u):
         return
     yield place.group("the level of the input", ["input", "amplitude"], _bent(u))
@@ -101,7 +103,6 @@ def _of_input(place: _Place, i: int) -> Iterator[Group]:
     yield place.group("the rate of the input", ["input", "rate of the input", "amplitude"], _rates(u))
     yield place.group("the sign of the input's rate", ["input", "sign of the input's rate"], _signs([_rate(x) for x in u]))
     yield from _with_aux(place, u, "input")
-    yield from _without_motion(place)
 
 
 def _of_axis(place: _Place, axis: Axis, others: Sequence[Axis]) -> Iterator[Group]:
@@ -124,13 +125,13 @@ def _of_axis(place: _Place, axis: Axis, others: Sequence[Axis]) -> Iterator[Grou
 
 
 def _of_output(place: _Place, j: int) -> Iterator[Group]:
-    y = [s.y[:, j] for s in place.view.predicted]
+    y = [s.y[:, j] for s in place.view.motion]
     if _moves(y):
         yield place.group("the reading", ["position", "amplitude"], _bent(y))
         yield place.group("the frequency of the reading", ["frequency"], _dynamics(y), linear=True)
         yield from _with_aux(place, y, "position")
     for k, port in enumerate(place.machine.outputs):
-        x = [s.y[:, k] for s in place.view.predicted]
+        x = [s.y[:, k] for s in place.view.motion]
         if k != j and _moves(x):
             yield place.group(f"the reading '{port.name}'", [f"output {port.name}"], [c[:, None] / _rms(x) for c in x], linear=True)
     yield from _without_motion(place)
@@ -140,8 +141,7 @@ def _without_motion(place: _Place) -> Iterator[Group]:
     """Yield what may act whether the machine is excited or not: a constant, time, auxiliary signals, the rotor's angle."""
     runs = place.view.runs
     yield place.group("a constant", ["constant"], [np.ones((len(r), 1)) for r in runs], "time")
-    clock = [(np.arange(len(r)) / len(r) - 0.5)[:, None] for r in runs]
-    yield place.group("time", ["time"], [np.hstack([t, t**2 - 1 / 12]) for t in clock], "time")
+    yield place.group("time, each recording apart", ["time"], _clocks([len(r) for r in runs]), "time")
     for name, z in _aux(place):
         yield place.group(f"'{name}'", [name], [c[:, None] for c in z], "time")
     yield from _rotation(place)
@@ -168,14 +168,25 @@ def _waves(view: View, omega: float) -> list[Array]:
     return out
 
 
+def _clocks(lengths: Sequence[int]) -> list[Array]:
+    """Return a level, a slope and a bend of its own for every run, zero in the others."""
+    out = []
+    for i, n in enumerate(lengths):
+        t = np.arange(n) / n - 0.5
+        columns = np.zeros((n, 3 * len(lengths)))
+        columns[:, 3 * i : 3 * i + 3] = np.column_stack([np.ones(n), t, t**2 - 1 / 12])
+        out.append(columns)
+    return out
+
+
 def _rotation(place: _Place) -> Iterator[Group]:
     angle, speed = _column(place, ANGLE), _column(place, SPEED)
     if angle is None:
         return
-    once = [np.column_stack([np.cos(a), np.sin(a)]) for a in angle]
-    twice = [np.column_stack([np.cos(2 * a), np.sin(2 * a)]) for a in angle]
+    once, *more = ([np.column_stack([np.cos(k * a), np.sin(k * a)]) for a in angle] for k in range(1, 4))
     yield place.group("the rotor's angle", ["rotor angle"], once, "rotation")
-    yield place.group("twice the rotor's angle", ["rotor angle"], twice, "rotation")
+    for word, columns in zip(("twice", "three times"), more, strict=True):
+        yield place.group(f"{word} the rotor's angle", ["rotor angle"], columns, "rotation")
     if speed is not None and _rms(speed) > 0 and np.std([s.mean() for s in speed]) > 1e-3 * _rms(speed):
         growing = [c * (s[:, None] / _rms(speed)) ** 2 for c, s in zip(once, speed, strict=True)]
         yield place.group("the rotor's angle, growing with its speed squared", ["rotor angle", "speed"], growing, "rotation")
@@ -211,7 +222,7 @@ def _column(place: _Place, name: str) -> list[Array] | None:
 
 
 def _state(view: View, i: int) -> list[Array]:
-    return [s.x[:, i] for s in view.predicted]
+    return [s.x[:, i] for s in view.motion]
 
 
 def _rms(x: Sequence[Array]) -> float:
@@ -219,7 +230,7 @@ def _rms(x: Sequence[Array]) -> float:
 
 
 def _moves(x: Sequence[Array]) -> bool:
-    return any(float(np.ptp(c)) > 0 for c in x)
+    return any(float(np.ptp(c, axis=0).max()) > 0 for c in x)
 
 
 def _bent(x: Sequence[Array]) -> list[Array]:

@@ -22,7 +22,7 @@ from afdsvc.lti.statespace import Array
 
 SURE = 1e-4  # false-acceptance probability of the map as a whole
 FOLDS = 10
-MOST = 6
+MOST, ATTEMPTS = 6, 4
 WORTH = 0.05  # share of the first group's gain below which a further one is not worth saying
 NEAR = 0.85  # share of the best group's gain from which another place explains nearly as much
 
@@ -106,25 +106,32 @@ def _rows(view: View, library: Sequence[Group], i: int, width: int) -> Array:
 
 
 def _next(gram: _Gram, slices: Sequence[slice], chosen: list[int], library: Sequence[Group]) -> Dependence | None:
-    """Return the best further group, or None when it is not significant or does not carry over to samples kept out."""
+    """Return the best further group that is significant and carries over to samples kept out, or None."""
     base = _gain(gram, _index(slices, chosen))
     order = []
     for k, g in enumerate(library):
-        if k in chosen:
-            continue
-        gain = _gain(gram, _index(slices, [*chosen, k])) - base
-        order.append((gain - g.size * float(np.log(max(gram.counts, 3.0))), gain, k))
+        if k not in chosen:
+            gain = _gain(gram, _index(slices, [*chosen, k])) - base
+            order.append((gain - g.size * float(np.log(max(gram.counts, 3.0))), gain, k))
     order.sort(key=lambda o: -o[0])
-    _, gain, best = order[0]
-    group = library[best]
+    for score, gain, k in order[:ATTEMPTS]:
+        found = _tested(gram, slices, chosen, library, k, (base, gain)) if score > 0 else None
+        if found:
+            near = [library[i] for _, g, i in order if i != k and g > NEAR * gain and library[i].size <= library[k].size + 3]
+            return replace(found, nearly=tuple(near[:3]))
+    return None
+
+
+def _tested(
+    gram: _Gram, slices: Sequence[slice], chosen: list[int], library: Sequence[Group], k: int, gains: tuple[float, float]
+) -> Dependence | None:
+    """Return group ``k`` with its tests, ``gains`` those of the chosen ones and its own; None when it fails one."""
+    group, (base, gain) = library[k], gains
     freedom = max(gram.counts - len(_index(slices, chosen)) - group.size, 1.0)
     f = gain / group.size / max((gram.cost - base - gain) / freedom, 1e-300)
     p = min(1.0, float(stats.f.sf(f, group.size, freedom)) * len(library))
-    folds = _validated(gram, _index(slices, [*chosen, best])) - _validated(gram, _index(slices, chosen))
-    if p > SURE or not _carries_over(folds):
-        return None
-    nearly = tuple(library[k] for _, g, k in order[1:] if g > NEAR * gain and library[k].size <= group.size + 3)
-    return Dependence(group, gain, f, p, float(folds.sum()), (), nearly[:3])
+    folds = _validated(gram, _index(slices, [*chosen, k])) - _validated(gram, _index(slices, chosen))
+    return Dependence(group, gain, f, p, float(folds.sum()), (), ()) if p < SURE and _carries_over(folds) else None
 
 
 def _carries_over(folds: Array) -> bool:

@@ -1,8 +1,4 @@
-"""What location looks at: residuals of a baseline over all runs, predicted trajectories, and what the nuisance can imitate.
-
-Everything rests on predictions from the past (or on the excitation), so that the feedback of noise through the controller
-correlates nothing: the whitened residual of a right model is independent of whatever was predicted before it.
-"""
+"""What location looks at: residuals of a baseline over all runs, the motion without noise, and what the nuisance can imitate."""
 
 from __future__ import annotations
 
@@ -13,6 +9,7 @@ import numpy as np
 
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.fit import moved
+from afdsvc.gap.locate_motion import motion
 from afdsvc.gap.locate_sweep import unwhitened
 from afdsvc.gap.objective import Objective, Point, Tangent, tangent
 from afdsvc.gap.runs import Run
@@ -22,7 +19,7 @@ from afdsvc.lti.statespace import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """The residuals ``raw`` (outputs' units) per run, what was ``predicted`` at ``point``, and the tangent there.
+    """The residuals ``raw`` (outputs' units) per run, the ``motion`` at ``point``, and the tangent there.
 
     The nuisance is at its best for all runs together: ``raw`` is the tangent's residual, no longer whitened.
     """
@@ -31,7 +28,7 @@ class View:
     runs: tuple[Run, ...]
     point: Point
     raw: tuple[Array, ...]
-    predicted: tuple[Simulated, ...]
+    motion: tuple[Simulated, ...]
     tangent: Tangent
 
     @property
@@ -63,10 +60,8 @@ def view(base: Baseline, more: Sequence[Run] = ()) -> View:
     point = replace(base.point, x0=(*base.point.x0, *(np.zeros(n) for _ in more)))
     here = tangent(objective, point)
     started = moved(point, here.shift(here.full))
-    simulated = tuple(
-        objective.simulator.run(r, point.theta, x0, point.effects) for r, x0 in zip(runs, started.x0, strict=True)
-    )
-    return View(base, runs, point, tuple(per_run(here.rest, objective)), simulated, here)
+    moving = tuple(motion(objective.simulator, r, point, x0) for r, x0 in zip(runs, started.x0, strict=True))
+    return View(base, runs, point, tuple(per_run(here.rest, objective)), moving, here)
 
 
 def per_run(rows: Array, objective: Objective) -> list[Array]:
