@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,12 +14,16 @@ from afdsvc.api.clock import Clock
 from afdsvc.api.notify import Notify
 from afdsvc.commission import Commissioned
 from afdsvc.plugins.manager import Plugins
+from afdsvc.record.retention import Keep
 from afdsvc.review.sink import ReviewSink
 from afdsvc.runtime.commands import plain
+from afdsvc.runtime.housekeeping import Housekeeper
 from afdsvc.runtime.recording import RecorderSink
 from afdsvc.runtime.sinks import Sink, ThreadedSink
 from afdsvc.runtime.site import Site
 from afdsvc.wire.messages import AlarmChange
+
+CLOSING_SECONDS = 3.0  # all files together: a service has 5 s to stop
 
 
 class Outlets:
@@ -61,6 +66,12 @@ class Outlets:
             _teller("alarm history")(f"{path.parent}: cannot be made: {error.strerror}")
         return History(path)
 
+    def housekeeper(self) -> Housekeeper:
+        """Return who closes what a killed service left and deletes what is too old; to be called before anything is recorded."""
+        r, machines = self._site.recording, {m.id for m in self._site.machines}
+        keep = Keep(r.keep_megabytes and 1e6 * r.keep_megabytes, r.keep_days and 86400 * r.keep_days)
+        return Housekeeper(r.folder, keep, machines, self.files, self._clock)
+
     def summary(self) -> tuple[str, int, str, int]:
         """Return files, bytes, failure and drops of the recordings."""
         files = ", ".join(str(r.paths[-1]) for r, _ in self._recorders if r.paths)
@@ -74,10 +85,12 @@ class Outlets:
 
     def close(self) -> None:
         """Finish every file."""
-        for sink in [recording for _, recording in self._recorders] + self._boxes:
-            sink.close()
-        if self._review:
-            self._review[1].close()
+        sinks = [recording for _, recording in self._recorders] + self._boxes + ([self._review[1]] if self._review else [])
+        for sink in sinks:
+            sink.leave()
+        deadline = time.monotonic() + CLOSING_SECONDS
+        for sink in sinks:
+            sink.close(max(deadline - time.monotonic(), 0.05))
 
 
 def _teller(what: str) -> Callable[[str], None]:

@@ -6,8 +6,8 @@ import sys
 import threading
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from functools import lru_cache
+from contextlib import ExitStack, closing, contextmanager
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from afdsvc.runtime.desk import BurstDesk
 from afdsvc.runtime.hub import Hub
 from afdsvc.runtime.metrics import serve_metrics
 from afdsvc.runtime.pipeline import CalibratedPipeline, Pipeline, Stream, calibrated
+from afdsvc.runtime.posting import Post
 from afdsvc.runtime.publishing import Publisher
 from afdsvc.runtime.requests import QUESTIONS
 from afdsvc.runtime.scheduler import Scheduler, Wanted
@@ -97,13 +98,16 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
     keys, outlets = Keys(site.site), Outlets(site, clock)
     with ExitStack() as stack:
         transport = stack.enter_context(Transport(site.transport, True, access_of(site, SERVICE)))
+        post, news = Post(transport.publish, "post"), Post(partial(transport.publish, keep=False), "news", size=400)
+        for opened in (post, news):
+            stack.callback(opened.close)
         stack.callback(outlets.close)
         watches: dict[str, MachineWatch] = {}
         desks: dict[str, BurstDesk] = {}
         for machine in machines:
             id, diagnosis = machine.config.id, diagnosis_burst(machine)
             stream = pipeline_of(machine, plugins, diagnosis)
-            sink = Fan([*outlets.of(machine), Publisher(keys, transport)])
+            sink = Fan([*outlets.of(machine), Publisher(keys, post, news)])
             watches[id] = MachineWatch(id, stream, sink, clock)
             if machine.limits is not None and isinstance(stream, (Pipeline, SpeedPipeline)):
                 scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(desks)), 0.0)
@@ -118,8 +122,11 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
             keys, __version__, watches, desks, transport, clock, outlets.summary, outlets.files, policy=policy, history=history,
             outboxes=outboxes,
         )  # fmt: skip
+        housekeeper = outlets.housekeeper()
         hub.start()
         stack.callback(hub.stop)
+        housekeeper.start()
+        stack.callback(housekeeper.close)
         if site.metrics.listen:
             stack.callback(serve_metrics(site.metrics.listen, hub.status))
         yield hub
@@ -172,23 +179,42 @@ def rig_agent(site: Site, id: str, transport: Transport, clock: Clock) -> RigAge
         machine.config.driver.kind,
     )  # fmt: skip
     truth = [(round(f.at_seconds / port.dt), f"{f.name} {f.severity:g}") for f in machine.config.driver.faults]
-    return RigAgent(Keys(site.site), description, port, transport, clock, truth)
+    return RigAgent(Keys(site.site), description, port, transport, clock, truth, patient=not machine.config.driver.real_time)
 
 
-def run_rig(site: Site, id: str, seconds: float | None, stop: threading.Event) -> None:
-    """Run a rig agent; while no service is there yet, it waits for one."""
-    commission.commission(site.machine(id), load())
-    clock, told = RealClock(), False
+def run_rig(
+    site: Site, id: str, seconds: float | None, stop: threading.Event, emergency: threading.Event | None = None
+) -> None:
+    """Run a rig agent. Control begins at once and the network joins when a service is there; a replay waits for it instead."""
+    config, clock = site.machine(id), RealClock()
+    commission.commission(config, load())
+    settings = site.transport.model_copy(update={"patience_seconds": min(site.transport.patience_seconds, 1.0)})
+    transport = Transport(settings, False, access_of(site, rig_name(id)))
+    connect = partial(_wait_for_service, transport)
+    waits = not config.driver.real_time or config.driver.kind == "replay"
+    with closing(transport):
+        if waits:
+            connect(stop)
+        if stop.is_set():
+            return
+        agent = rig_agent(site, id, transport, clock)
+        agent.stopping, agent.emergency = stop, emergency or threading.Event()
+        agent.connect = None if waits else connect
+        agent.run(seconds)
+
+
+def _wait_for_service(transport: Transport, stop: threading.Event) -> None:
+    """Open the transport as soon as a service is there; say once that it is not."""
+    told = False
     while not stop.is_set():
         try:
-            with Transport(site.transport, False, access_of(site, rig_name(id))) as transport:
-                agent = rig_agent(site, id, transport, clock)
-                agent.stopping = stop
-                return agent.run(seconds)
+            transport.open()
+            return
         except NoPeer as absent:
             if not told:
                 print(f"afdsvc: waiting: {absent}", file=sys.stderr, flush=True)
             told = True
+            stop.wait(0.2)
 
 
 def ask_service(site: Site, name: str, asked_by: str, **arguments: Any) -> Any:

@@ -8,6 +8,9 @@ from afdsvc.api.bursts import Burst, Limits
 from afdsvc.errors import Refused
 from afdsvc.lti.statespace import Array
 
+SHORTEST_FADE, LONGEST_FADE = 0.02, 1.0  # seconds: no jerk where a burst has no ramp, no long goodbye where it has a slow one
+MOST_WORK = 2e8  # lines times samples: a few seconds of computing; longer ones are better sent as a waveform
+
 
 class Excitation:
     """Alpha as a queue of samples. Empty, it yields zeros for ever."""
@@ -34,7 +37,7 @@ class Excitation:
             raise Refused(f"burst '{self.name}' is playing; two bursts at once are never played")
         refuse_burst(burst, dt, limits)
         self._rest = burst.play(dt)
-        self._fade = max(burst.ramp, 1)
+        self._fade = round(min(max(burst.ramp * dt, SHORTEST_FADE), LONGEST_FADE) / dt)
         self.name, self.ended_because = burst.name, ""
 
     def take(self, n: int) -> Array:
@@ -48,7 +51,7 @@ class Excitation:
         self.ended_because = reason
 
     def fade_out(self, reason: str) -> None:
-        """End over the burst's own ramp, from wherever it is now."""
+        """End over the burst's own ramp (within `SHORTEST_FADE` and `LONGEST_FADE`), from wherever it is now."""
         n = min(self._fade, len(self._rest))
         gate = 0.5 + 0.5 * np.cos(np.pi * (np.arange(n) + 1) / max(n, 1))
         self._rest = self._rest[:n] * gate[:, None]
@@ -62,7 +65,11 @@ def refuse_burst(burst: Burst, dt: float, limits: Limits) -> None:
     seconds = burst.samples * dt
     if seconds > limits.seconds:
         raise Refused(f"burst '{burst.name}' lasts {seconds:.3g} s; at most {limits.seconds:.3g} s are allowed")
-    alpha = burst.play(dt)
+    if len(burst.lines) * burst.samples > MOST_WORK:
+        found = f"{len(burst.lines)} lines over {burst.samples} samples"
+        raise Refused(f"burst '{burst.name}' has {found}; at most {MOST_WORK:.0g} products are computed, send a waveform instead")
+    with np.errstate(over="ignore", invalid="ignore"):
+        alpha = burst.play(dt)
     if not np.isfinite(alpha).all():
         raise Refused(f"burst '{burst.name}' contains NaN or infinity; finite samples are wanted")
     for i, (peak, bound) in enumerate(zip(np.abs(alpha).max(axis=0), limits.alpha, strict=True)):

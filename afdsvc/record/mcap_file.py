@@ -7,13 +7,18 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from afdsvc import __version__
 from afdsvc.wire import afdsvc_pb2 as pb
+
+try:
+    import fcntl
+except ImportError:  # only Unix has it
+    fcntl = None  # type: ignore[assignment]
 
 PROFILE = "afdsvc"
 METADATA = "afdsvc"
@@ -28,6 +33,19 @@ class Header:
     facts: Mapping[str, str] = field(default_factory=dict)
 
 
+def claim(stream: BinaryIO) -> bool:
+    """Mark a file as being written until it is closed; returns whether nobody else holds it (True where locks are unknown)."""
+    if fcntl is None:
+        return True
+    try:
+        fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True  # a file system without locks
+    return True
+
+
 class McapFile:
     """Writes one file; every method may raise OSError (disk full, folder gone), after which only `abandon` is left."""
 
@@ -35,6 +53,7 @@ class McapFile:
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path = path
         self._stream = path.open("wb" if overwrite else "xb")
+        claim(self._stream)
         self._writer: Any = Writer(self._stream, compression=CompressionType.ZSTD)
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, str], int] = {}
@@ -79,8 +98,10 @@ class McapFile:
         self._writer.add_metadata(name, dict(facts))
 
     def flush(self) -> None:
-        """Hand everything to the operating system; what was flushed survives the death of this process."""
+        """Force everything to the disk: what was flushed survives the death of this process and of the computer."""
         self._writer.flush()
+        self._stream.flush()
+        os.fdatasync(self._stream.fileno())
 
     def finish(self) -> None:
         """Write the index, force everything to the disk, and close."""

@@ -75,6 +75,15 @@ def read_items(path: Path) -> Iterator[Item]:
         yield End(_finished(file, size))
 
 
+def is_finished(path: Path) -> bool:
+    """Whether the file was closed properly; raises `BadInput` when it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return _finished(file, path.stat().st_size)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+
+
 def summary_channels(path: Path) -> Iterator[McapRecord]:
     """Yield the schemas and channels repeated behind the data of a finished file, those of damaged chunks too."""
     size = path.stat().st_size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from mcap.writer import CompressionType, Writer
 
 from afdsvc import __version__
 from afdsvc.errors import BadInput
-from afdsvc.record.mcap_file import PROFILE
+from afdsvc.record.mcap_file import PROFILE, claim
 from afdsvc.record.reader import Recording
 
 
@@ -31,11 +32,40 @@ def recover(source: str | Path, target: str | Path) -> Recovered:
     try:
         with target.open("xb") as stream:
             _copy(recording, Writer(stream, compression=CompressionType.ZSTD))
+            stream.flush()
+            os.fsync(stream.fileno())
     except FileExistsError:
         raise BadInput(f"{target}: exists already; a new file is wanted") from None
     except OSError as error:
         raise BadInput(f"{target}: cannot be written: {error.strerror or error}") from None
     return Recovered(target, recording.counts, recording.loss)
+
+
+def recover_in_place(path: str | Path) -> Recovered:
+    """Close and index a recording whose writer died, under its own name.
+
+    Where bytes in the middle are damaged the original is kept beside it as ``NAME.damaged``; a torn end holds nothing anybody
+    could use. Raises `BadInput` when a running process is writing the file, or it is no recording at all.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb+") as stream:
+            if not claim(stream):
+                raise BadInput(f"{path}: is being written by a running process; it is closed when that ends")
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be opened for writing: {error.strerror}") from None
+    beside = path.with_name(path.name + ".recovering")
+    beside.unlink(missing_ok=True)
+    try:
+        done = recover(path, beside)
+        if "damaged" in done.loss:
+            path.rename(path.with_name(path.name + ".damaged"))
+        beside.replace(path)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be replaced by what was recovered: {error.strerror}") from None
+    finally:
+        beside.unlink(missing_ok=True)
+    return Recovered(path, done.messages, done.loss)
 
 
 def _copy(recording: Recording, writer: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from afdsvc.api.bursts import Limits
@@ -10,6 +11,7 @@ from afdsvc.api.clock import Clock
 from afdsvc.api.port import DrivablePort, Drive, Port
 from afdsvc.api.signals import Block
 from afdsvc.errors import AfdsvcError, Refused
+from afdsvc.runtime.posting import Post
 from afdsvc.runtime.transport import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys, session_of
@@ -17,6 +19,8 @@ from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, EventKind,
 
 HEARTBEAT_SECONDS = 2.0
 LONGEST_LEAD_SECONDS = 10.0
+LONGEST_LEASE_SECONDS = 10.0  # a longer word of honour would outlive whoever gave it
+EMERGENCY = "emergency stop by signal; bursts are refused until the rig agent is started again"
 
 
 @dataclass
@@ -29,7 +33,7 @@ class Watchdog:
 
     def renew(self, seconds: float) -> None:
         """Extend the lease from now on."""
-        self.until, self.service_gone = self.clock.monotonic() + seconds, False
+        self.until = self.clock.monotonic() + seconds
 
     def expired(self) -> str:
         """Return why the burst must end, "" while the lease holds."""
@@ -42,7 +46,10 @@ class Watchdog:
 class RigAgent:
     """One machine on the wire. `run` is the control thread; zenoh threads only leave requests for it.
 
-    ``truth`` lists what a simulator injects as (sample, sentence); it is told when it happens.
+    Nothing the control thread does waits for the network. Setting ``emergency`` (from a signal handler, say) silences alpha
+    at the next block and refuses every later burst. ``truth`` lists what a simulator injects as (sample, sentence); it is
+    told when it happens. ``patient`` is for a port that is not in real time: it waits rather than lose blocks. ``connect``
+    waits until the network is there (or the event is set); control goes on meanwhile. Without it the network is there.
     """
 
     keys: Keys
@@ -52,14 +59,20 @@ class RigAgent:
     clock: Clock
     truth: list[tuple[int, str]] = field(default_factory=list)
     stopping: threading.Event = field(default_factory=threading.Event)
+    emergency: threading.Event = field(default_factory=threading.Event)
+    patient: bool = False
+    connect: Callable[[threading.Event], None] | None = None
 
     def __post_init__(self) -> None:
         self._lock = threading.Lock()
+        self._post = Post(self.transport.publish, f"post of {self.description.machine}", patient=self.patient)
+        self._emergency_told = False
+        self._twin: Refused | None = None
         self.truth = sorted(self.truth)
         self._pending: BurstRequest | None = None
         self._watchdog = Watchdog(self.clock)
         self._playing = self._halt = ""
-        self._told_late = 0
+        self._told_late = self._told_dropped = 0
         self._next_beat = float("-inf")
         self._k = 0
 
@@ -74,15 +87,53 @@ class RigAgent:
         return self.description.limits
 
     def run(self, seconds: float | None = None) -> None:
-        """Serve until `stopping` is set, the port ends, or the seconds have passed; the port is always closed."""
+        """Serve until `stopping` is set, the port ends, or the seconds have passed; the port is always closed.
+
+        Raises `Refused` when the machine has a rig agent already.
+        """
+        joining = threading.Thread(target=self._join_late, name=f"connection of {self.machine}", daemon=True)
         try:
-            self._refuse_twin()
-            self._open_doors()
-            self._event(EventKind.RIG_STARTED, f"{1 / self.port.dt:g} Hz, {self.description.driver}")
-            self._loop(seconds)
+            if self.connect is None:
+                self._join()
+            else:
+                joining.start()
+            try:
+                self._loop(seconds)
+            finally:
+                self._rest()
         finally:
             self.port.close()
-            self._event(EventKind.RIG_STOPPED, "the plant is at rest")
+            self._post.close()
+        if self.connect is not None:
+            self.stopping.set()
+            joining.join(3)
+        if self._twin is not None:
+            raise self._twin
+
+    def _join(self) -> None:
+        self._refuse_twin()
+        self._open_doors()
+        self._event(EventKind.RIG_STARTED, f"{1 / self.port.dt:g} Hz, {self.description.driver}")
+
+    def _join_late(self) -> None:
+        assert self.connect is not None  # noqa: S101 - the thread is started only then
+        self.connect(self.stopping)
+        if self.stopping.is_set():
+            return
+        try:
+            self._join()
+        except Refused as twin:
+            self._twin = twin
+            self.stopping.set()
+
+    def _rest(self) -> None:
+        """Close the port and tell it, also when that fails."""
+        try:
+            self.port.close()
+        except Exception as error:
+            self._event(EventKind.RIG_STOPPED, f"the plant could not be brought to rest: {type(error).__name__}: {error}")
+            raise
+        self._event(EventKind.RIG_STOPPED, "the plant is at rest")
 
     def _refuse_twin(self) -> None:
         for token in self.transport.alive(self.keys.sessions(self.machine)):
@@ -94,7 +145,7 @@ class RigAgent:
         t.serve(keys.burst(self.machine), self._on_burst)
         t.serve(keys.stop(self.machine), self._on_stop)
         t.serve(keys.description(self.machine), lambda _: codec.encode_description(self.description))
-        t.subscribe(keys.lease(self.machine), self._on_lease)
+        t.subscribe(keys.lease(self.machine), self._on_lease, missed=False)
         t.watch(keys.service_alive(), self._on_service)
         t.announce(keys.alive(self.machine, self.description.session))
 
@@ -118,7 +169,10 @@ class RigAgent:
         self._k = block.k0 + len(block)
         while self.truth and self.truth[0][0] <= self._k:
             self._event(EventKind.FAULT_INJECTED, self.truth.pop(0)[1])
-        self.transport.publish(self.keys.block(self.machine), codec.encode_block(block))
+        self._post.send(self.keys.block(self.machine), codec.encode_block, block)
+        if self.emergency.is_set() and not self._emergency_told:
+            self._emergency_told = True
+            self._event(EventKind.NOTE, EMERGENCY)
         if self.clock.monotonic() >= self._next_beat:
             self._next_beat = self.clock.monotonic() + HEARTBEAT_SECONDS
             self._beat()
@@ -126,10 +180,14 @@ class RigAgent:
     def _beat(self) -> None:
         status = self.port.status()
         now = replace(self.description, samples=status.samples, late=status.late, head_room=status.head_room)
-        self.transport.publish(self.keys.description(self.machine), codec.encode_description(now))
+        self._post.send(self.keys.description(self.machine), codec.encode_description, now)
         if status.late > self._told_late:
             self._event(EventKind.NOTE, f"{status.late - self._told_late} control samples missed their deadline")
             self._told_late = status.late
+        dropped = self._post.dropped
+        if dropped > self._told_dropped:
+            self._event(EventKind.NOTE, f"{dropped - self._told_dropped} messages could not be sent: the network stood still")
+            self._told_dropped = dropped
 
     def _play(self, request: BurstRequest) -> None:
         """Play one burst; whatever happens, the port is disarmed afterwards and the end is told."""
@@ -147,22 +205,32 @@ class RigAgent:
 
     def _drive(self, request: BurstRequest) -> str:
         """Arm, play, watch; return why the burst ended early, "" when it did not."""
-        port, limits = self.port, self.limits
+        port, limits, reason = self.port, self.limits, self._reason_to_end()
         if not isinstance(port, DrivablePort) or limits is None:
             raise Refused("this machine can be watched, not excited")
+        if reason:
+            raise Refused(f"{reason}, before the first sample")
         with port.arm(limits) as drive:
             drive.play(request.burst)
             self._event(EventKind.BURST_STARTED, f"asked by {request.asked_by}", request.burst.name)
             while drive.playing:
+                if self.emergency.is_set():
+                    return EMERGENCY  # leaving the block cuts alpha off in the next sample
                 self._watch(drive)
                 self._pump()
             return drive.aborted
 
     def _watch(self, drive: Drive) -> None:
-        leaving = "the rig agent was asked to stop" if self.stopping.is_set() else ""
-        reason = leaving or self._halt or self._watchdog.expired()
+        reason = self._reason_to_end()
         if reason and not drive.aborted:
             drive.stop(reason)
+
+    def _reason_to_end(self) -> str:
+        """Return why no burst may play now, "" while one may: arming needs a fresh lease, and so does going on."""
+        if self.emergency.is_set():
+            return EMERGENCY
+        leaving = "the rig agent was asked to stop" if self.stopping.is_set() else ""
+        return leaving or self._halt or self._watchdog.expired()
 
     def _take(self) -> BurstRequest | None:
         """Return the request whose first sample has come."""
@@ -174,39 +242,69 @@ class RigAgent:
 
     def _on_burst(self, payload: bytes) -> bytes:
         """Accept or refuse; runs in a zenoh thread, so it only checks and leaves the request behind."""
+        burst = ""
         try:
             request = codec.decode_burst_request(payload)
-            with self._lock:
-                self._refuse(request)
-                self._pending, self._playing, self._halt = request, request.burst.name, ""
-                self._watchdog.renew(request.lease)
+            burst = request.burst.name
+            self._accept(request)
         except AfdsvcError as refusal:
-            self._event(EventKind.BURST_REFUSED, str(refusal))
-            return codec.encode_burst_reply(BurstReply(False, reason=str(refusal)))
-        return codec.encode_burst_reply(BurstReply(True, request.burst.name))
+            return self._refused(burst, str(refusal))
+        except Exception as error:
+            return self._refused(burst, f"the request could not be checked: {type(error).__name__}: {error}")
+        return codec.encode_burst_reply(BurstReply(True, burst))
+
+    def _refused(self, burst: str, reason: str) -> bytes:
+        self._event(EventKind.BURST_REFUSED, reason, burst)
+        return codec.encode_burst_reply(BurstReply(False, burst, reason))
+
+    def _accept(self, request: BurstRequest) -> None:
+        """Reserve the machine, check the burst, and leave it to the control thread, which never waits for the check."""
+        with self._lock:
+            self._refuse(request)
+            self._playing, self._halt = request.burst.name, ""
+        try:
+            self._check(request)
+        except BaseException:
+            with self._lock:
+                self._playing = ""
+            raise
+        with self._lock:
+            self._watchdog.renew(request.lease)
+            self._pending = request
 
     def _refuse(self, request: BurstRequest) -> None:
-        if not isinstance(self.port, DrivablePort) or self.limits is None:
-            raise Refused(f"machine '{self.machine}' can be watched, not excited")
+        if self.emergency.is_set():
+            raise Refused(EMERGENCY)
         if self._playing:
             raise Refused(f"burst '{self._playing}' is playing; two at once are never played")
         if request.machine != self.machine:
             raise Refused(f"the request is for machine '{request.machine}'; this is '{self.machine}'")
         if self._watchdog.service_gone:
             raise Refused("the service is not there; nobody would watch the burst")
+        if request.lease > LONGEST_LEASE_SECONDS:
+            raise Refused(f"the lease is {request.lease:g} s; at most {LONGEST_LEASE_SECONDS:g} s are trusted without renewal")
         if (request.start - self._k) * self.port.dt > LONGEST_LEAD_SECONDS:
             raise Refused(f"the burst is to start at sample {request.start}; it is {self._k} now, which is too far ahead")
+
+    def _check(self, request: BurstRequest) -> None:
+        if not isinstance(self.port, DrivablePort) or self.limits is None:
+            raise Refused(f"machine '{self.machine}' can be watched, not excited")
         self.port.check(request.burst, self.limits)
 
     def _on_stop(self, payload: bytes) -> bytes:
+        """End what plays or is about to; runs in a zenoh thread."""
         stop: BurstStop = codec.decode_burst_stop(payload)
-        if not self._playing or stop.burst not in ("", self._playing):
-            return codec.encode_burst_reply(BurstReply(False, stop.burst, "no such burst is playing"))
-        self._halt = f"stopped by {stop.asked_by}: {stop.reason}"
-        return codec.encode_burst_reply(BurstReply(True, self._playing))
+        with self._lock:
+            playing = self._playing
+            if playing and stop.burst in ("", playing):
+                self._halt = f"stopped by {stop.asked_by}: {stop.reason}"
+                return codec.encode_burst_reply(BurstReply(True, playing))
+        return codec.encode_burst_reply(BurstReply(False, stop.burst, "no such burst is playing"))
 
     def _on_lease(self, _key: str, payload: bytes) -> None:
         lease: Lease = codec.decode_lease(payload)
+        if lease.seconds > LONGEST_LEASE_SECONDS:
+            raise Refused(f"a lease of {lease.seconds:g} s; at most {LONGEST_LEASE_SECONDS:g} s are trusted without renewal")
         if lease.burst == self._playing:
             self._watchdog.renew(lease.seconds)
 
@@ -215,4 +313,4 @@ class RigAgent:
 
     def _event(self, kind: EventKind, cause: str, burst: str = "") -> None:
         event = RigEvent(self.machine, self.description.session, self.clock.now_ns(), kind, self._k, burst, cause)
-        self.transport.publish(self.keys.event(self.machine), codec.encode_event(event))
+        self._post.send(self.keys.event(self.machine), codec.encode_event, event)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import logging
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import BurstRequest, BurstStop, EventKind, Lease, RigEvent
 
+log = logging.getLogger(__name__)
 LEASE_SECONDS = 2.0
 LEAD_SECONDS = 0.4  # a planned burst starts at its sample, however long the request was on its way
 ENDS = (EventKind.BURST_ENDED, EventKind.BURST_ABORTED, EventKind.BURST_REFUSED, EventKind.RIG_STOPPED)
@@ -44,6 +46,9 @@ class BurstDesk:
         self._count = itertools.count(1)
         self._lock = threading.Lock()
         self._deadline = 0.0
+        self._asking: threading.Thread | None = None
+        self._played_by = ""  # the rig session the burst was asked of
+        self._run = f"{self.clock.now_ns() // 10**9 % 16**6:06x}"  # names stay apart when the service restarts beside a rig
         self.session = ""
         self.seconds = 0.0
         self.playing = ""
@@ -53,19 +58,30 @@ class BurstDesk:
         self.seconds = seconds
         if session and session != self.session:
             self.scheduler.machine_appeared(seconds)
+        if self.playing and session and session != self._played_by:
+            self._say("warning", f"burst '{self.playing}' is over: the rig agent was started anew")
+            self._end()
         self.session = session
 
     def tick(self) -> None:
-        """Start what is due, renew the lease of what plays, give up on what never ended."""
+        """Start what is due, renew the lease of what plays, give up on what never ended; never waits for the rig."""
         if self.playing:
             self._keep(self.clock.monotonic())
+        if self.playing or (self._asking and self._asking.is_alive()):
             return
         wanted = self.scheduler.due(self.seconds, datetime.now()) if self.session else None
         if wanted is not None:
-            try:
-                self.play(wanted)
-            except AfdsvcError as refusal:
-                self._say("warning", f"burst not played: {refusal}")
+            self._asking = threading.Thread(target=self._try, args=(wanted,), name=f"burst of {self.machine}", daemon=True)
+            self._asking.start()
+
+    def _try(self, wanted: Wanted) -> None:
+        try:
+            self.play(wanted)
+        except AfdsvcError as refusal:
+            self._say("warning", f"burst not played: {refusal}")
+        except Exception as error:
+            log.exception("machine '%s': a burst could not be asked for", self.machine)
+            self._say("error", f"burst not played: {type(error).__name__}: {error}")
 
     def ask(self, wanted: Wanted) -> str:
         """Play a burst a person asked for, at once; returns its name, raises `Refused` with the reason."""
@@ -80,8 +96,10 @@ class BurstDesk:
     def play(self, wanted: Wanted) -> str:
         """Ask the rig for the burst; returns its name, raises `Refused` with the rig's reason."""
         with self._lock:
+            if self.playing:
+                raise Refused(f"burst '{self.playing}' is playing; two at once are never played")
             made = self.design(wanted)
-            burst = replace(made, name=f"{self.session[:8]}-{next(self._count)}", notes={**made.notes, "reason": wanted.reason})
+            burst = replace(made, name=self._name(), notes={**made.notes, "reason": wanted.reason})
             start = 0 if wanted.at is None else round((wanted.at + LEAD_SECONDS) / self.pipeline.dt)
             request = BurstRequest(self.machine, burst, LEASE_SECONDS, wanted.reason, self.clock.now_ns(), start)
             self.pipeline.announce(burst)
@@ -90,7 +108,7 @@ class BurstDesk:
             try:
                 answer = self.transport.ask(self.keys.burst(self.machine), codec.encode_burst_request(request))
                 reply = codec.decode_burst_reply(answer)
-            except AfdsvcError:
+            except BaseException:
                 self._end()
                 raise
             if not reply.accepted:
@@ -105,7 +123,9 @@ class BurstDesk:
 
     def heard(self, event: RigEvent) -> None:
         """Take an event of the rig into account."""
-        if event.kind in ENDS and (event.burst == self.playing or event.kind is EventKind.RIG_STOPPED) and self.playing:
+        if not self.playing or event.session != self._played_by or event.kind not in ENDS:
+            return
+        if event.burst == self.playing or event.kind is EventKind.RIG_STOPPED:
             self._end()
 
     def consider(self, burst: str, decisions: Sequence[Evidence]) -> None:
@@ -119,7 +139,11 @@ class BurstDesk:
         else:
             self.scheduler.settle(burst)
 
+    def _name(self) -> str:
+        return f"{self.session[:8]}-{self._run}-{next(self._count)}"
+
     def _begin(self, burst: Burst) -> None:
+        self._played_by = self.session
         seconds = burst.samples * self.pipeline.dt + LEAD_SECONDS
         self.playing, self._deadline = burst.name, self.clock.monotonic() + seconds + 5.0
         self.scheduler.started()
@@ -134,7 +158,7 @@ class BurstDesk:
             self._end()
             return
         lease = Lease(self.machine, self.playing, LEASE_SECONDS)
-        self.transport.publish(self.keys.lease(self.machine), codec.encode_lease(lease))
+        self.transport.publish(self.keys.lease(self.machine), codec.encode_lease(lease), keep=False)
 
     def _say(self, level: str, sentence: str) -> None:
         self.sink.notice(self.machine, level, sentence, self.clock.now_ns())

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from afdsvc.api.signals import Block, Channel
 from afdsvc.lti.statespace import Array
-from afdsvc.runtime.transport import Transport
+from afdsvc.runtime.posting import Post
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RigEvent
@@ -20,22 +20,25 @@ def residual_block(block: Block, residual: Array) -> Block:
 
 @dataclass
 class Publisher:
-    """Publishes residuals and decisions of one machine; blocks and events are on the wire already."""
+    """Publishes residuals and decisions of one machine; blocks and events are on the wire already.
+
+    Residuals go by ``stream``, where only the newest matter, decisions and alarms by ``post``; neither waits for a viewer.
+    """
 
     keys: Keys
-    transport: Transport
+    post: Post
+    stream: Post
 
     def block(self, block: Block, payload: bytes) -> None:
         """Nothing: the rig published it."""
 
     def residual(self, block: Block, residual: Array) -> None:
         """Publish the whitened residual."""
-        key = self.keys.residual(block.machine)
-        self.transport.publish(key, codec.encode_block(residual_block(block, residual)))
+        self.stream.send(self.keys.residual(block.machine), codec.encode_block, residual_block(block, residual))
 
     def finding(self, finding: Finding) -> None:
         """Publish a decision."""
-        self.transport.publish(self.keys.evidence(finding.evidence.machine), codec.encode_finding(finding))
+        self.post.send(self.keys.evidence(finding.evidence.machine), codec.encode_finding, finding)
 
     def event(self, event: RigEvent, payload: bytes) -> None:
         """Nothing: the rig published it."""
@@ -48,10 +51,10 @@ class Publisher:
 
     def alarm(self, change: AlarmChange) -> None:
         """Publish what happened to an alarm."""
-        self.transport.publish(self.keys.alarm(change.alarm.machine), codec.encode_alarm_change(change))
+        self.post.send(self.keys.alarm(change.alarm.machine), codec.encode_alarm_change, change)
 
     def tick(self) -> None:
         """Nothing."""
 
     def close(self) -> None:
-        """Nothing: the transport closes itself."""
+        """Nothing: the posts are closed by whoever opened them."""

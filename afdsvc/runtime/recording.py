@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -37,7 +38,7 @@ class RecorderSink:
         self, settings: Recording, machine: str, site: str, model: str, start_ns: int, facts: Mapping[str, str]
     ) -> None:
         moment = datetime.datetime.fromtimestamp(start_ns / 1e9, datetime.UTC)
-        self.base = settings.folder / f"{machine}-{moment:%Y%m%dT%H%M%S}"
+        self.base = _unused(settings.folder / f"{machine}-{moment:%Y%m%dT%H%M%S}")
         self._settings = RecordingSettings(
             self.base.with_suffix(".mcap"),
             round(settings.max_megabytes * 1e6),
@@ -46,6 +47,12 @@ class RecorderSink:
         )
         self.header = Header(site, {machine: model}, {"software": f"afdsvc {__version__}", "machine": machine, **facts})
         self._recorder: Recorder | None = None
+        self._next_try, self._why, self._unopened = float("-inf"), "", 0
+
+    @property
+    def dropped(self) -> int:
+        """Messages that could not be recorded."""
+        return self._unopened + (self._recorder.dropped if self._recorder else 0)
 
     @property
     def paths(self) -> list[Path]:
@@ -98,10 +105,28 @@ class RecorderSink:
             self._recorder.close()
 
     def _open(self) -> Recorder:
+        """Return the recorder; while its first file cannot be made, it is tried as rarely as any later one."""
         if self._recorder is None:
+            if time.monotonic() < self._next_try:
+                self._unopened += 1
+                raise RecordingFailed(self._why)
             try:
-                self._settings.path.parent.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise RecordingFailed(f"{self._settings.path.parent}: cannot be made: {error.strerror}") from None
-            self._recorder = Recorder(self._settings, self.header)
+                self._recorder = self._begin()
+            except RecordingFailed as error:
+                self._next_try, self._why = time.monotonic() + self._settings.retry_seconds, str(error)
+                self._unopened += 1
+                raise
         return self._recorder
+
+    def _begin(self) -> Recorder:
+        try:
+            self._settings.path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RecordingFailed(f"{self._settings.path.parent}: cannot be made: {error.strerror}") from None
+        return Recorder(self._settings, self.header)
+
+
+def _unused(base: Path) -> Path:
+    """Return a base name of which no file exists: a service may start twice in one second."""
+    names = (base.with_name(f"{base.name}-{n}") if n > 1 else base for n in range(1, 10_000))
+    return next(name for name in names if not name.with_suffix(".mcap").exists())

@@ -58,16 +58,28 @@ class Sink(Protocol):
 class ThreadedSink:
     """A sink behind a bounded queue and a thread of its own: slow or failing, it holds nobody up, and drops are counted.
 
-    A failure (a full disk, say) is told once by ``failed(sentence)``; the sink is tried again with every later message.
+    A failure (a full disk, say, or a queue that is full) is told once by ``failed(sentence)``; the sink is tried again with
+    every later message.
     """
 
     def __init__(self, sink: Sink, name: str, failed: Callable[[str], None], size: int = 4000) -> None:
         self._sink, self._failed = sink, failed
-        self._queue: queue.Queue[tuple[str, tuple[object, ...]] | None] = queue.Queue(size)
-        self.dropped = 0
+        self._queue: queue.Queue[tuple[str, tuple[object, ...]]] = queue.Queue(size)
+        self._overflowed = self._lost = 0
+        self._full = self._leaving = False
         self.failure = ""
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
         self._thread.start()
+
+    @property
+    def dropped(self) -> int:
+        """Messages that never reached the sink, or that it could not take."""
+        return self._overflowed + int(getattr(self._sink, "dropped", self._lost))
+
+    @property
+    def waiting(self) -> int:
+        """Messages in the queue."""
+        return self._queue.qsize()
 
     def block(self, block: Block, payload: bytes) -> None:
         """Queue a block."""
@@ -100,31 +112,39 @@ class ThreadedSink:
     def tick(self) -> None:
         """Nothing to do: the thread ticks the sink itself."""
 
-    def close(self) -> None:
-        """Work off the queue, finish the sink, and join the thread (at most 10 s)."""
-        try:
-            self._queue.put(None, timeout=5)
-        except queue.Full:
-            log.warning("%s: the queue is full; what is in it is lost", self._thread.name)
-        self._thread.join(10)
+    def leave(self) -> None:
+        """Take nothing more; what is queued is still worked off."""
+        self._leaving = True
+
+    def close(self, seconds: float = 4.0) -> None:
+        """Work off the queue, finish the sink, and join the thread; what is not done in time is lost and counted."""
+        self.leave()
+        self._thread.join(seconds)
+        if self._thread.is_alive():
+            self._overflowed += self._queue.qsize()
+            log.error("%s: %d messages are lost, the sink does not answer", self._thread.name, self._queue.qsize())
 
     def _put(self, what: str, *arguments: object) -> None:
         try:
+            if self._leaving:
+                raise queue.Full
             self._queue.put_nowait((what, arguments))
+            self._full = False
         except queue.Full:
-            self.dropped += 1
+            self._overflowed += 1
+            if not self._full:
+                self._full = True
+                self._failed(f"{self._queue.qsize()} messages wait; later ones are dropped until there is room")
 
     def _work(self) -> None:
         while True:
             try:
-                item = self._queue.get(timeout=0.25)
+                item = self._queue.get(timeout=0.05 if self._leaving else 0.25)
             except queue.Empty:
                 self._guarded("tick", ())
+                if self._leaving:
+                    return self._guarded("close", ())
                 continue
-            if item is None:
-                self._guarded("tick", ())
-                self._guarded("close", ())
-                return
             self._guarded(*item)
             self._guarded("tick", ())
 
@@ -137,7 +157,7 @@ class ThreadedSink:
             if not self.failure:
                 self.failure = f"{type(error).__name__}: {error}"
                 self._failed(self.failure)
-            self.dropped += what in ("block", "finding", "event")
+            self._lost += what not in ("tick", "close")
 
 
 class Fan:

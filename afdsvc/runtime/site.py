@@ -85,11 +85,13 @@ def _loopback(address: str) -> bool:
 
 
 class Recording(_Strict):
-    """Where recordings go and when a new file is begun."""
+    """Where recordings go, when a new file is begun, and how much is kept (everything unless told)."""
 
     folder: Path = Path("recordings")
     max_megabytes: Positive = 512.0
     max_minutes: Positive = 60.0
+    keep_megabytes: Positive | None = None
+    keep_days: Positive | None = None
     preview_hz: Positive = 100.0
 
 

@@ -24,6 +24,7 @@ from afdsvc.runtime import site as site_file
 from afdsvc.runtime.certificates import key_files
 
 log = logging.getLogger(__name__)
+CLOSING_SECONDS = 2.0
 Receive = Callable[[str, bytes], None]
 Answer = Callable[[bytes], bytes]
 
@@ -82,6 +83,13 @@ def _secure(put: Callable[[str, Any], None], settings: site_file.Transport, hub:
         put("access_control", access.rules)
 
 
+def _closed(session: zenoh.Session) -> None:
+    try:
+        session.close()  # type: ignore[no-untyped-call]
+    except zenoh.ZError as error:
+        log.warning("closing the zenoh session: %s", error)
+
+
 class Transport:
     """One zenoh session. Use it as a context manager: leaving closes it, whatever happened."""
 
@@ -94,19 +102,27 @@ class Transport:
         self.lost = 0
 
     def __enter__(self) -> Transport:
+        self.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def open(self) -> None:
+        """Open the session; raises `NoPeer` when that cannot be done now."""
         try:
             self._session = zenoh.open(configuration(self._settings, self._hub, self._access))
         except zenoh.ZError as error:
             raise NoPeer(self._why_not(str(error))) from error
-        return self
 
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Close the session; harmless when called twice. A peer that does not answer delays this by `CLOSING_SECONDS` at most."""
         session, self._session = self._session, None
-        if session is not None:
-            try:
-                session.close()  # type: ignore[no-untyped-call]
-            except zenoh.ZError as error:
-                log.warning("closing the zenoh session: %s", error)
+        if session is None:
+            return
+        closing = threading.Thread(target=_closed, args=(session,), name="closing zenoh", daemon=True)
+        closing.start()
+        closing.join(CLOSING_SECONDS)
 
     def publish(self, key: str, payload: bytes, keep: bool = True) -> None:
         """Send bytes; late or stalled subscribers get what they missed from the publisher's cache.

@@ -1,0 +1,79 @@
+"""What is done for the recordings beside writing them: those of a killed service are closed, old ones deleted."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+from afdsvc.api.clock import Clock
+from afdsvc.errors import BadInput
+from afdsvc.record.mcap_records import is_finished
+from afdsvc.record.recover import recover_in_place
+from afdsvc.record.retention import Keep, machine_of_file, recordings, tidy
+
+log = logging.getLogger(__name__)
+TIDY_SECONDS = 60.0
+
+
+def unfinished(folder: Path, machines: Collection[str]) -> list[Path]:
+    """Return the recordings of these machines that were never closed; to be called before any new one is begun."""
+    found = [p for p in recordings(folder) if p.suffix == ".mcap" and machine_of_file(p) in machines]
+    return [p for p in found if not is_finished(p)]
+
+
+class Housekeeper:
+    """Works in a thread of its own while the service runs; ``files()`` returns what the service itself writes.
+
+    What it does is told by ``say(sentence)`` as well as in the log.
+    """
+
+    def __init__(
+        self, folder: Path, keep: Keep, machines: Collection[str], files: Callable[[], list[Path]], clock: Clock,
+        say: Callable[[str], None] = lambda sentence: None,
+    ) -> None:  # fmt: skip
+        self._folder, self._keep, self._files, self._clock, self._say = folder, keep, files, clock, say
+        self._torn = unfinished(folder, machines)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="housekeeping", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop; a recovery in progress is left to the next start."""
+        self._stop.set()
+        self._thread.join(2)
+
+    def _work(self) -> None:
+        for path in self._torn:
+            if self._stop.is_set():
+                return
+            self._guarded(lambda path=path: self._recover(path))  # type: ignore[misc]
+        while True:
+            self._guarded(self._tidy)
+            if self._stop.wait(TIDY_SECONDS):
+                return
+
+    def _recover(self, path: Path) -> None:
+        try:
+            done = recover_in_place(path)
+        except BadInput as error:
+            return self._tell(f"an unfinished recording could not be closed: {error}")
+        self._tell(f"{path}: closed and indexed, {sum(done.messages.values())} messages: {done.loss}")
+
+    def _tidy(self) -> None:
+        for removed in tidy(self._folder, self._keep, self._files(), self._clock.now_ns() / 1e9):
+            self._tell(f"{removed.path}: deleted: it {removed.why}")
+
+    def _tell(self, sentence: str) -> None:
+        log.warning("%s", sentence)
+        self._say(sentence)
+
+    def _guarded(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except Exception:
+            log.exception("housekeeping failed")
