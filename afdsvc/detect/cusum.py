@@ -147,12 +147,15 @@ def segment_finding(
     bounds: tuple[float, float],
     sample: int,
 ) -> Finding:
-    """Return a finding whose fits use the samples since the CUSUM of fault ``who`` last was zero."""
+    """Return a finding whose fits use the samples since the CUSUM of fault ``who`` last was zero.
+
+    Such a stretch begins and ends where the data look faulty, so its severities are bounds, not estimates.
+    """
     if not names:
         return Finding(0.0, math.inf)
     fits = tuple(linear_fit(n, float(state.b[who, i]), float(state.G[who, i]), bounds) for i, n in enumerate(names))
     parts = {"sample": float(sample), "delay_samples": float(state.n[who])}
-    return Finding(peak, boundary, fits, weights(fits), parts)
+    return Finding(peak, boundary, fits, weights(fits), parts, early=True)
 
 
 def _burst_steps(problem: DetectionProblem, burst: Burst, gram: Array, waves: Array, share: Array) -> list[Step]:

@@ -24,7 +24,9 @@ from afdsvc.detect.demodulate import Basis, BasisSums
 from afdsvc.detect.hypotheses import Fit
 from afdsvc.detect.matched import window
 from afdsvc.detect.power import tail_point
+from afdsvc.detect.reach import reachable
 from afdsvc.detect.watch import BurstSamples, Finding
+from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import ComplexArray
 
 UNSEEN = 1e-9  # an amplitude below this share of the largest belongs to no phase
@@ -32,11 +34,22 @@ UNSEEN = 1e-9  # an amplitude below this share of the largest belongs to no phas
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PublishedFilter:
-    """The statistic; ``follow_phase`` chooses A_phi instead of A_0, ``severity`` is that of the design."""
+    """The statistic; ``follow_phase`` chooses A_phi instead of A_0, ``severity`` is that of the design.
+
+    Raises `BadInput` for a severity at which the loop is lost: its published phases belong to no signal.
+    """
 
     problem: DetectionProblem
     follow_phase: bool
     severity: float = -0.1
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in reachable(self.problem).items():
+            if not low <= self.severity <= high:
+                raise BadInput(
+                    f"severity {self.severity:g} of fault '{name}' makes the loop unstable; one from {low:.3g} to {high:.3g} "
+                    "is wanted"
+                )
 
     def start(self, burst: Burst, dt: float) -> BasisSums:
         """Return empty sums."""

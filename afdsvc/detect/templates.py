@@ -9,6 +9,7 @@ import numpy as np
 
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.regressors import whitener
+from afdsvc.errors import BadInput
 from afdsvc.lti.lft import star
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
@@ -41,10 +42,17 @@ class Templates:
         return np.asarray(flat @ flat.T)
 
 
+def _wave(problem: DetectionProblem, fault: str, severity: float, alpha: Array) -> Array:
+    path = residual_path(problem, {fault: severity})
+    if not path.is_stable():
+        raise BadInput(f"fault '{fault}' of severity {severity:g} makes the loop unstable; a severity it survives is wanted")
+    return simulate(path, alpha)[0]
+
+
 def templates(problem: DetectionProblem, alpha: Array, severities: Array) -> Templates:
-    """Return what the excitation ``alpha (n, m)`` sends into the residual under each fault by itself."""
-    waves = [
-        simulate(residual_path(problem, {name: float(th)}), alpha)[0]
-        for name, th in zip(problem.fault_names, severities, strict=True)
-    ]
+    """Return what the excitation ``alpha (n, m)`` sends into the residual under each fault by itself.
+
+    Raises `BadInput` for a severity the loop does not survive: no wave comes back from it.
+    """
+    waves = [_wave(problem, name, float(th), alpha) for name, th in zip(problem.fault_names, severities, strict=True)]
     return Templates(np.stack(waves, axis=1), np.asarray(severities, dtype=float))

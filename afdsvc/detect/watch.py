@@ -25,10 +25,15 @@ from afdsvc.detect.regressors import Regressors, RegressorState, regressors
 from afdsvc.errors import AfdsvcError
 from afdsvc.lti.statespace import Array
 
+BOUND = 2.0  # standard errors beyond an early estimate where the severity hardly lies
+
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a statistic says about one burst: ``statistic`` against ``threshold``, one fit per fault, their weights."""
+    """What a statistic says about one burst: ``statistic`` against ``threshold``, one fit per fault, their weights.
+
+    ``early``: the data chose when to stop, so the severities are too severe on average; only a bound is told of them.
+    """
 
     statistic: float
     threshold: float
@@ -36,6 +41,7 @@ class Finding:
     weights: Mapping[str, float] = field(default_factory=dict)
     parts: Mapping[str, float] = field(default_factory=dict)
     output: str = ""
+    early: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,9 +222,9 @@ def evidence(
         detector=detector, machine=machine, k=k, seconds=k * dt, burst=burst, output=finding.output,
         statistic=finding.statistic, threshold=finding.threshold, detected=detected,
         fault=best.fault if named and best else None,
-        severity=Severity(best.severity, best.sd) if best and np.isfinite(best.sd) else None,
+        severity=Severity(best.severity, best.sd) if best and np.isfinite(best.sd) and not finding.early else None,
         weights=dict(finding.weights) if detected else {}, trustworthy=not reason, reason=reason,
-        p_white=judgement.p_white, parts={**finding.parts, **_fit_parts(finding.fits)},
+        p_white=judgement.p_white, parts={**finding.parts, **(_bounds(finding.fits) if finding.early else _fit_parts(finding.fits))},
     )
 
 
@@ -263,6 +269,11 @@ def _same_burst(playing: Playing, piece: ResidualBlock) -> bool:
 def _fit_parts(fits: Sequence[Fit]) -> dict[str, float]:
     parts = {f"severity.{f.fault}": f.severity for f in fits}
     return {**parts, **{f"sd.{f.fault}": f.sd for f in fits}}
+
+
+def _bounds(fits: Sequence[Fit]) -> dict[str, float]:
+    """Return losses that are hardly exceeded, for estimates that are too severe on average."""
+    return {f"bound.{f.fault}": max(f.severity - BOUND * f.sd, -1.0) for f in fits if np.isfinite(f.sd)}
 
 
 def burst_detector(

@@ -69,14 +69,17 @@ def conclude(evidence: Sequence[Evidence]) -> Verdict:
         weighted = [e for e in told[-1] if e.weights] or told[-1]
         return Verdict(None, None, found[0].seconds, weighted[-1].weights, True)
     same = list(takewhile(lambda e: e is not None and e.fault == newest.fault, reversed(best)))
-    severity = pooled([e.severity for e in same if e is not None and e.severity is not None])
-    return Verdict(newest.fault, severity, found[0].seconds, newest.weights, True)
+    estimates = [e.severity for e in same if e is not None and e.severity is not None]
+    return Verdict(newest.fault, pooled(estimates) if estimates else None, found[0].seconds, newest.weights, True)
 
 
 def strongest(decisions: Sequence[Evidence]) -> Evidence | None:
-    """Return the decision that names a fault with the largest margin over its threshold, None when none does."""
-    named = [e for e in decisions if e.fault and e.severity]
-    return max(named, key=lambda e: e.statistic - e.threshold, default=None)
+    """Return the decision that names a fault with the largest margin over its threshold, None when none does.
+
+    One that tells a severity comes before one that only bounds it.
+    """
+    named = [e for e in decisions if e.fault]
+    return max(named, key=lambda e: (e.severity is not None, e.statistic - e.threshold), default=None)
 
 
 def open_question(decisions: Sequence[Evidence]) -> Question | None:

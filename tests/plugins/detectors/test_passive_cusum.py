@@ -34,7 +34,8 @@ def test_loop_noise_alone_gives_half_a_loss_away_within_seconds():
     assert first.trustworthy
     assert first.k * DT < 1.0
     assert first.weights["horizontal_actuator"] + first.weights["horizontal_sensor"] > 0.99
-    assert abs(first.severity.value + 0.5) < 3 * first.severity.sd
+    assert first.severity is None  # an estimate at the moment of the alarm is too severe on average: only a bound is told
+    assert -1 <= first.parts["bound.horizontal_actuator"] < -0.5
     assert len(found) == 1  # silent for ten seconds after an alarm
 
 

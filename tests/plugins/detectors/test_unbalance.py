@@ -87,9 +87,10 @@ def test_faults_are_found_beside_unbalance(name, fault, bearing):
     (found,) = told(DESIGNS[name].design(problem, {}), turning(problem, burst, force, SPEED, {fault: -0.5}, 2))
     assert found.trustworthy, found.reason
     assert found.detected
-    severity, sd = found.parts[f"severity.{fault}"], found.parts[f"sd.{fault}"]
-    if name != "cusum":
-        assert abs(severity + 0.5) < 4 * sd
+    if name == "cusum":
+        assert found.parts[f"bound.{fault}"] < -0.5
+    else:
+        assert abs(found.parts[f"severity.{fault}"] + 0.5) < 4 * found.parts[f"sd.{fault}"]
 
 
 def rate(problem, burst, force, speed, name, runs, per_burst):
