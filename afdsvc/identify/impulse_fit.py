@@ -26,9 +26,10 @@ from afdsvc.identify.recordings import Recording
 from afdsvc.identify.structure import Structure
 from afdsvc.identify.sweep import responses, whitening_of
 from afdsvc.lti.coprime import Factorisation
+from afdsvc.lti.lft import star
 from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, StateSpace
-from afdsvc.lti.yjbk import deviation_system
+from afdsvc.lti.yjbk import interconnection
 
 #: What is left of an impulse response where it is cut off.
 FORGOTTEN = 1e-3
@@ -72,7 +73,7 @@ class ImpulseFit:
     """The misfit of S(G(z)) for a structure of discrete plants G, over ``z`` in units of the structure's scales."""
 
     def __init__(self, structure: Structure, fact: Factorisation, recordings: Sequence[Recording]) -> None:
-        self.structure, self.fact, self.recordings = structure, fact, tuple(recordings)
+        self.structure, self.augmented = structure, interconnection(fact)
         start = self.deviation(np.zeros(len(structure.parameters)))
         shortest = int(LARGEST_SHARE * min(map(len, recordings)))
         self.memory = max(1, min(round(1.5 * settling_samples(start, FORGOTTEN)), LONGEST, shortest))
@@ -90,7 +91,7 @@ class ImpulseFit:
 
     def deviation(self, z: Array) -> StateSpace:
         """Return S of the plant at z; raises `IllConditioned` where the controller does not stabilise it."""
-        S = deviation_system(self.fact, self.structure.build(z * self.structure.scales))
+        S = self._closed(z)
         if not is_stable(S.A, S.dt):
             raise IllConditioned("the controller does not stabilise the plant")
         return S
@@ -128,7 +129,8 @@ class ImpulseFit:
         return g, dg
 
     def _closed(self, z: Array) -> StateSpace:
-        return deviation_system(self.fact, self.structure.build(z * self.structure.scales))
+        plant = self.structure.build(z * self.structure.scales)
+        return star(plant, self.augmented, plant.outputs, plant.inputs)
 
     def _markov(self, S: StateSpace, slopes: Slopes | None) -> tuple[Array, Array]:
         """Return ``g (p, (L+1) m)``, latest sample first in the window order of Gaa, and its slopes ``(q, p, (L+1)

@@ -23,11 +23,12 @@ from afdsvc.identify.recordings import Recording
 from afdsvc.identify.structure import Structure
 from afdsvc.identify.sweep import eliminate_state, sweep
 from afdsvc.lti.coprime import Factorisation
+from afdsvc.lti.lft import star
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.stability import is_stable, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace
-from afdsvc.lti.yjbk import deviation_system
+from afdsvc.lti.yjbk import deviation_system, interconnection
 
 #: Errors smaller than this share of their standard deviation count quadratically in the 1-norm.
 _ROUNDED = 0.1
@@ -70,7 +71,7 @@ class Mismatch:
         whitener: StateSpace | None,
     ) -> None:
         self.structure, self.fact, self.norm, self.whitener = structure, fact, norm, whitener
-        self.dt = fact.plant.dt
+        self.dt, self.augmented = fact.plant.dt, interconnection(fact)
         self.recordings = [
             r if whitener is None else Recording(r.u, simulate(whitener, r.y)[0], r.dt, r.name) for r in recordings
         ]
@@ -117,7 +118,8 @@ class Mismatch:
         plant = self.structure.build(theta)
         if not plant.discrete:
             require_samplable(plant, self.dt)
-        S = deviation_system(self.fact, plant if plant.discrete else sample_zoh(plant, self.dt))
+        sampled = plant if plant.discrete else sample_zoh(plant, self.dt)
+        S = star(sampled, self.augmented, sampled.outputs, sampled.inputs)
         return S if self.whitener is None else self.whitener @ S
 
     def error_covariance(self, theta: Array) -> Array:

@@ -15,8 +15,8 @@ def picture(figure: Figure, name: str) -> str:
     """Save a figure under docs/pictures and return the Markdown that shows it from docs/reference."""
     folder = DOCS / "pictures"
     folder.mkdir(exist_ok=True)
-    figure.savefig(folder / f"{name}.svg", format="svg", metadata={"Date": None})
-    return f"![{name}](../pictures/{name}.svg)"
+    figure.savefig(folder / f"{name}.png", dpi=110)
+    return f"![{name}](../pictures/{name}.png)"
 
 
 def table(header: list[str], rows: list[list[str]]) -> str:
