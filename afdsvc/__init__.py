@@ -27,6 +27,7 @@ The rooms, from thinking (pure) over knowing how (swappable) to doing (bytes, ti
 - `supervision`: what systemd wants to know, and log lines a machine can read
 - `cli`: arguments, nothing else
 - `trial`: blind trials: a truth written apart from everything it tests
+- `scaffold`: new plugins as packages, and the check of what they hold
 - `testing`: the conformance suites and fixtures shipped to plugin authors
 - `errors`: every deliberate error
 """

@@ -319,6 +319,51 @@ def identify(
 
 
 @app.command()
+def explain(
+    model: Annotated[Path, typer.Argument(metavar="MODEL.toml", help="What the simulation believes; or a recording that carries it.")],
+    recordings: Annotated[list[Path] | None, typer.Argument(metavar="RECORDING...", help="MCAP recordings or tables.")] = None,
+    holdout: Annotated[list[Path] | None, typer.Option(help="Recordings never used in fitting; may be repeated.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder of the improved model and the report.")] = None,
+    column: Annotated[list[str] | None, typer.Option("--map", metavar="COLUMN=u_name", help="Name a foreign column.")] = None,
+    rrd: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Write before and after for Rerun.")] = None,
+    machine: MachineOption = None,
+    allow_code: Annotated[bool, typer.Option("--allow-code", help="Let a model's Python simulator run.")] = False,
+    jobs: Annotated[int, typer.Option(help="Cores to use.")] = 2,
+    as_json: Json = False,
+) -> None:
+    """Say why simulation and recordings differ: where, what physics is missing, how well the improved model fits."""
+    from afdsvc.explaining import ExplainOptions, explain_files
+    from afdsvc.terminal import explain_table, progress
+
+    options = ExplainOptions(out, _mapping(column or []), allow_code, rrd, machine, jobs)
+    with progress("explaining", 1.0) as tell:
+        document = explain_files(model, recordings or [], holdout or [], options, lambda what, share: tell(share))
+    _show(as_json, document, lambda: explain_table(document))
+
+
+@app.command()
+def trial(
+    folder: Annotated[Path, typer.Option(metavar="DIR", help="Where trials, sealed answers, results and reports are kept.")] = Path("trials"),
+    n: Annotated[int, typer.Option("--n", help="How many trials the whole plan has.")] = 20,
+    rho: Annotated[float | None, typer.Option(help="Severity of what is hidden, its rms in the outputs over the noise's.")] = None,
+    kinds: Annotated[str, typer.Option(metavar="NAME,NAME", help="Only trials that hide one of these; 'nothing' is one.")] = "",
+    parts: Annotated[str, typer.Option(metavar="PART,PART", help="Only these parts of the plan.")] = "",
+    seed: Annotated[int, typer.Option(help="Seed of the plan.")] = 1,
+    jobs: Annotated[int, typer.Option(help="Trials at a time.")] = 1,
+    keep: Annotated[bool, typer.Option("--keep", help="Keep the recordings.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Test `explain` blind: hide physics in recordings, seal the answer, let it look, break the seal, score."""
+    from afdsvc.blind_trials import trial_files
+    from afdsvc.terminal import progress, trial_table
+
+    listed = ([word for word in text.split(",") if word] for text in (kinds, parts))
+    with progress("trials", 1.0) as tell:
+        document = trial_files(folder, n, seed, rho, *listed, jobs, keep, lambda done, of: tell(done / of))
+    _show(as_json, document, lambda: trial_table(document))
+
+
+@app.command()
 def review(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="An MCAP recording.")],
     save: Annotated[
@@ -385,3 +430,34 @@ def plugins_list(as_json: Json = False) -> None:
     found = load()
     rows = [{"family": o.family, "name": o.name, "summary": o.summary, "plugin": o.plugin} for o in found.offers]
     _show(as_json, {"plugins": rows, "broken": found.broken}, lambda: plugin_table(rows, found.broken))
+
+
+@plugins_app.command("new")
+def plugins_new(
+    kind: Annotated[str, typer.Argument(help="controller, detector, driver, fault, notifier or physics")],
+    name: Annotated[str, typer.Argument(help="Small letters, digits and _.")],
+    out: Annotated[Path, typer.Option(help="Where the package goes.")] = Path("."),
+    as_json: Json = False,
+) -> None:
+    """Write a new plugin as a package that installs, conforms and works."""
+    from afdsvc.scaffold.write import write_plugin
+
+    files = [str(path) for path in write_plugin(kind, name, out)]
+    said = [*files, f"next: pip install -e '{out / name}[test]' && afdsvc plugins check {name}"]
+    _show(as_json, {"files": files}, lambda: print("\n".join(said)))
+
+
+@plugins_app.command("check")
+def plugins_check(
+    package: Annotated[str, typer.Argument(help="Name of an installed plugin, of a module, or a folder with one.")],
+    as_json: Json = False,
+) -> None:
+    """Run the conformance suite on everything a plugin offers; exit 2 when something does not hold."""
+    from afdsvc.scaffold.examine import examine_package
+    from afdsvc.terminal import check_table
+
+    rows = examine_package(package)
+    _show(as_json, {"checks": rows}, lambda: check_table(rows))
+    failed = [r for r in rows if r["failure"]]
+    if failed:
+        raise BadInput(f"{len(failed)} of {len(rows)} checks of '{package}' do not hold; the first: {failed[0]['failure']}")

@@ -9,6 +9,7 @@ from typing import Any
 
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -255,3 +256,14 @@ def trial_table(document: dict[str, Any]) -> None:
     """Show what came of blind trials, and where the report is."""
     OUT.print(document["summary"], soft_wrap=True, markup=False)
     OUT.print(f"report {document['markdown']}\n       {document['html']}", soft_wrap=True)
+
+
+def check_table(rows: list[dict[str, str]]) -> None:
+    """Show the checks of a plugin, and what does not hold."""
+    table = Table(box=box.SIMPLE_HEAD)
+    for column in ("", "plugin", "what is asked"):
+        table.add_column(column, overflow="fold")
+    for r in rows:
+        mark = "[bold red]fails[/]" if r["failure"] else "[green]holds[/]"
+        table.add_row(mark, r["name"], r["asked"] + (f"\n[red]{escape(r['failure'])}" if r["failure"] else ""))
+    OUT.print(table)

@@ -1,0 +1,92 @@
+"""Physics hypotheses: asked about machines of several kinds; every law compiled, called, and found quiet at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from afdsvc.api.physics import Axis, Hypothesis, Machine, Size
+from afdsvc.gap.compiled import compiled
+from afdsvc.lti.statespace import StateSpace
+
+STAGES = ("input", "force", "output")
+
+
+@lru_cache(maxsize=1)
+def machines() -> tuple[Machine, ...]:
+    """Return two examples: a turning rotor on two axes with all auxiliary signals, and a black box of one input and output."""
+    return _rotor(), _black_box()
+
+
+def _size(index: int, name: str, unit: str, rms: float, step: float = 0.0) -> Size:
+    return Size(index, name, unit, 0.1 * rms, rms, 3 * rms, step)
+
+
+def _rotor() -> Machine:
+    motion = [("x", "um", 2.0), ("vx", "um/s", 900.0), ("y", "um", 2.0), ("vy", "um/s", 900.0)]
+    around = [("speed", "rad/s", 115.0), ("angle", "rad", 3.0), ("pressure", "bar", 0.2), ("temperature", "K", 2.0)]
+    states = tuple(_size(i, *row) for i, row in enumerate(motion))
+    axes = tuple(Axis(n, states[2 * i], states[2 * i + 1], 4e5, i, 2e4, "V") for i, n in enumerate(("x", "y")))
+    aux = {row[0]: _size(i, *row) for i, row in enumerate(around)}
+    A = np.array([[0, 1, 0, 0], [-4e5, -300, 0, 0], [0, 0, 0, 1], [0, 0, -4e5, -300.0]])
+    B = np.array([[0, 0], [2e4, 0], [0, 0], [0, 2e4]])
+    C = np.array([[1, 0, 0, 0], [0, 0, 1, 0.0]])
+    plant = StateSpace(A, B, C, np.zeros((2, 2)))
+    inputs = tuple(_size(i, n, "V", 1.0) for i, n in enumerate(("horizontal", "vertical")))
+    outputs = tuple(_size(i, n, "um", 2.0, 0.01) for i, n in enumerate(("horizontal", "vertical")))
+    return Machine(inputs, outputs, states, axes, aux, 2e-4, 10.0, 3000.0, plant, np.array([0.3, 0.3]), (115.0, 314.0), (640.0,))
+
+
+def _black_box() -> Machine:
+    a, b, c, d = (np.array([[v]]) for v in (-3.0, 2.0, 1.0, 0.0))
+    plant = StateSpace(a, b, c, d, 0.0)
+    port = (_size(0, "u", "V", 1.0),)
+    return Machine(port, (_size(0, "y", "V", 0.5),), (_size(0, "s", "", 0.5),), (), {}, 1e-3, 10.0, 200.0, plant, np.array([0.05]))
+
+
+def _offered(thing: Any) -> Iterator[Hypothesis]:
+    for machine in machines():
+        yield from thing.hypotheses(machine)
+
+
+def makes_sense_somewhere(thing: Any) -> None:
+    """Offers a hypothesis for a turning rotor or a black box, and every one under another key."""
+    assert list(_offered(thing)), "no hypothesis for any of the example machines"
+    for machine in machines():
+        keys = [h.key for h in thing.hypotheses(machine)]
+        assert len(set(keys)) == len(keys), f"two hypotheses have the same key: {sorted(keys)}"
+
+
+def tells_what_it_predicts(thing: Any) -> None:
+    """Says what it predicts that others do not, and what would refute it; parameters have names and a start within their range."""
+    for h in _offered(thing):
+        assert h.predicts, f"{h.key}: 'predicts' is empty"
+        assert h.refuted_by, f"{h.key}: 'refuted_by' is empty"
+        assert h.stage in STAGES, f"{h.key}: stage '{h.stage}'; one of {', '.join(STAGES)} is wanted"
+        assert h.starts, f"{h.key}: there is no start"
+        names, free = [p.name for p in h.parameters], [p.name for p in h.parameters if p.free]
+        assert len(set(free)) == len(free), f"{h.key}: two of the parameters that are fitted share a name: {free}"
+        for start in h.starts:
+            assert len(start) == len(names), f"{h.key}: a start has {len(start)} values for {len(names)} parameters"
+            for value, p in zip(start, h.parameters, strict=True):
+                assert p.low <= value <= p.high, f"{h.key}: {p.name} starts at {value}, outside {p.low} to {p.high}"
+
+
+def laws_compile_and_stay_finite(thing: Any) -> None:
+    """Every law compiles, and stays finite for a thousand samples of ordinary signals at every start."""
+    rng = np.random.default_rng(0)
+    for h in _offered(thing):
+        law = h.law
+        compiled(law)
+        for start in h.starts:
+            values, memory = np.array(start, dtype=float), np.zeros(max(h.memory, 1))
+            for z in rng.standard_normal((200, max(len(h.reads), 1))):
+                out = np.zeros(max(len(h.writes), 1))
+                law(values, z, memory, 1e-4, out)
+                assert np.isfinite([*out, *memory]).all(), f"{h.key}: not finite at {start}, {z}"
+
+
+CHECKS = (makes_sense_somewhere, tells_what_it_predicts, laws_compile_and_stay_finite)
