@@ -68,6 +68,15 @@ def baseline(nominal: Nominal, runs: Sequence[Run], point: Point | None = None) 
     return calm
 
 
+def again(base: Baseline, point: Point) -> Baseline:
+    """Return the baseline at a point with more effects; the predictor is chosen anew only where it may have to change."""
+    if base.limited != "noise" or base.ratio > 0:
+        return baseline(base.nominal, base.objective.runs, point)
+    floor = noise.floor(base.objective.runs, raw(base.objective, point))
+    objective = replace(base.objective, whitener=floor.whitener)
+    return replace(base, objective=objective, point=settle(objective, point, 2), floor=floor)
+
+
 def _excess(base: Baseline) -> float:
     """Return the power of the residual over that of the noise, the larger of the outputs'."""
     power = np.mean([(e**2).mean(0) for e in raw(base.objective, base.point)], axis=0)

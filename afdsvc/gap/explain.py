@@ -12,6 +12,7 @@ from afdsvc.api.physics import Physics
 from afdsvc.api.signals import Trace
 from afdsvc.gap.explanation import Course, Explanation, OutputFit
 from afdsvc.gap.forward import Found, Progress, Yardstick, forward
+from afdsvc.gap.freeform import remainder
 from afdsvc.gap.improved import extended
 from afdsvc.gap.locate import locate
 from afdsvc.gap.naming import names, rejections
@@ -79,7 +80,7 @@ def _answer(found: Found, roles: Split, offered: Sequence[Physics]) -> Explanati
         check=(),
         sentences=_sentences(judgement, found),
         next_experiment=None,
-        remainder=None,
+        remainder=remainder(found.end, roles.select, done.fraction) if judgement.remains else None,
         noise_floor=floor,
         courses=courses,
         spectra=spectra(roles.heldout, held, [v.name for v in nom.model.outputs]),

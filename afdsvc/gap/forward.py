@@ -6,22 +6,26 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import stats
 
 from afdsvc.api.physics import Hypothesis, Machine, Physics
-from afdsvc.gap.baseline import Baseline, baseline
+from afdsvc.gap.baseline import Baseline, again, baseline
 from afdsvc.gap.judge import Ruling, judge, separation
 from afdsvc.gap.lines import peaks, tones
 from afdsvc.gap.nominal import Nominal
 from afdsvc.gap.objective import Objective, Point
 from afdsvc.gap.reconsider import reconsidered
+from afdsvc.gap.repeating import repeating
 from afdsvc.gap.runs import Run
 from afdsvc.gap.search import Mapper, block_costs, round_of
 from afdsvc.gap.settle import raw, settle
-from afdsvc.gap.sizes import machine
+from afdsvc.gap.sizes import bandwidth, machine
 
 WORTH_SAYING = 0.03  # share of the gap below which a further effect is not named
 BETTER_SHAPE = 0.25  # share below which a second effect of the same family and place is only a better shape of the first
 SURE_SECOND = 4.0  # standard errors a further effect must show
+QUIET = 1e-3  # p-value above which what is left counts as noise
+BAND = 1.5  # how far above the excitation what repeats is looked for
 Progress = Callable[[str, float], None]
 
 
@@ -61,6 +65,8 @@ def forward(
     samples = (sum(r.Y.size for r in train), sum(r.Y.size for r in select))
     for number in range(most):
         sight = first if number == 0 else seen(base)
+        if number and quiet(base, sight):
+            break
         there = {e.hypothesis.key for e in base.point.effects}
         library = [h for p in physics for h in p.hypotheses(sight) if h.key not in there]
         candidates = round_of(base, select, library, mapper, _part(progress, number))
@@ -70,7 +76,7 @@ def forward(
             break
         point = ruling.rivals[0].candidate.point
         cost = yardstick.cost(point)
-        share = (costs[-1] - cost) / max(costs[0] - yardstick.least, 1e-12 * costs[0])
+        share = (costs[-1] - cost) / yardstick.gap(costs[0])
         objection = _second(ruling, share, base.point) if number else ""
         if objection:
             last = replace(ruling, accepted=False, reason=objection)
@@ -78,7 +84,7 @@ def forward(
         steps.append(Step(ruling, share))
         order.append(number)
         costs.append(cost)
-        base = baseline(nominal, train, point)
+        base = again(base, point)
         base, order = _without_superfluous(base, order, samples)
     base, order, steps = _reconsider(base, order, steps, select, samples, mapper)
     return Found(start, base, tuple(steps), last, tuple(order), first)
@@ -109,6 +115,18 @@ def seen(base: Baseline) -> Machine:
     return machine(base, [t.omega for t in tones(runs, residuals)], peaks(runs, residuals))
 
 
+def quiet(base: Baseline, sight: Machine) -> bool:
+    """Whether nothing is left that a further effect could explain: nothing repeats, no tones, no offsets, and noise is white."""
+    if base.limited != "noise" or sight.tones:
+        return False
+    runs, whitened = base.objective.runs, base.objective.whitened(base.point)
+    left = repeating(runs, whitened, BAND * bandwidth(runs))
+    if left is None or left.total.p < QUIET or base.floor.p_white < QUIET:
+        return False
+    slow = sum(float((w.mean(0) ** 2).sum()) * len(w) for w in whitened)
+    return bool(slow < stats.chi2.isf(QUIET, sum(w.shape[1] for w in whitened)))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Yardstick:
     """The one measure all points are compared with: the first baseline's sum of squares over train and select."""
@@ -120,6 +138,10 @@ class Yardstick:
     def least(self) -> float:
         """The cost noise alone would leave; 0 when the noise is not known."""
         return float(sum(r.Y.size for r in self._objective.runs)) if self.base.limited == "noise" else 0.0
+
+    def gap(self, cost: float) -> float:
+        """Return how far a cost is above the noise's, at least as much as noise alone makes it vary."""
+        return max(cost - self.least, float(np.sqrt(2 * self.least)), 1e-12 * cost)
 
     @property
     def _objective(self) -> Objective:

@@ -15,6 +15,7 @@ from afdsvc.lti.statespace import Array
 SURE = 1e-5  # false-acceptance probability of one hypothesis on the training runs
 CLOSE = 10.0  # score units within which a rival is a look-alike
 APART = 3.0  # standard errors by which blocks must differ to tell two hypotheses apart
+STRAINED, WORSE = 3.0, 4.0  # prior deviations from which a fit counts as strained; loss on selection allowed then
 FAR_OFF = 5.0  # prior standard deviations a nuisance parameter may move without being suspect
 
 
@@ -119,12 +120,17 @@ def _objection(
     wanted = max(float(stats.chi2.isf(SURE / tried, k)), k * float(np.log(max(samples[0] / base.memory, 2.0))))
     if gain < wanted:
         return f"the best hypothesis ({c.key}) gains {gain:.1f} where chance and {tried} trials ask for {wanted:.1f}"
-    if samples[1] and gain_select <= 2.0:
+    if samples[1] and gain_select <= (-WORSE if _strained(nothing) else 2.0):
         return f"the best hypothesis ({c.key}) does not improve the recording kept for selection"
     off = float(np.abs(c.point.theta).max(initial=0.0))
     if off > max(FAR_OFF, float(np.abs(nothing.point.theta).max(initial=0.0)) + 1.0):
         return f"the best hypothesis ({c.key}) needs a model parameter {off:.1f} standard deviations off"
     return ""
+
+
+def _strained(nothing: Candidate) -> bool:
+    """Whether the model fits only with a parameter far from its stated value: then its fit elsewhere is no argument."""
+    return float(np.abs(nothing.point.theta).max(initial=0.0)) > STRAINED
 
 
 def share(base: Baseline, nothing: Candidate, c: Candidate, samples: tuple[int, int]) -> float:

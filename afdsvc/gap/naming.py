@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-import numpy as np
-
 from afdsvc.api.physics import Hypothesis
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.estimates import deviations, estimates
@@ -28,8 +26,7 @@ def names(found: Found, summaries: Mapping[str, str]) -> tuple[Named, ...]:
     for count, number in enumerate(found.order, start=1):
         step = found.steps[number]
         for rival in _told(step):
-            h = rival.candidate.hypothesis
-            assert h is not None  # noqa: S101
+            h = _law(rival)
             effect, sd = final.get(h.key, (rival.candidate.effect, None))
             if sd is None:
                 sd = _deviation(found.start, rival.candidate.point)
@@ -70,32 +67,32 @@ def place(h: Hypothesis) -> str:
     return {"input": f"input {name}", "state": f"force on {name}", "output": f"sensor {name}"}.get(kind, "machine")
 
 
-def rejections(
-    found: Found, error: Callable[[Point], float], most: int = 6
-) -> tuple[Rejected, ...]:
+def rejections(found: Found, error: Callable[[Point], float], most: int = 6) -> tuple[Rejected, ...]:
     """Return the hypotheses that were refined and lost, round by round; ``error`` gives a point's held-out nrmse."""
-    listed: list[Rejected] = []
-    rounds = [(s.ruling.beaten, s.ruling.rivals[0]) for s in found.steps]
-    for beaten, winner in rounds:
-        for rival in beaten[:most]:
-            h = rival.candidate.hypothesis
-            assert h is not None  # noqa: S101
-            if any((r.physics, r.site) == (h.physics, h.site) for r in listed):
-                continue
-            e = error(rival.candidate.point)
-            listed.append(Rejected(h.physics, h.site, e, _why(rival, winner)))
-    last = found.last
-    for rival in last.rivals[:1] if last is not None and not last.accepted else ():
-        h = rival.candidate.hypothesis
-        if h is not None and last is not None and not any((r.physics, r.site) == (h.physics, h.site) for r in listed):
-            listed.append(Rejected(h.physics, h.site, error(rival.candidate.point), last.reason))
-    return tuple(listed)
+    listed: dict[tuple[str, str], Rejected] = {}
+    for step in found.steps:
+        winner = step.ruling.rivals[0]
+        least = error(winner.candidate.point)
+        for rival in step.ruling.beaten[:most]:
+            h = _law(rival)
+            if (h.physics, h.site) not in listed:
+                e = error(rival.candidate.point)
+                listed[h.physics, h.site] = Rejected(h.physics, h.site, e, _why(rival, winner, e / max(least, 1e-300) - 1))
+    for rival in found.last.rivals[:1] if found.last is not None and not found.last.accepted else ():
+        h = _law(rival)
+        listed.setdefault((h.physics, h.site), Rejected(h.physics, h.site, error(rival.candidate.point), found.last.reason))  # type: ignore[union-attr]
+    return tuple(listed.values())
 
 
-def _why(rival: Rival, winner: Rival) -> str:
-    rest, best = float(np.sum(rival.candidate.blocks)), float(np.sum(winner.candidate.blocks))
-    more = 100 * (np.sqrt(rest / max(best, 1e-300)) - 1)
-    return f"error {more:.2g} % higher than with {winner.candidate.key} ({rival.z:.1f} standard errors)"
+def _law(rival: Rival) -> Hypothesis:
+    assert rival.candidate.hypothesis is not None  # noqa: S101
+    return rival.candidate.hypothesis
+
+
+def _why(rival: Rival, winner: Rival, more: float) -> str:
+    """Return the held-out error beside the winner's, and by how much the recordings that chose tell the two apart."""
+    beside = f"held-out error {100 * more:.2g} % higher" if more >= 5e-4 else "held-out error no higher"
+    return f"{beside} than with {winner.candidate.key}; the recordings for fitting and choosing differ by {rival.z:.1f} standard errors"
 
 
 def is_change(hypotheses: Sequence[Hypothesis]) -> bool:

@@ -92,20 +92,46 @@ class Tangent:
         v[: data.size] = data
         return np.asarray(v - self.q @ (self.q[: data.size].T @ data))
 
+    def shift(self, residual: Array) -> Array:
+        """Return the nuisance step that answers a full residual (data rows with prior rows) best, in natural units."""
+        return np.asarray(-sla.solve_triangular(self.r, self.q.T @ residual) * self.scales)
+
+    def with_data(self, data: Array) -> Array:
+        """Return the full residual vector that has these data rows and the prior rows of the point."""
+        return np.concatenate([data, self.full[data.size :]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slope:
+    """What a `Tangent` is for refitting alone: the Jacobian ``J`` (data rows), its triangular factor ``r`` with the prior."""
+
+    point: Point
+    J: Array
+    weight: Array
+    r: Array
+    full: Array
+    scales: Array
+
     def shift(self, residual: Array, damping: float = 0.0) -> Array:
         """Return the nuisance step that answers a full residual (data rows with prior rows) best, in natural units.
 
         ``damping`` shortens it towards steepest descent (Levenberg-Marquardt).
         """
-        seen = self.q.T @ residual
+        rows = len(self.J)
+        g = self.J.T @ residual[:rows] + self.weight * residual[rows:]
         if not damping:
-            return np.asarray(-sla.solve_triangular(self.r, seen) * self.scales)
+            return np.asarray(-sla.cho_solve((self.r, False), g) * self.scales)
         H = self.r.T @ self.r
-        return np.asarray(-np.linalg.solve(H + damping * np.diag(np.diag(H)), self.r.T @ seen) * self.scales)
+        return np.asarray(-np.linalg.solve(H + damping * np.diag(np.diag(H)), g) * self.scales)
 
-    def with_data(self, data: Array) -> Array:
-        """Return the full residual vector that has these data rows and the prior rows of the point."""
-        return np.concatenate([data, self.full[data.size :]])
+
+def slope(objective: Objective, point: Point, states_only: bool = False) -> Slope:
+    """Return the objective's slope in its nuisance at a point, by normal equations: columns are scaled and have a prior."""
+    data = objective.vector(point)
+    J, (weights, own), scales = _columns(objective, point, data, states_only)
+    weight = np.diag(weights).copy()
+    r = np.linalg.cholesky(J.T @ J + np.diag(weight**2)).T
+    return Slope(point, J, weight, r, np.concatenate([data, own]), scales)
 
 
 def tangent(objective: Objective, point: Point, states_only: bool = False) -> Tangent:

@@ -66,7 +66,7 @@ def _forgets(nominal: Nominal, seconds: float) -> bool:
     return bool(rates.min() * seconds > FORGETS)
 
 
-def _from_best_state(play: Callable[[Array], Array], Y: Array, order: int, passes: int = 3) -> tuple[Array, Array]:
+def _from_best_state(play: Callable[[Array], Array], Y: Array, order: int, passes: int = 2) -> tuple[Array, Array]:
     """Gauss-Newton in the initial state, steps halved while they do not help."""
     x0 = np.zeros(order)
     y = play(x0)

@@ -21,6 +21,8 @@ from afdsvc.lti.statespace import Array
 Mapper = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 FITTED, REFINED, SETTLED = 18, 8, 4  # how many hypotheses survive each stage
 BLOCKS = 60
+PART, LEAST_PART, SCREENED = 5, 1000, 30  # a first screen on a fifth of every run keeps so many hypotheses
+SLOW = ("offset",)  # families that need a whole run to show
 HOPELESS = 8.0  # fall of the cost that no hypothesis reached in the screen below which none is fitted
 
 
@@ -80,7 +82,7 @@ def round_of(
     """Return the refined candidates of one round, by cost on the training runs, the empty one among them."""
     t = tangent(base.objective, base.point)
     progress("screening", 0.0)
-    trials = sorted(mapper(partial(screen, t), hypotheses), key=lambda x: x.cost)
+    trials = sorted(mapper(partial(screen, t), _preselected(base, hypotheses, mapper)), key=lambda x: x.cost)
     nothing = evaluate(base, select, None, base.point)
     if not trials or t.cost - trials[0].cost < HOPELESS:
         return [nothing, *(evaluate(base, select, x.hypothesis, apply_shift(t, Effect(x.hypothesis, x.values))) for x in trials[:1])]
@@ -92,6 +94,21 @@ def round_of(
     refined = list(mapper(partial(_evaluated, base, select), settled))
     progress("refining", 1.0)
     return sorted([nothing, *refined], key=lambda c: c.train)
+
+
+def _preselected(base: Baseline, hypotheses: Sequence[Hypothesis], mapper: Mapper) -> Sequence[Hypothesis]:
+    """Return the hypotheses that do best on the first part of every run, where that part is long enough to tell.
+
+    Those that act slowly or follow another signal stay in: a part of a run says little about them.
+    """
+    runs = tuple(r.span(0, len(r) // PART) for r in base.objective.runs)
+    if len(hypotheses) <= SCREENED or base.limited != "noise" or min(len(r) for r in runs) < LEAST_PART:
+        return hypotheses
+    t = tangent(replace(base.objective, runs=runs), base.point)
+    slow = [h for h in hypotheses if h.family in SLOW or any(s.kind in ("aux", "t") for s in h.reads)]
+    quick = [h for h in hypotheses if h not in slow]
+    costs = [x.cost for x in mapper(partial(screen, t), quick)]
+    return [*slow, *(quick[i] for i in np.argsort(costs, kind="stable")[:SCREENED])]
 
 
 def _fitted(t: Tangent, trial: Trial) -> Trial:

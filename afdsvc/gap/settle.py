@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from afdsvc.gap.fit import moved
-from afdsvc.gap.objective import Objective, Point, Tangent, prior_rows, tangent
+from afdsvc.gap.objective import Objective, Point, Slope, prior_rows, slope
 from afdsvc.lti.statespace import Array
 
 REUSED = 3  # steps taken with one tangent
@@ -22,7 +22,7 @@ def settle(objective: Objective, point: Point, iterations: int = 6, states_only:
     """Return the point refitted in its nuisance (initial states, theta within its prior, parameters of its effects)."""
     damping = 0.0
     for _ in range(iterations):
-        t = tangent(objective, point, states_only)
+        t = slope(objective, point, states_only)
         before = float(t.full @ t.full)
         point, after, damping = _descend(objective, t, before, damping, states_only)
         if _done(before, after):
@@ -37,7 +37,7 @@ def _done(before: float, after: float) -> bool:
     return before - after < 3e-4 * before and before - after < 1.0
 
 
-def _again(objective: Objective, t: Tangent, point: Point, cost: float, states_only: bool) -> tuple[Point, bool]:
+def _again(objective: Objective, t: Slope, point: Point, cost: float, states_only: bool) -> tuple[Point, bool]:
     """Return the point after further steps with the same tangent, each a single simulation, and whether they converged."""
     k = 0 if states_only else len(point.theta)
     for _ in range(REUSED):
@@ -54,7 +54,7 @@ def _again(objective: Objective, t: Tangent, point: Point, cost: float, states_o
 
 
 def _descend(
-    objective: Objective, t: Tangent, before: float, damping: float, states_only: bool
+    objective: Objective, t: Slope, before: float, damping: float, states_only: bool
 ) -> tuple[Point, float, float]:
     """Return the first point along ever more damped steps that costs less, its cost, and the damping to go on with."""
     for tried in (damping, *(10.0**k for k in (-3, -2, -1, 0, 1, 2))):

@@ -12,6 +12,7 @@ from afdsvc.gap.explanation import Named
 from afdsvc.gap.forward import Found
 from afdsvc.gap.naming import is_change
 from afdsvc.gap.settle import raw
+from afdsvc.gap.stationary import Growth, growth
 from afdsvc.gap.verify import Explained
 
 ENOUGH = 0.8  # explained fraction below which names are withdrawn
@@ -34,6 +35,9 @@ def judged(found: Found, done: Explained) -> Judgement:
     """Return the verdict on a finished search."""
     noise = _noise_names(found)
     words = (*_noise_words(found), *(n.sentence for n in noise))
+    restless = growth(found.end.objective.runs, raw(found.end.objective, found.end.point))
+    if restless is not None and restless.matters:
+        return Judgement("unexplained", (_restless(found, restless), *words), remains=True)
     if found.steps and _too_little(done):
         best = found.steps[0].ruling.rivals[0].candidate.key
         why = f"only {100 * done.fraction:.0f} % of the gap goes with the best hypotheses ({best} first), so none of them is claimed"
@@ -48,6 +52,14 @@ def judged(found: Found, done: Explained) -> Judgement:
     if noise:
         return Judgement("omitted_physics", words, True, noise)
     return Judgement("consistent", ("nothing is left in the recordings but noise", *words))
+
+
+def _restless(found: Found, g: Growth) -> str:
+    output = found.end.nominal.model.outputs[g.output].name
+    return (
+        f"what does not repeat with the excitation is {g.ratio:.2g} times as powerful in {g.loud} as in {g.quiet} at {output} "
+        f"(p = {g.p:.1g}): it is no noise of the sensor, and no hypothesis explains it"
+    )
 
 
 def _too_little(done: Explained) -> bool:

@@ -8,14 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from afdsvc.gap.baseline import Baseline
-from afdsvc.gap.forward import Yardstick
+from afdsvc.gap.forward import BAND, Yardstick
 from afdsvc.gap.objective import Objective, Point, tangent
 from afdsvc.gap.repeating import Repeating, repeating
 from afdsvc.gap.simulator import Effect
 from afdsvc.gap.sizes import bandwidth
 from afdsvc.lti.statespace import Array
-
-BAND = 1.5  # how far above the excitation what repeats is looked for
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,10 +35,11 @@ def explained(yardstick: Yardstick, null: Point, final: Point) -> Explained:
     c0, c1 = (float(sum((w**2).sum() for w in ws)) for ws in (w0, w1))
     numbers = sum(w.size for w in w0)
     noisy = yardstick.base.limited == "noise"
-    by_cost = (c0 - c1) / max(c0 - (numbers if noisy else 0.0), 1e-9 * c0)
     spread = np.sqrt(2.0 * numbers) if noisy else 0.0
+    gap = max(c0 - (numbers if noisy else 0.0), spread, 1e-9 * c0)
+    by_cost = (c0 - c1) / gap
     if before is None or after is None or before.total.power < 5 * before.total.sd:
-        return Explained(float(by_cost), float(spread / max(c0 - numbers, 1.0)) if noisy else 0.0, before, after)
+        return Explained(float(by_cost), float(spread / gap), before, after)
     fraction = 1 - after.total.power / before.total.power
     return Explained(float(fraction), float(after.total.sd / before.total.power), before, after)
 
