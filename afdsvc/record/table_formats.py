@@ -12,10 +12,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
-import scipy.io
 
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
+from afdsvc.record.mat5 import read_mat5
 
 Columns = dict[str, Array]
 _LFS = b"version https://git-lfs"
@@ -109,8 +109,7 @@ def _mat(path: Path) -> Columns:
     if h5py.is_hdf5(path):
         with h5py.File(path) as file:
             return _named(path, _datasets(path, file))
-    found = scipy.io.loadmat(path, simplify_cells=True)
-    variables = {name: value for name, value in found.items() if not name.startswith("__")}
+    variables = read_mat5(path.read_bytes())
     only = next(iter(variables.values())) if len(variables) == 1 else None
     return _named(path, (only if isinstance(only, dict) else variables).items())
 

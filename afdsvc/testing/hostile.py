@@ -1,0 +1,265 @@
+"""What afdsvc reads from others, and inputs made to break it: every target must end in a value or in `AfdsvcError`.
+
+A target is a pair of ``make(rng) -> input`` and ``eat(input)``. `TARGETS` opens them by name in a scratch folder.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import scipy.io
+
+from afdsvc import commission
+from afdsvc.api.bursts import Burst, Limits, Line
+from afdsvc.api.signals import Block, Channel
+from afdsvc.errors import AfdsvcError, BadInput
+from afdsvc.plugins.manager import load
+from afdsvc.record.mcap_file import Header
+from afdsvc.record.model_file import parse_model
+from afdsvc.record.reader import Recording
+from afdsvc.record.recorder import Recorder, RecordingSettings
+from afdsvc.record.tables import read_table
+from afdsvc.runtime.clock import FastClock
+from afdsvc.runtime.site import Driver, Machine, parse_site
+from afdsvc.testing.messages import EXAMPLES
+from afdsvc.testing.mutation import mutate_bytes, mutate_text
+from afdsvc.wire import codec
+from afdsvc.wire.messages import BurstRequest
+
+MODEL = """name = "axis"
+time = "discrete"
+sample_time = 0.001
+inputs = [{name = "force", unit = "N"}]
+outputs = [{name = "position", unit = "m"}]
+states = [{name = "q", unit = "m"}, {name = "v", unit = "m/s", rate_of = "q"}]
+A = [[1, 0.001], [0, 0.998]]
+B = [[0], [1e-5]]
+C = [[1, 0]]
+D = [[0]]
+[parameters]
+mass = {value = 95.1, unit = "kg", relative_sd = 0.02}
+[uncertainty]
+relative = 0.02
+A = [[0, 0], [0, 0.1]]
+[noise]
+output_sd = [2e-6]
+[controller]
+time = "discrete"
+sample_time = 0.001
+A = []
+B = []
+C = []
+D = [[-1.0]]
+"""
+CONTINUOUS = MODEL.replace('time = "discrete"\nsample_time = 0.001\ninputs', 'time = "continuous"\ninputs')
+SITE = """site = "hall-3"
+[transport]
+listen = ["tcp/127.0.0.1:7447"]
+cache_blocks = 400
+[recording]
+folder = "recordings"
+max_megabytes = 100
+keep_days = 30
+[review]
+rerun = "off"
+[alarms]
+latch = true
+notify = [{kind = "webhook", settings = {url = "http://127.0.0.1/x"}}]
+[[machines]]
+id = "bearing"
+plant = "gas_bearing"
+options = {rpm = 300}
+driver = {kind = "simulator", seed = 4, faults = [{name = "vertical_actuator", severity = -0.5, at_seconds = 4.0}]}
+controller = {kind = "proportional", settings = {gain = 0.2}}
+bursts = {every_seconds = 3.5, quiet_hours = [["22:00", "06:00"]]}
+limits = {output = [10.0, 10.0], seconds = 10.0}
+detectors = [{kind = "matched_filter", false_alarms_per_1000_bursts = 2.0}]
+[[machines]]
+id = "axis"
+model = "axis.toml"
+calibrate_seconds = 10
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """How an input is made from a generator, and what is done with it."""
+
+    make: Callable[[Random], Any]
+    eat: Callable[[Any], object]
+
+    def try_one(self, rng: Random) -> bool:
+        """Make and eat one input; returns whether it was accepted. Anything but `AfdsvcError` comes out."""
+        try:
+            self.eat(self.make(rng))
+        except AfdsvcError:
+            return False
+        return True
+
+
+def wire(_folder: Path) -> Target:
+    """Every message of the wire; what is accepted must also be sendable again."""
+    kinds = [(getattr(codec, f"decode_{name}"), getattr(codec, f"encode_{name}"), data) for name, data in EXAMPLES]
+
+    def make(rng: Random) -> tuple[Any, Any, bytes]:
+        decode, encode, data = rng.choice(kinds)
+        return decode, encode, mutate_bytes(data, rng.choice(kinds)[2], rng)
+
+    def eat(item: tuple[Any, Any, bytes]) -> None:
+        decode, encode, data = item
+        encode(decode(data))
+
+    return Target(make, eat)
+
+
+def recording(folder: Path) -> Target:
+    """Recordings: opened, everything in them decoded, recovered."""
+    path = folder / "mutant.mcap"
+    seeds = [_recording(folder / f"seed{n}.mcap", n) for n in (1, 4)]
+    seeds.append(seeds[1][: len(seeds[1]) * 2 // 3])
+
+    def eat(data: bytes) -> None:
+        path.write_bytes(data)
+        found = Recording(path)
+        for kind in (found.blocks, found.residuals, found.events, found.findings, found.requests, found.descriptions):
+            for _ in kind():
+                pass
+        _ = found.loss, found.site
+        found.traces()
+
+    return Target(lambda rng: mutate_bytes(rng.choice(seeds), rng.choice(seeds), rng), eat)
+
+
+def _recording(path: Path, blocks: int) -> bytes:
+    channels = (Channel("u_x", "V"), Channel("y_x", "um"))
+    rng = np.random.default_rng(0)
+    recorder = Recorder(
+        RecordingSettings(path, flush_seconds=0.0, preview_hertz=5.0, overwrite=True), Header("site", {"m1": MODEL}), lambda: 0.0
+    )
+    for seq in range(blocks):
+        block = Block("m1", "s1", seq, seq * 20, 1e-3, 1_763_000_000_000_000_000 + seq, channels, rng.normal(size=(20, 2)))
+        recorder.block(codec.encode_block(block), block)
+    recorder.close()
+    return path.read_bytes()
+
+
+def _table(suffix: str, seeds: Callable[[], list[bytes]]) -> Callable[[Path], Target]:
+    def opened(folder: Path) -> Target:
+        path, whole = folder / f"mutant{suffix}", seeds()
+
+        def eat(data: bytes) -> None:
+            path.write_bytes(data)
+            read_table(path)
+
+        return Target(lambda rng: mutate_bytes(rng.choice(whole), rng.choice(whole), rng), eat)
+
+    return opened
+
+
+COLUMNS = {"t": np.arange(30) * 0.01, "u_force": np.sin(np.arange(30.0)), "y_position": np.cos(np.arange(30.0))}
+
+
+def _csv() -> list[bytes]:
+    rows = "".join(",".join(map(repr, row)) + "\n" for row in zip(*(c.tolist() for c in COLUMNS.values()), strict=True))
+    plain = (",".join(COLUMNS) + "\n" + rows).encode()
+    return [plain, plain.replace(b",", b";").replace(b".", b",")]
+
+
+def _saved(save: Callable[[io.BytesIO], object]) -> bytes:
+    stream = io.BytesIO()
+    save(stream)
+    return stream.getvalue()
+
+
+def _npz() -> list[bytes]:
+    return [_saved(lambda s: np.savez(s, **COLUMNS)), _saved(lambda s: np.savez_compressed(s, **COLUMNS))]
+
+
+def _parquet() -> list[bytes]:
+    return [_saved(partial(pq.write_table, pa.table(COLUMNS), compression=c)) for c in ("none", "snappy")]
+
+
+def _mat() -> list[bytes]:
+    save: Any = scipy.io.savemat
+    return [_saved(partial(save, mdict=COLUMNS, do_compression=c)) for c in (False, True)]
+
+
+def _hdf() -> list[bytes]:
+    def save(stream: io.BytesIO) -> None:
+        with h5py.File(stream, "w") as file:
+            for name, values in COLUMNS.items():
+                file[name] = values.reshape(1, -1)
+
+    return [_saved(save)]
+
+
+def _text(parse: Callable[[str], object], seeds: list[str]) -> Callable[[Path], Target]:
+    return lambda _folder: Target(lambda rng: mutate_text(rng.choice(seeds), rng.choice(seeds), rng), parse)
+
+
+def burst(_folder: Path) -> Target:
+    """Requests to excite a simulated machine: refused, or played without any limit being exceeded."""
+    plugins = load()
+    config = Machine(id="m1", plant="gas_bearing", driver=Driver(real_time=False))
+    machine = commission.commission(config, plugins)
+    port: Any = commission.open_port(machine, "s", FastClock(), plugins)
+    if machine.limits is None:
+        raise BadInput("the gas bearing has no limits; a machine that can be excited is wanted")
+    return Target(_burst_request, partial(_play, port, machine.limits))
+
+
+def _burst_request(rng: Random) -> bytes:
+    samples, ramp = rng.choice((1, 2, 99, 1000, 2999)), rng.choice((0, 0, 1, 20, 250))
+    scale = 10 ** rng.uniform(-2, 3)
+    inputs = rng.choice((2, 2, 2, 2, 1, 3))
+    lines = [Line(rng.randrange(inputs), rng.uniform(-1e3, 2e4), rng.gauss(0, scale), rng.uniform(-9, 9)) for _ in range(rng.randrange(4))]
+    wave = np.array([[rng.gauss(0, scale) for _ in range(inputs)] for _ in range(samples)]) if rng.random() < 0.1 else None
+    made = Burst("b", inputs, samples, min(ramp, samples // 2), tuple(lines), wave)
+    data = codec.encode_burst_request(BurstRequest("m1", made, 2.0, "fuzz", 1))
+    return mutate_bytes(data, data, rng) if rng.random() < 0.3 else data
+
+
+def _play(port: Any, limits: Limits, data: bytes) -> None:
+    request = codec.decode_burst_request(data)
+    port.check(request.burst, limits)
+    blocks = []
+    with port.arm(limits) as drive:
+        drive.play(request.burst)
+        while drive.playing:
+            blocks.append(port.read())
+    blocks.append(port.read())
+    u, y, alpha = (np.vstack([b.role(role) for b in blocks]) for role in ("u", "y", "alpha"))
+    _demand((np.abs(u) <= limits.input).all(), "an input beyond its limit")
+    _demand((np.abs(alpha) <= limits.alpha).all(), "an excitation beyond its limit")
+    over = np.flatnonzero((np.abs(y) > limits.output).any(axis=1))
+    _demand(not over.size or not alpha[over[0] :].any(), "excitation goes on beyond an output's limit")
+    _demand(not blocks[-1].role("alpha").any(), "the machine is not at rest afterwards")
+
+
+def _demand(holds: Any, otherwise: str) -> None:
+    if not holds:
+        raise RuntimeError(otherwise)
+
+
+TARGETS: dict[str, Callable[[Path], Target]] = {
+    "wire": wire,
+    "burst": burst,
+    "recording": recording,
+    "csv": _table(".csv", _csv),
+    "npz": _table(".npz", _npz),
+    "parquet": _table(".parquet", _parquet),
+    "mat": _table(".mat", _mat),
+    "mat73": _table(".mat", _hdf),
+    "model": _text(lambda text: parse_model(text, "mutant.toml"), [MODEL, CONTINUOUS]),
+    "site": _text(lambda text: parse_site(text, "mutant.toml"), [SITE]),
+}
