@@ -9,7 +9,7 @@ from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
 from afdsvc.gap.check_ambiguity import ambiguities
 from afdsvc.gap.check_columns import columns
-from afdsvc.gap.check_excitation import excitation
+from afdsvc.gap.check_excitation import SINE, excitation
 from afdsvc.gap.check_finding import Finding
 from afdsvc.gap.check_gain import gains
 from afdsvc.gap.check_information import information
@@ -50,3 +50,9 @@ def objection(findings: Sequence[Finding]) -> str:
 def insufficient_excitation(findings: Sequence[Finding]) -> str:
     """Return why the excitation cannot tell anything, with the burst that would; "" when it suffices."""
     return " ".join(f.sentence for f in findings if f.kind == "stop" and f.topic == "excitation")
+
+
+def one_frequency(findings: Sequence[Finding]) -> str:
+    """Return what inputs excited at one frequency leave open; "" when every excited input has more."""
+    told = [f.sentence for f in findings if f.topic == SINE]
+    return " ".join(told) if told and not any(f.topic == "inputs" and f.kind == "ok" for f in findings) else ""

@@ -14,6 +14,7 @@ from afdsvc.gap.runs import Run
 from afdsvc.lti.statespace import Array
 
 LEVELS_APART = 1.2
+SINE = "one frequency"  # the topic of an input that is excited at one or two frequencies only
 LEFT_OVER = 0.02  # of the input's rms: what reconstructing the loop may leave where nothing was added
 EXCITED = 0.1  # amplitude of a line over the largest from which it counts as played
 
@@ -47,7 +48,7 @@ def excitation(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
             yield Finding("warning", "inputs", f"input {v.name} is not excited: what acts on it cannot be told from noise")
         elif p.lines <= 2 and p.periods > 1:
             yield Finding(
-                "warning", "inputs",
+                "warning", SINE,
                 f"input {v.name} is excited by {'one sine' if p.lines == 1 else 'two sines'} ({p.band[0]:.4g} Hz) only: delay, lag, "
                 "gain, stiffness and damping are two numbers to it, friction and a dead zone a third harmonic; a multisine would "
                 "tell them apart",

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from afdsvc.api.model import Model
 from afdsvc.api.physics import Physics
 from afdsvc.api.signals import Trace
+from afdsvc.errors import BadInput
+from afdsvc.gap.check import check, insufficient_excitation, objection, one_frequency
+from afdsvc.gap.check_finding import Finding
 from afdsvc.gap.explanation import Course, Explanation, OutputFit
 from afdsvc.gap.forward import Found, Progress, Yardstick, forward
 from afdsvc.gap.freeform import remainder
 from afdsvc.gap.improved import extended
 from afdsvc.gap.locate import locate
 from afdsvc.gap.naming import names, rejections
+from afdsvc.gap.next_experiment_rivals import experiment_after, first_experiment
 from afdsvc.gap.nominal import nominal
 from afdsvc.gap.objective import Objective, Point
 from afdsvc.gap.prediction import Player, nrmse, player
@@ -44,23 +49,26 @@ def explain(
     """
     progress("reading", 0.0)
     offered = list(library)
+    findings = check(model, recordings)
+    if objection(findings):
+        raise BadInput(objection(findings))
     runs = prepare(model, [*recordings, *holdout])
     roles = split(runs[: len(recordings)], runs[len(recordings) :])
     start = nominal(model, runs[0].dt)
     found = forward(start, roles.train, roles.select, offered, most, mapper, progress)
     progress("reporting", 0.9)
-    answer = _answer(found, roles, offered)
+    answer = _answer(found, roles, offered, findings)
     progress("reporting", 1.0)
     return answer
 
 
-def _answer(found: Found, roles: Split, offered: Sequence[Physics]) -> Explanation:
+def _answer(found: Found, roles: Split, offered: Sequence[Physics], findings: Sequence[Finding]) -> Explanation:
     nom = found.start.nominal
     playing = player(nom, (*roles.train, *roles.select, *roles.heldout), found.start.point, found.end.objective.simulator.ramped)
     courses = _courses(found, roles, playing)
     held = [c for c in courses if c.role == "heldout"]
     done = explained(Yardstick(found.start, roles.select), found.start.point, found.end.point)
-    judgement = judged(found, done)
+    judgement = _by_excitation(judged(found, done), findings)
     floor = tuple(float(v) for v in found.end.floor.sd) if found.end.floor.known else None
     named = names(found, {p.name: p.summary for p in offered}) if judgement.keeps else ()
 
@@ -77,9 +85,9 @@ def _answer(found: Found, roles: Split, offered: Sequence[Physics]) -> Explanati
         whiteness_p=_whiteness(found, roles.heldout),
         simulated=playing.way,
         explained=(done.fraction, done.sd),
-        check=(),
+        check=tuple(f.sentence for f in findings),
         sentences=_sentences(judgement, found),
-        next_experiment=None,
+        next_experiment=_next(found, judgement),
         remainder=remainder(found.end, roles.select, done.fraction) if judgement.remains else None,
         noise_floor=floor,
         courses=courses,
@@ -94,6 +102,23 @@ def _answer(found: Found, roles: Split, offered: Sequence[Physics]) -> Explanati
 def _shapes(found: Found) -> list[float | None]:
     tests = [shape(found.end, k) for k in range(len(found.end.point.effects))]
     return [None if t is None else t.share for t in tests]
+
+
+def _by_excitation(judgement: Judgement, findings: Sequence[Finding]) -> Judgement:
+    """Return the judgement, or that the excitation does not allow one where nothing can be named."""
+    poor = insufficient_excitation(findings)
+    if judgement.verdict == "unexplained":
+        poor = poor or one_frequency(findings)
+    if not poor or judgement.keeps:
+        return judgement
+    return Judgement("insufficient_excitation", (poor, *judgement.sentences), remains=judgement.remains)
+
+
+def _next(found: Found, judgement: Judgement) -> Mapping[str, Any] | None:
+    if judgement.verdict == "insufficient_excitation":
+        return first_experiment(found.start.nominal, found.start.objective.runs).json()
+    best = experiment_after(found) if judgement.keeps else None
+    return best.json() if best else None
 
 
 def _courses(found: Found, roles: Split, playing: Player) -> tuple[Course, ...]:

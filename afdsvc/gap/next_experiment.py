@@ -14,11 +14,11 @@ import numpy as np
 from afdsvc.api.bursts import Burst, Limits
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.next_experiment_plans import Plan, plans, present
-from afdsvc.gap.next_experiment_separation import Rehearsal, rehearsal
+from afdsvc.gap.next_experiment_separation import rehearsal
 from afdsvc.gap.objective import Point
 
 ENOUGH = 6.0  # standard deviations between rivals that settle the matter
-MOST = 4
+MOST = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,22 +75,22 @@ def next_experiment(
         return None
     tried = plans(base, limits, generator or np.random.default_rng(1))
     now = present(tried)
-    values = [(ready.separation(p), p) for p in tried if ready.allowed(p, limits)]
-    if not values:
+    values = [(ready.separation(p), p) for p in tried]
+    chosen = next((v for v in _ordered(values) if ready.allowed(v[1], limits)), None)
+    if chosen is None:
         return None
-    best, plan = _choice(values)
+    best, plan = chosen
     repeated = ready.separation(now)
     return NextExperiment(
         _sentence(base, rivals, plan, now, best, repeated), plan.burst, best, repeated, plan.level, plan.band, plan.speed
     )
 
 
-def _choice(values: Sequence[tuple[float, Plan]]) -> tuple[float, Plan]:
-    """Return the mildest plan that separates enough, else the one that separates most."""
+def _ordered(values: Sequence[tuple[float, Plan]]) -> list[tuple[float, Plan]]:
+    """Return plans in order of preference: those that separate enough from the mildest on, then the others from the best on."""
     enough = [v for v in values if v[0] >= ENOUGH]
-    if enough:
-        return min(enough, key=lambda v: (v[1].effort, -v[0]))
-    return max(values, key=lambda v: v[0])
+    rest = [v for v in values if v[0] < ENOUGH]
+    return sorted(enough, key=lambda v: (v[1].effort, -v[0])) + sorted(rest, key=lambda v: -v[0])
 
 
 def _sentence(
@@ -108,5 +108,3 @@ def _sentence(
         f"deviations, against {repeated:.2g} if the present experiment were repeated{verdict}"
     )
 
-
-__all__ = ["Contender", "NextExperiment", "Rehearsal", "next_experiment"]

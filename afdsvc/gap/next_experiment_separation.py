@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,11 +32,16 @@ class _Known:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rehearsal:
-    """Rivals ready to be played on bursts; ``closed`` says whether the loop is closed by the known controller."""
+    """Rivals ready to be played on bursts; ``closed`` says whether the loop is closed by the known controller.
+
+    ``responses`` keeps what the model's own numbers do to the outputs per burst shape: nearly the same for every rival, and
+    proportional to the level.
+    """
 
     base: Baseline
     rivals: tuple[_Known, ...]
     closed: bool
+    responses: dict[tuple[object, ...], Array] = field(default_factory=dict)
 
     def separation(self, plan: Plan) -> float:
         """Return the distance of the first rival from the closest other, in standard deviations of the noise."""
@@ -74,14 +79,20 @@ class Rehearsal:
         return np.asarray(self.base.objective.whitener(y)[-plan.period :].ravel())
 
     def _jacobian(self, run: Run, rival: _Known, here: Array, plan: Plan) -> Array:
-        k = len(rival.point.theta)
-        columns = []
-        for j in range(k):
-            theta = rival.point.theta.copy()
-            theta[j] += THETA_STEP
-            columns.append((self._seen(run, replace(rival.point, theta=theta), plan) - here) / THETA_STEP)
-        columns += [(self._seen(run, p, plan) - here) / step for p, step in _moved(rival.point)]
-        return np.column_stack(columns) * rival.scales
+        own = [(self._seen(run, p, plan) - here) / step for p, step in _moved(rival.point)]
+        return np.column_stack([self._response(run, rival, here, plan), *own]) * rival.scales
+
+    def _response(self, run: Run, rival: _Known, here: Array, plan: Plan) -> Array:
+        """Return the derivative by theta, ``(numbers, k)``, from the first rival and level that asked for this burst shape."""
+        key = (plan.inputs, plan.band)
+        if key not in self.responses:
+            columns = [np.zeros((here.size, 0))]
+            for j in range(len(rival.point.theta)):
+                theta = rival.point.theta.copy()
+                theta[j] += THETA_STEP
+                columns.append((self._seen(run, replace(rival.point, theta=theta), plan) - here)[:, None] / THETA_STEP)
+            self.responses[key] = np.hstack(columns) / plan.level
+        return self.responses[key] * plan.level
 
 
 def _moved(point: Point) -> list[tuple[Point, float]]:
