@@ -130,7 +130,7 @@ def slope(objective: Objective, point: Point, states_only: bool = False) -> Slop
     data = objective.vector(point)
     J, (weights, own), scales = _columns(objective, point, data, states_only)
     weight = np.diag(weights).copy()
-    r = np.linalg.cholesky(J.T @ J + np.diag(weight**2)).T
+    r: Array = np.asarray(np.linalg.cholesky(J.T @ J + np.diag(weight**2)).T, dtype=np.float64)
     return Slope(point, J, weight, r, np.concatenate([data, own]), scales)
 
 
