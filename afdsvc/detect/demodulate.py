@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from afdsvc.api.bursts import Burst
 from afdsvc.errors import IllConditioned
 from afdsvc.lti.statespace import Array, ComplexArray
 
@@ -97,6 +98,11 @@ def project(sums: BasisSums, basis: Basis) -> Lines:
         )
     R = np.asarray(np.linalg.cholesky(G)).T
     return Lines(np.asarray(np.linalg.solve(R.T, B)), R)
+
+
+def window(burst: Burst) -> tuple[int, int]:
+    """Return the samples of a burst that are analysed: after ramp and settling, before the falling ramp."""
+    return min(burst.ramp + burst.settle, burst.samples), max(burst.samples - burst.ramp, 0)
 
 
 def coefficients(amplitudes: ComplexArray) -> Array:

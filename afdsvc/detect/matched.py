@@ -20,6 +20,7 @@ from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.curves import FaultCurves, fault_curves
 from afdsvc.detect.demodulate import Basis, BasisSums, Lines, project
+from afdsvc.detect.demodulate import window as window
 from afdsvc.detect.hypotheses import LineData, anything_log_evidence, curve_fit, weights
 from afdsvc.detect.line_tests import LargestProjection, LikelihoodRatio, LineTest
 from afdsvc.detect.nuisances import Nuisances
@@ -129,11 +130,6 @@ def _ordered(burst: Burst) -> tuple[Line, ...]:
 @lru_cache(maxsize=16)  # the same lines are played again and again
 def _curves(problem: DetectionProblem, lines: tuple[Line, ...]) -> FaultCurves:
     return fault_curves(problem, lines)
-
-
-def window(burst: Burst) -> tuple[int, int]:
-    """Return the samples of a burst that are analysed: after ramp and settling, before the falling ramp."""
-    return min(burst.ramp + burst.settle, burst.samples), max(burst.samples - burst.ramp, 0)
 
 
 def _amplitudes(lines: Lines, ordered: Sequence[Line]) -> dict[str, float]:

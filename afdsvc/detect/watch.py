@@ -21,6 +21,7 @@ from afdsvc.detect.gate import Gate, GateState, Judgement, finite
 from afdsvc.detect.hypotheses import NONE, Fit
 from afdsvc.detect.nuisances import NONE as NO_NUISANCES
 from afdsvc.detect.nuisances import Cleaning, Nuisances
+from afdsvc.detect.presence import Shown
 from afdsvc.detect.regressors import Regressors, RegressorState, regressors
 from afdsvc.errors import AfdsvcError
 from afdsvc.lti.statespace import Array
@@ -83,6 +84,7 @@ class Playing:
     asked: Array
     checks: BurstChecks
     sums: Any
+    shown: Shown
     decided: bool = False
 
 
@@ -165,7 +167,8 @@ class BurstDetector:
         first = piece.k0 - now.start
         asked = now.asked[first : first + len(piece)]
         checks = now.checks.add(piece.y, piece.u, piece.r, piece.alpha, asked, longest)
-        now = replace(now, checks=checks)
+        shown = now.shown if checks.bad else now.shown.add(piece, first, burst, self.nuisances)
+        now = replace(now, checks=checks, shown=shown)
         if not now.decided and not checks.bad and not checks.gap:
             sums, early = self.statistic.step(now.sums, BurstSamples(first, piece.dt, series, piece))
             now = replace(now, sums=sums)
@@ -183,11 +186,13 @@ class BurstDetector:
         limit = np.full(self.problem.plant.inputs, np.inf) if limits is None else np.asarray(limits.input, dtype=float)
         checks = BurstChecks(limit, gap=piece.k0 > piece.burst_start)
         sums = self.statistic.start(burst, piece.dt)
-        return Playing(burst, piece.burst_name or burst.name, piece.burst_start, asked, checks, sums)
+        shown, name = Shown.start(self.problem.plant.inputs), piece.burst_name or burst.name
+        return Playing(burst, name, piece.burst_start, asked, checks, sums, shown)
 
     def _early(self, state: WatchState, now: Playing, finding: Finding, piece: ResidualBlock) -> list[Evidence]:
         """Report a finding before the burst has ended, unless something speaks against it (then the end decides)."""
         complaint = now.checks.complaint(now.checks.n, self.frozen, self.problem.input_names, self.problem.output_names)
+        complaint = complaint or now.shown.complaint(self.problem, now.burst)
         judgement = self.gate.judge(state.gate, self.filters.names, self.filters.bounds)
         if complaint or not judgement.ok:
             return []
@@ -199,6 +204,7 @@ class BurstDetector:
             return []
         problem = self.problem
         complaint = now.checks.complaint(now.burst.samples, self.frozen, problem.input_names, problem.output_names)
+        complaint = complaint or now.shown.complaint(problem, now.burst)
         judgement = self.gate.judge(state.gate, self.filters.names, self.filters.bounds)
         try:
             findings = [] if now.checks.bad or now.checks.gap else self.statistic.decide(now.sums, now.burst, dt)
