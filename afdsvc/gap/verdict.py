@@ -13,6 +13,7 @@ from afdsvc.gap.forward import Found
 from afdsvc.gap.naming import is_change
 from afdsvc.gap.settle import raw
 from afdsvc.gap.stationary import Growth, growth
+from afdsvc.gap.stepped import stepped
 from afdsvc.gap.verify import Explained
 
 ENOUGH = 0.8  # explained fraction below which names are withdrawn
@@ -82,7 +83,9 @@ def _closed(done: Explained) -> str:
 def _noise_names(found: Found) -> tuple[Named, ...]:
     outputs = [(v.name, v.unit) for v in found.end.nominal.model.outputs]
     residuals = raw(found.end.objective, found.end.point)
-    return coloured(found.end.objective.runs, residuals, outputs, len(found.order) + 1)
+    first = len(found.order) + 1
+    steps = stepped(found.machine.outputs, found.end.floor.sd, first) if found.end.floor.known else ()
+    return (*steps, *coloured(found.end.objective.runs, residuals, outputs, first + len(steps)))
 
 
 def _noise_words(found: Found) -> Sequence[str]:

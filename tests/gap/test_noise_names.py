@@ -1,0 +1,69 @@
+"""Noise told from noise: coloured, in steps, growing with the level; against noise made up with known properties."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from afdsvc.api.physics import Size
+from afdsvc.gap.coloured import coloured
+from afdsvc.gap.runs import Run
+from afdsvc.gap.stationary import growth
+from afdsvc.gap.stepped import stepped
+
+PERIOD, PERIODS = 1000, 5
+
+
+def run(name: str = "r") -> Run:
+    n = PERIOD * PERIODS
+    u = np.tile(np.random.default_rng(0).standard_normal((PERIOD, 1)), (PERIODS, 1))
+    empty = np.zeros((n, 0))
+    return Run(name, 1e-3, 0.0, u, np.zeros((n, 1)), empty, np.zeros((n, 1)), (), period=PERIOD)
+
+
+def white(seed: int, sd: float = 1.0) -> np.ndarray:
+    return sd * np.random.default_rng(seed).standard_normal((PERIOD * PERIODS, 1))
+
+
+def first_order(seed: int, pole: float, rms: float) -> np.ndarray:
+    return np.asarray(rms * np.sqrt(1 - pole**2) * lfilter([1], [1, -pole], white(seed), axis=0))
+
+
+def test_white_noise_gets_no_name():
+    named = [coloured([run()], [white(seed)], [("y", "m")], 1) for seed in range(20)]
+    assert not any(named)
+
+
+def test_first_order_noise_beside_white_noise_is_named_with_its_size_and_time():
+    residuals = [white(1) + first_order(2, 0.9, 1.0), white(3) + first_order(4, 0.9, 1.0)]
+    (name,) = coloured([run(), run()], residuals, [("y", "m")], 3)
+    assert (name.physics, name.site, name.effect) == ("coloured_noise", "output:y", 3)
+    assert name.parameters["rms"].value == pytest.approx(1.0, rel=0.15)
+    assert name.parameters["correlation time"].value == pytest.approx(-1e-3 / np.log(0.9), rel=0.25)
+
+
+def test_a_tone_is_no_coloured_noise():
+    t = np.arange(PERIOD * PERIODS) * 1e-3
+    assert not coloured([run()], [white(1) + np.sin(2 * np.pi * 37.3 * t)[:, None]], [("y", "m")], 1)
+
+
+def test_what_grows_with_the_level_is_no_noise():
+    assert not growth([run("a"), run("b")], [white(1), white(2)]).matters
+    found = growth([run("quiet"), run("loud")], [white(1), white(2, 1.3)])
+    assert found.matters
+    assert (found.loud, found.quiet) == ("loud", "quiet")
+    assert found.ratio == pytest.approx(1.69, rel=0.1)
+
+
+def test_coloured_noise_of_one_size_does_not_seem_to_grow():
+    pairs = [(first_order(2 * s, 0.95, 1.0), first_order(2 * s + 1, 0.95, 1.0)) for s in range(30)]
+    assert not any(growth([run("a"), run("b")], list(pair)).matters for pair in pairs)
+
+
+def test_steps_are_named_when_they_matter_beside_the_noise():
+    port = Size(0, "y", "m", 0.0, 1.0, 3.0, step=0.5)
+    (name,) = stepped([port], np.array([0.4]), 1)
+    assert (name.physics, name.site) == ("quantisation", "output:y")
+    assert name.parameters["step"].value == 0.5
+    assert not stepped([port], np.array([4.0]), 1)
