@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from afdsvc.gap.explanation import Estimate, Named
+from afdsvc.gap.lines import tones
 from afdsvc.gap.noise import toneless, wandering
 from afdsvc.gap.runs import Run
 from afdsvc.gap.whitening import whiteness_p
@@ -21,7 +22,9 @@ def coloured(runs: Sequence[Run], residuals: Sequence[Array], outputs: Sequence[
 
     ``effect`` is the number the first of them gets. Lines are taken out first: a tone is no noise.
     """
-    pieces = toneless([p - p.mean(0) for p in wandering(runs, residuals)])
+    lines = [t.omega for t in tones(runs, residuals)]
+    calm = [_without(r, e, lines) for r, e in zip(runs, residuals, strict=True)]
+    pieces = toneless([p - p.mean(0) for p in wandering(runs, calm)])
     if not pieces:
         return ()
     found: list[Named] = []
@@ -31,6 +34,15 @@ def coloured(runs: Sequence[Run], residuals: Sequence[Array], outputs: Sequence[
         if p_white < SURE:
             found.append(_named(name, unit, own, p_white, effect + len(found), runs[0].dt))
     return tuple(found)
+
+
+def _without(run: Run, e: Array, lines: Sequence[float]) -> Array:
+    """Return a residual with tones at these angular frequencies taken out by least squares."""
+    if not lines:
+        return e
+    t = run.dt * np.arange(len(e))
+    waves = np.column_stack([f(w * t) for w in lines for f in (np.sin, np.cos)])
+    return np.asarray(e - waves @ np.linalg.lstsq(waves, e, rcond=None)[0])
 
 
 def _named(name: str, unit: str, pieces: Sequence[Array], p_white: float, effect: int, dt: float) -> Named:
