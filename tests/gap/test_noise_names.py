@@ -45,7 +45,7 @@ def test_first_order_noise_beside_white_noise_is_named_with_its_size_and_time():
 
 def test_a_tone_is_no_coloured_noise():
     t = np.arange(PERIOD * PERIODS) * 1e-3
-    assert not coloured([run()], [white(1) + np.sin(2 * np.pi * 37.3 * t)[:, None]], [("y", "m")], 1)
+    assert not coloured([run()], [white(1) + np.sin(2 * np.pi * 37.5 * t)[:, None]], [("y", "m")], 1)
 
 
 def test_what_grows_with_the_level_is_no_noise():
