@@ -22,6 +22,8 @@ The rooms, from thinking (pure) over knowing how (swappable) to doing (bytes, ti
 - `outlets`: where recordings, reviews and alarms of a site go
 - `offline`: the service's pipeline over recordings
 - `modelling`: a modeller's files in, a better model and a page out
+- `explaining`: model and recordings in; why they differ, a better model and a page out
+- `blind_trials`: blind trials of `explain` on disk: made, sealed, explained, opened, scored
 - `demo`: the main job on one command
 - `terminal`: tables and progress bars
 - `supervision`: what systemd wants to know, and log lines a machine can read

@@ -10,7 +10,7 @@ import numpy as np
 from afdsvc.api.model import Model, Quantity, Variable
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array, StateSpace
-from afdsvc.record.model_code import load_dynamics
+from afdsvc.record.model_code import linear_part, load_dynamics
 from afdsvc.record.model_matrices import (
     DEFAULT_RELATIVE_SD,
     covariance,
@@ -29,7 +29,8 @@ RELATIVE, DYNAMICS = "uncertainty.relative", "dynamics"
 def read_model(path: str | Path, allow_code: bool = False) -> Model:
     """Return the model in a file; raises `BadInput` naming file, key, value found and value wanted.
 
-    A model whose dynamics are Python code is refused unless ``allow_code`` is True.
+    A model whose dynamics are Python code is refused unless ``allow_code`` is True or the file lies in a trusted folder; its
+    ``plant`` is the linear part the code offers (None when it offers none).
     """
     return parse_model(read_text(Path(path)), str(path), allow_code)
 
@@ -37,19 +38,20 @@ def read_model(path: str | Path, allow_code: bool = False) -> Model:
 def parse_model(text: str, source: str, allow_code: bool = False) -> Model:
     """Return the model in a text that came from ``source`` (a path, or a place inside a recording)."""
     table = validated(ModelTable, toml_table(text, source), source)
-    plant = None if table.dynamics else linear_system(table, len(table.inputs), len(table.outputs), source)
+    dynamics = load_dynamics(table.dynamics, source, allow_code) if table.dynamics else None
+    plant = linear_part(dynamics) if dynamics else linear_system(table, len(table.inputs), len(table.outputs), source)
     return Model(
         name=table.name,
         inputs=tuple(Variable(v.name, v.unit) for v in table.inputs),
         outputs=tuple(Variable(v.name, v.unit) for v in table.outputs),
-        states=_states(table, plant, source),
+        states=_states(table, None if dynamics else plant, source),
         plant=plant,
-        dynamics=load_dynamics(table.dynamics, source, allow_code) if table.dynamics else None,
+        dynamics=dynamics,
         sample_time=table.dt,
         parameters={k: Quantity(q.value, q.unit, q.relative_sd) for k, q in table.parameters.items()},
-        entry_sd=_entry_sd(table, plant, source),
+        entry_sd=_entry_sd(table, None if dynamics else plant, source),
         output_sd=_output_sd(table, source),
-        process_cov=covariance(table.noise.process_cov if table.noise else None, _order(table, plant), source),
+        process_cov=covariance(table.noise.process_cov if table.noise else None, _order(table, None if dynamics else plant), source),
         controller=_controller(table, source),
         origin=source,
         raw=text,
@@ -74,7 +76,7 @@ def model_text(model: Model, folder: Path | None = None) -> str:
     return toml_text(
         {
             "name": model.name,
-            **_time_keys(model.plant.dt if model.plant else model.sample_time),
+            **_time_keys(model.plant.dt if model.plant and model.dynamics is None else model.sample_time),
             "inputs": [Inline(name=v.name, unit=v.unit) for v in model.inputs],
             "outputs": [Inline(name=v.name, unit=v.unit) for v in model.outputs],
             "states": [_state_entry(v) for v in model.states],
@@ -149,7 +151,7 @@ def _parameter_entry(quantity: Quantity) -> Inline:
 
 
 def _dynamics_keys(model: Model, folder: Path | None) -> dict[str, object]:
-    if model.plant is not None:
+    if model.plant is not None and model.dynamics is None:
         return _matrix_keys(model.plant)
     if DYNAMICS not in model.extra:
         raise BadInput(f"model '{model.name}' has neither matrices nor a file its dynamics come from")

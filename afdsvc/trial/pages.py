@@ -15,7 +15,7 @@ th{background:#f4f4f4}.matrix th.turn{writing-mode:vertical-rl;transform:rotate(
 
 def markdown(results: Sequence[Result], title: str = "Blind trials") -> str:
     """Return the report as markdown."""
-    return f"# {title}\n\n{_summary(results)}\n" + "".join(_markdown_table(t) for t in tables(results))
+    return f"# {title}\n\n{summary(results)}\n" + "".join(_markdown_table(t) for t in tables(results))
 
 
 def page(results: Sequence[Result], title: str = "Blind trials") -> str:
@@ -23,10 +23,11 @@ def page(results: Sequence[Result], title: str = "Blind trials") -> str:
     parts = [_html_table(t) for t in tables(results)]
     parts.insert(4, _matrix(results))
     head = f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title><style>{STYLE}</style>"
-    return f"{head}<h1>{html.escape(title)}</h1><p>{html.escape(_summary(results))}</p>{''.join(parts)}</html>\n"
+    return f"{head}<h1>{html.escape(title)}</h1><p>{html.escape(summary(results))}</p>{''.join(parts)}</html>\n"
 
 
-def _summary(results: Sequence[Result]) -> str:
+def summary(results: Sequence[Result]) -> str:
+    """Return what came of the study in one sentence."""
     scores = [r["score"] for r in results]
     nothing = [s for s in scores if s["question"] == "nothing"]
     kinds = {h["physics"] for r in results for h in r["answer"]["hidden"]}

@@ -69,7 +69,7 @@ def fractional_damping(v: float, p: Row, s: Row, ds: Row) -> float:
     for k in range(8):
         ds[k] = v - NODES[k] * s[k]
         total += WEIGHTS[k] * s[k]
-    return -p[0] * total
+    return float(-p[0] * total)
 
 
 @numba.njit(cache=True, error_model="numpy")

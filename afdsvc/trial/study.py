@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -27,21 +27,33 @@ Result = dict[str, Any]
 
 
 def study(
-    requests: Sequence[Request], explain: Explain, folder: str | Path, jobs: int = 1, keep: bool = False
+    requests: Sequence[Request], explain: Explain, folder: str | Path, jobs: int = 1, keep: bool = False,
+    progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> list[Result]:
     """Return the results of all requests, running those that are not in ``folder`` yet, ``jobs`` at a time.
 
     ``explain(model, recordings, holdout)`` gets paths and returns the document of `explain --json`; an exception it raises
     is a result too. Recordings are removed after scoring unless ``keep`` is True. A study that was interrupted goes on where
-    it stopped when it is called again with the same folder.
+    it stopped when it is called again with the same folder. ``progress`` is told how many of all are done.
     """
     folder = Path(folder)
     for name in ("trials", "sealed", "results"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     _same_study(requests, folder)
     missing = [r for r in requests if not _result_path(folder, r.number).exists()]
-    Parallel(n_jobs=jobs)(delayed(run_one)(r, explain, folder, keep) for r in missing)
+    already = len(requests) - len(missing)
+    for count, _ in enumerate(_run(missing, explain, folder, keep, jobs), already + 1):
+        progress(count, len(requests))
     return results(folder)
+
+
+def _run(missing: Sequence[Request], explain: Explain, folder: Path, keep: bool, jobs: int) -> Iterable[Result]:
+    if jobs <= 1:
+        return (run_one(r, explain, folder, keep) for r in missing)
+    done: Iterable[Result] = Parallel(n_jobs=jobs, return_as="generator_unordered")(
+        delayed(run_one)(r, explain, folder, keep) for r in missing
+    )
+    return done
 
 
 def results(folder: str | Path) -> list[Result]:

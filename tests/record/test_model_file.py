@@ -227,6 +227,15 @@ def test_code_of_a_stranger_does_not_run_unasked(tmp_path):
         read_model(path)
 
 
+def test_code_in_a_trusted_folder_runs(tmp_path, monkeypatch):
+    path = python_model(tmp_path)
+    monkeypatch.setenv("AFDSVC_TRUSTED", f"/nowhere:{tmp_path.parent}")
+    assert read_model(path).dynamics is not None
+    monkeypatch.setenv("AFDSVC_TRUSTED", f"{tmp_path}-other")
+    with pytest.raises(BadInput, match="permission"):
+        read_model(path)
+
+
 def test_a_python_simulator_is_called_by_name(tmp_path):
     m = read_model(python_model(tmp_path), allow_code=True)
     p = {name: q.value for name, q in m.parameters.items()}

@@ -1,0 +1,87 @@
+"""Blind trials on disk: recordings are made and sealed, `explain` sees the files alone, then the seal is broken and scored."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from afdsvc.errors import BadInput
+from afdsvc.explaining import ExplainOptions, load_library, model_of, traces
+from afdsvc.gap.explain import explain
+from afdsvc.trial.pages import markdown, page, summary
+from afdsvc.trial.plan import MIX, Request, plan
+from afdsvc.trial.study import Result, study
+
+LARGE = 1200  # trials of the plan that kinds are picked from
+
+
+def trial_files(
+    folder: Path, count: int, seed: int, rho: float | None = None, kinds: Sequence[str] = (), parts: Sequence[str] = (),
+    jobs: int = 1, keep: bool = False, progress: Callable[[int, int], None] = lambda done, all: None,
+) -> dict[str, Any]:
+    """Run the blind trials that are not in ``folder`` yet and write the report there, as markdown and HTML.
+
+    ``rho`` sets the severity of what is hidden; ``kinds`` asks for trials that hide one of these names ("nothing" too),
+    ``parts`` for those of some parts of the plan. A run that was interrupted goes on where it stopped. Raises `BadInput` when no
+    trial is left, or the folder holds another study.
+    """
+    requests = chosen(count, seed, rho, kinds, parts)
+    np.random.default_rng(seed).shuffle(requests)  # what is done when it is interrupted is a fair sample
+    done = study(requests, from_files, folder, jobs, keep, progress)
+    return report(done, folder)
+
+
+def chosen(count: int, seed: int, rho: float | None, kinds: Sequence[str], parts: Sequence[str]) -> list[Request]:
+    """Return the requests of a study; raises `BadInput` naming the kind or part nobody asks for.
+
+    With ``kinds`` or ``parts``, ``count`` trials of those are picked evenly from a larger plan.
+    """
+    if count < 1:
+        raise BadInput(f"--n {count}: a number above 0 is wanted")
+    for part in parts:
+        if part not in MIX:
+            raise BadInput(f"--parts {part}: one of {', '.join(MIX)} is wanted")
+    wanted = plan(count, seed)
+    if kinds or parts:
+        large = plan(max(LARGE, count), seed)
+        _check_kinds(kinds, large)
+        fitting = [r for r in large if (not parts or r.part in parts) and (not kinds or set(_names(r)) & set(kinds))]
+        wanted = [fitting[k * len(fitting) // count] for k in range(count)] if count < len(fitting) else fitting
+    if not wanted:
+        raise BadInput("no trial of these --parts hides one of these --kinds; others are wanted")
+    if rho is None:
+        return wanted
+    if not rho > 0:
+        raise BadInput(f"--rho {rho:g}: a number above 0 is wanted")
+    return [replace(r, wishes=tuple(replace(w, rho=rho) for w in r.wishes)) for r in wanted]
+
+
+def _check_kinds(kinds: Sequence[str], requests: Sequence[Request]) -> None:
+    names = {name for r in requests for name in _names(r)}
+    for kind in kinds:
+        if kind not in names:
+            raise BadInput(f"--kinds {kind}: one of {', '.join(sorted(names))} is wanted")
+
+
+def _names(request: Request) -> list[str]:
+    return [w.physics.partition(":")[0] for w in request.wishes] or ["nothing"]
+
+
+def from_files(model: Path, recordings: Sequence[Path], holdout: Path) -> Mapping[str, Any]:
+    """Return the document of ``explain --json`` for the files of a trial: nothing but files is handed over."""
+    options = ExplainOptions(jobs=1)
+    nominal = model_of(model, options)
+    train, held = (traces(paths, nominal, options) for paths in (recordings, [holdout]))
+    return explain(nominal, train, held, load_library()).json(None, None)
+
+
+def report(done: Sequence[Result], folder: Path) -> dict[str, Any]:
+    """Write both reports into the folder; returns their paths and the summary."""
+    words, table = folder / "blind-trials.md", folder / "blind-trials.html"
+    words.write_text(markdown(done), encoding="utf-8")
+    table.write_text(page(done), encoding="utf-8")
+    return {"trials": len(done), "summary": summary(done), "markdown": str(words), "html": str(table), "folder": str(folder)}

@@ -1,0 +1,157 @@
+"""From files to an explanation: model and recordings in; improved model, page, Rerun file and document out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from afdsvc.api.model import Model
+from afdsvc.api.physics import Physics
+from afdsvc.api.signals import Trace
+from afdsvc.errors import BadInput
+from afdsvc.gap.explain import explain
+from afdsvc.gap.explanation import Explanation
+from afdsvc.offline import TABLES
+from afdsvc.plugins.manager import load
+from afdsvc.record.improved_model import write_improved
+from afdsvc.record.model_file import read_model
+from afdsvc.record.reader import Recording
+from afdsvc.record.tables import read_table, with_units
+
+RECORDING = ".mcap"
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ExplainOptions:
+    """How `explain_files` goes about it: where files go, column names by foreign name, whether a model's code may run.
+
+    ``rerun`` is the Rerun file to write (None: none), ``machine`` the one meant in recordings of several, ``jobs`` how many
+    cores are used.
+    """
+
+    out: Path | None = None
+    mapping: Mapping[str, str] = field(default_factory=dict)
+    allow_code: bool = False
+    rerun: Path | None = None
+    machine: str | None = None
+    jobs: int = 2
+
+
+def explain_files(
+    model: Path, recordings: Sequence[Path], holdout: Sequence[Path] = (), options: ExplainOptions | None = None,
+    progress: Progress = lambda what, share: None,
+) -> dict[str, Any]:
+    """Explain from files; writes the improved model, the page and, if asked, a Rerun file, and returns ``explain --json``.
+
+    ``model`` is a MODEL.toml, or a recording of the service, whose own model is taken; without ``recordings`` that recording
+    is explained. Raises `BadInput` naming the file and what is wrong with it.
+    """
+    options = options or ExplainOptions()
+    nominal = model_of(model, options)
+    files = list(recordings) or ([model] if model.suffix.lower() == RECORDING else [])
+    if not files:
+        raise BadInput(f"{model}: no recording is given to explain; at least one is wanted")
+    train, held = (traces(paths, nominal, options) for paths in (files, holdout))
+    folder = _folder(model, options)
+    found = explain(nominal, train, held, load_library(), mapper=parallel(options.jobs), progress=progress)
+    return _written(found, nominal, folder, means([*train, *held]), options)
+
+
+def model_of(path: Path, options: ExplainOptions) -> Model:
+    """Return the model in a MODEL.toml, or the one a recording carries; raises `BadInput` when there is none."""
+    if path.suffix.lower() != RECORDING:
+        return read_model(path, options.allow_code)
+    recording = Recording(path)
+    machine = options.machine or next(iter(recording.machines), "")
+    inside = recording.model(machine, options.allow_code) if machine else None
+    if inside is None:
+        raise BadInput(f"{path}: carries no model{f' of machine {machine}' if machine else ''}; a MODEL.toml is wanted before it")
+    return inside
+
+
+def traces(paths: Sequence[Path], model: Model, options: ExplainOptions) -> list[Trace]:
+    """Return every gapless piece of the files, with the model's units, each under a name of its own."""
+    found: list[Trace] = []
+    for path in paths:
+        table = path.suffix.lower() in TABLES
+        dt = None if model.plant is None or not model.plant.discrete else model.plant.dt
+        pieces = [_table(path, options.mapping, dt)] if table else Recording(path).traces(options.machine)
+        found += [_named(t, f"{t.name} ({k})" if len(pieces) > 1 else t.name, found) for k, t in enumerate(pieces, 1)]
+    return [with_units(t, model) for t in found]
+
+
+def _table(path: Path, mapping: Mapping[str, str], dt: float | None) -> Trace:
+    """Read a table; a sample time from the model serves where the table has no time, missing samples become gaps."""
+    try:
+        return read_table(path, mapping, allow_nan=True)
+    except BadInput as error:
+        if dt is None or "no sample time is known" not in str(error):
+            raise
+        return read_table(path, mapping, dt, allow_nan=True)
+
+
+def _named(trace: Trace, name: str, others: Iterable[Trace]) -> Trace:
+    taken = {t.name for t in others}
+    number = next(k for k in range(1, 10000) if (name if k == 1 else f"{name} #{k}") not in taken)
+    return replace(trace, name=name if number == 1 else f"{name} #{number}")
+
+
+def load_library() -> list[Physics]:
+    """Return every hypothesis plugin that is installed."""
+    return [offer.thing for offer in load().offers if offer.family == "physics"]
+
+
+def parallel(jobs: int) -> Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]:
+    """Return a map over this many threads (the simulations run outside Python's lock); the plain one for a single job."""
+    if jobs <= 1:
+        return map
+
+    def mapper(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterable[Any]:
+        done: Iterable[Any] = Parallel(n_jobs=jobs, prefer="threads")(delayed(function)(item) for item in items)
+        return done
+
+    return mapper
+
+
+def means(recordings: Sequence[Trace]) -> dict[str, float]:
+    """Return the mean of every auxiliary signal over the recordings, sorted by name."""
+    labels = sorted({c.label for t in recordings for c in t.channels if c.role == "aux"})
+    return {
+        label: float(np.nanmean(np.concatenate([t.column(f"aux_{label}") for t in recordings if t.has(f"aux_{label}")])))
+        for label in labels
+    }
+
+
+def _folder(model: Path, options: ExplainOptions) -> Path:
+    folder = options.out or model.with_name(f"{model.stem}.explained")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"--out {folder}: no such folder can be made: {error.strerror or error}") from None
+    return folder
+
+
+def _written(
+    found: Explanation, nominal: Model, folder: Path, aux: Mapping[str, float], options: ExplainOptions
+) -> dict[str, Any]:
+    from afdsvc.report.explain_page import explain_page  # matplotlib is wanted only here
+
+    target, page = folder / "MODEL.toml", folder / "report.html"
+    if nominal.origin and Path(nominal.origin).resolve() == target.resolve():
+        raise BadInput(f"--out {folder}: the nominal model would be overwritten; another folder is wanted")
+    written = write_improved(found, target, aux)
+    document = found.json(str(target), str(page))
+    document["files"] = [str(path) for path in written]
+    page.write_text(explain_page(found, document), encoding="utf-8")
+    if options.rerun:
+        from afdsvc.review.explained import log_explanation
+
+        log_explanation(found, options.rerun)
+        document["rerun"] = str(options.rerun)
+    return document

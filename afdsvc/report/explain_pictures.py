@@ -1,0 +1,115 @@
+"""Pictures of an explanation: measured beside simulated, what is left over, and its spectrum against the noise."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from afdsvc.gap.explanation import Course, Explanation, Spectrum
+from afdsvc.lti.statespace import Array
+
+MEASURED, BEFORE, AFTER, NOISE = "0.25", "#c8553d", "#1b6ca8", "#4a9c5d"
+SHOWN = 1200  # samples of a close-up
+BANDS = 60  # bands per decade of a spectrum
+
+
+def courses(explanation: Explanation) -> str:
+    """Return the held-out recording: a close-up of measured and simulated, and what is left over the whole of it."""
+    held = [c for c in explanation.courses if c.role == "heldout"]
+    if not held:
+        return ""
+    course, names = held[0], _outputs(explanation)
+    figure, axes = _axes(2 * len(names), 1, 1.7)
+    close = _close_up(course)
+    for j, name in enumerate(names):
+        _compared(axes[2 * j], course, close, j, name)
+        _left(axes[2 * j + 1], course, j, name)
+    axes[0].legend(fontsize=7, frameon=False, ncols=3, loc="upper right")
+    axes[1].legend(fontsize=7, frameon=False, ncols=2, loc="upper right")
+    axes[-1].set_xlabel(f"s, {course.name}", fontsize=8)
+    return svg(figure)
+
+
+def _compared(ax: Axes, course: Course, part: slice, j: int, name: str) -> None:
+    ax.plot(course.t[part], course.measured[part, j], color=MEASURED, lw=1.6, label="measured")
+    ax.plot(course.t[part], course.before[part, j], color=BEFORE, lw=0.9, label="simulated before")
+    ax.plot(course.t[part], course.after[part, j], color=AFTER, lw=0.9, ls="--", label="simulated after")
+    _labelled(ax, name)
+
+
+def _left(ax: Axes, course: Course, j: int, name: str) -> None:
+    step = max(len(course.t) // 6000, 1)
+    ax.plot(course.t[::step], course.residual_before[::step, j], color=BEFORE, lw=0.6, label="left over before")
+    ax.plot(course.t[::step], course.residual_after[::step, j], color=AFTER, lw=0.6, label="left over after")
+    _labelled(ax, f"residual {name}")
+
+
+def spectra(explanation: Explanation) -> str:
+    """Return the residual's power density before and after, with the noise where it is known apart from the model."""
+    if not explanation.spectra:
+        return ""
+    figure, axes = _axes(len(explanation.spectra), 1, 2.4)
+    for ax, s in zip(axes, explanation.spectra, strict=True):
+        _density(ax, s)
+    axes[0].legend(fontsize=7, frameon=False, ncols=4, loc="upper right")
+    axes[-1].set_xlabel("Hz", fontsize=8)
+    return svg(figure)
+
+
+def _density(ax: Axes, s: Spectrum) -> None:
+    for values, colour, words, width in (
+        (s.measured, MEASURED, "measured output", 0.7), (s.before, BEFORE, "residual before", 1.3),
+        (s.after, AFTER, "residual after", 1.3), (s.noise, NOISE, "what does not repeat (noise)", 1.0),
+    ):
+        if values is not None:
+            ax.loglog(*_averaged(s.frequency, values), color=colour, lw=width, label=words)
+    _labelled(ax, s.output)
+    floor = float(_averaged(s.frequency, s.after)[1].min())
+    if floor > 0:
+        ax.set_ylim(bottom=floor / 5)
+
+
+def _averaged(frequency: Array, density: Array) -> tuple[Array, Array]:
+    """Return the density averaged over bands that are as wide on a logarithmic axis, so that lines do not hide one another."""
+    seen = frequency > 0
+    f, d = frequency[seen], density[seen]
+    band = np.unique(np.floor(BANDS * np.log10(f)), return_inverse=True)[1]
+    count = np.bincount(band)
+    return np.bincount(band, f) / count, np.maximum(np.bincount(band, d) / count, 1e-300)
+
+
+def _close_up(course: Course) -> slice:
+    """Return the stretch where before and after differ most."""
+    n = len(course.t)
+    if n <= SHOWN:
+        return slice(0, n)
+    apart = np.nan_to_num((course.before - course.after) / np.maximum(np.nanstd(course.measured, axis=0), 1e-300))
+    power = np.concatenate([[0.0], np.cumsum((apart**2).sum(1))])
+    start = int(np.argmax(power[SHOWN:] - power[:-SHOWN]))
+    return slice(start, start + SHOWN)
+
+
+def _outputs(explanation: Explanation) -> list[str]:
+    return [f"{v.name} [{v.unit}]" if v.unit else v.name for v in explanation.nominal.model.outputs]
+
+
+def _labelled(ax: Axes, name: str) -> None:
+    ax.set_ylabel(name, fontsize=8)
+    ax.tick_params(labelsize=7)
+    ax.grid(alpha=0.25, lw=0.5)
+
+
+def _axes(rows: int, columns: int, height: float) -> tuple[Figure, Sequence[Axes]]:
+    figure = Figure(figsize=(9.5, height * rows), layout="constrained")
+    return figure, list(np.atleast_1d(figure.subplots(rows, columns)).ravel())
+
+
+def svg(figure: Figure) -> str:
+    """Return the figure as an SVG element; the same figure gives the same text."""
+    out = io.StringIO()
+    figure.savefig(out, format="svg", metadata={"Date": None})
+    return out.getvalue()[out.getvalue().index("<svg") :]

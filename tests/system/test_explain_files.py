@@ -1,0 +1,152 @@
+"""From files to files: the document, the page, the improved model, the Rerun file, and one sentence for whatever is wrong."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from afdsvc.api.model import Model, Variable
+from afdsvc.errors import BadInput
+from afdsvc.explaining import ExplainOptions, explain_files, means, traces
+from afdsvc.lti.statespace import StateSpace
+from afdsvc.record.import_table import import_table
+from afdsvc.record.model_file import read_model, write_model
+from afdsvc.record.tables import read_table
+
+DT, PERIOD = 2e-3, 500
+
+
+def spring() -> Model:
+    plant = StateSpace(np.array([[0, 1.0], [-1e4, -20]]), np.array([[0.0], [1e4]]), np.array([[1.0, 0]]), np.zeros((1, 1)))
+    states = (Variable("q", "mm"), Variable("v", "mm/s", rate_of="q"))
+    return Model("spring", (Variable("force", "N"),), (Variable("position", "mm"),), states, plant)
+
+
+def record(path: Path, level: float, seed: int, cube: float) -> Path:
+    """A spring that hardens, integrated by Runge-Kutta in four steps a sample, written as a table."""
+    rng = np.random.default_rng(seed)
+    lines = np.array([k for i, k in enumerate(range(1, 50, 2)) if i % 4 != 3])
+    t = np.arange(PERIOD) * DT
+    u = np.cos(2 * np.pi * np.outer(t, lines) + rng.uniform(0, 2 * np.pi, len(lines))).sum(1)
+    u = np.tile(level * u / u.std(), 4)
+    x, y, h = np.zeros(2), [], DT / 4
+
+    def f(x: np.ndarray, u: float) -> np.ndarray:
+        return np.array([x[1], -1e4 * x[0] - 20 * x[1] + 1e4 * u - cube * x[0] ** 3])
+
+    for value in u:
+        y.append(x[0])
+        for _ in range(4):
+            a = f(x, value)
+            b = f(x + h / 2 * a, value)
+            c = f(x + h / 2 * b, value)
+            x = x + h / 6 * (a + 2 * b + 2 * c + f(x + h * c, value))
+    columns = np.column_stack([np.arange(len(u)) * DT, u, np.array(y) + 0.01 * rng.standard_normal(len(u))])
+    np.savetxt(path, columns, delimiter=",", header="t,current,y_position", comments="")
+    return path
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> tuple[Path, list[Path]]:
+    folder = tmp_path_factory.mktemp("spring")
+    write_model(spring(), folder / "spring.toml")
+    return folder / "spring.toml", [record(folder / f"r{k}.csv", level, k, 400.0) for k, level in enumerate((1.0, 0.5, 0.75, 0.8))]
+
+
+@pytest.fixture(scope="module")
+def explained(files) -> tuple[dict, Path]:
+    model, tables = files
+    out = model.parent / "out"
+    options = ExplainOptions(out, {"current": "u_force"}, rerun=out / "why.rrd")
+    return explain_files(model, tables[:3], tables[3:], options), out
+
+
+def test_document_page_model_and_rerun_file_are_there(explained):
+    document, out = explained
+    assert document["verdict"] == "omitted_physics"
+    assert document["named"][0]["physics"] == "cubic_stiffness"
+    assert document["fit"]["heldout"] == ["r3.csv"]
+    fit = document["fit"]["per_output"]["position"]
+    assert fit["after"]["nrmse"] < 0.3 * fit["before"]["nrmse"]
+    json.dumps(document, allow_nan=False)
+    assert Path(document["model"]) == out / "MODEL.toml"
+    assert (out / "why.rrd").stat().st_size > 10_000
+    m = read_model(out / "MODEL.toml", allow_code=True)
+    assert 0.04 * 0.9 < m.parameters["stiffness of cubic_stiffness at state:v"].value < 0.04 * 1.1
+
+
+def test_the_page_says_the_verdict_first_and_shows_everything(explained):
+    page = (explained[1] / "report.html").read_text()
+    words = [
+        "The model leaves out physics that the recordings show: cubic stiffness (force on v)", "Fit on data never used", "What it is",
+        "Where simulation and recordings part", "Measured and simulated", "What is left, by frequency", "What it is not", "<footer>",
+    ]
+    places = [page.index(word) for word in words]
+    assert places == sorted(places)
+    assert page.count("<svg") == 2
+    assert "http" not in page.replace("http://www.w3.org", "").replace("https://matplotlib.org", "").replace("http://purl.org", "").replace(
+        "http://creativecommons.org", "")
+
+
+def test_the_written_model_is_explained_no_further_by_its_linear_part(explained, files):
+    """The improved model loads as it is; without permission its code does not run."""
+    model, tables = explained[1] / "MODEL.toml", files[1]
+    with pytest.raises(BadInput, match="permission"):
+        explain_files(model, tables[:1], [], ExplainOptions(explained[1] / "x"))
+
+
+def test_a_recording_that_carries_its_model_needs_nothing_else(files, tmp_path):
+    trace = read_table(files[1][0], {"current": "u_force"})
+    made = import_table(trace, tmp_path / "kept.mcap", read_model(files[0]), machine="spring")
+    document = explain_files(Path(made), [], [], ExplainOptions(tmp_path / "out"))
+    assert document["named"][0]["physics"] == "cubic_stiffness"
+    assert document["fit"]["heldout"][0].startswith("kept.mcap, ")
+
+
+def test_two_files_of_one_name_stay_apart(files, tmp_path):
+    other = tmp_path / "r0.csv"
+    other.write_bytes(files[1][1].read_bytes())
+    names = [t.name for t in traces([files[1][0], other], spring(), ExplainOptions(mapping={"current": "u_force"}))]
+    assert names == ["r0.csv", "r0.csv #2"]
+
+
+def test_means_of_other_signals_come_sorted(tmp_path):
+    np.savez(tmp_path / "a.npz", t=np.arange(3) * 0.1, u_force=np.zeros(3), aux_b=np.array([1.0, 2, 3]), aux_a=np.ones(3))
+    assert means([read_table(tmp_path / "a.npz")]) == {"a": 1.0, "b": 2.0}
+
+
+CURRENT = {"current": "u_force"}
+
+
+@pytest.mark.parametrize(
+    ("model", "tables", "options", "words"),
+    [
+        ("spring.toml", [], ExplainOptions(), ["spring.toml", "no recording"]),
+        ("none.toml", ["r0.csv"], ExplainOptions(), ["none.toml"]),
+        ("spring.toml", ["r0.csv"], ExplainOptions(), ["r0.csv", "current"]),
+        ("spring.toml", ["r0.csv"], ExplainOptions(mapping={"voltage": "u_force"}), ["voltage", "current"]),
+        ("spring.toml", ["r0.csv"], ExplainOptions(mapping={"current": "u_torque"}), ["u_force", "u_torque"]),
+        ("spring.toml", ["none.mcap"], ExplainOptions(), ["none.mcap"]),
+    ],
+)
+def test_bad_input_is_one_sentence(files, model, tables, options, words):
+    folder = files[0].parent
+    with pytest.raises(BadInput) as refusal:
+        explain_files(folder / model, [folder / t for t in tables], [], options)
+    sentence = str(refusal.value)
+    assert "\n" not in sentence
+    assert all(word in sentence for word in words)
+
+
+def test_on_the_command_line_a_refusal_is_one_sentence_and_exit_2(files):
+    command = [sys.executable, "-m", "afdsvc", "explain", "spring.toml", "r0.csv", "--map", "current=u_force", "--out", "spring.toml"]
+    done = subprocess.run(command, cwd=files[0].parent, capture_output=True, text=True, check=False)
+    assert done.returncode == 2, done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not done.stdout
+    assert "--out spring.toml" in done.stderr
