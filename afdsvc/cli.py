@@ -271,13 +271,14 @@ def diagnose(
     model: Annotated[Path | None, typer.Option(metavar="MODEL.toml", help="The model, for recordings that carry none.")] = None,
     calibrate: Annotated[float | None, typer.Option(metavar="SECONDS", help="Quiet data to learn the noise from.")] = None,
     calibrate_on: Annotated[Path | None, typer.Option(metavar="TABLE", help="Learn the noise from another table.")] = None,
+    detector: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Instead of the site's own; may be repeated.")] = None,
     as_json: Json = False,
 ) -> None:
     """Run the detectors over recordings: the same code and the same evidence as live."""
     from afdsvc.offline import diagnose_recordings
     from afdsvc.terminal import diagnosis_table
 
-    document = diagnose_recordings(recordings, model, calibrate, calibrate_on)
+    document = diagnose_recordings(recordings, model, calibrate, calibrate_on, detector or [])
     _show(as_json, document, lambda: diagnosis_table(document))
 
 

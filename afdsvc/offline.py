@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from afdsvc.record.model_file import read_model
 from afdsvc.record.reader import Recording
 from afdsvc.record.tables import read_table
 from afdsvc.runtime.commands import plain
-from afdsvc.runtime.site import Driver, Machine, parse_site
+from afdsvc.runtime.site import Detector, Driver, Machine, parse_site
 from afdsvc.runtime.verdict import conclude
 from afdsvc.service import pipeline_of
 
@@ -27,16 +28,20 @@ TABLES = (".csv", ".parquet", ".mat", ".npz")
 
 
 def diagnose_recordings(
-    paths: Sequence[Path], model: Path | None = None, calibrate: float | None = None, calibrate_on: Path | None = None
+    paths: Sequence[Path], model: Path | None = None, calibrate: float | None = None, calibrate_on: Path | None = None,
+    detectors: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Return the document of ``diagnose --json`` for recordings (MCAP) and tables; raises `BadInput` naming the file."""
+    """Return the document of ``diagnose --json`` for recordings (MCAP) and tables; raises `BadInput` naming the file.
+
+    ``detectors`` are used instead of those the recording's own site names.
+    """
     plugins = load()
     found: list[dict[str, Any]] = []
     for path in paths:
         if path.suffix.lower() in TABLES:
-            found.append(_diagnose_table(path, model, calibrate, calibrate_on, plugins))
+            found.append(_diagnose_table(path, model, calibrate, calibrate_on, plugins, detectors))
         else:
-            found += _diagnose_mcap(path, model, calibrate, plugins)
+            found += _diagnose_mcap(path, model, calibrate, plugins, detectors)
     return {"recordings": found}
 
 
@@ -76,13 +81,15 @@ class Replayed:
             self.spans.append((block.burst, block.k0, len(block), block.dt))
 
 
-def _diagnose_mcap(path: Path, model: Path | None, calibrate: float | None, plugins: Plugins) -> list[dict[str, Any]]:
+def _diagnose_mcap(
+    path: Path, model: Path | None, calibrate: float | None, plugins: Plugins, detectors: Sequence[str]
+) -> list[dict[str, Any]]:
     recording = Recording(path)
     if not recording.machines:
         raise BadInput(f"{path}: holds no samples of any machine")
     found = []
     for id in recording.machines:
-        machine = _machine_of(recording, id, model, calibrate, plugins)
+        machine = _watched_by(detectors, _machine_of(recording, id, model, calibrate, plugins))
         bursts = [r.burst for r in recording.requests(id)]
         replayed = evidence_of(machine, recording.blocks(id), bursts, plugins)
         remarks = [*([recording.loss] if recording.loss else []), *replayed.remarks]
@@ -107,15 +114,24 @@ def _machine_of(recording: Recording, id: str, model: Path | None, calibrate: fl
 
 
 def _diagnose_table(
-    path: Path, model: Path | None, calibrate: float | None, on: Path | None, plugins: Plugins
+    path: Path, model: Path | None, calibrate: float | None, on: Path | None, plugins: Plugins, detectors: Sequence[str]
 ) -> dict[str, Any]:
     if model is None:
         raise BadInput(f"{path}: a table carries no model; give one with --model MODEL.toml")
     trace = read_table(path)
     config = _bare(path.stem.replace(" ", "_"), calibrate or len(trace) * trace.dt / 2, on)
-    machine = commission.commission(config, plugins, Watched(read_model(model), trace.dt, trace.channels))
+    watched = Watched(read_model(model), trace.dt, trace.channels)
+    machine = _watched_by(detectors, commission.commission(config, plugins, watched))
     replayed = evidence_of(machine, blocks_of(trace, config.id, "table", 0), [], plugins)
     return document(str(path), config.id, replayed, {}, machine, replayed.remarks)
+
+
+def _watched_by(detectors: Sequence[str], machine: Commissioned) -> Commissioned:
+    """Return the machine with other detectors, where any are named."""
+    if not detectors:
+        return machine
+    chosen = [Detector(kind=kind) for kind in detectors]
+    return replace(machine, config=machine.config.model_copy(update={"detectors": chosen}))
 
 
 def _bare(id: str, calibrate: float, on: Path | None = None) -> Machine:

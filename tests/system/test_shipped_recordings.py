@@ -33,3 +33,12 @@ def test_recording(entry):
 def test_all_together_are_small():
     assert len(ENTRIES) == 5
     assert sum(e["bytes"] for e in ENTRIES) < 10_000_000
+
+
+def test_other_detectors_can_be_tried_on_an_old_recording():
+    path = Path(__file__).parents[2] / "recordings" / "shipped" / "gas_bearing_vertical_sensor.mcap"
+    document = diagnose_recordings([path], detectors=["chi_square"])
+    said = {d["detector"] for b in document["recordings"][0]["bursts"] for d in b["decisions"]}
+    assert said == {"chi_square"}
+    with pytest.raises(BadInput, match="no plugin 'nope' among the detectors"):
+        diagnose_recordings([path], detectors=["nope"])
