@@ -21,6 +21,7 @@ LEVELS = (1.0, 1.5, 2.0)
 FASTER = (1.0, 1.5)
 TOP = 0.8  # of the Nyquist frequency
 SECONDS, PERIODS = 0.5, 5
+CREST = 1.8  # peak over rms of the multisines played
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,9 +101,10 @@ def _choices(peaks: Array) -> Iterator[tuple[int, ...]]:
 
 
 def _peaks(runs: Sequence[Run]) -> Array:
-    """Return the largest excitation of every input so far, at least a tenth of the largest of all."""
-    seen = np.max([np.abs(_drive(r) - _drive(r).mean(0)).max(0) for r in runs], axis=0)
-    return np.asarray(np.maximum(seen, 0.1 * float(seen.max()) + 1e-300))
+    """Return, per input, the peak of a low-crest multisine as strong as the loudest excitation so far, at least a tenth of the
+    strongest of all; the first quarter of a recording, where the loop is still settling, does not count."""
+    strong = np.max([_drive(r)[len(r) // 4 :].std(0) for r in runs], axis=0)
+    return np.asarray(CREST * np.maximum(strong, 0.1 * float(strong.max()) + 1e-300))
 
 
 def _drive(run: Run) -> Array:

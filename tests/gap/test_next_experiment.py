@@ -18,6 +18,8 @@ from afdsvc.gap.runs import prepare
 from afdsvc.gap.settle import full_cost, settle
 from afdsvc.gap.simulator import Effect
 from afdsvc.gap.sizes import machine
+from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import afdsvc_physics
 
@@ -95,7 +97,7 @@ def test_clearance_and_cubic_ask_for_more_amplitude():
 
 def test_the_promised_separation_is_the_likelihood_ratio_the_data_give():
     """The present experiment repeated would separate the rivals as much as the recording did: 2 log L ~ d^2 +- 2 d."""
-    base = based(recorded("delay", 0.05, 40.0, 1.0, 4))
+    base = based(recorded("delay", 0.04, 40.0, 1.0, 4))
     delay, lag = (contender(base, p, "input:force") for p in ("transport_delay", "actuator_lag"))
     assert base.limited == "noise"
     ratio = full_cost(base.objective, lag.point) - full_cost(base.objective, delay.point)
@@ -106,11 +108,20 @@ def test_the_promised_separation_is_the_likelihood_ratio_the_data_give():
 
 def test_limits_are_kept(timing):
     base, rivals = timing
-    peak = float(np.abs(base.objective.runs[0].U).max())
-    limits = Limits(np.array([1e3]), np.array([1e3]), np.array([1.02 * peak]))
-    found = next_experiment(base, rivals, limits)
+    free = next_experiment(base, rivals)
+    assert free.level > 1
+    most = 1.01 * float(np.abs(free.burst.play(DT)).max()) / free.level
+    found = next_experiment(base, rivals, Limits(np.array([1e3]), np.array([1e3]), np.array([most])))
     assert found.level == 1
-    assert np.abs(found.burst.play(DT)).max() <= 1.02 * peak
+    assert np.abs(found.burst.play(DT)).max() <= most
+
+
+def test_outputs_stay_within_limits(timing):
+    """Outputs may not grow at all: the burst chosen moves them no further than the limit, by simulation."""
+    base, rivals = timing
+    found = next_experiment(base, rivals, Limits(np.array([1.0]), np.array([1e3]), np.array([1e3])))
+    y, _ = simulate(sample_zoh(base.nominal.plant, DT), found.burst.play(DT))
+    assert np.abs(y).max() < 1.1
 
 
 def test_the_burst_can_be_played_and_read_back(timing):
