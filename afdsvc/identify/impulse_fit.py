@@ -17,6 +17,7 @@ from copy import copy
 import numpy as np
 
 from afdsvc.errors import IllConditioned
+from afdsvc.identify.closed_slopes import closed_slopes, differences
 from afdsvc.identify.compression import window_products
 from afdsvc.identify.descent import Local, descend
 from afdsvc.identify.hansen import settling_samples
@@ -120,17 +121,18 @@ class ImpulseFit:
         return Local(cost, gradient, curvature)
 
     def _derivatives(self, z: Array) -> tuple[Array, Array]:
-        S, step = self.deviation(z), 1e-3
-        pairs = [(self._closed(z + h), self._closed(z - h)) for h in np.diag(np.full(len(z), step))]
-        slopes = Slopes(
-            *(np.stack([(getattr(a, k) - getattr(b, k)) / (2 * step) for a, b in pairs]) for k in ("A", "B", "C", "D"))
-        )
-        g, dg = self._markov(S, slopes)
-        return g, dg
+        plant, steps = self._plant(z), np.full(len(z), 1e-3)
+        moved = differences(self._plant, z, steps)
+        if plant.D.any() or moved.D.any():
+            return self._markov(self.deviation(z), differences(self._closed, z, steps))
+        return self._markov(self.deviation(z), closed_slopes(self.augmented, plant, moved))
 
     def _closed(self, z: Array) -> StateSpace:
-        plant = self.structure.build(z * self.structure.scales)
+        plant = self._plant(z)
         return star(plant, self.augmented, plant.outputs, plant.inputs)
+
+    def _plant(self, z: Array) -> StateSpace:
+        return self.structure.build(z * self.structure.scales)
 
     def _markov(self, S: StateSpace, slopes: Slopes | None) -> tuple[Array, Array]:
         """Return ``g (p, (L+1) m)``, latest sample first in the window order of Gaa, and its slopes ``(q, p, (L+1)

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from afdsvc.errors import BadInput, IllConditioned
+from afdsvc.identify.closed_slopes import closed_slopes, differences
 from afdsvc.identify.descent import Local, Minimum, descend
 from afdsvc.identify.fit import Estimate, Fit
 from afdsvc.identify.innovations import InnovationsForm, fitted_errors
@@ -102,25 +103,26 @@ class Mismatch:
         return S
 
     def slopes(self, theta: Array) -> Slopes:
-        """Return the slopes of the matrices of S(theta) by central differences (they are small; samples do not
-        count)."""
+        """Return the slopes of the matrices of S(theta): differences of small matrices, samples do not count."""
         steps = 1e-4 * self.structure.scales
-        pairs = [(self._closed(theta + h), self._closed(theta - h)) for h in np.diag(steps)]
-
-        def slope(name: str) -> Array:
-            return np.stack(
-                [(getattr(a, name) - getattr(b, name)) / (2 * h) for (a, b), h in zip(pairs, steps, strict=True)]
-            )
-
-        return Slopes(slope("A"), slope("B"), slope("C"), slope("D"))
+        if self.whitener is None:
+            plant = self._sampled(theta)
+            moved = differences(self._sampled, theta, steps)
+            if not (plant.D.any() or moved.D.any()):
+                return closed_slopes(self.augmented, plant, moved)
+        return differences(self._closed, theta, steps)
 
     def _closed(self, theta: Array) -> StateSpace:
-        plant = self.structure.build(theta)
-        if not plant.discrete:
-            require_samplable(plant, self.dt)
-        sampled = plant if plant.discrete else sample_zoh(plant, self.dt)
+        sampled = self._sampled(theta)
         S = star(sampled, self.augmented, sampled.outputs, sampled.inputs)
         return S if self.whitener is None else self.whitener @ S
+
+    def _sampled(self, theta: Array) -> StateSpace:
+        plant = self.structure.build(theta)
+        if plant.discrete:
+            return plant
+        require_samplable(plant, self.dt)
+        return sample_zoh(plant, self.dt)
 
     def error_covariance(self, theta: Array) -> Array:
         S = self.signature(theta)

@@ -20,7 +20,7 @@ from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 
-SAMPLES, OUTPUT_RMS, HORIZON = 2500, 2.0, 30
+SAMPLES, OUTPUT_RMS, HORIZON = 2000, 2.0, 24
 FREE = [n for n in PLANT.parameters if n != "mass"]
 METHODS = ("nominal", "PEM", "PEM, 5 starts", "Hansen G(S)", "Hansen, truncated", "Hansen, refined", "truth")
 
@@ -49,7 +49,7 @@ def identify_all(
     """Return the plant of every method, None where it failed."""
     structure = physical_structure(plant, FREE)
     start = structure.values * (1 - theta) if start is None else start
-    found = {"nominal": nominal, "truth": true, "PEM": _pem(structure, training, GreyboxOptions(steps=30), rng, start)}
+    found = {"nominal": nominal, "truth": true, "PEM": _pem(structure, training, GreyboxOptions(steps=25), rng, start)}
     if starts:
         found["PEM, 5 starts"] = _pem(structure, training, GreyboxOptions(starts=5, spread=3.0, steps=25), rng, start)
     try:

@@ -22,7 +22,7 @@ from page import DOCS, picture, table, write  # noqa: E402
 
 from afdsvc.errors import AfdsvcError  # noqa: E402
 
-HELDOUT, STARTS_EVERY = 8000, 25
+HELDOUT, STARTS_EVERY = 8000, 50
 KINDS = {"discrete": (scaled_discrete, 0.01), "continuous": (scaled_continuous, 1e-6)}
 FIGURES = DOCS / "reference" / "identification-monte-carlo.csv"
 EDGES = np.linspace(0, 1, 11)

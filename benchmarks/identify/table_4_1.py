@@ -1,0 +1,133 @@
+"""The three conditions of the thesis' table 4.1 repeated in simulation, beside the published figures.
+
+python benchmarks/identify/table_4_1.py [repetitions]     (default 5; two minutes)
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import dataclass
+
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ[name] = "1"
+
+import numpy as np  # noqa: E402
+from bearing import PLANT, binary, controller, run, stabilises  # noqa: E402
+from contest import FREE, METHODS, OUTPUT_RMS, SAMPLES, amplitude, identify_all, r2, scaled_continuous, scaled_discrete  # noqa: E402
+from page import table, write  # noqa: E402
+
+from afdsvc.identify.hansen import youla_signals  # noqa: E402
+from afdsvc.identify.recordings import Recording  # noqa: E402
+from afdsvc.lti.coprime import Factorisation  # noqa: E402
+from afdsvc.lti.sampling import sample_zoh  # noqa: E402
+from afdsvc.lti.simulate import simulate  # noqa: E402
+from afdsvc.lti.statespace import Array, StateSpace  # noqa: E402
+from afdsvc.lti.yjbk import closed_loop  # noqa: E402
+from afdsvc.api.plant import PhysicalPlant  # noqa: E402
+from afdsvc.plants.gas_bearing import gas_bearing  # noqa: E402
+
+RPM = 1100
+#: Table 4.1 of the thesis, R2 in per cent, horizontal and vertical.
+PUBLISHED = {
+    "0.7 B, rotating": {"nominal": (51.36, 54.13), "PEM": (62.87, 75.78), "Hansen G(S)": (61.94, 69.19), "Hansen, truncated": (60.71, 69.33)},
+    "0.5 A, 0 rpm": {"nominal": (3.19, 3.0), "PEM": (48.91, 39.47), "Hansen G(S)": (76.76, 83.58), "Hansen, truncated": (76.73, 83.53)},
+    "0.97 A, 0 rpm": {"nominal": (83.21, 76.12), "PEM": (83.9, 84.63), "Hansen G(S)": (83.53, 81.18), "Hansen, truncated": (83.07, 79.59)},
+}
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One column of the table: the machine, the nominal model, where PEM starts, and the shaking of the rotor [um]."""
+
+    published: str
+    variant: str
+    plant: PhysicalPlant
+    nominal: StateSpace
+    start: Array
+    shaking: float = 0.0
+
+
+def conditions() -> list[Condition]:
+    values, rotating = np.array([PLANT.parameters[n].value for n in FREE]), gas_bearing(RPM)
+    G = rotating.continuous()
+    weak = sample_zoh(StateSpace(G.A, 0.7 * G.B, G.C, G.D, 0.0), rotating.sample_time)
+    turning = np.array([rotating.parameters[n].value * (0.7 if n.startswith("gain") else 1.0) for n in FREE])
+    return [
+        Condition("0.7 B, rotating", "no unbalance", rotating, weak, turning),
+        Condition("0.7 B, rotating", "unbalance 1 um", rotating, weak, turning, 1.0),
+        Condition("0.5 A, 0 rpm", "sampled A", PLANT, scaled_discrete(0.5), 0.5 * values),
+        Condition("0.5 A, 0 rpm", "continuous A", PLANT, scaled_continuous(0.5), 0.5 * values),
+        Condition("0.97 A, 0 rpm", "sampled A", PLANT, scaled_discrete(0.03), 0.97 * values),
+        Condition("0.97 A, 0 rpm", "continuous A", PLANT, scaled_continuous(0.03), 0.97 * values),
+    ]
+
+
+def recorded(fact: Factorisation, case: Condition, rng: np.random.Generator) -> tuple[Recording, Recording]:
+    """Return the recordings of (u, y) and (alpha, beta) of one run; unbalance moves the outputs and is answered to."""
+    true = case.plant.discrete()
+    record, signals = run(fact, true, binary(rng, SAMPLES, amplitude(fact, true)), rng)
+    if not case.shaking:
+        return record, signals
+    angle = RPM * 2 * np.pi / 60 * np.arange(SAMPLES) * true.dt + rng.uniform(0, 2 * np.pi)
+    d = np.sqrt(2) * case.shaking * np.column_stack([np.cos(angle), np.sin(angle)])
+    out, _ = simulate(closed_loop(fact, true).system, np.hstack([d, np.zeros((SAMPLES, 6))]))
+    shaken = Recording.of(record.u + out[:, 4:6], record.y + out[:, 2:4], true.dt)
+    return shaken, youla_signals(fact, shaken)
+
+
+def medians(case: Condition, repetitions: int, rng: np.random.Generator) -> dict[str, Array]:
+    """Return the median R2 of every method, shape ``(2,)`` each."""
+    true, fact = case.plant.discrete(), controller(case.nominal, 1e-6)
+    if not stabilises(fact, true):
+        raise SystemExit(f"{case}: the controller does not stabilise the plant")
+    rows = []
+    for _ in range(repetitions):
+        (training, signals), (heldout, _) = recorded(fact, case, rng), recorded(fact, case, rng)
+        found = identify_all(fact, case.nominal, true, [training], [signals], 0.0, rng, case.plant, case.start, starts=False)
+        rows.append({label: r2(found.get(label), heldout) for label in METHODS})
+    return {label: np.nanmedian([row[label] for row in rows], axis=0) for label in METHODS if label != "PEM, 5 starts"}
+
+
+def study(repetitions: int) -> None:
+    """Write docs/reference/identification-table-4-1.md."""
+    rng, rows = np.random.default_rng(2), []
+    for case in conditions():
+        for label, ours in medians(case, repetitions, rng).items():
+            theirs = PUBLISHED[case.published].get(label)
+            rows.append([case.published, case.variant, label, f"{100 * ours[0]:.1f} / {100 * ours[1]:.1f}", f"{theirs[0]} / {theirs[1]}" if theirs else ""])
+            print(rows[-1], flush=True)
+    header = ["condition", "here", "method", f"R2 hor. / vert. [%], median of {repetitions}", "published [%]"]
+    command = f"python benchmarks/identify/table_4_1.py {repetitions}"
+    write("identification-table-4-1", "Table 4.1 of the thesis, in simulation", command, [INTRODUCTION, table(header, rows), READING])
+
+
+INTRODUCTION = f"""The thesis (section 4.7) identified the real gas bearing from three nominal models: one with 0.7 B at rotation, one with 0.5 A and
+one with 0.97 A at rest. The same three on the simulated bearing (P5 table 0.1, its noise; speed {RPM} rpm, the other one for which a
+model is published, instead of 2500): the loop of P5's controller designed for the nominal model, random binary excitation in alpha
+that moves the outputs by {OUTPUT_RMS} um rms, {SAMPLES} samples to fit and {SAMPLES} others to judge. R2 is Eq 4.38, 1 - ratio of norms,
+so noise takes its share: *truth* is what the true plant itself reaches. "Refined" is not in the thesis."""
+
+READING = """## Why the figures differ from the published ones
+
+- **Noise, not the method, sets the ceiling.** The ceiling here, about 82 / 80 %, is the ratio of 2 um of excited motion to the published
+  noise; the thesis does not give the size of its excitation. That its best figures (84 / 85 %) lie close to it says that its signal-to-noise ratio
+  was about this one. Every other figure has to be compared with the ceiling of its own row.
+- **0.5 A: which A?** Halving the sampled A leaves a model that answers at once and forgets within two samples: it explains a few per cent of the motion,
+  like the published nominal 3 %. Halving the continuous A doubles the static gain and predicts worse than the mean
+  (R2 far below zero). So the published condition is the sampled A, and the comparison is with that row.
+- **Direct PEM at 0.5 A** came out at 49 / 39 % in the thesis. In simulation a search from half the physical parameters either reaches the
+  truth or gets stuck far from it (see the [Monte Carlo study](identification-monte-carlo.md)); a value in between is what a search stopped early, or
+  one among entries of A, leaves behind. The ranking - the Hansen scheme recovers, PEM may not - is the same.
+- **0.97 A**: published, nominal and identified models are equally good in the horizontal direction. Here 0.97 A on the sampled matrix costs
+  the nominal model much more (its slow poles move from 0.96 to 0.93, which changes the static gain), on the continuous matrix almost nothing:
+  the published column looks like the latter, or like a nominal model that the true machine happened to suit.
+- **0.7 B at rotation**: the published ceiling falls to about 63 / 76 % at 2500 rpm. In simulation without unbalance it does not fall. With
+  unbalance it does, since the rotor's own orbit is in the output and no input explains it; 1 um rms of it brings the ceiling to that height. The nominal model loses
+  what 30 % of missing gain costs in both. The rest of the difference (horizontal against vertical) is the real rotor's, and cannot be had from a linear model
+  with equal unbalance in both directions.
+- **Truncation** costs nothing in the published figures but at 0.97 A (81.2 to 79.6 %), and here neither.
+"""
+
+if __name__ == "__main__":
+    study(int(sys.argv[1]) if len(sys.argv) > 1 else 5)
