@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from afdsvc.errors import BadInput
-from afdsvc.trial import Options, Request, Wish, make_trial, markdown, page, plan, results, study
+from afdsvc.trial import Options, Request, Wish, make_trial, markdown, page, plan, results, rival, study
 from afdsvc.trial.plan import MIX
 from afdsvc.trial.study import rescored
 from afdsvc.trial.tables import confusion_matrix, tables, wilson
@@ -49,7 +49,10 @@ FRICTION = {
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     folder, explain = tmp_path_factory.mktemp("study"), Says(FRICTION)
-    return folder, explain, study(REQUESTS, explain, folder)
+    with pytest.MonkeyPatch.context() as quick:  # how well a rival is fitted is tested with the oracle
+        quick.setattr(rival, "STARTS", 1)
+        quick.setattr(rival, "STEPS", 2)
+        return folder, explain, study(REQUESTS, explain, folder)
 
 
 def test_study_scores_every_trial(finished) -> None:
