@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from afdsvc.errors import BadInput
+from afdsvc.identify.impulse_fit import approach
 from afdsvc.identify.recordings import Recording
 from afdsvc.identify.spectral import direct_spectral, indirect_spectral
 from afdsvc.lti.choice import factorise
@@ -38,6 +39,22 @@ def test_noise_dominates_direct_gives_the_inverse_controller(spectra):
     omega, direct, _ = spectra(0.02, 1.0)
     inverse = np.broadcast_to(np.linalg.inv(GAIN), direct.shape)
     assert _distance(direct, inverse) < 0.05
+
+
+def test_noise_dominates_and_the_hansen_scheme_still_finds_the_plant(bearing, run_loop, binary):
+    """The same recording, noise of seven times the excited motion: the direct ratio tells of 1/K, S of the plant."""
+    nominal = StateSpace(0.97 * bearing.A, bearing.B, bearing.C, bearing.D, bearing.dt)
+    fact, rng = factorise(nominal, StateSpace.gain(GAIN, bearing.dt)), np.random.default_rng(2)
+    record, alpha, beta = run_loop(fact, bearing, 0.06 * binary(rng, 100_000), rng.standard_normal((100_000, 2)))
+    found = approach(fact, [Recording.of(alpha, beta, bearing.dt)], nominal)
+    omega, direct = direct_spectral(record, 500)
+    band = (omega > 300) & (omega < 4000)
+    ours, truth = (frequency_response(g, omega[band]) for g in (found, bearing))
+    inverse = np.broadcast_to(np.linalg.inv(GAIN), truth.shape)
+    assert _distance(direct[band], inverse) < 0.25
+    assert _distance(direct[band], truth) > 3
+    assert _distance(ours, truth) < 0.4
+    assert _distance(ours, inverse) > 0.7
 
 
 def test_excitation_dominates_both_give_the_plant(spectra, bearing):
