@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from afdsvc.errors import BadInput
 from afdsvc.offline import diagnose_recordings
 
 FOLDER = Path(__file__).parents[2] / "recordings"
