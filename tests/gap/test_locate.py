@@ -23,7 +23,7 @@ from afdsvc.trial.generate import Trial
 from afdsvc.trial.model_text import model_text
 
 CASES = {
-    # physics, site: output, words that must be among depends_on, input
+    # physics, site: output, words that must be among depends_on, input; all at rho 0.3
     ("coulomb_friction", "state:horizontal_rate"): ("horizontal", {"velocity sign"}, None),
     ("cubic_stiffness", "state:vertical_rate"): ("vertical", {"position", "amplitude"}, None),
     ("transport_delay", "input:vertical"): ("vertical", {"input", "frequency"}, "vertical"),
@@ -46,13 +46,13 @@ def prepared(trial: Trial, folder: Path) -> tuple[Baseline, list[Run]]:
 
 @cache
 def _trial(physics: str, site: str | None, rho: float, seed: int) -> Trial:
-    return generate(physics, site, rho, np.random.default_rng(seed))
+    return generate(physics, site, rho, np.random.default_rng(seed), Options(periods=3))
 
 
 @pytest.mark.parametrize(("physics", "site"), CASES)
 def test_an_effect_is_found_where_it_is_hidden(physics: str, site: str, tmp_path: Path):
     output, words, port = CASES[physics, site]
-    base, more = prepared(_trial(physics, site, 0.3, 1), tmp_path)
+    base, more = prepared(_trial(physics, site, 0.3, 3), tmp_path)
     places = locate(base, more)
     assert places
     assert places[0].output == output
@@ -65,7 +65,7 @@ def test_an_effect_is_found_where_it_is_hidden(physics: str, site: str, tmp_path
 def test_noise_alone_is_nowhere(tmp_path: Path):
     """Parameters are off by their stated uncertainty, nothing is hidden: no place is named."""
     for seed in range(3):
-        base, more = prepared(generate("nothing", None, 0.0, np.random.default_rng([7, seed])), tmp_path)
+        base, more = prepared(generate("nothing", None, 0.0, np.random.default_rng([7, seed]), Options(periods=3)), tmp_path)
         assert locate(base, more) == ()
 
 
@@ -91,9 +91,10 @@ def test_a_tone_is_told_from_an_answer_to_the_excitation(tmp_path: Path):
     assert "mains" in place.evidence
 
 
+@pytest.mark.long
 def test_ten_seconds_take_less_than_three(tmp_path: Path):
     """10 s at 5 kHz, two inputs and two outputs; processor time, so that other work on the machine does not count."""
-    trial = _trial("coulomb_friction", "state:horizontal_rate", 0.3, 1)
+    trial = generate("coulomb_friction", "state:horizontal_rate", 0.3, np.random.default_rng(1))
     path = tmp_path / "model.toml"
     path.write_text(model_text(trial.machine))
     model = read_model(path)
