@@ -216,7 +216,7 @@ class Hub:
 
     def _sum_up(self, watch: MachineWatch, t_ns: int) -> None:
         """Group alarms under what the evidence as a whole names; say when the model rather than a part is to be doubted."""
-        watch.doubt_model()
+        watch.doubt_model([path for path in self.files() if path.suffix == ".mcap"])
         why = watch.doubt or "the residual fits the model or a fault again"
         self.alarms.condition(watch.machine, "model_gap", AlarmKind.NOTICE, bool(watch.doubt), why, t_ns)
         if any(a.active for a in self.alarms.of(watch.machine)):

@@ -114,11 +114,12 @@ def _mean(estimates: Sequence[Severity]) -> Severity:
     return Severity(value, sum(weights) ** -0.5)
 
 
-def model_gap(evidence: Sequence[Evidence], bursts: int = 3) -> str:
+def model_gap(evidence: Sequence[Evidence], bursts: int = 3, kept: Sequence[str] = ()) -> str:
     """Return a notice when the model, not a part, is to be doubted; "" otherwise.
 
     That is when each of the newest ``bursts`` bursts failed the whiteness gate, or fitted none of the faults, and no decision
     on them names a fault: something is there that neither the model nor the fault list knows.
+    ``kept`` are the recordings that `afdsvc explain` can be run on; the newest is named.
     """
     names = list(dict.fromkeys(e.burst for e in reversed(evidence) if e.burst))[:bursts]
     if len(names) < bursts:
@@ -128,9 +129,8 @@ def model_gap(evidence: Sequence[Evidence], bursts: int = 3) -> str:
         return ""
     if not all(any(_doubts_model(e) for e in group) for group in by_burst):
         return ""
-    return (
-        f"model gap suspected: in {bursts} bursts in a row the residual fits neither noise nor any fault; see 'afdsvc explain'"
-    )
+    command = f"'afdsvc explain {kept[-1]}' says" if kept else "'afdsvc explain' on the recordings of these bursts says"
+    return f"model gap suspected: in {bursts} bursts in a row the residual fits neither noise nor any fault; {command} why"
 
 
 def _doubts_model(e: Evidence) -> bool:

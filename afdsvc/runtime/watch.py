@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from afdsvc.api.clock import Clock
 from afdsvc.api.evidence import Evidence
@@ -116,9 +118,12 @@ class MachineWatch:
             self.present = False
             self.say("warning", f"rig agent of '{self.machine}' is gone")
 
-    def doubt_model(self) -> None:
-        """Say once, until it is over, that the model seems to miss something: a notice, not an alarm."""
-        doubt = model_gap(self.evidence)
+    def doubt_model(self, kept: Sequence[Path] = ()) -> None:
+        """Say once, until it is over, that the model seems to miss something: a notice, not an alarm.
+
+        ``kept`` are the files of the machine's samples, which the command to run next is told with.
+        """
+        doubt = model_gap(self.evidence, kept=[str(path) for path in kept])
         if doubt and not self.doubt:
             self.say("warning", doubt)
         self.doubt = doubt

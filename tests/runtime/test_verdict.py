@@ -84,6 +84,7 @@ def test_a_model_gap_is_suspected_when_bursts_keep_fitting_nothing():
     blind = [replace(said(burst=f"b{i}", fault=None, trustworthy=False, detected=False), p_white=1e-6) for i in range(3)]
     assert "model gap suspected" in model_gap(odd)
     assert "model gap suspected" in model_gap(blind)
+    assert "afdsvc explain day/b.mcap" in model_gap(odd, kept=["day/a.mcap", "day/b.mcap"])
     assert model_gap(odd[:2]) == ""
     assert model_gap([*odd, said(burst="b3")]) == ""
     assert model_gap([said(burst=f"b{i}", fault=None, detected=False) for i in range(5)]) == ""
