@@ -77,14 +77,15 @@ def _line(axes: Axes, x: np.ndarray, shares: list[Share], name: str) -> None:
     colour, line, marker = STYLE[name]
     y = np.array([s.value for s in shares])
     low, high = (np.array([getattr(s, end) for s in shares]) for end in ("low", "high"))
+    x = x * _aside(name)
     axes.plot(x, y, color=colour, ls=line, marker=marker or None, ms=4.5, lw=1.6 if name == BOUND else 1.2, label=name)
     known = np.isfinite(y)
-    axes.vlines((x * _aside(name))[known], low[known], high[known], color=colour, lw=0.9, alpha=0.6)
+    axes.vlines(x[known], low[known], high[known], color=colour, lw=0.9, alpha=0.6)
 
 
 def _aside(name: str) -> float:
-    """Return a factor on the abscissa that keeps the intervals of different detectors apart."""
-    return 1 + 0.008 * (list(STYLE).index(name) - len(STYLE) / 2)
+    """Return a factor on the abscissa that keeps points of different detectors apart."""
+    return 1 + 0.006 * (list(STYLE).index(name) - len(STYLE) / 2)
 
 
 def fault_figure(found: Powers, rate: float) -> Figure:

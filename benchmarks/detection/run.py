@@ -83,7 +83,8 @@ def draw(found: Results, folder: Path) -> None:
         found.pictures[f"faults-{key}"] = figures.save(figures.fault_figure(one, found.rate), folder, f"detection-faults-{key}")
     for late in found.delays:
         found.pictures[f"delay-{late.case.key}"] = figures.save(figures.delay_figure(late), folder, f"detection-delay-{late.case.key}")
-    found.pictures["isolation"] = figures.save(figures.isolation_figure(found.isolations), folder, "detection-isolation")
+    if found.isolations:
+        found.pictures["isolation"] = figures.save(figures.isolation_figure(found.isolations), folder, "detection-isolation")
 
 
 def document(found: Results, folder: Path) -> None:
