@@ -1,0 +1,145 @@
+"""Slow, failing and full sinks: detection never waits for them, and what they miss is counted and told."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from afdsvc.api.signals import Block, Channel
+from afdsvc.record.reader import Recording
+from afdsvc.runtime import recording
+from afdsvc.runtime.posting import Post
+from afdsvc.runtime.recording import RecorderSink
+from afdsvc.runtime.sinks import ThreadedSink
+from afdsvc.runtime.site import Recording as Settings
+from afdsvc.wire import codec
+
+
+def block(seq: int = 0) -> Block:
+    return Block("m1", "s1", seq, 50 * seq, 1e-3, 10**18 + seq, (Channel("u_x"), Channel("y_x")), np.ones((50, 2)))
+
+
+class Slow:
+    """A sink that takes its time, or never comes back."""
+
+    def __init__(self, seconds: float = 0.0) -> None:
+        self.seconds, self.taken, self.closed = seconds, 0, False
+
+    def block(self, block, payload):
+        time.sleep(self.seconds)
+        self.taken += 1
+
+    def tick(self):
+        pass
+
+    def close(self):
+        self.closed = True
+
+
+def test_a_slow_sink_holds_nobody_up_and_its_drops_are_counted_and_told_once():
+    told: list[str] = []
+    sink = ThreadedSink(Slow(0.05), "slow", told.append, size=10)
+    began = time.monotonic()
+    for _ in range(500):
+        sink.block(block(), b"")
+    assert time.monotonic() - began < 0.5
+    assert told == ["10 messages wait; later ones are dropped until there is room"]
+    sink.close()
+    assert sink._sink.closed
+    assert sink.dropped + sink._sink.taken == 500
+    assert sink._sink.taken >= 10
+
+
+def test_a_sink_that_hangs_does_not_hold_up_the_end():
+    sink = ThreadedSink(Slow(60.0), "hung", lambda s: None, size=10)
+    for _ in range(5):
+        sink.block(block(), b"")
+    time.sleep(0.05)
+    began = time.monotonic()
+    sink.leave()
+    sink.close(0.3)
+    assert time.monotonic() - began < 1.0
+    assert sink.dropped == 4
+
+
+def test_a_first_file_that_cannot_be_made_is_tried_as_rarely_as_any(tmp_path, monkeypatch):
+    """Not on every message: a full or missing disk would be asked twenty times a second by each machine."""
+    (tmp_path / "file").write_text("")
+    tries, now = [], [0.0]
+    monkeypatch.setattr(recording.time, "monotonic", lambda: now[0])
+    sink = RecorderSink(Settings(folder=tmp_path / "file" / "r"), "m1", "", "", 10**18, {})
+    begin = sink._begin
+    monkeypatch.setattr(sink, "_begin", lambda: (tries.append(now[0]), begin())[1])
+    for n in range(500):
+        now[0] = 0.05 * n
+        with pytest.raises(recording.RecordingFailed, match="cannot be made: Not a directory"):
+            sink.block(block(n), b"")
+    assert tries == pytest.approx([0.0, 10.0, 20.0])
+    assert sink.dropped == 500
+    (tmp_path / "file").unlink()
+    now[0] = 31.0
+    sink.block(block(500), codec.encode_block(block(500)))
+    sink.close()
+    assert len(list(Recording(sink.paths[0]).blocks())) == 1
+
+
+def test_two_starts_in_one_second_do_not_fight_over_a_name(tmp_path):
+    for n in range(3):
+        sink = RecorderSink(Settings(folder=tmp_path), "m1", "", "", 10**18, {})
+        sink.block(block(n), codec.encode_block(block(n)))
+        sink.close()
+    assert sorted(p.name for p in tmp_path.iterdir()) == [f"m1-20010909T014640{x}.mcap" for x in ("-2", "-3", "")]
+
+
+def test_a_sender_never_waits_for_a_network_that_stands_still():
+    gate = threading.Event()
+    post = Post(lambda key, payload: gate.wait(5), size=10)
+    began = time.monotonic()
+    for _ in range(100):
+        post.publish("k", b"x")
+    assert time.monotonic() - began < 0.3
+    assert post.dropped in (89, 90)
+    assert post.waiting == 10
+    post.close(0.2)
+    assert time.monotonic() - began < 1.5
+    gate.set()
+
+
+def test_what_waits_is_sent_before_the_end_and_failures_are_counted():
+    sent: list[bytes] = []
+
+    def publish(key: str, payload: bytes) -> None:
+        if payload == b"3":
+            raise OSError("no route")
+        sent.append(payload)
+
+    post = Post(publish)
+    for n in range(6):
+        post.send("k", str(n).encode)
+    post.close()
+    assert sent == [b"0", b"1", b"2", b"4", b"5"]
+    assert post.dropped == 1
+
+
+def test_a_patient_post_loses_nothing():
+    sent: list[bytes] = []
+    post = Post(lambda key, payload: (time.sleep(0.002), sent.append(payload)), size=3, patient=True)
+    for n in range(60):
+        post.publish("k", bytes([n]))
+    post.close()
+    assert sent == [bytes([n]) for n in range(60)]
+    assert post.dropped == 0
+
+
+def test_memory_does_not_grow_while_nobody_takes():
+    """A queue that is full stays as long as it is."""
+    gate = threading.Event()
+    post = Post(lambda *_: gate.wait(5), size=50)
+    for _ in range(10_000):
+        post.publish("k", bytes(100))
+    assert post.waiting == 50
+    gate.set()
+    post.close(0.2)
