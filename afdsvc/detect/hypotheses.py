@@ -64,6 +64,15 @@ class LineData:
         return [np.asarray(solve_triangular(factor, v.ravel(), lower=True)) for v in values]
 
 
+    def white_waves(self, waves: Array) -> Array:
+        """Return healthy-machine waves ``(T, 2 L, p)`` as vectors ``(T, D)`` in which noise and doubt are the identity."""
+        flat = waves.reshape(len(waves), -1)
+        if not self.doubt.any():
+            return flat
+        factor = np.linalg.cholesky(np.eye(flat.shape[1]) + self.doubt)
+        return np.asarray(solve_triangular(factor, flat.T, lower=True).T)
+
+
 def curve_fit(
     curves: FaultCurves, fault: str, data: LineData, bounds: tuple[float, float], points: int = 33
 ) -> Fit:

@@ -49,7 +49,7 @@ class LargestProjection:
     def waves(self, curves: FaultCurves, data: LineData, reach: Reach) -> Array:
         """Return the waves of all faults at the severities the loop survives."""
         found = [data.R @ curves.at(name, _within(self.severities, *bounds)) for name, bounds in reach.items()]
-        return _visible(np.stack(data.whitened(np.eye(data.z.size), *np.concatenate(found))))
+        return _visible(data.white_waves(np.concatenate(found)))
 
     def statistic(self, waves: Array, z: Array) -> float:
         """Return the largest projection."""

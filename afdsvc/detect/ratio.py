@@ -37,8 +37,7 @@ def waves_along(curves: FaultCurves, fault: str, data: LineData, end: float) -> 
 
     Empty when the burst cannot see the fault.
     """
-    severities = end * np.geomspace(SMALLEST, 1.0, FINE)
-    white = np.stack(data.whitened(np.eye(data.z.size), *(data.R @ curves.at(fault, severities))))
+    white = data.white_waves(data.R @ _fine(curves, fault, end))
     length = np.linalg.norm(white, axis=1)
     if not length.max() > SHORTEST:
         return np.zeros((0, white.shape[1]))
@@ -46,6 +45,11 @@ def waves_along(curves: FaultCurves, fault: str, data: LineData, end: float) -> 
     travelled = np.floor(np.cumsum(steps))
     chosen = 1 + np.flatnonzero(np.diff(travelled, prepend=0.0) > 0)
     return np.asarray(white[np.union1d(chosen, [FINE - 1])])
+
+
+@lru_cache(maxsize=64)  # keyed by identity: the same lines are played again and again
+def _fine(curves: FaultCurves, fault: str, end: float) -> Array:
+    return curves.at(fault, end * np.geomspace(SMALLEST, 1.0, FINE))
 
 
 def statistic(waves: Array, z: Array) -> float:

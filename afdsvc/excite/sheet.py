@@ -15,6 +15,7 @@ from afdsvc.detect.curves import loop_response
 from afdsvc.detect.power import pair_confusion
 from afdsvc.excite.budget import costs
 from afdsvc.excite.efficiency import efficiency
+from afdsvc.excite.isolation import isolable_pairs
 from afdsvc.excite.promises import alarms_per_hour, thresholds
 from afdsvc.excite.prospect import Prospect, burst_prospect
 from afdsvc.excite.visibility import blind_pairs, unseen
@@ -38,7 +39,8 @@ def design_sheet(
     ``confused_with`` is the probability that the other fault comes out likelier, ``smallest_detectable`` the severity
     that is found with probability 0.99. Documented keys: bursts, false_alarms_per_hour, thresholds, faults; beyond
     these ``unseen``, ``blind_pairs``, ``isolation`` and ``best_single_frequency`` say what the burst cannot do, and
-    why.
+    why. ``isolation.pairs`` states for every two faults with which burst, or burst and second burst, they are told apart
+    (see `isolation`); so does ``isolated_by`` of every fault.
     """
     burst, seen = bursts[0], burst_prospect(problem, bursts[0])
     rate = next((a.per_burst for n, a in alarms.items() if not n.startswith("passive")), problem.false_alarms.per_burst)
@@ -47,15 +49,21 @@ def design_sheet(
     response = loop_response(problem, omega)
     efficient = efficiency(problem, omega, min(severities), response)
     best = efficient.best_single()
+    typical = -0.5 if -0.5 in severities else severities[0]
+    pairs = isolable_pairs(problem, burst, typical)
     return {
         "machine": problem.machine,
         "bursts": [entry for b in bursts for entry in _burst_entries(problem, b)],
         "false_alarms_per_hour": alarms_per_hour(alarms, bursts_per_hour),
         "thresholds": thresholds(problem, burst, alarms),
-        "faults": [entry for fault in problem.fault_names for entry in _fault_entries(problem, seen, fault, severities, h)],
+        "faults": [
+            {**entry, "isolated_by": _isolated_by(fault, pairs)}
+            for fault in problem.fault_names
+            for entry in _fault_entries(problem, seen, fault, severities, h)
+        ],
         "unseen": [{"fault": name, "why": why} for name, why in unseen(problem, response).items()],
         "blind_pairs": blind_pairs(problem, efficient.pairs, problem.input_names),
-        "isolation": _isolation(seen, -0.5 if -0.5 in severities else severities[0], burst),
+        "isolation": {**_isolation(seen, typical, burst), "pairs": pairs},
         "best_single_frequency": {
             "input": _name(problem.input_names, best[1]), "rad_s": best[0], "efficiency": best[2],
         },
@@ -123,6 +131,12 @@ def _isolation(seen: Prospect, severity: float, burst: Burst) -> dict[str, Any]:
         for i, a in enumerate(seen.curves.names)
     }
     return {"severity": severity, "separations": rows, "not_separated": burst.notes.get("not_separated", "")}
+
+
+def _isolated_by(fault: str, pairs: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Return for every other fault the burst or bursts that tell it from this one."""
+    own = [pair for pair in pairs if fault in pair["faults"]]
+    return {next(n for n in pair["faults"] if n != fault): pair["isolated_by"] for pair in own}
 
 
 def _finite(value: float) -> float | None:

@@ -1,0 +1,83 @@
+"""Which burst, or pair of bursts, tells which two faults apart: said before anything is played."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+from typing import Any
+
+from afdsvc.api.bursts import Burst
+from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect.power import weight_reached
+from afdsvc.errors import AfdsvcError, Refused
+from afdsvc.excite.default import second_burst
+from afdsvc.excite.prospect import Prospect, burst_prospect
+
+WEIGHT = 0.99  # posterior weight that singles a fault out
+CERTAINTY = 0.99  # probability of that weight which counts as "isolated"
+NOT_ISOLABLE = "not isolable"
+
+
+def isolable_pairs(problem: DetectionProblem, burst: Burst, severity: float) -> list[dict[str, Any]]:
+    """Return one entry for every pair of faults of the given severity.
+
+    ``isolated_by`` names the burst, or the burst and the second one that follows it, after which the right one of the two
+    gets a weight of 0.99 with ``probability``; ``"not isolable"`` when not even a second burst made for the two, as large as
+    the limits allow, does it with 0.99. ``separation`` is the smaller distance in standard deviations of the noise from
+    one fault to the other's curve. ``second_burst`` describes the second burst where one is needed.
+    """
+    seen = burst_prospect(problem, burst)
+    return [_pair(problem, seen, burst, pair, severity) for pair in combinations(problem.fault_names, 2)]
+
+
+def _pair(
+    problem: DetectionProblem, seen: Prospect, burst: Burst, pair: tuple[str, str], severity: float
+) -> dict[str, Any]:
+    first = separation(seen, pair, severity)
+    entry: dict[str, Any] = {"faults": list(pair), "severity": severity, "second_burst": None}
+    if sure(first):
+        return {**entry, **_told(first, burst.name)}
+    try:
+        second = _second(problem, burst, pair, severity)
+        reached = separation(burst_prospect(problem, second), pair, severity)
+    except AfdsvcError as error:
+        return {**entry, **_told(first, NOT_ISOLABLE), "why": str(error)}
+    described = {
+        "burst": second.name, "separation": reached, "seconds": second.samples * problem.plant.dt,
+        "lines": [{"input": line.input, "rad_s": line.omega, "amplitude": line.amplitude} for line in second.lines],
+    }  # fmt: skip
+    if not sure(reached):
+        why = f"{reached:.3g} standard deviations apart with the largest second burst the limits allow"
+        return {**entry, **_told(max(first, reached), NOT_ISOLABLE), "second_burst": described, "why": why}
+    return {**entry, **_told(reached, f"{burst.name}, then {second.name}"), "second_burst": described}
+
+
+def separation(seen: Prospect, pair: tuple[str, str], severity: float) -> float:
+    """Return the smaller of the two distances from one fault of that severity to the other's curve.
+
+    A fault that makes the loop unstable at that severity is taken at nine tenths of what the loop survives.
+    """
+    a, b = pair
+    return min(seen.separation(a, _survived(seen, a, severity), b), seen.separation(b, _survived(seen, b, severity), a))
+
+
+def sure(apart: float) -> bool:
+    """Whether faults so far apart are isolated."""
+    return weight_reached(apart, WEIGHT) >= CERTAINTY
+
+
+def _second(problem: DetectionProblem, burst: Burst, pair: tuple[str, str], severity: float) -> Burst:
+    if problem.limits is None:
+        raise Refused(f"machine '{problem.machine}' states no limits; they are wanted to plan a second burst")
+    seconds = burst.samples * problem.plant.dt
+    return second_burst(problem, problem.limits, dict.fromkeys(pair, 0.5), severity, seconds)
+
+
+def _told(apart: float, isolated_by: str) -> dict[str, Any]:
+    finite = apart if math.isfinite(apart) else None
+    return {"separation": finite, "probability": weight_reached(apart, WEIGHT), "isolated_by": isolated_by}
+
+
+def _survived(seen: Prospect, fault: str, severity: float) -> float:
+    low, high = seen.reach[fault]
+    return severity if low <= severity <= high else 0.9 * low
