@@ -22,6 +22,7 @@ from afdsvc.identify.preparation import Prepared, nominal_plant, prepare
 from afdsvc.identify.recordings import Recording
 from afdsvc.identify.residual_tests import residual_tests
 from afdsvc.identify.result import IdentifyResult, Preview, improved_model
+from afdsvc.identify.undamped import undamped_modes
 from afdsvc.identify.validation import Split, can_be_simulated, heldout_measures, predicted_outputs, split, validated
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
@@ -70,7 +71,7 @@ def identify(
         outcome.reductions,
         check,
         _preview(problem, parts, fit.system),
-        (*warning, *_warnings(fit.heldout, before, stable)),
+        (*warning, *_warnings(fit.heldout, before, stable), *_invented(fit.system, problem.nominal)),
     )
 
 
@@ -178,6 +179,14 @@ def _certain(system: StateSpace) -> ResponseBand:
     omega = omega_grid(system.dt)
     value = frequency_response(system, omega)
     return ResponseBand(omega, value, np.zeros((*value.shape, 2, 2)))
+
+
+def _invented(found: StateSpace, nominal: StateSpace) -> tuple[str, ...]:
+    return tuple(
+        f"the identified plant has an undamped mode at {hz:.4g} Hz that the nominal model has not: when that is the speed "
+        "of rotation or the mains, a periodic disturbance was taken for the plant; take it out of u and y first"
+        for hz in undamped_modes(found, nominal)
+    )
 
 
 def _warnings(after: object, before: object, stable: bool | None) -> tuple[str, ...]:

@@ -54,6 +54,10 @@ class IdentifyResult:
     preview: Preview | None = None
     warnings: tuple[str, ...] = ()
 
+    def _second_route(self) -> tuple[str, ...]:
+        check = self.cross_check
+        return () if check is None else (f"second route (PBSIDopt on u and y): {check.sentence}",)
+
     def json(self, model_path: str | None = None) -> dict[str, Any]:
         """Return the document of ``identify --json``; ``model_path`` is where the model was written."""
         fit = self.fit
@@ -73,7 +77,7 @@ class IdentifyResult:
             "model": model_path,
             "trained_on": list(self.training),
             "order_reason": fit.order_reason,
-            "notes": list(fit.notes),
+            "notes": [*fit.notes, *self._second_route()],
             "warnings": list(self.warnings),
         }
         if fit.deviation is not None:

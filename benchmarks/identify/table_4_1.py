@@ -110,23 +110,26 @@ so noise takes its share: *truth* is what the true plant itself reaches. "Refine
 
 READING = """## Why the figures differ from the published ones
 
-- **Noise, not the method, sets the ceiling.** The ceiling here, about 82 / 80 %, is the ratio of 2 um of excited motion to the published
-  noise; the thesis does not give the size of its excitation. That its best figures (84 / 85 %) lie close to it says that its signal-to-noise ratio
-  was about this one. Every other figure has to be compared with the ceiling of its own row.
-- **0.5 A: which A?** Halving the sampled A leaves a model that answers at once and forgets within two samples: it explains a few per cent of the motion,
-  like the published nominal 3 %. Halving the continuous A doubles the static gain and predicts worse than the mean
-  (R2 far below zero). So the published condition is the sampled A, and the comparison is with that row.
-- **Direct PEM at 0.5 A** came out at 49 / 39 % in the thesis. In simulation a search from half the physical parameters either reaches the
-  truth or gets stuck far from it (see the [Monte Carlo study](identification-monte-carlo.md)); a value in between is what a search stopped early, or
-  one among entries of A, leaves behind. The ranking - the Hansen scheme recovers, PEM may not - is the same.
-- **0.97 A**: published, nominal and identified models are equally good in the horizontal direction. Here 0.97 A on the sampled matrix costs
-  the nominal model much more (its slow poles move from 0.96 to 0.93, which changes the static gain), on the continuous matrix almost nothing:
-  the published column looks like the latter, or like a nominal model that the true machine happened to suit.
-- **0.7 B at rotation**: the published ceiling falls to about 63 / 76 % at 2500 rpm. In simulation without unbalance it does not fall. With
-  unbalance it does, since the rotor's own orbit is in the output and no input explains it; 1 um rms of it brings the ceiling to that height. The nominal model loses
-  what 30 % of missing gain costs in both. The rest of the difference (horizontal against vertical) is the real rotor's, and cannot be had from a linear model
-  with equal unbalance in both directions.
-- **Truncation** costs nothing in the published figures but at 0.97 A (81.2 to 79.6 %), and here neither.
+- **Noise, not the method, sets the ceiling.** Here it is what the truth reaches, 77 to 83 %, and follows from 2 um rms of excited motion and the published
+  noise; the thesis does not give the size of its excitation. That its best figures (84 / 85 %) lie close to it says that its
+  ratio of signal to noise was about this one. Compare every figure with the ceiling of its own column.
+- **0.5 A.** Either reading of "A" (sampled or continuous) leaves a nominal model that explains next to nothing, here about 1 and -1 %, published 3 %:
+  the controller, and with it the spectrum of the motion to be explained, belongs to the nominal model. The Hansen scheme reaches the ceiling
+  in both, published 77 / 84 %.
+- **Direct PEM at 0.5 A** came out at 49 / 39 % in the thesis. Here it depends on the reading: with the sampled A the search starts in a loop whose data
+  suit another valley of the likelihood and ends in a model that cannot be simulated (counted as -100 %); with the continuous A it arrives. A value in between is what
+  an average, or a search stopped early, leaves. That PEM may not recover and the scheme does is the same
+  ([Monte Carlo study](identification-monte-carlo.md)).
+- **0.97 A.** Everything that identifies reaches the ceiling, as published. The nominal model is 8 to 9 points below it on the sampled matrix;
+  published 0 and 5 to 8: the real machine was not exactly 1/0.97 of its model either.
+- **0.7 B at rotation.** The nominal model loses what 30 % of missing gain costs (16 points; published about 10 and 15 to 20 below the best). The published ceiling falls to
+  about 63 / 76 % at 2500 rpm; in simulation without unbalance it does not. With the rotor's own orbit in the output (1 um rms) the truth
+  falls to 54 / 53 %, because no input explains the orbit; half as much would give the published height. So the fall at rotation is the orbit's, and the
+  published difference between the directions is the real rotor's, which equal shaking in both does not have.
+- **Unbalance is a trap for R2.** The Hansen estimates "explain" 70 to 76 % there, more than the truth: the order chosen from the data includes
+  a nearly undamped mode at the speed of rotation, and since a prediction may choose its initial state, that mode draws the orbit of the recording to be judged as well. It is
+  no property of the plant. Take harmonics of the speed out of u and y, or identify at rest; grey-box PEM has no such mode to give and pays with its parameters.
+- **Truncation** costs next to nothing, published and here, except in the company of the orbit, where the lost state is the orbit's or the plant's.
 """
 
 if __name__ == "__main__":
