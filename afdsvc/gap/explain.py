@@ -14,6 +14,7 @@ from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
 from afdsvc.gap.check import check, insufficient_excitation, objection, one_frequency
 from afdsvc.gap.check_finding import Finding
+from afdsvc.gap.clock import aligned
 from afdsvc.gap.explanation import Course, Explanation, OutputFit
 from afdsvc.gap.forward import Found, Progress, Yardstick, forward
 from afdsvc.gap.freeform import remainder
@@ -57,6 +58,8 @@ def explain(
     start = nominal(model, runs[0].dt)
     found = forward(start, roles.train, roles.select, offered, most, mapper, progress)
     progress("reporting", 0.9)
+    held = roles.heldout if found.tone is None else aligned(found.end.objective, found.end.point, roles.heldout, found.tone)
+    roles = Split(found.start.objective.runs, found.select, held)
     answer = _answer(found, roles, offered, findings)
     progress("reporting", 1.0)
     return answer

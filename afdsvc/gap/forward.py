@@ -10,8 +10,9 @@ from scipy import stats
 
 from afdsvc.api.physics import Hypothesis, Machine, Physics
 from afdsvc.gap.baseline import Baseline, again, baseline
+from afdsvc.gap.clock import aligned, reads_time
 from afdsvc.gap.judge import Ruling, judge, separation
-from afdsvc.gap.lines import peaks, tones
+from afdsvc.gap.lines import Tone, peaks, tones
 from afdsvc.gap.nominal import Nominal
 from afdsvc.gap.objective import Objective, Point
 from afdsvc.gap.reconsider import reconsidered
@@ -41,7 +42,8 @@ class Step:
 class Found:
     """The outcome of the search: the start, where it ended, the accepted steps, and the ruling that stopped it (or None).
 
-    ``order`` gives, for every effect of the final point, the number of its step.
+    ``order`` gives, for every effect of the final point, the number of its step. ``select`` are the selection runs, their clocks
+    set (like those of the training runs) by ``tone`` if there is one.
     """
 
     start: Baseline
@@ -50,6 +52,8 @@ class Found:
     last: Ruling | None
     order: tuple[int, ...]
     machine: Machine
+    select: tuple[Run, ...]
+    tone: Tone | None
 
 
 def forward(
@@ -62,11 +66,16 @@ def forward(
     first = seen(start)
     costs, steps, order = [yardstick.cost(start.point)], [], []
     last: Ruling | None = None
+    tone: Tone | None = None
     samples = (sum(r.Y.size for r in train), sum(r.Y.size for r in select))
     for number in range(most):
         sight = first if number == 0 else seen(base)
         if number and quiet(base, sight):
             break
+        if sight.tones and not reads_time(base.point):
+            tone = sight_tone(base)
+            base, start, select = _on_one_clock(base, start, select, tone)
+            yardstick = Yardstick(start, tuple(select))
         there = {e.hypothesis.key for e in base.point.effects}
         library = [h for p in physics for h in p.hypotheses(sight) if h.key not in there]
         candidates = round_of(base, select, library, mapper, _part(progress, number))
@@ -87,7 +96,7 @@ def forward(
         base = again(base, point)
         base, order = _without_superfluous(base, order, samples)
     base, order, steps = _reconsider(base, order, steps, select, samples, mapper)
-    return Found(start, base, tuple(steps), last, tuple(order), first)
+    return Found(start, base, tuple(steps), last, tuple(order), first, tuple(select), tone)
 
 
 def _reconsider(
@@ -106,6 +115,22 @@ def _reconsider(
         steps[number] = replace(steps[number], ruling=ruling)
         order = [*order[:at], *order[at + 1 :], number]
     return base, order, steps
+
+
+def sight_tone(base: Baseline) -> Tone:
+    """Return the tallest tone of a baseline's residual."""
+    return tones(base.objective.runs, raw(base.objective, base.point))[0]
+
+
+def _on_one_clock(
+    base: Baseline, start: Baseline, select: Sequence[Run], tone: Tone
+) -> tuple[Baseline, Baseline, tuple[Run, ...]]:
+    """Return both baselines and the selection runs with their clocks set by a tone."""
+    runs = aligned(base.objective, base.point, base.objective.runs, tone)
+    kept = aligned(base.objective, base.point, select, tone)
+    return (
+        replace(base, objective=replace(base.objective, runs=runs)), replace(start, objective=replace(start.objective, runs=runs)), kept,
+    )
 
 
 def seen(base: Baseline) -> Machine:

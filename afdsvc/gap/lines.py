@@ -14,6 +14,7 @@ from afdsvc.lti.statespace import Array
 
 TALL = 7.0  # how far a tone towers over the median of its neighbourhood (amplitude)
 NEIGHBOURHOOD = 61
+MAINS, WANDER = (50.0, 60.0), 0.25  # Hz, and how far off they are looked for
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +34,7 @@ def tones(runs: Sequence[Run], residuals: Sequence[Array], most: int = 4) -> lis
     """
     found: list[Tone] = []
     for run, e in zip(runs, residuals, strict=True):
-        for tone in _lines(run, _unsynchronised(run, np.nan_to_num(e))):
+        for tone in (*_lines(run, _unsynchronised(run, np.nan_to_num(e))), *_mains(run, np.nan_to_num(e))):
             resolution = 4 * np.pi / (len(e) * run.dt)
             same = [t for t in found if abs(t.omega - tone.omega) < resolution]
             if not same:
@@ -41,6 +42,43 @@ def tones(runs: Sequence[Run], residuals: Sequence[Array], most: int = 4) -> lis
             elif tone.height > same[0].height:
                 found[found.index(same[0])] = tone
     return sorted(found, key=lambda t: -t.height)[:most]
+
+
+def _mains(run: Run, e: Array) -> list[Tone]:
+    """Return the mains frequencies at which the residual towers over its neighbourhood, the excitation's lines included.
+
+    Mains may fall on a line of the excitation, where what repeats would hide it.
+    """
+    n = len(e)
+    seconds = n * run.dt
+    found = []
+    for hertz in MAINS:
+        if n < 256 or not 8 / seconds < hertz < 0.4 / run.dt:
+            continue
+        near = np.arange(hertz - WANDER, hertz + WANDER, 0.25 / seconds)
+        around = np.concatenate([hertz + s * np.arange(4, 30) / seconds for s in (-1, 1)])
+        for j in range(e.shape[1]):
+            size = _amplitudes(run, e[:, j], near)
+            height = float(size.max() / max(np.median(_amplitudes(run, e[:, j], around)), 1e-300))
+            best = float(near[int(np.argmax(size))])
+            if height > TALL and size.max() > 1.5 * _beside(run, e[:, j], best):
+                found.append(Tone(2 * np.pi * best, float(size.max()), j, height))
+    return found
+
+
+def _beside(run: Run, e: Array, hertz: float) -> float:
+    """Return the largest amplitude at the neighbouring lines of a repeating excitation; 0 when there are none."""
+    if not run.period:
+        return 0.0
+    orders = np.array([-3, -2, -1, 1, 2, 3]) + round(hertz * run.period * run.dt)
+    return float(_amplitudes(run, e, orders / (run.period * run.dt)).max())
+
+
+def _amplitudes(run: Run, e: Array, hertz: Array) -> Array:
+    window = np.hanning(len(e))
+    t = run.dt * np.arange(len(e))
+    waves = np.exp(-2j * np.pi * np.outer(hertz, t))
+    return np.asarray(2 * np.abs(waves @ (window * (e - e.mean()))) / window.sum())
 
 
 def _unsynchronised(run: Run, e: Array) -> Array:

@@ -22,7 +22,7 @@ class Run:
     ``W (n, m)`` is what was added to the controller's output, ``u - K (y - ref)``, and exists when the controller is known
     and the inputs and outputs have no gaps. ``period`` is the number of samples after which the excitation repeats (0 when
     it does not), ``settled`` the sample from which it does. ``commanded`` says that an excitation ``alpha`` was recorded, so
-    a controller made the input.
+    a controller made the input. ``clock`` is the time laws see at the first sample [s]; None: ``t0``.
     """
 
     name: str
@@ -37,6 +37,7 @@ class Run:
     period: int = 0
     settled: int = 0
     commanded: bool = False
+    clock: float | None = None
 
     def __len__(self) -> int:
         return len(self.U)
@@ -48,6 +49,7 @@ class Run:
         return Run(
             self.name, self.dt, self.t0 + start * self.dt, self.U[cut], self.Y[cut], self.AUX[cut], self.REF[cut],
             self.aux, keep, self.period, max(0, self.settled - start), self.commanded,
+            None if self.clock is None else self.clock + start * self.dt,
         )
 
 

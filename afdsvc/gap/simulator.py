@@ -69,7 +69,7 @@ class Simulator:
         y, u, x = np.empty((n, p)), np.empty((n, m)), np.empty((n, plant.order))
         gain = np.zeros_like(self.gain) if free or closed else self.gain
         kernel.simulate_linear(  # type: ignore[call-arg]
-            closed, self.ramped and not closed, s.nsub, run.dt, run.t0, s.phi, s.gam, s.gx, s.phih, s.gamh, _c(plant.C), _c(plant.D), _c(gain),
+            closed, self.ramped and not closed, s.nsub, run.dt, run.t0 if run.clock is None else run.clock, s.phi, s.gam, s.gx, s.phih, s.gamh, _c(plant.C), _c(plant.D), _c(gain),
             table.forced, table.middle, *K, U, run.Y, run.REF, run.AUX, np.array(x0, dtype=np.float64), *table.arguments(), y, u, x,
         )
         return Simulated(y, u, x)
