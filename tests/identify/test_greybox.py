@@ -90,6 +90,15 @@ def test_standard_errors_cover(record):
     assert p_values.max() < 1 - 1e-3 / 14
 
 
+def test_two_recordings_know_what_both_know(record):
+    """Information adds up: with a second recording of the same length every standard error falls by the root of two."""
+    structure = physical_structure(PLANT, FREE)
+    one, both = (fit_greybox(structure, [record(300 + s, 2000) for s in range(count)]) for count in (1, 2))
+    ratio = np.array([b.sd / a.sd for a, b in zip(one.parameters, both.parameters, strict=True)])
+    assert np.median(ratio) == pytest.approx(np.sqrt(0.5), rel=0.05)
+    assert (_deviations(both) ** 2).sum() < stats.chi2.ppf(0.999, 14)
+
+
 def test_band_is_that_of_the_parameters(record, bearing):
     structure, omega = physical_structure(PLANT, FREE), np.geomspace(50, 10_000, 20)
     truth, covered = frequency_response(bearing, omega), []
