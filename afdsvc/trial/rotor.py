@@ -41,7 +41,7 @@ def rotor() -> Machine:
     nominal = np.array([pull, pull, push, push, 1.0, 1.0])
     one = filtered_pd(kp=0.02, kd=4e-5, tau=1e-4, dt=SAMPLE_TIME)
     A, B, C, D = (np.kron(np.eye(2), M) for M in (one.A, one.B, one.C, one.D))
-    K = StateSpace(A, B, C, D, one.dt)
+    K = StateSpace.of(A, B, C, D, one.dt)
     return Machine(
         name="rotor on magnetic bearings",
         inputs=(Variable("x", "A"), Variable("y", "A")),

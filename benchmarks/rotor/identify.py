@@ -37,9 +37,9 @@ def published(full: bool, theta: float = -0.5, states: int = 8) -> float:
     return fit.parameters[0].value / plant.parameters["stiffness_b_y"].value - 1
 
 
-def deviations(seed: int, change: dict[str, float], full: bool, project: bool = True, rounds: int = 3, samples: int = 10000) -> dict:
+def deviations(seed: int, change: dict[str, float], full: bool, project: bool = True, rounds: int = 3, samples: int = 10000, states: int = 8) -> dict:
     """Return theta, its standard error and the error in standard errors, by name, with 0.5 um noise and G2.5 unbalance."""
-    plant = amb_turboexpander(states=16 if full else 8)
+    plant = amb_turboexpander(states=states)
     fact = Lqg().design(plant.discrete(), plant.recommended["lqg"]).factorisation
     nominal = plant.values()
     values = plant.values({name: nominal[name] * (1 + th) for name, th in change.items()})
