@@ -11,9 +11,10 @@ import numpy as np
 from afdsvc.api.bursts import Limits
 from afdsvc.api.detection import DetectionProblem, FalseAlarms
 from afdsvc.api.plant import PhysicalPlant
-from afdsvc.lti.lft import augment
+from afdsvc.lti.lft import actuator_gain, augment, sensor_gain
 from afdsvc.lti.whitening import innovations, whitening_filter
 from afdsvc.plants.gas_bearing import gas_bearing
+from afdsvc.plants.random_stable import random_stable
 from afdsvc.plants.unstable_second_order import unstable_second_order
 from afdsvc.plugins.controllers.lqg import Lqg
 from afdsvc.plugins.controllers.proportional import Proportional
@@ -30,6 +31,19 @@ def bearing_problem(controller: str = "lqg", rpm: int = 0, per_burst: float = 1e
 def unstable_problem(per_burst: float = 1e-3, faults: Sequence[str] | None = None) -> DetectionProblem:
     """Return the open-loop unstable plant of publication P4 with faults on its two input gains."""
     return _problem(unstable_second_order(), "lqg", per_burst, faults, _P4)
+
+
+def random_problem(seed: int = 0, per_burst: float = 1e-3) -> DetectionProblem:
+    """Return a random stable plant of order 4 with a gain fault on both inputs and outputs and an LQ controller."""
+    plant, _ = random_stable(np.random.default_rng(seed), dt=1e-3)
+    cov = np.array([[0.04, 0.01], [0.01, 0.09]])
+    designed, residual = Lqg().design(plant, {}), innovations(plant, cov)
+    faults = [actuator_gain(plant, f"actuator_{i}", i) for i in range(2)] + [sensor_gain(plant, f"sensor_{i}", i) for i in range(2)]
+    return DetectionProblem(
+        "random plant", plant, augment(plant, faults), designed.interconnection, residual.filter,
+        whitening_filter(designed.factorisation, cov)[0], residual.covariance, ("y0", "y1"), FalseAlarms(per_burst=per_burst),
+        ("u0", "u1"), output_cov=cov,
+    )  # fmt: skip
 
 
 def _problem(

@@ -16,13 +16,21 @@ from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.regressors import Regressors, regressors
 from afdsvc.detect.templates import templates
 from afdsvc.detect.watch import BurstSamples
-from afdsvc.excite.rehearsal import faulty_loop, played, rehearse
+from afdsvc.excite.rehearsal import Rehearsal, faulty_loop, played, rehearse
+from afdsvc.lti.lft import star
+from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.lti.whitening import innovations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trials:
-    """One burst under one condition; ``before`` quiet samples let filters settle."""
+    """One burst under one condition; ``before`` quiet samples let filters settle.
+
+    The loop is driven by its own innovations (which have the law of the output noise filtered by the predictor), so the
+    residual of a healthy machine is the noise drawn, also for an unstable plant. ``own`` recovers the innovations of the
+    machine that makes the data from its ``[y; u]``.
+    """
 
     problem: DetectionProblem
     burst: Burst
@@ -31,6 +39,7 @@ class Trials:
     alpha: Array
     before: int
     root: Array
+    own: StateSpace
 
     def noise(self, seed: int) -> Array:
         """Return standard normal noise, shape ``(before + samples, p)``."""
@@ -40,12 +49,18 @@ class Trials:
         """Return what a burst statistic is shown when the normalised noise was this."""
         return self.whole(noise)[0]
 
-    def whole(self, noise: Array) -> tuple[BurstSamples, Array]:
-        """Return the samples of the burst, and residual and regressors of the quiet samples before it as well."""
+    def whole(self, noise: Array) -> tuple[BurstSamples, Array, Rehearsal]:
+        """Return the samples of the burst, then residual and regressors and the record with the quiet samples before."""
         run = rehearse(self.problem, self.alpha, noise @ self.root.T, loop=self.loop)
         _, series = self.filters.step(self.filters.start(), run.r, run.y, run.u)
         block = next(b for b in run.blocks(len(run), self.burst, self.before) if b.burst is not None)
-        return BurstSamples(0, self.problem.plant.dt, series[self.before :], block), series
+        return BurstSamples(0, self.problem.plant.dt, series[self.before :], block), series, run
+
+    def log_density(self, run: Rehearsal) -> float:
+        """Return the log density of a record under this machine, up to a constant that all machines share."""
+        e, _ = simulate(self.own, np.hstack([run.y, run.u]))
+        white = np.linalg.solve(self.root, e.T)
+        return float(-0.5 * np.sum(white**2) - len(e) * np.sum(np.log(np.diag(self.root))))
 
 
 def trials(
@@ -55,22 +70,31 @@ def trials(
     """Return trials of a burst; ``truth`` is the machine that makes the data when it is not the one that is believed."""
     filters = regressors(problem) if filters is None else filters
     before = filters.settling(1e-3) if before is None else before
-    loop = faulty_loop(truth or problem, severities or {})
-    root = noise_root(problem)
-    return Trials(problem, burst, filters, loop, played(burst, problem.plant.dt, before), before, root)
+    loop, root, own = innovations_loop(truth or problem, severities or {})
+    return Trials(problem, burst, filters, loop, played(burst, problem.plant.dt, before), before, root, own)
 
 
-def noise_root(problem: DetectionProblem) -> Array:
-    """Return a square root of the output noise's covariance (that of the residual where no other is stated)."""
-    return np.asarray(np.linalg.cholesky(problem.covariance if problem.output_cov is None else problem.output_cov))
+def innovations_loop(problem: DetectionProblem, severities: Mapping[str, float]) -> tuple[StateSpace, Array, StateSpace]:
+    """Return the loop from ``[e, alpha]`` to ``[u, y - e, beta]``, a square root of the covariance of the innovations e, and
+    the filter from ``[y; u]`` back to them.
+
+    Raises `BadInput` when the faults make the loop unstable.
+    """
+    faulty_loop(problem, severities)  # says so when the loop is lost
+    g = problem.augmented.close(severities)
+    n, m, p = g.order, g.inputs, g.outputs
+    cov = problem.covariance if problem.output_cov is None else problem.output_cov
+    found = innovations(g, cov, problem.process_cov)
+    B = np.hstack([found.gain, g.B])
+    C = np.vstack([np.zeros((m, n)), g.C, g.C])
+    D = np.block([[np.zeros((m, p)), np.eye(m)], [np.zeros((p, p)), g.D], [np.eye(p), g.D]])
+    loop = star(StateSpace(g.A, B, C, D, g.dt), problem.interconnection, p, m)
+    return loop, np.asarray(np.linalg.cholesky(found.covariance)), found.filter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tilted:
-    """Noise pushed towards an alarm: by the wave of a fault drawn at random, ``length`` standard deviations long.
-
-    Valid where the residual is the noise itself (stable plant, output noise).
-    """
+    """Noise pushed towards an alarm: by the wave of a fault drawn at random, ``length`` standard deviations long."""
 
     trials: Trials
     waves: Array
@@ -103,18 +127,22 @@ def tilted(
 class Faulty:
     """Runs of faulty machines, weighted back to the healthy one.
 
-    Valid where the regression on psi is exact: the log likelihood ratio of a run is ``theta b - theta^2 G / 2`` over all its
-    samples, noise-driven part included.
+    The log likelihood ratio of a run is that of the innovations of either machine; where the regression on psi is exact it
+    is ``theta b - theta^2 G / 2`` over all samples, noise-driven part included.
     """
 
     machines: tuple[Trials, ...]
     severities: Array
+    healthy: Trials
 
     def draw(self, seed: int) -> tuple[BurstSamples, float]:
         """Return samples and their weight, the likelihood of the healthy machine over that of the mixture."""
         rng = np.random.default_rng(seed)
         machine = self.machines[int(rng.integers(len(self.machines)))]
-        samples, series = machine.whole(rng.normal(size=(len(machine.alpha), series_width(machine))))
+        samples, series, run = machine.whole(rng.normal(size=(len(machine.alpha), series_width(machine))))
+        if not all(self.healthy.filters.exact):
+            healthy = self.healthy.log_density(run)
+            return samples, float(1 / np.mean([np.exp(m.log_density(run) - healthy) for m in self.machines]))
         b = np.einsum("tkp,tp->k", series[:, 1:], series[:, 0])
         G = np.einsum("tkp,tkp->k", series[:, 1:], series[:, 1:])
         return samples, float(1 / np.mean(np.exp(self.severities * b - self.severities**2 * G / 2)))
@@ -129,4 +157,4 @@ def faulty(problem: DetectionProblem, burst: Burst, severities: Array, filters: 
     """Return runs of machines each with one fault, of the given severity."""
     pairs = zip(problem.fault_names, severities, strict=True)
     machines = tuple(trials(problem, burst, {n: float(s)}, filters=filters) for n, s in pairs)
-    return Faulty(machines, np.asarray(severities, dtype=float))
+    return Faulty(machines, np.asarray(severities, dtype=float), trials(problem, burst, filters=filters))
