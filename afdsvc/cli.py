@@ -116,6 +116,7 @@ def serve(
     with serving(read_site(site)) as hub, supervised(hub.healthy):
         log.info("%s: serving '%s' with %d machine(s)", __version__, hub.keys.site, len(hub.watches))
         stop.wait(seconds)
+    _leave()
 
 
 def _one_of(option: str, value: str, allowed: tuple[str, ...]) -> str:
@@ -141,6 +142,15 @@ def rig(
     if hasattr(signal, "SIGUSR1"):
         signal.signal(signal.SIGUSR1, lambda *_: emergency.set())
     run_rig(read_site(site), machine, seconds, _stop_on_signals(), emergency)
+    _leave()
+
+
+def _leave() -> None:
+    """End without waiting for threads that wait for a dead network: the interpreter would abort over them."""
+    if any(thread.daemon for thread in threading.enumerate()):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
 
 
 def _ask(site: Path, name: str, **arguments: Any) -> Any:

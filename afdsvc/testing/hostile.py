@@ -125,15 +125,14 @@ def wire(_folder: Path) -> Target:
 def recording(folder: Path) -> Target:
     """Recordings: opened, everything in them decoded, recovered."""
     path = folder / "mutant.mcap"
-    seeds = [_recording(folder / f"seed{n}.mcap", n) for n in (1, 4)]
+    seeds = [_recording(folder / f"seed{n}.mcap", n) for n in (1, 3)]
     seeds.append(seeds[1][: len(seeds[1]) * 2 // 3])
 
     def eat(data: bytes) -> None:
         path.write_bytes(data)
         found = Recording(path)
-        for kind in (found.blocks, found.residuals, found.events, found.findings, found.requests, found.descriptions):
-            for _ in kind():
-                pass
+        for kind in (found.events, found.requests):
+            list(kind())
         _ = found.loss, found.site
         found.traces()
 

@@ -25,8 +25,8 @@ from pathlib import Path
 from random import Random
 
 SHARES = {
-    "wire": 0.70, "burst": 0.01, "recording": 0.06, "csv": 0.05, "npz": 0.04, "parquet": 0.02, "mat": 0.02, "mat73": 0.01,
-    "model": 0.04, "site": 0.05,
+    "wire": 0.80, "burst": 0.01, "recording": 0.03, "csv": 0.04, "npz": 0.04, "parquet": 0.01, "mat": 0.02, "mat73": 0.01,
+    "model": 0.02, "site": 0.02,
 }  # fmt: skip
 SECONDS, MEMORY = 5.0, 1 << 30
 

@@ -1,0 +1,378 @@
+"""One service, many simulated machines, and everything going wrong around them at random (seeded).
+
+    python benchmarks/soak/run.py --minutes 30 --rigs 8 --seed 1
+
+The service runs in a process of its own, the rigs in two (several agents each); a proxy between them is stalled and cut,
+processes are stopped and killed, a stranger sends rubbish, a second agent claims a machine's id, and every other machine has
+a fault. Afterwards the recordings on disk are counted sample by sample: every gap must lie in the time of something that was
+done to it on purpose. Prints what was held; exit 1 when anything was not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import os
+import platform
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
+
+from afdsvc.alarms.history import History
+from afdsvc.errors import AfdsvcError
+from afdsvc.record.reader import Recording
+from afdsvc.runtime.site import read_site
+from afdsvc.runtime.transport import Transport
+from afdsvc.testing.messages import EXAMPLES
+from afdsvc.testing.mutation import mutate_bytes
+from afdsvc.testing.proxy import Proxy
+from afdsvc.wire.keys import Keys
+from afdsvc.wire.messages import AlarmKind
+
+FAULTS = ("horizontal_actuator", "vertical_actuator", "horizontal_sensor", "vertical_sensor")
+HERE = Path(__file__).parent
+CACHE_BLOCKS = 400  # 20 s of samples a rig keeps for a service that is away
+MARGIN = 15.0  # seconds after a disturbance in which its gap may still begin: a reconnection takes some
+
+
+@dataclass
+class Disturbance:
+    """Something done on purpose: what, to which machines, from when to when (Unix time)."""
+
+    what: str
+    machines: tuple[str, ...]
+    start: float
+    end: float = 0.0
+
+
+@dataclass
+class Soak:
+    """Everything of one run."""
+
+    folder: Path
+    rigs: int
+    rng: Random
+    done: list[Disturbance] = field(default_factory=list)
+    memory: list[tuple[float, int, int]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.ids = [f"m{i + 1}" for i in range(self.rigs)]
+        self.faults = {id: FAULTS[i // 2 % 4] for i, id in enumerate(self.ids) if i % 2}
+        self.port = free_port()
+        self.proxy = Proxy(self.port)
+        self.service_site = self._site("service.toml", self.port)
+        self.rig_site = self._site("rigs.toml", self.proxy.port)
+        half = (self.rigs + 1) // 2
+        self.groups = [tuple(self.ids[:half]), tuple(self.ids[half:])] if self.rigs > 1 else [tuple(self.ids)]
+        self.service: subprocess.Popen[bytes] | None = None
+        self.processes: list[subprocess.Popen[bytes] | None] = [None] * len(self.groups)
+
+    def _site(self, name: str, port: int) -> Path:
+        machines = ""
+        for i, id in enumerate(self.ids):
+            fault = f'faults = [{{name = "{self.faults[id]}", severity = -0.5, at_seconds = 12.0}}]' if id in self.faults else ""
+            machines += f"""
+[[machines]]
+id = "{id}"
+plant = "gas_bearing"
+driver = {{seed = {i}{", " + fault if fault else ""}}}
+bursts = {{every_seconds = 9.0, jitter_seconds = 2.0, first_after_seconds = {2 + i % 4}.0, seconds = 2.0}}
+"""
+        path = self.folder / name
+        path.write_text(f"""site = "soak"
+[transport]
+listen = ["tcp/127.0.0.1:{port}"]
+cache_blocks = {CACHE_BLOCKS}
+[recording]
+folder = "recordings"
+max_minutes = 5
+[alarms]
+before_seconds = 10
+{machines}""")
+        return path
+
+    def start_service(self) -> None:
+        """Start the service."""
+        command = [sys.executable, "-m", "afdsvc", "serve", str(self.service_site), "--log", "json"]
+        with (self.folder / "service.log").open("ab") as log:
+            self.service = subprocess.Popen(command, stderr=log, stdout=log)
+
+    def start_rigs(self, group: int) -> None:
+        """Start one process of rigs."""
+        command = [sys.executable, str(HERE / "rigs.py"), str(self.rig_site), *self.groups[group]]
+        with (self.folder / f"rigs{group}.log").open("ab") as log:
+            self.processes[group] = subprocess.Popen(command, stderr=log, stdout=log)
+
+    def wait_ready(self) -> None:
+        """Wait until the service listens."""
+        for _ in range(600):
+            with suppress(OSError), socket.create_connection(("127.0.0.1", self.port), timeout=0.5):
+                return
+            time.sleep(0.1)
+        raise SystemExit("the service did not start")
+
+    # ------------------------------------------------------------------------------------------------------ disturbances
+
+    def disturb(self, restart_service: bool) -> None:
+        """Do something bad and undo it."""
+        acts = [self.kill_rigs, self.hang_rigs, self.stall, self.cut, self.rubbish, self.twin]
+        act = self.rng.choice(acts + ([self.kill_service, self.stop_service] if restart_service else []))
+        act()
+
+    def _note(self, what: str, machines: tuple[str, ...]) -> Disturbance:
+        self.done.append(Disturbance(what, machines, time.time()))
+        return self.done[-1]
+
+    def kill_rigs(self) -> None:
+        """Kill a process of rigs and start it again."""
+        group = self.rng.randrange(len(self.groups))
+        noted = self._note("rigs killed", self.groups[group])
+        process = self.processes[group]
+        assert process is not None
+        process.kill()
+        process.wait()
+        time.sleep(self.rng.uniform(0.2, 3))
+        self.start_rigs(group)
+        time.sleep(12)
+        noted.end = time.time()
+
+    def hang_rigs(self) -> None:
+        """Stop a process of rigs for some seconds."""
+        group = self.rng.randrange(len(self.groups))
+        noted = self._note("rigs hung", self.groups[group])
+        process = self.processes[group]
+        assert process is not None
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(self.rng.uniform(1, 4))
+        process.send_signal(signal.SIGCONT)
+        noted.end = time.time()
+
+    def stall(self) -> None:
+        """Let nothing through for some seconds."""
+        noted = self._note("network stalled", tuple(self.ids))
+        self.proxy.stall()
+        time.sleep(self.rng.uniform(1, 8))
+        self.proxy.mend()
+        noted.end = time.time()
+
+    def cut(self) -> None:
+        """Cut every connection, for seconds or for longer than the rigs' caches last."""
+        noted = self._note("network cut", tuple(self.ids))
+        self.proxy.cut()
+        time.sleep(self.rng.choice((self.rng.uniform(1, 5), self.rng.uniform(25, 40))))
+        self.proxy.mend()
+        noted.end = time.time()
+
+    def kill_service(self) -> None:
+        """Kill the service and start it again."""
+        noted = self._note("service killed", tuple(self.ids))
+        assert self.service is not None
+        self.service.kill()
+        self._again(noted)
+
+    def stop_service(self) -> None:
+        """Stop the service in order and start it again."""
+        noted = self._note("service stopped", tuple(self.ids))
+        assert self.service is not None
+        began = time.monotonic()
+        self.service.terminate()
+        self.service.wait()
+        noted.what += f" in {time.monotonic() - began:.1f} s"
+        self._again(noted)
+
+    def _again(self, noted: Disturbance) -> None:
+        assert self.service is not None
+        self.service.wait()
+        time.sleep(self.rng.uniform(0.2, 3))
+        self.start_service()
+        self.wait_ready()
+        time.sleep(3)
+        noted.end = time.time()
+
+    def rubbish(self) -> None:
+        """Send mutants of every message on the keys of a machine, for a second."""
+        id = self.rng.choice(self.ids)
+        noted = self._note("rubbish sent", (id,))
+        keys, examples = Keys("soak"), [data for _, data in EXAMPLES]
+        with suppress(AfdsvcError), Transport(read_site(self.service_site).transport, False) as stranger:
+            for _ in range(100):
+                data = mutate_bytes(self.rng.choice(examples), self.rng.choice(examples), self.rng)
+                for key in (keys.event(id), keys.description(id), keys.block(id), keys.lease(id)):
+                    stranger.publish(key, data)
+                with suppress(AfdsvcError):
+                    stranger.ask(keys.burst(id), data, 1.0)
+                time.sleep(0.01)
+        noted.end = time.time()
+
+    def twin(self) -> None:
+        """Start a second agent for a machine that has one; it must refuse."""
+        id = self.rng.choice(self.ids)
+        noted = self._note("second agent", (id,))
+        command = [sys.executable, "-m", "afdsvc", "rig", str(self.rig_site), "--machine", id, "--seconds", "5"]
+        done = subprocess.run(command, stderr=subprocess.PIPE, check=False)
+        noted.what += " (refused)" if b"has a rig agent already" in done.stderr else f" (NOT refused: exit {done.returncode})"
+        noted.end = time.time()
+
+    # ------------------------------------------------------------------------------------------------------------ running
+
+    def run(self, seconds: float) -> None:
+        """Run for so long; the service is restarted in the first third only, so that its memory can be watched after."""
+        for group in range(len(self.groups)):
+            self.start_rigs(group)  # first, on purpose: both may be started in any order
+        self.start_service()
+        self.wait_ready()
+        over = threading.Event()
+        threading.Thread(target=self._watch_memory, args=(over,), daemon=True).start()
+        began = time.monotonic()
+        time.sleep(min(15, seconds / 4))
+        while (passed := time.monotonic() - began) < seconds - 60:
+            self.disturb(passed < seconds / 3)
+            time.sleep(self.rng.uniform(4, 10))
+        time.sleep(max(seconds - (time.monotonic() - began), 0))
+        over.set()
+
+    def stop(self) -> float:
+        """Stop everything in order; returns how long the service took."""
+        for process in self.processes:
+            if process:
+                process.terminate()
+                process.wait(20)
+        time.sleep(1)
+        began = time.monotonic()
+        if self.service:
+            self.service.terminate()
+            self.service.wait(30)
+        self.proxy.close()
+        return time.monotonic() - began
+
+    def _watch_memory(self, over: threading.Event) -> None:
+        while not over.wait(5):
+            if self.service:
+                self.memory.append((time.time(), self.service.pid, resident(self.service.pid)))
+
+
+def free_port() -> int:
+    """Return a port nobody listens at."""
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
+
+
+def resident(pid: int) -> int:
+    """Return the resident memory [bytes] of a process, 0 when it is gone."""
+    with suppress(OSError, IndexError):
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return 0
+
+
+# ------------------------------------------------------------------------------------------------------------------ counting
+
+
+def gaps(paths: list[Path]) -> Iterator[tuple[float, float, int]]:
+    """Yield the gaps in one machine's samples: Unix time they begin and end at, samples missing; and at last (0, 0, samples)."""
+    spans: dict[str, list[tuple[int, int, float, float]]] = {}
+    for path in paths:
+        for block in Recording(path).blocks():
+            ends = block.k0 + len(block)
+            spans.setdefault(block.session, []).append((block.k0, ends, block.t0_ns / 1e9, block.t0_ns / 1e9 + len(block) * block.dt))
+    total = 0
+    for rows in spans.values():
+        reached, until = 0, 0.0
+        for k0, ends, since, till in sorted(rows):
+            if until and k0 > reached:
+                yield until, since, k0 - reached
+            total += max(ends - max(k0, reached), 0)
+            reached, until = max(reached, ends), max(until, till)
+    yield 0.0, 0.0, total
+
+
+def explained(soak: Soak, id: str, start: float, end: float) -> bool:
+    """Whether a gap lies in the time of something done to the machine."""
+    return any(id in d.machines and start <= d.end + MARGIN and end >= d.start - 1.0 for d in soak.done)
+
+
+def count_samples(soak: Soak) -> tuple[int, int, int, list[str]]:
+    """Return samples, gaps explained, samples missing in them, and sentences about gaps nothing explains."""
+    samples = accounted = missing = 0
+    wrong = []
+    for id in soak.ids:
+        for start, end, n in gaps(sorted((soak.folder / "recordings").glob(f"{id}-2*.mcap"))):
+            if not start:
+                samples += n
+            elif explained(soak, id, start, end):
+                accounted, missing = accounted + 1, missing + n
+            else:
+                wrong.append(f"{id}: {n} samples missing from {datetime.datetime.fromtimestamp(start, datetime.UTC):%H:%M:%S}, unexplained")
+    return samples, accounted, missing, wrong
+
+
+def count_alarms(soak: Soak) -> tuple[int, list[str], list[str]]:
+    """Return the machines whose fault was told rightly, false alarms, and faults never told."""
+    raised = [c.alarm for c in History(soak.folder / "recordings" / "soak-alarms.sqlite").changes(limit=100_000) if c.event == "raised"]
+    faults = [a for a in raised if a.kind is AlarmKind.FAULT]
+    told = {a.machine for a in faults if a.fault == soak.faults.get(a.machine)}
+    false = [f"{a.id}: {a.sentence}" for a in faults if a.machine not in soak.faults]
+    beside = [f"{a.id} beside {soak.faults[a.machine]}" for a in faults if a.machine in soak.faults and a.fault != soak.faults[a.machine]]
+    never = [f"{id}: {fault} was never told" for id, fault in soak.faults.items() if id not in told]
+    return len(told), false, [*never, *beside]
+
+
+def memory(soak: Soak) -> str:
+    """Return how the resident memory of the service's last process went after its first third."""
+    pid = soak.memory[-1][1] if soak.memory else 0
+    rows = [m for _, p, m in soak.memory if p == pid and m]
+    if len(rows) < 12:
+        return "too short to say"
+    warm = rows[len(rows) // 3 :]
+    half = len(warm) // 2
+    first, last = sum(warm[:half]) / half, sum(warm[half:]) / (len(warm) - half)
+    return f"{first / 1e6:.0f} MB, then {last / 1e6:.0f} MB ({100 * (last / first - 1):+.1f} %) over {5 * len(warm)} s after {5 * (len(rows) - len(warm))} s"
+
+
+def main() -> int:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=30.0)
+    parser.add_argument("--rigs", type=int, default=8)
+    parser.add_argument("--seed", type=int, default=1)
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        soak = Soak(Path(folder), asked.rigs, Random(asked.seed))
+        try:
+            soak.run(60 * asked.minutes)
+        finally:
+            stopped = soak.stop()
+        return tell(soak, asked.minutes, asked.seed, stopped)
+
+
+def tell(soak: Soak, minutes: float, seed: int, stopped: float) -> int:
+    """Print what was held; returns 1 when anything was not."""
+    samples, accounted, missing, wrong = count_samples(soak)
+    told, false, never = count_alarms(soak)
+    unfinished = [p.name for p in (soak.folder / "recordings").rglob("*.mcap") if Recording(p).loss and not Recording(p).metadata.get("recovered")]
+    errors = [line for line in (soak.folder / "service.log").read_text(errors="replace").splitlines() if "Traceback" in line]
+    print(f"{datetime.date.today()}, {platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[1]:.1f}, Python {platform.python_version()}, seed {seed}")
+    print(f"{soak.rigs} machines at 5 kHz for {minutes:g} minutes")
+    kinds = sorted({d.what for d in soak.done})
+    print(f"{len(soak.done)} disturbances: " + ", ".join(f"{k} {sum(d.what == k for d in soak.done)}" for k in kinds))
+    print(f"samples recorded {samples} ({samples / (300_000 * minutes * soak.rigs):.1%} of all); gaps explained {accounted} ({missing} samples), unexplained {len(wrong)}")
+    print(f"faults told rightly {told} of {len(soak.faults)}; false alarms {len(false)}; not or wrongly told {len(never)}")
+    print(f"memory of the service: {memory(soak)}")
+    print(f"service stopped in {stopped:.1f} s; recordings left unfinished {len(unfinished)}; tracebacks in its log {len(errors)}")
+    bad = [*wrong, *false, *never, *unfinished, *errors, *[d.what for d in soak.done if "NOT" in d.what]]
+    for sentence in bad[:30]:
+        print("  !", sentence)
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
