@@ -89,13 +89,17 @@ def slowest_modes(full: FullRotor, states: int, outputs: Array) -> ModalBasis:
     R, L = _real(right[:, keep], poles[keep]), _real(left[:, keep], poles[keep])
     R = R / _pairwise_size(outputs @ R, poles[keep])
     # left vectors of close or repeated poles are made biorthogonal together
-    return ModalBasis(np.asarray(np.linalg.solve(L.T @ R, L.T)), R, poles[keep], float(np.abs(poles[rank[states]])))
+    return ModalBasis(np.asarray(np.linalg.solve(L.T @ R, L.T)), R, poles[keep], _next(poles[rank], states))
+
+
+def _next(poles: ComplexArray, states: int) -> float:
+    return float(np.abs(poles[states])) if states < len(poles) else float("inf")
 
 
 def _whole(poles: ComplexArray, states: int) -> None:
     """Raise `BadInput` unless the first ``states`` poles are separated from the rest."""
     sizes = np.abs(poles)
-    clear = [n for n in range(1, len(sizes)) if sizes[n] > sizes[n - 1] * (1 + 1e-3)]
+    clear = [n for n in range(1, len(sizes)) if sizes[n] > sizes[n - 1] * (1 + 1e-3)] + [len(sizes)]
     if states not in clear:
         near = sorted(clear, key=lambda n: abs(n - states))[:4]
         raise BadInput(f"{states} states would split a pair of modes; {', '.join(map(str, sorted(near)))} would not")

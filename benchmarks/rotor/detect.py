@@ -20,14 +20,15 @@ KINDS = ("matched_filter", "regression")
 RATE = 0.1  # promised alarms per burst in the study of quiet bursts: one that a few hundred bursts can check
 
 
-def faults(controller: str, severity: float) -> None:
+def faults(controller: str, severity: float, driver: dict) -> None:
     """Print what every detector says about every fault, one burst each."""
     installed = plugins()
     names = machine(installed).augmented.fault_names
     burst = None
     print("fault: detector, statistic / threshold, named, severity; largest displacement [um]")
     for seed, name in enumerate(names):
-        parts = machine(installed, {name: (severity, 0.0)}, seed, controller={"kind": controller}, detectors=[{"kind": k} for k in KINDS])
+        settings = {"controller": {"kind": controller}, "detectors": [{"kind": k} for k in KINDS], "driver": driver}
+        parts = machine(installed, {name: (severity, 0.0)}, seed, **settings)
         found = run(parts, installed, [0.7, "burst"], burst)
         burst = found.bursts[0]
         told = [
@@ -38,11 +39,11 @@ def faults(controller: str, severity: float) -> None:
         print(f"{name}: {'; '.join(told)}; {found.peak:.1f} um", flush=True)
 
 
-def quiet(bursts: int, seed: int) -> None:
+def quiet(bursts: int, seed: int, driver: dict) -> None:
     """Print how many healthy bursts raise an alarm when one in ten is promised, and how many the gate refuses."""
     installed = plugins()
     detectors = [{"kind": k, "false_alarms_per_1000_bursts": 1000 * RATE} for k in KINDS]
-    parts = machine(installed, seed=seed, detectors=detectors, bursts={"severity": -0.2, "seconds": 1.0})
+    parts = machine(installed, seed=seed, detectors=detectors, bursts={"severity": -0.2, "seconds": 1.0}, driver=driver)
     found = run(parts, installed, [0.7, *(["burst", 0.4] * bursts)])
     for kind in KINDS:
         mine = [e for e in found.evidence if e.detector == kind]
@@ -59,8 +60,10 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--controller", default="lqg")
     parser.add_argument("--severity", type=float, default=-0.2)
+    parser.add_argument("--full", action="store_true", help="all 320 states are simulated; the model keeps 8")
     wanted = parser.parse_args()
+    simulated = {"options": {"states": 320}} if wanted.full else {}
     if wanted.what == "faults":
-        faults(wanted.controller, wanted.severity)
+        faults(wanted.controller, wanted.severity, simulated)
     else:
-        quiet(wanted.bursts, wanted.seed)
+        quiet(wanted.bursts, wanted.seed, simulated)

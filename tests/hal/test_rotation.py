@@ -73,7 +73,9 @@ def commission_at(machine, speed):
 
 
 def test_the_simulated_machine_may_be_another_than_the_model(plugins) -> None:
-    machine = turboexpander(plugins, options={"states": 16, "balance_grade": 0.0})
-    assert np.abs(samples(machine, plugins, 3000)[:, 4:8]).max() < 4.0
+    """All 320 states of the finite elements run in place of the 8 of the model; the same noise moves both alike."""
+    full, small = turboexpander(plugins, options={"states": 320}), turboexpander(plugins)
+    y, model = (samples(m, plugins, 3000)[:, 4:8] for m in (full, small))
+    assert 1e-4 < np.abs(y - model).max() < 0.03
     with pytest.raises(BadInput, match=r"'driver.options' gives sample time 0.001 s; the machine's is 0.0001 s"):
         samples(turboexpander(plugins, options={"sample_time": 1e-3}), plugins, 1000)
