@@ -28,6 +28,8 @@ from afdsvc.lti.statespace import Array
 SURE = 1e-5  # p-value below which what repeats in an output is no chance
 HINT = 1e-2  # and above which nothing can depend on the motion alone, as it would have to repeat with it
 SHOWS = 25.0  # sum of squares, in units of noise, from which a dependence shows in an output
+BENT = {"amplitude", "velocity sign", "history", "sign of the input's rate"}  # what no linear residual depends on
+WORTH_SAYING = 0.01  # share of the residual's power below which a loud span is not told
 PART = 0.02  # and its share of what it adds to the output that shows it best
 
 
@@ -145,7 +147,7 @@ def _kind(shown: Sequence[Dependence], split: Split | None) -> str:
     power = {k: split.kinds[k].power for k in ("odd", "even") if k in split.kinds and split.kinds[k].p < SURE} if split else {}
     if power:
         return max(power, key=lambda k: power[k])
-    return "odd" if shown and not shown[0].group.linear and "amplitude" in shown[0].group.depends_on else "linear"
+    return "odd" if shown and BENT & set(shown[0].group.depends_on) else "linear"
 
 
 def _modulated(facts: _Facts, d: Dependence) -> bool:
@@ -239,8 +241,10 @@ def _span(facts: _Facts, j: int) -> Located | None:
     if span is None:
         return None
     length = sum(len(r) for r in facts.view.runs) * facts.machine.dt
-    extra = (span.ratio - 1) * (span.stop - span.start) / length
-    share = float(np.clip(extra / (1 + extra), 0.0, 1.0))
+    extra = span.usual * (span.ratio - 1) * (span.stop - span.start) / length
+    share = float(np.clip(extra / facts.view.power[j], 0.0, 1.0))
+    if share < WORTH_SAYING:
+        return None
     top = 0.5 / facts.machine.dt
     name = facts.view.names[j]
     return Located(name, None, (0.0, top), share, ("time",), words.span(name, span), "noise")

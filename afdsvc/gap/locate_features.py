@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from scipy import signal
 
 from afdsvc.api.physics import Axis, Machine
 from afdsvc.gap.lines import tones
+from afdsvc.gap.locate_columns import bent, clocks, dynamics, low_pass, moves, plays, rate, rates, rms, signs
 from afdsvc.gap.locate_lines import steady
 from afdsvc.gap.locate_sweep import push
 from afdsvc.gap.locate_view import View
 from afdsvc.lti.statespace import Array
 
-KNOTS = (0.01, 0.12, 0.3, 0.5, 0.7, 0.88, 0.99)
-RADII = (0.15, 0.4, 0.8, 1.4)  # of the rms: how far a play operator lags
 LAGS = (30.0, 300.0)  # over the fastest excited angular frequency: time constants of low-passes
+PEAKS, DAMPING = 2, 0.03  # how many peaks of the residual are tried as resonances, and how damped
 ANGLE, SPEED = "angle", "speed"
 
 
@@ -79,7 +78,7 @@ def groups(view: View, machine: Machine) -> list[Group]:
     for port in machine.inputs:
         place = _Place(view, machine, f"input:{port.name}", by_input[:, port.index], D[:, port.index], input=port.index)
         found += _of_input(place, port.index)
-    for number, axis in enumerate(machine.axes if _moves([s.x for s in view.motion]) else ()):
+    for number, axis in enumerate(machine.axes if moves([s.x for s in view.motion]) else ()):
         i = axis.rate.index
         place = _Place(view, machine, f"state:{axis.rate.name}", by_rate[:, i], np.zeros(p), input=None)
         found += _of_axis(place, axis, [a for k, a in enumerate(machine.axes) if k != number])
@@ -94,30 +93,31 @@ def groups(view: View, machine: Machine) -> list[Group]:
 def _of_input(place: _Place, i: int) -> Iterator[Group]:
     u = [s.u[:, i] for s in place.view.motion]
     yield from _without_motion(place)
-    if not _moves(u):
+    if not moves(u):
         return
-    yield place.group("the level of the input", ["input", "amplitude"], _bent(u))
-    yield place.group("the history of the input", ["input", "amplitude", "history"], _plays(u))
-    yield place.group("the frequency of the input", ["input", "frequency"], _dynamics(u), linear=True)
+    yield place.group("the level of the input", ["input", "amplitude"], bent(u))
+    yield place.group("the history of the input", ["input", "amplitude", "history"], plays(u))
+    yield place.group("the frequency of the input", ["input", "frequency"], dynamics(u), linear=True)
+    yield from _resonances(place, u, "input", ["input", "frequency"])
     yield place.group("slow parts of the input", ["input", "frequency"], _low_passed(place, u), linear=True)
-    yield place.group("the rate of the input", ["input", "rate of the input", "amplitude"], _rates(u))
-    yield place.group("the sign of the input's rate", ["input", "sign of the input's rate"], _signs([_rate(x) for x in u]))
+    yield place.group("the rate of the input", ["input", "rate of the input", "amplitude"], rates(u))
+    yield place.group("the sign of the input's rate", ["input", "sign of the input's rate"], signs([rate(x) for x in u]))
     yield from _with_aux(place, u, "input")
 
 
 def _of_axis(place: _Place, axis: Axis, others: Sequence[Axis]) -> Iterator[Group]:
     q, v = _state(place.view, axis.position.index), _state(place.view, axis.rate.index)
-    yield place.group("the position", ["position", "amplitude"], _bent(q))
-    yield place.group("the velocity", ["velocity", "amplitude"], _bent(v))
-    yield place.group("the sign of the velocity", ["velocity", "velocity sign"], _signs(v))
-    yield place.group("the history of the position", ["position", "velocity sign", "history"], _plays(q))
+    yield place.group("the position", ["position", "amplitude"], bent(q))
+    yield place.group("the velocity", ["velocity", "amplitude"], bent(v))
+    yield place.group("the sign of the velocity", ["velocity", "velocity sign"], signs(v))
+    yield place.group("the history of the position", ["position", "velocity sign", "history"], plays(q))
     for what, x in (("position", q), ("velocity", v)):
-        yield place.group(f"the {what} in proportion", [what], [c[:, None] / _rms(x) for c in x], linear=True)
+        yield place.group(f"the {what} in proportion", [what], [c[:, None] / rms(x) for c in x], linear=True)
     for other in others:
         for what, k in (("position", other.position.index), ("velocity", other.rate.index)):
             x = _state(place.view, k)
             name = place.machine.states[k].name
-            yield place.group(f"the {what} '{name}' of another axis", [f"{what} {name}"], [c[:, None] / _rms(x) for c in x], linear=True)
+            yield place.group(f"the {what} '{name}' of another axis", [f"{what} {name}"], [c[:, None] / rms(x) for c in x], linear=True)
             yield from _speed_times(place, x, f"{what} {name}")
     yield from _with_aux(place, q, "position")
     yield from _with_aux(place, v, "velocity")
@@ -126,14 +126,15 @@ def _of_axis(place: _Place, axis: Axis, others: Sequence[Axis]) -> Iterator[Grou
 
 def _of_output(place: _Place, j: int) -> Iterator[Group]:
     y = [s.y[:, j] for s in place.view.motion]
-    if _moves(y):
-        yield place.group("the reading", ["position", "amplitude"], _bent(y))
-        yield place.group("the frequency of the reading", ["frequency"], _dynamics(y), linear=True)
+    if moves(y):
+        yield place.group("the reading", ["position", "amplitude"], bent(y))
+        yield place.group("the frequency of the reading", ["frequency"], dynamics(y), linear=True)
+        yield from _resonances(place, y, "reading", ["frequency"])
         yield from _with_aux(place, y, "position")
     for k, port in enumerate(place.machine.outputs):
         x = [s.y[:, k] for s in place.view.motion]
-        if k != j and _moves(x):
-            yield place.group(f"the reading '{port.name}'", [f"output {port.name}"], [c[:, None] / _rms(x) for c in x], linear=True)
+        if k != j and moves(x):
+            yield place.group(f"the reading '{port.name}'", [f"output {port.name}"], [c[:, None] / rms(x) for c in x], linear=True)
     yield from _without_motion(place)
 
 
@@ -141,7 +142,7 @@ def _without_motion(place: _Place) -> Iterator[Group]:
     """Yield what may act whether the machine is excited or not: a constant, time, auxiliary signals, the rotor's angle."""
     runs = place.view.runs
     yield place.group("a constant", ["constant"], [np.ones((len(r), 1)) for r in runs], "time")
-    yield place.group("time, each recording apart", ["time"], _clocks([len(r) for r in runs]), "time")
+    yield place.group("time, each recording apart", ["time"], clocks([len(r) for r in runs]), "time")
     for name, z in _aux(place):
         yield place.group(f"'{name}'", [name], [c[:, None] for c in z], "time")
     yield from _rotation(place)
@@ -168,17 +169,6 @@ def _waves(view: View, omega: float) -> list[Array]:
     return out
 
 
-def _clocks(lengths: Sequence[int]) -> list[Array]:
-    """Return a level, a slope and a bend of its own for every run, zero in the others."""
-    out = []
-    for i, n in enumerate(lengths):
-        t = np.arange(n) / n - 0.5
-        columns = np.zeros((n, 3 * len(lengths)))
-        columns[:, 3 * i : 3 * i + 3] = np.column_stack([np.ones(n), t, t**2 - 1 / 12])
-        out.append(columns)
-    return out
-
-
 def _rotation(place: _Place) -> Iterator[Group]:
     angle, speed = _column(place, ANGLE), _column(place, SPEED)
     if angle is None:
@@ -187,21 +177,21 @@ def _rotation(place: _Place) -> Iterator[Group]:
     yield place.group("the rotor's angle", ["rotor angle"], once, "rotation")
     for word, columns in zip(("twice", "three times"), more, strict=True):
         yield place.group(f"{word} the rotor's angle", ["rotor angle"], columns, "rotation")
-    if speed is not None and _rms(speed) > 0 and np.std([s.mean() for s in speed]) > 1e-3 * _rms(speed):
-        growing = [c * (s[:, None] / _rms(speed)) ** 2 for c, s in zip(once, speed, strict=True)]
+    if speed is not None and rms(speed) > 0 and np.std([s.mean() for s in speed]) > 1e-3 * rms(speed):
+        growing = [c * (s[:, None] / rms(speed)) ** 2 for c, s in zip(once, speed, strict=True)]
         yield place.group("the rotor's angle, growing with its speed squared", ["rotor angle", "speed"], growing, "rotation")
 
 
 def _with_aux(place: _Place, x: Sequence[Array], word: str) -> Iterator[Group]:
     for name, z in _aux(place):
-        columns = [(a * b)[:, None] / _rms(x) for a, b in zip(z, x, strict=True)]
+        columns = [(a * b)[:, None] / rms(x) for a, b in zip(z, x, strict=True)]
         yield place.group(f"'{name}' times the {word}", [name, word], columns)
 
 
 def _speed_times(place: _Place, x: Sequence[Array], word: str) -> Iterator[Group]:
     speed = _column(place, SPEED)
-    if speed is not None and _rms(speed) > 0:
-        columns = [(s * c)[:, None] / (_rms(speed) * _rms(x)) for s, c in zip(speed, x, strict=True)]
+    if speed is not None and rms(speed) > 0:
+        columns = [(s * c)[:, None] / (rms(speed) * rms(x)) for s, c in zip(speed, x, strict=True)]
         yield place.group(f"the speed times the {word}", ["speed", word], columns)
 
 
@@ -225,66 +215,23 @@ def _state(view: View, i: int) -> list[Array]:
     return [s.x[:, i] for s in view.motion]
 
 
-def _rms(x: Sequence[Array]) -> float:
-    return float(np.sqrt(np.mean(np.concatenate(list(x)) ** 2))) or 1.0
-
-
-def _moves(x: Sequence[Array]) -> bool:
-    return any(float(np.ptp(c, axis=0).max()) > 0 for c in x)
-
-
-def _bent(x: Sequence[Array]) -> list[Array]:
-    """Return a piecewise linear function of the signal with knots at its quantiles, as hat functions."""
-    knots = np.unique(np.quantile(np.concatenate(list(x)), KNOTS))
-    if len(knots) < 3:
-        return [np.zeros((len(c), 1)) for c in x]
-    return [np.column_stack([np.interp(c, knots, e) for e in np.eye(len(knots))]) for c in x]
-
-
-def _signs(x: Sequence[Array]) -> list[Array]:
-    width = 0.1 * _rms(x)
-    return [np.tanh(c / width)[:, None] for c in x]
-
-
-def _rate(x: Array) -> Array:
-    return np.diff(x, prepend=x[:1])
-
-
-def _rates(x: Sequence[Array]) -> list[Array]:
-    d = [_rate(c) for c in x]
-    size = _rms(d)
-    return [np.column_stack([(c / size) * np.abs(c / size), (c / size) ** 3, np.abs(c / size)]) for c in d]
-
-
-def _dynamics(x: Sequence[Array]) -> list[Array]:
-    """Return the signal and its last two differences: what delay, lag and gain do to it, to second order."""
-    parts: list[Callable[[Array], Array]] = [lambda c: c, _rate, lambda c: _rate(_rate(c))]
-    sizes = [_rms([f(c) for c in x]) for f in parts]
-    return [np.column_stack([f(c) / s for f, s in zip(parts, sizes, strict=True)]) for c in x]
-
-
 def _low_passed(place: _Place, x: Sequence[Array]) -> list[Array]:
     dt = place.machine.dt
     poles = [float(np.exp(-dt * place.machine.bandwidth / lag)) for lag in LAGS]
-    size = _rms(x)
-    return [np.column_stack([c, *(_low_pass(c, pole) for pole in poles)]) / size for c in x]
+    size = rms(x)
+    return [np.column_stack([c, *(low_pass(c, pole) for pole in poles)]) / size for c in x]
 
 
-def _low_pass(x: Array, pole: float) -> Array:
-    return np.asarray(signal.lfilter([1 - pole], [1, -pole], x))
-
-
-def _plays(x: Sequence[Array]) -> list[Array]:
-    size = _rms(x)
-    return [np.column_stack([_play(c, r * size) / size for r in RADII]) for c in x]
-
-
-@njit(cache=True, nogil=True)
-def _play(x, radius):  # type: ignore[no-untyped-def]
-    """Return the play operator: the signal followed at a distance of at most ``radius``."""
-    out = np.empty_like(x)
-    at = 0.0
-    for k, value in enumerate(x):
-        at = min(max(at, value - radius), value + radius)
-        out[k] = at
-    return out
+def _resonances(place: _Place, x: Sequence[Array], word: str, words: Sequence[str]) -> Iterator[Group]:
+    """Yield a signal and what narrow filters make of it where the residual's spectrum stands out: displacement and velocity."""
+    dt = place.machine.dt
+    for omega in place.machine.peaks[:PEAKS]:
+        turn = omega * dt
+        if not 0.0 < turn < 2.5:
+            continue
+        radius = float(np.exp(-DAMPING * turn))
+        a = [1.0, -2 * radius * np.cos(turn), radius**2]
+        filtered = [np.asarray(signal.lfilter([0.0, 1.0], a, c)) for c in x]
+        own, size = rms(x), rms(filtered)
+        columns = [np.column_stack([c / own, f / size, rate(f) / (turn * size)]) for c, f in zip(x, filtered, strict=True)]
+        yield place.group(f"a resonance of the {word} near {omega / (2 * np.pi):.3g} Hz", words, columns, linear=True)

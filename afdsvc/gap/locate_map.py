@@ -18,6 +18,7 @@ from afdsvc.api.physics import Machine
 from afdsvc.gap.locate_features import Group, groups
 from afdsvc.gap.locate_sweep import responses
 from afdsvc.gap.locate_view import View, per_run
+from afdsvc.gap.whitening import correlation_time
 from afdsvc.lti.statespace import Array
 
 SURE = 1e-4  # false-acceptance probability of the map as a whole
@@ -46,12 +47,20 @@ class Dependence:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Gram:
     """Inner products per fold: ``matrix (folds, b, b)``, ``vector (folds, b)`` with the residual, and the cost to lower; the
-    projected responses ``columns (rows, b)`` themselves."""
+    projected responses ``columns (rows, b)`` themselves.
+
+    ``rest (rows,)`` is the residual, ``outputs`` how many of its rows belong to one sample, and ``noisy`` says that the noise is
+    known, so that the rows of a right model are white; otherwise what a group leaves tells how many of them count as one.
+    """
 
     columns: Array
+    rest: Array
+    outputs: int
+    noisy: bool
     matrix: Array
     vector: Array
     cost: float
+    samples: int
     counts: float
 
 
@@ -90,7 +99,8 @@ def _gram(view: View, library: Sequence[Group]) -> tuple[_Gram, list[slice]]:
     pieces = [(everything[a:b], rest[a:b]) for a, b in pairwise(edges)]
     matrix = np.stack([x.T @ x for x, _ in pieces])
     vector = np.stack([x.T @ r for x, r in pieces])
-    return _Gram(everything, matrix, vector, float(t.rest @ t.rest), view.counts), slices
+    noisy, p = view.base.limited == "noise", view.base.nominal.plant.outputs
+    return _Gram(everything, rest, p, noisy, matrix, vector, float(t.rest @ t.rest), rest.size, view.counts), slices
 
 
 def _rows(view: View, library: Sequence[Group], i: int, width: int) -> Array:
@@ -112,7 +122,8 @@ def _next(gram: _Gram, slices: Sequence[slice], chosen: list[int], library: Sequ
     for k, g in enumerate(library):
         if k not in chosen:
             gain = _gain(gram, _index(slices, [*chosen, k])) - base
-            order.append((gain - g.size * float(np.log(max(gram.counts, 3.0))), gain, k))
+            worth = gain if gram.noisy else gram.counts * float(np.log((gram.cost - base) / max(gram.cost - base - gain, 1e-300)))
+            order.append((worth - g.size * float(np.log(max(gram.counts, 3.0))), gain, k))
     order.sort(key=lambda o: -o[0])
     for score, gain, k in order[:ATTEMPTS]:
         found = _tested(gram, slices, chosen, library, k, (base, gain)) if score > 0 else None
@@ -127,11 +138,21 @@ def _tested(
 ) -> Dependence | None:
     """Return group ``k`` with its tests, ``gains`` those of the chosen ones and its own; None when it fails one."""
     group, (base, gain) = library[k], gains
-    freedom = max(gram.counts - len(_index(slices, chosen)) - group.size, 1.0)
+    index = _index(slices, [*chosen, k])
+    freedom = max(_counts(gram, index) - len(index), 1.0)
     f = gain / group.size / max((gram.cost - base - gain) / freedom, 1e-300)
     p = min(1.0, float(stats.f.sf(f, group.size, freedom)) * len(library))
-    folds = _validated(gram, _index(slices, [*chosen, k])) - _validated(gram, _index(slices, chosen))
+    folds = _validated(gram, index) - _validated(gram, _index(slices, chosen))
     return Dependence(group, gain, f, p, float(folds.sum()), (), ()) if p < SURE and _carries_over(folds) else None
+
+
+def _counts(gram: _Gram, index: list[int]) -> float:
+    """Return how many independent numbers are left when these columns are taken out."""
+    if gram.noisy:
+        return gram.counts
+    c = _solve(gram.matrix.sum(0)[np.ix_(index, index)], gram.vector.sum(0)[index])
+    left = (gram.rest - gram.columns[:, index] @ c).reshape(-1, gram.outputs)
+    return gram.samples / max(correlation_time(left / np.maximum(left.std(0), 1e-300)), 1.0)
 
 
 def _carries_over(folds: Array) -> bool:

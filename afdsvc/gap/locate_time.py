@@ -19,13 +19,15 @@ SURE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A span of one recording [s from its start], how many times its power is that of the rest, and the p-value."""
+    """A span of one recording [s from its start], how many times its power is that of the rest (``usual``, mean square), and
+    the p-value."""
 
     run: str
     start: float
     stop: float
     ratio: float
     p: float
+    usual: float
 
 
 def loud_span(runs: Sequence[Run], residuals: Sequence[Array], j: int) -> Span | None:
@@ -56,7 +58,7 @@ def _of_run(run: Run, e: Array) -> Span | None:
     seconds = length * run.dt
     begin = start * run.dt
     ratio = float(blocks[first : last + 1].mean() / usual)
-    return Span(run.name, begin + first * seconds, begin + (last + 1) * seconds, ratio, float(p[peak]))
+    return Span(run.name, begin + first * seconds, begin + (last + 1) * seconds, ratio, float(p[peak]), usual)
 
 
 def _around(loud: set[int], peak: int) -> tuple[int, int]:
