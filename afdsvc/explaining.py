@@ -24,6 +24,7 @@ from afdsvc.record.reader import Recording
 from afdsvc.record.tables import read_table, with_units
 
 RECORDING = ".mcap"
+REST_SECONDS = 0.1  # before a burst, for the loop to be simulated from
 Progress = Callable[[str, float], None]
 
 
@@ -81,9 +82,32 @@ def traces(paths: Sequence[Path], model: Model, options: ExplainOptions) -> list
     for path in paths:
         table = path.suffix.lower() in TABLES
         dt = None if model.plant is None or not model.plant.discrete else model.plant.dt
-        pieces = [_table(path, options.mapping, dt)] if table else Recording(path).traces(options.machine)
+        pieces = [_table(path, options.mapping, dt)] if table else _kept(Recording(path), options.machine)
         found += [_named(t, f"{t.name} ({k})" if len(pieces) > 1 else t.name, found) for k, t in enumerate(pieces, 1)]
     return [with_units(t, model) for t in found]
+
+
+def _kept(recording: Recording, machine: str | None) -> list[Trace]:
+    """Return the bursts of a recording of the service, each with a moment of rest before it; everything where there is none."""
+    found, bursts = recording.traces(machine), _burst_spans(recording, machine)
+    pieces = []
+    for t in found:
+        first = int(t.notes.get("k0", 0))
+        inside = [(a - first, b - first) for session, a, b in bursts if session == t.notes.get("session") and first <= a < first + len(t)]
+        rest = round(REST_SECONDS / t.dt)
+        pieces += [t.span(max(a - rest, 0), min(b, len(t))) for a, b in inside]
+    return pieces or found
+
+
+def _burst_spans(recording: Recording, machine: str | None) -> list[tuple[str, int, int]]:
+    """Return session, first sample and end of every burst that was played."""
+    spans: dict[tuple[str, str, str], tuple[int, int]] = {}
+    for block in recording.blocks(machine):
+        if block.burst:
+            key = (block.machine, block.session, block.burst)
+            a, b = spans.get(key, (block.k0, block.k0))
+            spans[key] = (min(a, block.k0), max(b, block.k0 + len(block)))
+    return [(session, a, b) for (_, session, _), (a, b) in spans.items()]
 
 
 def _table(path: Path, mapping: Mapping[str, str], dt: float | None) -> Trace:

@@ -12,7 +12,7 @@ import pytest
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.errors import BadInput
-from afdsvc.explaining import ExplainOptions, explain_files, means, traces
+from afdsvc.explaining import ExplainOptions, explain_files, means, model_of, traces
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.record.import_table import import_table
 from afdsvc.record.model_file import read_model, write_model
@@ -150,3 +150,25 @@ def test_on_the_command_line_a_refusal_is_one_sentence_and_exit_2(files):
     assert len(done.stderr.strip().splitlines()) == 1
     assert not done.stdout
     assert "--out spring.toml" in done.stderr
+
+
+SHIPPED = Path(__file__).parents[2] / "recordings" / "shipped" / "gas_bearing_vertical_sensor.mcap"
+
+
+@pytest.mark.filterwarnings("ignore:logm result may be inaccurate")
+def test_a_recording_of_the_service_is_explained_by_its_bursts_alone(tmp_path):
+    """The service kept it with its model: nothing else is asked for. What is wrong is the vertical sensor, by half."""
+    document = explain_files(SHIPPED, [], [], ExplainOptions(tmp_path))
+    fit = document["fit"]["per_output"]
+    assert fit["vertical"]["before"]["nrmse"] > 0.9
+    assert fit["vertical"]["after"]["nrmse"] < 0.7 * fit["vertical"]["before"]["nrmse"]
+    assert fit["horizontal"]["after"]["nrmse"] < 1.05 * fit["horizontal"]["before"]["nrmse"]
+    assert document["fit"]["heldout"]
+
+
+def test_quiet_samples_between_bursts_are_left_out():
+    model = model_of(SHIPPED, ExplainOptions())
+    (burst,) = traces([SHIPPED], model, ExplainOptions())
+    assert len(burst) * burst.dt == pytest.approx(2.6, abs=0.06)
+    assert not burst.role("alpha")[: round(0.09 / burst.dt)].any()
+    assert burst.role("alpha")[round(0.2 / burst.dt) :].any()
