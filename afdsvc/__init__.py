@@ -24,6 +24,7 @@ The rooms, from thinking (pure) over knowing how (swappable) to doing (bytes, ti
 - `modelling`: a modeller's files in, a better model and a page out
 - `explaining`: model and recordings in; why they differ, a better model and a page out
 - `blind_trials`: blind trials of `explain` on disk: made, sealed, explained, opened, scored
+- `batch`: many recordings through one task into one table
 - `demo`: the main job on one command
 - `terminal`: tables and progress bars
 - `supervision`: what systemd wants to know, and log lines a machine can read

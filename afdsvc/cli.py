@@ -375,6 +375,29 @@ def trial(
 
 
 @app.command()
+def batch(
+    task: Annotated[str, typer.Argument(help="diagnose, identify or explain")],
+    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Recordings or tables.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="TABLE.parquet", help="Where the table goes.")],
+    model: Annotated[Path | None, typer.Option(metavar="MODEL.toml", help="The model, for what carries none.")] = None,
+    detector: Annotated[list[str] | None, typer.Option(metavar="NAME", help="For `diagnose`, instead of the site's own.")] = None,
+    jobs: Annotated[int, typer.Option(help="How many at a time.")] = 2,
+    cluster: Annotated[str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler (extra `cluster`).")] = None,
+    as_json: Json = False,
+) -> None:
+    """Work through many recordings into one table; what an earlier run has done is not done again."""
+    from afdsvc.batch import Batch, run_batch
+    from afdsvc.terminal import progress
+
+    chosen = Batch(task, model, tuple(detector or ()))
+    with progress(task, len(recordings)) as tell:
+        done = run_batch(chosen, recordings, out, jobs, cluster, lambda n, of: tell(n))
+    value = {"table": str(done.table), "rows": done.rows, "failed": done.failed, "kept": done.kept}
+    said = f"{done.table}: {done.rows} recordings, {done.failed} could not be worked on, {done.kept} were there already"
+    _show(as_json, value, lambda: print(said))
+
+
+@app.command()
 def review(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="An MCAP recording.")],
     save: Annotated[
