@@ -110,26 +110,27 @@ so noise takes its share: *truth* is what the true plant itself reaches. "Refine
 
 READING = """## Why the figures differ from the published ones
 
-- **Noise, not the method, sets the ceiling.** Here it is what the truth reaches, 77 to 83 %, and follows from 2 um rms of excited motion and the published
-  noise; the thesis does not give the size of its excitation. That its best figures (84 / 85 %) lie close to it says that its
-  ratio of signal to noise was about this one. Compare every figure with the ceiling of its own column.
-- **0.5 A.** Either reading of "A" (sampled or continuous) leaves a nominal model that explains next to nothing, here about 1 and -1 %, published 3 %:
-  the controller, and with it the spectrum of the motion to be explained, belongs to the nominal model. The Hansen scheme reaches the ceiling
-  in both, published 77 / 84 %.
-- **Direct PEM at 0.5 A** came out at 49 / 39 % in the thesis. Here it depends on the reading: with the sampled A the search starts in a loop whose data
-  suit another valley of the likelihood and ends in a model that cannot be simulated (counted as -100 %); with the continuous A it arrives. A value in between is what
-  an average, or a search stopped early, leaves. That PEM may not recover and the scheme does is the same
-  ([Monte Carlo study](identification-monte-carlo.md)).
-- **0.97 A.** Everything that identifies reaches the ceiling, as published. The nominal model is 8 to 9 points below it on the sampled matrix;
-  published 0 and 5 to 8: the real machine was not exactly 1/0.97 of its model either.
-- **0.7 B at rotation.** The nominal model loses what 30 % of missing gain costs (16 points; published about 10 and 15 to 20 below the best). The published ceiling falls to
-  about 63 / 76 % at 2500 rpm; in simulation without unbalance it does not. With the rotor's own orbit in the output (1 um rms) the truth
-  falls to 54 / 53 %, because no input explains the orbit; half as much would give the published height. So the fall at rotation is the orbit's, and the
-  published difference between the directions is the real rotor's, which equal shaking in both does not have.
-- **Unbalance is a trap for R2.** The Hansen estimates "explain" 70 to 76 % there, more than the truth: the order chosen from the data includes
-  a nearly undamped mode at the speed of rotation, and since a prediction may choose its initial state, that mode draws the orbit of the recording to be judged as well. It is
-  no property of the plant. Take harmonics of the speed out of u and y, or identify at rest; grey-box PEM has no such mode to give and pays with its parameters.
-- **Truncation** costs next to nothing, published and here, except in the company of the orbit, where the lost state is the orbit's or the plant's.
+- **Noise, not the method, sets the ceiling.** Here it is what the truth reaches, 78 to 83 % without unbalance, and follows from 2 um rms of excited
+  motion and the published noise; the thesis does not give the size of its excitation. That its best figures (84 / 85 %) lie close to it says that
+  its ratio of signal to noise was about this one. Compare every figure with the truth of its own row.
+- **0.5 A.** Either reading of "A" (sampled or continuous) leaves a nominal model that explains next to nothing, within 1 % of zero here,
+  3 % published. With the sampled A the Hansen scheme reaches the ceiling at any order, as published (77 / 84 %). With the continuous A the
+  deviation S is large and lightly damped, G(S) from 2000 samples falls short of the ceiling and its truncation loses much (48 / 59 %); fitting
+  the truncated plant to the recording again brings it back to the ceiling. The published figures, equal before and after truncation, look like the former.
+- **Direct PEM at 0.5 A** came out at 49 / 39 % in the thesis. Here it depends on the reading: with the sampled A the search ends in another valley of the
+  likelihood (one output lost altogether in the median run), with the continuous A it arrives. A value in between is what a search stopped early or a
+  mean over runs leaves. That PEM may not recover where the scheme does is the same ([Monte Carlo study](identification-monte-carlo.md)).
+- **0.97 A.** Whatever identifies reaches the ceiling, as published. The nominal model is 9 to 10 points below it on the sampled matrix and
+  within half a point on the continuous one; published: 0 to 1 and 5 to 8 points below the best. The published nominal model did not differ from
+  the real machine by 0.97 alone.
+- **0.7 B at rotation.** The nominal model loses what 30 % of missing gain costs (14 to 16 points; published 12 and 22 below the best). The published
+  ceiling falls to about 63 / 76 % at 2500 rpm; in simulation without unbalance it does not. With the rotor's own orbit in the output (1 um rms) the
+  truth falls to 51 %, because no input explains the orbit; about half as much would give the published height. The published difference
+  between the directions is the real rotor's, which equal shaking in both does not have.
+- **Unbalance is a trap for R2.** The refined estimate "explains" 77 / 76 % there, more than the truth: one of its six states has become an undamped
+  mode near the speed of rotation (measured in one run: 111 rad/s, damping below 0.001; the speed is 115 rad/s), and since a prediction may choose
+  its initial state, that mode draws the orbit of the recording to be judged as well. It is no property of the plant; `identify` warns of it. Take the
+  harmonics of the speed out of u and y, or identify at rest.
 """
 
 if __name__ == "__main__":
