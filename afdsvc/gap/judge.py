@@ -15,6 +15,7 @@ from afdsvc.lti.statespace import Array
 SURE = 1e-5  # false-acceptance probability of one hypothesis on the training runs
 CLOSE = 10.0  # score units within which a rival is a look-alike
 APART = 3.0  # standard errors by which blocks must differ to tell two hypotheses apart
+MILD = 2.0  # price of a parameter when asking whether two hypotheses can be told apart
 STRAINED, WORSE = 3.0, 4.0  # prior deviations from which a fit counts as strained; loss on selection allowed then
 FAR_OFF = 5.0  # prior standard deviations a nuisance parameter may move without being suspect
 
@@ -82,17 +83,22 @@ def score(base: Baseline, nothing: Candidate, c: Candidate, samples: tuple[int, 
 def _rivals(
     base: Baseline, scored: Sequence[tuple[float, Candidate]], samples: tuple[int, int]
 ) -> tuple[list[Rival], list[Rival]]:
-    """Split into those within reach of the best (with weights) and those beaten."""
+    """Split into those within reach of the best (with weights) and those beaten.
+
+    The choice pays the full price of every parameter; whether a rival can be told from it is asked at the mild price of
+    Akaike, or a law that contains the choice as a special case would count as refuted just for being longer.
+    """
     top, best = scored[0]
     rivals: list[Rival] = []
     beaten: list[Rival] = []
-    price = float(np.log(max(sum(samples) / base.memory, 2.0)))
+    full = float(np.log(max(sum(samples) / base.memory, 2.0)))
     for value, c in scored:
-        z = separation(c.blocks, best.blocks, (c.parameters - best.parameters) * price)
-        behind = top - value
-        evidence = min(behind, max(z, 0.0) ** 2) if c is not best else 0.0
-        rival = Rival(c, behind, z, float(np.exp(-evidence / 2)))
-        (rivals if c is best or behind < CLOSE or z < APART else beaten).append(rival)
+        longer = c.parameters - best.parameters
+        z = separation(c.blocks, best.blocks, longer * MILD)
+        close = top - value - longer * (full - MILD)
+        evidence = min(max(close, 0.0), max(z, 0.0) ** 2) if c is not best else 0.0
+        rival = Rival(c, top - value, z, float(np.exp(-evidence / 2)))
+        (rivals if c is best or close < CLOSE or z < APART else beaten).append(rival)
     total = sum(r.weight for r in rivals)
     return [Rival(r.candidate, r.score, r.z, r.weight / total) for r in rivals], beaten
 
