@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from bearing import TRUE, binary, run
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 from page import picture, table, write
 
 from afdsvc.identify.agreement import relative_error
@@ -82,6 +83,8 @@ def figure(shown) -> Figure:
         ax.loglog(omega, np.abs(found["Hansen"][:, 0, 0]), color="#1b6ca8", label="Hansen")
         ax.loglog(omega, np.abs(truth[:, 0, 0]), "k--", lw=1, label="truth")
         ax.axhline(1 / GAIN, color="0.4", lw=0.8, ls=":")
+        ax.set_xticks([500, 1000, 2000, 4000], ["500", "1000", "2000", "4000"], minor=False)
+        ax.xaxis.set_minor_formatter(NullFormatter())
         ax.set(title=f"noise / excited output = {ratio:g}", xlabel="rad/s")
     fig.axes[0].legend(fontsize=7, frameon=False)
     fig.axes[0].set_ylabel("horizontal to horizontal [um/V]; dotted 1/K", fontsize=8)
