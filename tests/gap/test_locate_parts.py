@@ -6,18 +6,20 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
+from afdsvc.api.model import Model
 from afdsvc.gap.baseline import baseline
 from afdsvc.gap.locate import locate
 from afdsvc.gap.locate_amplitude import law
 from afdsvc.gap.locate_columns import bent, plays
 from afdsvc.gap.locate_lines import splits
-from afdsvc.gap.locate_sweep import responses, unwhitened
+from afdsvc.gap.locate_sweep import push, responses, unwhitened
 from afdsvc.gap.locate_time import loud_span
 from afdsvc.gap.locate_tones import label
 from afdsvc.gap.nominal import nominal
 from afdsvc.gap.runs import Run, prepare
 from afdsvc.gap.simulator import Simulator
 from afdsvc.gap.whitening import fit
+from afdsvc.plants.gas_bearing import gas_bearing
 from afdsvc.record.model_file import read_model
 from afdsvc.record.tables import read_table
 
@@ -113,25 +115,28 @@ def test_unwhitening_undoes_whitening():
     assert np.allclose(unwhitened(w, w(e)), e, atol=1e-10)
 
 
-def test_responses_are_the_derivative_of_the_prediction():
-    """A disturbance at the input, sent through the sweep, is the difference of two runs of the simulator, whitened."""
-    from afdsvc.api.model import Model
-    from afdsvc.gap.locate_sweep import push
-    from afdsvc.plants.gas_bearing import gas_bearing
-
+@pytest.mark.parametrize("place", ["input", "output"])
+def test_responses_are_the_derivative_of_the_prediction(place):
+    """A disturbance at an input or a sensor, sent through the sweep, is the difference of two runs of the simulator, whitened."""
     plant, rng = gas_bearing(), np.random.default_rng(12)
     model = Model(plant.name, plant.inputs, plant.outputs, plant.states, plant.continuous())
-    nom = nominal(model, plant.sample_time)
+    nom, n = nominal(model, plant.sample_time), 300
     gain = 0.1 * rng.standard_normal((nom.plant.order, 2)) * [[1], [1], [10], [10], [0.01], [0.01]]
-    sim, n = Simulator(nom, gain), 300
+    sim, theta = Simulator(nom, gain), np.zeros(len(nom.entries))
     U, Y, f = rng.standard_normal((n, 2)), rng.standard_normal((n, 2)), rng.standard_normal(n)
     whitener = fit([signal.lfilter([1], [1, -0.8], rng.standard_normal((400, 2)), axis=0)], 3)
-    aux = np.zeros((n, 0))
-    runs = [Run("r", plant.sample_time, 0.0, U + d, Y, aux, 0 * Y, ()) for d in (0 * U, np.outer(f, [1.0, 0.0]))]
-    theta = np.zeros(len(nom.entries))
-    one, two = (sim.run(r, theta, np.zeros(nom.plant.order)).y for r in runs)
-    found = responses(sim, theta, f[:, None], push(sim, theta)[0][:, [0]], np.zeros((2, 1)), whitener)[:, :, 0]
+    d = np.outer(f, [1.0, 0.0])
+    # a reading that says f more is a measurement of f less to the predictor, and f more in what it predicts
+    both = [(U, Y, 0 * d), (U + d, Y, 0 * d) if place == "input" else (U, Y - d, d)]
+    one, two = (_played(sim, theta, u, y, plant.sample_time) + more for u, y, more in both)
+    states = push(sim, theta)[0][:, [0]] if place == "input" else np.zeros((nom.plant.order, 1))
+    outputs = np.zeros((2, 1)) if place == "input" else np.array([[1.0], [0.0]])
+    found = responses(sim, theta, f[:, None], states, outputs, whitener)[:, :, 0]
     assert np.allclose(found, whitener(two - one), atol=1e-9 * np.abs(found).max())
+
+
+def _played(sim: Simulator, theta: np.ndarray, U: np.ndarray, Y: np.ndarray, dt: float) -> np.ndarray:
+    return sim.run(Run("r", dt, 0.0, U, Y, np.zeros((len(U), 0)), 0 * Y, ()), theta, np.zeros(sim.nominal.plant.order)).y
 
 
 @pytest.mark.parametrize(
