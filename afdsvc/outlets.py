@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from afdsvc.alarms.black_box import BlackBox
 from afdsvc.alarms.history import History
@@ -15,13 +16,15 @@ from afdsvc.api.notify import Notify
 from afdsvc.commission import Commissioned
 from afdsvc.plugins.manager import Plugins
 from afdsvc.record.retention import Keep
-from afdsvc.review.sink import ReviewSink
 from afdsvc.runtime.commands import plain
 from afdsvc.runtime.housekeeping import Housekeeper
 from afdsvc.runtime.recording import RecorderSink
 from afdsvc.runtime.sinks import Sink, ThreadedSink
 from afdsvc.runtime.site import Site
 from afdsvc.wire.messages import AlarmChange
+
+if TYPE_CHECKING:
+    from afdsvc.review.sink import ReviewSink
 
 CLOSING_SECONDS = 3.0  # all files together: a service has 5 s to stop
 
@@ -43,6 +46,8 @@ class Outlets:
         recording = ThreadedSink(recorder, f"recorder of {id}", _teller("recording"))
         self._recorders.append((recorder, recording))
         if self._review is None and site.review.rerun != "off":
+            from afdsvc.review.sink import ReviewSink  # Rerun takes seconds to import; a restart does not wait for it unasked
+
             live = site.review.port if site.review.rerun == "live" else None
             review = ReviewSink(recorder.base.with_suffix(".rrd"), live)
             self._review = review, ThreadedSink(review, "review", _teller("review"))

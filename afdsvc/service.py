@@ -39,6 +39,7 @@ from afdsvc.runtime.site import Site
 from afdsvc.runtime.speed import SpeedPipeline
 from afdsvc.runtime.transport import Access, NoPeer, Transport
 from afdsvc.runtime.watch import MachineWatch
+from afdsvc.runtime.web import serve_page
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import RigDescription
 
@@ -100,7 +101,7 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         transport = stack.enter_context(Transport(site.transport, True, access_of(site, SERVICE)))
         post, news = Post(transport.publish, "post"), Post(partial(transport.publish, keep=False), "news", size=400)
         for opened in (post, news):
-            stack.callback(opened.close)
+            stack.callback(opened.close, 0.5)
         stack.callback(outlets.close)
         watches: dict[str, MachineWatch] = {}
         desks: dict[str, BurstDesk] = {}
@@ -129,6 +130,8 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         stack.callback(housekeeper.close)
         if site.metrics.listen:
             stack.callback(serve_metrics(site.metrics.listen, hub.status))
+        if site.web.listen:
+            stack.callback(serve_page(site.web.listen, hub))
         yield hub
 
 

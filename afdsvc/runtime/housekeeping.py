@@ -62,7 +62,7 @@ class Housekeeper:
             done = recover_in_place(path)
         except BadInput as error:
             return self._tell(f"an unfinished recording could not be closed: {error}")
-        self._tell(f"{path}: closed and indexed, {sum(done.messages.values())} messages: {done.loss}")
+        self._tell(f"closed and indexed, {sum(done.messages.values())} messages: {done.loss}")
 
     def _tidy(self) -> None:
         for removed in tidy(self._folder, self._keep, self._files(), self._clock.now_ns() / 1e9):
