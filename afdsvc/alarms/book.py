@@ -83,16 +83,17 @@ class AlarmBook:
     def group(self, machine: str, leading: str | None, t_ns: int) -> None:
         """Make the other active fault alarms of a machine consequences of the leading one.
 
-        ``leading`` is the fault the evidence as a whole names. While the watching itself is in trouble, that leads.
+        ``leading`` is the fault the evidence as a whole names; while it names none, what was grouped stays so as long as its
+        cause holds. While the watching itself is in trouble, that leads.
         """
         with self._lock:
             active = [a for a in self._alarms.values() if a.machine == machine and a.active]
             trouble = next((a.id for a in active if a.kind is AlarmKind.SYSTEM), "")
             lead = trouble or (f"{machine}/{leading}" if leading else "")
-            if not any(a.id == lead for a in active):
-                lead = ""
+            holding = {a.id for a in active}
             for a in active:
-                cause = lead if a.kind is AlarmKind.FAULT and a.id != lead else ""
+                cause = (lead or a.cause) if a.kind is AlarmKind.FAULT and a.id != lead else ""
+                cause = cause if cause in holding else ""
                 if a.cause != cause:
                     told = f"follows from {cause}" if cause else "stands for itself"
                     self._set(states.consequence(a, cause), "grouped", t_ns, why=told)

@@ -115,10 +115,11 @@ class Alarms(_Strict):
     notify: list[Named] = []
 
 
-class Metrics(_Strict):
-    """Where Prometheus may ask for figures; nowhere unless told."""
+class Web(_Strict):
+    """Where something is served over HTTP, read-only; nowhere unless told, and on this computer only unless trusted."""
 
     listen: str | None = None
+    trusted_network: bool = False
 
     @field_validator("listen")
     @classmethod
@@ -126,6 +127,12 @@ class Metrics(_Strict):
         if value is not None and not re.fullmatch(r"[^:/\s]+:\d{1,5}", value):
             raise ValueError("host:port, like 127.0.0.1:9464, is wanted")
         return value
+
+    @model_validator(mode="after")
+    def _here_unless_trusted(self) -> Web:
+        if self.listen and not self.trusted_network and not _loopback(self.listen):
+            raise ValueError(f"'{self.listen}' is readable from other computers; 'trusted_network = true' allows it")
+        return self
 
 
 class Review(_Strict):
@@ -251,7 +258,8 @@ class Site(_Strict):
     recording: Recording = Recording()
     review: Review = Review()
     alarms: Alarms = Alarms()
-    metrics: Metrics = Metrics()
+    metrics: Web = Web()
+    web: Web = Web()
     text: str = Field(default="", exclude=True)
     origin: str = Field(default="", exclude=True)
 

@@ -145,6 +145,8 @@ def test_consequences_are_grouped_under_their_cause():
     b.group("m", "b", 1)
     assert (b.alarms["m/a"].cause, b.alarms["m/b"].cause) == ("m/b", "")
     assert not b.alarms["m/a"].announced
+    b.group("m", None, 1)
+    assert b.alarms["m/a"].cause == "m/b"
     b.condition("m", "frozen_sensor", AlarmKind.SYSTEM, True, "output 1 stands still", 2)
     b.group("m", "b", 2)
     assert b.alarms["m/b"].cause == "m/frozen_sensor"
