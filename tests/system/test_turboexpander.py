@@ -138,3 +138,13 @@ bursts = {{every_seconds = 6.0, first_after_seconds = 1.0, seconds = 2.0, severi
     assert len([d for b in document["bursts"] for d in b["decisions"]]) == len(live) > 0
     assert document["verdict"]["fault"] == "a_x_actuator"
     assert any("are those of 28000 rpm now" in remark for remark in document["remarks"])
+
+
+def test_the_design_says_what_cannot_be_isolated(plugins) -> None:
+    """A weak magnet and a weak amplifier of one axis do the very same to the rotor: no burst tells them apart."""
+    twins = [{"name": "weak_magnet", "kind": "parameter", "settings": {"parameter": "current_gain_a_x"}},
+             {"name": "amplifier", "kind": "actuator_gain", "settings": {"input": 0}}, FAULTS[0]]
+    machine = turboexpander(plugins, faults=twins)
+    noted = service.burst_design(machine, service.pipeline_of(machine, plugins))(Wanted("design")).notes["not_separated"]
+    assert "weak_magnet from amplifier" in noted
+    assert "stiffness_a_x" not in noted
