@@ -316,6 +316,11 @@ def identify(
     method: Annotated[str, typer.Option(help="auto, hansen, subspace, pbsid, greybox or indirect")] = "auto",
     order: Annotated[int | None, typer.Option(help="Order to identify; chosen from the data otherwise.")] = None,
     reduce_to: Annotated[int | None, typer.Option(help="Order of the plant; the nominal model's otherwise.")] = None,
+    weighting: Annotated[str | None, typer.Option(help="po-moesp, pi-moesp, n4sid or cva (subspace)")] = None,
+    horizon: Annotated[int | None, typer.Option(help="Horizon of the subspace; chosen from the data otherwise.")] = None,
+    reduction: Annotated[str | None, typer.Option(help="How the plant is brought to its order; refined on the data otherwise.")] = None,
+    norm: Annotated[int | None, typer.Option(help="1 or 2: the cost of the indirect method")] = None,
+    free: Annotated[list[str] | None, typer.Option(metavar="PARAMETER", help="Only these parameters move; may be repeated.")] = None,
     starts: Annotated[int | None, typer.Option(help="Starting points of the grey-box search.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the starting points.")] = 0,
     as_json: Json = False,
@@ -324,7 +329,10 @@ def identify(
     from afdsvc.modelling import identify_files
     from afdsvc.terminal import identify_table
 
-    options = {"method": method, "order": order, "reduce_to": reduce_to, "starts": starts}
+    options = {
+        "method": method, "order": order, "reduce_to": reduce_to, "starts": starts, "weighting": weighting, "horizon": horizon,
+        "reduction": reduction, "norm": norm, "free": tuple(free) if free else None,
+    }  # fmt: skip
     document = identify_files(model, recordings, holdout or [], out, options, seed)
     _show(as_json, document, lambda: identify_table(document))
 

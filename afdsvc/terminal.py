@@ -115,14 +115,18 @@ def design_table(document: dict[str, Any]) -> None:
     OUT.print(f"page {document['report']}", soft_wrap=True)
 
 
+MEASURES = {"r2": "R2 of the thesis (4.38), 1 - NRMSE", "r2_classical": "R2, 1 - ratio of variances"}
+
+
 def identify_table(document: dict[str, Any]) -> None:
     """Show what was identified and how it does on data not used."""
     OUT.print(f"{document['method']}, order {document['order']} ({document.get('order_reason', '')})", soft_wrap=True)
-    table = Table(title="R2 (thesis Eq. 4.38: 1 - |y - yhat| / |y - mean|) on data not used")
-    for column in ("output", "before", "after"):
+    table = Table(title="on data not used", box=box.SIMPLE_HEAD)
+    for column in ("output", "fit", "before", "after"):
         table.add_column(column)
     for name, fit in document["fit"]["per_output"].items():
-        table.add_row(name, f"{fit['before']['r2']:.4f}", f"{fit['after']['r2']:.4f}")
+        for key, words in MEASURES.items():
+            table.add_row(name if key == "r2" else "", words, f"{fit['before'][key]:.4f}", f"{fit['after'][key]:.4f}")
     OUT.print(table)
     for name, p in document["parameters"].items():
         OUT.print(f"{name} = {p['value']:.6g} ± {p['sd']:.2g} {p['unit']}")
