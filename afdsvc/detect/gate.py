@@ -80,12 +80,20 @@ class Gate:
         plain = whiteness(sums)
         if plain.p >= self.level:
             return Judgement(True, "", plain)
+        return self.explained(sums, names, bounds) or Judgement(False, plain.reason(self.level), plain)
+
+    def explained(
+        self, sums: LagSums, names: tuple[str, ...], bounds: Sequence[tuple[float, float]]
+    ) -> Judgement | None:
+        """Return the judgement that one of the faults explains the data, None when none does."""
+        if sums.n < self.needed:
+            return None
         for i, (name, (low, high)) in enumerate(zip(names, bounds, strict=True)):
             theta = min(max(sums.severity(i)[0], low), high)
             explained = whiteness_without(sums, i, theta)
             if theta and explained.p >= self.level:
                 return Judgement(True, "", explained, name)
-        return Judgement(False, plain.reason(self.level), plain)
+        return None
 
 
 @dataclass(frozen=True, slots=True)

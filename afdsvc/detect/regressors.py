@@ -14,7 +14,7 @@ thesis', chapter 5.)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -78,6 +78,14 @@ class Regressors:
             x, e, _rows(r), _rows(y), _rows(u), series,
         )
         return RegressorState(x, e), series
+
+    def without_faults(self) -> Regressors:
+        """Return the filter that only normalises the residual: its cost does not grow with the number of faults."""
+        none = slice(0, 0)
+        return replace(
+            self, names=(), faults=0, bounds=(), sd=self.sd[none], exact=(), Bw=self.Bw[none], Dyw=self.Dyw[none],
+            Cz=self.Cz[none], Dzu=self.Dzu[none], Kd=self.Kd[none],
+        )
 
     def settling(self, to: float = 1e-4) -> int:
         """Return after how many samples an unknown initial state has decayed to the share ``to``."""

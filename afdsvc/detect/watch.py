@@ -22,6 +22,7 @@ from afdsvc.detect.hypotheses import NONE, Fit
 from afdsvc.detect.nuisances import NONE as NO_NUISANCES
 from afdsvc.detect.nuisances import Cleaning, Nuisances
 from afdsvc.detect.presence import Shown
+from afdsvc.detect.recent import NOTHING, Recent
 from afdsvc.detect.regressors import Regressors, RegressorState, regressors
 from afdsvc.errors import AfdsvcError
 from afdsvc.lti.statespace import Array
@@ -97,13 +98,15 @@ class WatchState:
     runs: Runs
     playing: Playing | None = None
     cleaning: Cleaning | None = None
+    recent: Recent = NOTHING
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BurstDetector:
     """A detector that decides at the end of every burst. ``sure`` is the weight that singles a fault out.
 
-    Quiet data are judged after the ``nuisances`` are taken out: unbalance is no reason to distrust a model.
+    Quiet data are judged after the ``nuisances`` are taken out: unbalance is no reason to distrust a model. With ``explain``
+    the ``filters`` have no faults, and the quiet samples are looked at again with these when they need an explanation.
     """
 
     name: str
@@ -114,6 +117,7 @@ class BurstDetector:
     sure: float = 0.99
     frozen: int = 100
     nuisances: Nuisances = NO_NUISANCES
+    explain: Regressors | None = None
 
     def start(self) -> WatchState:
         """Return the initial state."""
@@ -137,7 +141,7 @@ class BurstDetector:
         if playing is not None:
             playing = replace(playing, checks=replace(playing.checks, gap=True))
         gate = self.gate.restart(state.gate, because)
-        return replace(state, filters=self.filters.start(), gate=gate, playing=playing, cleaning=None), []
+        return replace(state, filters=self.filters.start(), gate=gate, playing=playing, cleaning=None, recent=NOTHING), []
 
     def _piece(self, state: WatchState, piece: ResidualBlock) -> tuple[WatchState, list[Evidence]]:
         found: list[Evidence] = []
@@ -148,10 +152,11 @@ class BurstDetector:
         filters, series = self.filters.step(state.filters, piece.r, piece.y, piece.u)
         if not finite(series):
             filters, gate = self.filters.start(), self.gate.restart(state.gate, "a sample that is not a finite number")
-            state = replace(state, gate=gate, cleaning=None)
+            state = replace(state, gate=gate, cleaning=None, recent=NOTHING)
         elif piece.burst is None:
             cleaning, clean, kept = self.nuisances.clean(state.cleaning, piece, series, self.gate.part)
-            state = replace(state, gate=self.gate.add(state.gate, clean[kept]), cleaning=cleaning)
+            recent = state.recent if self.explain is None else state.recent.add(piece, self.gate.window + self.gate.settle)
+            state = replace(state, gate=self.gate.add(state.gate, clean[kept]), cleaning=cleaning, recent=recent)
         state = replace(state, filters=filters, runs=runs)
         if piece.burst is not None:
             state = replace(state, cleaning=None)
@@ -193,7 +198,7 @@ class BurstDetector:
         """Report a finding before the burst has ended, unless something speaks against it (then the end decides)."""
         complaint = now.checks.complaint(now.checks.n, self.frozen, self.problem.input_names, self.problem.output_names)
         complaint = complaint or now.shown.complaint(self.problem, now.burst)
-        judgement = self.gate.judge(state.gate, self.filters.names, self.filters.bounds)
+        judgement = self._judgement(state)
         if complaint or not judgement.ok:
             return []
         k = now.start + int(finding.parts.get("sample", now.checks.n - 1))
@@ -205,7 +210,7 @@ class BurstDetector:
         problem = self.problem
         complaint = now.checks.complaint(now.burst.samples, self.frozen, problem.input_names, problem.output_names)
         complaint = complaint or now.shown.complaint(problem, now.burst)
-        judgement = self.gate.judge(state.gate, self.filters.names, self.filters.bounds)
+        judgement = self._judgement(state)
         try:
             findings = [] if now.checks.bad or now.checks.gap else self.statistic.decide(now.sums, now.burst, dt)
         except AfdsvcError as error:
@@ -213,6 +218,14 @@ class BurstDetector:
         findings = findings or [Finding(float("nan"), float("nan"))]
         about = (self.name, problem.machine, k, dt, now.name)
         return [evidence(*about, f, judgement, complaint, self.sure) for f in findings]
+
+    def _judgement(self, state: WatchState) -> Judgement:
+        """Return whether the quiet data can be trusted, as they are or with one fault's share taken out."""
+        found, f = self.gate.judge(state.gate, self.filters.names, self.filters.bounds), self.explain
+        if found.ok or found.found is None or f is None:
+            return found
+        sums = state.recent.sums(f, self.nuisances, self.gate.lags, self.gate.settle, self.gate.part)
+        return self.gate.explained(sums, f.names, f.bounds) or found
 
 
 def evidence(
@@ -291,9 +304,17 @@ def burst_detector(
     frozen: int,
     filters: Regressors | None = None,
     nuisances: Nuisances = NO_NUISANCES,
+    regressing: bool = True,
 ) -> BurstDetector:
-    """Return a burst detector with the filters of the problem's faults and a gate that waits for them to settle."""
+    """Return a burst detector with the filters of the problem's faults and a gate that waits for them to settle.
+
+    A statistic that is not ``regressing`` makes no use of the faults' regressors; they are then computed only when the
+    quiet data need an explanation, and the cost per sample does not grow with the number of faults.
+    """
     filters = regressors(problem) if filters is None else filters
     settle = filters.settling()
     gate = replace(gate, settle=settle)
-    return BurstDetector(name, problem, statistic, filters, gate, sure, frozen, nuisances)
+    if regressing:
+        return BurstDetector(name, problem, statistic, filters, gate, sure, frozen, nuisances)
+    light = filters.without_faults()
+    return BurstDetector(name, problem, statistic, light, gate, sure, frozen, nuisances, filters)

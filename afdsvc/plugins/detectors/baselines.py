@@ -63,7 +63,8 @@ class ModelBankDesign:
 
 
 def _framed(name: str, problem: DetectionProblem, statistic: BurstStatistic, values: Mapping[str, float]) -> Detector:
-    return burst_detector(name, problem, statistic, gate_of(values), values["sure"], int(values["frozen_samples"]))
+    frozen = int(values["frozen_samples"])
+    return burst_detector(name, problem, statistic, gate_of(values), values["sure"], frozen, regressing=False)
 
 
 DESIGNS: tuple[DetectorDesign, ...] = (

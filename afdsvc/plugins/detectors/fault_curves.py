@@ -26,4 +26,5 @@ class FaultCurvesDesign:
         statistic = MatchedFilter(
             problem, (), out.drift, out.mains, out.orders, likelihood=True, if_recorded=out.if_recorded
         )
-        return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen, nuisances=out)
+        gate = gate_of(values)
+        return burst_detector(self.name, problem, statistic, gate, values["sure"], frozen, nuisances=out, regressing=False)

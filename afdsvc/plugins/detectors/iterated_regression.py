@@ -24,4 +24,5 @@ class IteratedRegressionDesign:
         frozen = int(values["frozen_samples"])
         filters = regressors(problem)
         statistic = iterated(problem, filters.settling(1e-3))
-        return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen, filters)
+        gate = gate_of(values)
+        return burst_detector(self.name, problem, statistic, gate, values["sure"], frozen, filters, regressing=False)

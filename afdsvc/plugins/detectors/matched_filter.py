@@ -28,4 +28,5 @@ class MatchedFilterDesign:
         out, frozen = nuisances_of(values, problem.plant.dt), int(values["frozen_samples"])
         severities = tuple(float(v) for v in steps)
         statistic = MatchedFilter(problem, severities, out.drift, out.mains, out.orders, if_recorded=out.if_recorded)
-        return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen, nuisances=out)
+        gate = gate_of(values)
+        return burst_detector(self.name, problem, statistic, gate, values["sure"], frozen, nuisances=out, regressing=False)
