@@ -54,7 +54,7 @@ class Rehearsal:
         apart = []
         for k in range(1, len(self.rivals)):
             d = seen[0] - seen[k]
-            both = (_unlike(d, jacobians[i], self.rivals[i].H, repeats) for i in (0, k))
+            both = (unlike(d, jacobians[i], self.rivals[i].H, repeats) for i in (0, k))
             apart.append(min(both))
         return float(np.sqrt(max(min(apart), 0.0)))
 
@@ -108,7 +108,7 @@ def _moved(point: Point) -> list[tuple[Point, float]]:
     return out
 
 
-def _unlike(d: Array, J: Array, H: Array, repeats: float) -> float:
+def unlike(d: Array, J: Array, H: Array, repeats: float) -> float:
     """Return the part of the squared distance that the numbers behind J, known to H, cannot make up for."""
     c = J.T @ d
     return repeats * float(d @ d - c @ np.linalg.solve(J.T @ J + H / repeats, c))

@@ -92,8 +92,8 @@ def test_clipping_is_seen_with_its_level():
 
 
 def test_quantisation_is_seen_with_its_step_and_is_no_clipping():
-    findings = check(sound()[0], spoiled("y_vertical", lambda x: np.round(x / 0.5) * 0.5))
-    assert "steps of 0.5 um" in told(findings, "quantisation")
+    findings = check(sound()[0], spoiled("y_vertical", lambda x: np.round(x / 2.5) * 2.5))
+    assert "steps of 2.5 um" in told(findings, "quantisation")
     assert told(findings, "saturation") == ""
 
 

@@ -65,7 +65,7 @@ def test_an_effect_is_found_where_it_is_hidden(physics: str, site: str, tmp_path
 
 def test_noise_alone_is_nowhere(tmp_path: Path):
     """Parameters are off by their stated uncertainty, nothing is hidden: no place is named."""
-    for seed in range(3):
+    for seed in range(2):
         base, more = prepared(generate("nothing", None, 0.0, np.random.default_rng([7, seed]), Options(periods=3)), tmp_path)
         assert locate(base, more) == ()
 

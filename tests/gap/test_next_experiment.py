@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from afdsvc.api.bursts import Limits
 from afdsvc.api.model import Model, Variable
@@ -12,6 +13,7 @@ from afdsvc.api.signals import Channel, Trace
 from afdsvc.gap.baseline import Baseline, baseline
 from afdsvc.gap.fit import apply_shift, fit, screen
 from afdsvc.gap.next_experiment import Contender, next_experiment
+from afdsvc.gap.next_experiment_separation import unlike
 from afdsvc.gap.nominal import nominal
 from afdsvc.gap.objective import tangent
 from afdsvc.gap.runs import prepare
@@ -104,6 +106,15 @@ def test_the_promised_separation_is_the_likelihood_ratio_the_data_give():
     d = next_experiment(base, [delay, lag]).repeated
     assert d > 4
     assert abs(ratio - d**2) < 3 * 2 * d + 0.3 * d**2
+
+
+def test_only_what_a_rival_cannot_imitate_separates():
+    """Against a numerical minimum over the rival's numbers, weighed by what is known of them already."""
+    rng = np.random.default_rng(3)
+    d, J, root, repeats = rng.standard_normal(40), rng.standard_normal((40, 5)), rng.standard_normal((5, 5)), 4.0
+    stacked = np.vstack([np.sqrt(repeats) * J, root])
+    best = least_squares(lambda x: stacked @ x - np.concatenate([np.sqrt(repeats) * d, np.zeros(5)]), np.zeros(5))
+    assert unlike(d, J, root.T @ root, repeats) == pytest.approx(2 * best.cost, rel=1e-6)
 
 
 def test_limits_are_kept(timing):
