@@ -9,13 +9,11 @@ noise. Every number marked "chosen" is one an engineer would accept for a machin
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import eigh
 
-from afdsvc.api.model import Variable
 from afdsvc.api.plant import PhysicalPlant
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
@@ -24,6 +22,7 @@ from afdsvc.plants.magnetic_rotor import MagneticBearing, MagneticRotor
 from afdsvc.plants.rotor import Disc, rotor_matrices
 from afdsvc.plants.rotor_elements import Element
 from afdsvc.plants.rotor_modes import RIGID
+from afdsvc.plants.rotor_plant import Instrumentation, rotor_plant
 
 NODES = 40  # P1
 NOMINAL_RPM = 31500  # P1
@@ -90,38 +89,12 @@ def amb_turboexpander(
     """
     if not np.isfinite(rpm):
         raise BadInput(f"rpm {rpm}; a finite speed is wanted")
-    if not 0 <= balance_grade < float("inf"):
-        raise BadInput(f"balance_grade {balance_grade} mm/s; 0 or more is wanted")
-    rotor = turboexpander_rotor(float(rpm), shear)
-    build, _ = rotor.family(states)
-    names = rotor.channels
-    stiffness = tuple(f"stiffness_{name}" for name in names)
-    sites = {f"{n}_actuator": ("input", i) for i, n in enumerate(names)}
-    sites |= {f"{n}_sensor": ("output", i) for i, n in enumerate(names)}
-    plant = PhysicalPlant(
-        name=f"turboexpander on magnetic bearings, {states} states",
-        inputs=tuple(Variable(name, "A") for name in names),
-        outputs=tuple(Variable(name, "um") for name in names),
-        states=magnetic_rotor.states(states),
-        parameters=rotor.parameters(),
-        build=build,
-        sample_time=sample_time,
-        output_cov=NOISE_SD**2 * np.eye(len(names)),
-        output_limit=np.full(len(names), DISPLACEMENT_LIMIT),
-        input_limit=np.full(len(names), BIAS_CURRENT),
-        fault_sites=sites,
-        usual_faults=(*stiffness, *sites),
+    return rotor_plant(
+        turboexpander_rotor(float(rpm), shear),
+        Instrumentation(sample_time, NOISE_SD, DISPLACEMENT_LIMIT, BIAS_CURRENT),
+        name="turboexpander on magnetic bearings",
+        states=states,
+        balance_grade=balance_grade,
         source="A. K. Sekunda, PhD thesis, DTU 2017, publication P1; geometry and constants chosen",
         recommended=RECOMMENDED,
-    )
-    return _at_speed(rotor.unbalance(balance_grade), rotor.speed, plant, rotor.speed)
-
-
-def _at_speed(unbalance: Array, balanced_at: float, plant: PhysicalPlant, speed: float) -> PhysicalPlant:
-    """Return the plant turning at ``speed`` [rad/s]; its unbalance was that at ``balanced_at``."""
-    ratio = speed / balanced_at if balanced_at else 0.0
-    turning = plant if speed == plant.parameters["speed"].value else plant.at(speed=speed)
-    return replace(
-        turning, name=f"{plant.name}, {speed * 30 / np.pi:g} rpm", speed=speed, unbalance=unbalance * ratio**2,
-        at_speed=partial(_at_speed, unbalance, balanced_at, plant),
     )
