@@ -108,9 +108,9 @@ def _lines(run: Run, e: Array) -> list[Tone]:
 def _quiet(run: Run, n: int, window: Array) -> NDArray[np.bool_]:
     """Return the bins that are no line of a repeating excitation, or where a non-repeating one has no power."""
     bins = np.arange(n // 2 + 1)
-    if run.period:
+    if run.period:  # what repeats is taken out where three periods or more tell what it is
         orders = bins * run.period / n
-        return np.abs(orders - np.round(orders)) > 1.6 * run.period / n
+        return np.abs(orders - np.round(orders)) > (0.6 if n >= 3 * run.period else 1.6) * run.period / n
     drive = np.abs(np.fft.rfft(run.U[-n:] * window, axis=0)).max(1)
     return np.asarray(drive < 0.02 * drive.max())
 

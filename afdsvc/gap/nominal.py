@@ -6,6 +6,7 @@ standard deviation. They are counted in units of that deviation, so their prior 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -104,8 +105,12 @@ def continuous(plant: StateSpace) -> StateSpace | None:
     if (np.abs(poles) < 1e-9).any() or ((poles.real < 0) & (np.abs(poles.imag) < 1e-9)).any():
         return None
     big = np.block([[plant.A, plant.B], [np.zeros((m, n)), np.eye(m)]])
-    log = sla.logm(big)
+    with warnings.catch_warnings():  # its estimate of the error is a few roundings; what counts is checked below
+        warnings.simplefilter("ignore")
+        log = np.asarray(sla.logm(big))
     if not np.isfinite(log).all() or np.abs(np.imag(log)).max() > 1e-6 * np.abs(log).max():
+        return None
+    if np.abs(sla.expm(np.real(log)) - big).max() > 1e-6 * np.abs(big).max():
         return None
     rate = np.real(log) / plant.dt
     return StateSpace(rate[:n, :n], rate[:n, n:], plant.C, plant.D)

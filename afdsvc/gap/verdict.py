@@ -18,6 +18,7 @@ from afdsvc.gap.verify import Explained
 
 ENOUGH = 0.8  # explained fraction below which names are withdrawn
 SOMETHING = 1e-6  # p-value of what repeats below which something is there
+SURELY_LEFT = 1e-4  # p-value of what is left below which it is more than noise
 OTHER_NOISE = 1.25  # ratio to the stated noise from which it is said
 
 
@@ -64,7 +65,8 @@ def _restless(found: Found, g: Growth) -> str:
 
 
 def _too_little(done: Explained) -> bool:
-    return bool(done.fraction + 2 * done.sd < ENOUGH)
+    """Whether the names leave too much of the gap, and what they leave is no noise."""
+    return done.fraction + 2 * done.sd < ENOUGH and done.p_left < SURELY_LEFT
 
 
 def _left(done: Explained) -> bool:

@@ -13,21 +13,29 @@ from afdsvc.gap.objective import Objective, Point, tangent
 from afdsvc.gap.repeating import Repeating, repeating
 from afdsvc.gap.simulator import Effect
 from afdsvc.gap.sizes import bandwidth
+from afdsvc.gap.whitening import unpredictable, whiteness_p
 from afdsvc.lti.statespace import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Explained:
-    """How much of the gap is explained: the fraction with its sd, what repeated before and after (None: nothing repeats)."""
+    """How much of the gap is explained: the fraction with its sd, what repeated before and after (None: nothing repeats).
+
+    ``p_left`` is the p-value of the test that nothing is left: of what repeats, else of the whiteness of the residual.
+    """
 
     fraction: float
     sd: float
     before: Repeating | None
     after: Repeating | None
+    p_left: float = 0.0
 
 
 def explained(yardstick: Yardstick, null: Point, final: Point) -> Explained:
-    """Return the explained fraction, from what repeats with the excitation where that can be told, else from the cost."""
+    """Return the explained fraction, from what repeats with the excitation where that can be told, else from the cost.
+
+    Where the noise is not known apart from the model, what the final residual's own past does not predict counts as noise.
+    """
     w0, w1 = yardstick.whitened(null), yardstick.whitened(final)
     runs = (*yardstick.base.objective.runs, *yardstick.select)
     top = BAND * bandwidth(runs)
@@ -36,12 +44,15 @@ def explained(yardstick: Yardstick, null: Point, final: Point) -> Explained:
     numbers = sum(w.size for w in w0)
     noisy = yardstick.base.limited == "noise"
     spread = np.sqrt(2.0 * numbers) if noisy else 0.0
-    gap = max(c0 - (numbers if noisy else 0.0), spread, 1e-9 * c0)
+    floor = float(numbers) if noisy else c1 * unpredictable(w1)
+    gap = max(c0 - floor, spread, 1e-9 * c0)
     by_cost = (c0 - c1) / gap
     if before is None or after is None or before.total.power < 5 * before.total.sd:
-        return Explained(float(by_cost), float(spread / gap), before, after)
-    fraction = 1 - after.total.power / before.total.power
-    return Explained(float(fraction), float(after.total.sd / before.total.power), before, after)
+        p_left = after.total.p if after is not None else whiteness_p(w1)
+        return Explained(float(by_cost), float(spread / gap), before, after, p_left)
+    ratio = after.total.power / before.total.power
+    sd = float(np.hypot(after.total.sd, ratio * before.total.sd) / before.total.power)
+    return Explained(float(1 - ratio), sd, before, after, after.total.p)
 
 
 @dataclass(frozen=True, slots=True)

@@ -94,6 +94,13 @@ def whiteness_p(pieces: Sequence[Array], lags: int = 20) -> float:
     return float(stats.chi2.sf(statistic, lags * p * p))
 
 
+def unpredictable(pieces: Sequence[Array]) -> float:
+    """Return the part of the power of residuals that their own past does not predict: 1 for white noise, averaged over channels."""
+    power = np.mean([(x**2).mean(0) for x in pieces], axis=0)
+    innovation = np.diag(fit(pieces).covariance)
+    return float(np.clip(np.mean(innovation / np.maximum(power, 1e-300)), 0.0, 1.0))
+
+
 def correlation_time(w: Array) -> float:
     """Return how many samples of a whitened residual ``(n, p)`` carry the information of one: 1 when it is white.
 

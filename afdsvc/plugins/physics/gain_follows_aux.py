@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal, Size
-from afdsvc.plugins.physics.attach import at_input
+from afdsvc.plugins.physics.attach import at_input, at_output
 
 
 def scaled(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``u (1 + c (aux - mean))``."""
+    """``w (1 + c (aux - mean))``."""
     out[0] += p[0] * (z[1] - p[1]) * z[0]
 
 
@@ -20,23 +20,32 @@ def varying(machine: Machine) -> list[Size]:
 
 
 class GainFollowsAux:
-    """An actuator whose gain depends on an auxiliary signal, for every input and signal."""
+    """An actuator or sensor whose gain depends on an auxiliary signal, for every place and signal."""
 
     name = "gain_follows_aux"
-    summary = "an input gain that follows a measured auxiliary signal"
+    summary = "a gain that follows a measured auxiliary signal"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per input and varying auxiliary signal."""
-        for port in machine.inputs:
-            for aux in varying(machine):
-                scale = 0.05 / aux.rms
-                yield at_input(
-                    port, scaled, [Signal("aux", aux.index)], physics=self.name, family="follows aux",
-                    parameters=[
-                        Coefficient(f"share per {aux.name}", f"1/({aux.unit})" if aux.unit else "", -100 * scale, 100 * scale, scale, linear=True),
-                        Coefficient("reference", aux.unit, aux.mean, aux.mean, 1.0, nuisance=True),
-                    ],
-                    starts=[(0.0, aux.mean)], notes={"variant": aux.name},
-                    predicts=f"a residual proportional to the input that changes sign with {aux.name} about its mean",
-                    refuted_by=f"a gain that stays the same while {aux.name} varies",
-                )
+        """Return one hypothesis per input or output and varying auxiliary signal."""
+        places: list[tuple[Callable[..., Hypothesis], tuple[Size, ...], str]] = [
+            (at_input, machine.inputs, "input"), (at_output, machine.outputs, "reading"),
+        ]
+        for attach, ports, word in places:
+            for port in ports:
+                for aux in varying(machine):
+                    yield attach(port, scaled, [Signal("aux", aux.index)], **_parts(self.name, aux, word))
+
+
+def _parts(name: str, aux: Size, word: str) -> dict[str, Any]:
+    scale = 0.05 / aux.rms
+    unit = f"1/({aux.unit})" if aux.unit else ""
+    return {
+        "physics": name, "family": "follows aux",
+        "parameters": [
+            Coefficient(f"share per {aux.name}", unit, -100 * scale, 100 * scale, scale, linear=True),
+            Coefficient("reference", aux.unit, aux.mean, aux.mean, 1.0, nuisance=True),
+        ],
+        "starts": [(0.0, aux.mean)], "notes": {"variant": aux.name},
+        "predicts": f"a residual proportional to the {word} that changes sign with {aux.name} about its mean",
+        "refuted_by": f"a gain that stays the same while {aux.name} varies",
+    }
