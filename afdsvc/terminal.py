@@ -240,25 +240,25 @@ def explain_table(document: dict[str, Any]) -> None:
     """Show the verdict, the names with their look-alikes, and the fit before and after."""
     OUT.print(f"[bold]verdict: {document['verdict'].replace('_', ' ')}[/]")
     for sentence in (*document["check"], *document["sentences"]):
-        OUT.print(f"note: {sentence}", soft_wrap=True, markup=False)
+        OUT.print(f"note: {sentence}", soft_wrap=True, markup=False, emoji=False)
     for place in document["located"][:5]:
-        OUT.print(f"where: {place['evidence']}", soft_wrap=True, markup=False)
+        OUT.print(f"where: {place['evidence']}", soft_wrap=True, markup=False, emoji=False)
     for named in document["named"]:
-        OUT.print(f"{named['weight']:.3f}  {named['sentence']}", soft_wrap=True, markup=False)
+        OUT.print(f"{named['weight']:.3f}  {named['sentence']}", soft_wrap=True, markup=False, emoji=False)
     if document["next_experiment"]:
-        OUT.print(f"next experiment: {document['next_experiment']}", soft_wrap=True, markup=False)
+        OUT.print(f"next experiment: {document['next_experiment']['sentence']}", soft_wrap=True, markup=False, emoji=False)
     table = Table(title=f"|y - yhat| / |y - mean| on {', '.join(document['fit']['heldout'])}")
     for column in ("output", "before", "after", "noise floor"):
         table.add_column(column)
     for name, fit in document["fit"]["per_output"].items():
         table.add_row(name, *(number(v) for v in (fit["before"]["nrmse"], fit["after"]["nrmse"], fit["noise_floor_nrmse"])))
     OUT.print(table)
-    OUT.print(f"model  {document['model']}\nreport {document['report']}", soft_wrap=True, markup=False)
+    OUT.print(f"model  {document['model']}\nreport {document['report']}", soft_wrap=True, markup=False, emoji=False)
 
 
 def trial_table(document: dict[str, Any]) -> None:
     """Show what came of blind trials, and where the report is."""
-    OUT.print(document["summary"], soft_wrap=True, markup=False)
+    OUT.print(document["summary"], soft_wrap=True, markup=False, emoji=False)
     OUT.print(f"report {document['markdown']}\n       {document['html']}", soft_wrap=True)
 
 

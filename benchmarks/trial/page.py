@@ -1,0 +1,48 @@
+"""Write docs/reference/blind-trials.md (and an HTML page beside the results) from a folder of `afdsvc trial`.
+
+    afdsvc trial --folder trials --n 300 --seed 2026 --jobs 2     # hours; goes on where it was interrupted
+    python benchmarks/trial/page.py trials 300 COMMIT
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from afdsvc.trial import markdown, page, results
+from afdsvc.trial.study import rescored
+
+DOCS = Path(__file__).parents[2] / "docs" / "reference"
+HOW = """
+Every trial is made by a truth generator that shares no code with the simulator or the hypotheses of `explain`: its own
+Runge-Kutta integrator in five sub-steps, its own functional forms (arctan friction where the hypothesis has tanh, smooth dead
+zones where it has sharp ones, hysteresis of other exponents), its own errors of every constant, drawn from the stated 2 %.
+It writes three recordings, a held-out one and the nominal MODEL.toml; the answer is sealed with a hash over answer, nonce and
+files and kept in another folder. `explain` is handed the files only. Then the seal is checked and broken, and the answer scored.
+rho is the effect's rms in the outputs over the noise's, measured without noise.
+
+Scores: *right first*: name and site of the first name are what was hidden (cases in which two words mean the same physics are
+listed with their reasons in `afdsvc/trial/matching.py`); *among the look-alikes*: it is among the names reported for that effect;
+*confident false name*: a wrong name with 90 % of the weight or more and no remainder flagged; *d*: how far apart hidden effect
+and first name are for this data when both are fitted as well as can be, in noise units: below 4.65 the best possible test errs
+more than once in a hundred.
+"""
+
+
+def main(folder: Path, planned: int, commit: str) -> None:
+    """Score the kept results anew and write both pages."""
+    done = [rescored(r) for r in results(folder)]
+    text = markdown(done, "Blind trials of `explain`")
+    title, rest = text.split("\n", 1)
+    short = (
+        f"\n**{len(done)} of the {planned} trials of the plan were run** (commit {commit}, in an order drawn beforehand, so that the part "
+        "done is a fair sample); the same command with the same folder goes on with the rest. With so few, read the intervals, not the "
+        "percentages.\n" if len(done) < planned else f"\n{planned} trials, commit {commit}.\n"
+    )
+    command = f"\nMade by `afdsvc trial --folder trials --n {planned} --seed 2026` and `python benchmarks/trial/page.py trials {planned} {commit}`.\n"
+    (DOCS / "blind-trials.md").write_text(f"{title}\n{short}{HOW}{command}{rest}", encoding="utf-8")
+    (folder / "blind-trials.html").write_text(page(done, "Blind trials of explain"), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3])

@@ -1,0 +1,65 @@
+"""Which trials are asked for; that they run on files alone; and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from afdsvc import blind_trials
+from afdsvc.blind_trials import chosen, trial_files
+from afdsvc.errors import BadInput
+from afdsvc.trial.plan import plan
+
+
+def test_a_plain_plan_is_the_plan() -> None:
+    assert chosen(30, 3, None, (), ()) == plan(30, 3)
+
+
+def test_kinds_and_parts_and_severity_are_as_asked() -> None:
+    some = chosen(6, 3, 0.7, ("dead_zone", "backlash"), ("bearing",))
+    assert len(some) == 6
+    assert {r.part for r in some} == {"bearing"}
+    assert {w.physics for r in some for w in r.wishes} == {"dead_zone", "backlash"}
+    assert {w.rho for r in some for w in r.wishes} == {0.7}
+    assert all(not r.wishes for r in chosen(3, 1, None, ("nothing",), ()))
+    assert len({r.number for r in some}) == 6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((0, 1, None, (), ()), ["--n 0"]),
+        ((5, 1, -1.0, (), ()), ["--rho -1"]),
+        ((5, 1, None, ("phlogiston",), ()), ["phlogiston", "coulomb_friction"]),
+        ((5, 1, None, (), ("sundays",)), ["sundays", "bearing"]),
+        ((5, 1, None, ("dead_zone",), ("nothing",)), ["--kinds", "--parts"]),
+    ],
+)
+def test_what_cannot_be_asked_is_one_sentence(arguments, words) -> None:
+    with pytest.raises(BadInput) as refusal:
+        chosen(*arguments)
+    assert all(word in str(refusal.value) for word in words)
+
+
+def test_trials_are_made_sealed_explained_scored_and_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+
+    def silent(model: Path, recordings, holdout: Path) -> dict:
+        seen.append(model.parent)
+        assert sorted(p.name for p in model.parent.iterdir())[:2] == ["MODEL.toml", "SEAL.json"]
+        return {"verdict": "consistent", "named": [], "located": []}
+
+    monkeypatch.setattr(blind_trials, "from_files", silent)
+    told: list[tuple[int, int]] = []
+    made = trial_files(tmp_path, 1, 2, kinds=("nothing",), progress=lambda done, of: told.append((done, of)))
+    assert made["trials"] == len(seen) == 1
+    assert told == [(1, 1)]
+    assert "1 with nothing hidden, of which 0 were given a name" in made["summary"]
+    assert Path(made["markdown"]).read_text().startswith("# Blind trials")
+    assert "<table" in Path(made["html"]).read_text()
+    json.dumps(made)
+    again = trial_files(tmp_path, 1, 2, kinds=("nothing",))
+    assert len(seen) == 1
+    assert again["summary"] == made["summary"]
