@@ -129,6 +129,7 @@ def test_one_alarm_in_ten_thousand_bursts(name):
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3000)
 @pytest.mark.parametrize("machine", list(MACHINES))
 @pytest.mark.parametrize("name", ["matched_filter", "fault_curves", "regression", "cusum"])
 @pytest.mark.parametrize("per_burst", [0.1, 0.01])
@@ -139,6 +140,7 @@ def test_frequent_alarms_on_every_machine(name, machine, per_burst):
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3000)
 @pytest.mark.parametrize("machine", list(MACHINES))
 @pytest.mark.parametrize("name", ["matched_filter", "fault_curves", "regression"])
 @pytest.mark.parametrize("per_burst", [1e-3, 1e-4])
@@ -155,6 +157,7 @@ def test_rare_alarms_of_the_cusum():
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3000)
 @pytest.mark.parametrize("machine", list(MACHINES))
 @pytest.mark.parametrize("per_burst", [1e-2, 1e-3, 1e-4])
 def test_rare_alarms_of_the_cusum_on_every_machine(machine, per_burst):
