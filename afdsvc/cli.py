@@ -323,6 +323,7 @@ def identify(
     free: Annotated[list[str] | None, typer.Option(metavar="PARAMETER", help="Only these parameters move; may be repeated.")] = None,
     starts: Annotated[int | None, typer.Option(help="Starting points of the grey-box search.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the starting points.")] = 0,
+    allow_code: Annotated[bool, typer.Option("--allow-code", help="Let a model's Python simulator run.")] = False,
     as_json: Json = False,
 ) -> None:
     """Identify the plant from recordings made in closed loop, and judge it on data not used."""
@@ -333,7 +334,7 @@ def identify(
         "method": method, "order": order, "reduce_to": reduce_to, "starts": starts, "weighting": weighting, "horizon": horizon,
         "reduction": reduction, "norm": norm, "free": tuple(free) if free else None,
     }  # fmt: skip
-    document = identify_files(model, recordings, holdout or [], out, options, seed)
+    document = identify_files(model, recordings, holdout or [], out, options, seed, allow_code)
     _show(as_json, document, lambda: identify_table(document))
 
 

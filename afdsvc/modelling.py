@@ -34,10 +34,14 @@ def read_traces(paths: Sequence[Path], machine: str | None = None) -> list[Trace
 
 
 def identify_files(
-    model: Path, recordings: Sequence[Path], holdout: Sequence[Path], out: Path | None, options: Mapping[str, Any], seed: int
+    model: Path, recordings: Sequence[Path], holdout: Sequence[Path], out: Path | None, options: Mapping[str, Any], seed: int,
+    allow_code: bool = False,
 ) -> dict[str, Any]:
-    """Identify from files; writes the improved model and an HTML page beside it and returns ``identify --json``."""
-    nominal = read_model(model)
+    """Identify from files; writes the improved model and an HTML page beside it and returns ``identify --json``.
+
+    A model's Python simulator runs only with ``allow_code``; its parameters are then fitted, linearised around rest.
+    """
+    nominal = read_model(model, allow_code)
     chosen = IdentifyOptions.of({k: v for k, v in options.items() if v is not None})
     train, test = ([with_units(t, nominal) for t in read_traces(paths)] for paths in (recordings, holdout))
     result = identify(nominal, train, test, chosen, np.random.default_rng(seed))
