@@ -66,6 +66,7 @@ def coverage(runs: int, full: bool, project: bool = True) -> str:
     for seed in range(runs):
         found = deviations(1000 + seed, FOUR, full, project)
         errors.append([found[name][2] for name in FOUR])
+        print("  run", seed, "errors in standard errors:", np.round(errors[-1], 2), flush=True)
     e = np.array(errors)
     told = []
     for sds, level in ((1.96, 0.95), (3.0, 0.9973)):
@@ -79,7 +80,11 @@ def coverage(runs: int, full: bool, project: bool = True) -> str:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--runs", type=int, default=100)
+    parser.add_argument("--only-coverage", action="store_true")
     wanted = parser.parse_args()
+    if wanted.only_coverage:
+        print(coverage(wanted.runs, False))
+        sys.exit()
     print("published setting, 8 states on 8:", published(False), " on the full model:", published(True), flush=True)
     print("one stiffness, noise and unbalance:", {k: np.round(v, 4) for k, v in deviations(0, {"stiffness_b_y": -0.5}, True).items()}, flush=True)
     print("four at once:", {k: np.round(v, 4) for k, v in deviations(0, FOUR, True).items()}, flush=True)
