@@ -377,9 +377,9 @@ def trial(
     from afdsvc.blind_trials import trial_files
     from afdsvc.terminal import progress, trial_table
 
-    listed = ([word for word in text.split(",") if word] for text in (kinds, parts))
+    hidden, of_plan = ([word for word in text.split(",") if word] for text in (kinds, parts))
     with progress("trials", 1.0) as tell:
-        document = trial_files(folder, n, seed, rho, *listed, jobs, keep, lambda done, of: tell(done / of))
+        document = trial_files(folder, n, seed, rho, hidden, of_plan, jobs, keep, lambda done, of: tell(done / of))
     _show(as_json, document, lambda: trial_table(document))
 
 
