@@ -14,6 +14,7 @@ from afdsvc.lti.statespace import Array
 
 TALL = 7.0  # how far a tone towers over the median of its neighbourhood (amplitude)
 NEIGHBOURHOOD = 61
+ALONE = 3.0  # times the neighbouring lines of the excitation from which a line stands out among them
 MAINS, WANDER = (50.0, 60.0), 0.25  # Hz, and how far off they are looked for
 
 
@@ -34,7 +35,7 @@ def tones(runs: Sequence[Run], residuals: Sequence[Array], most: int = 4) -> lis
     """
     found: list[Tone] = []
     for run, e in zip(runs, residuals, strict=True):
-        for tone in (*_lines(run, _unsynchronised(run, np.nan_to_num(e))), *_mains(run, np.nan_to_num(e))):
+        for tone in (*_lines(run, _unsynchronised(run, np.nan_to_num(e))), *_mains(run, np.nan_to_num(e)), *_standing_out(run, np.nan_to_num(e))):
             resolution = 4 * np.pi / (len(e) * run.dt)
             same = [t for t in found if abs(t.omega - tone.omega) < resolution]
             if not same:
@@ -88,14 +89,22 @@ def _unsynchronised(run: Run, e: Array) -> Array:
     return np.asarray((folded - folded.mean(0)).reshape(-1, e.shape[1]))
 
 
-def _lines(run: Run, e: Array) -> list[Tone]:
+def _standing_out(run: Run, e: Array, most: int = 6) -> list[Tone]:
+    """Return lines beside those of the excitation, or on one, that tower over the neighbouring lines of the excitation too."""
+    if not run.period:
+        return []
+    tall = sorted(_lines(run, e, everywhere=True), key=lambda t: -t.height)[:most]
+    return [t for t in tall if 2 * t.amplitude > ALONE * _beside(run, e[:, t.output], t.omega / (2 * np.pi))]
+
+
+def _lines(run: Run, e: Array, everywhere: bool = False) -> list[Tone]:
     n = len(e)
     if n < 256:
         return []
     window = np.hanning(n)[:, None]
     size = np.abs(np.fft.rfft((e - e.mean(0)) * window, axis=0)) * 4 / n
     around = np.maximum(running_median(size, NEIGHBOURHOOD), 1e-300)
-    quiet = _quiet(run, n, window)
+    quiet = np.ones(n // 2 + 1, bool) if everywhere else _quiet(run, n, window)
     found = []
     for j in range(e.shape[1]):
         height = size[:, j] / around[:, j]
