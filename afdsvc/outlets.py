@@ -26,7 +26,7 @@ from afdsvc.wire.messages import AlarmChange
 if TYPE_CHECKING:
     from afdsvc.review.sink import ReviewSink
 
-CLOSING_SECONDS = 3.0  # all files together: a service has 5 s to stop
+CLOSING_SECONDS = 1.5  # all files together: a service has 5 s to stop
 
 
 class Outlets:

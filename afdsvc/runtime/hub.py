@@ -31,6 +31,7 @@ TROUBLE = ("bad_samples", "frozen_sensor", "plugin_failed")  # findings about th
 PASSING = ("bad_samples", "frozen_sensor")  # those that end by themselves
 TICK_SECONDS = 0.05
 STATUS_SECONDS = 1.0
+STOPPING_SECONDS = 2.5  # a service has 5 s to stop, files included
 HUNG_SECONDS = 20.0  # a thread that has not come round for so long is stuck
 
 
@@ -56,7 +57,7 @@ class Hub:
 
     def __post_init__(self) -> None:
         self._queue: queue.Queue[tuple[str, str, Any] | None] = queue.Queue(self.queue_size)
-        self._stop = threading.Event()
+        self._stop, self._given_up = threading.Event(), threading.Event()
         self._began = self.clock.monotonic()
         self._next_status = self._worked = self._ticked = self._began
         self._strangers: set[str] = set()
@@ -99,11 +100,16 @@ class Hub:
             time.sleep(0.02)
 
     def stop(self) -> None:
-        """Stop listening, work off the queue, join the threads."""
+        """Stop listening, work off the queue as far as `STOPPING_SECONDS` go, join the threads; what is left is counted."""
         self._stop.set()
+        deadline = time.monotonic() + STOPPING_SECONDS
         self._put_last()
         for thread in self._threads:
-            thread.join(10)
+            thread.join(max(deadline - time.monotonic(), 0.05))
+        if self._queue.qsize():
+            self._given_up.set()
+            self.dropped += self._queue.qsize()
+            log.error("the worker does not keep up; %d messages are left", self._queue.qsize())
 
     def status(self) -> ServiceStatus:
         """Return how the service and its machines are."""
@@ -135,9 +141,9 @@ class Hub:
 
     def _put_last(self) -> None:
         try:
-            self._queue.put(None, timeout=5)
+            self._queue.put(None, timeout=0.5)
         except queue.Full:
-            log.error("the worker does not keep up; %d messages are left", self._queue.qsize())
+            log.debug("the queue is full")
 
     def _guard(self, work: Callable[[], None]) -> None:
         try:
@@ -151,7 +157,7 @@ class Hub:
         return self.clock.monotonic() - oldest < HUNG_SECONDS and all(t.is_alive() for t in self._threads)
 
     def _work(self) -> None:
-        while True:
+        while not self._given_up.is_set():
             self._worked = self.clock.monotonic()
             try:
                 item = self._queue.get(timeout=1.0)

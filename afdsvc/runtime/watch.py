@@ -56,7 +56,7 @@ class MachineWatch:
             return None
         if self._is_twin(block.session):
             return None
-        self.session, self._last = block.session, self.clock.monotonic()
+        self.session = block.session
         self.blocks += 1
         self.late += block.late
         self.seconds_seen = (block.k0 + len(block)) * block.dt
@@ -74,6 +74,7 @@ class MachineWatch:
             self.evidence.append(e)
             self._fresh.append(Finding(e, block.session, stamp))
             self.sink.finding(self._fresh[-1])
+        self._last = self.clock.monotonic()  # only now is the machine watched: the first block may take seconds
         return outcome
 
     def fresh_findings(self) -> list[Finding]:

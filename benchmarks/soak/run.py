@@ -63,6 +63,8 @@ class Soak:
     rng: Random
     done: list[Disturbance] = field(default_factory=list)
     memory: list[tuple[float, int, int]] = field(default_factory=list)
+    busy: list[tuple[float, int, float]] = field(default_factory=list)
+    load: float = 0.0
 
     def __post_init__(self) -> None:
         self.ids = [f"m{i + 1}" for i in range(self.rigs)]
@@ -256,8 +258,11 @@ before_seconds = 10
 
     def _watch_memory(self, over: threading.Event) -> None:
         while not over.wait(5):
+            self.load += (os.getloadavg()[0] - self.load) / (len(self.memory) + 1)
             if self.service:
-                self.memory.append((time.time(), self.service.pid, resident(self.service.pid)))
+                pid = self.service.pid
+                self.memory.append((time.time(), pid, resident(pid)))
+                self.busy.append((time.time(), pid, busy(pid)))
 
 
 def free_port() -> int:
@@ -265,6 +270,14 @@ def free_port() -> int:
     with socket.socket() as s:
         s.bind(("127.0.0.1", 0))
         return int(s.getsockname()[1])
+
+
+def busy(pid: int) -> float:
+    """Return the processor time [s] a process has used, 0 when it is gone."""
+    with suppress(OSError, IndexError):
+        fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return 0.0
 
 
 def resident(pid: int) -> int:
@@ -321,7 +334,8 @@ def count_alarms(soak: Soak) -> tuple[int, list[str], list[str]]:
     faults = [a for a in raised if a.kind is AlarmKind.FAULT]
     told = {a.machine for a in faults if a.fault == soak.faults.get(a.machine)}
     false = [f"{a.id}: {a.sentence}" for a in faults if a.machine not in soak.faults]
-    beside = [f"{a.id} beside {soak.faults[a.machine]}" for a in faults if a.machine in soak.faults and a.fault != soak.faults[a.machine]]
+    right = {"unnamed"}  # told before a burst has said which one it is
+    beside = [f"{a.id} beside {soak.faults[a.machine]}" for a in faults if a.machine in soak.faults and a.fault not in {*right, soak.faults[a.machine]}]
     never = [f"{id}: {fault} was never told" for id, fault in soak.faults.items() if id not in told]
     return len(told), false, [*never, *beside]
 
@@ -336,6 +350,15 @@ def memory(soak: Soak) -> str:
     half = len(warm) // 2
     first, last = sum(warm[:half]) / half, sum(warm[half:]) / (len(warm) - half)
     return f"{first / 1e6:.0f} MB, then {last / 1e6:.0f} MB ({100 * (last / first - 1):+.1f} %) over {5 * len(warm)} s after {5 * (len(rows) - len(warm))} s"
+
+
+def processor(soak: Soak) -> str:
+    """Return how much of a core the service's last process used for each machine."""
+    rows = [(t, used) for t, pid, used in soak.busy if soak.memory and pid == soak.memory[-1][1] and used]
+    if len(rows) < 3:
+        return "too short to say"
+    (began, first), (over, last) = rows[len(rows) // 3], rows[-1]
+    return f"{100 * (last - first) / (over - began):.0f} % of a core, {100 * (last - first) / (over - began) / soak.rigs:.1f} % a machine"
 
 
 def main() -> int:
@@ -360,13 +383,14 @@ def tell(soak: Soak, minutes: float, seed: int, stopped: float) -> int:
     told, false, never = count_alarms(soak)
     unfinished = [p.name for p in (soak.folder / "recordings").rglob("*.mcap") if Recording(p).loss and not Recording(p).metadata.get("recovered")]
     errors = [line for line in (soak.folder / "service.log").read_text(errors="replace").splitlines() if "Traceback" in line]
-    print(f"{datetime.date.today()}, {platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[1]:.1f}, Python {platform.python_version()}, seed {seed}")
+    print(f"{datetime.date.today()}, {platform.machine()}, {os.cpu_count()} cores, load while it ran {soak.load:.1f}, Python {platform.python_version()}, seed {seed}")
     print(f"{soak.rigs} machines at 5 kHz for {minutes:g} minutes")
     kinds = sorted({d.what for d in soak.done})
     print(f"{len(soak.done)} disturbances: " + ", ".join(f"{k} {sum(d.what == k for d in soak.done)}" for k in kinds))
     print(f"samples recorded {samples} ({samples / (300_000 * minutes * soak.rigs):.1%} of all); gaps explained {accounted} ({missing} samples), unexplained {len(wrong)}")
     print(f"faults told rightly {told} of {len(soak.faults)}; false alarms {len(false)}; not or wrongly told {len(never)}")
     print(f"memory of the service: {memory(soak)}")
+    print(f"processor of the service: {processor(soak)}")
     print(f"service stopped in {stopped:.1f} s; recordings left unfinished {len(unfinished)}; tracebacks in its log {len(errors)}")
     bad = [*wrong, *false, *never, *unfinished, *errors, *[d.what for d in soak.done if "NOT" in d.what]]
     for sentence in bad[:30]:
