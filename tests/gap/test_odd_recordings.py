@@ -1,0 +1,86 @@
+"""Recordings as they come: with gaps, at another rate, in parts; handled or refused by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from afdsvc.api.model import Model, Variable
+from afdsvc.api.signals import Channel, Trace
+from afdsvc.errors import BadInput
+from afdsvc.gap.explain import explain
+from afdsvc.gap.nominal import continuous, nominal
+from afdsvc.gap.runs import prepare
+from afdsvc.gap.split import split
+from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.simulate import simulate
+from afdsvc.lti.statespace import StateSpace
+from afdsvc.plugins.physics import afdsvc_physics
+
+DT, PERIOD, PERIODS = 1e-3, 500, 4
+PLANT = StateSpace(np.array([[0, 1.0], [-4e4, -30.0]]), np.array([[0.0], [4e4]]), np.array([[1.0, 0]]), np.zeros((1, 1)))
+STATES = (Variable("q", "mm"), Variable("v", "mm/s", rate_of="q"))
+
+
+def model(plant: StateSpace = PLANT) -> Model:
+    return Model("spring", (Variable("force", "N"),), (Variable("position", "mm"),), STATES, plant)
+
+
+def recording(seed: int = 0, offset: float = 0.0) -> Trace:
+    """A multisine through the plant itself, with a constant in the reading."""
+    rng = np.random.default_rng(seed)
+    lines = np.arange(1, 60, 2)
+    t = np.arange(PERIOD) * DT
+    u = np.tile(np.cos(2 * np.pi * np.outer(t, lines) / (PERIOD * DT) + rng.uniform(0, 7, len(lines))).sum(1), PERIODS)
+    y = simulate(sample_zoh(PLANT, DT), u[:, None])[0][:, 0]
+    values = np.column_stack([u, y + offset + 0.01 * rng.standard_normal(len(u))])
+    return Trace(f"r{seed}", DT, (Channel("u_force"), Channel("y_position")), values)
+
+
+def spoilt(trace: Trace, column: int, span: slice) -> Trace:
+    values = trace.values.copy()
+    values[span, column] = np.nan
+    return replace(trace, values=values)
+
+
+def test_gaps_in_a_reading_are_no_obstacle():
+    traces = [spoilt(recording(k, 0.02), 1, slice(700, 760)) for k in range(3)]
+    answer = explain(model(), traces, [recording(7, 0.02)], afdsvc_physics())
+    assert "sensor_offset" in [n.physics for n in answer.named]
+
+
+def test_a_gap_in_an_input_is_refused_with_its_place():
+    with pytest.raises(BadInput, match=r"r0.*sample 700"):
+        explain(model(), [spoilt(recording(0), 0, slice(700, 710))], [], afdsvc_physics())
+
+
+def test_a_discrete_model_is_carried_over_to_another_rate():
+    slow = sample_zoh(PLANT, 2 * DT)
+    trace = recording(0)
+    moved = nominal(model(slow), trace.dt)
+    assert np.abs(moved.plant.A - PLANT.A).max() < 1e-6 * np.abs(PLANT.A).max()
+    assert continuous(slow) is not None
+
+
+def test_a_discrete_model_without_a_continuous_one_is_refused_at_another_rate():
+    odd = StateSpace(np.array([[-0.5]]), np.array([[1.0]]), np.array([[1.0]]), np.zeros((1, 1)), 2 * DT)
+    strange = replace(model(odd), states=(Variable("x"),))
+    with pytest.raises(BadInput, match="and the recording every"):
+        explain(strange, [recording(0)], [], afdsvc_physics())
+
+
+def test_recordings_of_different_rates_are_refused_by_name():
+    with pytest.raises(BadInput, match="one sample time"):
+        explain(model(), [recording(0), replace(recording(1), dt=2 * DT)], [], afdsvc_physics())
+
+
+def test_what_is_held_out_is_never_fitted():
+    (run,) = prepare(model(), [recording(0)])
+    one = split([run], [])
+    assert sum(len(r) for r in (*one.train, *one.select, *one.heldout)) == len(run)
+    assert one.heldout[0].t0 >= one.select[0].t0 + (len(one.select[0]) - 1) * DT
+    runs = prepare(model(), [recording(k) for k in range(5)])
+    many = split(runs[:4], runs[4:])
+    assert [len(x) for x in (many.train, many.select, many.heldout)] == [3, 1, 1]
