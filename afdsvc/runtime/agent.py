@@ -13,6 +13,7 @@ from afdsvc.api.signals import Block
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.runtime.posting import Post
 from afdsvc.runtime.transport import Transport
+from afdsvc.runtime.watchdog import Watchdog
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys, session_of
 from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, EventKind, Lease, RigDescription, RigEvent
@@ -21,25 +22,6 @@ HEARTBEAT_SECONDS = 2.0
 LONGEST_LEAD_SECONDS = 10.0
 LONGEST_LEASE_SECONDS = 10.0  # a longer word of honour would outlive whoever gave it
 EMERGENCY = "emergency stop by signal; bursts are refused until the rig agent is started again"
-
-
-@dataclass
-class Watchdog:
-    """The asker's word that it is still there; a burst fades out when that word has expired or the service is gone."""
-
-    clock: Clock
-    until: float = float("-inf")
-    service_gone: bool = False
-
-    def renew(self, seconds: float) -> None:
-        """Extend the lease from now on."""
-        self.until = self.clock.monotonic() + seconds
-
-    def expired(self) -> str:
-        """Return why the burst must end, "" while the lease holds."""
-        if self.service_gone:
-            return "the service vanished"
-        return "the lease ran out: the service was silent" if self.clock.monotonic() > self.until else ""
 
 
 @dataclass

@@ -1,0 +1,26 @@
+"""The asker's word that it is still there, without which no burst is begun or goes on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from afdsvc.api.clock import Clock
+
+
+@dataclass
+class Watchdog:
+    """The asker's word that it is still there; a burst fades out when that word has expired or the service is gone."""
+
+    clock: Clock
+    until: float = float("-inf")
+    service_gone: bool = False
+
+    def renew(self, seconds: float) -> None:
+        """Extend the lease from now on."""
+        self.until = self.clock.monotonic() + seconds
+
+    def expired(self) -> str:
+        """Return why the burst must end, "" while the lease holds."""
+        if self.service_gone:
+            return "the service vanished"
+        return "the lease ran out: the service was silent" if self.clock.monotonic() > self.until else ""
