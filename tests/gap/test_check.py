@@ -11,12 +11,17 @@ import pytest
 
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Channel, Trace
+from afdsvc.errors import BadInput
 from afdsvc.gap.check import check, insufficient_excitation, objection, one_frequency
 from afdsvc.gap.check_finding import Finding
 from afdsvc.gap.check_information import posterior_sd
 from afdsvc.gap.check_lines import lines
+from afdsvc.gap.explain import explain
+from afdsvc.gap.next_experiment_rivals import first_experiment
 from afdsvc.gap.nominal import nominal
 from afdsvc.gap.runs import prepare, repetition
+from afdsvc.lti.sampling import sample_zoh
+from afdsvc.plugins.physics import afdsvc_physics
 from afdsvc.record.model_file import read_model
 from afdsvc.record.tables import read_table
 from afdsvc.trial import Options, generate
@@ -176,3 +181,36 @@ def test_measured_recordings_raise_no_objection(measured, folder, model, names):
     findings = check(read_model(measured / folder / f"{model}.toml"), traces)
     assert objection(findings) == ""
     assert insufficient_excitation(findings) == ""
+
+
+def test_explain_refuses_a_wrong_unit_by_name():
+    with pytest.raises(BadInput, match=r"y_horizontal is 10\d\d times what the model says, about 1000"):
+        explain(sound()[0], spoiled("y_horizontal", lambda x: 1000 * x), (), afdsvc_physics())
+
+
+def test_explain_says_insufficient_and_what_to_play():
+    """A machine at rest: the burst proposed moves the nominal outputs by about ten times their noise."""
+    trial = generate("nothing", None, 0.0, np.random.default_rng(3), Options(excitation="operation", periods=2))
+    path = Path(mkdtemp()) / "model.toml"
+    path.write_text(model_text(trial.machine))
+    model = read_model(path)
+    answer = explain(model, trial.recordings, [trial.holdout], afdsvc_physics())
+    assert answer.verdict == "insufficient_excitation"
+    assert "odd multisine" in answer.next_experiment["sentence"]
+    runs = prepare(model, trial.recordings)
+    burst = first_experiment(nominal(model, runs[0].dt), runs).burst
+    played = burst.play(runs[0].dt)
+    u, y = closed_loop(model, played, runs[0].dt)
+    assert np.max(y[burst.settle :].std(0) / model.output_sd) == pytest.approx(10, rel=0.25)
+
+
+def closed_loop(model: Model, alpha: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return inputs and outputs of the nominal loop, sample by sample: u = K y + alpha."""
+    G, K = sample_zoh(model.plant, dt), model.controller
+    x, w, u, y = np.zeros(G.order), np.zeros(K.order), np.zeros_like(alpha), np.zeros((len(alpha), G.outputs))
+    for k in range(len(alpha)):
+        y[k] = G.C @ x
+        u[k] = K.C @ w + K.D @ y[k] + alpha[k]
+        w = K.A @ w + K.B @ y[k]
+        x = G.A @ x + G.B @ u[k]
+    return u, y
