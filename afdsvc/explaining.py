@@ -19,11 +19,13 @@ from afdsvc.gap.explanation import Explanation
 from afdsvc.offline import TABLES
 from afdsvc.plugins.manager import load
 from afdsvc.record.improved_model import write_improved
+from afdsvc.record.linear_model import linear_model
 from afdsvc.record.model_file import read_model
 from afdsvc.record.reader import Recording
 from afdsvc.record.tables import read_table, with_units
 
 RECORDING = ".mcap"
+CODE = "the model is a Python simulator; what is explained, and improved, is its linear part"
 REST_SECONDS = 0.1  # before a burst, for the loop to be simulated from
 Progress = Callable[[str, float], None]
 
@@ -54,14 +56,16 @@ def explain_files(
     is explained. Raises `BadInput` naming the file and what is wrong with it.
     """
     options = options or ExplainOptions()
-    nominal = model_of(model, options)
+    given = model_of(model, options)
+    nominal = linear_model(given)
     files = list(recordings) or ([model] if model.suffix.lower() == RECORDING else [])
     if not files:
         raise BadInput(f"{model}: no recording is given to explain; at least one is wanted")
     train, held = (traces(paths, nominal, options) for paths in (files, holdout))
     folder = _folder(model, options)
     found = explain(nominal, train, held, load_library(), mapper=parallel(options.jobs), progress=progress)
-    return _written(found, nominal, folder, means([*train, *held]), options)
+    notes = (CODE,) if given.dynamics is not None else ()
+    return _written(replace(found, check=(*notes, *found.check)), nominal, folder, means([*train, *held]), options)
 
 
 def model_of(path: Path, options: ExplainOptions) -> Model:

@@ -93,11 +93,14 @@ def test_the_page_says_the_verdict_first_and_shows_everything(explained):
         "http://creativecommons.org", "")
 
 
-def test_the_written_model_is_explained_no_further_by_its_linear_part(explained, files):
-    """The improved model loads as it is; without permission its code does not run."""
-    model, tables = explained[1] / "MODEL.toml", files[1]
+def test_code_runs_when_allowed_and_the_page_says_what_stands_in_for_it(explained, files):
+    model, tables, out = explained[1] / "MODEL.toml", files[1], explained[1] / "again"
     with pytest.raises(BadInput, match="permission"):
-        explain_files(model, tables[:1], [], ExplainOptions(explained[1] / "x"))
+        explain_files(model, tables[:1], [], ExplainOptions(out))
+    document = explain_files(model, tables[:3], tables[3:], ExplainOptions(out, {"current": "u_force"}, allow_code=True))
+    assert "Python simulator" in document["check"][0]
+    assert document["check"][0] in (out / "report.html").read_text()
+    assert document["named"][0]["physics"] == "cubic_stiffness"  # the linear part lacks it again
 
 
 def test_a_recording_that_carries_its_model_needs_nothing_else(files, tmp_path):
