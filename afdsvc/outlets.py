@@ -18,6 +18,7 @@ from afdsvc.plugins.manager import Plugins
 from afdsvc.record.retention import Keep
 from afdsvc.runtime.commands import plain
 from afdsvc.runtime.housekeeping import Housekeeper
+from afdsvc.runtime.posting import Post
 from afdsvc.runtime.recording import RecorderSink
 from afdsvc.runtime.sinks import Sink, ThreadedSink
 from afdsvc.runtime.site import Site
@@ -37,6 +38,7 @@ class Outlets:
         self._recorders: list[tuple[RecorderSink, ThreadedSink]] = []
         self._review: tuple[ReviewSink, ThreadedSink] | None = None
         self._boxes: list[ThreadedSink] = []
+        self.posts: list[Post] = []  # what is sent to viewers and must arrive, so that its drops are counted too
 
     def of(self, machine: Commissioned) -> list[Sink]:
         """Return the sinks of one machine; the review is shared, one tab per machine."""
@@ -78,10 +80,11 @@ class Outlets:
         return Housekeeper(r.folder, keep, machines, self.files, self._clock)
 
     def summary(self) -> tuple[str, int, str, int]:
-        """Return files, bytes, failure and drops of the recordings."""
+        """Return files, bytes and failure of the recordings, and the messages dropped anywhere on their way out."""
         files = ", ".join(str(r.paths[-1]) for r, _ in self._recorders if r.paths)
         failure = next((t.failure for _, t in self._recorders if t.failure), "")
-        return files, sum(r.bytes_written for r, _ in self._recorders), failure, sum(t.dropped for _, t in self._recorders)
+        ways = [t for _, t in self._recorders] + self._boxes + ([self._review[1]] if self._review else []) + self.posts
+        return files, sum(r.bytes_written for r, _ in self._recorders), failure, sum(way.dropped for way in ways)
 
     def files(self) -> list[Path]:
         """Return every file written so far."""

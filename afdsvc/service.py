@@ -100,6 +100,7 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
     with ExitStack() as stack:
         transport = stack.enter_context(Transport(site.transport, True, access_of(site, SERVICE)))
         post, news = Post(transport.publish, "post"), Post(partial(transport.publish, keep=False), "news", size=400)
+        outlets.posts.append(post)
         for opened in (post, news):
             stack.callback(opened.close, 0.5)
         stack.callback(outlets.close)

@@ -129,7 +129,7 @@ class ThreadedSink:
             if self._leaving:
                 raise queue.Full
             self._queue.put_nowait((what, arguments))
-            self._full = False
+            self._full = self._full and self._queue.qsize() > self._queue.maxsize // 2  # told once, not at every gap
         except queue.Full:
             self._overflowed += 1
             if not self._full:

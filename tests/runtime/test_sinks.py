@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from afdsvc.api.signals import Block, Channel
+from afdsvc.outlets import Outlets
 from afdsvc.record.reader import Recording
 from afdsvc.runtime import recording
+from afdsvc.runtime.clock import FastClock
 from afdsvc.runtime.posting import Post
 from afdsvc.runtime.recording import RecorderSink
 from afdsvc.runtime.sinks import ThreadedSink
 from afdsvc.runtime.site import Recording as Settings
+from afdsvc.runtime.site import parse_site
 from afdsvc.wire import codec
 
 
@@ -41,13 +44,13 @@ class Slow:
 
 def test_a_slow_sink_holds_nobody_up_and_its_drops_are_counted_and_told_once():
     told: list[str] = []
-    sink = ThreadedSink(Slow(0.05), "slow", told.append, size=10)
+    sink = ThreadedSink(Slow(0.2), "slow", told.append, size=10)
     began = time.monotonic()
     for _ in range(500):
         sink.block(block(), b"")
     assert time.monotonic() - began < 0.5
     assert told == ["10 messages wait; later ones are dropped until there is room"]
-    sink.close()
+    sink.close(10)
     assert sink._sink.closed
     assert sink.dropped + sink._sink.taken == 500
     assert sink._sink.taken >= 10
@@ -143,3 +146,18 @@ def test_memory_does_not_grow_while_nobody_takes():
     assert post.waiting == 50
     gate.set()
     post.close(0.2)
+
+
+def test_drops_anywhere_on_the_way_out_are_shown_in_the_status(tmp_path):
+    """Recorder, black box, review, and what is sent to viewers: one figure, shown by `afdsvc status` and `/metrics`."""
+    outlets = Outlets(parse_site(f'site = "t"\nrecording.folder = "{tmp_path}"\n[[machines]]\nid = "m"\nplant = "gas_bearing"', "x"), FastClock())
+    post = Post(lambda key, payload: 1 / 0)
+    outlets.posts.append(post)
+    hung = ThreadedSink(Slow(60.0), "hung", lambda s: None, size=1)
+    outlets._boxes.append(hung)
+    for _ in range(5):
+        post.publish("k", b"x")
+        hung.block(block(), b"")
+    post.close()
+    assert outlets.summary()[3] == 5 + hung.dropped
+    assert hung.dropped >= 3
