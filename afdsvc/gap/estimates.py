@@ -9,6 +9,8 @@ from afdsvc.gap.objective import Objective, Point, tangent
 from afdsvc.gap.simulator import Effect
 from afdsvc.lti.statespace import Array
 
+INCREDIBLE = 1e-9  # relative standard deviation below which a number is no information but an accident
+
 
 def deviations(objective: Objective, point: Point) -> list[Array]:
     """Return the standard deviations of every effect's parameters, nuisance and initial states fitted beside them.
@@ -23,7 +25,9 @@ def deviations(objective: Objective, point: Point) -> list[Array]:
     variance[used] = np.diag(inverse) * t.scales[used] ** 2
     at, found = len(point.theta) + sum(len(x) for x in point.x0), []
     for effect in point.effects:
-        found.append(np.sqrt(np.maximum(variance[at : at + len(effect.values)], 0.0)))
+        sd = np.sqrt(np.maximum(variance[at : at + len(effect.values)], 0.0))
+        sizes = np.array([max(abs(v), c.scale) for v, c in zip(effect.values, effect.hypothesis.parameters, strict=True)])
+        found.append(np.where(sd < INCREDIBLE * np.abs(sizes), np.inf, sd))  # a step that makes the simulation leave tells nothing
         at += len(effect.values)
     return found
 

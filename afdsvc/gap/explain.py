@@ -70,7 +70,7 @@ def _answer(found: Found, roles: Split, offered: Sequence[Physics], findings: Se
     playing = player(nom, (*roles.train, *roles.select, *roles.heldout), found.start.point, found.end.objective.simulator.ramped)
     courses = _courses(found, roles, playing)
     held = [c for c in courses if c.role == "heldout"]
-    done = explained(Yardstick(found.start, roles.select), found.start.point, found.end.point)
+    done = explained(Yardstick(found.end, roles.select), found.start.point, found.end.point)
     judgement = _by_excitation(judged(found, done), findings)
     floor = tuple(float(v) for v in found.end.floor.sd) if found.end.floor.known else None
     named = names(found, {p.name: p.summary for p in offered}) if judgement.keeps else ()

@@ -53,7 +53,7 @@ def _named(
         f"{place(h)}: {law}{' (' + told + ')' if told else ''}; closes {100 * min(max(step.share, 0.0), 1.0):.0f} % of the gap, "
         f"weight {rival.weight:.2f} among {len(_told(step))} that fit alike"
     )
-    return Named(h.physics, h.site, rival.weight, parameters, sentence, count, float(step.share), h.family, what)
+    return Named(h.physics, h.site, rival.weight, parameters, sentence, count, min(max(float(step.share), 0.0), 1.0), h.family, what)
 
 
 def _value(name: str, e: Estimate) -> str:

@@ -27,7 +27,7 @@ class Saturation:
             yield at_input(
                 port, saturation, physics=self.name, family="input curve",
                 parameters=[Coefficient("limit", port.unit, 0.02 * peak, 0.999 * peak, 0.02 * peak)],
-                starts=[(share * peak,) for share in (0.35, 0.6, 0.85)],
+                starts=[(share * peak,) for share in (0.35, 0.6, 0.85, 0.95)],
                 predicts="nothing below a level; above it missing peaks of the input",
                 refuted_by="distortion in recordings whose input never reaches the limit",
             )

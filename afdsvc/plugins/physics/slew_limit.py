@@ -30,7 +30,7 @@ class SlewLimit:
             yield at_input(
                 port, slew, physics=self.name, family="memory", memory=2,
                 parameters=[Coefficient("rate", f"{port.unit}/s", 1e-3 * rate, 6 * rate, 0.02 * rate)],
-                starts=[(0.1 * rate,), (0.4 * rate,), (1.0 * rate,), (2.2 * rate,)],
+                starts=[(0.1 * rate,), (0.4 * rate,), (1.0 * rate,), (2.2 * rate,), (3.5 * rate,)],
                 predicts="lag and lost amplitude at high frequency and high level only",
                 refuted_by="the same lag at every level",
             )

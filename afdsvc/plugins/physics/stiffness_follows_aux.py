@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
-from afdsvc.plugins.physics.attach import at_force, force, position
+import numpy as np
+
+from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal, Size
+from afdsvc.plugins.physics.attach import at_force, force, on_machine, position, velocity
 from afdsvc.plugins.physics.gain_follows_aux import varying
 
 
@@ -15,25 +17,48 @@ def spring(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] -= p[0] * (z[1] - p[1]) * z[0]
 
 
+def springs(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``-c_k (aux - mean) q_k`` on every axis k: one cause, felt in all directions."""
+    n = len(out)
+    for k in range(n):
+        out[k] -= p[k] * (z[n] - p[n]) * z[k]
+
+
 class StiffnessFollowsAux:
-    """A spring whose stiffness depends on an auxiliary signal, for every axis and signal."""
+    """A spring whose stiffness depends on an auxiliary signal, for every axis and signal, and for all axes at once."""
 
     name = "stiffness_follows_aux"
     summary = "a stiffness that follows a measured auxiliary signal"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per axis and varying auxiliary signal."""
+        """Return one hypothesis per axis and varying auxiliary signal, and per signal one for all axes."""
+        for aux in varying(machine) if len(machine.axes) > 1 else ():
+            yield self._everywhere(machine, aux)
         for axis in machine.axes:
             for aux in varying(machine):
-                scale = 0.05 * axis.push / axis.position.rms / aux.rms
-                per = f"{axis.position.unit}/({aux.unit or aux.name})"
                 yield at_force(
                     axis, spring, [position(axis), Signal("aux", aux.index)], physics=self.name, family="follows aux",
                     parameters=[
-                        force(axis, f"stiffness per {aux.name}", -100 * scale, 100 * scale, scale, per, linear=True),
+                        _share(axis, aux),
                         Coefficient("reference", aux.unit, aux.mean, aux.mean, 1.0, nuisance=True),
                     ],
                     starts=[(0.0, aux.mean)], notes={"variant": aux.name},
                     predicts=f"a resonance that moves with {aux.name}",
                     refuted_by=f"a resonance that stays where it is while {aux.name} varies",
                 )
+
+    def _everywhere(self, machine: Machine, aux: Size) -> Hypothesis:
+        shares = [_share(axis, aux, f" of {axis.name}") for axis in machine.axes]
+        return on_machine(
+            "force", springs, [*(position(a) for a in machine.axes), Signal("aux", aux.index)], [velocity(a) for a in machine.axes],
+            physics=self.name, family="follows aux", starts=[(*np.zeros(len(shares)), aux.mean)], notes={"variant": aux.name},
+            parameters=[*shares, Coefficient("reference", aux.unit, aux.mean, aux.mean, 1.0, nuisance=True)],
+            predicts=f"resonances of all directions that move together with {aux.name}",
+            refuted_by=f"a resonance that stays where it is while {aux.name} varies",
+        )
+
+
+def _share(axis: Axis, aux: Size, where: str = "") -> Coefficient:
+    scale = 0.05 * axis.push / axis.position.rms / aux.rms
+    per = f"{axis.position.unit}/({aux.unit or aux.name})"
+    return force(axis, f"stiffness per {aux.name}{where}", -100 * scale, 100 * scale, scale, per, linear=True)
