@@ -162,6 +162,10 @@ SHIPPED = Path(__file__).parents[2] / "recordings" / "shipped" / "gas_bearing_ve
 def test_a_recording_of_the_service_is_explained_by_its_bursts_alone(tmp_path):
     """The service kept it with its model: nothing else is asked for. What is wrong is the vertical sensor, by half."""
     document = explain_files(SHIPPED, [], [], ExplainOptions(tmp_path))
+    assert document["verdict"] == "parameter_change"
+    assert document["named"][0]["site"] == "output:vertical"
+    gain = document["named"][0]["parameters"]["sensor gain"]
+    assert abs(gain["value"] + 0.5) < 3 * gain["sd"]
     fit = document["fit"]["per_output"]
     assert fit["vertical"]["before"]["nrmse"] > 0.9
     assert fit["vertical"]["after"]["nrmse"] < 0.7 * fit["vertical"]["before"]["nrmse"]
