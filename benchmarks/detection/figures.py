@@ -135,7 +135,7 @@ def delay_figure(found: Delays) -> Figure:
     right.axvline(found.same_bound, color="black", lw=1.2, label="CUSUM that knows, theory")
     right.set(xlabel="mean delay [s], at most 0.8 s counted", xlim=(0, None))
     right.set_title(f"{-100 * found.same_severity:g} % lost, all at one false alarm in {found.arl_seconds:g} s", fontsize=10)
-    right.legend(fontsize=8, frameon=False, loc="lower right")
+    right.legend(fontsize=8, frameon=False, loc="upper right")
     return figure
 
 

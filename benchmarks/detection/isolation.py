@@ -12,7 +12,8 @@ from machines import LOOSE, Case
 from scores import Clairvoyant, line_weights, statistic
 
 from afdsvc.api.bursts import Burst
-from afdsvc.detect.hypotheses import NONE, weights
+from afdsvc.detect.demodulate import BasisSums, project
+from afdsvc.detect.hypotheses import NONE, anything_log_evidence, linear_fit, weights
 from afdsvc.detect.regression import Regression, averaged_out
 from afdsvc.excite.default import second_burst
 from afdsvc.lti.statespace import Array
@@ -34,6 +35,7 @@ class Isolation:
     wrong: dict[str, list[Share]] = field(default_factory=dict)
     two_step: dict[str, tuple[Share, Share, Share]] = field(default_factory=dict)
     second_output: float = 0.0
+    short_cuts: float = 0.0
 
 
 Weighing = Callable[[Played], list[Mapping[str, float]]]
@@ -74,15 +76,30 @@ def weighers(player: Player) -> dict[str, Weighing]:
 
 
 def _regression_weights(player: Player) -> Weighing:
-    from afdsvc.detect.hypotheses import linear_fit
-
+    """Return what the regression's own ``decide`` weighs, without the threshold of every burst."""
     found: Regression = statistic("regression", player.problem)  # type: ignore[assignment]
+    t = np.arange(player.burst.samples) * player.problem.plant.dt
+    phi = np.concatenate([[np.sin(w * t), np.cos(w * t)] for w in player.basis.omega]).T
 
-    def one(b: Array, G: Array) -> Mapping[str, float]:
+    def one(e: Array, b: Array, G: Array) -> Mapping[str, float]:
         b, G = averaged_out(b, G, found.sd)
-        return weights(tuple(linear_fit(n, float(v), float(g), found.bounds) for n, v, g in zip(found.names, b, np.diag(G), strict=True)))
+        fits = tuple(linear_fit(n, float(v), float(g), found.bounds) for n, v, g in zip(found.names, b, np.diag(G), strict=True))
+        lines = project(BasisSums(len(e), phi.T @ phi, phi.T @ e), player.basis)
+        return weights(fits, anything_log_evidence(lines.z))
 
-    return lambda played: [one(b, G) for b, G in zip(played.b, played.G, strict=True)]
+    return lambda played: [one(e, b, G) for e, b, G in zip(played.E, played.b, played.G, strict=True)]
+
+
+def check(player: Player, played: Played) -> float:
+    """Return the largest difference between these weights and those the detectors report themselves, over two bursts."""
+    off = 0.0
+    for name, weigh in (("regression", _regression_weights(player)), ("fault_curves", line_weights("fault_curves", player))):
+        found = statistic(name, player.problem)
+        for shown, fast in zip(played.shown[:2], weigh(played)[:2], strict=True):
+            sums, _ = found.step(found.start(player.burst, shown.dt), shown)  # type: ignore[attr-defined]
+            slow = found.decide(sums, player.burst, shown.dt)[0].weights  # type: ignore[attr-defined]
+            off = max(off, *(abs(slow[n] - fast[n]) for n in slow))
+    return off
 
 
 def _at(player: Player, each: int, out: Isolation) -> None:
@@ -92,6 +109,8 @@ def _at(player: Player, each: int, out: Isolation) -> None:
     right = 0
     for i, fault in enumerate(faults):
         for played in player.chunks({fault: severity}, each, 300 + i):
+            if not i:
+                out.short_cuts = max(out.short_cuts, check(player, played))
             for name, weigh in all_.items():
                 rows[name] += [_judged(w, fault) for w in weigh(played)]
             ratios = np.array([bound(played, other, severity) for other in faults])

@@ -142,10 +142,10 @@ def _two_steps(found: Isolation) -> Table:
 def _effort(found: Results) -> Table:
     names = list(dict.fromkeys(n for p in found.powers for n in p.cpu))
     rows = [[n, *(f"{p.cpu.get(n, 0.0):.1f}" for p in found.powers)] for n in names]
-    worst = max((v for p in found.powers for v in p.short_cuts.values()), default=0.0)
+    worst = max([0.0, *(v for p in found.powers for v in p.short_cuts.values()), *(i.short_cuts for i in found.isolations)])
     text = (
         f"Whole run: {found.cpu_seconds:.0f} CPU seconds on one core. CPU seconds for the scores below (slow detectors see every "
-        f"fourth to twelfth burst). Short cuts against the detectors themselves: largest relative difference {worst:.1g}."
+        f"fourth to twelfth burst). Short cuts against the detectors themselves: largest difference {worst:.1g}."
     )
     return Table("Cost of the comparison", text, ["detector", *(p.case.title for p in found.powers)], rows)
 
