@@ -28,7 +28,8 @@ class Score:
     of actuator and sensor); ``in_set``: the right one is among the named; ``place``: the first name's site is right;
     ``both``: every one of two effects is among the named; these are None where the question does not ask them.
     ``false_name``: something was named that is not there; ``confident_false``: with a weight of 0.9 or more and nothing that
-    is there among the look-alikes. ``located``: the first location is at the right output. ``held_share``: share of the
+    is there among the look-alikes. ``extra_false``: beside the first, a further effect is named that is not there.
+    ``located``: the first location is at the right output. ``held_share``: share of the
     oracle's improvement on the holdout.
     """
 
@@ -44,6 +45,7 @@ class Score:
     both: bool | None
     false_name: bool
     confident_false: bool
+    extra_false: bool
     located: bool | None
     held_share: float | None
 
@@ -74,6 +76,7 @@ def score(explanation: Mapping[str, Any], answer: Answer, oracle: Oracle | None 
         both=all(right) if len(answer.hidden) == 2 and asked else None,
         false_name=_false(machine, answer, entries[:1]),
         confident_false=_false(machine, answer, entries) and _weight(entries[:1]) >= CONFIDENT,
+        extra_false=any(_false(machine, answer, group) for group in _further(entries)),
         located=_located(answer, explanation) if answer.hidden else None,
         held_share=held_share(explanation, oracle) if oracle and first else None,
     )
@@ -138,6 +141,14 @@ def _place(machine: Machine, answer: Answer, entries: list[Entry]) -> bool:
 def _false(machine: Machine, answer: Answer, entries: list[Entry]) -> bool:
     """Return whether something is named and none of it is there; dirt and noise that was put in are there."""
     return bool(entries) and not any(_there(machine, answer, e) for e in entries)
+
+
+def _further(entries: list[Entry]) -> list[list[Entry]]:
+    """Return the names of every effect after the first, effect by effect; coloured noise is an effect of its own."""
+    groups: dict[tuple[int, bool], list[Entry]] = {}
+    for e in entries:
+        groups.setdefault((int(e.get("effect", 1)), e.get("physics") == "coloured_noise"), []).append(e)
+    return list(groups.values())[1:]
 
 
 def _there(machine: Machine, answer: Answer, entry: Entry) -> bool:

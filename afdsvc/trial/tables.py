@@ -86,9 +86,9 @@ def _decidable(results: Sequence[Result]) -> str:
 def _parts(results: Sequence[Result]) -> Table:
     head = (
         "part", "right verdict", "right first", "among the named", "both named", "located", "false name", "confident false name",
-        "median time [s]",
+        "a further effect that is not there", "median time [s]",
     )
-    keys = ("verdict_ok", "first", "in_set", "both", "located", "false_name", "confident_false")
+    keys = ("verdict_ok", "first", "in_set", "both", "located", "false_name", "confident_false", "extra_false")
     rows = []
     for part in dict.fromkeys(r["part"] for r in results):
         here = [r for r in results if r["part"] == part]
@@ -138,13 +138,13 @@ def _failures(results: Sequence[Result]) -> Table:
     rows = []
     for r in results:
         s = r["score"]
-        wrong = s["false_name"] or not s["verdict_ok"] or s["first"] is False
+        wrong = s["false_name"] or s["extra_false"] or not s["verdict_ok"] or s["first"] is False
         if wrong:
             d = "" if r.get("apart") is None else f"{r['apart']:.1f}"
             what = (_hidden(r), f"{s['rho']:g}", s["verdict"], _named(r))
             rows.append((str(r["number"]), r["part"], *what, d, r["answer"]["seed"]))
     head = ("trial", "part", "hidden", "rho", "verdict", "named", "d", "seed")
-    return Table("Every failure", "Wrong verdict, wrong first name, or a false name.", head, tuple(rows))
+    return Table("Every failure", "Wrong verdict, wrong first name, a false name, or a further effect that is not there.", head, tuple(rows))
 
 
 def _hidden(result: Result) -> str:

@@ -53,6 +53,17 @@ def test_confident_false_name_needs_weight_and_no_truth_beside_it() -> None:
     assert not score(said({**WRONG, "weight": 0.89}), answer(FRICTION)).confident_false
 
 
+def test_a_further_effect_that_is_not_there_is_told_from_a_look_alike() -> None:
+    further = {**WRONG, "effect": 2}
+    noise = entry("coloured_noise", "output:vertical", 1.0)
+    assert score(said(RIGHT, further), answer(FRICTION)).extra_false
+    assert score(said(RIGHT, noise), answer(FRICTION)).extra_false
+    assert not score(said(RIGHT, WRONG), answer(FRICTION)).extra_false
+    assert not score(said(RIGHT, further), answer(FRICTION, effect("dead_zone", "input:horizontal"))).extra_false
+    assert not score(said(RIGHT, noise), answer(FRICTION, options=Options(noise="coloured"))).extra_false
+    assert not score(said(WRONG), answer()).extra_false
+
+
 def test_right_name_at_the_wrong_site_is_wrong() -> None:
     s = score(said(entry("coulomb_friction", "state:vertical_rate")), answer(FRICTION))
     assert (s.first, s.in_set, s.place, s.confident_false) == (False, False, False, True)
