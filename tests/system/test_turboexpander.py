@@ -133,6 +133,16 @@ def test_a_model_of_another_speed_takes_rotation_for_a_fault(plugins) -> None:
     assert any(e.statistic > e.threshold for e in bench.evidence)
 
 
+def test_one_pid_per_axis_as_industry_has_it_goes_through_the_same_pipeline(plugins) -> None:
+    fault = {"name": "b_y_sensor", "severity": -0.2}
+    bench = Bench(turboexpander(plugins, {"faults": [fault]}, controller={"kind": "pid"}), plugins)
+    bench.quiet(0.6)
+    bench.burst()
+    assert [e.fault for e in bench.evidence] == ["b_y_sensor"] * 2
+    assert all(abs(e.severity.value + 0.2) < 4 * e.severity.sd for e in bench.evidence)
+    assert bench.peak < 6.0
+
+
 def test_the_site_says_how_speed_is_followed(plugins) -> None:
     with pytest.raises(BadInput, match="machine 'expander' does not turn; 'speed_step_rpm' is for one that records aux_speed"):
         service.pipeline_of(turboexpander(plugins, options={"rpm": 0}, speed_step_rpm=500), plugins)
