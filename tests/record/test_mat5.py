@@ -22,7 +22,7 @@ def saved(variables: dict, **options) -> bytes:
     return stream.getvalue()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     kinds=st.lists(st.sampled_from(KINDS), min_size=1, max_size=4),
     shape=st.sampled_from([(1, 1), (7, 1), (1, 5), (3, 4), (1, 0), (2, 3, 2)]),
@@ -58,7 +58,7 @@ def test_every_truncation_is_said_or_gives_fewer_variables():
         assert set(found) < {"t", "u_x"}
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=120, deadline=None)
 @given(at=st.integers(128, 400), value=st.integers(0, 255))
 def test_any_byte_may_be_wrong(at, value):
     raw = bytearray(saved({"t": np.arange(30) * 0.01, "u_force": np.sin(np.arange(30.0))}))
