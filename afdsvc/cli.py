@@ -257,6 +257,18 @@ def burst(
 
 
 @app.command()
+def stop(
+    reason: Annotated[str, typer.Option(help="Why, for the recording.")] = "asked to",
+    machine: MachineOption = None,
+    site: SiteOption = HERE,
+    as_json: Json = False,
+) -> None:
+    """End the burst that plays, over its ramp; `pause` keeps others from being played."""
+    _ask(site, "stop", machine=machine, reason=reason)
+    _show(as_json, {"stopped": True}, lambda: print("the burst ends"))
+
+
+@app.command()
 def pause(
     reason: Annotated[str, typer.Option(help="Why, for the log.")] = "",
     machine: MachineOption = None,

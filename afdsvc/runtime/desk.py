@@ -117,9 +117,12 @@ class BurstDesk:
             return burst.name
 
     def stop(self, reason: str, asked_by: str) -> None:
-        """End whatever plays, smoothly."""
-        stop = BurstStop(self.machine, reason, asked_by)
-        self.transport.ask(self.keys.stop(self.machine), codec.encode_burst_stop(stop))
+        """End whatever plays, smoothly; raises `Refused` with the rig's reason when nothing does."""
+        stop = BurstStop(self.machine, reason or "no reason given", asked_by or "nobody")
+        answer = self.transport.ask(self.keys.stop(self.machine), codec.encode_burst_stop(stop))
+        reply = codec.decode_burst_reply(answer)
+        if not reply.accepted:
+            raise Refused(f"nothing is stopped: {reply.reason}")
 
     def heard(self, event: RigEvent) -> None:
         """Take an event of the rig into account."""

@@ -43,7 +43,7 @@ from afdsvc.runtime.transport import PeerSilent
 from afdsvc.runtime.watch import MachineWatch
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import AlarmKind, EventKind, Finding, RigDescription, RigEvent
+from afdsvc.wire.messages import AlarmKind, BurstReply, EventKind, Finding, RigDescription, RigEvent
 
 CHANNELS = (Channel("u_x", "V"), Channel("y_x", "um"))
 T = 1_763_000_000_000_000_000
@@ -210,6 +210,11 @@ def test_ros2_control_712_a_command_to_dead_hardware_fails_and_says_so():
     with pytest.raises(PeerSilent):
         dead.ask(Wanted("kim"))
     assert dead.playing == ""
+    with pytest.raises(PeerSilent):
+        dead.stop("enough", "kim")
+    nothing = desk(lambda *_: codec.encode_burst_reply(BurstReply(False, "", "no such burst is playing")))
+    with pytest.raises(Refused, match="nothing is stopped: no such burst is playing"):
+        nothing.stop("", "")
 
 
 class Hardware:

@@ -131,6 +131,10 @@ def test_people_can_ask_and_are_told_why_not(free_port, tmp_path):
             name = service.ask_service(site, "burst", "Ada")["burst"]
             with pytest.raises(AfdsvcError, match="two at once"):
                 service.ask_service(site, "burst", "Ada")
+            service.ask_service(site, "stop", "Ada", reason="enough")
+            eventually(lambda: any("stopped by Ada: enough" in cause for cause in hub.refusals))
+            with pytest.raises(AfdsvcError, match="nothing is stopped"):
+                service.ask_service(site, "stop", "Ada")
             eventually(lambda: any(e.burst == name for e in list(hub.watches["bearing"].evidence)))
             service.ask_service(site, "pause", "Ada", reason="cleaning")
             with pytest.raises(AfdsvcError, match="paused: by Ada: cleaning"):
