@@ -127,7 +127,7 @@ def _driven(facts: _Facts, j: int) -> Located | None:
     shown = [d for d in facts.of_kind("motion") if _shows(facts, d, j)]
     split = facts.splits[j] if facts.splits else None
     repeats = split is not None and split.total.p < SURE
-    if split is not None and split.total.p > _hint(facts):
+    if split is not None and split.total.p > HINT:
         shown = [d for d in shown if _modulated(facts, d)]
     if not repeats and not shown:
         return None
@@ -148,11 +148,6 @@ def _kind(shown: Sequence[Dependence], split: Split | None) -> str:
     if power:
         return max(power, key=lambda k: power[k])
     return "odd" if shown and BENT & set(shown[0].group.depends_on) else "linear"
-
-
-def _hint(facts: _Facts) -> float:
-    """Return the p-value that what repeats must reach: coloured noise may bias the refitted nuisance, so more is asked there."""
-    return SURE if facts.view.objective.whitener.order else HINT
 
 
 def _modulated(facts: _Facts, d: Dependence) -> bool:
