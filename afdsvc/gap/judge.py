@@ -94,13 +94,18 @@ def _rivals(
     full = float(np.log(max(sum(samples) / base.memory, 2.0)))
     for value, c in scored:
         longer = c.parameters - best.parameters
-        z = separation(c.blocks, best.blocks, longer * MILD)
+        z = separation(c.blocks, best.blocks, longer * MILD + _strain(c) - _strain(best))
         close = top - value - longer * (full - MILD)
         evidence = min(max(close, 0.0), max(z, 0.0) ** 2) if c is not best else 0.0
         rival = Rival(c, top - value, z, float(np.exp(-evidence / 2)))
         (rivals if c is best or close < CLOSE or z < APART else beaten).append(rival)
     total = sum(r.weight for r in rivals)
     return [Rival(r.candidate, r.score, r.z, r.weight / total) for r in rivals], beaten
+
+
+def _strain(c: Candidate) -> float:
+    """Return what the prior of the model's own parameters costs the candidate; the blocks hold data only."""
+    return float(np.dot(c.point.theta, c.point.theta))
 
 
 def separation(worse: Array, better: Array, price: float = 0.0) -> float:

@@ -78,6 +78,7 @@ def _commands(ref: Array, q: Array, dt: float) -> Array:
 
 
 @pytest.mark.long
+@pytest.mark.timeout(1200)
 def test_the_oscillator_is_a_cubic_spring_and_nothing_else(measured):
     """Published arrow test: 13.55 mV for the best linear model of second order, 1.17 mV with one cubic term."""
     folder = measured / "silverbox"
@@ -88,6 +89,7 @@ def test_the_oscillator_is_a_cubic_spring_and_nothing_else(measured):
 
 
 @pytest.mark.long
+@pytest.mark.timeout(1200)
 def test_the_two_mass_bench_shows_its_flexible_mode_first(measured):
     """Published: resonance about 77 Hz; a model of two inertias leaves 17.6 % and 15.9 % of the angles."""
     folder = measured / "two_mass"
