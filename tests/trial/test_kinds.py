@@ -177,6 +177,7 @@ def test_quantised_readings_lie_on_one_grid() -> None:
     assert np.abs(steps - np.round(steps)).max() < 1e-9
 
 
+@pytest.mark.long
 def test_gain_follows_the_pressure() -> None:
     trial = hidden("gain_follows_aux", "input:horizontal", replace(BEARING, periods=4))
     run = trial.runs[0]
@@ -225,6 +226,7 @@ def test_two_effects_are_both_there_each_with_its_own_rho() -> None:
     assert abs(seen[:, 1].mean()) > 0.05
 
 
+@pytest.mark.long
 def test_dirt_is_small_unrelated_and_not_the_question() -> None:
     options = replace(BEARING, dirty=True)
     trial = generate("dead_zone", None, 0.5, np.random.default_rng(2), options)
