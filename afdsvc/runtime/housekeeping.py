@@ -18,9 +18,15 @@ TIDY_SECONDS = 60.0
 
 
 def unfinished(folder: Path, machines: Collection[str]) -> list[Path]:
-    """Return the recordings of these machines that were never closed; to be called before any new one is begun."""
+    """Return the recordings of these machines that were never closed, those of alarms too; call it before any is begun."""
     found = [p for p in recordings(folder) if p.suffix == ".mcap" and machine_of_file(p) in machines]
+    found += [p for p in sorted((folder / "alarms").glob("*.mcap")) if machine_of_file(_of_alarm(p)) in machines]
     return [p for p in found if not is_finished(p)]
+
+
+def _of_alarm(path: Path) -> Path:
+    """Return the recording a file of an alarm (``RECORDING-alarm-001-fault.mcap``) belongs to."""
+    return path.with_name(f"{path.name.split('-alarm-')[0]}.mcap")
 
 
 class Housekeeper:
