@@ -105,7 +105,7 @@ def _backend(cluster: str | None) -> Iterator[None]:
     except ImportError:
         raise BadInput("--cluster needs the extra 'cluster': install afdsvc[cluster]") from None
     try:
-        client = Client(cluster, timeout="10s")
+        client = Client(cluster, timeout="10s")  # type: ignore[no-untyped-call, unused-ignore]
     except (OSError, TimeoutError) as error:
         raise BadInput(f"--cluster {cluster}: no Dask scheduler answers there ({error})") from None
     with client, parallel_config(backend="dask"):
