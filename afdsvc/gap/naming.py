@@ -19,11 +19,11 @@ CHANGE = "parameter_change"
 
 
 def names(found: Found, summaries: Mapping[str, str]) -> tuple[Named, ...]:
-    """Return the names of every accepted effect with their look-alikes, effect by effect, likeliest first."""
+    """Return the names of every accepted effect with their look-alikes, the largest effect first, likeliest first."""
     listed: list[Named] = []
     final = {e.hypothesis.key: (e, sd) for e, sd in zip(found.end.point.effects, deviations(found.end.objective, found.end.point), strict=True)}
     B = found.end.nominal.plant.B
-    for count, number in enumerate(found.order, start=1):
+    for count, number in enumerate(sorted(found.order, key=lambda k: -found.steps[k].share), start=1):
         step = found.steps[number]
         for rival in _told(step):
             h = _law(rival)
