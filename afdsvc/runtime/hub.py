@@ -50,7 +50,7 @@ class Hub:
     clock: Clock
     recording: Callable[[], tuple[str, int, str, int]]
     files: Callable[[], list[Path]] = list
-    queue_size: int = 40_000
+    queue_size: int = 8_000  # blocks of 20 kB: at most 160 MB wait
     policy: Policy = field(default_factory=Policy)
     history: History | None = None
     outboxes: Sequence[Outbox] = ()
