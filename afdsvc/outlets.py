@@ -77,7 +77,13 @@ class Outlets:
         """Return who closes what a killed service left and deletes what is too old; to be called before anything is recorded."""
         r, machines = self._site.recording, {m.id for m in self._site.machines}
         keep = Keep(r.keep_megabytes and 1e6 * r.keep_megabytes, r.keep_days and 86400 * r.keep_days)
-        return Housekeeper(r.folder, keep, machines, self.files, self._clock)
+        days = 86400 * self._site.alarms.keep_days
+        history = self.history()
+
+        def forget() -> None:
+            history.forget(self._clock.now_ns() - round(1e9 * days))
+
+        return Housekeeper(r.folder, keep, machines, self.files, self._clock, alarms=Keep(seconds=days), chores=[forget])
 
     def summary(self) -> tuple[str, int, str, int]:
         """Return files, bytes and failure of the recordings, and the messages dropped anywhere on their way out."""

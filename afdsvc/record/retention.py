@@ -7,7 +7,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-_OURS = re.compile(r"(?P<machine>.+)-\d{8}T\d{6}(-\d+)?(\.\d{4})?\.(mcap|rrd)")
+_OURS = re.compile(r"(?P<machine>.+)-\d{8}T\d{6}(-\d+)?(\.\d{4})?(-alarm-\d{3,}-[\w.-]+)?\.(mcap|rrd)")
 
 
 @dataclass(frozen=True, slots=True)

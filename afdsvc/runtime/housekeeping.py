@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from afdsvc.api.clock import Clock
@@ -32,13 +32,15 @@ def _of_alarm(path: Path) -> Path:
 class Housekeeper:
     """Works in a thread of its own while the service runs; ``files()`` returns what the service itself writes.
 
+    ``alarms`` is what the files of alarms, in their own folder, are kept for; ``chores`` are done with every round.
     What it does is told by ``say(sentence)`` as well as in the log.
     """
 
     def __init__(
         self, folder: Path, keep: Keep, machines: Collection[str], files: Callable[[], list[Path]], clock: Clock,
-        say: Callable[[str], None] = lambda sentence: None,
+        say: Callable[[str], None] = lambda sentence: None, alarms: Keep = Keep(), chores: Sequence[Callable[[], object]] = (),
     ) -> None:  # fmt: skip
+        self._alarms, self._chores = alarms, chores
         self._folder, self._keep, self._files, self._clock, self._say = folder, keep, files, clock, say
         self._torn = unfinished(folder, machines)
         self._stop = threading.Event()
@@ -59,7 +61,8 @@ class Housekeeper:
                 return
             self._guarded(lambda path=path: self._recover(path))  # type: ignore[misc]
         while True:
-            self._guarded(self._tidy)
+            for work in (self._tidy, *self._chores):
+                self._guarded(work)
             if self._stop.wait(TIDY_SECONDS):
                 return
 
@@ -71,14 +74,15 @@ class Housekeeper:
         self._tell(f"closed and indexed, {sum(done.messages.values())} messages: {done.loss}")
 
     def _tidy(self) -> None:
-        for removed in tidy(self._folder, self._keep, self._files(), self._clock.now_ns() / 1e9):
-            self._tell(f"{removed.path}: deleted: it {removed.why}")
+        for folder, keep in ((self._folder, self._keep), (self._folder / "alarms", self._alarms)):
+            for removed in tidy(folder, keep, self._files(), self._clock.now_ns() / 1e9):
+                self._tell(f"{removed.path}: deleted: it {removed.why}")
 
     def _tell(self, sentence: str) -> None:
         log.warning("%s", sentence)
         self._say(sentence)
 
-    def _guarded(self, work: Callable[[], None]) -> None:
+    def _guarded(self, work: Callable[[], object]) -> None:
         try:
             work()
         except Exception:

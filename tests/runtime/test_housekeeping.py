@@ -47,6 +47,31 @@ def test_what_was_left_open_is_closed_and_told(tmp_path):
     assert all("closed and indexed" in s and "was not closed" in s for s in said)
 
 
+def test_files_of_alarms_go_by_their_own_age_and_chores_are_done_though_one_fails(tmp_path):
+    folder = tmp_path / "alarms"
+    folder.mkdir()
+    old, new = folder / "m1-20261101T120000-alarm-001-unnamed.mcap", folder / "m1-20261101T120000-alarm-002-pump.b.mcap"
+    foreign = folder / "notes.mcap"
+    for path in (old, new, foreign):
+        path.write_bytes(bytes(10))
+    for path in (old, foreign):
+        os.utime(path, (1.0, 1.0))
+    done: list[str] = []
+
+    def fails() -> None:
+        raise OSError("no")
+
+    chores = [fails, lambda: done.append("chore")]
+    keeper = Housekeeper(tmp_path, Keep(), {"other"}, list, RealClock(), alarms=Keep(seconds=86400.0), chores=chores)
+    keeper.start()
+    deadline = time.monotonic() + 10
+    while (old.exists() or not done) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    keeper.close()
+    assert done == ["chore"]
+    assert [p.exists() for p in (old, new, foreign)] == [False, True, True]
+
+
 def test_old_recordings_go_while_it_runs_and_it_is_told(tmp_path):
     old, busy = tmp_path / "m1-20261101T120000.mcap", tmp_path / "m1-20261102T120000.mcap"
     for path in (old, busy):
