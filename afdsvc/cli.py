@@ -325,7 +325,7 @@ def identify(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="MCAP recordings or tables.")],
     holdout: Annotated[list[Path] | None, typer.Option(help="Recordings never used in fitting; may be repeated.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="MODEL.toml", help="Where the new model goes.")] = None,
-    method: Annotated[str, typer.Option(help="auto, hansen, subspace, pbsid, greybox or indirect")] = "auto",
+    method: Annotated[str, typer.Option(help="auto, hansen, subspace, pbsid, pem, greybox or indirect")] = "auto",
     order: Annotated[int | None, typer.Option(help="Order to identify; chosen from the data otherwise.")] = None,
     reduce_to: Annotated[int | None, typer.Option(help="Order of the plant; the nominal model's otherwise.")] = None,
     weighting: Annotated[str | None, typer.Option(help="po-moesp, pi-moesp, n4sid or cva (subspace)")] = None,

@@ -49,6 +49,8 @@ class IdentifyOptions:
         ):
             if getattr(self, name) not in known:
                 raise BadInput(f"option {name} = '{getattr(self, name)}'; one of {', '.join(known)} is wanted")
+        if self.norm not in (1, 2):
+            raise BadInput(f"option norm = {self.norm}; 1 or 2 is wanted")
         if self.groups != 0 and self.groups < 3:
             raise BadInput(f"option groups = {self.groups}; 0 (no uncertainty) or at least 3 is wanted")
 

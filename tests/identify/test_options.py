@@ -1,0 +1,22 @@
+"""Options that make no sense are refused by name."""
+
+from __future__ import annotations
+
+import pytest
+
+from afdsvc.errors import BadInput
+from afdsvc.identify.options import IdentifyOptions
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        ({"norm": 3}, "option norm = 3; 1 or 2 is wanted"),
+        ({"groups": 2}, "option groups = 2; 0"),
+        ({"method": "magic"}, "option method = 'magic'; one of auto"),
+        ({"weighting": "heavy"}, "option weighting = 'heavy'; one of"),
+    ],
+)
+def test_refused(wrong, sentence):
+    with pytest.raises(BadInput, match=sentence):
+        IdentifyOptions(**wrong)
