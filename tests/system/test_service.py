@@ -131,6 +131,7 @@ def test_people_can_ask_and_are_told_why_not(free_port, tmp_path):
             name = service.ask_service(site, "burst", "Ada")["burst"]
             with pytest.raises(AfdsvcError, match="two at once"):
                 service.ask_service(site, "burst", "Ada")
+            eventually(lambda: hub.watches["bearing"].pipeline._burst[0] == name)  # stopped before its first sample it leaves none
             service.ask_service(site, "stop", "Ada", reason="enough")
             eventually(lambda: any("stopped by Ada: enough" in cause for cause in hub.refusals))
             with pytest.raises(AfdsvcError, match="nothing is stopped"):
