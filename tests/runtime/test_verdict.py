@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.runtime.verdict import conclude, model_gap, open_question
 
@@ -100,3 +102,8 @@ def test_a_question_is_open_when_a_fault_is_sure_and_its_name_is_not():
     assert open_question([said(fault=None), said("fault_curves")]) is None
     assert open_question([said(fault=None, detected=False)]) is None
     assert open_question([said(fault=None, trustworthy=False)]) is None
+
+
+def test_one_suspect_is_no_question():
+    lone = said(fault=None)
+    assert open_question([replace(lone, weights={"a": 0.9, "none_of_these": 0.1})]) is None

@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
-import getpass
-import json
 import logging
 import os
 import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from afdsvc import __version__
+from afdsvc.cli import plugins, running
+from afdsvc.cli.options import Json, MachineOption, SiteFile, show
 from afdsvc.errors import AfdsvcError, BadInput
 
 app = typer.Typer(
     name="afdsvc", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
     help="Active fault diagnosis for closed-loop machines, and why a model disagrees with its recordings.",
 )  # fmt: skip
-plugins_app = typer.Typer(no_args_is_help=True, help="What is installed.")
-app.add_typer(plugins_app, name="plugins")
-
-Json = Annotated[bool, typer.Option("--json", help="Exactly one JSON document on stdout.")]
-SiteFile = Annotated[Path, typer.Argument(metavar="SITE.toml", help="The site file.")]
-SiteOption = Annotated[Path, typer.Option("--site", metavar="SITE.toml", help="The site file the service runs with.")]
-MachineOption = Annotated[str | None, typer.Option("--machine", help="Id of the machine; needed when there are several.")]
-HERE = Path("site.toml")
+app.add_typer(running.app)
+app.add_typer(plugins.app, name="plugins")
 
 
 def main() -> None:
@@ -52,13 +45,6 @@ def main() -> None:
 def _fail(sentence: str, code: int) -> int:
     print(f"afdsvc: {sentence}", file=sys.stderr)
     return code
-
-
-def _show(as_json: bool, value: Any, text: Callable[[], None]) -> None:
-    if as_json:
-        print(json.dumps(value, indent=2, allow_nan=False, default=str))
-    else:
-        text()
 
 
 def _stop_on_signals() -> threading.Event:
@@ -97,7 +83,7 @@ def demo(
     options = DemoOptions(plant, controller, rpm, tuple(parse_fault(f) for f in wanted), seconds, seed, out)
     with progress("running the machine", seconds) as tell:
         document = run_demo(options, lambda done, hub: tell(done))
-    _show(as_json, document, lambda: demo_table(document))
+    show(as_json, document, lambda: demo_table(document))
 
 
 @app.command()
@@ -153,13 +139,6 @@ def _leave() -> None:
         os._exit(0)
 
 
-def _ask(site: Path, name: str, **arguments: Any) -> Any:
-    from afdsvc.runtime.site import read_site
-    from afdsvc.service import ask_service
-
-    return ask_service(read_site(site), name, os.environ.get("AFDSVC_USER") or getpass.getuser(), **arguments)
-
-
 @app.command()
 def certificates(site: SiteFile, as_json: Json = False) -> None:
     """Make the private authority and certificates of a secured site: service, rigs, operators, viewers; what is there is kept."""
@@ -167,124 +146,7 @@ def certificates(site: SiteFile, as_json: Json = False) -> None:
     from afdsvc.runtime.site import read_site
 
     made = [str(path) for path in make_certificates(read_site(site))]
-    _show(as_json, {"made": made}, lambda: print("\n".join(made) or "everything is there already"))
-
-
-@app.command()
-def status(site: SiteOption = HERE, as_json: Json = False) -> None:
-    """Show how the service and its machines are."""
-    from afdsvc.terminal import status_table
-
-    found = _ask(site, "status")
-    _show(as_json, found, lambda: status_table(found))
-
-
-@app.command()
-def alarms(
-    history: Annotated[bool, typer.Option("--history", help="What happened, by whom and why, instead of how they stand.")] = False,
-    alarm: Annotated[str, typer.Argument(help="Only this one, in the history.")] = "",
-    site: SiteOption = HERE,
-    as_json: Json = False,
-) -> None:
-    """Show the alarms, or what happened to them."""
-    from afdsvc.terminal import alarm_table, history_table
-
-    found = _ask(site, "history", alarm=alarm) if history else _ask(site, "alarms")
-    _show(as_json, found, lambda: (history_table if history else alarm_table)(found))
-
-
-AlarmId = Annotated[str, typer.Argument(help="Id of the alarm, as `afdsvc alarms` shows it.")]
-Comment = Annotated[str, typer.Option(help="Why, for the history.")]
-
-
-@app.command()
-def ack(
-    alarm: AlarmId,
-    comment: Comment = "",
-    since: Annotated[int | None, typer.Option(help="`since_ns` of the occurrence you saw: a later one is refused.")] = None,
-    site: SiteOption = HERE,
-    as_json: Json = False,
-) -> None:
-    """Acknowledge an alarm: somebody has seen it."""
-    found = _ask(site, "ack", alarm=alarm, comment=comment, seen_ns=since)
-    _show(as_json, found, lambda: print(f"{found['id']} acknowledged by {found['acknowledged_by']}"))
-
-
-@app.command()
-def confirm(alarm: AlarmId, comment: Comment = "", site: SiteOption = HERE, as_json: Json = False) -> None:
-    """Confirm an acknowledged alarm: somebody has dealt with it."""
-    found = _ask(site, "confirm", alarm=alarm, comment=comment)
-    _show(as_json, found, lambda: print(f"{found['id']} confirmed by {found['confirmed_by']}"))
-
-
-@app.command()
-def reset(alarm: AlarmId, comment: Comment = "", site: SiteOption = HERE, as_json: Json = False) -> None:
-    """Release a latched alarm that has ended and is acknowledged."""
-    found = _ask(site, "reset", alarm=alarm, comment=comment)
-    _show(as_json, found, lambda: print(f"{found['id']} reset"))
-
-
-@app.command()
-def shelve(
-    alarm: AlarmId,
-    minutes: Annotated[float, typer.Option(help="For how long.")],
-    reason: Annotated[str, typer.Option(help="Why, for the history.")],
-    site: SiteOption = HERE,
-    as_json: Json = False,
-) -> None:
-    """Put an alarm aside for a time."""
-    found = _ask(site, "shelve", alarm=alarm, minutes=minutes, comment=reason)
-    _show(as_json, found, lambda: print(f"{found['id']} shelved by {found['shelved_by']} for {minutes:g} minutes"))
-
-
-@app.command()
-def unshelve(alarm: AlarmId, site: SiteOption = HERE, as_json: Json = False) -> None:
-    """Take an alarm from the shelf."""
-    found = _ask(site, "unshelve", alarm=alarm)
-    _show(as_json, found, lambda: print(f"{found['id']} is back"))
-
-
-@app.command()
-def burst(
-    purpose: Annotated[str, typer.Option(help="diagnose, identify, identify_binary or identify_sweep")] = "diagnose",
-    machine: MachineOption = None,
-    site: SiteOption = HERE,
-    as_json: Json = False,
-) -> None:
-    """Play a burst now; refused with its reason when a limit or rule would be broken."""
-    found = _ask(site, "burst", machine=machine, purpose=purpose)
-    _show(as_json, found, lambda: print(f"burst {found['burst']} accepted"))
-
-
-@app.command()
-def stop(
-    reason: Annotated[str, typer.Option(help="Why, for the recording.")] = "asked to",
-    machine: MachineOption = None,
-    site: SiteOption = HERE,
-    as_json: Json = False,
-) -> None:
-    """End the burst that plays, over its ramp; `pause` keeps others from being played."""
-    _ask(site, "stop", machine=machine, reason=reason)
-    _show(as_json, {"stopped": True}, lambda: print("the burst ends"))
-
-
-@app.command()
-def pause(
-    reason: Annotated[str, typer.Option(help="Why, for the log.")] = "",
-    machine: MachineOption = None,
-    site: SiteOption = HERE,
-    as_json: Json = False,
-) -> None:
-    """Play no bursts on a machine until `resume`."""
-    found = _ask(site, "pause", machine=machine, reason=reason)
-    _show(as_json, found, lambda: print(f"bursts on {found['machine']} are paused {found['paused']}"))
-
-
-@app.command()
-def resume(machine: MachineOption = None, site: SiteOption = HERE, as_json: Json = False) -> None:
-    """Play bursts again."""
-    found = _ask(site, "resume", machine=machine)
-    _show(as_json, found, lambda: print(f"bursts on {found['machine']} go on"))
+    show(as_json, {"made": made}, lambda: print("\n".join(made) or "everything is there already"))
 
 
 @app.command()
@@ -301,7 +163,7 @@ def diagnose(
     from afdsvc.terminal import diagnosis_table
 
     document = diagnose_recordings(recordings, model, calibrate, calibrate_on, detector or [])
-    _show(as_json, document, lambda: diagnosis_table(document))
+    show(as_json, document, lambda: diagnosis_table(document))
 
 
 @app.command()
@@ -316,7 +178,7 @@ def design(
     from afdsvc.terminal import design_table
 
     document = design_files(site, machine, out)
-    _show(as_json, document, lambda: design_table(document))
+    show(as_json, document, lambda: design_table(document))
 
 
 @app.command()
@@ -347,7 +209,7 @@ def identify(
         "reduction": reduction, "norm": norm, "free": tuple(free) if free else None,
     }  # fmt: skip
     document = identify_files(model, recordings, holdout or [], out, options, seed, allow_code)
-    _show(as_json, document, lambda: identify_table(document))
+    show(as_json, document, lambda: identify_table(document))
 
 
 @app.command()
@@ -370,7 +232,7 @@ def explain(
     options = ExplainOptions(out, _mapping(column or []), allow_code, rrd, machine, jobs)
     with progress("explaining", 1.0) as tell:
         document = explain_files(model, recordings or [], holdout or [], options, lambda what, share: tell(share))
-    _show(as_json, document, lambda: explain_table(document))
+    show(as_json, document, lambda: explain_table(document))
 
 
 @app.command()
@@ -392,7 +254,7 @@ def trial(
     hidden, of_plan = ([word for word in text.split(",") if word] for text in (kinds, parts))
     with progress("trials", 1.0) as tell:
         document = trial_files(folder, n, seed, rho, hidden, of_plan, jobs, keep, lambda done, of: tell(done / of))
-    _show(as_json, document, lambda: trial_table(document))
+    show(as_json, document, lambda: trial_table(document))
 
 
 @app.command()
@@ -415,7 +277,7 @@ def batch(
         done = run_batch(chosen, recordings, out, jobs, cluster, lambda n, of: tell(n))
     value = {"table": str(done.table), "rows": done.rows, "failed": done.failed, "kept": done.kept}
     said = f"{done.table}: {done.rows} recordings, {done.failed} could not be worked on, {done.kept} were there already"
-    _show(as_json, value, lambda: print(said))
+    show(as_json, value, lambda: print(said))
 
 
 @app.command()
@@ -430,7 +292,7 @@ def review(
     from afdsvc.review import review_recording
 
     made = review_recording(recording, save)
-    _show(as_json, {"rerun": str(made)}, lambda: print(made) if save else _open(made))
+    show(as_json, {"rerun": str(made)}, lambda: print(made) if save else _open(made))
 
 
 def _open(made: Path) -> None:
@@ -451,7 +313,7 @@ def recover(
 
     done = copy(recording, out) if out else recover_in_place(recording)
     value = {"recording": str(done.path), "messages": dict(done.messages), "loss": done.loss}
-    _show(as_json, value, lambda: print(f"{done.path}: {sum(done.messages.values())} messages; {done.loss or 'nothing is lost'}"))
+    show(as_json, value, lambda: print(f"{done.path}: {sum(done.messages.values())} messages; {done.loss or 'nothing is lost'}"))
 
 
 @app.command("import")
@@ -466,7 +328,7 @@ def import_(
     from afdsvc.offline import import_recording
 
     done = import_recording(table, out, model, _mapping(column or []))
-    _show(as_json, done, lambda: print(f"{done['recording']}: {done['samples']} samples, {', '.join(done['channels'])}"))
+    show(as_json, done, lambda: print(f"{done['recording']}: {done['samples']} samples, {', '.join(done['channels'])}"))
 
 
 def _mapping(pairs: list[str]) -> dict[str, str]:
@@ -474,45 +336,3 @@ def _mapping(pairs: list[str]) -> dict[str, str]:
         if pair.count("=") != 1:
             raise BadInput(f"--map '{pair}': COLUMN=name is wanted, for example current=u_current")
     return dict(pair.split("=") for pair in pairs)
-
-
-@plugins_app.command("list")
-def plugins_list(as_json: Json = False) -> None:
-    """Show what is installed, by family, and what could not be loaded and why."""
-    from afdsvc.plugins.manager import load
-    from afdsvc.terminal import plugin_table
-
-    found = load()
-    rows = [{"family": o.family, "name": o.name, "summary": o.summary, "plugin": o.plugin} for o in found.offers]
-    _show(as_json, {"plugins": rows, "broken": found.broken}, lambda: plugin_table(rows, found.broken))
-
-
-@plugins_app.command("new")
-def plugins_new(
-    kind: Annotated[str, typer.Argument(help="controller, detector, driver, fault, notifier or physics")],
-    name: Annotated[str, typer.Argument(help="Small letters, digits and _.")],
-    out: Annotated[Path, typer.Option(help="Where the package goes.")] = Path("."),
-    as_json: Json = False,
-) -> None:
-    """Write a new plugin as a package that installs, conforms and works."""
-    from afdsvc.scaffold.write import write_plugin
-
-    files = [str(path) for path in write_plugin(kind, name, out)]
-    said = [*files, f"next: pip install -e '{out / name}[test]' && afdsvc plugins check {name}"]
-    _show(as_json, {"files": files}, lambda: print("\n".join(said)))
-
-
-@plugins_app.command("check")
-def plugins_check(
-    package: Annotated[str, typer.Argument(help="Name of an installed plugin, of a module, or a folder with one.")],
-    as_json: Json = False,
-) -> None:
-    """Run the conformance suite on everything a plugin offers; exit 2 when something does not hold."""
-    from afdsvc.scaffold.examine import examine_package
-    from afdsvc.terminal import check_table
-
-    rows = examine_package(package)
-    _show(as_json, {"checks": rows}, lambda: check_table(rows))
-    failed = [r for r in rows if r["failure"]]
-    if failed:
-        raise BadInput(f"{len(failed)} of {len(rows)} checks of '{package}' do not hold; the first: {failed[0]['failure']}")

@@ -1,0 +1,138 @@
+"""Commands that talk to a running service."""
+
+from __future__ import annotations
+
+import getpass
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from afdsvc.cli.options import HERE, Json, MachineOption, SiteOption, show
+
+app = typer.Typer()
+
+
+def _ask(site: Path, name: str, **arguments: Any) -> Any:
+    from afdsvc.runtime.site import read_site
+    from afdsvc.service import ask_service
+
+    return ask_service(read_site(site), name, os.environ.get("AFDSVC_USER") or getpass.getuser(), **arguments)
+
+
+@app.command()
+def status(site: SiteOption = HERE, as_json: Json = False) -> None:
+    """Show how the service and its machines are."""
+    from afdsvc.terminal import status_table
+
+    found = _ask(site, "status")
+    show(as_json, found, lambda: status_table(found))
+
+
+@app.command()
+def alarms(
+    history: Annotated[bool, typer.Option("--history", help="What happened, by whom and why, instead of how they stand.")] = False,
+    alarm: Annotated[str, typer.Argument(help="Only this one, in the history.")] = "",
+    site: SiteOption = HERE,
+    as_json: Json = False,
+) -> None:
+    """Show the alarms, or what happened to them."""
+    from afdsvc.terminal import alarm_table, history_table
+
+    found = _ask(site, "history", alarm=alarm) if history else _ask(site, "alarms")
+    show(as_json, found, lambda: (history_table if history else alarm_table)(found))
+
+
+AlarmId = Annotated[str, typer.Argument(help="Id of the alarm, as `afdsvc alarms` shows it.")]
+Comment = Annotated[str, typer.Option(help="Why, for the history.")]
+
+
+@app.command()
+def ack(
+    alarm: AlarmId,
+    comment: Comment = "",
+    since: Annotated[int | None, typer.Option(help="`since_ns` of the occurrence you saw: a later one is refused.")] = None,
+    site: SiteOption = HERE,
+    as_json: Json = False,
+) -> None:
+    """Acknowledge an alarm: somebody has seen it."""
+    found = _ask(site, "ack", alarm=alarm, comment=comment, seen_ns=since)
+    show(as_json, found, lambda: print(f"{found['id']} acknowledged by {found['acknowledged_by']}"))
+
+
+@app.command()
+def confirm(alarm: AlarmId, comment: Comment = "", site: SiteOption = HERE, as_json: Json = False) -> None:
+    """Confirm an acknowledged alarm: somebody has dealt with it."""
+    found = _ask(site, "confirm", alarm=alarm, comment=comment)
+    show(as_json, found, lambda: print(f"{found['id']} confirmed by {found['confirmed_by']}"))
+
+
+@app.command()
+def reset(alarm: AlarmId, comment: Comment = "", site: SiteOption = HERE, as_json: Json = False) -> None:
+    """Release a latched alarm that has ended and is acknowledged."""
+    found = _ask(site, "reset", alarm=alarm, comment=comment)
+    show(as_json, found, lambda: print(f"{found['id']} reset"))
+
+
+@app.command()
+def shelve(
+    alarm: AlarmId,
+    minutes: Annotated[float, typer.Option(help="For how long.")],
+    reason: Annotated[str, typer.Option(help="Why, for the history.")],
+    site: SiteOption = HERE,
+    as_json: Json = False,
+) -> None:
+    """Put an alarm aside for a time."""
+    found = _ask(site, "shelve", alarm=alarm, minutes=minutes, comment=reason)
+    show(as_json, found, lambda: print(f"{found['id']} shelved by {found['shelved_by']} for {minutes:g} minutes"))
+
+
+@app.command()
+def unshelve(alarm: AlarmId, site: SiteOption = HERE, as_json: Json = False) -> None:
+    """Take an alarm from the shelf."""
+    found = _ask(site, "unshelve", alarm=alarm)
+    show(as_json, found, lambda: print(f"{found['id']} is back"))
+
+
+@app.command()
+def burst(
+    purpose: Annotated[str, typer.Option(help="diagnose, identify, identify_binary or identify_sweep")] = "diagnose",
+    machine: MachineOption = None,
+    site: SiteOption = HERE,
+    as_json: Json = False,
+) -> None:
+    """Play a burst now; refused with its reason when a limit or rule would be broken."""
+    found = _ask(site, "burst", machine=machine, purpose=purpose)
+    show(as_json, found, lambda: print(f"burst {found['burst']} accepted"))
+
+
+@app.command()
+def stop(
+    reason: Annotated[str, typer.Option(help="Why, for the recording.")] = "asked to",
+    machine: MachineOption = None,
+    site: SiteOption = HERE,
+    as_json: Json = False,
+) -> None:
+    """End the burst that plays, over its ramp; `pause` keeps others from being played."""
+    _ask(site, "stop", machine=machine, reason=reason)
+    show(as_json, {"stopped": True}, lambda: print("the burst ends"))
+
+
+@app.command()
+def pause(
+    reason: Annotated[str, typer.Option(help="Why, for the log.")] = "",
+    machine: MachineOption = None,
+    site: SiteOption = HERE,
+    as_json: Json = False,
+) -> None:
+    """Play no bursts on a machine until `resume`."""
+    found = _ask(site, "pause", machine=machine, reason=reason)
+    show(as_json, found, lambda: print(f"bursts on {found['machine']} are paused {found['paused']}"))
+
+
+@app.command()
+def resume(machine: MachineOption = None, site: SiteOption = HERE, as_json: Json = False) -> None:
+    """Play bursts again."""
+    found = _ask(site, "resume", machine=machine)
+    show(as_json, found, lambda: print(f"bursts on {found['machine']} go on"))
