@@ -25,6 +25,7 @@ from afdsvc.wire.messages import BurstRequest, BurstStop, EventKind, Lease, RigE
 
 log = logging.getLogger(__name__)
 LEASE_SECONDS = 2.0
+LONGEST_WAIT = 5.0  # seconds ahead of its first sample a burst is asked for at most
 LEAD_SECONDS = 0.4  # a planned burst starts at its sample, however long the request was on its way
 ENDS = (EventKind.BURST_ENDED, EventKind.BURST_ABORTED, EventKind.BURST_REFUSED, EventKind.RIG_STOPPED)
 
@@ -69,7 +70,8 @@ class BurstDesk:
             self._keep(self.clock.monotonic())
         if self.playing or (self._asking and self._asking.is_alive()):
             return
-        wanted = self.scheduler.due(self.seconds, datetime.now()) if self.session else None
+        ready = bool(self.session) and self._wait() <= LONGEST_WAIT
+        wanted = self.scheduler.due(self.seconds, datetime.now()) if ready else None
         if wanted is not None:
             self._asking = threading.Thread(target=self._try, args=(wanted,), name=f"burst of {self.machine}", daemon=True)
             self._asking.start()
@@ -100,11 +102,11 @@ class BurstDesk:
                 raise Refused(f"burst '{self.playing}' is playing; two at once are never played")
             made = self.design(wanted)
             burst = replace(made, name=self._name(), notes={**made.notes, "reason": wanted.reason})
-            start = 0 if wanted.at is None else round((wanted.at + LEAD_SECONDS) / self.pipeline.dt)
+            start = self._first_sample(wanted)
             request = BurstRequest(self.machine, burst, LEASE_SECONDS, wanted.reason, self.clock.now_ns(), start)
             self.pipeline.announce(burst)
             self.sink.request(request)
-            self._begin(burst)
+            self._begin(burst, start)
             try:
                 answer = self.transport.ask(self.keys.burst(self.machine), codec.encode_burst_request(request))
                 reply = codec.decode_burst_reply(answer)
@@ -145,9 +147,25 @@ class BurstDesk:
     def _name(self) -> str:
         return f"{self.session[:8]}-{self._run}-{next(self._count)}"
 
-    def _begin(self, burst: Burst) -> None:
+    def _wait(self) -> float:
+        """Return the seconds until what comes back from a burst can be judged."""
+        ready = self.pipeline.ready_at
+        return float("inf") if ready is None else max(ready * self.pipeline.dt - self.seconds, 0.0)
+
+    def _first_sample(self, wanted: Wanted) -> int:
+        """Return the sample a burst starts at (0: at once): not before what comes back can be judged."""
+        ready, wait = self.pipeline.ready_at, self._wait()
+        if ready is None:
+            raise Refused(f"machine '{self.machine}' sends nothing that can be judged yet; ask again once it runs")
+        if wait > LONGEST_WAIT:
+            raise Refused(f"machine '{self.machine}' is watched too short a time to judge a burst; ask again in {wait:.0f} s")
+        planned = 0 if wanted.at is None else round((wanted.at + LEAD_SECONDS) / self.pipeline.dt)
+        return max(planned, ready if wait else 0)
+
+    def _begin(self, burst: Burst, start: int) -> None:
         self._played_by = self.session
-        seconds = burst.samples * self.pipeline.dt + LEAD_SECONDS
+        wait = max(start * self.pipeline.dt - self.seconds, 0.0)
+        seconds = wait + burst.samples * self.pipeline.dt + LEAD_SECONDS
         self.playing, self._deadline = burst.name, self.clock.monotonic() + seconds + 5.0
         self.scheduler.started()
 

@@ -13,6 +13,7 @@ from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, Detector, ResidualBlock
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block
+from afdsvc.detect.gate import Gate
 from afdsvc.detect.noise_model import calibrate_noise
 from afdsvc.detect.residual import ResidualFilter
 from afdsvc.errors import AfdsvcError
@@ -61,6 +62,14 @@ class Pipeline:
     def dt(self) -> float:
         """Sample time in seconds."""
         return self.problem.plant.dt
+
+    @property
+    def ready_at(self) -> int | None:
+        """Sample from which a burst can be judged: the filters have settled and the gate's quiet window is full.
+
+        None before the first usable block, and after an interruption until the next one.
+        """
+        return None if self._x is None else self._settled_at + self._settle + Gate().window
 
     def announce(self, burst: Burst) -> None:
         """Make a burst known before its blocks come; the memory of old ones is bounded."""

@@ -59,6 +59,11 @@ class SpeedPipeline:
         """Sample time, the same at every speed."""
         return self._problem.plant.dt
 
+    @property
+    def ready_at(self) -> int | None:
+        """Sample from which a burst can be judged, None while that is not known."""
+        return None if self._pipeline is None else self._pipeline.ready_at
+
     def announce(self, burst: Burst) -> None:
         """Make a burst known before its blocks come."""
         self.bursts[burst.name] = burst

@@ -76,7 +76,7 @@ class Says:
     """A stream that says of every block what it is told to say."""
 
     def __init__(self) -> None:
-        self.outcome, self.dt, self.bursts = Outcome((), (), np.zeros((50, 1))), 1e-3, {}
+        self.outcome, self.dt, self.bursts, self.ready_at = Outcome((), (), np.zeros((50, 1))), 1e-3, {}, 0
 
     def announce(self, burst):
         pass

@@ -120,6 +120,17 @@ bursts = {every_seconds = 30.0, first_after_seconds = 0.5, seconds = 1.0, output
     assert "leaves open whether it is" in requests[1].asked_by
 
 
+def test_a_burst_asked_for_in_the_first_moment_can_be_judged(free_port, tmp_path):
+    machine = 'plant = "gas_bearing"\nbursts = {seconds = 1.0}'
+    site = site_of(free_port, tmp_path, machine=machine)
+    with service.serving(site) as hub, rig(site):
+        desk = hub.desks["bearing"]
+        eventually(lambda: desk.pipeline.ready_at is not None and bool(desk.session))
+        service.ask_service(site, "burst", "Ada")
+        eventually(lambda: len(hub.watches["bearing"].evidence) > 0)
+        assert [e.reason for e in hub.watches["bearing"].evidence if not e.trustworthy] == []
+
+
 def test_people_can_ask_and_are_told_why_not(free_port, tmp_path):
     site = site_of(free_port, tmp_path)
     with service.serving(site) as hub:
