@@ -183,7 +183,7 @@ class Transport:
             if words == "Timeout":
                 raise PeerSilent(f"no answer from {key} within {timeout:g} s")
             raise AfdsvcError(words)
-        raise PeerSilent(f"nobody answers at {key}; is it running?")
+        raise PeerSilent(self._why_silent(key))
 
     def announce(self, key: str) -> None:
         """Show that this process is alive, until the session closes or the process dies."""
@@ -220,6 +220,12 @@ class Transport:
         if self._session is None:
             raise AfdsvcError("the zenoh session is closed")
         return self._session
+
+    def _why_silent(self, key: str) -> str:
+        if self._settings.security is None:
+            return f"nobody answers at {key}; is it running?"
+        who = self._access.identity
+        return f"nobody answers at {key}: it does not run, or '{who}' is not listed as one who may ask that at this secured site"
 
     def _why_not(self, error: str) -> str:
         where = ", ".join(self._settings.listen if self._hub else self._settings.endpoints())

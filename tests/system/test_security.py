@@ -25,7 +25,7 @@ from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import BurstRequest
 
 KEYS = Keys("t")
-UNHEARD = r"nobody answers|no answer"
+UNHEARD = "is not listed as one who may ask"
 
 
 def site_of(port: int, folder: Path, keys: str = "keys") -> Site:
