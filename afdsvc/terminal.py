@@ -9,12 +9,12 @@ from typing import Any
 
 from rich import box
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
-OUT = Console()
-ERR = Console(stderr=True)
+OUT = Console(markup=False, emoji=False)  # names and paths may hold brackets and colons
+ERR = Console(stderr=True, markup=False, emoji=False)
 
 
 @contextmanager
@@ -86,7 +86,7 @@ def diagnosis_table(document: dict[str, Any]) -> None:
         if recording["bursts"]:
             OUT.print(table)
         else:
-            OUT.print(f"[bold]{recording['recording']}[/] ({recording['machine']}): no bursts", soft_wrap=True)
+            OUT.print(f"{recording['recording']} ({recording['machine']}): no bursts", style="bold", soft_wrap=True)
         _passive(recording)
         for remark in recording["remarks"][:10]:
             OUT.print(f"note: {remark}", soft_wrap=True)
@@ -233,32 +233,32 @@ def plugin_table(rows: list[dict[str, str]], broken: dict[str, str]) -> None:
         table.add_row(row["family"], row["name"], row["summary"], row["plugin"])
     OUT.print(table)
     for name, why in broken.items():
-        OUT.print(f"[red]{name} could not be loaded: {why}")
+        OUT.print(f"{name} could not be loaded: {why}", style="red")
 
 
 def explain_table(document: dict[str, Any]) -> None:
     """Show the verdict, the names with their look-alikes, and the fit before and after."""
-    OUT.print(f"[bold]verdict: {document['verdict'].replace('_', ' ')}[/]")
+    OUT.print(f"verdict: {document['verdict'].replace('_', ' ')}", style="bold")
     for sentence in (*document["check"], *document["sentences"]):
-        OUT.print(f"note: {sentence}", soft_wrap=True, markup=False, emoji=False)
+        OUT.print(f"note: {sentence}", soft_wrap=True)
     for place in document["located"][:5]:
-        OUT.print(f"where: {place['evidence']}", soft_wrap=True, markup=False, emoji=False)
+        OUT.print(f"where: {place['evidence']}", soft_wrap=True)
     for named in document["named"]:
-        OUT.print(f"{named['weight']:.3f}  {named['sentence']}", soft_wrap=True, markup=False, emoji=False)
+        OUT.print(f"{named['weight']:.3f}  {named['sentence']}", soft_wrap=True)
     if document["next_experiment"]:
-        OUT.print(f"next experiment: {document['next_experiment']['sentence']}", soft_wrap=True, markup=False, emoji=False)
+        OUT.print(f"next experiment: {document['next_experiment']['sentence']}", soft_wrap=True)
     table = Table(title=f"|y - yhat| / |y - mean| on {', '.join(document['fit']['heldout'])}")
     for column in ("output", "before", "after", "noise floor"):
         table.add_column(column)
     for name, fit in document["fit"]["per_output"].items():
         table.add_row(name, *(number(v) for v in (fit["before"]["nrmse"], fit["after"]["nrmse"], fit["noise_floor_nrmse"])))
     OUT.print(table)
-    OUT.print(f"model  {document['model']}\nreport {document['report']}", soft_wrap=True, markup=False, emoji=False)
+    OUT.print(f"model  {document['model']}\nreport {document['report']}", soft_wrap=True)
 
 
 def trial_table(document: dict[str, Any]) -> None:
     """Show what came of blind trials, and where the report is."""
-    OUT.print(document["summary"], soft_wrap=True, markup=False, emoji=False)
+    OUT.print(document["summary"], soft_wrap=True)
     OUT.print(f"report {document['markdown']}\n       {document['html']}", soft_wrap=True)
 
 
@@ -268,6 +268,6 @@ def check_table(rows: list[dict[str, str]]) -> None:
     for column in ("", "plugin", "what is asked"):
         table.add_column(column, overflow="fold")
     for r in rows:
-        mark = "[bold red]fails[/]" if r["failure"] else "[green]holds[/]"
-        table.add_row(mark, r["name"], r["asked"] + (f"\n[red]{escape(r['failure'])}" if r["failure"] else ""))
+        mark = Text("fails", "bold red") if r["failure"] else Text("holds", "green")
+        table.add_row(mark, r["name"], Text(r["asked"]).append(f"\n{r['failure']}" if r["failure"] else "", "red"))
     OUT.print(table)
