@@ -27,6 +27,7 @@ from afdsvc.detect import arl, maximum
 from afdsvc.detect.demodulate import Basis, BasisSums, project
 from afdsvc.detect.hypotheses import linear_fit, weights
 from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
+from afdsvc.detect.once import Played
 from afdsvc.detect.reach import reachable
 from afdsvc.detect.templates import templates
 from afdsvc.detect.uncertainty import models
@@ -95,7 +96,7 @@ class ActiveCusum:
 
     def start(self, burst: Burst, dt: float) -> ActiveSums:
         """Return the state before the first sample."""
-        return _prepared(self, burst, dt)
+        return _prepared(self, Played.of(burst), dt)
 
     def prepare(self, burst: Burst, dt: float) -> ActiveSums:
         """Return waves and boundary for a burst, computed anew."""
@@ -133,9 +134,9 @@ class ActiveCusum:
         return segment_finding(sums.state, who, names, sums.peak, sums.boundary, self.problem.severity_range, sample)
 
 
-@lru_cache(maxsize=8)  # keyed by identity: the same burst is played again and again
-def _prepared(statistic: ActiveCusum, burst: Burst, dt: float) -> ActiveSums:
-    return statistic.prepare(burst, dt)
+@lru_cache(maxsize=256)  # the same burst is played again and again, on many machines; every one is a megabyte or so
+def _prepared(statistic: ActiveCusum, played: Played, dt: float) -> ActiveSums:
+    return statistic.prepare(played.burst, dt)
 
 
 def segment_finding(

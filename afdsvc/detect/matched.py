@@ -127,7 +127,7 @@ def _ordered(burst: Burst) -> tuple[Line, ...]:
     return tuple(sorted(burst.lines, key=lambda line: line.omega))
 
 
-@lru_cache(maxsize=16)  # the same lines are played again and again
+@lru_cache(maxsize=1024)  # the same lines are played again and again
 def _curves(problem: DetectionProblem, lines: tuple[Line, ...]) -> FaultCurves:
     return fault_curves(problem, lines)
 

@@ -20,6 +20,7 @@ from afdsvc.detect.cusum import CusumState, rate_boundary, segment_finding
 from afdsvc.detect.gate import Gate, GateState, finite
 from afdsvc.detect.noise_driven import NoiseDriven, noise_driven
 from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
+from afdsvc.detect.once import at_rest, stepped
 from afdsvc.detect.regressors import Regressors, RegressorState, regressors
 from afdsvc.detect.watch import Finding, evidence, pieces
 from afdsvc.errors import BadInput
@@ -64,7 +65,7 @@ class PassiveDetector:
         p = self.problem.plant.outputs
         gate = self.gate.start(len(self.filters.names), p)
         cusum = CusumState.start(len(self.which))
-        return PassiveState(self.filters.start(), gate, Runs.start(p), cusum, self.gate.settle)
+        return PassiveState(at_rest(self.filters), gate, Runs.start(p), cusum, self.gate.settle)
 
     def step(self, state: PassiveState, block: ResidualBlock) -> tuple[PassiveState, Sequence[Evidence]]:
         """Return the state after the block and the alarms and doubts that fell inside it."""
@@ -73,7 +74,7 @@ class PassiveDetector:
             state = self._restarted(state, "a gap in the samples")
         for piece in pieces(block):
             runs, _ = state.runs.add(piece.y)
-            filters, series = self.filters.step(state.filters, piece.r, piece.y, piece.u)
+            filters, series = stepped(self.filters, state.filters, piece)
             state = replace(state, runs=runs, filters=filters)
             if not finite(series):
                 state = self._restarted(state, "a sample that is not a finite number")
@@ -85,14 +86,15 @@ class PassiveDetector:
 
     def _restarted(self, state: PassiveState, because: str) -> PassiveState:
         return replace(
-            state, filters=self.filters.start(), gate=self.gate.restart(state.gate, because),
+            state, filters=at_rest(self.filters), gate=self.gate.restart(state.gate, because),
             cusum=CusumState.start(len(self.which)), silent=self.gate.settle, cleaning=None,
         )
 
     def _quiet(self, state: PassiveState, piece: ResidualBlock, series: Array, found: list[Evidence]) -> PassiveState:
         """Advance over quiet samples, stopping where a gate part is full and where silence or a CUSUM ends."""
         cleaning, series, kept = self.nuisances.clean(state.cleaning, piece, series, self.gate.part)
-        state, series, index = replace(state, cleaning=cleaning), series[kept], np.flatnonzero(kept)
+        state, index = replace(state, cleaning=cleaning), np.flatnonzero(kept)
+        series = series if len(index) == len(series) else series[kept]
         t = 0
         while t < len(series):
             n = min(len(series) - t, self._to_part(state))

@@ -69,7 +69,7 @@ class Shown:
         return ""
 
 
-@lru_cache(maxsize=16)  # keyed by identity of the problem: the same lines are played again and again
+@lru_cache(maxsize=1024)  # keyed by identity of the problem: the same lines are played again and again
 def weakest(problem: DetectionProblem, lines: tuple[Line, ...]) -> Array:
     """Return the smallest amplitude every line may cause at the inputs (all together), over health and every fault."""
     omega = sorted({line.omega for line in lines})

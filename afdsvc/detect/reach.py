@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect.once import Once
 from afdsvc.lti.lft import fault_signature
 
 STEPS = 64
 
 
-@lru_cache(maxsize=16)  # keyed by identity
+_REACHABLE = Once(1024)  # one for each machine, whatever its detectors
+
+
 def reachable(problem: DetectionProblem) -> dict[str, tuple[float, float]]:
     """Return for every fault the severities, from 0 outwards, up to which the loop stays stable.
 
     Inside the stated range; the border is found to a millionth of it.
     """
+    return _REACHABLE(lambda *_: _borders(problem), problem.augmented, problem.interconnection, problem.severity_range)
+
+
+def _borders(problem: DetectionProblem) -> dict[str, tuple[float, float]]:
     low, high = problem.severity_range
     return {name: (_border(problem, name, low), _border(problem, name, high)) for name in problem.fault_names}
 

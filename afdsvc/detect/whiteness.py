@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 from scipy.stats import chi2
 
+from afdsvc.detect.once import Once
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 
@@ -61,15 +62,22 @@ class LagSums:
         """Return the sums with the samples ``series (n, 1 + K, p)`` added, which follow the earlier ones without a
         gap.
         """
+        return _ADDED(LagSums._add, self, series)
+
+    def _add(self, series: Array) -> LagSums:
         residual, cross, own, mean = self.residual.copy(), self.cross.copy(), self.own.copy(), self.mean.copy()
         window = np.ascontiguousarray(np.concatenate([self.past, series]))
-        _accumulate(window, self.lags, self.seen, residual, cross, own, mean)
+        back = np.ascontiguousarray(window.transpose(1, 2, 0)[:, :, ::-1])  # the sample k earlier lies k later
+        _accumulate(window, back, self.lags, self.seen, residual, cross, own, mean)
         seen = min(self.lags, self.seen + len(series))
         past = window[len(window) - self.lags :].copy()
         return LagSums(self.n + len(series), residual, cross, own, mean, past, seen)
 
     def cleared(self) -> LagSums:
         """Return empty sums that continue after the same past samples."""
+        return _CLEARED(LagSums._clear, self)
+
+    def _clear(self) -> LagSums:
         zero = np.zeros_like
         return replace(
             self, n=0, residual=zero(self.residual), cross=zero(self.cross), own=zero(self.own), mean=zero(self.mean)
@@ -92,6 +100,9 @@ class LagSums:
         if information <= 0:
             return 0.0, math.inf
         return 0.5 * float(np.trace(self.cross[0, fault])) / information, information**-0.5
+
+
+_ADDED, _CLEARED = Once(), Once()
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,18 +164,56 @@ def _tests(n: int, products: Array, total: Array) -> Whiteness:
 
 
 @njit(cache=True)
-def _accumulate(window, lags, seen, residual, cross, own, mean):  # type: ignore[no-untyped-def]
-    p, K = window.shape[2], window.shape[1] - 1
-    for t in range(lags, window.shape[0]):
-        for f in range(1 + K):
+def _accumulate(window, back, lags, seen, residual, cross, own, mean):  # type: ignore[no-untyped-def]
+    """Add the products of every sample with those before it; every sum is built in the order of the samples.
+
+    ``back`` is the window with time running backwards along memory, so that all lags are added at once.
+    """
+    T, S, p = window.shape
+    K = S - 1
+    plain, mixed, alone = np.empty((p, p, lags + 1)), np.empty((K, p, p, lags + 1)), np.empty((K, p, p, lags + 1))
+    _move(residual, cross, own, plain, mixed, alone, True)
+    for t in range(lags, T):
+        o, n = T - 1 - t, min(lags, seen + t - lags) + 1
+        for f in range(S):
             for i in range(p):
                 mean[f, i] += window[t, f, i]
-        reach = min(lags, seen + t - lags)
-        for k in range(reach + 1):
+        for j in range(p):
+            b = back[0, j, o : o + n]
             for i in range(p):
-                for j in range(p):
-                    residual[k, i, j] += window[t, 0, i] * window[t - k, 0, j]
-                    for f in range(K):
-                        now, then = window[t, 1 + f, i], window[t - k, 1 + f, j]
-                        cross[k, f, i, j] += now * window[t - k, 0, j] + window[t, 0, i] * then
-                        own[k, f, i, j] += now * then
+                _add_times(window[t, 0, i], b, plain[i, j, :n])
+            for f in range(K):
+                c = back[1 + f, j, o : o + n]
+                for i in range(p):
+                    _add_both(window[t, 1 + f, i], window[t, 0, i], b, c, mixed[f, i, j, :n], alone[f, i, j, :n])
+    _move(residual, cross, own, plain, mixed, alone, False)
+
+
+@njit(cache=True, inline="always")
+def _add_times(a, b, out):  # type: ignore[no-untyped-def]
+    for k in range(out.size):
+        out[k] += a * b[k]
+
+
+@njit(cache=True, inline="always")
+def _add_both(now, a, b, then, mixed, alone):  # type: ignore[no-untyped-def]
+    for k in range(mixed.size):
+        mixed[k] += now * b[k] + a * then[k]
+        alone[k] += now * then[k]
+
+
+@njit(cache=True)
+def _move(residual, cross, own, plain, mixed, alone, there):  # type: ignore[no-untyped-def]
+    """Move the sums between lags first and lags last, ``there`` or back."""
+    for k in range(plain.shape[2]):
+        for i in range(plain.shape[0]):
+            for j in range(plain.shape[1]):
+                if there:
+                    plain[i, j, k] = residual[k, i, j]
+                else:
+                    residual[k, i, j] = plain[i, j, k]
+                for f in range(mixed.shape[0]):
+                    if there:
+                        mixed[f, i, j, k], alone[f, i, j, k] = cross[k, f, i, j], own[k, f, i, j]
+                    else:
+                        cross[k, f, i, j], own[k, f, i, j] = mixed[f, i, j, k], alone[f, i, j, k]
