@@ -72,11 +72,12 @@ def _names(request: Request) -> list[str]:
 
 
 def from_files(model: Path, recordings: Sequence[Path], holdout: Path) -> Mapping[str, Any]:
-    """Return the document of ``explain --json`` for the files of a trial: nothing but files is handed over."""
+    """Return the document of ``explain --json`` for the files of a trial, without a next experiment: nothing but files is
+    handed over."""
     options = ExplainOptions(jobs=1)
     nominal = model_of(model, options)
     train, held = (traces(paths, nominal, options) for paths in (recordings, [holdout]))
-    return explain(nominal, train, held, load_library()).json(None, None)
+    return explain(nominal, train, held, load_library(), rehearse=False).json(None, None)
 
 
 def report(done: Sequence[Result], folder: Path) -> dict[str, Any]:

@@ -40,13 +40,14 @@ MOST_EFFECTS = 3
 
 def explain(
     model: Model, recordings: Sequence[Trace], holdout: Sequence[Trace], library: Iterable[Physics], *,
-    mapper: Mapper = map, progress: Progress = lambda what, share: None, most: int = MOST_EFFECTS,
+    mapper: Mapper = map, progress: Progress = lambda what, share: None, most: int = MOST_EFFECTS, rehearse: bool = True,
 ) -> Explanation:
     """Locate the gap between a model and recordings, name the physics left out, model it, and show the fit.
 
     ``holdout`` is never looked at before the report; without one the last recording, or the last third of a single one, is
     kept back. ``mapper`` may run hypotheses in parallel; ``progress`` is told what is going on and how far it is (0 to 1).
-    Nothing is drawn at random. Raises `BadInput` for recordings that do not fit the model.
+    ``rehearse`` False leaves out the next experiment, whose rehearsals can take as long as a round of the search. Nothing is
+    drawn at random. Raises `BadInput` for recordings that do not fit the model.
     """
     progress("reading", 0.0)
     offered = list(library)
@@ -60,12 +61,12 @@ def explain(
     progress("reporting", 0.9)
     held = roles.heldout if found.tone is None else aligned(found.end.objective, found.end.point, roles.heldout, found.tone)
     roles = Split(found.start.objective.runs, found.select, held)
-    answer = _answer(found, roles, offered, findings)
+    answer = _answer(found, roles, offered, findings, rehearse)
     progress("reporting", 1.0)
     return answer
 
 
-def _answer(found: Found, roles: Split, offered: Sequence[Physics], findings: Sequence[Finding]) -> Explanation:
+def _answer(found: Found, roles: Split, offered: Sequence[Physics], findings: Sequence[Finding], rehearse: bool) -> Explanation:
     nom = found.start.nominal
     playing = player(nom, (*roles.train, *roles.select, *roles.heldout), found.start.point, found.end.objective.simulator.ramped)
     courses = _courses(found, roles, playing)
@@ -90,7 +91,7 @@ def _answer(found: Found, roles: Split, offered: Sequence[Physics], findings: Se
         explained=(done.fraction, done.sd),
         check=tuple(f.sentence for f in findings),
         sentences=_sentences(judgement, found),
-        next_experiment=_next(found, judgement),
+        next_experiment=_next(found, judgement) if rehearse else None,
         remainder=remainder(found.end, roles.select, done.fraction) if judgement.remains else None,
         noise_floor=floor,
         courses=courses,

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 
 from afdsvc.api.bursts import Burst, Limits
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.next_experiment_plans import Plan, plans, present
-from afdsvc.gap.next_experiment_separation import rehearsal
+from afdsvc.gap.next_experiment_separation import Rehearsal, rehearsal
 from afdsvc.gap.objective import Point
 
 ENOUGH = 6.0  # standard deviations between rivals that settle the matter
@@ -75,8 +76,7 @@ def next_experiment(
         return None
     tried = plans(base, limits, generator or np.random.default_rng(1))
     now = present(tried)
-    values = [(ready.separation(p), p) for p in tried]
-    chosen = next((v for v in _ordered(values) if ready.allowed(v[1], limits)), None)
+    chosen = _mildest(ready, tried, limits)
     if chosen is None:
         return None
     best, plan = chosen
@@ -86,11 +86,20 @@ def next_experiment(
     )
 
 
-def _ordered(values: Sequence[tuple[float, Plan]]) -> list[tuple[float, Plan]]:
-    """Return plans in order of preference: those that separate enough from the mildest on, then the others from the best on."""
-    enough = [v for v in values if v[0] >= ENOUGH]
-    rest = [v for v in values if v[0] < ENOUGH]
-    return sorted(enough, key=lambda v: (v[1].effort, -v[0])) + sorted(rest, key=lambda v: -v[0])
+def _mildest(ready: Rehearsal, tried: Sequence[Plan], limits: Limits | None) -> tuple[float, Plan] | None:
+    """Return the mildest allowed plan that separates enough and by how much, else the best allowed one, else None.
+
+    Plans are rehearsed from the mildest on, so that the demanding ones cost nothing where a mild one will do.
+    """
+    values: list[tuple[float, Plan]] = []
+    for _, group in groupby(sorted(tried, key=lambda p: p.effort), key=lambda p: p.effort):
+        fresh = [(ready.separation(p), p) for p in group]
+        enough = sorted((v for v in fresh if v[0] >= ENOUGH), key=lambda v: -v[0])
+        found = next((v for v in enough if ready.allowed(v[1], limits)), None)
+        if found is not None:
+            return found
+        values += [v for v in fresh if v[0] < ENOUGH]
+    return next((v for v in sorted(values, key=lambda v: -v[0]) if ready.allowed(v[1], limits)), None)
 
 
 def _sentence(

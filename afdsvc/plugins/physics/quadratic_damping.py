@@ -27,7 +27,7 @@ class QuadraticDamping:
             yield at_force(
                 axis, drag, [velocity(axis)], physics=self.name, family="damping",
                 parameters=[
-                    force(axis, "drag", -200 * scale, 200 * scale, scale, f"({axis.rate.unit})^2", linear=True)
+                    force(axis, "drag", 0.0, 200 * scale, scale, f"({axis.rate.unit})^2", linear=True)
                 ],
                 starts=[(0.0,)],
                 predicts="damping that grows with the amplitude; odd distortion in phase with the velocity",

@@ -1,0 +1,84 @@
+"""Machines as they come: unstable by themselves, under a controller nobody wrote down, with a drifting sensor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from afdsvc.api.model import Model, Variable
+from afdsvc.api.signals import Channel, Trace
+from afdsvc.gap.explain import explain
+from afdsvc.lti.statespace import StateSpace
+from afdsvc.plugins.physics import afdsvc_physics
+
+DT, PERIOD, PERIODS, NOISE = 1e-3, 500, 4, 0.003
+STATES = (Variable("q", "mm"), Variable("v", "mm/s", rate_of="q"))
+FORCE, POSITION = (Variable("force", "N"),), (Variable("position", "mm"),)
+UNSTABLE, GAIN, DAMPING = 4e3, 4e4, 60.0  # q'' = UNSTABLE q - DAMPING v + GAIN u: it falls over in 16 ms
+HOLD = -1.1  # u = HOLD y + alpha keeps it up
+
+
+def falling(known: bool) -> Model:
+    plant = StateSpace(np.array([[0, 1.0], [UNSTABLE, -DAMPING]]), np.array([[0.0], [GAIN]]), np.array([[1.0, 0]]), np.zeros((1, 1)))
+    return Model("falling", FORCE, POSITION, STATES, plant, controller=StateSpace.gain(np.array([[HOLD]]), DT) if known else None)
+
+
+def balanced(seed: int, level: float, cubic: float = 0.0, drift: float = 0.0) -> Trace:
+    """A multisine added to the command of the balanced machine, by classical Runge-Kutta in four steps a sample."""
+    rng = np.random.default_rng(seed)
+    lines = np.array([k for i, k in enumerate(range(1, 50, 2)) if i % 4 != 3])
+    t = np.arange(PERIOD) * DT
+    alpha = np.cos(2 * np.pi * np.outer(t, lines) / (PERIOD * DT) + rng.uniform(0, 2 * np.pi, len(lines))).sum(1)
+    alpha = np.tile(level * alpha / alpha.std(), PERIODS + 1)
+    x, rows, h = np.zeros(2), [], DT / 4
+
+    def slope(x: np.ndarray, u: float) -> np.ndarray:
+        return np.array([x[1], UNSTABLE * x[0] - DAMPING * x[1] + GAIN * u - cubic * x[0] ** 3])
+
+    for k, a in enumerate(alpha):
+        y = x[0] + NOISE * rng.standard_normal() + drift * k * DT
+        u = HOLD * y + a
+        rows.append((u, y, a))
+        for _ in range(4):
+            s = [slope(x, u)]
+            for part in (0.5, 0.5, 1.0):
+                s.append(slope(x + part * h * s[-1], u))
+            x = x + h / 6 * (s[0] + 2 * s[1] + 2 * s[2] + s[3])
+    names = (Channel("u_force"), Channel("y_position"), Channel("alpha_force"))
+    return Trace(f"r{seed}", DT, names, np.array(rows)[PERIOD:])
+
+
+def four(**hidden: float) -> list[Trace]:
+    return [balanced(seed, level, **hidden) for seed, level in enumerate((0.3, 0.15, 0.25, 0.2))]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_physics_is_named_on_a_machine_that_falls_over_by_itself(known):
+    *recordings, held = four(cubic=2e4)
+    if not known:
+        recordings, held = [without(r, "alpha_force") for r in recordings], without(held, "alpha_force")
+    answer = explain(falling(known), recordings, [held], afdsvc_physics(), rehearse=False)
+    assert any("not stable by itself" in s for s in answer.check)
+    assert any("the controller is known" in s for s in answer.check) == known
+    assert (answer.named[0].physics, answer.named[0].site) == ("cubic_stiffness", "state:v")
+    assert answer.fit[0].after_nrmse < 1.3 * answer.fit[0].noise_floor_nrmse
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_nothing_is_named_where_nothing_is_hidden_on_an_unstable_machine(known):
+    *recordings, held = four()
+    answer = explain(falling(known), recordings, [held], afdsvc_physics(), rehearse=False)
+    assert answer.verdict == "consistent"
+
+
+def test_a_reading_that_drifts_is_named_or_told():
+    *recordings, held = four(drift=0.02)
+    answer = explain(falling(True), recordings, [held], afdsvc_physics(), rehearse=False)
+    assert "sensor_drift" in [n.physics for n in answer.named] or any("drift" in s for s in answer.check)
+
+
+def without(trace: Trace, name: str) -> Trace:
+    kept = [i for i, c in enumerate(trace.channels) if c.name != name]
+    return replace(trace, channels=tuple(trace.channels[i] for i in kept), values=trace.values[:, kept])
