@@ -41,12 +41,21 @@ def number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
 
 
+WHOLE = {"fault", "detector", "name"}  # columns of names, folded last
+
+
+def _table(title: str, *columns: str) -> Table:
+    """Return an empty table; what does not fit a narrow terminal is folded, never cut off."""
+    table = Table(title=title or None, box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    for column in columns:
+        table.add_column(column, overflow="fold", no_wrap=column in WHOLE and OUT.width >= 60)
+    return table
+
+
 def demo_table(document: dict[str, Any]) -> None:
     """Show truth beside verdict, and the files to open."""
     verdict = document["recordings"][0]["verdict"]
-    table = Table(title="What was injected and what was found")
-    for column in ("", "fault", "severity", "since"):
-        table.add_column(column)
+    table = _table("What was injected and what was found", "", "fault", "severity", "since")
     for t in document["truth"]:
         table.add_row("injected", t["fault"], f"{100 * t['severity']:+.1f} %", f"{t['start_s']:.1f} s")
     if not document["truth"]:
@@ -68,9 +77,8 @@ def _weights(weights: dict[str, float]) -> None:
 def diagnosis_table(document: dict[str, Any]) -> None:
     """Show the decisions of every burst and the verdict of every recording."""
     for recording in document["recordings"]:
-        table = Table(title=f"{recording['recording']} ({recording['machine']})")
-        for column in ("burst at", "detector", "statistic", "threshold", "decision", "fault", "severity"):
-            table.add_column(column)
+        columns = ("at", "detector", "value", "limit", "says", "fault", "severity")
+        table = _table(f"{recording['recording']} ({recording['machine']})", *columns)
         for burst in recording["bursts"]:
             for d in burst["decisions"]:
                 decision = "FAULT" if d["detected"] else ("quiet" if d.get("trustworthy", True) else "not trustworthy")
@@ -88,7 +96,7 @@ def diagnosis_table(document: dict[str, Any]) -> None:
         else:
             OUT.print(f"{recording['recording']} ({recording['machine']}): no bursts", style="bold", soft_wrap=True)
         _passive(recording)
-        for remark in recording["remarks"][:10]:
+        for remark in (*recording.get("notes", []), *recording["remarks"][:10]):
             OUT.print(f"note: {remark}", soft_wrap=True)
         verdict = recording["verdict"]
         words = verdict["fault"] or ("a fault, not singled out" if verdict["first_detected_s"] is not None else "no fault")
@@ -103,15 +111,15 @@ def design_table(document: dict[str, Any]) -> None:
         OUT.print(
             f"burst on {burst['input']}: {lines}, {burst['seconds']:.2f} s, up to {burst['peak_output']:.3g} at the outputs"
         )
-    table = Table(title=f"{document['machine']}: false alarms per hour {document['false_alarms_per_hour']:.3g}")
-    for column in ("fault", "severity", "detected with", "smallest found (99 %)", "standard error", "confused with"):
-        table.add_column(column)
+    title = f"{document['machine']}: false alarms per hour {document['false_alarms_per_hour']:.3g}"
+    table = _table(title, "fault", "severity", "P_D", "smallest", "sd", "confused with")
     for f in document["faults"]:
-        confused = ", ".join(f"{name} {100 * p:.1f} %" for name, p in f["confused_with"].items())
+        confused = "\n".join(f"{name} {100 * p:.0f} %" for name, p in f["confused_with"].items() if p >= 5e-3)
         smallest = "never" if f["smallest_detectable"] is None else f"{100 * f['smallest_detectable']:.2f} %"
         sd = "" if f["cramer_rao_sd"] is None else f"{100 * f['cramer_rao_sd']:.2f} %"
-        table.add_row(f["fault"], f"{100 * f['severity']:.0f} %", f"{f['p_detect']:.4f}", smallest, sd, confused)
+        table.add_row(f["fault"], f"{100 * f['severity']:.0f} %", f"{f['p_detect']:.3f}", smallest, sd, confused)
     OUT.print(table)
+    OUT.print("P_D: probability of detection; smallest: severity found with P_D 0.99; sd: standard error of the severity", soft_wrap=True)
     OUT.print(f"page {document['report']}", soft_wrap=True)
 
 
@@ -121,9 +129,7 @@ MEASURES = {"r2": "R2 of the thesis (4.38), 1 - NRMSE", "r2_classical": "R2, 1 -
 def identify_table(document: dict[str, Any]) -> None:
     """Show what was identified and how it does on data not used."""
     OUT.print(f"{document['method']}, order {document['order']} ({document.get('order_reason', '')})", soft_wrap=True)
-    table = Table(title="on data not used", box=box.SIMPLE_HEAD)
-    for column in ("output", "fit", "before", "after"):
-        table.add_column(column)
+    table = _table("on data not used", "output", "fit", "before", "after")
     for name, fit in document["fit"]["per_output"].items():
         for key, words in MEASURES.items():
             table.add_row(name if key == "r2" else "", words, f"{fit['before'][key]:.4f}", f"{fit['after'][key]:.4f}")
@@ -150,9 +156,8 @@ def _passive(recording: dict[str, Any]) -> None:
 
 def status_table(status: dict[str, Any]) -> None:
     """Show the machines of a service: what calls for attention first, then how the watching goes."""
-    table = Table(title=f"{status['site']}: afdsvc {status['version']}, up {status['uptime']:.0f} s", box=box.SIMPLE_HEAD)
-    for column in ("machine", "state", "alarms", "burst", "samples"):
-        table.add_column(column, overflow="fold")
+    title = f"{status['site']}: afdsvc {status['version']}, up {status['uptime']:.0f} s"
+    table = _table(title, "machine", "state", "alarms", "burst", "samples")
     for m in status["machines"]:
         calling = [a for a in m["alarms"] if a["active"] and not a["suppressed"] and a["kind"] != "notice"]
         style = "bold red" if any(not a["acknowledged"] for a in calling) else "" if m["state"] == "running" else "yellow"
@@ -186,9 +191,7 @@ def _samples(m: dict[str, Any]) -> str:
 
 def alarm_table(alarms: list[dict[str, Any]]) -> None:
     """Show the alarms: what calls for attention first, then what is put aside or over."""
-    table = Table(title="Alarms")
-    for column in ("id", "kind", "state", "since", "severity", "decisions", "people", "what"):
-        table.add_column(column)
+    table = _table("Alarms", "id", "kind", "state", "since", "severity", "decisions", "people", "what")
     for a in sorted(alarms, key=lambda a: (not a["active"], bool(a["cause"]), -a["since_ns"])):
         style = "bold red" if a["active"] and not (a["acknowledged"] or a["suppressed"] or a["shelved_until_ns"]) else ""
         people = ", ".join(f"{what} by {a[by]}" for what, by in PEOPLE if a[by])
@@ -216,9 +219,7 @@ def moment(t_ns: int) -> str:
 
 def history_table(changes: list[dict[str, Any]]) -> None:
     """Show what happened to alarms, oldest first."""
-    table = Table(title="What happened to alarms")
-    for column in ("when", "alarm", "event", "by", "why"):
-        table.add_column(column)
+    table = _table("What happened to alarms", "when", "alarm", "event", "by", "why")
     for c in changes:
         table.add_row(moment(c["t_ns"]), c["alarm"]["id"], c["event"], c["who"] or "the service", c["why"])
     OUT.print(table)
@@ -226,9 +227,7 @@ def history_table(changes: list[dict[str, Any]]) -> None:
 
 def plugin_table(rows: list[dict[str, str]], broken: dict[str, str]) -> None:
     """Show the plugins by family."""
-    table = Table()
-    for column in ("family", "name", "summary", "from"):
-        table.add_column(column)
+    table = _table("", "family", "name", "summary", "from")
     for row in rows:
         table.add_row(row["family"], row["name"], row["summary"], row["plugin"])
     OUT.print(table)
@@ -239,7 +238,7 @@ def plugin_table(rows: list[dict[str, str]], broken: dict[str, str]) -> None:
 def explain_table(document: dict[str, Any]) -> None:
     """Show the verdict, the names with their look-alikes, and the fit before and after."""
     OUT.print(f"verdict: {document['verdict'].replace('_', ' ')}", style="bold")
-    for sentence in (*document["check"], *document["sentences"]):
+    for sentence in (*document["notes"].get("data", []), *document["check"], *document["sentences"]):
         OUT.print(f"note: {sentence}", soft_wrap=True)
     for place in document["located"][:5]:
         OUT.print(f"where: {place['evidence']}", soft_wrap=True)
@@ -247,13 +246,20 @@ def explain_table(document: dict[str, Any]) -> None:
         OUT.print(f"{named['weight']:.3f}  {named['sentence']}", soft_wrap=True)
     if document["next_experiment"]:
         OUT.print(f"next experiment: {document['next_experiment']['sentence']}", soft_wrap=True)
-    table = Table(title=f"|y - yhat| / |y - mean| on {', '.join(document['fit']['heldout'])}")
-    for column in ("output", "before", "after", "noise floor"):
-        table.add_column(column)
+    title = f"|y - yhat| / |y - mean| on {', '.join(document['fit']['heldout'])}"
+    table = _table(title, "output", "before", "after", "noise floor")
     for name, fit in document["fit"]["per_output"].items():
         table.add_row(name, *(number(v) for v in (fit["before"]["nrmse"], fit["after"]["nrmse"], fit["noise_floor_nrmse"])))
     OUT.print(table)
     OUT.print(f"model  {document['model']}\nreport {document['report']}", soft_wrap=True)
+
+
+def import_table(document: dict[str, Any]) -> None:
+    """Show what was written, and what was done to the data on the way."""
+    for note in document["notes"]:
+        OUT.print(f"note: {note}", soft_wrap=True)
+    pieces = f" in {document['pieces']} pieces" if document["pieces"] > 1 else ""
+    OUT.print(f"{document['recording']}: {document['samples']} samples{pieces}, {', '.join(document['channels'])}", soft_wrap=True)
 
 
 def trial_table(document: dict[str, Any]) -> None:
@@ -264,9 +270,7 @@ def trial_table(document: dict[str, Any]) -> None:
 
 def check_table(rows: list[dict[str, str]]) -> None:
     """Show the checks of a plugin, and what does not hold."""
-    table = Table(box=box.SIMPLE_HEAD)
-    for column in ("", "plugin", "what is asked"):
-        table.add_column(column, overflow="fold")
+    table = _table("", "", "plugin", "what is asked")
     for r in rows:
         mark = Text("fails", "bold red") if r["failure"] else Text("holds", "green")
         table.add_row(mark, r["name"], Text(r["asked"]).append(f"\n{r['failure']}" if r["failure"] else "", "red"))
