@@ -109,7 +109,7 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         for machine in machines:
             id, diagnosis = machine.config.id, diagnosis_burst(machine)
             stream = pipeline_of(machine, plugins, diagnosis)
-            sink = Fan([*outlets.of(machine), Publisher(keys, post, news)])
+            sink = Fan([*outlets.of(machine), Publisher(keys, post, news, transport.heard)])
             watches[id] = MachineWatch(id, stream, sink, clock)
             if machine.limits is not None and isinstance(stream, (Pipeline, SpeedPipeline)):
                 scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(desks)), 0.0)

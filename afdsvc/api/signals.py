@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -28,12 +29,18 @@ class Channel:
     @property
     def role(self) -> str:
         """One of `ROLES`: u input, y output, alpha excitation, beta residual, ref reference, aux anything else."""
-        return self.name.split("_", 1)[0]
+        return _parts(self.name)[0]
 
     @property
     def label(self) -> str:
         """The name without its role."""
-        return self.name.split("_", 1)[1]
+        return _parts(self.name)[1]
+
+
+@lru_cache(maxsize=4096)  # asked for every channel of every block
+def _parts(name: str) -> tuple[str, str]:
+    role, _, label = name.partition("_")
+    return role, label
 
 
 def of_role(channels: Iterable[Channel], role: str) -> list[int]:

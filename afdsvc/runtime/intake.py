@@ -83,7 +83,9 @@ def _gap(block: Block, state: IntakeState, lost: int) -> Finding:
 
 def _bad_samples(block: Block) -> tuple[bool, list[Finding]]:
     """NaN in an input or output makes the whole block unusable; the channel and the first sample are named."""
-    findings = []
+    findings: list[Finding] = []
+    if np.isfinite(block.values).all():
+        return False, findings
     for i, channel in enumerate(block.channels):
         if channel.role in ("u", "y") and not np.isfinite(block.values[:, i]).all():
             k = int(np.flatnonzero(~np.isfinite(block.values[:, i]))[0])
@@ -99,6 +101,8 @@ def _frozen(
     y = block.role("y")
     p = y.shape[1]
     before = None if fresh else state.last
+    if not (y[1:] == y[:-1]).any() and (before is None or not (y[0] == before).any()):
+        return np.zeros(p), y[-1].copy(), (False,) * p, []
     run = np.zeros(p) if fresh or state.run is None else state.run.copy()
     same = np.diff(y, axis=0, prepend=y[:1] * np.nan if before is None else before[None, :]) == 0
     longest = run.copy()

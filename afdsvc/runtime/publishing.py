@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from afdsvc.api.signals import Block, Channel
@@ -28,13 +29,15 @@ class Publisher:
     keys: Keys
     post: Post
     stream: Post
+    heard: Callable[[str], bool] = lambda key: True
 
     def block(self, block: Block, payload: bytes) -> None:
         """Nothing: the rig published it."""
 
     def residual(self, block: Block, residual: Array) -> None:
-        """Publish the whitened residual."""
-        self.stream.send(self.keys.residual(block.machine), codec.encode_block, residual_block(block, residual))
+        """Publish the whitened residual, when anybody looks at it."""
+        if self.heard(self.keys.residual(block.machine)):
+            self.stream.send(self.keys.residual(block.machine), codec.encode_block, residual_block(block, residual))
 
     def finding(self, finding: Finding) -> None:
         """Publish a decision."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import logging
 import threading
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +26,7 @@ from afdsvc.runtime.certificates import key_files
 
 log = logging.getLogger(__name__)
 CLOSING_SECONDS = 2.0
+HEARD_SECONDS = 0.5
 Receive = Callable[[str, bytes], None]
 Answer = Callable[[bytes], bytes]
 
@@ -98,6 +100,7 @@ class Transport:
         self._session: zenoh.Session | None = None
         self._publishers: dict[str, Any] = {}
         self._keep: list[Any] = []
+        self._heard: dict[str, tuple[float, bool]] = {}
         self._lock = threading.Lock()
         self.lost = 0
 
@@ -130,11 +133,25 @@ class Transport:
         What only its newest value matters of (``keep`` False) is not cached, and never waits for a stalled subscriber: it is
         dropped for that one. Anything else may wait for some seconds, so send it from a thread that can.
         """
+        self._publisher(key, keep).put(payload)
+
+    def heard(self, key: str) -> bool:
+        """Whether anybody listens to a key whose messages are not kept; asked of zenoh twice a second, so it may be that old."""
+        now = time.monotonic()
+        until, answer = self._heard.get(key, (0.0, False))
+        if now > until:
+            if self._session is None:
+                return False
+            answer = bool(self._publisher(key, False).matching_status.matching)
+            self._heard[key] = now + HEARD_SECONDS, answer
+        return answer
+
+    def _publisher(self, key: str, keep: bool) -> Any:
         with self._lock:
             publisher = self._publishers.get(key)
             if publisher is None:
                 publisher = self._publishers[key] = self._declare_publisher(key, keep)
-        publisher.put(payload)
+        return publisher
 
     def subscribe(self, pattern: str, receive: Receive, missed: bool = True) -> None:
         """Call ``receive(key, payload)`` for everything published on the pattern, in a thread of its own.

@@ -113,3 +113,14 @@ def test_two_hubs_at_one_place_and_a_client_without_a_hub_are_named(settings):
     lonely = Settings(listen=[f"tcp/127.0.0.1:{free_port()}"], patience_seconds=0.5)
     with pytest.raises(BadInput, match="no service answers at"), Transport(lonely, hub=False):
         pass
+
+
+def test_it_is_known_whether_anybody_listens(settings):
+    key = "afdsvc/t/m/residual"
+    with Transport(settings, hub=True) as hub:
+        assert not hub.heard(key)
+        with Transport(settings, hub=False) as viewer:
+            viewer.subscribe(key, lambda key, payload: None, missed=False)
+            assert wait_for(lambda: hub.heard(key))
+        assert wait_for(lambda: not hub.heard(key))
+    assert not hub.heard("afdsvc/t/other/residual"), "closed: nobody, and no error"
