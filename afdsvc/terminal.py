@@ -41,7 +41,7 @@ def number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
 
 
-WHOLE = {"fault", "detector", "name"}  # columns of names, folded last
+WHOLE = {"fault", "detector", "name", "id", "since"}  # columns of names, folded last
 
 
 def _table(title: str, *columns: str) -> Table:
@@ -191,14 +191,16 @@ def _samples(m: dict[str, Any]) -> str:
 
 def alarm_table(alarms: list[dict[str, Any]]) -> None:
     """Show the alarms: what calls for attention first, then what is put aside or over."""
-    table = _table("Alarms", "id", "kind", "state", "since", "severity", "decisions", "people", "what")
-    for a in sorted(alarms, key=lambda a: (not a["active"], bool(a["cause"]), -a["since_ns"])):
+    table = _table("Alarms", "id", "state", "since", "severity", "count")
+    by_urgency = sorted(alarms, key=lambda a: (not a["active"], bool(a["cause"]), -a["since_ns"]))
+    for a in by_urgency:
         style = "bold red" if a["active"] and not (a["acknowledged"] or a["suppressed"] or a["shelved_until_ns"]) else ""
-        people = ", ".join(f"{what} by {a[by]}" for what, by in PEOPLE if a[by])
-        said = f"{a['suppressed'] or a['sentence']} {a['comment']}".strip()
-        row = (a["id"], a["kind"], alarm_state(a), moment(a["since_ns"]), percent(a["severity"]), str(a["count"]), people, said)
-        table.add_row(*row, style=style)
+        table.add_row(a["id"], alarm_state(a).partition(",")[0], moment(a["since_ns"]), percent(a["severity"]), str(a["count"]), style=style)
     OUT.print(table)
+    for a in by_urgency:
+        people = ", ".join(f"{what} by {a[by]}" for what, by in PEOPLE if a[by])
+        said = (f"{a['suppressed'] or a['sentence']}", a["comment"], people)
+        OUT.print(f"{a['id']} ({a['kind']}, {alarm_state(a)}): {'; '.join(filter(None, said))}", soft_wrap=True)
 
 
 PEOPLE = (("acknowledged", "acknowledged_by"), ("confirmed", "confirmed_by"), ("shelved", "shelved_by"))
