@@ -16,13 +16,13 @@ from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
 from afdsvc.gap.explain import explain
 from afdsvc.gap.explanation import Explanation
-from afdsvc.offline import TABLES
 from afdsvc.plugins.manager import load
+from afdsvc.record.foreign import prepared, read_foreign
 from afdsvc.record.improved_model import write_improved
 from afdsvc.record.linear_model import linear_model
+from afdsvc.record.loading import TABLES, Naming, foreign_mapping, is_ours, load_table, own_traces
 from afdsvc.record.model_file import read_model
 from afdsvc.record.reader import Recording
-from afdsvc.record.tables import read_table, with_units
 
 RECORDING = ".mcap"
 CODE = "the model is a Python simulator; what is explained, and improved, is its linear part"
@@ -35,7 +35,7 @@ class ExplainOptions:
     """How `explain_files` goes about it: where files go, column names by foreign name, whether a model's code may run.
 
     ``rerun`` is the Rerun file to write (None: none), ``machine`` the one meant in recordings of several, ``jobs`` how many
-    cores are used.
+    cores are used, ``mapping_file`` the mapping of recordings of others.
     """
 
     out: Path | None = None
@@ -44,6 +44,7 @@ class ExplainOptions:
     rerun: Path | None = None
     machine: str | None = None
     jobs: int = 2
+    mapping_file: Path | None = None
 
 
 def explain_files(
@@ -65,7 +66,9 @@ def explain_files(
     folder = _folder(model, options)
     found = explain(nominal, train, held, load_library(), mapper=parallel(options.jobs), progress=progress)
     notes = (CODE,) if given.dynamics is not None else ()
-    return _written(replace(found, check=(*notes, *found.check)), nominal, folder, means([*train, *held]), options)
+    data = prepared([*train, *held])
+    found = replace(found, check=(*notes, *found.check), notes={**found.notes, "data": data})
+    return _written(found, nominal, folder, means([*train, *held]), options)
 
 
 def model_of(path: Path, options: ExplainOptions) -> Model:
@@ -83,17 +86,23 @@ def model_of(path: Path, options: ExplainOptions) -> Model:
 def traces(paths: Sequence[Path], model: Model, options: ExplainOptions) -> list[Trace]:
     """Return every gapless piece of the files, with the model's units, each under a name of its own."""
     found: list[Trace] = []
+    naming = Naming.of(options.mapping_file, options.mapping)
     for path in paths:
         table = path.suffix.lower() in TABLES
-        dt = None if model.plant is None or not model.plant.discrete else model.plant.dt
-        pieces = [_table(path, options.mapping, dt)] if table else _kept(Recording(path), options.machine)
+        pieces = _table(path, naming, model) if table else _recorded(Recording(path), naming, model, options.machine)
         found += [_named(t, f"{t.name} ({k})" if len(pieces) > 1 else t.name, found) for k, t in enumerate(pieces, 1)]
-    return [with_units(t, model) for t in found]
+    return found
 
 
-def _kept(recording: Recording, machine: str | None) -> list[Trace]:
+def _recorded(recording: Recording, naming: Naming, model: Model, machine: str | None) -> list[Trace]:
+    if is_ours(recording, naming):
+        return _kept(recording, model, machine)
+    return read_foreign(recording.path, foreign_mapping(recording, naming), model)
+
+
+def _kept(recording: Recording, model: Model, machine: str | None) -> list[Trace]:
     """Return the bursts of a recording of the service, each with a moment of rest before it; everything where there is none."""
-    found, bursts = recording.traces(machine), _burst_spans(recording, machine)
+    found, bursts = own_traces(recording, model, machine), _burst_spans(recording, machine)
     pieces = []
     for t in found:
         first = int(t.notes.get("k0", 0))
@@ -114,14 +123,15 @@ def _burst_spans(recording: Recording, machine: str | None) -> list[tuple[str, i
     return [(session, a, b) for (_, session, _), (a, b) in spans.items()]
 
 
-def _table(path: Path, mapping: Mapping[str, str], dt: float | None) -> Trace:
+def _table(path: Path, naming: Naming, model: Model) -> list[Trace]:
     """Read a table; a sample time from the model serves where the table has no time, missing samples become gaps."""
+    dt = None if model.plant is None or not model.plant.discrete else model.plant.dt
     try:
-        return read_table(path, mapping, allow_nan=True)
+        return load_table(path, naming, model, gaps=True)
     except BadInput as error:
         if dt is None or "no sample time is known" not in str(error):
             raise
-        return read_table(path, mapping, dt, allow_nan=True)
+        return load_table(path, naming, model, dt, gaps=True)
 
 
 def _named(trace: Trace, name: str, others: Iterable[Trace]) -> Trace:

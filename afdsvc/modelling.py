@@ -10,32 +10,31 @@ import numpy as np
 
 from afdsvc import commission
 from afdsvc.api.detection import FalseAlarms
+from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
 from afdsvc.excite.default import Aim, default_burst
 from afdsvc.excite.sheet import design_sheet
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.procedure import identify
-from afdsvc.offline import TABLES
 from afdsvc.plugins.manager import load
+from afdsvc.record.foreign import prepared
+from afdsvc.record.loading import Naming, load_traces
 from afdsvc.record.model_file import read_model, write_model
-from afdsvc.record.reader import Recording
-from afdsvc.record.tables import read_table, with_units
 from afdsvc.report.design_page import design_page
 from afdsvc.runtime.site import read_site
 
 
-def read_traces(paths: Sequence[Path], machine: str | None = None) -> list[Trace]:
-    """Return the traces of recordings (MCAP: every gapless piece) and tables; raises `BadInput` naming the file."""
-    traces: list[Trace] = []
-    for path in paths:
-        traces += [read_table(path)] if path.suffix.lower() in TABLES else Recording(path).traces(machine)
-    return traces
+def read_traces(
+    paths: Sequence[Path], machine: str | None = None, naming: Naming = Naming(), model: Model | None = None
+) -> list[Trace]:
+    """Return the traces of recordings (every gapless piece) and tables, in the model's units; raises `BadInput` naming the file."""
+    return [trace for path in paths for trace in load_traces(path, naming, model, machine)]
 
 
 def identify_files(
     model: Path, recordings: Sequence[Path], holdout: Sequence[Path], out: Path | None, options: Mapping[str, Any], seed: int,
-    allow_code: bool = False,
+    allow_code: bool = False, naming: Naming = Naming(),
 ) -> dict[str, Any]:
     """Identify from files; writes the improved model and an HTML page beside it and returns ``identify --json``.
 
@@ -43,7 +42,7 @@ def identify_files(
     """
     nominal = read_model(model, allow_code)
     chosen = IdentifyOptions.of({k: v for k, v in options.items() if v is not None})
-    train, test = ([with_units(t, nominal) for t in read_traces(paths)] for paths in (recordings, holdout))
+    train, test = (read_traces(paths, None, naming, nominal) for paths in (recordings, holdout))
     result = identify(nominal, train, test, chosen, np.random.default_rng(seed))
     target = out or model.with_name(f"{model.stem}.identified.toml")
     if target.resolve() == model.resolve():
@@ -52,8 +51,10 @@ def identify_files(
     page = target.with_suffix(".html")
     from afdsvc.report.identify_page import identify_page
 
-    page.write_text(identify_page(result), encoding="utf-8")
-    return {**result.json(str(target)), "report": str(page)}
+    data = prepared([*train, *test])
+    page.write_text(identify_page(result, data=data), encoding="utf-8")
+    document = result.json(str(target))
+    return {**document, "notes": [*document["notes"], *data], "report": str(page)}
 
 
 def design_files(site_file: Path, machine: str | None, out: Path | None) -> dict[str, Any]:

@@ -10,26 +10,26 @@ from typing import Any
 from afdsvc import commission
 from afdsvc.api.bursts import Burst
 from afdsvc.api.evidence import Evidence
+from afdsvc.api.model import Model
 from afdsvc.api.signals import Block
 from afdsvc.commission import Commissioned, Watched
 from afdsvc.errors import BadInput
 from afdsvc.hal.replay import blocks_of
 from afdsvc.plugins.manager import Plugins, load
-from afdsvc.record.import_table import import_table
+from afdsvc.record.foreign import prepared
+from afdsvc.record.import_table import import_traces
+from afdsvc.record.loading import TABLES, Naming, foreign_mapping, is_ours, load_traces, own_traces
 from afdsvc.record.model_file import read_model
 from afdsvc.record.reader import Recording
-from afdsvc.record.tables import read_table
 from afdsvc.runtime.commands import plain
 from afdsvc.runtime.site import Detector, Driver, Machine, parse_site
 from afdsvc.runtime.verdict import conclude
 from afdsvc.service import pipeline_of
 
-TABLES = (".csv", ".parquet", ".mat", ".npz")
-
 
 def diagnose_recordings(
     paths: Sequence[Path], model: Path | None = None, calibrate: float | None = None, calibrate_on: Path | None = None,
-    detectors: Sequence[str] = (),
+    detectors: Sequence[str] = (), naming: Naming = Naming(),
 ) -> dict[str, Any]:
     """Return the document of ``diagnose --json`` for recordings (MCAP) and tables; raises `BadInput` naming the file.
 
@@ -38,8 +38,8 @@ def diagnose_recordings(
     plugins = load()
     found: list[dict[str, Any]] = []
     for path in paths:
-        if path.suffix.lower() in TABLES:
-            found.append(_diagnose_table(path, model, calibrate, calibrate_on, plugins, detectors))
+        if path.suffix.lower() in TABLES or not is_ours(Recording(path), naming):
+            found += _diagnose_foreign(path, model, calibrate, calibrate_on, plugins, detectors, naming)
         else:
             found += _diagnose_mcap(path, model, calibrate, plugins, detectors)
     return {"recordings": found}
@@ -93,7 +93,8 @@ def _diagnose_mcap(
         bursts = [r.burst for r in recording.requests(id)]
         replayed = evidence_of(machine, recording.blocks(id), bursts, plugins)
         remarks = [*([recording.loss] if recording.loss else []), *replayed.remarks]
-        found.append(document(str(path), id, replayed, {b.name: b for b in bursts}, machine, remarks))
+        imported = prepared(own_traces(recording, None, id)[:1]) if "import" in recording.metadata else []
+        found.append(document(str(path), id, replayed, {b.name: b for b in bursts}, machine, remarks, imported))
     return found
 
 
@@ -113,17 +114,29 @@ def _machine_of(recording: Recording, id: str, model: Path | None, calibrate: fl
     return commission.commission(_bare(id, calibrate or samples * first.dt / 2), plugins, watched)
 
 
-def _diagnose_table(
-    path: Path, model: Path | None, calibrate: float | None, on: Path | None, plugins: Plugins, detectors: Sequence[str]
-) -> dict[str, Any]:
-    if model is None:
-        raise BadInput(f"{path}: a table carries no model; give one with --model MODEL.toml")
-    trace = read_table(path)
-    config = _bare(path.stem.replace(" ", "_"), calibrate or len(trace) * trace.dt / 2, on)
-    watched = Watched(read_model(model), trace.dt, trace.channels)
-    machine = _watched_by(detectors, commission.commission(config, plugins, watched))
-    replayed = evidence_of(machine, blocks_of(trace, config.id, "table", 0), [], plugins)
-    return document(str(path), config.id, replayed, {}, machine, replayed.remarks)
+def _diagnose_foreign(
+    path: Path, model: Path | None, calibrate: float | None, on: Path | None, plugins: Plugins, detectors: Sequence[str], naming: Naming
+) -> list[dict[str, Any]]:
+    """Diagnose a table, or a recording of others: every stretch without a gap by itself."""
+    nominal = _wanted_model(path, model, naming)
+    traces = load_traces(path, naming, nominal)
+    found = []
+    for number, trace in enumerate(traces, 1):
+        config = _bare(path.stem.replace(" ", "_"), calibrate or len(trace) * trace.dt / 2, on)
+        watched = Watched(nominal, trace.dt, trace.channels)
+        machine = _watched_by(detectors, commission.commission(config, plugins, watched))
+        replayed = evidence_of(machine, blocks_of(trace, config.id, "table", 0), [], plugins)
+        name = str(path) if len(traces) == 1 else f"{path} ({number})"
+        found.append(document(name, config.id, replayed, {}, machine, replayed.remarks, prepared([trace])))
+    return found
+
+
+def _wanted_model(path: Path, model: Path | None, naming: Naming) -> Model:
+    if model is not None:
+        return read_model(model)
+    if path.suffix.lower() not in TABLES:
+        foreign_mapping(Recording(path), naming)  # without it, that is what is missing first
+    raise BadInput(f"{path}: a table carries no model; give one with --model MODEL.toml")
 
 
 def _watched_by(detectors: Sequence[str], machine: Commissioned) -> Commissioned:
@@ -148,8 +161,9 @@ def document(
     bursts: Mapping[str, Burst],
     parts: Commissioned,
     remarks: Sequence[str],
+    notes: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Return one recording's part of ``diagnose --json``."""
+    """Return one recording's part of ``diagnose --json``; ``notes`` say what was done to its data."""
     verdict = conclude(replayed.evidence)
     return {
         "recording": name,
@@ -159,6 +173,7 @@ def document(
         "watched_s": replayed.seconds,
         "promised_alarms": _promised(parts, replayed.seconds),
         "remarks": list(remarks),
+        "notes": list(notes),
         "verdict": {
             "fault": verdict.fault,
             "severity": plain(verdict.severity),
@@ -217,8 +232,15 @@ def _passive(replayed: Replayed) -> list[dict[str, Any]]:
     return [decision(e) for e in replayed.evidence if not e.burst]
 
 
-def import_recording(table: Path, out: Path, model: Path | None, mapping: Mapping[str, str]) -> dict[str, Any]:
-    """Write a table as a recording; returns what was written."""
-    trace = read_table(table, mapping=mapping)
-    made = import_table(trace, out, read_model(model) if model else None, machine=table.stem)
-    return {"recording": str(made), "samples": len(trace), "channels": [c.name for c in trace.channels], "dt": trace.dt}
+def import_recording(
+    table: Path, out: Path, model: Path | None, mapping: Mapping[str, str], mapping_file: Path | None = None
+) -> dict[str, Any]:
+    """Write a table, or a recording of others, as a recording of ours; returns what was written and what was done for it."""
+    nominal, naming = read_model(model) if model else None, Naming.of(mapping_file, mapping)
+    traces = load_traces(table, naming, nominal)
+    made = import_traces(traces, out, nominal, machine=table.stem)
+    first, samples = traces[0], sum(len(t) for t in traces)
+    return {
+        "recording": str(made), "samples": samples, "channels": [c.name for c in first.channels], "dt": first.dt,
+        "pieces": len(traces), "notes": prepared(traces),
+    }

@@ -15,7 +15,7 @@ import typer
 
 from afdsvc import __version__
 from afdsvc.cli import plugins, running
-from afdsvc.cli.options import Json, MachineOption, SiteFile, show
+from afdsvc.cli.options import Json, MachineOption, MappingOption, SiteFile, show
 from afdsvc.errors import AfdsvcError, BadInput
 
 app = typer.Typer(
@@ -156,13 +156,15 @@ def diagnose(
     calibrate: Annotated[float | None, typer.Option(metavar="SECONDS", help="Quiet data to learn the noise from.")] = None,
     calibrate_on: Annotated[Path | None, typer.Option(metavar="TABLE", help="Learn the noise from another table.")] = None,
     detector: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Instead of the site's own; may be repeated.")] = None,
+    mapping: MappingOption = None,
     as_json: Json = False,
 ) -> None:
     """Run the detectors over recordings: the same code and the same evidence as live."""
     from afdsvc.offline import diagnose_recordings
+    from afdsvc.record.loading import Naming
     from afdsvc.terminal import diagnosis_table
 
-    document = diagnose_recordings(recordings, model, calibrate, calibrate_on, detector or [])
+    document = diagnose_recordings(recordings, model, calibrate, calibrate_on, detector or [], Naming.of(mapping))
     show(as_json, document, lambda: diagnosis_table(document))
 
 
@@ -197,18 +199,20 @@ def identify(
     free: Annotated[list[str] | None, typer.Option(metavar="PARAMETER", help="Only these parameters move; may be repeated.")] = None,
     starts: Annotated[int | None, typer.Option(help="Starting points of the grey-box search.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the starting points.")] = 0,
+    mapping: MappingOption = None,
     allow_code: Annotated[bool, typer.Option("--allow-code", help="Let a model's Python simulator run.")] = False,
     as_json: Json = False,
 ) -> None:
     """Identify the plant from recordings made in closed loop, and judge it on data not used."""
     from afdsvc.modelling import identify_files
+    from afdsvc.record.loading import Naming
     from afdsvc.terminal import identify_table
 
     options = {
         "method": method, "order": order, "reduce_to": reduce_to, "starts": starts, "weighting": weighting, "horizon": horizon,
         "reduction": reduction, "norm": norm, "free": tuple(free) if free else None,
     }  # fmt: skip
-    document = identify_files(model, recordings, holdout or [], out, options, seed, allow_code)
+    document = identify_files(model, recordings, holdout or [], out, options, seed, allow_code, Naming.of(mapping))
     show(as_json, document, lambda: identify_table(document))
 
 
@@ -219,6 +223,7 @@ def explain(
     holdout: Annotated[list[Path] | None, typer.Option(help="Recordings never used in fitting; may be repeated.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder of the improved model and the report.")] = None,
     column: Annotated[list[str] | None, typer.Option("--map", metavar="COLUMN=u_name", help="Name a foreign column.")] = None,
+    mapping: MappingOption = None,
     rrd: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Write before and after for Rerun.")] = None,
     machine: MachineOption = None,
     allow_code: Annotated[bool, typer.Option("--allow-code", help="Let a model's Python simulator run.")] = False,
@@ -229,7 +234,7 @@ def explain(
     from afdsvc.explaining import ExplainOptions, explain_files
     from afdsvc.terminal import explain_table, progress
 
-    options = ExplainOptions(out, _mapping(column or []), allow_code, rrd, machine, jobs)
+    options = ExplainOptions(out, _mapping(column or []), allow_code, rrd, machine, jobs, mapping)
     with progress("explaining", 1.0) as tell:
         document = explain_files(model, recordings or [], holdout or [], options, lambda what, share: tell(share))
     show(as_json, document, lambda: explain_table(document))
@@ -318,17 +323,19 @@ def recover(
 
 @app.command("import")
 def import_(
-    table: Annotated[Path, typer.Argument(metavar="TABLE", help=".csv, .parquet, .mat or .npz")],
+    table: Annotated[Path, typer.Argument(metavar="TABLE", help=".csv, .parquet, .mat, .npz, or .mcap of others with --mapping")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mcap", help="The recording to write.")],
     model: Annotated[Path | None, typer.Option(metavar="MODEL.toml", help="The model to put inside.")] = None,
     column: Annotated[list[str] | None, typer.Option("--map", metavar="COLUMN=u_name", help="Name a foreign column.")] = None,
+    mapping: MappingOption = None,
     as_json: Json = False,
 ) -> None:
-    """Turn a foreign table into a recording, to the last bit."""
+    """Turn a foreign table into a recording, to the last bit; with a mapping, in its units and at its rate."""
     from afdsvc.offline import import_recording
+    from afdsvc.terminal import import_table
 
-    done = import_recording(table, out, model, _mapping(column or []))
-    show(as_json, done, lambda: print(f"{done['recording']}: {done['samples']} samples, {', '.join(done['channels'])}"))
+    done = import_recording(table, out, model, _mapping(column or []), mapping)
+    show(as_json, done, lambda: import_table(done))
 
 
 def _mapping(pairs: list[str]) -> dict[str, str]:

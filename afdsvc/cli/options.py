@@ -13,6 +13,9 @@ Json = Annotated[bool, typer.Option("--json", help="Exactly one JSON document on
 SiteFile = Annotated[Path, typer.Argument(metavar="SITE.toml", help="The site file.")]
 SiteOption = Annotated[Path, typer.Option("--site", metavar="SITE.toml", help="The site file the service runs with.")]
 MachineOption = Annotated[str | None, typer.Option("--machine", help="Id of the machine; needed when there are several.")]
+MappingOption = Annotated[
+    Path | None, typer.Option("--mapping", metavar="FILE.toml", help="What the columns or topics of recordings of others are.")
+]
 HERE = Path("site.toml")
 
 

@@ -17,8 +17,9 @@ from afdsvc.lti.frequency import frequency_response
 BEFORE, AFTER, FULL = "#999999", "#1b6ca8", "#c8553d"
 
 
-def identify_page(result: IdentifyResult, model_path: str | None = None) -> str:
-    """Return the page of an identification; ``model_path`` is where the improved model was written."""
+def identify_page(result: IdentifyResult, model_path: str | None = None, data: Sequence[str] = ()) -> str:
+    """Return the page of an identification; ``model_path`` is where the improved model was written, ``data`` what was done to
+    the recordings."""
     figures = [
         ("Frequency response", "Identified plant with its 95 % band, the model it started from, and the plant before its "
          "order was reduced where that was done.", _bode(result)),
@@ -30,7 +31,7 @@ def identify_page(result: IdentifyResult, model_path: str | None = None) -> str:
     ]  # fmt: skip
     page = Environment(loader=PackageLoader("afdsvc.report", "."), autoescape=select_autoescape(["j2"]))
     return page.get_template("identify_page.html.j2").render(
-        result=result, document=result.json(model_path), figures=[f for f in figures if f[2]]
+        result=result, document=result.json(model_path), data=data, figures=[f for f in figures if f[2]]
     )
 
 
