@@ -23,7 +23,7 @@ from afdsvc.gap.settle import raw, settle
 from afdsvc.gap.sizes import bandwidth, machine
 
 WORTH_SAYING = 0.03  # share of the gap below which a further effect is not named
-BETTER_SHAPE = 0.25  # share below which a second effect of the same family and place is only a better shape of the first
+BETTER_SHAPE = 0.25  # share below which a second effect at the same place is only a better shape of the first
 SURE_SECOND = 4.0  # standard errors a further effect must show
 QUIET = 1e-3  # p-value above which what is left counts as noise
 BAND = 1.5  # how far above the excitation what repeats is looked for
@@ -102,18 +102,18 @@ def forward(
 def _reconsider(
     base: Baseline, order: list[int], steps: list[Step], select: Sequence[Run], samples: tuple[int, int], mapper: Mapper
 ) -> tuple[Baseline, list[int], list[Step]]:
-    """Judge every effect anew with the others in place."""
+    """Judge every effect anew with the others in place; one that is not asked for beside them any more is dropped."""
     if len(order) < 2 and base.limited == "noise":
         return base, order, steps
     steps = list(steps)
     for number in list(order):
         at = order.index(number)
-        new = reconsidered(base, at, steps[number].ruling, select, samples, mapper)
-        if new is None:
-            continue
-        base, ruling = new
-        steps[number] = replace(steps[number], ruling=ruling)
-        order = [*order[:at], *order[at + 1 :], number]
+        base_then, ruling = reconsidered(base, at, steps[number].ruling, select, samples, mapper)
+        if ruling.accepted:
+            steps[number] = replace(steps[number], ruling=ruling)
+            base, order = base_then, [*order[:at], *order[at + 1 :], number]
+        elif len(order) > 1:
+            base, order = base_then, [*order[:at], *order[at + 1 :]]
     return base, order, steps
 
 
@@ -195,14 +195,14 @@ def _second(ruling: Ruling, share: float, before: Point) -> str:
     z = separation(ruling.nothing.blocks, choice.blocks)
     if z < SURE_SECOND:
         return f"a further effect ({choice.key}) shows in {z:.1f} standard errors only"
-    same = [e.hypothesis for e in before.effects if choice.hypothesis is not None and _alike(e.hypothesis, choice.hypothesis)]
+    same = [e.hypothesis for e in before.effects if choice.hypothesis is not None and _same_place(e.hypothesis, choice.hypothesis)]
     if same and share < BETTER_SHAPE:
         return f"a further effect ({choice.key}) only mends the shape of {same[0].key}"
     return ""
 
 
-def _alike(a: Hypothesis, b: Hypothesis) -> bool:
-    return a.family == b.family and a.site == b.site
+def _same_place(a: Hypothesis, b: Hypothesis) -> bool:
+    return a.site == b.site and (a.family == b.family or a.site != "machine")
 
 
 def _without_superfluous(base: Baseline, order: list[int], samples: tuple[int, int]) -> tuple[Baseline, list[int]]:

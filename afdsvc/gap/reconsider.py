@@ -19,9 +19,9 @@ PASSES = 8
 
 def reconsidered(
     base: Baseline, number: int, ruling: Ruling, select: Sequence[Run], samples: tuple[int, int], mapper: Mapper = map
-) -> tuple[Baseline, Ruling] | None:
+) -> tuple[Baseline, Ruling]:
     """Return the end of the search with effect ``number`` moved to the end, the best of its look-alikes in its place, and
-    the new ruling; None when nothing is accepted there any more."""
+    the new ruling; the search without it, and a ruling that says why, when nothing is accepted there any more."""
     point = base.point
     kept = point.effects[:number] + point.effects[number + 1 :]
     without = replace(base, point=settle(base.objective, replace(point, effects=kept), PASSES))
@@ -29,7 +29,7 @@ def reconsidered(
     found = list(mapper(partial(_swapped, base, kept, select), _contenders(point.effects[number], kept, ruling)))
     new = judge(without, [nothing, *found], max(len(found), 1), samples)
     if not new.accepted:
-        return None
+        return without, new
     return replace(base, point=new.rivals[0].candidate.point), replace(new, beaten=_all_beaten(new, ruling))
 
 

@@ -16,10 +16,11 @@ from afdsvc.gap.objective import Point, Tangent, tangent
 from afdsvc.gap.runs import Run
 from afdsvc.gap.settle import full_cost, settle
 from afdsvc.gap.simulator import Effect
+from afdsvc.gap.transfer import Transferred, transfers
 from afdsvc.lti.statespace import Array
 
 Mapper = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
-FITTED, REFINED, SETTLED = 18, 8, 4  # how many hypotheses survive each stage
+FITTED, REFINED, SETTLED, TRANSFERRED = 18, 8, 4, 3  # how many hypotheses survive each stage; changes looked at besides
 BLOCKS = 60
 PART, LEAST_PART, SCREENED = 5, 1000, 30  # a first screen on a fifth of every run keeps so many hypotheses
 SLOW = ("offset",)  # families that need a whole run to show
@@ -84,12 +85,15 @@ def round_of(
     progress("screening", 0.0)
     trials = sorted(mapper(partial(screen, t), _preselected(base, hypotheses, mapper)), key=lambda x: x.cost)
     nothing = evaluate(base, select, None, base.point)
-    if not trials or t.cost - trials[0].cost < HOPELESS:
+    changed = transfers(t, hypotheses, HOPELESS)[:TRANSFERRED]
+    if not trials or (t.cost - trials[0].cost < HOPELESS and not changed):
         return [nothing, *(evaluate(base, select, x.hypothesis, apply_shift(t, Effect(x.hypothesis, x.values))) for x in trials[:1])]
     progress("fitting", 0.3)
     fitted = sorted(mapper(partial(_fitted, t), trials[:FITTED]), key=lambda x: x.cost)
     progress("refining", 0.6)
-    close = sorted(mapper(partial(_shifted, base, t), _diverse(fitted, REFINED)), key=lambda pair: pair[0])
+    close = _each_once([
+        *mapper(partial(_shifted, base, t), _diverse(fitted, REFINED)), *((full_cost(base.objective, p), h, p) for _, h, p in changed),
+    ])
     settled = list(mapper(partial(_settled, base), close[:SETTLED])) + [(h, p) for _, h, p in close[SETTLED:]]
     refined = list(mapper(partial(_evaluated, base, select), settled))
     progress("refining", 1.0)
@@ -135,6 +139,14 @@ def _shifted(base: Baseline, t: Tangent, trial: Trial) -> tuple[float, Hypothesi
         point = settle(base.objective, point, 2)
         cost = full_cost(base.objective, point)
     return cost, trial.hypothesis, point
+
+
+def _each_once(found: Iterable[Transferred]) -> list[Transferred]:
+    """Return costs, hypotheses and points from the best on, every hypothesis at its best point alone."""
+    best: dict[str, Transferred] = {}
+    for x in sorted(found, key=lambda x: x[0]):
+        best.setdefault(x[1].key, x)
+    return list(best.values())
 
 
 def _settled(base: Baseline, found: tuple[float, Hypothesis, Point]) -> tuple[Hypothesis, Point]:

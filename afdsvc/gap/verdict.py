@@ -14,6 +14,7 @@ from afdsvc.gap.naming import is_change
 from afdsvc.gap.settle import raw
 from afdsvc.gap.stationary import Growth, growth
 from afdsvc.gap.stepped import stepped
+from afdsvc.gap.strain import irregular, strained
 from afdsvc.gap.verify import Explained
 
 ENOUGH = 0.8  # explained fraction below which names are withdrawn
@@ -44,6 +45,10 @@ def judged(found: Found, done: Explained) -> Judgement:
         best = found.steps[0].ruling.rivals[0].candidate.key
         why = f"only {100 * done.fraction:.0f} % of the gap goes with the best hypotheses ({best} first), so none of them is claimed"
         return Judgement("unexplained", (why, *words), remains=True)
+    lacking = strained(found.end) or (irregular(found.end) if found.steps else "")
+    if lacking:
+        nearest = f"; nearest comes {found.steps[0].ruling.rivals[0].candidate.key}, which is not claimed" if found.steps else ""
+        return Judgement("unexplained", (lacking + nearest, *words), remains=True)
     if found.steps:
         changed = is_change([e.hypothesis for e in found.end.point.effects]) and not noise
         return Judgement("parameter_change" if changed else "omitted_physics", (_closed(done), *words), True, noise, _left(done))

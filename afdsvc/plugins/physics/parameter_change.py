@@ -6,11 +6,13 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.attach import at_force, at_input, at_output, position, velocity
 
+IntArray = NDArray[np.int64]
 _REFUTED = "a residual at unexcited lines, or one whose share changes with the level"
 
 
@@ -63,12 +65,13 @@ class ParameterChange:
                     linear=lambda plant, values, i=axis.rate.index, j=state: _scaled_entry(plant, values, i, j),
                 )
         inputs = machine.plant.B[axis.rate.index]
-        reads = [*(Signal("x", int(j)) for j in np.flatnonzero(row)), *(Signal("u", int(j)) for j in np.flatnonzero(inputs))]
+        states, ports = np.flatnonzero(row), np.flatnonzero(inputs)
+        reads = [*(Signal("x", int(j)) for j in states), *(Signal("u", int(j)) for j in ports)]
         if 0 < len(reads) <= 14:
-            terms = [*(float(v) for v in row[np.flatnonzero(row)]), *(float(v) for v in inputs[np.flatnonzero(inputs)])]
+            terms = [*(float(v) for v in row[states]), *(float(v) for v in inputs[ports])]
             yield at_force(
                 axis, inertia, reads, **self._parts("mass", terms, -0.9),
-                linear=lambda plant, values, i=axis.rate.index: _scaled_row(plant, values, i),
+                linear=lambda plant, values, i=axis.rate.index: _scaled_row(plant, values, i, states, ports),
             )
 
     def _parts(self, what: str, fixed: Sequence[float], low: float = -0.999) -> dict[str, Any]:
@@ -100,8 +103,10 @@ def _scaled_entry(plant: StateSpace, values: Sequence[float], i: int, j: int) ->
     return StateSpace(A, plant.B, plant.C, plant.D, plant.dt)
 
 
-def _scaled_row(plant: StateSpace, values: Sequence[float], i: int) -> StateSpace:
+def _scaled_row(plant: StateSpace, values: Sequence[float], i: int, states: IntArray, ports: IntArray) -> StateSpace:
+    """Return the plant with what `inertia` takes from row ``i``: a share of the nominal terms, wherever the row's own are."""
     A, B = plant.A.copy(), plant.B.copy()
-    A[i] /= 1 + values[0]
-    B[i] /= 1 + values[0]
+    lost = np.asarray(values[1:]) * values[0] / (1 + values[0])
+    A[i, states] -= lost[: len(states)]
+    B[i, ports] -= lost[len(states) :]
     return StateSpace(A, B, plant.C, plant.D, plant.dt)
