@@ -29,7 +29,7 @@ from afdsvc.runtime.clock import RealClock
 from afdsvc.runtime.desk import BurstDesk
 from afdsvc.runtime.hub import Hub
 from afdsvc.runtime.metrics import serve_metrics
-from afdsvc.runtime.pipeline import CalibratedPipeline, Pipeline, Stream, calibrated
+from afdsvc.runtime.pipeline import CalibratedPipeline, Judged, Pipeline, calibrated
 from afdsvc.runtime.posting import Post
 from afdsvc.runtime.publishing import Publisher
 from afdsvc.runtime.requests import QUESTIONS
@@ -44,7 +44,7 @@ from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import RigDescription
 
 
-def pipeline_of(machine: Commissioned, plugins: Plugins, ready: Callable[[DetectionProblem], object] | None = None) -> Stream:
+def pipeline_of(machine: Commissioned, plugins: Plugins, ready: Callable[[DetectionProblem], object] | None = None) -> Judged:
     """Return the machine's way from blocks to evidence, calibrated on its first quiet data where the site wants that.
 
     A machine with ``speed_step_rpm`` has one way for every speed; ``ready`` is called with the problem of each.
@@ -111,7 +111,7 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
             stream = pipeline_of(machine, plugins, diagnosis)
             sink = Fan([*outlets.of(machine), Publisher(keys, post, news, transport.heard)])
             watches[id] = MachineWatch(id, stream, sink, clock)
-            if machine.limits is not None and isinstance(stream, (Pipeline, SpeedPipeline)):
+            if machine.limits is not None:
                 scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(desks)), 0.0)
                 desks[id] = BurstDesk(id, burst_design(machine, stream, diagnosis), scheduler, stream, sink, keys, transport, clock)
         history = outlets.history()
@@ -150,14 +150,15 @@ def diagnosis_burst(machine: Commissioned) -> Callable[[DetectionProblem], Burst
 
 
 def burst_design(
-    machine: Commissioned, stream: Pipeline | SpeedPipeline, diagnosis: Callable[[DetectionProblem], Burst] | None = None
+    machine: Commissioned, stream: Judged, diagnosis: Callable[[DetectionProblem], Burst] | None = None
 ) -> Callable[[Wanted], Burst]:
     """Return the design of the machine's bursts by purpose, for the speed the machine runs at."""
     settings, limits = machine.config.bursts, machine.limits
     if limits is None:
         raise BadInput(f"machine '{machine.config.id}' can be watched, not excited")
     diagnosis = diagnosis or diagnosis_burst(machine)
-    diagnosis(stream.problem)
+    if not isinstance(stream, CalibratedPipeline) or stream.pipeline:
+        diagnosis(stream.problem)  # what is wrong with it shows before anything moves
     rng = np.random.default_rng(0)
 
     def design(wanted: Wanted) -> Burst:

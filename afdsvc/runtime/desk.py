@@ -13,10 +13,9 @@ from afdsvc.api.bursts import Burst
 from afdsvc.api.clock import Clock
 from afdsvc.api.evidence import Evidence
 from afdsvc.errors import AfdsvcError, Refused
-from afdsvc.runtime.pipeline import Pipeline
+from afdsvc.runtime.pipeline import Judged
 from afdsvc.runtime.scheduler import Scheduler, Wanted
 from afdsvc.runtime.sinks import Sink
-from afdsvc.runtime.speed import SpeedPipeline
 from afdsvc.runtime.transport import Transport
 from afdsvc.runtime.verdict import open_question
 from afdsvc.wire import codec
@@ -37,7 +36,7 @@ class BurstDesk:
     machine: str
     design: Callable[[Wanted], Burst]
     scheduler: Scheduler
-    pipeline: Pipeline | SpeedPipeline
+    pipeline: Judged
     sink: Sink
     keys: Keys
     transport: Transport

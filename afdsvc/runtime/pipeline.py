@@ -16,12 +16,13 @@ from afdsvc.api.signals import Block
 from afdsvc.detect.gate import Gate
 from afdsvc.detect.noise_model import calibrate_noise
 from afdsvc.detect.residual import ResidualFilter
-from afdsvc.errors import AfdsvcError
+from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.runtime.intake import Expectation, Finding, IntakeState, judge, longest_still
 
 log = logging.getLogger(__name__)
 LONGEST_SETTLING = 20_000
+REMEMBERED = 64  # bursts known by name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +33,13 @@ class Outcome:
     findings: tuple[Finding, ...]
     residual: Array | None
     lost_samples: int = 0
+
+
+def remember(bursts: dict[str, Burst], burst: Burst) -> None:
+    """Add a burst to those known by name; the oldest is forgotten when there are many."""
+    bursts[burst.name] = burst
+    while len(bursts) > REMEMBERED:
+        bursts.pop(next(iter(bursts)))
 
 
 @dataclass
@@ -73,9 +81,7 @@ class Pipeline:
 
     def announce(self, burst: Burst) -> None:
         """Make a burst known before its blocks come; the memory of old ones is bounded."""
-        self.bursts[burst.name] = burst
-        while len(self.bursts) > 64:
-            self.bursts.pop(next(iter(self.bursts)))
+        remember(self.bursts, burst)
 
     def step(self, block: Block) -> Outcome:
         """Return what the block leads to; a detector that fails is put aside by name and the others go on."""
@@ -155,6 +161,27 @@ class Stream(Protocol):
         ...
 
 
+class Judged(Stream, Protocol):
+    """A stream of a machine that can be excited."""
+
+    bursts: dict[str, Burst]
+
+    @property
+    def dt(self) -> float:
+        """Sample time in seconds."""
+        ...
+
+    @property
+    def ready_at(self) -> int | None:
+        """Sample from which a burst can be judged, None while that is not known."""
+        ...
+
+    @property
+    def problem(self) -> DetectionProblem:
+        """The detection problem; raises `Refused` while there is none."""
+        ...
+
+
 @dataclass
 class CalibratedPipeline:
     """A pipeline whose noise model comes from the machine's own first quiet samples.
@@ -171,12 +198,29 @@ class CalibratedPipeline:
     def __post_init__(self) -> None:
         self._intake = IntakeState()
         self._quiet: list[Block] = []
-        self._bursts: list[Burst] = []
+        self.bursts: dict[str, Burst] = {}
         self.pipeline: Pipeline | None = None
 
+    @property
+    def dt(self) -> float:
+        """Sample time in seconds."""
+        return self.plant.dt
+
+    @property
+    def ready_at(self) -> int | None:
+        """Sample from which a burst can be judged; None until the noise is known."""
+        return self.pipeline.ready_at if self.pipeline else None
+
+    @property
+    def problem(self) -> DetectionProblem:
+        """The detection problem with the noise that was found; raises `Refused` until then."""
+        if self.pipeline is None:
+            raise Refused(f"the noise is still being learnt from the first {self.samples * self.dt:g} quiet seconds")
+        return self.pipeline.problem
+
     def announce(self, burst: Burst) -> None:
-        """Make a burst known."""
-        self._bursts = [*self._bursts[-63:], burst]
+        """Make a burst known; the memory of old ones is bounded."""
+        remember(self.bursts, burst)
         if self.pipeline:
             self.pipeline.announce(burst)
 
@@ -201,7 +245,7 @@ class CalibratedPipeline:
             self.pipeline, finding = calibrated(self.plant, u, y, self.design)
         except AfdsvcError as error:
             return Finding("plugin_failed", f"the calibration failed and is tried again with the next data: {error}")
-        for burst in self._bursts:
+        for burst in self.bursts.values():
             self.pipeline.announce(burst)
         return finding
 

@@ -18,12 +18,11 @@ from afdsvc.api.signals import Block
 from afdsvc.errors import AfdsvcError, BadInput, Refused
 from afdsvc.lti.statespace import Array
 from afdsvc.runtime.intake import Finding
-from afdsvc.runtime.pipeline import Outcome, Pipeline
+from afdsvc.runtime.pipeline import Outcome, Pipeline, remember
 
 RPM = 30 / np.pi  # rpm per rad/s
 SLACK = 0.6  # of the spacing: how far the speed may be from that of the model in use
 STILL = 0.25  # of the spacing: how far the speed may move while it counts as still
-REMEMBERED = 64
 
 
 @dataclass
@@ -66,9 +65,7 @@ class SpeedPipeline:
 
     def announce(self, burst: Burst) -> None:
         """Make a burst known before its blocks come."""
-        self.bursts[burst.name] = burst
-        while len(self.bursts) > REMEMBERED:
-            self.bursts.pop(next(iter(self.bursts)))
+        remember(self.bursts, burst)
         if self._pipeline is not None:
             self._pipeline.announce(burst)
 
