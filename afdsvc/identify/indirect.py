@@ -11,6 +11,7 @@ that is white in the residual, the 1-norm the same for heavy tails: a spike move
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 
@@ -32,7 +33,7 @@ from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.yjbk import deviation_system, interconnection
 
 #: Errors smaller than this share of their standard deviation count quadratically in the 1-norm.
-_ROUNDED = 0.1
+ROUNDED = 0.1
 _OUTER_STEPS = 4
 
 
@@ -57,11 +58,18 @@ def fit_indirect(
     lower = np.asarray([p.lower for p in structure.parameters]) / structure.scales
     upper = np.asarray([p.upper for p in structure.parameters]) / structure.scales
     minimum, steps = objective.minimise(theta / structure.scales, lower, upper)
-    return _fit(objective, minimum, steps)
+    return judged(objective, minimum, steps)
 
 
 class Mismatch:
-    """The misfit over ``z = theta / scale``, weighted with the covariance of the errors."""
+    """The misfit over ``z = theta / scale``, weighted with the covariance of the errors.
+
+    The first ``skip`` samples are not counted; ``free`` of the last states of S (None: all of them) are fitted for every
+    recording, the others start at rest.
+    """
+
+    skip: int = 0
+    free: int | None = None
 
     def __init__(
         self,
@@ -136,10 +144,12 @@ class Mismatch:
         whitener = np.linalg.inv(np.linalg.cholesky(self.covariance))
         cost, gradient, curvature = 0.0, np.zeros(count), np.zeros((count, count))
         self._fit_states(S.order)
+        rest = 0 if self.free is None else S.order - self.free
         for place, r in enumerate(self.recordings):
-            x0 = self.states[place]
-            found = sweep(S, slopes, r.u, r.y, x0, whitener, _ROUNDED if self.norm == 1 else 0.0)
-            value, slope, bend, self.states[place] = eliminate_state(found, count, x0)
+            x0, rounded = self.states[place], ROUNDED if self.norm == 1 else 0.0
+            found = sweep(S, slopes, r.u, r.y, x0, whitener, rounded, skip=self.skip, free=S.order - rest)
+            value, slope, bend, fitted = eliminate_state(found, count, x0[rest:])
+            self.states[place] = np.concatenate([x0[:rest], fitted])
             cost, gradient, curvature = cost + value, gradient + slope, curvature + bend
         return Local(cost, gradient * scale, curvature * np.outer(scale, scale))
 
@@ -160,7 +170,8 @@ class Mismatch:
         return np.vstack(parts)[:, : len(z)] * scale
 
 
-def _fit(objective: Mismatch, best: Minimum, steps: int) -> Fit:
+def judged(objective: Mismatch, best: Minimum, steps: int) -> Fit:
+    """Return the minimum as a fit with standard errors; raises `BadInput` for a parameter without influence."""
     structure, theta = objective.structure, best.point * objective.structure.scales
     information = _information(objective, best)
     size = np.sqrt(np.diag(information))
@@ -191,6 +202,6 @@ def _information(objective: Mismatch, best: Minimum) -> Array:
     """Return the information matrix; a median of Gaussian errors knows 2/pi of what their mean knows."""
     if objective.norm == 2:
         return best.local.curvature
-    squared = Mismatch(objective.structure, objective.fact, objective.recordings, 2, None)
-    squared.whitener, squared.covariance = objective.whitener, objective.covariance
+    squared = copy(objective)
+    squared.norm, squared.states = 2, []
     return np.asarray(squared.local(best.point).curvature * 2 / np.pi)

@@ -14,7 +14,6 @@ from afdsvc.identify.fit import Fit
 from afdsvc.identify.greybox import GreyboxOptions, fit_greybox, greybox_band
 from afdsvc.identify.hansen import rebuilt_plant, youla_signals
 from afdsvc.identify.horizon import choose_horizon, memory
-from afdsvc.identify.indirect import fit_indirect
 from afdsvc.identify.innovations import InnovationsForm
 from afdsvc.identify.jackknife import jackknife_band
 from afdsvc.identify.options import IdentifyOptions
@@ -23,6 +22,7 @@ from afdsvc.identify.pbsid import decompose_predictor, realise_predictor
 from afdsvc.identify.polish import polish
 from afdsvc.identify.preparation import Prepared
 from afdsvc.identify.presence import answer_p, simulated_order
+from afdsvc.identify.recentred import Noise, fit_recentred
 from afdsvc.identify.recordings import Recording
 from afdsvc.identify.reduction import ReducedPlant, compare_reductions, judged
 from afdsvc.identify.refinement import refine
@@ -30,7 +30,6 @@ from afdsvc.identify.structure import Structure, model_structure
 from afdsvc.identify.subspace import Subspace, Weighting, decompose, realise
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.statespace import Array, StateSpace
-from afdsvc.lti.whitening import whitening_filter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,13 +229,13 @@ def greybox(problem: Prepared, options: IdentifyOptions, rng: np.random.Generato
 
 
 def indirect(problem: Prepared, options: IdentifyOptions) -> Outcome:
-    """Fit physical parameters through S(theta)."""
+    """Fit physical parameters through S(theta), what was found becoming the nominal plant until it stays."""
     fact, structure = _known_controller(problem, "indirect"), _structure(problem, options)
     signals = [youla_signals(fact, r).centred() for r in problem.training]
     _exciting(problem, signals, problem.nominal.order)
     sd = problem.model.output_sd
-    whitener = None if sd is None else whitening_filter(fact, np.diag(sd**2), problem.model.process_cov)[0]
-    fit = fit_indirect(structure, fact, signals, options.norm, whitener)
+    noise = None if sd is None else Noise(np.diag(sd**2), problem.model.process_cov)
+    fit = fit_recentred(structure, fact, problem.training, noise, options.norm)
     return Outcome(replace(fit, band=greybox_band(structure, fit, omega_grid(problem.nominal.dt))))
 
 

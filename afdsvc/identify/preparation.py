@@ -13,6 +13,7 @@ from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
 from afdsvc.identify.hansen import settling_samples
 from afdsvc.identify.recordings import Recording, together
+from afdsvc.identify.rotation import without_rotation
 from afdsvc.identify.screening import screen
 from afdsvc.identify.structure import model_structure
 from afdsvc.lti.choice import factorise
@@ -49,11 +50,15 @@ class Prepared:
 
 
 def prepare(model: Model, traces: Sequence[Trace], heldout: Sequence[Trace], needed: int) -> Prepared:
-    """Return the prepared problem; raises `BadInput` for whatever does not fit, naming file, field and value."""
+    """Return the prepared problem; raises `BadInput` for whatever does not fit, naming file, field and value.
+
+    Where the rotor angle was recorded, what turns with it is taken out of every signal.
+    """
     if not traces:
         raise BadInput("no recording was handed in; at least one is wanted")
     for trace in (*traces, *heldout):
         screen(trace, needed)
+    traces, heldout = ([without_rotation(t) for t in several] for several in (traces, heldout))
     training, away = [_recording(model, t) for t in traces], [_recording(model, t) for t in heldout]
     together(training + away)
     dt = traces[0].dt

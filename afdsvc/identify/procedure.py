@@ -29,6 +29,8 @@ from afdsvc.lti.statespace import StateSpace
 
 #: Probability of calling an open loop closed.
 FEEDBACK_LEVEL = 0.01
+#: Samples that a recording must have at least where a handful of physical parameters is fitted.
+PARAMETRIC = 100
 
 
 def identify(
@@ -46,7 +48,8 @@ def identify(
     or an unknown controller.
     """
     order = options.order or nominal_plant(model, traces[0].dt).order if traces else 1
-    problem = prepare(model, traces, holdout, samples_needed(len(model.inputs), len(model.outputs), order))
+    needed = PARAMETRIC if options.method in ("greybox", "indirect") else samples_needed(len(model.inputs), len(model.outputs), order)
+    problem = prepare(model, traces, holdout, needed)
     parts = split(problem.training, problem.heldout)
     kept = tuple(a.span(0, len(r)) for a, r in zip(problem.played, parts.training, strict=False))
     problem = replace(problem, training=parts.training, played=kept)

@@ -2,92 +2,121 @@
 
 The noise in the residual is ``(Mt + S Ut) d``: a filter that whitens it where S = 0 does not where S is large, and the
 standard errors are then wrong. With the plant that was found as the new nominal one, S is small again: the recorded u and
-y give the alpha and beta of its own coprime factors exactly, and their noise is white once more. Where S is small a state
-of S shows next to nothing: after the first round it starts at rest instead of being fitted to noise.
+y give the alpha and beta of its own coprime factors exactly, and their noise is white once more.
+
+Two states at the beginning of a recording are treated differently. Where S is small its own state shows next to nothing: S
+starts at rest and the samples in which its loop settles are not counted. The whitening filter of an unstable plant is slow
+(as slow as the plant is unstable) and starts far off: its state is fitted, which is exact and costs no sample.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from afdsvc.errors import BadInput, IllConditioned
-from afdsvc.identify.descent import Local
+from afdsvc.errors import IllConditioned
 from afdsvc.identify.fit import Fit
 from afdsvc.identify.hansen import settling_samples, youla_signals
-from afdsvc.identify.indirect import Mismatch, _fit, fit_indirect
+from afdsvc.identify.indirect import Mismatch, fit_indirect, judged
 from afdsvc.identify.recordings import Recording
 from afdsvc.identify.structure import Structure
-from afdsvc.identify.sweep import sweep
 from afdsvc.lti.choice import factorise
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import whitening_filter
+from afdsvc.lti.yjbk import deviation_system
 
-SETTLED = 3e-3  # share of its first transient that a filter has left
+SETTLED = 1e-3  # share of its first transient that the loop has left where counting begins
+ENOUGH = 0.1  # of a standard error: a smaller change of every parameter ends the rounds
+EXACT = 1e-6  # of a typical change: the same where there is no noise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """Covariances of the white output noise ``(p, p)`` and, where there is any, of the process noise ``(n, n)``."""
+
+    output_cov: Array
+    process_cov: Array | None = None
+
+    def whitener(self, fact: Factorisation) -> StateSpace:
+        """Return the whitening filter; a mode on the border of stability is granted a little process noise."""
+        try:
+            return whitening_filter(fact, self.output_cov, self.process_cov)[0]
+        except IllConditioned:
+            return whitening_filter(fact, self.output_cov, self.process_cov, regularise=1e-6)[0]
 
 
 def fit_recentred(
-    structure: Structure, controller: StateSpace, recordings: Sequence[Recording], output_cov: Array, rounds: int = 3
+    structure: Structure,
+    nominal: Factorisation,
+    recordings: Sequence[Recording],
+    noise: Noise | None = None,
+    norm: int = 2,
+    rounds: int = 6,
 ) -> Fit:
-    """Return the parameters from recordings of u and y made with ``controller`` (discrete, positive feedback).
+    """Return the parameters from recordings of u and y made with the controller of ``nominal``.
 
-    ``output_cov (p, p)`` is the covariance of the white output noise. Raises what `fit_indirect` raises, and
-    `NotStabilising` when the controller does not hold the plant found on the way.
+    Without ``noise`` nothing is whitened. Ends after ``rounds`` at most, or when a round changes nothing any more. Raises
+    what `fit_indirect` raises.
     """
-    theta = np.asarray(structure.values, dtype=np.float64)
-    dt = recordings[0].dt
-    for k in range(rounds):
-        plant = structure.build(theta)
-        fact = factorise(plant if plant.discrete else sample_zoh(plant, dt), controller)
-        signals = [youla_signals(fact, r) for r in recordings]
-        whitener = _whitener(fact, output_cov, min(map(len, signals)) // 3)
-        fit = _at_rest(structure, fact, signals, whitener, theta) if k else fit_indirect(structure, fact, signals, 2, whitener)
-        theta = np.array([p.value for p in fit.parameters])
-    return replace(fit, notes=(*fit.notes, f"made the nominal plant {rounds - 1} times"))
+    fit, done = fit_indirect(structure, nominal, _signals(nominal, recordings), norm, _whitener(noise, nominal)), 0
+    while done < rounds - 1:
+        done += 1
+        before = _values(fit)
+        plant = structure.build(before)
+        plant = plant if plant.discrete else sample_zoh(plant, recordings[0].dt)
+        fit = _at_rest(structure, factorise(plant, nominal.controller), recordings, noise, norm, before)
+        if (np.abs(_values(fit) - before) < ENOUGH * np.sqrt(np.diag(fit.covariance)) + EXACT * structure.scales).all():
+            break
+    notes = (*fit.notes, f"what was found was made the nominal plant {done} times")
+    return replace(fit, deviation=deviation_system(nominal, fit.system), notes=notes)
 
 
-def _whitener(fact: Factorisation, output_cov: Array, samples: int) -> StateSpace:
-    """Return the whitening filter that settles within so many samples; modes on the border of stability never let it, unless
-    a little process noise is granted. Raises `BadInput` when a thousandth of the output noise is not enough."""
-    for granted in (0.0, 1e-6, 1e-5, 1e-4, 1e-3):
-        try:
-            made = whitening_filter(fact, output_cov, regularise=granted)[0]
-        except IllConditioned:
-            continue
-        if settling_samples(made, SETTLED) <= samples:
-            return made
-    raise BadInput(f"the whitening filter does not settle within {samples} samples; a longer recording is wanted")
+def _values(fit: Fit) -> Array:
+    return np.array([p.value for p in fit.parameters])
+
+
+def _signals(fact: Factorisation, recordings: Sequence[Recording]) -> list[Recording]:
+    return [youla_signals(fact, r).centred() for r in recordings]
+
+
+def _whitener(noise: Noise | None, fact: Factorisation) -> StateSpace | None:
+    return None if noise is None else noise.whitener(fact)
 
 
 class _AtRest(Mismatch):
-    """The misfit of recordings that S meets at rest, without the samples in which the whitening filter settles."""
+    """The misfit of recordings of eta and eps that S meets at rest; the state of the whitening filter is fitted.
+
+    Where S is 0 counting from too early costs precision and no truth: a short recording keeps half of itself.
+    """
 
     def __init__(
-        self, structure: Structure, fact: Factorisation, recordings: Sequence[Recording], whitener: StateSpace
+        self, structure: Structure, fact: Factorisation, recordings: Sequence[Recording], norm: int, whitener: StateSpace | None
     ) -> None:
-        super().__init__(structure, fact, recordings, 2, whitener)
-        first = settling_samples(whitener, SETTLED)
-        self.recordings = [Recording(r.u[first:], r.y[first:], r.dt, r.name) for r in self.recordings]
+        super().__init__(structure, fact, recordings, norm, whitener)
+        half = min(map(len, recordings)) // 2
+        self.skip = max(settling_samples(fact.Lf), min(settling_samples(fact.R, SETTLED), half))
+        self.free = 0 if whitener is None else whitener.order
 
-    def local(self, z: Array) -> Local:
-        scale, count, theta = self.structure.scales, len(z), z * self.structure.scales
-        S, slopes = self.signature(theta), self.slopes(theta)
-        whitener = np.linalg.inv(np.linalg.cholesky(self.covariance))
-        found = [sweep(S, slopes, r.u, r.y, np.zeros(S.order), whitener) for r in self.recordings]
-        gradient, matrix = sum(f.gradient for f in found), sum(f.matrix for f in found)
-        curvature = np.asarray(matrix)[:count, :count] * np.outer(scale, scale)
-        return Local(sum(f.cost for f in found), np.asarray(gradient)[:count] * scale, curvature)
+
+def _from_the_start(fact: Factorisation, recording: Recording) -> Recording:
+    """Return eta and eps with the samples in which their filter settles: S settles meanwhile."""
+    settled = youla_signals(fact, recording)
+    out, _ = simulate(fact.Lf, np.hstack([recording.u, recording.y]))
+    m = fact.plant.inputs
+    return Recording(out[:, :m] - settled.u.mean(axis=0), out[:, m:] - settled.y.mean(axis=0), recording.dt, recording.name)
 
 
 def _at_rest(
-    structure: Structure, fact: Factorisation, signals: Sequence[Recording], whitener: StateSpace, start: Array
+    structure: Structure, fact: Factorisation, recordings: Sequence[Recording], noise: Noise | None, norm: int, start: Array
 ) -> Fit:
-    objective = _AtRest(structure, fact, signals, whitener)
+    signals = [_from_the_start(fact, r) for r in recordings]
+    objective = _AtRest(structure, fact, signals, norm, _whitener(noise, fact))
     lower = np.asarray([p.lower for p in structure.parameters]) / structure.scales
     upper = np.asarray([p.upper for p in structure.parameters]) / structure.scales
     minimum, steps = objective.minimise(start / structure.scales, lower, upper)
-    return _fit(objective, minimum, steps)
+    return judged(objective, minimum, steps)

@@ -21,7 +21,7 @@ from afdsvc.lti.statespace import Array, StateSpace
 class NormalEquations:
     """What a pass leaves: ``cost = sum rho(e)``, gradient ``(q + n,)`` and Gauss-Newton matrix ``(q + n, q + n)``.
 
-    The last n rows belong to the initial state. ``spread (p, p)`` is ``sum e e'`` of the errors as they are;
+    The last n rows belong to the initial state (fewer when fewer are unknown). ``spread (p, p)`` is ``sum e e'`` of the errors as they are;
     ``gradients (blocks, q + n)`` add up to the gradient, block of samples by block of samples.
     """
 
@@ -42,42 +42,44 @@ def sweep(
     whitener: Array,
     one_norm: float = 0.0,
     block: int = 2048,
+    skip: int = 0,
+    free: int | None = None,
 ) -> NormalEquations:
     """Return the normal equations of ``e = whitener (outputs - system(inputs))``.
 
     ``inputs (N, m)``, ``outputs (N, p)``, ``x0 (n,)``, ``whitener (p, p)``. Without ``one_norm`` the cost is half the
-    sum of squares; with it the sum of ``|e|``, rounded off below ``one_norm`` (Huber's function).
+    sum of squares; with it the sum of ``|e|``, rounded off below ``one_norm`` (Huber's function). The first ``skip``
+    samples run through the system and are not counted. ``free``: only so many of the last states start unknown.
     """
     q, n, p = len(slopes.A), system.order, system.outputs
-    x, X = x0.copy(), np.zeros((n, q + n))
-    X[:, q:] = np.eye(n)
-    A, B, C, D, dA, dB, dC, dD = _pack(system, slopes, n)
-    cost, gradients, matrix, spread = 0.0, [], np.zeros((q + n, q + n)), np.zeros((p, p))
-    errors, jacobian = np.empty((block, p)), np.empty((block, p, q + n))
+    f = n if free is None else free
+    x, X = x0.copy(), np.zeros((n, q + f))
+    X[n - f :, q:] = np.eye(f)
+    A, B, C, D, dA, dB, dC, dD = _pack(system, slopes)
+    cost, gradients, matrix, spread = 0.0, [], np.zeros((q + f, q + f)), np.zeros((p, p))
+    errors, jacobian = np.empty((block, p)), np.empty((block, p, q + f))
     for start in range(0, len(outputs), block):
         v, y = inputs[start : start + block], outputs[start : start + block]
         count = len(y)
         _step(A, B, C, D, dA, dB, dC, dD, np.ascontiguousarray(v), np.ascontiguousarray(y), x, X, errors, jacobian)
         e, J = errors[:count], jacobian[:count]
+        unseen = min(max(skip - start, 0), count)
+        e[:unseen], J[:unseen] = 0.0, 0.0
         spread += e.T @ e
         white = (e @ whitener.T).ravel()
-        rows = np.matmul(whitener, J).reshape(count * p, q + n)
+        rows = np.matmul(whitener, J).reshape(count * p, q + f)
         weight, value = _weights(white, one_norm)
         cost += value
         gradients.append(rows.T @ (weight * white))
         matrix += rows.T @ (rows * weight[:, None])
     parts = np.stack(gradients)
-    return NormalEquations(cost, parts.sum(axis=0), matrix, spread, len(outputs), parts)
+    return NormalEquations(cost, parts.sum(axis=0), matrix, spread, len(outputs) - min(skip, len(outputs)), parts)
 
 
 def responses(system: StateSpace, slopes: Slopes, inputs: Array) -> tuple[Array, Array]:
     """Return the outputs ``(N, p)`` from rest and their slopes ``(N, p, q)``."""
     q, n, p, count = len(slopes.A), system.order, system.outputs, len(inputs)
-    packed = (
-        *map(np.ascontiguousarray, (system.A, system.B, system.C, system.D)),
-        *(np.ascontiguousarray(np.moveaxis(s, 0, -1)) for s in (slopes.A, slopes.B, slopes.C, slopes.D)),
-    )
-    A, B, C, D, dA, dB, dC, dD = packed
+    A, B, C, D, dA, dB, dC, dD = _pack(system, slopes)
     errors, jacobian = np.empty((count, p)), np.empty((count, p, q))
     _step(
         A,
@@ -125,28 +127,28 @@ def _weights(white: Array, one_norm: float) -> tuple[Array, float]:
     return 1 / np.maximum(size, one_norm), float(value.sum())
 
 
-def _pack(system: StateSpace, slopes: Slopes, n: int) -> tuple[Array, ...]:
-    """Lay the matrices out for the loop: slopes with the parameter running fastest, zero for the initial state."""
-    padded = [np.concatenate([s, np.zeros((n, *s.shape[1:]))]) for s in (slopes.A, slopes.B, slopes.C, slopes.D)]
+def _pack(system: StateSpace, slopes: Slopes) -> tuple[Array, ...]:
+    """Lay the matrices out for the loop: slopes with the parameter running fastest."""
     return (
         *map(np.ascontiguousarray, (system.A, system.B, system.C, system.D)),
-        *(np.ascontiguousarray(np.moveaxis(s, 0, -1)) for s in padded),
+        *(np.ascontiguousarray(np.moveaxis(s, 0, -1)) for s in (slopes.A, slopes.B, slopes.C, slopes.D)),
     )
 
 
 @njit(cache=True, fastmath=True)
-def _dot(a: Any, b: Any) -> Any:
-    total = 0.0
-    for i in range(a.shape[0]):
-        total += a[i] * b[i]
+def _advance(M: Any, slope: Any, x: Any, X: Any, i: int, sign: float, row: Any) -> Any:
+    """Add ``sign (M X + slope x)`` of row i to ``row`` and return row i of ``M x``; entries that are zero cost nothing."""
+    total, q = 0.0, slope.shape[2]
+    for j in range(M.shape[1]):
+        entry, value = M[i, j], sign * x[j]
+        if entry != 0.0:
+            total += entry * x[j]
+            factor = sign * entry
+            for s in range(X.shape[1]):
+                row[s] += factor * X[j, s]
+        for s in range(q):
+            row[s] += slope[i, j, s] * value
     return total
-
-
-@njit(cache=True, fastmath=True)
-def _add(factor: float, row: Any, slope: Any, value: float, total: Any) -> None:
-    """Add ``factor * row + slope * value`` to ``total``, parameter by parameter."""
-    for s in range(total.shape[0]):
-        total[s] += factor * row[s] + slope[s] * value
 
 
 @njit(cache=True, fastmath=True)
@@ -166,24 +168,17 @@ def _step(
     errors: Any,
     jacobian: Any,
 ) -> None:
-    """Advance state x ``(n,)`` and sensitivities X ``(n, q)``; fill errors and their derivatives."""
-    (n, q), (p, m) = X.shape, D.shape
-    new_x, new_X, nothing = np.empty(n), np.empty((n, q)), np.zeros(q)
+    """Advance state x ``(n,)`` and sensitivities X ``(n, q + free)``; fill errors and their derivatives."""
+    (n, columns), (p, m) = X.shape, D.shape
+    new_x, new_X, known = np.empty(n), np.empty((n, columns)), np.zeros((m, 0))
     for k in range(v.shape[0]):
         for i in range(p):
-            predicted = _dot(C[i], x) + _dot(D[i], v[k])
             jacobian[k, i] = 0.0
-            for j in range(n):
-                _add(-C[i, j], X[j], dC[i, j], -x[j], jacobian[k, i])
-            for j in range(m):
-                _add(0.0, nothing, dD[i, j], -v[k, j], jacobian[k, i])
-            errors[k, i] = y[k, i] - predicted
+            predicted = _advance(C, dC, x, X, i, -1.0, jacobian[k, i])
+            errors[k, i] = y[k, i] - predicted - _advance(D, dD, v[k], known, i, -1.0, jacobian[k, i])
         for i in range(n):
-            new_x[i] = _dot(A[i], x) + _dot(B[i], v[k])
             new_X[i] = 0.0
-            for j in range(n):
-                _add(A[i, j], X[j], dA[i, j], x[j], new_X[i])
-            for j in range(m):
-                _add(0.0, nothing, dB[i, j], v[k, j], new_X[i])
+            new_x[i] = _advance(A, dA, x, X, i, 1.0, new_X[i])
+            new_x[i] += _advance(B, dB, v[k], known, i, 1.0, new_X[i])
         x[:] = new_x
         X[:, :] = new_X

@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from loop import full_plant, record, without_rotation
 
 from afdsvc.identify.indirect import fit_indirect
-from afdsvc.identify.recentred import fit_recentred
+from afdsvc.identify.recentred import Noise, fit_recentred
 from afdsvc.identify.recordings import Recording
 from afdsvc.identify.structure import physical_structure
 from afdsvc.plants.amb_turboexpander import amb_turboexpander
@@ -37,7 +37,7 @@ def published(full: bool, theta: float = -0.5, states: int = 8) -> float:
     return fit.parameters[0].value / plant.parameters["stiffness_b_y"].value - 1
 
 
-def deviations(seed: int, change: dict[str, float], full: bool, project: bool = True, rounds: int = 3, samples: int = 10000, states: int = 8) -> dict:
+def deviations(seed: int, change: dict[str, float], full: bool, project: bool = True, rounds: int = 6, samples: int = 10000, states: int = 8) -> dict:
     """Return theta, its standard error and the error in standard errors, by name, with 0.5 um noise and G2.5 unbalance."""
     plant = amb_turboexpander(states=states)
     fact = Lqg().design(plant.discrete(), plant.recommended["lqg"]).factorisation
@@ -50,7 +50,7 @@ def deviations(seed: int, change: dict[str, float], full: bool, project: bool = 
     steady = slice(SETTLED, None)  # the whirl has settled
     signals = [without_rotation(s[steady], run.angle[steady]) if project else s[steady] for s in (run.u, run.y)]
     recording = Recording.of(*signals, plant.sample_time)
-    fit = fit_recentred(physical_structure(plant, list(change)), fact.K, [recording], plant.output_cov, rounds)
+    fit = fit_recentred(physical_structure(plant, list(change)), fact, [recording], Noise(plant.output_cov), rounds=rounds)
     return {
         p.name: (p.value / nominal[p.name] - 1, p.sd / abs(nominal[p.name]), (p.value - values[p.name]) / p.sd)
         for p in fit.parameters
