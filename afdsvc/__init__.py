@@ -21,6 +21,7 @@ The rooms, from thinking (pure) over knowing how (swappable) to doing (bytes, ti
 - `service`: the only place that joins concrete parts
 - `outlets`: where recordings, reviews and alarms of a site go
 - `offline`: the service's pipeline over recordings
+- `fault_planes`: the bursts of a recording in the complex plane, beside the curves of all faults
 - `modelling`: a modeller's files in, a better model and a page out
 - `explaining`: model and recordings in; why they differ, a better model and a page out
 - `blind_trials`: blind trials of `explain` on disk: made, sealed, explained, opened, scored

@@ -287,16 +287,23 @@ def batch(
 
 @app.command()
 def review(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="An MCAP recording.")],
+    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="MCAP recordings; several stand side by side.")],
     save: Annotated[
         Path | None, typer.Option(metavar="FILE.rrd", help="Write a Rerun file instead of opening the viewer.")
     ] = None,
+    history: Annotated[bool, typer.Option("--history", help="Severity per fault over all recordings instead, on the calendar.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Look at a recording in Rerun: signals, residuals, statistics, decisions, bursts."""
-    from afdsvc.review import review_recording
+    """Look at recordings in Rerun: is something wrong, since when, which part, how sure, and what the machine did."""
+    import tempfile
 
-    made = review_recording(recording, save)
+    from afdsvc.fault_planes import fault_planes
+    from afdsvc.review import review_history, review_recordings
+
+    if history:
+        made = review_history(recordings, save or Path(tempfile.mkdtemp(prefix="afdsvc-review-")) / "history.rrd")
+    else:
+        made = review_recordings(recordings, save, planes=fault_planes)
     show(as_json, {"rerun": str(made)}, lambda: print(made) if save else _open(made))
 
 

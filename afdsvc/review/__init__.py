@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
-from afdsvc.review.recorded import open_viewer, review_recording
+from afdsvc.review.history import review_history
+from afdsvc.review.recorded import open_viewer, review_recording, review_recordings
 
-__all__ = ["open_viewer", "review_recording"]
+__all__ = ["open_viewer", "review_history", "review_recording", "review_recordings"]

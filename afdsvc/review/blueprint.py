@@ -1,16 +1,17 @@
-"""The layout made for this work: one tab per machine; left the signals, right what was decided about them."""
+"""The layout made for this work, one tab per machine: what people ask first stands on top, what the machine did below."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import rerun as rr
 import rerun.blueprint as rrb
 
 from afdsvc.review import paths
 
 SIDE_BY_SIDE = 3  # with more signals than this a group is drawn in one view
+SIGNAL_TABS = {"what it did: outputs and inputs": ("outputs", "inputs", "excitation"), "residuals": ("residual", "whitened"), "other signals": ("aux",)}
 HEIGHTS = {"inputs": 2.0, "excitation": 1.4}  # of the others: 3
 
 
@@ -24,18 +25,24 @@ class GroupLayout:
 
 @dataclass(frozen=True, slots=True)
 class MachineLayout:
-    """What there is to show of one machine: groups of signals, outputs judged by each detector, lanes, any event."""
+    """What there is to show of one machine: groups of signals, outputs judged by each detector, lanes, any event, whether a
+    severity was told, and its complex planes by title and half width."""
 
     groups: Mapping[str, GroupLayout]
     detectors: Mapping[str, int]
     lanes: int
     told: bool
+    severity: bool = False
+    planes: Sequence[tuple[str, float]] = ()
 
 
-def blueprint(machines: Mapping[str, MachineLayout]) -> rrb.Blueprint:
-    """Return the layout of all machines, the whole time range shown."""
+def blueprint(machines: Mapping[str, MachineLayout], side_by_side: bool = False) -> rrb.Blueprint:
+    """Return the layout of all machines, the whole time range shown; ``side_by_side`` compares up to four of them at a glance."""
+    whole = [_machine(id, layout) for id, layout in machines.items()]
+    if side_by_side and len(machines) > 1:
+        whole = [_compared(list(machines.items())[i : i + SIDE_BY_SIDE]) for i in range(0, len(machines), SIDE_BY_SIDE)] + whole
     return rrb.Blueprint(
-        rrb.Tabs(*(_machine(id, layout) for id, layout in machines.items())),
+        rrb.Tabs(*whole),
         rrb.TimePanel(state="collapsed", timeline=paths.SECONDS),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
@@ -44,12 +51,73 @@ def blueprint(machines: Mapping[str, MachineLayout]) -> rrb.Blueprint:
     )
 
 
+def _compared(machines: Sequence[tuple[str, MachineLayout]]) -> rrb.Container:
+    columns = []
+    for id, layout in machines:
+        parts: list[rrb.Container | rrb.View] = [_answer(id), _lanes(id), _severity(id)]
+        parts += [_group(id, name, layout.groups[name]) for name in ("outputs", "whitened") if name in layout.groups]
+        columns.append(rrb.Vertical(*parts, name=id, row_shares=[2.4, 2.6, 1.6, 1.4, 1.4][: len(parts)]))
+    return rrb.Horizontal(*columns, name="side by side")
+
+
 def _machine(id: str, layout: MachineLayout) -> rrb.Container:
-    rows = [_group(id, name, group) for name, group in layout.groups.items()]
-    left = rrb.Vertical(*rows, row_shares=[HEIGHTS.get(name, 3.0) for name in layout.groups])
-    right = _decisions(id, layout)
-    sides = [side for side, present in ((left, rows), (right, right.contents)) if present]
-    return rrb.Horizontal(*sides, name=id, column_shares=[1.2, 1.0][: len(sides)])
+    """Answers first, in the order they are asked for; then what part and how severe; then what the machine did."""
+    top = [_answer(id), *([_lanes(id)] if layout.lanes else [])]
+    middle: list[rrb.View] = [*([_severity(id), _sure(id)] if layout.severity else []), *_planes(id, layout.planes)]
+    rows: list[tuple[rrb.Container, float]] = [(rrb.Horizontal(*top, column_shares=[1.0, 1.8][: len(top)]), 3.8)]
+    if middle:
+        rows.append((rrb.Horizontal(*middle, column_shares=[1.0, 1.0, 1.2, 1.2][: len(middle)]), 3.6))
+    rows.append((_did(id, layout), 4.6))
+    return rrb.Vertical(*(row for row, _ in rows), name=id, row_shares=[share for _, share in rows])
+
+
+def _answer(id: str) -> rrb.TextDocumentView:
+    return rrb.TextDocumentView(origin=paths.path(id, "answer"), name=f"{id}: is something wrong")
+
+
+def _lanes(id: str) -> rrb.StateTimelineView:
+    return rrb.StateTimelineView(origin=paths.path(id, "states"), name="since when: bursts and decisions", time_view=whole_range())
+
+
+def _severity(id: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin=paths.path(id, "severity"), name="which part, how severe [%]", axis_x=whole_range(),
+        plot_legend=_legend(True),
+    )  # fmt: skip
+
+
+def _sure(id: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin=paths.path(id, "sure"), name="how sure: weights [%]", axis_x=whole_range(),
+        axis_y=rrb.ScalarAxis(range=(-3.0, 103.0)), plot_legend=_legend(True),
+    )  # fmt: skip
+
+
+def _planes(id: str, planes: Sequence[tuple[str, float]]) -> list[rrb.Spatial2DView]:
+    return [
+        rrb.Spatial2DView(
+            origin=paths.plane(id, i), name=title, visual_bounds=rrb.VisualBounds2D(x_range=(-size, size), y_range=(-size, size)),
+            background=rr.components.Color([0, 0, 0]),
+        )
+        for i, (title, size) in enumerate(planes[:SIDE_BY_SIDE])
+    ]  # fmt: skip
+
+
+def _did(id: str, layout: MachineLayout) -> rrb.Container:
+    """Return what the machine did: its signals by kind, statistics, events."""
+    tabs: list[rrb.Container] = []
+    for title, names in SIGNAL_TABS.items():
+        present = [name for name in names if name in layout.groups]
+        if present:
+            rows = [_group(id, name, layout.groups[name]) for name in present]
+            tabs.append(rrb.Vertical(*rows, name=title, row_shares=[HEIGHTS.get(name, 3.0) for name in present]))
+    plots = [_statistic(id, name, outputs) for name, outputs in layout.detectors.items()]
+    if plots:
+        tabs.append(rrb.Grid(*plots, grid_columns=min(2, len(plots)), name="statistics"))
+    sides: list[rrb.Container | rrb.View] = [rrb.Tabs(*tabs)] if tabs else []
+    if layout.told:
+        sides.append(rrb.TextLogView(origin=paths.path(id, "log"), name="events", columns=_columns()))
+    return rrb.Horizontal(*sides, column_shares=[1.5, 1.0][: len(sides)])
 
 
 def _group(id: str, name: str, group: GroupLayout) -> rrb.Container | rrb.View:
@@ -71,25 +139,10 @@ def _signals(id: str, name: str, group: GroupLayout, labels: Sequence[str]) -> r
     )
 
 
-def _decisions(id: str, layout: MachineLayout) -> rrb.Container:
-    parts: list[tuple[rrb.Container | rrb.View, float]] = []
-    plots = [_statistic(id, name, outputs) for name, outputs in layout.detectors.items()]
-    if plots:
-        parts.append((rrb.Grid(*plots, grid_columns=min(2, len(plots))), 3.0 * math.ceil(len(plots) / 2)))
-    if layout.lanes:
-        origin = paths.path(id, "states")
-        states = rrb.StateTimelineView(origin=origin, name="bursts and decisions", time_view=whole_range())
-        parts.append((states, min(1.5 + layout.lanes, 6.0)))
-    if layout.told:
-        log = rrb.TextLogView(origin=paths.path(id, "log"), name="events", columns=_columns())
-        parts.append((log, 5.0))
-    return rrb.Vertical(*(part for part, _ in parts), row_shares=[height for _, height in parts])
-
-
 def _statistic(id: str, detector: str, outputs: int) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
         origin=paths.decision(id, detector),
-        name=f"{detector}: statistic, threshold in red",
+        name=f"{detector}: statistic [no unit], threshold in red",
         axis_x=whole_range(),
         plot_legend=_legend(outputs > 1),
     )

@@ -16,9 +16,9 @@ ALL = "all outputs"
 class DetectorTrack:
     """What one detector says about one output of a machine, over time."""
 
-    def __init__(self, recording: rr.RecordingStream, evidence: Evidence, number: int) -> None:
+    def __init__(self, recording: rr.RecordingStream, machine: str, evidence: Evidence, number: int) -> None:
         e, label = evidence, evidence.output or ALL
-        entity = paths.decision(e.machine, e.detector, label)
+        entity = paths.decision(machine, e.detector, label)
         color = paths.LINES[number % len(paths.LINES)]
         self._statistic = _line(recording, entity, f"statistic, {label}", color)
         self._threshold = _line(recording, f"{entity}/threshold", f"threshold, {label}", paths.THRESHOLD)
@@ -33,7 +33,7 @@ class DetectorTrack:
                 ("quiet", f"nothing found, {label}", color, "Circle"),
             )
         }
-        self._lane = Lane(paths.lane(e.machine, e.detector + (f"_{e.output}" if e.output else "")))
+        self._lane = Lane(paths.lane(machine, e.detector + (f"_{e.output}" if e.output else "")))
 
     def add(self, recording: rr.RecordingStream, finding: Finding, start_ns: int) -> None:
         """Take a decision."""

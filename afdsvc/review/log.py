@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import uuid
+from collections.abc import Sequence
 from pathlib import Path
 
 import rerun as rr
@@ -16,6 +17,7 @@ from afdsvc.review import paths
 from afdsvc.review.blueprint import MachineLayout, blueprint
 from afdsvc.review.columns import at
 from afdsvc.review.machine import MachineReview
+from afdsvc.review.plane import Plane, log_planes, reach
 from afdsvc.review.signals import Groups, as_residual, by_group
 from afdsvc.wire.messages import EventKind, Finding, RigEvent
 
@@ -41,6 +43,7 @@ class ReviewLog:
         self._machines: dict[str, MachineReview] = {}
         self._start_ns: int | None = None
         self._sent_ns = 0
+        self._label, self._compared = "", False
         self._layouts: dict[str, MachineLayout] = {}
         self._decisions = DecisionLog()
         self._recording = rr.RecordingStream(paths.APPLICATION, recording_id=str(uuid.uuid4()))
@@ -51,7 +54,9 @@ class ReviewLog:
     def block(self, block: Block) -> None:
         """Take samples."""
         self._signals(block, by_group(block.channels))
-        self._machine(block.machine).follow_burst(self._recording, block, self._start(block.t0_ns))
+        machine = self._machine(block.machine)
+        machine.answers.say_nothing_yet(self._recording, block.t0_ns, self._start(block.t0_ns))
+        machine.follow_burst(self._recording, block, self._start(block.t0_ns))
         self._send_when_due(block.t0_ns)
 
     def residual(self, block: Block) -> None:
@@ -79,7 +84,7 @@ class ReviewLog:
         start = self._start(t_ns)
         self._machine(machine).told = True
         at(self._recording, t_ns, start)
-        self._recording.log(paths.path(machine, "log"), rr.TextLog(text, level=_LEVELS[level]))
+        self._recording.log(paths.path(self._machine(machine).id, "log"), rr.TextLog(text, level=_LEVELS[level]))
 
     def flush(self) -> None:
         """Send everything collected."""
@@ -87,7 +92,7 @@ class ReviewLog:
             machine.send(self._recording, self._start_ns or 0)
         layouts = {id: machine.layout() for id, machine in self._machines.items()}
         if layouts != self._layouts:
-            self._recording.send_blueprint(blueprint(layouts))
+            self._recording.send_blueprint(blueprint(layouts, self._compared))
             self._layouts = layouts
 
     def close(self) -> None:
@@ -102,14 +107,30 @@ class ReviewLog:
         """Say beforehand what the views of a machine will span, so that all bursts are shaded to one height."""
         self._machine(machine).expected = extremes
 
+    def begin(self, label: str) -> None:
+        """Say that what follows is another recording, to stand beside the others from its own beginning; name it."""
+        for machine in self._machines.values():
+            machine.end_burst(self._recording, self._start_ns or 0)
+        self.flush()
+        self._label, self._start_ns, self._compared = label, None, True
+        self._decisions = DecisionLog()
+
+    def planes(self, machine: str, planes: Sequence[Plane]) -> None:
+        """Show what bursts answered in the complex plane, beside where faults would have put it."""
+        if planes and self._start_ns is not None:
+            found = self._machine(machine)
+            found.planes = tuple((plane.title, reach(plane)) for plane in planes)
+            log_planes(self._recording, found.id, planes, self._start_ns)
+
     def _signals(self, block: Block, groups: Groups) -> None:
         start = self._start(block.t0_ns)
         self._machine(block.machine).show(self._recording, block, groups, start)
 
     def _machine(self, id: str) -> MachineReview:
-        if id not in self._machines:
-            self._machines[id] = MachineReview(id, self._quiet)
-        return self._machines[id]
+        name = f"{self._label}.{id}" if self._label else id
+        if name not in self._machines:
+            self._machines[name] = MachineReview(name, self._quiet)
+        return self._machines[name]
 
     def _start(self, t_ns: int) -> int:
         if self._start_ns is None:

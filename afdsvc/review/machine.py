@@ -9,6 +9,7 @@ import rerun as rr
 
 from afdsvc.api.signals import Block
 from afdsvc.review import paths
+from afdsvc.review.answers import Answers
 from afdsvc.review.blueprint import MachineLayout
 from afdsvc.review.decisions import DetectorTrack
 from afdsvc.review.lanes import Lane
@@ -29,6 +30,8 @@ class MachineReview:
         self._end = ("", 0)
         self._end_ns = 0
         self.told = False
+        self.answers = Answers(id)
+        self.planes: tuple[tuple[str, float], ...] = ()
 
     def show(self, recording: rr.RecordingStream, block: Block, groups: Groups, start_ns: int) -> None:
         """Take samples by group and role."""
@@ -64,11 +67,12 @@ class MachineReview:
 
     def decide(self, recording: rr.RecordingStream, finding: Finding, start_ns: int) -> None:
         """Take a decision."""
+        self.answers.take(recording, finding, start_ns)
         e = finding.evidence
         key = (e.detector, e.output)
         if key not in self._tracks:
             number = sum(detector == e.detector for detector, _ in self._tracks)
-            self._tracks[key] = DetectorTrack(recording, e, number)
+            self._tracks[key] = DetectorTrack(recording, self.id, e, number)
         self._tracks[key].add(recording, finding, start_ns)
 
     def lane(self, name: str) -> Lane:
@@ -81,9 +85,11 @@ class MachineReview:
             group.send(recording, start_ns)
         for track in self._tracks.values():
             track.send(recording, start_ns)
+        self.answers.send(recording, start_ns)
 
     def layout(self) -> MachineLayout:
         """Return what there is to lay out, groups in their fixed order."""
         groups = {name: self.groups[name].layout for name in paths.GROUPS if name in self.groups}
         detectors = Counter(detector for detector, _ in self._tracks)
-        return MachineLayout(groups, detectors, len(self._lanes) + len(self._tracks), self.told)
+        lanes = len(self._lanes) + len(self._tracks)
+        return MachineLayout(groups, detectors, lanes, self.told, self.answers.severities, self.planes)

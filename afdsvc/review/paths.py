@@ -35,6 +35,7 @@ ALARM = (255, 40, 40)
 OPEN = (255, 120, 40)
 DOUBT = (255, 190, 40)
 QUIET = (96, 125, 139)
+MEASURED = (255, 255, 255)
 BURST = (255, 205, 80)
 SHADE = (255, 205, 80, 10)
 
@@ -62,6 +63,19 @@ def shade(machine: str, name: str) -> str:
 def lane(machine: str, name: str) -> str:
     """Return the path of a lane of states; it is shown as it is, so what would have to be escaped becomes ``_``."""
     return path(machine, "states", re.sub(r"[^\w.-]", "_", name))
+
+
+_FAULTS: dict[str, int] = {}  # in the order they are first drawn
+
+
+def fault_colour(fault: str) -> tuple[int, int, int]:
+    """Return a fault's colour, the same in every view."""
+    return LINES[_FAULTS.setdefault(fault, len(_FAULTS)) % len(LINES)]
+
+
+def plane(machine: str, number: int) -> str:
+    """Return the path of a complex plane."""
+    return path(machine, "planes", str(number))
 
 
 def decision(machine: str, detector: str, *parts: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,29 +15,58 @@ from afdsvc.record import topics
 from afdsvc.record.foxglove_log import Level, decode_log
 from afdsvc.record.reader import Entry, Recording
 from afdsvc.review.log import LOOPBACK, QUIET_HERTZ, ReviewLog
+from afdsvc.review.plane import Plane
 from afdsvc.review.signals import by_group
 from afdsvc.wire import codec
 
+Planes = Callable[[Recording, str], Sequence[Plane]]
 
-def review_recording(path: str | Path, save: str | Path | None = None, every_sample: bool = False) -> Path:
+
+def review_recording(
+    path: str | Path, save: str | Path | None = None, every_sample: bool = False, planes: Planes | None = None
+) -> Path:
     """Write a Rerun file of a recording and return its path; without ``save`` it goes to a temporary folder.
 
-    Quiet stretches are thinned to their extremes unless ``every_sample`` is True; bursts never are. Raises `BadInput`
-    for a recording without samples, or a file that cannot be written.
+    Quiet stretches are thinned to their extremes unless ``every_sample`` is True; bursts never are. ``planes(recording,
+    machine)`` returns the complex planes of its bursts. Raises `BadInput` for a recording without samples, or a file that
+    cannot be written.
     """
-    recording = Recording(path)
-    if not recording.machines:
-        raise BadInput(f"{path}: holds no samples of any machine; {', '.join(recording.counts) or 'nothing'} is in it")
-    target = Path(save) if save else Path(tempfile.mkdtemp(prefix="afdsvc-review-")) / f"{recording.path.stem}.rrd"
-    told = any(topics.parts(name)[1] == topics.LOG for name in recording.counts)
-    quiet_hertz = 0.0 if every_sample else QUIET_HERTZ
-    log = ReviewLog(target, batch_seconds=5.0, quiet_hertz=quiet_hertz, tell=not told)
+    return review_recordings([path], save, every_sample, planes)
+
+
+def review_recordings(
+    recordings: Sequence[str | Path], save: str | Path | None = None, every_sample: bool = False, planes: Planes | None = None
+) -> Path:
+    """Write one Rerun file of several recordings, side by side, each from its own beginning; see `review_recording`."""
+    opened = [Recording(path) for path in recordings]
+    for recording in opened:
+        if not recording.machines:
+            raise BadInput(f"{recording.path}: holds no samples of any machine; {', '.join(recording.counts) or 'nothing'} is in it")
+    name = opened[0].path.stem + (f"-and-{len(opened) - 1}" if len(opened) > 1 else "")
+    target = Path(save) if save else Path(tempfile.mkdtemp(prefix="afdsvc-review-")) / f"{name}.rrd"
+    told = all(any(topics.parts(name)[1] == topics.LOG for name in recording.counts) for recording in opened)
+    log = ReviewLog(target, batch_seconds=5.0, quiet_hertz=0.0 if every_sample else QUIET_HERTZ, tell=not told)
+    for recording, label in zip(opened, _labels(opened), strict=True):
+        if len(opened) > 1:
+            log.begin(label)
+        _one(log, recording, planes)
+    log.close()
+    return target
+
+
+def _labels(opened: Sequence[Recording]) -> list[str]:
+    """Return names that differ, short where they can be."""
+    stems = [recording.path.stem for recording in opened]
+    return [stem if stems.count(stem) == 1 else f"{i}. {stem}" for i, stem in enumerate(stems, 1)]
+
+
+def _one(log: ReviewLog, recording: Recording, planes: Planes | None) -> None:
     for machine in recording.machines:
         log.span(machine, _extremes(recording, machine))
     for entry in recording.messages():
         _show(log, entry)
-    log.close()
-    return target
+    for machine in recording.machines if planes else ():
+        log.planes(machine, planes(recording, machine) if planes else ())
 
 
 def open_viewer(file: Path) -> int:

@@ -175,7 +175,7 @@ def test_the_layout_is_inside_and_sent_again_only_when_it_changes(tmp_path, bloc
     log = ReviewLog(tmp_path / "a.rrd", batch_seconds=0.1)
     sent = []
     monkeypatch.setattr(
-        "afdsvc.review.log.blueprint", lambda layouts, real=blueprint: sent.append(layouts) or real(layouts)
+        "afdsvc.review.log.blueprint", lambda layouts, *rest, real=blueprint: sent.append(layouts) or real(layouts, *rest)
     )
     for block in blocks(12):
         log.block(block)

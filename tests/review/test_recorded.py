@@ -10,7 +10,7 @@ from afdsvc.errors import BadInput
 from afdsvc.record.import_table import import_table
 from afdsvc.record.recorder import Recorder, RecordingSettings
 from afdsvc.record.tables import read_table
-from afdsvc.review import open_viewer, review_recording
+from afdsvc.review import open_viewer, review_recording, review_recordings
 from afdsvc.review.blueprint import blueprint
 from afdsvc.review.sink import ReviewSink
 from afdsvc.wire.codec import encode_block, encode_event, encode_finding
@@ -83,11 +83,11 @@ def test_an_imported_table_is_shown_without_empty_views(tmp_path, rrd, monkeypat
     path = import_table(read_table(tmp_path / "t.csv"), tmp_path / "t.mcap")
     layouts = []
     monkeypatch.setattr(
-        "afdsvc.review.log.blueprint", lambda found, real=blueprint: layouts.append(found) or real(found)
+        "afdsvc.review.log.blueprint", lambda found, *rest, real=blueprint: layouts.append(found) or real(found, *rest)
     )
     file = rrd(review_recording(path, tmp_path / "t.rrd"))
     assert {e for e in file.entities if not e.endswith("_burst")} == {
-        "/table/signals/inputs/u_a", "/table/signals/outputs/y_b",
+        "/table/answer", "/table/signals/inputs/u_a", "/table/signals/outputs/y_b",
     }  # fmt: skip
     [layout] = layouts[-1].values()
     assert (layout.lanes, layout.told, dict(layout.detectors)) == (0, False, {})
@@ -109,3 +109,24 @@ def test_the_viewer_reports_to_nobody_and_listens_on_loopback(tmp_path, monkeypa
     assert open_viewer(tmp_path / "a.rrd") == 0
     assert calls[0] == ["-m", "rerun", "analytics", "disable"]
     assert calls[1] == ["-m", "rerun", "--bind", "127.0.0.1", "--port", "auto", str(tmp_path / "a.rrd")]
+
+
+def test_several_recordings_stand_side_by_side_each_from_its_own_beginning(recording, blocks, tmp_path, rrd):
+    later = Recorder(RecordingSettings(tmp_path / "later.mcap"))
+    for block in blocks(6):
+        moved = replace(block, t0_ns=block.t0_ns + 10**12)
+        later.block(encode_block(moved), moved)
+    later.close()
+    review_recordings([recording, tmp_path / "later.mcap"], tmp_path / "both.rrd")
+    file = rrd(tmp_path / "both.rrd")
+    first, second = (file.rows(f"/{name}.m1/signals/outputs/y_h") for name in ("run", "later"))
+    assert first[0][0] == second[0][0] == 0
+    assert max(t for t, _ in second) < 300_000_000
+
+
+def test_recordings_of_one_name_are_numbered(recording, tmp_path, rrd):
+    (tmp_path / "other").mkdir()
+    copy = tmp_path / "other" / recording.name
+    copy.write_bytes(recording.read_bytes())
+    review_recordings([recording, copy], tmp_path / "both.rrd")
+    assert {e.split("/")[1] for e in rrd(tmp_path / "both.rrd").entities} == {"1.\\ run.m1", "2.\\ run.m1"}
