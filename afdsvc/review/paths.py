@@ -22,8 +22,8 @@ TITLES = {
     "outputs": "output y",
     "inputs": "input u",
     "excitation": "excitation alpha",
-    "residual": "residual beta, before whitening",
-    "whitened": "residual r, after whitening",
+    "residual": "residual beta (raw)",
+    "whitened": "residual r (white)",
     "aux": "other signals",
 }
 

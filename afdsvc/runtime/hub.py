@@ -32,6 +32,7 @@ PASSING = ("bad_samples", "frozen_sensor")  # those that end by themselves
 TICK_SECONDS = 0.05
 STATUS_SECONDS = 1.0
 STOPPING_SECONDS = 2.5  # a service has 5 s to stop, files included
+FULL_SECONDS = 2.0  # a message waits so long for room in the queue; zenoh holds the link for 10 s
 HUNG_SECONDS = 20.0  # a thread that has not come round for so long is stuck
 
 
@@ -134,8 +135,9 @@ class Hub:
         return watch.status(desk.playing if desk else "", next_burst, self.alarms.of(machine))
 
     def _put(self, kind: str, key: str, what: Any) -> None:
+        """Leave a message to the worker. When too many wait the sender does too: its rigs then keep what they say, for minutes."""
         try:
-            self._queue.put_nowait((kind, key, what))
+            self._queue.put((kind, key, what), timeout=0.05 if self._stop.is_set() else FULL_SECONDS)
         except queue.Full:
             self.dropped += 1
 
