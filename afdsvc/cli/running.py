@@ -5,11 +5,12 @@ from __future__ import annotations
 import getpass
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 
 from afdsvc.cli.options import HERE, Json, MachineOption, SiteOption, show
+from afdsvc.errors import BadInput
 
 app = typer.Typer()
 
@@ -33,15 +34,23 @@ def status(site: SiteOption = HERE, as_json: Json = False) -> None:
 @app.command()
 def alarms(
     history: Annotated[bool, typer.Option("--history", help="What happened, by whom and why, instead of how they stand.")] = False,
-    alarm: Annotated[str, typer.Argument(help="Only this one, in the history.")] = "",
+    alarm: Annotated[str, typer.Argument(help="Only this one.")] = "",
     site: SiteOption = HERE,
     as_json: Json = False,
 ) -> None:
     """Show the alarms, or what happened to them."""
     from afdsvc.terminal import alarm_table, history_table
 
+    if alarm.endswith(".toml"):
+        raise BadInput(f"'{alarm}' is no alarm; the site file is given as --site {alarm}")
     found = _ask(site, "history", alarm=alarm) if history else _ask(site, "alarms")
+    if alarm and not history:
+        found = [a for a in found if a["id"] == alarm] or _no_alarm(alarm, found)
     show(as_json, found, lambda: (history_table if history else alarm_table)(found))
+
+
+def _no_alarm(alarm: str, found: list[dict[str, Any]]) -> NoReturn:
+    raise BadInput(f"there is no alarm '{alarm}'; there are {', '.join(a['id'] for a in found) or 'none'}")
 
 
 AlarmId = Annotated[str, typer.Argument(help="Id of the alarm, as `afdsvc alarms` shows it.")]

@@ -54,6 +54,7 @@ def test_demo_names_the_fault(tmp_path: Path):
         (("serve", "setting.toml"), ("machine 'm'", "unknown setting 'gian'")),
         (("rig", "good.toml", "--machine", "x"), ("good.toml", "no machine 'x'; it has m")),
         (("status", "--site", "good.toml"), ("no service answers", "afdsvc serve")),
+        (("alarms", "good.toml"), ("'good.toml' is no alarm", "--site good.toml")),
         (("diagnose", "missing.mcap"), ("missing.mcap",)),
         (("diagnose", "wrong.toml"), ("wrong.toml", "MCAP")),
         (("diagnose", "table.csv"), ("table.csv", "--model")),
