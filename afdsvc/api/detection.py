@@ -33,7 +33,8 @@ class DetectionProblem:
     rig (None when nobody stated them): an actuator at its limit spoils a burst. ``uncertain`` is the same plant with its
     uncertain parameters pulled out, ``uncertainty`` their relative standard deviations by name; None and empty for a model
     that is taken as certain. ``output_cov (p, p)`` and ``process_cov (n, n)`` are the noises the innovations were made
-    from, where known: a parameter of A or C also moves the predictor's gain.
+    from, where known: a parameter of A or C also moves the predictor's gain. ``speed`` [rad/s] is that of a machine that turns,
+    0 otherwise.
     """
 
     machine: str
@@ -52,6 +53,7 @@ class DetectionProblem:
     uncertain: AugmentedPlant | None = None
     output_cov: Array | None = None
     process_cov: Array | None = None
+    speed: float = 0.0
 
     @property
     def fault_names(self) -> tuple[str, ...]:

@@ -27,13 +27,16 @@ _STEP = 0.2
 _FINEST = 150.0  # largest b / mu given to the integral equation
 
 
-def run_length(mu: float, b: float, changed: bool = False, bias: float = 0.0) -> float:
+def run_length(mu: float, b: float, changed: bool = False, bias: float = 0.0, step: float | None = None) -> float:
     """Return the average run length in samples, before (``changed`` False) or from the change, started at 0.
 
-    ``bias`` is added to the mean of every increment: what a wrong model does to it.
+    ``bias`` is added to the mean of every increment: what a wrong model does to it. ``step`` is the mean step at the
+    ends of an excursion where steps are uneven: then the boundary is moved by Siegmund's 1.166 step.
     """
     _check(mu, b)
     drift = _drift(mu, changed) + bias
+    if step is not None:
+        return _diffusion(mu, b + OVERSHOOT * step, drift)
     if b > _FINEST * mu:
         return _diffusion(mu, b + OVERSHOOT * mu, drift)
     x, w, kernel = _grid(mu, b, drift)

@@ -18,6 +18,8 @@ from scipy.special import logsumexp
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.hypotheses import Fit
+from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
+from afdsvc.detect.recent import between
 from afdsvc.detect.regressors import predictor_gain, whitener
 from afdsvc.detect.watch import BurstSamples, Finding
 from afdsvc.lti.simulate import simulate
@@ -27,20 +29,23 @@ from afdsvc.lti.statespace import Array, StateSpace
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BankSums:
-    """States of the predictors and the log likelihood ratio of every model, shape ``(K,)``."""
+    """States of the predictors, the log likelihood ratio of every model, shape ``(K,)``, nuisances learnt so far."""
 
     states: tuple[Array, ...]
     ratio: Array
     n: int
+    cleaning: Cleaning | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bank:
-    """The statistic; ``models`` are (fault, severity, predictor from ``[y; u]`` to its normalised error)."""
+    """The statistic; ``models`` are (fault, severity, predictor from ``[y; u]`` to its normalised error); ``nuisances`` are
+    projected out of every error."""
 
     models: tuple[tuple[str, float, StateSpace], ...]
     false_alarm: float
     settle: int
+    nuisances: Nuisances = NONE
 
     def start(self, burst: Burst, dt: float) -> BankSums:
         """Return predictors at rest; their first ``settle`` samples are not counted."""
@@ -49,13 +54,15 @@ class Bank:
     def step(self, sums: BankSums, samples: BurstSamples) -> tuple[BankSums, None]:
         """Return the sums with the samples added."""
         signals = np.hstack([samples.block.y, samples.block.u])
-        skip = max(self.settle - sums.n, 0)
-        ratio, states, e0 = sums.ratio.copy(), [], np.ascontiguousarray(samples.series[skip:, 0])
-        for k, (_, _, model) in enumerate(self.models):
-            e, after = simulate(model, signals, sums.states[k])
-            ratio[k] = _add(e0, e[skip:], ratio[k])
-            states.append(after)
-        return BankSums(tuple(states), ratio, sums.n + len(signals)), None
+        run = [simulate(model, signals, x) for (_, _, model), x in zip(self.models, sums.states, strict=True)]
+        errors = np.stack([samples.series[:, 0], *(e for e, _ in run)], axis=1)
+        skip = min(max(self.settle - sums.n, 0), len(signals))
+        block = between(samples.block, skip, len(signals))
+        cleaning, clean, kept = self.nuisances.clean(sums.cleaning, block, errors[skip:])
+        counted, ratio = clean[kept], sums.ratio.copy()
+        for k in range(len(self.models)):
+            ratio[k] = _add(counted[:, 0], counted[:, 1 + k], ratio[k])
+        return BankSums(tuple(after for _, after in run), ratio, sums.n + len(signals), cleaning), None
 
     def decide(self, sums: BankSums, burst: Burst, dt: float) -> Sequence[Finding]:
         """Return one finding: the likeliest model and the weights of the faults."""
@@ -86,7 +93,9 @@ def _add(e0, e, ratio):  # type: ignore[no-untyped-def]
     return ratio
 
 
-def bank(problem: DetectionProblem, severities: Sequence[float], settle: int) -> Bank:
+def bank(
+    problem: DetectionProblem, severities: Sequence[float], settle: int, nuisances: Nuisances = NONE
+) -> Bank:
     """Return the bank of all faults at the given severities; models whose predictor is unstable are left out."""
     Kp, Li = predictor_gain(problem, problem.augmented.plant), whitener(problem.covariance)
     models = []
@@ -98,4 +107,4 @@ def bank(problem: DetectionProblem, severities: Sequence[float], settle: int) ->
                 B = np.hstack([Kp, g.B - Kp @ g.D])
                 direct = np.hstack([np.eye(g.outputs), -g.D])
                 models.append((name, float(severity), StateSpace(A, B, -Li @ g.C, Li @ direct, g.dt)))
-    return Bank(tuple(models), problem.false_alarms.per_burst, settle)
+    return Bank(tuple(models), problem.false_alarms.per_burst, settle, nuisances)

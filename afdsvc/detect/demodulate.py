@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from afdsvc.api.bursts import Burst
-from afdsvc.errors import IllConditioned
+from afdsvc.errors import BadInput, IllConditioned
 from afdsvc.lti.statespace import Array, ComplexArray
 
 _COLLINEAR = 1e-8  # share of a direction's energy that must survive the others
@@ -98,6 +98,16 @@ def project(sums: BasisSums, basis: Basis) -> Lines:
         )
     R = np.asarray(np.linalg.cholesky(G)).T
     return Lines(np.asarray(np.linalg.solve(R.T, B)), R)
+
+
+def line_frequencies(burst: Burst) -> tuple[float, ...]:
+    """Return the frequencies [rad/s] of a burst's lines in order; raises `BadInput` for a burst that is no sum of sines."""
+    if not burst.lines or burst.waveform is not None:
+        raise BadInput(f"burst '{burst.name}' is not a sum of sines; this detector needs one")
+    omega = tuple(sorted({line.omega for line in burst.lines}))
+    if len(omega) != len(burst.lines):
+        raise BadInput(f"burst '{burst.name}' uses a frequency on two inputs; one for each input is wanted")
+    return omega
 
 
 def window(burst: Burst) -> tuple[int, int]:

@@ -15,25 +15,29 @@ from scipy.special import ndtri
 from scipy.stats import chi2
 
 from afdsvc.api.bursts import Burst
+from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
 from afdsvc.detect.watch import BurstSamples, Finding
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class EnergySums:
-    """Samples, sum of squares and largest absolute value of the normalised residual."""
+    """Samples, sum of squares and largest absolute value of the normalised residual, nuisances learnt so far."""
 
     n: int
     energy: float
     largest: float
+    cleaning: Cleaning | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Energy:
-    """The statistic over a burst: chi-squared energy, or with ``peak`` the largest sample (a limit check)."""
+    """The statistic over a burst: chi-squared energy, or with ``peak`` the largest sample (a limit check), after the
+    ``nuisances`` are projected out."""
 
     outputs: int
     false_alarm: float
     peak: bool
+    nuisances: Nuisances = NONE
 
     def start(self, burst: Burst, dt: float) -> EnergySums:
         """Return empty sums."""
@@ -41,8 +45,10 @@ class Energy:
 
     def step(self, sums: EnergySums, samples: BurstSamples) -> tuple[EnergySums, None]:
         """Return the sums with the samples added."""
-        energy, largest = _add(samples.series[:, 0], sums.energy, sums.largest)
-        return EnergySums(sums.n + len(samples.series), energy, largest), None
+        cleaning, clean, kept = self.nuisances.clean(sums.cleaning, samples.block, samples.series[:, :1])
+        e = clean[kept, 0]
+        energy, largest = _add(e, sums.energy, sums.largest)
+        return EnergySums(sums.n + len(e), energy, largest, cleaning), None
 
     def decide(self, sums: EnergySums, burst: Burst, dt: float) -> Sequence[Finding]:
         """Return one finding without any fault in it."""

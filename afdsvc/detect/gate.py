@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class Gate:
 
     def start(self, faults: int, outputs: int, because: str = "the start") -> GateState:
         """Return the state before any sample."""
-        return GateState(LagSums.empty(self.lags, faults, outputs), (), self.settle, because)
+        return _start(self, faults, outputs, because)
 
     def restart(self, state: GateState, because: str) -> GateState:
         """Return the state after a gap or a sample that cannot be used."""
@@ -48,10 +49,10 @@ class Gate:
         """
         skipped = min(state.skip, len(series))
         state = replace(state, skip=state.skip - skipped)
-        series = series[skipped:]
+        series = series[skipped:] if skipped else series
         while len(series):
             room = self.part - state.now.n
-            now = state.now.add(series[:room])
+            now = state.now.add(series[:room] if room < len(series) else series)
             series = series[room:]
             parts = state.parts
             if now.n >= self.part:
@@ -64,13 +65,8 @@ class Gate:
         """Samples in one part sum."""
         return max(1, -(-self.window // PARTS))
 
-    def judge(
-        self, state: GateState, names: tuple[str, ...] = (), bounds: Sequence[tuple[float, float]] = ()
-    ) -> Judgement:
-        """Return whether the quiet data can be trusted, and if not, why.
-
-        ``names`` are the faults and uncertain parameters of the series, ``bounds`` the values they may have.
-        """
+    def judge(self, state: GateState) -> Judgement:
+        """Return whether the quiet data can be trusted as they are, and if not, why."""
         sums = state.sums()
         if sums.n < self.needed:
             return Judgement(
@@ -78,14 +74,15 @@ class Gate:
                 f"only {sums.n} quiet samples since {state.because}; {self.needed} are wanted to trust a decision",
             )
         plain = whiteness(sums)
-        if plain.p >= self.level:
-            return Judgement(True, "", plain)
-        return self.explained(sums, names, bounds) or Judgement(False, plain.reason(self.level), plain)
+        return Judgement(plain.p >= self.level, plain.reason(self.level), plain)
 
     def explained(
-        self, sums: LagSums, names: tuple[str, ...], bounds: Sequence[tuple[float, float]]
+        self, sums: LagSums, names: Sequence[str], bounds: Sequence[tuple[float, float]]
     ) -> Judgement | None:
-        """Return the judgement that one of the faults explains the data, None when none does."""
+        """Return the judgement that one of the faults explains the data, None when none does.
+
+        ``names`` are the faults and uncertain parameters of the sums, ``bounds`` the values they may have.
+        """
         if sums.n < self.needed:
             return None
         for i, (name, (low, high)) in enumerate(zip(names, bounds, strict=True)):
@@ -129,6 +126,11 @@ class Judgement:
     def p_white(self) -> float | None:
         """p-value of the whiteness test; None before there are enough samples."""
         return None if self.found is None else self.found.p
+
+
+@lru_cache(maxsize=16)  # one object for all, so that those who see the same samples are recognised
+def _start(gate: Gate, faults: int, outputs: int, because: str) -> GateState:
+    return GateState(LagSums.empty(gate.lags, faults, outputs), (), gate.settle, because)
 
 
 def finite(*arrays: Array) -> bool:

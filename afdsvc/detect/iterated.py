@@ -14,15 +14,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from afdsvc.api.bursts import Burst
-from afdsvc.api.detection import DetectionProblem
+from afdsvc.api.detection import DetectionProblem, ResidualBlock
 from afdsvc.detect import maximum
 from afdsvc.detect.demodulate import Basis, BasisSums, project
 from afdsvc.detect.hypotheses import Fit, anything_log_evidence, linear_fit, weights
+from afdsvc.detect.nuisances import NONE, Nuisances
+from afdsvc.detect.recent import between
 from afdsvc.detect.regressors import predictor_gain, whitener
 from afdsvc.detect.watch import BurstSamples, Finding
 from afdsvc.lti.simulate import simulate
@@ -35,34 +37,45 @@ NUDGE = 1e-4  # severity by which derivatives are taken
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recorded:
-    """The samples so far: pieces of ``[y; u]``, and the excited lines for the hypothesis of an unknown fault."""
+    """The blocks so far, and the excited lines for the hypothesis of an unknown fault."""
 
-    pieces: tuple[Array, ...]
+    blocks: tuple[ResidualBlock, ...]
     lines: BasisSums
+
+    def whole(self) -> ResidualBlock:
+        """Return the blocks as one."""
+        first = self.blocks[0]
+        aux = {name: np.concatenate([b.aux[name] for b in self.blocks]) for name in first.aux}
+        each = ((b.r, b.beta, b.u, b.y, b.alpha) for b in self.blocks)
+        r, beta, u, y, alpha = (np.concatenate(parts) for parts in zip(*each, strict=True))
+        return replace(first, r=r, beta=beta, u=u, y=y, alpha=alpha, aux=aux)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Iterated:
-    """The statistic for one machine."""
+    """The statistic for one machine; ``nuisances`` are projected out of every prediction error."""
 
     problem: DetectionProblem
     Kp: Array
     Li: Array
     settle: int
+    nuisances: Nuisances = NONE
 
     def start(self, burst: Burst, dt: float) -> Recorded:
         """Return an empty record."""
-        return Recorded((), BasisSums.empty(_basis(burst), self.problem.plant.outputs))
+        return Recorded((), BasisSums.empty(self._basis(burst, False), self.problem.plant.outputs))
 
     def step(self, sums: Recorded, samples: BurstSamples) -> tuple[Recorded, None]:
         """Return the record with the samples added."""
-        block = samples.block
-        lines = sums.lines.add(_basis(block.burst), samples.first, samples.dt, samples.series[:, 0])
-        return Recorded((*sums.pieces, np.hstack([block.y, block.u])), lines), None
+        block, angle = samples.block, self.nuisances.angles(samples.block)
+        basis = self._basis(block.burst, angle is not None)
+        lines = sums.lines if sums.lines.n else BasisSums.empty(basis, self.problem.plant.outputs)
+        lines = lines.add(basis, samples.first, samples.dt, samples.series[:, 0], angle)
+        return Recorded((*sums.blocks, block), lines), None
 
     def decide(self, sums: Recorded, burst: Burst, dt: float) -> Sequence[Finding]:
         """Return one finding for all outputs together."""
-        signals = np.vstack(sums.pieces)
+        signals = sums.whole()
         healthy = self._error(self.problem.augmented.plant, signals)
         scores = np.array([self._slope(name, 0.0, signals) for name in self.problem.fault_names])
         seen = np.flatnonzero(np.sum(scores**2, axis=1) > 1e-12)
@@ -70,12 +83,12 @@ class Iterated:
             return [Finding(0.0, float("inf"))]
         fits = [self._fit(name, signals, healthy) for name in self.problem.fault_names]
         h = maximum.threshold(_gram_vectors(scores[seen]), self.problem.false_alarms.per_burst)
-        basis = _basis(burst)
+        basis = self._basis(burst, self.nuisances.turning(signals))
         other = anything_log_evidence(project(sums.lines, basis).z) if basis.omega else None
         statistic, parts = max(_signed_root(fits[k]) for k in seen), {"samples": float(len(healthy) / self.Li.shape[0])}
         return [Finding(statistic, h, tuple(fits), weights(fits, other), parts)]
 
-    def _fit(self, name: str, signals: Array, healthy: Array) -> Fit:
+    def _fit(self, name: str, signals: ResidualBlock, healthy: Array) -> Fit:
         """Return the likeliest severity of one fault; ``healthy`` is the error of the healthy model."""
         low, high = self.problem.severity_range
         theta, rest, slope = 0.0, healthy, self._slope(name, 0.0, signals)
@@ -90,7 +103,7 @@ class Iterated:
         around = linear_fit(name, float(rest @ slope), information, (low - theta, high - theta))
         return Fit(name, theta, around.sd, gain, gain + around.log_evidence)
 
-    def _moved(self, name: str, theta: float, rest: Array, slope: Array, signals: Array) -> tuple[float, Array]:
+    def _moved(self, name: str, theta: float, rest: Array, slope: Array, signals: ResidualBlock) -> tuple[float, Array]:
         """Return the severity after a Gauss-Newton step and its error, the step halved until the fit is better."""
         low, high = self.problem.severity_range
         step = float(rest @ slope) / float(slope @ slope)
@@ -102,26 +115,36 @@ class Iterated:
             step /= 2
         return theta, rest
 
-    def _slope(self, name: str, theta: float, signals: Array) -> Array:
+    def _slope(self, name: str, theta: float, signals: ResidualBlock) -> Array:
         """Return minus the derivative of the error by the severity; 0 where a neighbour has no stable predictor."""
         ends = [self._error(self.problem.augmented.close({name: theta + s * NUDGE}), signals) for s in (-1, 1)]
         if ends[0] is None or ends[1] is None:
-            return np.zeros((len(signals) - self.settle) * self.problem.plant.outputs)
+            return np.zeros_like(self._settled(signals, np.zeros_like(signals.y)))
         return np.asarray((ends[0] - ends[1]) / (2 * NUDGE))
 
-    def _error(self, g: StateSpace, signals: Array) -> Array | None:
+    def _error(self, g: StateSpace, signals: ResidualBlock) -> Array | None:
         """Return the normalised prediction error after settling, flattened; None when the predictor is unstable."""
         A = g.A - self.Kp @ g.C
         if not is_stable(A, g.dt):
             return None
         B, D = np.hstack([self.Kp, g.B - self.Kp @ g.D]), np.hstack([np.eye(g.outputs), -g.D])
-        e, _ = simulate(StateSpace(A, B, -self.Li @ g.C, self.Li @ D, g.dt), signals)
-        return np.asarray(e[self.settle :].ravel())
+        e, _ = simulate(StateSpace(A, B, -self.Li @ g.C, self.Li @ D, g.dt), np.hstack([signals.y, signals.u]))
+        return self._settled(signals, e)
+
+    def _settled(self, signals: ResidualBlock, e: Array) -> Array:
+        """Return errors ``(n, p)`` without nuisances, flattened, settling and the samples that were spent on them left out."""
+        block = between(signals, min(self.settle, len(signals)), len(signals))
+        _, clean, kept = self.nuisances.clean(None, block, e[len(e) - len(block) :, None])
+        return np.asarray(clean[kept].ravel())
+
+    def _basis(self, burst: Burst | None, turning: bool) -> Basis:
+        return self.nuisances.basis(() if burst is None else tuple(sorted({line.omega for line in burst.lines})), turning)
 
 
-def iterated(problem: DetectionProblem, settle: int) -> Iterated:
+def iterated(problem: DetectionProblem, settle: int, nuisances: Nuisances = NONE) -> Iterated:
     """Return the statistic for one machine; the first ``settle`` samples of every burst are left out."""
-    return Iterated(problem, predictor_gain(problem, problem.augmented.plant), whitener(problem.covariance), settle)
+    gain = predictor_gain(problem, problem.augmented.plant)
+    return Iterated(problem, gain, whitener(problem.covariance), settle, nuisances)
 
 
 def _signed_root(fit: Fit) -> float:
@@ -134,6 +157,3 @@ def _gram_vectors(scores: Array) -> Array:
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
-
-def _basis(burst: Burst | None) -> Basis:
-    return Basis(() if burst is None else tuple(sorted({line.omega for line in burst.lines})))

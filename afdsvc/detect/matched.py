@@ -19,7 +19,7 @@ import numpy as np
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.curves import FaultCurves, fault_curves
-from afdsvc.detect.demodulate import Basis, BasisSums, Lines, project
+from afdsvc.detect.demodulate import Basis, BasisSums, Lines, line_frequencies, project
 from afdsvc.detect.demodulate import window as window
 from afdsvc.detect.hypotheses import LineData, anything_log_evidence, curve_fit, weights
 from afdsvc.detect.line_tests import LargestProjection, LikelihoodRatio, LineTest
@@ -28,7 +28,6 @@ from afdsvc.detect.power import tail
 from afdsvc.detect.reach import reachable
 from afdsvc.detect.uncertainty import model_doubt, models
 from afdsvc.detect.watch import BurstSamples, Finding
-from afdsvc.errors import BadInput
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,12 +61,7 @@ class MatchedFilter:
 
         Raises `BadInput` for a burst that is no sum of sines.
         """
-        if not burst.lines or burst.waveform is not None:
-            raise BadInput(f"burst '{burst.name}' is not a sum of sines; the matched filter needs one")
-        omega = tuple(sorted({line.omega for line in burst.lines}))
-        if len(omega) != len(burst.lines):
-            raise BadInput(f"burst '{burst.name}' uses a frequency on two inputs; one for each input is wanted")
-        return self.nuisances.basis(omega, turning)
+        return self.nuisances.basis(line_frequencies(burst), turning)
 
     def start(self, burst: Burst, dt: float) -> BasisSums:
         """Return empty sums."""

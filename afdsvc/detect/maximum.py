@@ -84,11 +84,13 @@ def _in_a_plane(e: Array, h: float) -> float:
 
 
 def _union_terms(e: Array, h: float) -> Array:
-    """Return K times the mean of 1/count, as one term per point; the points take the K directions in turn."""
+    """Return the mean of 1/count for every direction, one term per point; neighbouring points belong to one direction,
+    since every stretch of a low-discrepancy sequence is spread evenly while every K-th point may not be.
+    """
     K, D = e.shape
     u = points(D)
-    k = np.arange(len(u)) % K
-    return np.asarray(K / len(u) / _counts(e, k, u, h))
+    k = np.arange(len(u)) * K // len(u)
+    return np.asarray(1 / np.bincount(k, minlength=K)[k] / _counts(e, k, u, h))
 
 
 def _share(e: Array, k: int, h: float) -> float:

@@ -1,7 +1,8 @@
 """CUSUM between bursts: what the loop's own noise gives away about a fault, all the time and without excitation.
 
-The log-likelihood ratios use the regressors psi of `regressors`. They gain information at a random rate, but counted in
-information instead of samples they are the CUSUM of `arl`, and the run length in samples follows from the mean rate.
+The log-likelihood ratios use the regressors psi of `regressors`, advanced in blocks of a few milliseconds from the products
+that all faults share (`shared`, `products`). They gain information at a random rate: the run length is that of uneven
+steps (`uneven`, `arl`), at the mean rate the healthy loop determines.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,56 +18,63 @@ from numpy.typing import NDArray
 from afdsvc.api.detection import DetectionProblem, ResidualBlock
 from afdsvc.api.evidence import Evidence
 from afdsvc.detect.checks import Runs
-from afdsvc.detect.cusum import CusumState, rate_boundary, segment_finding
-from afdsvc.detect.gate import Gate, GateState, finite
+from afdsvc.detect.cusum import Cusum, CusumState, cusum
+from afdsvc.detect.gate import Gate, GateState, Judgement, finite
 from afdsvc.detect.noise_driven import NoiseDriven, noise_driven
 from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
 from afdsvc.detect.once import at_rest, stepped
-from afdsvc.detect.regressors import Regressors, RegressorState, regressors
+from afdsvc.detect.recent import NOTHING, Recent
+from afdsvc.detect.regressors import regressors
+from afdsvc.detect.run_length import rate_boundary
+from afdsvc.detect.shared import Filters, shared
+from afdsvc.detect.uneven import excursion_steps
 from afdsvc.detect.watch import Finding, evidence, pieces
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 
+BLOCK = 1e-3  # seconds between looks at the CUSUMs
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PassiveState:
-    """Filters, gate, runs of constant values, CUSUMs, samples to stay silent, and whether the gate's doubt was
-    reported.
+    """Filters, gate, runs of constant values, CUSUMs, samples to stay silent, whether the gate's doubt was
+    reported, nuisances learnt, and the last quiet samples.
     """
 
-    filters: RegressorState
+    filters: Any
     gate: GateState
     runs: Runs
     cusum: CusumState
     silent: int = 0
     doubted: bool = False
     cleaning: Cleaning | None = None
+    recent: Recent = NOTHING
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PassiveDetector:
-    """The detector: severities ``theta (K,)`` of the log-likelihood ratios of the faults ``which (K,)``, boundary,
-    samples of silence after an alarm.
-    """
+    """The detector: CUSUMs ``test`` of the faults ``which (K,)``, samples of silence after an alarm."""
 
     name: str
     problem: DetectionProblem
-    filters: Regressors
+    filters: Filters
     gate: Gate
     which: NDArray[np.intp]
-    theta: Array
-    boundary: float
+    test: Cusum
     silence: int
     sure: float
     frozen: int
     nuisances: Nuisances = NONE
 
+    @property
+    def boundary(self) -> float:
+        """Boundary of the largest CUSUM."""
+        return self.test.boundary
+
     def start(self) -> PassiveState:
         """Return the initial state."""
         p = self.problem.plant.outputs
-        gate = self.gate.start(len(self.filters.names), p)
-        cusum = CusumState.start(len(self.which))
-        return PassiveState(at_rest(self.filters), gate, Runs.start(p), cusum, self.gate.settle)
+        return PassiveState(at_rest(self.filters), self.gate.start(0, p), Runs.start(p), self.test.start(), self.gate.settle)
 
     def step(self, state: PassiveState, block: ResidualBlock) -> tuple[PassiveState, Sequence[Evidence]]:
         """Return the state after the block and the alarms and doubts that fell inside it."""
@@ -87,13 +96,14 @@ class PassiveDetector:
     def _restarted(self, state: PassiveState, because: str) -> PassiveState:
         return replace(
             state, filters=at_rest(self.filters), gate=self.gate.restart(state.gate, because),
-            cusum=CusumState.start(len(self.which)), silent=self.gate.settle, cleaning=None,
+            cusum=self.test.start(), silent=self.gate.settle, cleaning=None, recent=NOTHING,
         )
 
     def _quiet(self, state: PassiveState, piece: ResidualBlock, series: Array, found: list[Evidence]) -> PassiveState:
         """Advance over quiet samples, stopping where a gate part is full and where silence or a CUSUM ends."""
         cleaning, series, kept = self.nuisances.clean(state.cleaning, piece, series, self.gate.part)
-        state, index = replace(state, cleaning=cleaning), np.flatnonzero(kept)
+        recent = state.recent.add(piece, self._remembered + len(piece))  # so that a doubt inside it has all it looks at
+        state, index = replace(state, cleaning=cleaning, recent=recent), np.flatnonzero(kept)
         series = series if len(index) == len(series) else series[kept]
         t = 0
         while t < len(series):
@@ -101,7 +111,7 @@ class PassiveDetector:
             chunk, k = series[t : t + n], piece.k0 + index[t : t + n]
             if state.silent:
                 n = min(n, state.silent)
-                state = replace(state, silent=state.silent - n, gate=self.gate.add(state.gate, chunk[:n]))
+                state = replace(state, silent=state.silent - n, gate=self.gate.add(state.gate, chunk[:n, :1]))
             else:
                 state, n = self._watch(state, chunk, k, piece.dt, found)
             t += n
@@ -112,23 +122,32 @@ class PassiveDetector:
     def _watch(
         self, state: PassiveState, series: Array, k: NDArray[np.intp], dt: float, found: list[Evidence]
     ) -> tuple[PassiveState, int]:
-        waves = series[:, 1 + self.which]
-        cusum, at, who, _ = state.cusum.step(series[:, 0], waves, waves, self.theta, self.boundary, 0.0)
+        after, at, who = self.test.step(state.cusum, series.reshape(len(series), -1))
         n = len(series) if at < 0 else at + 1
-        state = replace(state, cusum=cusum, gate=self.gate.add(state.gate, series[:n]))
+        state = replace(state, cusum=after, gate=self.gate.add(state.gate, series[:n, :1]))
         if at < 0:
             return state, n
         found.append(self._alarm(state, who, int(k[at]), dt))
-        return replace(state, cusum=CusumState.start(len(self.which)), silent=self.silence), n
+        return replace(state, cusum=self.test.start(), silent=self.silence), n
 
     def _alarm(self, state: PassiveState, who: int, k: int, dt: float) -> Evidence:
         names = [self.problem.fault_names[i] for i in self.which]
-        g = float(state.cusum.g[who])
-        finding = segment_finding(state.cusum, who, names, g, self.boundary, self.problem.severity_range, k)
+        finding = self.test.finding(state.cusum, who, names, self.problem.severity_range, k)
         return self._evidence(state, finding, k, dt)
 
+    @property
+    def _remembered(self) -> int:
+        return self.gate.window + self.gate.settle
+
+    def _judgement(self, state: PassiveState, k: int) -> Judgement:
+        found = self.gate.judge(state.gate)
+        if found.ok or found.found is None:
+            return found
+        recent = state.recent.until(k, self._remembered)
+        return recent.explained(self.gate, self.filters, self.nuisances) or found
+
     def _evidence(self, state: PassiveState, finding: Finding, k: int, dt: float) -> Evidence:
-        judgement = self.gate.judge(state.gate, self.filters.names, self.filters.bounds)
+        judgement = self._judgement(state, k)
         still = [i for i, run in enumerate(state.runs.length) if run >= self.frozen]
         complaint = f"sensor '{self._output(still[0])}' stands still" if still else ""
         return evidence(self.name, self.problem.machine, k, dt, "", finding, judgement, complaint, self.sure)
@@ -137,7 +156,7 @@ class PassiveDetector:
         """Say once that the quiet data cannot be trusted, again only after they could be in between."""
         if state.gate.sums().n < self.gate.needed:
             return state
-        ok = self.gate.judge(state.gate, self.filters.names, self.filters.bounds).ok
+        ok = self._judgement(state, k).ok
         if not ok and not state.doubted:
             peak = float(state.cusum.g.max(initial=0.0))
             found.append(self._evidence(state, Finding(peak, self.boundary), k, dt))
@@ -157,21 +176,30 @@ def passive_detector(
     nuisances: Nuisances = NONE,
 ) -> PassiveDetector:
     """Return the passive CUSUM; raises `BadInput` when the loop's noise tells nothing about any fault."""
-    filters = regressors(problem)
-    noise = noise_driven(problem, filters)
+    known = regressors(problem)
+    noise, filters = noise_driven(problem, known), shared(known)
     passive = noise.passive[: filters.faults]
     which = np.flatnonzero(passive > 1e-12 * max(passive.max(initial=0.0), 1e-300))
     if not len(which):
         raise BadInput(f"detector '{name}': the loop's own noise shows none of the faults; a burst is wanted for them")
-    theta = np.full(len(which), severity)
-    per_sample = problem.false_alarms.per_hour * problem.plant.dt / 3600
-    mu = np.abs(theta) * np.sqrt(passive[which])
-    wrong = noise.gram[: filters.faults, filters.faults :][which] * filters.sd[None, :]
-    bias = np.abs(theta) * np.linalg.norm(wrong, axis=1)
-    boundary = rate_boundary(correlation(noise)[np.ix_(which, which)], mu, bias, per_sample)
+    theta, block = np.full(len(which), severity), max(1, round(BLOCK / problem.plant.dt))
+    boundary = _boundary(problem, noise, filters, which, theta, block)
     gate = replace(gate, settle=filters.settling())
     silence = math.ceil(silence_seconds / problem.plant.dt)
-    return PassiveDetector(name, problem, filters, gate, which, theta, boundary, silence, sure, frozen, nuisances)
+    test = cusum(filters.theta[which], theta, range(len(which)), block, boundary)
+    return PassiveDetector(name, problem, filters, gate, which, test, silence, sure, frozen, nuisances)
+
+
+def _boundary(
+    problem: DetectionProblem, noise: NoiseDriven, filters: Filters, which: NDArray[np.intp], theta: Array, block: int
+) -> float:
+    """Return the boundary of CUSUMs that look at blocks of samples and alarm as often as promised."""
+    per_block = problem.false_alarms.per_hour * problem.plant.dt / 3600 * block
+    mu = np.abs(theta) * np.sqrt(block * noise.passive[which])
+    wrong = noise.gram[: filters.faults, filters.faults :][which] * filters.sd[None, :]
+    bias = block * np.abs(theta) * np.linalg.norm(wrong, axis=1)
+    step = excursion_steps(noise, which, theta, block)
+    return rate_boundary(correlation(noise)[np.ix_(which, which)], mu, bias, step, per_block)
 
 
 def correlation(noise: NoiseDriven) -> Array:

@@ -23,18 +23,28 @@ from afdsvc.detect.curves import loop_response
 from afdsvc.detect.demodulate import Basis, BasisSums
 from afdsvc.detect.hypotheses import Fit
 from afdsvc.detect.matched import window
+from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
 from afdsvc.detect.power import tail_point
 from afdsvc.detect.reach import reachable
 from afdsvc.detect.watch import BurstSamples, Finding
-from afdsvc.errors import BadInput
+from afdsvc.errors import BadInput, Refused
 from afdsvc.lti.statespace import ComplexArray
 
 UNSEEN = 1e-9  # an amplitude below this share of the largest belongs to no phase
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PublishedSums:
+    """Sums over the steady part of a burst, and nuisances learnt so far."""
+
+    lines: BasisSums
+    cleaning: Cleaning | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PublishedFilter:
-    """The statistic; ``follow_phase`` chooses A_phi instead of A_0, ``severity`` is that of the design.
+    """The statistic; ``follow_phase`` chooses A_phi instead of A_0, ``severity`` is that of the design. ``nuisances``, which
+    were not published, are projected out of the residual first.
 
     Raises `BadInput` for a severity at which the loop is lost: its published phases belong to no signal.
     """
@@ -42,6 +52,7 @@ class PublishedFilter:
     problem: DetectionProblem
     follow_phase: bool
     severity: float = -0.1
+    nuisances: Nuisances = NONE
 
     def __post_init__(self) -> None:
         for name, (low, high) in reachable(self.problem).items():
@@ -51,11 +62,11 @@ class PublishedFilter:
                     "is wanted"
                 )
 
-    def start(self, burst: Burst, dt: float) -> BasisSums:
+    def start(self, burst: Burst, dt: float) -> PublishedSums:
         """Return empty sums."""
-        return BasisSums.empty(_basis(burst), self.problem.plant.outputs)
+        return PublishedSums(BasisSums.empty(_basis(burst), self.problem.plant.outputs))
 
-    def step(self, sums: BasisSums, samples: BurstSamples) -> tuple[BasisSums, None]:
+    def step(self, sums: PublishedSums, samples: BurstSamples) -> tuple[PublishedSums, None]:
         """Return the sums with the steady samples added; the residual is taken output by output, not jointly
         whitened.
         """
@@ -63,13 +74,20 @@ class PublishedFilter:
         assert burst is not None  # noqa: S101 - the frame hands over samples of bursts only
         first, last = window(burst)
         a, b = max(first - samples.first, 0), max(last - samples.first, 0)
-        r = samples.block.r[a:b]
-        return (sums.add(_basis(burst), samples.first + a, samples.dt, r), None) if len(r) else (sums, None)
+        cleaning, clean, _ = self.nuisances.clean(sums.cleaning, samples.block, samples.block.r[:, None])
+        r = clean[a:b, 0]
+        lines = sums.lines.add(_basis(burst), samples.first + a, samples.dt, r) if len(r) else sums.lines
+        return PublishedSums(lines, cleaning), None
 
-    def decide(self, sums: BasisSums, burst: Burst, dt: float) -> Sequence[Finding]:
-        """Return one finding for every output."""
+    def decide(self, sums: PublishedSums, burst: Burst, dt: float) -> Sequence[Finding]:
+        """Return one finding for every output; raises `Refused` for a burst without a steady sample."""
+        if not sums.lines.n:
+            raise Refused(
+                f"burst '{burst.name}' of {burst.samples} samples is all ramp and settling; a steady part is wanted for the "
+                "published statistic"
+            )
         waves = self._amplitudes(burst)
-        return [self._output(sums, waves, i) for i in range(self.problem.plant.outputs)]
+        return [self._output(sums.lines, waves, i) for i in range(self.problem.plant.outputs)]
 
     def _amplitudes(self, burst: Burst) -> ComplexArray:
         """Return complex amplitudes ``(K, L, p)`` of the residual for the design severity."""

@@ -1,7 +1,8 @@
 """Exact regression of the residual on what each fault would add: ``r = theta_i psi_i + d``.
 
-Over a burst only ``b_i = sum psi_i' Xi^-1 r`` and ``G_ij = sum psi_i' Xi^-1 psi_j`` are kept. ``t_i = -b_i /
-sqrt(G_ii)`` is the signed root of the likelihood ratio for a severity below 0; the burst is judged by the largest.
+With ``psi_i = theta_i f`` (`shared`) only ``sum f r'`` and ``sum f f'`` are kept over a burst; ``b_i = sum psi_i' Xi^-1 r``
+and ``G_ij = sum psi_i' Xi^-1 psi_j`` of any number of faults follow at its end. ``t_i = -b_i / sqrt(G_ii)`` is the
+signed root of the likelihood ratio for a severity below 0; the burst is judged by the largest.
 Given G the t_i have the correlations of G, so the threshold of their maximum follows as for matched filters.
 
 psi is driven by the very noise it is regressed on, so the normaliser is random and t_i is neither centred nor of unit
@@ -14,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
@@ -23,7 +23,9 @@ from afdsvc.detect.demodulate import Basis, BasisSums, project
 from afdsvc.detect.hypotheses import anything_log_evidence, linear_fit, weights
 from afdsvc.detect.noise_driven import NoiseDriven, noise_driven
 from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
+from afdsvc.detect.products import Products
 from afdsvc.detect.regressors import Regressors
+from afdsvc.detect.shared import Filters
 from afdsvc.detect.watch import BurstSamples, Finding
 from afdsvc.lti.statespace import Array
 
@@ -32,11 +34,9 @@ UNSEEN = 1e-9  # a fault whose information is below this share of the best seen 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegressionSums:
-    """``b (K,)`` and ``G (K, K)`` over ``n`` samples, the residual on the excited lines, and the nuisances learnt so far."""
+    """Products of residual and features, the residual on the excited lines, and the nuisances learnt so far."""
 
-    n: int
-    b: Array
-    G: Array
+    products: Products
     lines: BasisSums
     cleaning: Cleaning | None = None
 
@@ -45,7 +45,7 @@ class RegressionSums:
 class Regression:
     """Statistic of the regression detector. ``false_alarm`` is per burst, ``bounds`` those of the severities, ``sd``
     the standard deviations of the model's uncertain parameters, which are averaged out, ``nuisances`` what is projected
-    out of residual and regressors.
+    out of residual and regressors, ``theta (K, p, F)`` makes the regressors from the features in the series.
     """
 
     names: tuple[str, ...]
@@ -54,39 +54,42 @@ class Regression:
     false_alarm: float
     bounds: tuple[float, float]
     noise: NoiseDriven
+    theta: Array
     nuisances: Nuisances = NONE
 
     def start(self, burst: Burst, dt: float) -> RegressionSums:
         """Return empty sums."""
-        K = len(self.names) + len(self.sd)
-        return RegressionSums(0, np.zeros(K), np.zeros((K, K)), BasisSums.empty(Basis(_omega(burst)), self.outputs))
+        products = Products.empty(*self.theta.shape[1:])
+        return RegressionSums(products, BasisSums.empty(Basis(_omega(burst)), self.outputs))
 
     def step(self, sums: RegressionSums, samples: BurstSamples) -> tuple[RegressionSums, None]:
         """Return the sums with the samples added."""
-        b, G = sums.b.copy(), sums.G.copy()
         cleaning, clean, _ = self.nuisances.clean(sums.cleaning, samples.block, samples.series)
-        _accumulate(clean, b, G)
         e, angle = samples.series[:, 0], self.nuisances.angles(samples.block)
         basis = self.nuisances.basis(_omega(samples.block.burst), angle is not None)
-        lines = sums.lines if sums.n else BasisSums.empty(basis, self.outputs)
+        lines = sums.lines if sums.products.n else BasisSums.empty(basis, self.outputs)
         lines = lines.add(basis, samples.first, samples.dt, e, angle)
-        return RegressionSums(sums.n + len(e), b, G, lines, cleaning), None
+        return RegressionSums(sums.products.add(clean), lines, cleaning), None
 
     def decide(self, sums: RegressionSums, burst: Burst, dt: float) -> Sequence[Finding]:
         """Return one finding for all outputs together."""
-        b, G = averaged_out(sums.b, sums.G, self.sd)
-        statistic, h = self._judged(sums.n, b, G, burst)
+        b, G = self.normal_equations(sums)
+        statistic, h = self.judged(sums.products.n, b, G, burst)
         both = zip(self.names, b, np.diag(G), strict=True)
         fits = tuple(linear_fit(name, float(v), float(g), self.bounds) for name, v, g in both)
-        parts = {"samples": float(sums.n)}
+        parts = {"samples": float(sums.products.n)}
         return [Finding(statistic, h, fits, weights(fits, self._anything(sums, burst)), parts)]
 
     def test(self, sums: RegressionSums, burst: Burst) -> tuple[float, float]:
         """Return statistic and threshold only."""
-        return self._judged(sums.n, *averaged_out(sums.b, sums.G, self.sd), burst)
+        return self.judged(sums.products.n, *self.normal_equations(sums), burst)
 
-    def _judged(self, samples: int, b: Array, G: Array, burst: Burst) -> tuple[float, float]:
-        """Return the largest signed root and its threshold."""
+    def normal_equations(self, sums: RegressionSums) -> tuple[Array, Array]:
+        """Return score ``(K,)`` and information ``(K, K)`` of the faults, uncertain parameters averaged out."""
+        return averaged_out(sums.products.score(self.theta), sums.products.information(self.theta), self.sd)
+
+    def judged(self, samples: int, b: Array, G: Array, burst: Burst) -> tuple[float, float]:
+        """Return the largest signed root and its threshold for normal equations of the faults over so many samples."""
         information = np.diag(G)
         seen = np.flatnonzero(information > UNSEEN * max(information.max(initial=0.0), 1e-300))
         if not len(seen):
@@ -114,11 +117,13 @@ def averaged_out(b: Array, G: Array, sd: Array) -> tuple[Array, Array]:
     return b[:K] - G[:K, K:] @ gain[:, 0], G[:K, :K] - G[:K, K:] @ gain[:, 1:]
 
 
-def regression(problem: DetectionProblem, filters: Regressors, nuisances: Nuisances = NONE) -> Regression:
-    """Return the statistic for one machine and its regressors."""
+def regression(
+    problem: DetectionProblem, filters: Filters, nuisances: Nuisances = NONE
+) -> Regression:
+    """Return the statistic for one machine and the filters whose series it is shown."""
     p, rate = problem.plant.outputs, problem.false_alarms.per_burst
-    noise = noise_driven(problem, filters)
-    return Regression(problem.fault_names, filters.sd, p, rate, problem.severity_range, noise, nuisances)
+    noise = noise_driven(problem, filters if isinstance(filters, Regressors) else None)
+    return Regression(problem.fault_names, filters.sd, p, rate, problem.severity_range, noise, filters.theta, nuisances)
 
 
 def _omega(burst: Burst | None) -> tuple[float, ...]:
@@ -129,19 +134,3 @@ def _square_root(correlation: Array) -> Array:
     """Return vectors ``(K, K)`` whose inner products are the correlations."""
     values, vectors = np.linalg.eigh(correlation)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-@njit(cache=True)
-def _accumulate(series, b, G):  # type: ignore[no-untyped-def]
-    K, p = b.size, series.shape[2]
-    for t in range(series.shape[0]):
-        for i in range(K):
-            for q in range(p):
-                b[i] += series[t, 1 + i, q] * series[t, 0, q]
-            for j in range(i + 1):
-                s = 0.0
-                for q in range(p):
-                    s += series[t, 1 + i, q] * series[t, 1 + j, q]
-                G[i, j] += s
-                if j < i:
-                    G[j, i] += s

@@ -20,6 +20,7 @@ import numpy as np
 from numba import njit
 
 from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect.products import selection
 from afdsvc.detect.residual import decay
 from afdsvc.detect.stated import uncertain_parameters
 from afdsvc.errors import BadInput
@@ -62,6 +63,11 @@ class Regressors:
     Dzu: Array
     Kd: Array
     Li: Array
+
+    @property
+    def theta(self) -> Array:
+        """What makes psi of the series but its first: they are psi themselves, ``(K, p, K p)``."""
+        return selection(len(self.names), self.plant.outputs)
 
     def start(self) -> RegressorState:
         """Return the state at rest."""

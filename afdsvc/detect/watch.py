@@ -21,9 +21,11 @@ from afdsvc.detect.gate import Gate, GateState, Judgement, finite
 from afdsvc.detect.hypotheses import NONE, Fit
 from afdsvc.detect.nuisances import NONE as NO_NUISANCES
 from afdsvc.detect.nuisances import Cleaning, Nuisances
+from afdsvc.detect.once import Once, at_rest, stepped
 from afdsvc.detect.presence import Shown
 from afdsvc.detect.recent import NOTHING, Recent
-from afdsvc.detect.regressors import Regressors, RegressorState, regressors
+from afdsvc.detect.regressors import Regressors, regressors
+from afdsvc.detect.shared import Filters, shared
 from afdsvc.errors import AfdsvcError
 from afdsvc.lti.statespace import Array
 
@@ -48,8 +50,8 @@ class Finding:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BurstSamples:
-    """Consecutive samples of a burst: ``first`` counts from its beginning; ``series (n, 1 + K, p)`` is the normalised
-    residual and the normalised regressor of every fault."""
+    """Consecutive samples of a burst: ``first`` counts from its beginning; ``series (n, S, p)`` is the normalised
+    residual and, for statistics that regress on them, the features of the faults' regressors."""
 
     first: int
     dt: float
@@ -93,7 +95,7 @@ class Playing:
 class WatchState:
     """State of a burst detector: filters, gate, runs of constant values, the burst in progress, nuisances of quiet data."""
 
-    filters: RegressorState
+    filters: Any
     gate: GateState
     runs: Runs
     playing: Playing | None = None
@@ -105,24 +107,24 @@ class WatchState:
 class BurstDetector:
     """A detector that decides at the end of every burst. ``sure`` is the weight that singles a fault out.
 
-    Quiet data are judged after the ``nuisances`` are taken out: unbalance is no reason to distrust a model. With ``explain``
-    the ``filters`` have no faults, and the quiet samples are looked at again with these when they need an explanation.
+    Quiet data are judged after the ``nuisances`` are taken out: unbalance is no reason to distrust a model. When they need an
+    explanation the last quiet samples are looked at again with the filters ``explain``.
     """
 
     name: str
     problem: DetectionProblem
     statistic: BurstStatistic
-    filters: Regressors
+    filters: Filters
     gate: Gate
+    explain: Filters
     sure: float = 0.99
     frozen: int = 100
     nuisances: Nuisances = NO_NUISANCES
-    explain: Regressors | None = None
 
     def start(self) -> WatchState:
         """Return the initial state."""
         p = self.problem.plant.outputs
-        return WatchState(self.filters.start(), self.gate.start(len(self.filters.names), p), Runs.start(p))
+        return WatchState(at_rest(self.filters), self.gate.start(0, p), Runs.start(p))
 
     def step(self, state: WatchState, block: ResidualBlock) -> tuple[WatchState, Sequence[Evidence]]:
         """Return the state after the block and the decisions that fell inside it."""
@@ -141,7 +143,7 @@ class BurstDetector:
         if playing is not None:
             playing = replace(playing, checks=replace(playing.checks, gap=True))
         gate = self.gate.restart(state.gate, because)
-        return replace(state, filters=self.filters.start(), gate=gate, playing=playing, cleaning=None, recent=NOTHING), []
+        return replace(state, filters=at_rest(self.filters), gate=gate, playing=playing, cleaning=None, recent=NOTHING), []
 
     def _piece(self, state: WatchState, piece: ResidualBlock) -> tuple[WatchState, list[Evidence]]:
         found: list[Evidence] = []
@@ -149,14 +151,14 @@ class BurstDetector:
             found += self._judge(state, state.playing, piece.k0 - 1, piece.dt)
             state = replace(state, playing=None)
         runs, longest = state.runs.add(piece.y)
-        filters, series = self.filters.step(state.filters, piece.r, piece.y, piece.u)
+        filters, series = stepped(self.filters, state.filters, piece)
         if not finite(series):
-            filters, gate = self.filters.start(), self.gate.restart(state.gate, "a sample that is not a finite number")
+            filters, gate = at_rest(self.filters), self.gate.restart(state.gate, "a sample that is not a finite number")
             state = replace(state, gate=gate, cleaning=None, recent=NOTHING)
         elif piece.burst is None:
-            cleaning, clean, kept = self.nuisances.clean(state.cleaning, piece, series, self.gate.part)
-            recent = state.recent if self.explain is None else state.recent.add(piece, self.gate.window + self.gate.settle)
-            state = replace(state, gate=self.gate.add(state.gate, clean[kept]), cleaning=cleaning, recent=recent)
+            cleaning, clean, kept = self.nuisances.clean(state.cleaning, piece, series[:, :1], self.gate.part)
+            recent = state.recent.add(piece, self.gate.window + self.gate.settle)
+            state = replace(state, gate=self.gate.add(state.gate, clean if kept.all() else clean[kept]), cleaning=cleaning, recent=recent)
         state = replace(state, filters=filters, runs=runs)
         if piece.burst is not None:
             state = replace(state, cleaning=None)
@@ -221,11 +223,10 @@ class BurstDetector:
 
     def _judgement(self, state: WatchState) -> Judgement:
         """Return whether the quiet data can be trusted, as they are or with one fault's share taken out."""
-        found, f = self.gate.judge(state.gate, self.filters.names, self.filters.bounds), self.explain
-        if found.ok or found.found is None or f is None:
+        found = self.gate.judge(state.gate)
+        if found.ok or found.found is None:
             return found
-        sums = state.recent.sums(f, self.nuisances, self.gate.lags, self.gate.settle, self.gate.part)
-        return self.gate.explained(sums, f.names, f.bounds) or found
+        return state.recent.explained(self.gate, self.explain, self.nuisances) or found
 
 
 def evidence(
@@ -255,10 +256,21 @@ def likeliest(finding: Finding) -> Fit | None:
     return next((f for f in finding.fits if f.fault == name and name != NONE), None)
 
 
-def pieces(block: ResidualBlock) -> Iterator[ResidualBlock]:
+def pieces(block: ResidualBlock) -> tuple[ResidualBlock, ...]:
     """Cut a block where its burst begins or ends, should it span such an edge; arrays are as the compiled loops want
     them.
     """
+    return _PIECES(_cut, block)
+
+
+_PIECES = Once()
+
+
+def _cut(block: ResidualBlock) -> tuple[ResidualBlock, ...]:
+    return tuple(_pieces(block))
+
+
+def _pieces(block: ResidualBlock) -> Iterator[ResidualBlock]:
     edges = (0, len(block)) if block.burst is None else _edges(block, block.burst)
     r, beta, u, y, alpha = (_rows(a) for a in (block.r, block.beta, block.u, block.y, block.alpha))
     for i, (a, b) in enumerate(pairwise(edges)):
@@ -271,6 +283,8 @@ def pieces(block: ResidualBlock) -> Iterator[ResidualBlock]:
 
 
 def _rows(a: Array) -> Array:
+    if a.dtype == np.float64 and a.flags.c_contiguous and a.flags.writeable:
+        return a  # what `require` would find after ten times as long
     return np.require(a, np.float64, ("C", "W"))
 
 
@@ -308,13 +322,10 @@ def burst_detector(
 ) -> BurstDetector:
     """Return a burst detector with the filters of the problem's faults and a gate that waits for them to settle.
 
-    A statistic that is not ``regressing`` makes no use of the faults' regressors; they are then computed only when the
-    quiet data need an explanation, and the cost per sample does not grow with the number of faults.
+    A statistic that is not ``regressing`` makes no use of the faults' regressors: they are then computed only when the quiet
+    data need an explanation.
     """
     filters = regressors(problem) if filters is None else filters
-    settle = filters.settling()
-    gate = replace(gate, settle=settle)
-    if regressing:
-        return BurstDetector(name, problem, statistic, filters, gate, sure, frozen, nuisances)
-    light = filters.without_faults()
-    return BurstDetector(name, problem, statistic, light, gate, sure, frozen, nuisances, filters)
+    gate, explain = replace(gate, settle=filters.settling()), shared(filters)
+    streaming = explain if regressing else filters.without_faults()
+    return BurstDetector(name, problem, statistic, streaming, gate, explain, sure, frozen, nuisances)

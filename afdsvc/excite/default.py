@@ -29,7 +29,9 @@ SETTLE = 0.2  # largest share left to settling
 GRID = 48  # frequencies compared
 PERIODS = 8  # fewest whole periods of the slowest line
 FASTEST = 0.5  # highest frequency as a share of Nyquist
-CLOSEST = 0.02  # smallest relative distance of two lines
+CLOSEST = 0.02  # smallest relative distance of two lines, and of a line from a rotor order
+ORDERS = 4  # multiples of the rotor's speed that lines keep away from
+APART = 3  # whole periods of the steady part by which lines differ from a rotor order at least
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,10 +130,18 @@ def _frame(problem: DetectionProblem, seconds: float, name: str) -> Burst:
 
 
 def _frequencies(frame: Burst, problem: DetectionProblem) -> Array:
-    """Return frequencies [rad/s] with whole periods in the steady part, from slow to fast."""
+    """Return frequencies [rad/s] with whole periods in the steady part, from slow to fast, none near a rotor order.
+
+    Unbalance and runout are waves at the orders: a line there would be projected out with them.
+    """
     steady = frame.samples - 2 * frame.ramp - frame.settle
     periods = np.unique(np.round(np.geomspace(PERIODS, FASTEST * steady / 2, GRID)))
-    return np.asarray(2 * np.pi * periods / (steady * problem.plant.dt))
+    orders = problem.speed * steady * problem.plant.dt / (2 * np.pi) * np.arange(1, ORDERS + 1)
+    far = np.abs(periods[:, None] - orders) > np.maximum(APART, CLOSEST * orders)
+    usable = periods[far.all(axis=1)] if problem.speed > 0 else periods
+    if not len(usable):
+        raise BadInput(f"a burst of {frame.samples * problem.plant.dt:g} s leaves no line away from the rotor's orders; a longer one is wanted")
+    return np.asarray(2 * np.pi * usable / (steady * problem.plant.dt))
 
 
 def _share_of_room(spent: Costs, left: Room) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, FalseAlarms
 from afdsvc.detect import maximum
-from afdsvc.detect.cusum import ActiveCusum
+from afdsvc.detect.active import ActiveCusum
 from afdsvc.detect.gate import Gate
 from afdsvc.detect.noise_driven import noise_driven
 from afdsvc.detect.passive import passive_detector
@@ -55,7 +55,7 @@ def _regression(problem: DetectionProblem, burst: Burst) -> float:
 
 
 def _cusum(problem: DetectionProblem, burst: Burst) -> float:
-    return ActiveCusum(problem).prepare(burst, problem.plant.dt).boundary
+    return ActiveCusum(problem).plan(burst, problem.plant.dt).boundary
 
 
 def _passive(problem: DetectionProblem, burst: Burst) -> float:

@@ -18,7 +18,6 @@ from scores import DESIGNS
 
 from afdsvc.api.detection import DetectionProblem, ResidualBlock
 from afdsvc.detect import arl
-from afdsvc.detect.cusum import CusumState
 from afdsvc.detect.noise_driven import noise_driven
 from afdsvc.detect.regressors import regressors
 from afdsvc.excite.rehearsal import faulty_loop
@@ -115,7 +114,7 @@ def _passive_runs(quiet: Quiet, detector: object, severity: float, runs: int, lo
     for k in range(runs):
         r, y, u = quiet.run(np.random.default_rng([7, k]), healthy, longest, severity)
         state, _ = detector.step(detector.start(), quiet.block(r[:healthy], y[:healthy], u[:healthy], 0))  # type: ignore[attr-defined]
-        state = replace(state, cusum=CusumState.start(len(detector.which)), silent=0)  # type: ignore[attr-defined]
+        state = replace(state, cusum=detector.test.start(), silent=0)  # type: ignore[attr-defined]
         _, evidence = detector.step(state, quiet.block(r[healthy:], y[healthy:], u[healthy:], healthy))  # type: ignore[attr-defined]
         crossed = [e.k - healthy + 1 for e in evidence if e.statistic > e.threshold]
         delays.append(crossed[0] if crossed else longest)

@@ -20,7 +20,7 @@ from afdsvc.detect.hypotheses import LineData, anything_log_evidence, curve_fit,
 from afdsvc.detect.matched import MatchedFilter
 from afdsvc.detect.power import tail_point
 from afdsvc.detect.reach import reachable
-from afdsvc.detect.regression import Regression, RegressionSums
+from afdsvc.detect.regression import Regression, averaged_out
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array
 from afdsvc.lti.whitening import innovations
@@ -98,8 +98,7 @@ def regression_scorer(player: Player) -> Scorer:
         at = replace(found, false_alarm=rate)
         alarms = np.zeros(len(scores), dtype=bool)
         for i in np.flatnonzero(scores > tail_point(rate)):
-            lines = BasisSums.empty(player.basis, player.problem.plant.outputs)
-            got, threshold = at.test(RegressionSums(n, played.b[i], played.G[i], lines), burst)
+            got, threshold = at.judged(n, *averaged_out(played.b[i], played.G[i], at.sd), burst)
             alarms[i] = got > threshold
         return alarms
 

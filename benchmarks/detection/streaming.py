@@ -64,12 +64,13 @@ def burst(samples: int) -> Burst:
 
 def blocks(samples: int, playing: Burst | None, limit: int) -> list[ResidualBlock]:
     """Return the first ``limit`` samples and the last block of a record in which ``playing`` begins at once."""
-    rng = np.random.default_rng(1)
+    rng, root = np.random.default_rng(1), np.linalg.cholesky(bearing_problem("lqg").covariance)  # quiet data the gate trusts
     starts = [*range(0, min(limit, samples - BLOCK), BLOCK), samples - BLOCK]
     asked = np.zeros((samples, 2)) if playing is None else playing.play(2e-4)
     out = []
     for k in starts:
         r, beta, u, y = (rng.normal(size=(BLOCK, 2)) for _ in range(4))
+        r = r @ root.T
         out.append(ResidualBlock(k, 2e-4, r, beta, u, y, asked[k : k + BLOCK], playing, "long", 0))
     return out
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Limits
-from afdsvc.detect.cusum import ActiveCusum
+from afdsvc.detect.active import ActiveCusum
 from afdsvc.detect.matched import MatchedFilter, window
 from afdsvc.detect.noise_driven import noise_driven
 from afdsvc.detect.reach import reachable
@@ -89,7 +89,7 @@ def rare_rate(name, machine, per_burst, runs, seed=0):
 
 
 def rare_cusum_rate(machine, per_burst, runs):
-    """The same for the CUSUM: waves that set in at a random time, weighted at the alarm by all the times they might have.
+    """The same for the CUSUM: waves that set in at a random sample, weighted at the alarm by all the onsets there might be.
 
     The residual of a healthy machine is the noise itself, so the loop need not be simulated.
     """
@@ -97,20 +97,25 @@ def rare_cusum_rate(machine, per_burst, runs):
     burst, dt = short_burst(problem), problem.plant.dt
     statistic = ActiveCusum(problem)
     start = statistic.start(burst, dt)
-    waves = start.waves * start.theta[:, None]
-    n, K, p = waves.shape
+    unit, severity = start.plan.cusum.theta, start.plan.cusum.severity
+    ordered = sorted(line.omega for line in burst.lines)
+    t = np.arange(burst.samples) * dt
+    sines = np.stack([f(w * t) for w in ordered for f in (np.sin, np.cos)], axis=1)
+    waves = np.einsum("h,hpf,tf->thp", severity, unit, sines)
+    first, last = window(burst)
+    waves[:first], waves[last:] = 0.0, 0.0
+    n, H, p = waves.shape
     rng, weights = np.random.default_rng(11), []
     for _ in range(runs):
-        e, k, tau = rng.normal(size=(n, p)), rng.integers(K), rng.integers(n)
-        e[tau:] += waves[tau:, k]
-        series = np.concatenate([e[:, None], np.zeros((n, K, p))], axis=1)
-        _, found = statistic.step(start, BurstSamples(0, dt, series, None))
+        e, h, tau = rng.normal(size=(n, p)), rng.integers(H), rng.integers(n)
+        e[tau:] += waves[tau:, h]
+        _, found = statistic.step(start, BurstSamples(0, dt, e[:, None], None))
         weight = 0.0
         if found is not None:
             T = int(found.parts["sample"]) + 1
-            ratio = np.cumsum(np.einsum("tkp,tp->tk", waves[:T], e[:T]) - 0.5 * np.sum(waves[:T] ** 2, axis=2), axis=0)
-            since = ratio[-1] - np.vstack([np.zeros(K), ratio[:-1]])
-            weight = 1 / ((np.exp(since).sum() / K + (n - T)) / n)
+            ratio = np.cumsum(np.einsum("thp,tp->th", waves[:T], e[:T]) - 0.5 * np.sum(waves[:T] ** 2, axis=2), axis=0)
+            since = ratio[-1] - np.vstack([np.zeros(H), ratio[:-1]])
+            weight = 1 / ((np.exp(since).sum() / H + (n - T)) / n)
         weights.append(weight)
     return np.mean(weights), np.std(weights) / np.sqrt(runs)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Burst, Line
-from afdsvc.detect.cusum import ActiveCusum
+from afdsvc.detect.active import ActiveCusum
 from afdsvc.detect.reach import reachable
 from afdsvc.detect.templates import templates
 from afdsvc.errors import BadInput
@@ -24,9 +24,9 @@ def test_a_template_of_a_lost_loop_is_refused_in_a_sentence():
 
 def test_cusum_templates_stay_inside_what_the_loop_survives():
     problem = unstable_problem()
-    sums = ActiveCusum(problem, 100.0).prepare(BURST, 1e-3)
-    assert np.isfinite(sums.waves).all()
-    for k, theta in zip(sums.seen, sums.theta, strict=True):
+    plan = ActiveCusum(problem, 100.0).plan(BURST, 1e-3)
+    assert np.isfinite(plan.waves).all()
+    for k, theta in zip(plan.of, plan.cusum.severity, strict=True):
         low, high = reachable(problem)[problem.fault_names[k]]
         assert low < theta < high
 

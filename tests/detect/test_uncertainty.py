@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Burst, Line
+from afdsvc.detect.active import ActiveCusum
 from afdsvc.detect.curves import fault_curves
-from afdsvc.detect.cusum import ActiveCusum
 from afdsvc.detect.matched import MatchedFilter
 from afdsvc.detect.reach import reachable
 from afdsvc.detect.regression import averaged_out, regression

@@ -13,14 +13,14 @@ from afdsvc.detect.bank import bank
 from afdsvc.detect.energy import Energy
 from afdsvc.detect.published import PublishedFilter
 from afdsvc.detect.regressors import regressors
-from afdsvc.detect.settings import Range, gate_of, read
+from afdsvc.detect.settings import NUISANCES, Range, gate_of, nuisances_of, read
 from afdsvc.detect.watch import BurstStatistic, burst_detector
 
 
 @dataclass(slots=True)
 class PublishedDesign:
-    """The thesis' matched filter with statistic A_0 or A_phi. Setting besides the common ones: ``severity`` of the
-    design."""
+    """The thesis' matched filter with statistic A_0 or A_phi. Settings besides the common ones: ``severity`` of the
+    design, and what is projected out, as for ``fault_curves``."""
 
     name: str
     summary: str
@@ -28,14 +28,15 @@ class PublishedDesign:
 
     def design(self, problem: DetectionProblem, settings: Mapping[str, Any]) -> Detector:
         """Return the detector; raises `BadInput` for a setting that is unknown or out of range."""
-        values = read(self.name, settings, {"severity": Range(-0.1, -1.0, -0.001)})
-        statistic = PublishedFilter(problem, self.follow_phase, values["severity"])
+        values = read(self.name, settings, {**NUISANCES, "severity": Range(-0.1, -1.0, -0.001)})
+        statistic = PublishedFilter(problem, self.follow_phase, values["severity"], nuisances_of(values, problem.plant.dt))
         return _framed(self.name, problem, statistic, values)
 
 
 @dataclass(slots=True)
 class EnergyDesign:
-    """Fault-blind: chi-squared energy of the residual or, with ``peak``, its largest sample. Common settings only."""
+    """Fault-blind: chi-squared energy of the residual or, with ``peak``, its largest sample. Settings besides the common ones: what
+    is projected out, as for ``fault_curves``."""
 
     name: str
     summary: str
@@ -43,28 +44,31 @@ class EnergyDesign:
 
     def design(self, problem: DetectionProblem, settings: Mapping[str, Any]) -> Detector:
         """Return the detector; raises `BadInput` for a setting that is unknown or out of range."""
-        values = read(self.name, settings, {})
-        statistic = Energy(problem.plant.outputs, problem.false_alarms.per_burst, self.peak)
+        values = read(self.name, settings, NUISANCES)
+        out = nuisances_of(values, problem.plant.dt)
+        statistic = Energy(problem.plant.outputs, problem.false_alarms.per_burst, self.peak, out)
         return _framed(self.name, problem, statistic, values)
 
 
 class ModelBankDesign:
-    """Setting besides the common ones: ``severities``, models for every fault from small to total loss."""
+    """Settings besides the common ones: ``severities``, models for every fault from small to total loss, and what is
+    projected out, as for ``fault_curves``."""
 
     name = "model_bank"
     summary = "one predictor for every fault at several severities; the likeliest wins"
 
     def design(self, problem: DetectionProblem, settings: Mapping[str, Any]) -> Detector:
         """Return the detector; raises `BadInput` for a setting that is unknown or out of range."""
-        values = read(self.name, settings, {"severities": Range(10, 1, 100, whole=True)})
+        values = read(self.name, settings, {**NUISANCES, "severities": Range(10, 1, 100, whole=True)})
         low, high = problem.severity_range
         steps = [float(v) for v in np.linspace(high, low, int(values["severities"]) + 1)[1:]]
-        return _framed(self.name, problem, bank(problem, steps, regressors(problem).settling()), values)
+        statistic = bank(problem, steps, regressors(problem).settling(), nuisances_of(values, problem.plant.dt))
+        return _framed(self.name, problem, statistic, values)
 
 
 def _framed(name: str, problem: DetectionProblem, statistic: BurstStatistic, values: Mapping[str, float]) -> Detector:
-    frozen = int(values["frozen_samples"])
-    return burst_detector(name, problem, statistic, gate_of(values), values["sure"], frozen, regressing=False)
+    frozen, out, gate = int(values["frozen_samples"]), nuisances_of(values, problem.plant.dt), gate_of(values)
+    return burst_detector(name, problem, statistic, gate, values["sure"], frozen, nuisances=out, regressing=False)
 
 
 DESIGNS: tuple[DetectorDesign, ...] = (

@@ -6,25 +6,26 @@ from collections.abc import Mapping
 from typing import Any
 
 from afdsvc.api.detection import DetectionProblem, Detector
-from afdsvc.detect.cusum import ActiveCusum
+from afdsvc.detect.active import ActiveCusum
 from afdsvc.detect.passive import passive_detector
 from afdsvc.detect.settings import NUISANCES, Range, gate_of, nuisances_of, read
 from afdsvc.detect.watch import burst_detector
 
 
 class ActiveCusumDesign:
-    """Settings besides the common ones: ``deflection`` of the waves looked for, over a whole burst, and what is projected
-    out, as for ``fault_curves``."""
+    """Settings besides the common ones: ``deflection`` of the smallest waves looked for, over a whole burst (0: what a test
+    at its end would find with probability 0.99), and what is projected out, as for ``fault_curves``."""
 
     name = "cusum"
     summary = "sequential test during a burst: alarms before the burst ends when the fault is large"
 
     def design(self, problem: DetectionProblem, settings: Mapping[str, Any]) -> Detector:
         """Return the detector; raises `BadInput` for a setting that is unknown or out of range."""
-        values = read(self.name, settings, {**NUISANCES, "deflection": Range(12.0, 1.0, 100.0)})
+        values = read(self.name, settings, {**NUISANCES, "deflection": Range(0.0, 0.0, 100.0)})
         out, frozen = nuisances_of(values, problem.plant.dt), int(values["frozen_samples"])
         statistic = ActiveCusum(problem, values["deflection"], out)
-        return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen, nuisances=out)
+        gate = gate_of(values)
+        return burst_detector(self.name, problem, statistic, gate, values["sure"], frozen, nuisances=out, regressing=False)
 
 
 class PassiveCusumDesign:

@@ -9,6 +9,7 @@ from afdsvc.api.detection import DetectionProblem, Detector
 from afdsvc.detect.regression import regression
 from afdsvc.detect.regressors import regressors
 from afdsvc.detect.settings import NUISANCES, gate_of, nuisances_of, read
+from afdsvc.detect.shared import shared
 from afdsvc.detect.watch import burst_detector
 
 
@@ -23,5 +24,5 @@ class RegressionDesign:
         values = read(self.name, settings, NUISANCES)
         out, frozen = nuisances_of(values, problem.plant.dt), int(values["frozen_samples"])
         filters = regressors(problem)
-        statistic = regression(problem, filters, out)
+        statistic = regression(problem, shared(filters), out)
         return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen, filters, out)

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from afdsvc.detect.arl import run_length
+from afdsvc.detect.noise_driven import noise_driven
+from afdsvc.detect.uneven import excursion_steps
 from afdsvc.excite.rehearsal import faulty_loop, rehearse
 from afdsvc.plugins.detectors.cusum import PassiveCusumDesign
 from afdsvc.testing.machines import bearing_problem, with_rate
@@ -55,8 +57,9 @@ def test_run_length_is_the_one_promised():
 def test_boundary_for_one_fault_is_that_of_the_run_length():
     problem = bearing_problem("lqg")
     detector = PassiveCusumDesign().design(problem, {"severity": -0.3})
-    mu = 0.3 * np.sqrt(0.7986)
-    alone = run_length(mu, detector.boundary)
+    block = detector.test.block
+    step = excursion_steps(noise_driven(problem), np.arange(1), np.array([-0.3]), block)[0]
+    alone = block * run_length(0.3 * np.sqrt(block * 0.7986), detector.boundary, step=step)
     # four faults in two pairs of near twins: between two and three times as many alarms as one of them
     assert 1.9 < alone / (720 * 3600 / DT) < 4.0
 

@@ -146,3 +146,19 @@ def test_the_turboexpander_with_unbalance(name, turboexpander):
     fault = problem.fault_names[0]
     (faulty,) = told(detector, turning(problem, burst, force, speed, {fault: -0.2}, 6))
     assert faulty.detected, faulty.reason
+
+
+@pytest.mark.parametrize("name", ["chi_square", "limit_check", "published_a0", "model_bank", "iterated_regression"])
+def test_detectors_to_compare_with_trust_a_machine_out_of_balance_and_stay_quiet(name, bearing):
+    problem, burst, force = bearing
+    found = told(DESIGNS[name].design(problem, {}), turning(problem, burst, force, SPEED, {}, 5, runout=1.0))
+    assert all(e.trustworthy for e in found), found[0].reason
+    assert not any(e.detected for e in found)
+
+
+def test_a_fault_is_found_beside_unbalance_by_iterated_regression(bearing):
+    problem, burst, force = bearing
+    severities = {"horizontal_actuator": -0.3}
+    found, *_ = told(DESIGNS["iterated_regression"].design(problem, {}), turning(problem, burst, force, SPEED, severities, 6, runout=1.0))
+    assert found.detected
+    assert found.weights["horizontal_actuator"] + found.weights["horizontal_sensor"] > 0.95
