@@ -61,7 +61,7 @@ class Outlets:
         if not seconds:
             return []
         box = BlackBox(recorder.base.parent / "alarms" / recorder.base.name, recorder.header, seconds)
-        self._boxes.append(ThreadedSink(box, f"black box of {id}", _teller("black box")))
+        self._boxes.append(ThreadedSink(box, f"black box of {id}", _teller("black box"), pause=0.5))
         return self._boxes[-1:]
 
     def history(self) -> History:

@@ -58,16 +58,17 @@ class Sink(Protocol):
 class ThreadedSink:
     """A sink behind a bounded queue and a thread of its own: slow or failing, it holds nobody up, and drops are counted.
 
-    A failure (a full disk, say, or a queue that is full) is told once by ``failed(sentence)``; the sink is tried again with
+    With ``pause`` the thread lets messages gather for so many seconds: a hundred threads that wake for every block hold
+    detection up by waking. A failure (a full disk, say, or a queue that is full) is told once by ``failed(sentence)``; the sink is tried again with
     every later message.
     """
 
-    def __init__(self, sink: Sink, name: str, failed: Callable[[str], None], size: int = 4000) -> None:
-        self._sink, self._failed = sink, failed
+    def __init__(self, sink: Sink, name: str, failed: Callable[[str], None], size: int = 4000, pause: float = 0.0) -> None:
+        self._sink, self._failed, self._pause = sink, failed, pause
         self._queue: queue.SimpleQueue[tuple[str, tuple[object, ...]]] = queue.SimpleQueue()  # a third of the cost of Queue
         self._size = size
         self._overflowed = self._lost = 0
-        self._full = self._leaving = False
+        self._full, self._left = False, threading.Event()
         self.failure = ""
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
         self._thread.start()
@@ -115,7 +116,7 @@ class ThreadedSink:
 
     def leave(self) -> None:
         """Take nothing more; what is queued is still worked off."""
-        self._leaving = True
+        self._left.set()
 
     def close(self, seconds: float = 4.0) -> None:
         """Work off the queue, finish the sink, and join the thread; what is not done in time is lost and counted."""
@@ -127,7 +128,7 @@ class ThreadedSink:
 
     def _put(self, what: str, *arguments: object) -> None:
         waiting = self._queue.qsize()
-        if self._leaving or waiting >= self._size:
+        if self._left.is_set() or waiting >= self._size:
             self._overflowed += 1
             if not self._full:
                 self._full = True
@@ -139,12 +140,14 @@ class ThreadedSink:
     def _work(self) -> None:
         while True:
             try:
-                item = self._queue.get(timeout=0.05 if self._leaving else 0.25)
+                item = self._queue.get(timeout=0.05 if self._left.is_set() else 0.25)
             except queue.Empty:
                 self._guarded("tick", ())
-                if self._leaving:
+                if self._left.is_set():
                     return self._guarded("close", ())
                 continue
+            if self._pause and self._queue.empty():
+                self._left.wait(self._pause)
             self._guarded(*item)
             self._guarded("tick", ())
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import groupby, takewhile
 
 from scipy.stats import chi2
@@ -102,10 +103,15 @@ def pooled(newest_first: Sequence[Severity]) -> Severity:
     for s in newest_first[1:]:
         mean = _mean([*kept, s])
         spread = sum(((k.value - mean.value) / k.sd) ** 2 for k in (*kept, s))
-        if spread > chi2.ppf(0.99, len(kept)):
+        if spread > _agreement(len(kept)):
             break
         kept.append(s)
     return _mean(kept)
+
+
+@lru_cache(maxsize=1024)
+def _agreement(n: int) -> float:
+    return float(chi2.ppf(0.99, n))
 
 
 def _mean(estimates: Sequence[Severity]) -> Severity:

@@ -46,6 +46,7 @@ class MachineWatch:
         self._last = float("-inf")
         self._twins: set[str] = set()
         self._fresh: list[Finding] = []
+        self._decisions, self._concluded = 0, (-1, Verdict())
 
     def take_block(self, payload: bytes) -> Outcome | None:
         """Judge a block and pass everything on; what cannot be decoded is named and dropped."""
@@ -72,6 +73,7 @@ class MachineWatch:
         for e in outcome.evidence:
             stamp = block.t0_ns + round((e.k - block.k0) * block.dt * 1e9)
             self.evidence.append(e)
+            self._decisions += 1
             self._fresh.append(Finding(e, block.session, stamp))
             self.sink.finding(self._fresh[-1])
         self._last = self.clock.monotonic()  # only now is the machine watched: the first block may take seconds
@@ -130,8 +132,13 @@ class MachineWatch:
         self.doubt = doubt
 
     def verdict(self) -> Verdict:
-        """Return what the kept decisions amount to."""
-        return conclude(list(self.evidence))
+        """Return what the kept decisions amount to, concluded anew when there are new ones."""
+        told, verdict = self._concluded
+        if told != self._decisions:
+            told = self._decisions
+            verdict = conclude(list(self.evidence))
+            self._concluded = told, verdict
+        return verdict
 
     def status(self, burst: str, next_burst: float, alarms: tuple[Alarm, ...]) -> MachineStatus:
         """Return how the machine is seen now."""

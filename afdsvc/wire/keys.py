@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 
 from afdsvc.errors import BadInput
 
@@ -144,6 +145,7 @@ class Keys:
         return f"{ROOT}/{self.site}/*/{what}"
 
 
+@lru_cache(maxsize=4096)  # asked for every message
 def machine_of(key: str) -> str:
     """Return the machine a received key belongs to; raises `BadInput` when it is not a key of a machine."""
     parts = key.split("/")
