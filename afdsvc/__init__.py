@@ -18,6 +18,7 @@ The rooms, from thinking (pure) over knowing how (swappable) to doing (bytes, ti
 - `review`: Rerun logging and blueprint
 - `report`: tables, figures, HTML
 - `commission`: from one machine of the site file to its concrete parts
+- `stepping`: machines of a model file that are driven, and the simulators that only step
 - `service`: the only place that joins concrete parts
 - `outlets`: where recordings, reviews and alarms of a site go
 - `offline`: the service's pipeline over recordings

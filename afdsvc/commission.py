@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from afdsvc import stepping
 from afdsvc.api.bursts import Burst, Limits
 from afdsvc.api.clock import Clock
 from afdsvc.api.control_plugins import DesignedController
@@ -107,20 +108,9 @@ def _from_plant(config: site_file.Machine, plugins: Plugins) -> Commissioned:
     faults = _faults(config, physical, plugins)
     turns = bool(physical.speed or any(rpm for _, rpm in config.driver.speed))
     return Commissioned(
-        config,
-        discrete,
-        physical.inputs,
-        physical.outputs,
-        output_cov,
-        None,
-        controller,
-        faults.augmented(physical),
-        limits,
-        _channels(physical.inputs, physical.outputs, True, turns),
-        physical.speed,
-        physical=physical,
-        faults=faults,
-    )
+        config, discrete, physical.inputs, physical.outputs, output_cov, None, controller, faults.augmented(physical), limits,
+        _channels(physical.inputs, physical.outputs, True, turns), physical.speed, physical=physical, faults=faults,
+    )  # fmt: skip
 
 
 def _faults(config: site_file.Machine, physical: PhysicalPlant, plugins: Plugins) -> FaultSet:
@@ -147,15 +137,15 @@ def at_speed(machine: Commissioned, speed: float) -> Commissioned:
 
 
 def _read_watched(config: site_file.Machine) -> Watched:
-    recording = config.driver.recording
-    if recording is None:
-        raise BadInput("a machine with 'model' needs a driver of kind 'replay' with 'recording'")
-    trace = read_table(recording)
+    if stepping.is_driven(config):
+        model, dt = stepping.driven_model(config)
+        return Watched(model, dt, _channels(model.inputs, model.outputs, True, False))
+    trace = read_table(config.driver.recording or Path())
     return Watched(read_model(config.model or Path()), trace.dt, trace.channels)
 
 
 def _from_model(config: site_file.Machine, plugins: Plugins, watched: Watched) -> Commissioned:
-    """A model file describes a machine that is watched; its controller, when stated, is only used to simulate."""
+    """A model file describes a machine that is watched, or driven in a loop of ours; the model's own controller only simulates."""
     model = watched.model
     if model.plant is None:
         raise BadInput(f"{model.origin}: a linear model (A, B, C, D) is wanted to watch a machine")
@@ -166,10 +156,14 @@ def _from_model(config: site_file.Machine, plugins: Plugins, watched: Watched) -
     missing = sorted(set(names) - {c.name for c in watched.channels})
     if missing:
         raise BadInput(f"{model.origin}: the samples have no column {', '.join(missing)}; the model's names are wanted")
+    controller = limits = None
+    if stepping.is_driven(config):
+        limits = stepping.checked_limits(stepping.stated_limits(config), len(model.inputs), len(model.outputs))
+        controller = plugins.get("controllers", config.controller.kind).design(discrete, config.controller.settings)
     return Commissioned(
-        config, discrete, model.inputs, model.outputs, _model_cov(config, model), None, None,
+        config, discrete, model.inputs, model.outputs, _model_cov(config, model), None, controller,
         augment(discrete, _directions(config, discrete, model.inputs, model.outputs, plugins)),
-        None, watched.channels, raw_model=model.raw,
+        limits, watched.channels, raw_model=model.raw,
     )  # fmt: skip
 
 
@@ -248,6 +242,7 @@ def problem(machine: Commissioned, output_cov: Array, process_cov: Array | None,
         limits=machine.limits,
         output_cov=output_cov,
         process_cov=process_cov,
+        speed=machine.speed,
     )
 
 
@@ -305,15 +300,28 @@ def open_port(machine: Commissioned, session: str, clock: Clock, plugins: Plugin
         return Replay(blocks_of(trace, machine.config.id, session, clock.now_ns(), machine.config.block), pace)
     if driver.kind == "simulator":
         return _simulator(machine, settings, clock)
+    if driver.kind in site_file.STEPPED:
+        return _stepped(machine, settings, clock)
     port: Port = plugins.get("drivers", driver.kind).open(machine, settings, clock, driver.settings)
     return port
+
+
+def _stepped(machine: Commissioned, settings: LoopSettings, clock: Clock) -> Port:
+    told, config = prediction(machine), machine.config
+    if machine.controller is None or machine.limits is None or machine.output_cov is None:
+        raise BadInput(f"machine '{config.id}' has no controller, limits or noise; it can only be replayed")
+    faults = default_faults(machine.inputs, machine.outputs) if config.faults is None else config.faults
+    return stepping.open_stepped(
+        config, (machine.inputs, machine.outputs), machine.controller, machine.output_cov, machine.channels, machine.limits, faults,
+        settings, clock, told,
+    )  # fmt: skip
 
 
 def prediction(machine: Commissioned) -> Prediction:
     """Return how alpha shows in y and u of the nominal loop: N and M, and the peak of the noise to allow for."""
     fact = machine.controller.factorisation if machine.controller else None
     if fact is None or machine.output_cov is None:
-        raise BadInput(f"machine '{machine.config.id}' has no controller; bursts cannot be predicted")
+        raise BadInput(f"machine '{machine.config.id}' has no controller or no noise ('output_sd'); bursts cannot be predicted")
     both = fact.R.select(slice(None), range(machine.plant.inputs))
     return Prediction(both, 5 * np.sqrt(np.diag(machine.output_cov)))
 

@@ -16,13 +16,15 @@ from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
 from afdsvc.gap.explain import explain
 from afdsvc.gap.explanation import Explanation
+from afdsvc.plants.unit_comparison import compared
 from afdsvc.plugins.manager import load
-from afdsvc.record.foreign import prepared, read_foreign
+from afdsvc.record.foreign import PREPARED, prepared, read_foreign
 from afdsvc.record.improved_model import write_improved
 from afdsvc.record.linear_model import linear_model
 from afdsvc.record.loading import TABLES, Naming, foreign_mapping, is_ours, load_table, own_traces
 from afdsvc.record.model_file import read_model
 from afdsvc.record.reader import Recording
+from afdsvc.record.stepped_model import LINEARISED, REST
 
 RECORDING = ".mcap"
 CODE = "the model is a Python simulator; what is explained, and improved, is its linear part"
@@ -62,12 +64,12 @@ def explain_files(
     files = list(recordings) or ([model] if model.suffix.lower() == RECORDING else [])
     if not files:
         raise BadInput(f"{model}: no recording is given to explain; at least one is wanted")
-    train, held = (traces(paths, nominal, options) for paths in (files, holdout))
+    train, held = (from_rest(traces(paths, nominal, options), nominal) for paths in (files, holdout))
     folder = _folder(model, options)
     found = explain(nominal, train, held, load_library(), mapper=parallel(options.jobs), progress=progress)
     notes = (CODE,) if given.dynamics is not None else ()
-    data = prepared([*train, *held])
-    found = replace(found, check=(*notes, *found.check), notes={**found.notes, "data": data})
+    unit = [*nominal.extra.get(LINEARISED, ()), *compared(nominal, [*train, *held])]
+    found = replace(found, check=(*notes, *unit, *found.check), notes={**found.notes, "data": prepared([*train, *held])})
     return _written(found, nominal, folder, means([*train, *held]), options)
 
 
@@ -92,6 +94,19 @@ def traces(paths: Sequence[Path], model: Model, options: ExplainOptions) -> list
         pieces = _table(path, naming, model) if table else _recorded(Recording(path), naming, model, options.machine)
         found += [_named(t, f"{t.name} ({k})" if len(pieces) > 1 else t.name, found) for k, t in enumerate(pieces, 1)]
     return found
+
+
+def from_rest(pieces: Sequence[Trace], model: Model) -> list[Trace]:
+    """Return the traces as deviations from where a simulator that only steps rests; as they are for other models."""
+    rest = {f"y_{v.name}": y for v, y in zip(model.outputs, model.extra.get(REST, ()), strict=False) if y}
+    if not rest:
+        return list(pieces)
+    shift = np.array([rest.get(c.name, 0.0) for c in pieces[0].channels]) if pieces else np.zeros(0)
+    said = [f"{value:g} is taken off {name}, where the simulator rests" for name, value in rest.items()]
+    return [
+        replace(t, values=t.values - shift, notes={**t.notes, PREPARED: "\n".join([*t.notes.get(PREPARED, "").splitlines(), *said])})
+        for t in pieces
+    ]
 
 
 def _recorded(recording: Recording, naming: Naming, model: Model, machine: str | None) -> list[Trace]:

@@ -21,6 +21,7 @@ from afdsvc.plugins.manager import load
 from afdsvc.record.foreign import prepared
 from afdsvc.record.loading import Naming, load_traces
 from afdsvc.record.model_file import read_model, write_model
+from afdsvc.record.stepped_model import LINEARISED
 from afdsvc.report.design_page import design_page
 from afdsvc.runtime.site import read_site
 
@@ -51,7 +52,7 @@ def identify_files(
     page = target.with_suffix(".html")
     from afdsvc.report.identify_page import identify_page
 
-    data = prepared([*train, *test])
+    data = [*nominal.extra.get(LINEARISED, ()), *prepared([*train, *test])]
     page.write_text(identify_page(result, data=data), encoding="utf-8")
     document = result.json(str(target))
     return {**document, "notes": [*document["notes"], *data], "report": str(page)}
@@ -72,5 +73,6 @@ def design_files(site_file: Path, machine: str | None, out: Path | None) -> dict
     per_hour = 3600 / wanted.every_seconds if wanted.every_seconds else 0.0
     sheet = design_sheet(problem, [burst], alarms, per_hour)
     page = out or site_file.with_name(f"{site_file.stem}.{config.id}.design.html")
-    page.write_text(design_page(problem, burst, sheet), encoding="utf-8")
+    units = [v.unit for v in parts.inputs], [v.unit for v in parts.outputs]
+    page.write_text(design_page(problem, burst, sheet, units), encoding="utf-8")
     return {**sheet, "machine": config.id, "report": str(page)}

@@ -34,6 +34,32 @@ class Dynamics(Protocol):
     h: Callable[[float, Array, Array, Mapping[str, float]], Array]
 
 
+class SteppedPlant(Protocol):
+    """A simulator that only steps: an FMI unit, a Python function. It may be begun anew as often as one likes.
+
+    Outputs follow the inputs by one step: what `advance` returns is there before the next inputs are known.
+    """
+
+    def begin(self) -> Array:
+        """Start at rest, forgetting everything before, and return the outputs there, shape ``(p,)``."""
+        ...
+
+    def advance(self, u: Array, dt: float) -> Array:
+        """Hold the inputs ``u (m,)`` for ``dt`` seconds and return the outputs at the end, ``(p,)``, all finite.
+
+        Raises `BadInput` naming the simulator when it fails.
+        """
+        ...
+
+    def states(self) -> Array:
+        """Return the states one may look at, shape ``(n,)``; ``n`` is 0 where there are none."""
+        ...
+
+    def close(self) -> None:
+        """Release what is held; harmless when called twice."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Model:
     """A nominal model: linear matrices or a Python simulator, with names, uncertainty, noise and controller.
@@ -43,6 +69,7 @@ class Model:
     ``output_sd`` is the standard deviation of the output noise, shape ``(p,)``, or None when nobody stated it.
     ``controller`` closes the loop in positive feedback ``u = K (y - ref)``; None when unknown.
     ``origin`` is the path the model came from ("" when made in memory) and ``raw`` the text it was read from.
+    ``opened`` opens the simulator behind a model that only steps; ``plant`` is then what was found of it by small pushes.
     """
 
     name: str
@@ -60,3 +87,4 @@ class Model:
     origin: str = ""
     raw: str = ""
     extra: Mapping[str, Any] = field(default_factory=dict)
+    opened: Callable[[], SteppedPlant] | None = None

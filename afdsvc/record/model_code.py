@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import importlib
 import importlib.util
 import os
 import sys
 from pathlib import Path
 from types import ModuleType
-from typing import cast
+from typing import Any, cast
 
 from afdsvc.api.model import Dynamics
 from afdsvc.errors import BadInput
@@ -19,23 +20,51 @@ TRUSTED = "AFDSVC_TRUSTED"
 
 def load_dynamics(reference: str, source: str, allow_code: bool) -> Dynamics:
     """Return the object ``file.py:name``, relative to the model; raises `BadInput` naming what is not there."""
-    if not allow_code and not trusted(Path(source)):
-        raise BadInput(
-            f"{source}: key 'dynamics' is '{reference}', Python code that would run on this computer; "
-            f"permission to run code is wanted: --allow-code (allow_code=True), or a folder named in {TRUSTED}"
-        )
+    refuse_code(reference, source, allow_code)
     file, name = reference.rsplit(":", 1)
-    path = Path(source).parent / file
-    where = f"{source}: key 'dynamics' names {path}"
-    module = _run(path, where)
-    found = getattr(module, name, None)
-    if found is None:
-        raise BadInput(f"{where}, which defines no '{name}'")
+    found = load_code(reference, Path(source).parent, f"{source}: key 'dynamics'")
     missing = [method for method in "fh" if not callable(getattr(found, method, None))]
     if missing:
         wanted = "f(t, x, u, p) and h(t, x, u, p) are wanted"
-        raise BadInput(f"{where}, where '{name}' has no {' and no '.join(missing)}; {wanted}")
+        raise BadInput(f"{source}: key 'dynamics' names {Path(source).parent / file}, where '{name}' has no {' and no '.join(missing)}; {wanted}")
     return cast(Dynamics, found)
+
+
+def refuse_code(reference: str, source: str, allow_code: bool) -> None:
+    """Raise `BadInput` when code would run that nobody allowed."""
+    if not allow_code and not trusted(Path(source)):
+        kind = "compiled code" if reference.endswith(".fmu") else "Python code"
+        raise BadInput(
+            f"{source}: key 'dynamics' is '{reference}', {kind} that would run on this computer; "
+            f"permission to run code is wanted: --allow-code (allow_code=True), or a folder named in {TRUSTED}"
+        )
+
+
+def load_code(reference: str, folder: Path, key: str) -> Any:
+    """Return the object ``file.py:name`` (relative to the folder) or ``package.module:name``; raises `BadInput`.
+
+    ``key`` says where the reference stands, for the sentence.
+    """
+    place, _, name = reference.rpartition(":")
+    if not place or not name.isidentifier():
+        raise BadInput(f"{key} is '{reference}'; file.py:name or package.module:name is wanted")
+    if place.endswith(".py"):
+        where = f"{key} names {folder / place}"
+        module = _run(folder / place, where)
+    else:
+        where = f"{key} names the module {place}"
+        module = _imported(place, where)
+    found = getattr(module, name, None)
+    if found is None:
+        raise BadInput(f"{where}, which defines no '{name}'")
+    return found
+
+
+def _imported(place: str, where: str) -> ModuleType:
+    try:
+        return importlib.import_module(place)
+    except Exception as error:
+        raise BadInput(f"{where}, which cannot be imported: {type(error).__name__}: {error}") from error
 
 
 def trusted(path: Path) -> bool:

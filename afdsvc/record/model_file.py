@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from afdsvc.api.model import Model, Quantity, Variable
+from afdsvc.api.model import Dynamics, Model, Quantity, Variable
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.record.model_code import linear_part, load_dynamics
@@ -19,6 +19,7 @@ from afdsvc.record.model_matrices import (
     relative_deviation,
 )
 from afdsvc.record.model_schema import ModelTable
+from afdsvc.record.stepped_model import stepped_model, unit_text
 from afdsvc.record.toml_text import Inline, toml_text
 from afdsvc.record.validation import read_text, toml_table, validated
 
@@ -30,16 +31,19 @@ def read_model(path: str | Path, allow_code: bool = False) -> Model:
     """Return the model in a file; raises `BadInput` naming file, key, value found and value wanted.
 
     A model whose dynamics are Python code is refused unless ``allow_code`` is True or the file lies in a trusted folder; its
-    ``plant`` is the linear part the code offers (None when it offers none).
+    ``plant`` is the linear part the code offers (None when it offers none). An FMI unit (``.fmu``) may stand for a whole file:
+    names, units and step are then its own.
     """
-    return parse_model(read_text(Path(path)), str(path), allow_code)
+    text = unit_text(Path(path)) if str(path).lower().endswith(".fmu") else read_text(Path(path))
+    return parse_model(text, str(path), allow_code)
 
 
 def parse_model(text: str, source: str, allow_code: bool = False) -> Model:
     """Return the model in a text that came from ``source`` (a path, or a place inside a recording)."""
     table = validated(ModelTable, toml_table(text, source), source)
-    dynamics = load_dynamics(table.dynamics, source, allow_code) if table.dynamics else None
-    plant = linear_part(dynamics) if dynamics else linear_system(table, len(table.inputs), len(table.outputs), source)
+    stepped = stepped_model(table, source, allow_code)
+    dynamics = load_dynamics(table.dynamics, source, allow_code) if table.dynamics and not stepped else None
+    plant = stepped.plant if stepped else _plant(table, dynamics, source)
     return Model(
         name=table.name,
         inputs=tuple(Variable(v.name, v.unit) for v in table.inputs),
@@ -54,8 +58,9 @@ def parse_model(text: str, source: str, allow_code: bool = False) -> Model:
         process_cov=covariance(table.noise.process_cov if table.noise else None, _order(table, None if dynamics else plant), source),
         controller=_controller(table, source),
         origin=source,
-        raw=text,
-        extra=_form(table),
+        raw="" if stepped else text,
+        extra={**_form(table), **(stepped.extra if stepped else {})},
+        opened=stepped.opened if stepped else None,
     )
 
 
@@ -87,6 +92,12 @@ def model_text(model: Model, folder: Path | None = None) -> str:
             "controller": _time_keys(model.controller.dt) | _matrix_keys(model.controller) if model.controller else {},
         }
     )
+
+
+def _plant(table: ModelTable, dynamics: Dynamics | None, source: str) -> StateSpace | None:
+    if dynamics is not None:
+        return linear_part(dynamics)
+    return linear_system(table, len(table.inputs), len(table.outputs), source)
 
 
 def _states(table: ModelTable, plant: StateSpace | None, source: str) -> tuple[Variable, ...]:

@@ -89,6 +89,14 @@ class ControllerTable(LinearTable):
         return self
 
 
+class PerturbationTable(Strict):
+    """How the linear part of a simulator that only steps is looked for: pushes (in the inputs' units), samples, order."""
+
+    amplitude: list[Positive] | None = None
+    samples: Annotated[int, Field(ge=50, le=20000)] = 400
+    order: Annotated[int, Field(ge=1, le=30)] | None = None
+
+
 class ModelTable(LinearTable):
     """A whole MODEL.toml."""
 
@@ -96,11 +104,12 @@ class ModelTable(LinearTable):
     inputs: Annotated[list[VariableTable], Field(min_length=1)]
     outputs: Annotated[list[VariableTable], Field(min_length=1)]
     states: list[StateTable] = Field(default_factory=list)
-    dynamics: Annotated[str, Field(pattern=r"^.+\.py:[A-Za-z_]\w*$")] | None = None
+    dynamics: Annotated[str, Field(pattern=r"^.+(\.py:[A-Za-z_]\w*|\.fmu)$")] | None = None
     parameters: dict[Name, ParameterTable] = Field(default_factory=dict)
     uncertainty: UncertaintyTable | None = None
     noise: NoiseTable | None = None
     controller: ControllerTable | None = None
+    perturbation: PerturbationTable | None = None
 
     @model_validator(mode="after")
     def _matrices_or_dynamics(self) -> ModelTable:

@@ -150,17 +150,23 @@ class FaultInjection(_Strict):
     at_seconds: Annotated[float, Field(ge=0)] = 0.0
 
 
-class Driver(_Strict):
-    """What stands behind the machine: the simulator, a replay of a recording, or a driver plugin.
+STEPPED = {"fmu": "the path of an FMI unit", "function": "a function as file.py:name or package.module:name"}
 
-    ``options`` are those in which the simulated plant differs from the machine's own ``options``; ``speed`` is its speed
-    over time as ``[second, rpm]``, linear in between.
+
+class Driver(_Strict):
+    """What stands behind the machine: the simulator, an FMI unit, a Python function, a replay of a recording, or a driver plugin.
+
+    ``options`` are those in which the simulated plant differs from the machine's own ``options`` (parameters of an FMI unit, keyword
+    arguments of a function); ``speed`` is its speed over time as ``[second, rpm]``, linear in between. ``unit`` is the FMI unit's
+    file, or the function as ``file.py:name`` or ``package.module:name``; ``variables`` maps the model's names to the unit's.
     """
 
     kind: str = "simulator"
     real_time: bool = True
     seed: int = 0
     recording: Path | None = None
+    unit: str | None = None
+    variables: dict[str, str] = {}
     faults: list[FaultInjection] = []
     options: dict[str, Any] = {}
     speed: list[tuple[Annotated[float, Field(ge=0)], float]] = []
@@ -170,6 +176,8 @@ class Driver(_Strict):
     def _replay_needs_recording(self) -> Driver:
         if self.kind == "replay" and self.recording is None:
             raise ValueError("a replay needs 'recording', the path of the file to replay")
+        if self.kind in STEPPED and self.unit is None:
+            raise ValueError(f"a driver of kind '{self.kind}' needs 'unit', {STEPPED[self.kind]}")
         return self
 
 
@@ -319,7 +327,9 @@ def _anchored(site: Site, folder: Path | None) -> Site:
             update={
                 "model": m.model and folder / m.model,
                 "calibrate_on": m.calibrate_on and folder / m.calibrate_on,
-                "driver": m.driver.model_copy(update={"recording": m.driver.recording and folder / m.driver.recording}),
+                "driver": m.driver.model_copy(
+                    update={"recording": m.driver.recording and folder / m.driver.recording, "unit": _placed(m.driver.unit, folder)}
+                ),
             }
         )
         for m in site.machines
@@ -331,6 +341,11 @@ def _anchored(site: Site, folder: Path | None) -> Site:
         keys = secure.model_copy(update={"keys": folder / secure.keys})
         transport = transport.model_copy(update={"security": keys})
     return site.model_copy(update={"machines": machines, "recording": recording, "alarms": alarms, "transport": transport})
+
+
+def _placed(unit: str | None, folder: Path) -> str | None:
+    """Return a file's place made absolute; a module's name stays."""
+    return str(folder / unit) if unit and (unit.endswith(".fmu") or ".py:" in unit) else unit
 
 
 def _sentence(origin: str, error: ValidationError) -> str:
