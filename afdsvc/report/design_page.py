@@ -20,8 +20,14 @@ from afdsvc.excite.prospect import Prospect, burst_prospect, prospect, steady_sa
 COLOURS = ("#1b6ca8", "#c8553d", "#588157", "#7b4b94", "#c29200", "#3a3a3a", "#008b8b", "#a0522d")
 
 
-def design_page(problem: DetectionProblem, burst: Burst, sheet: Mapping[str, Any]) -> str:
-    """Return the page for a burst and the document `afdsvc.excite.sheet.design_sheet` made of it."""
+Units = tuple[Sequence[str], Sequence[str]]
+
+
+def design_page(problem: DetectionProblem, burst: Burst, sheet: Mapping[str, Any], units: Units = ((), ())) -> str:
+    """Return the page for a burst and the document `afdsvc.excite.sheet.design_sheet` made of it.
+
+    ``units`` are those of inputs and outputs, in the order of the problem's names.
+    """
     seen = burst_prospect(problem, burst)
     h = seen.threshold(problem.false_alarms.per_burst)
     figures = [
@@ -38,7 +44,11 @@ def design_page(problem: DetectionProblem, burst: Burst, sheet: Mapping[str, Any
     ]  # fmt: skip
     page = Environment(loader=PackageLoader("afdsvc.report", "."), autoescape=select_autoescape(["j2"]))
     template = page.get_template("design_page.html.j2")
-    return template.render(sheet=sheet, figures=figures, problem=problem, threshold=h)
+    by_input = dict(zip(problem.input_names, units[0], strict=False))
+    shared = units[1][0] if len(set(units[1])) == 1 else ""
+    return template.render(
+        sheet=sheet, figures=figures, problem=problem, threshold=h, unit_of=lambda name: by_input.get(name, ""), output_unit=shared
+    )
 
 
 def _efficiency_figure(problem: DetectionProblem, burst: Burst) -> str:
@@ -51,7 +61,7 @@ def _efficiency_figure(problem: DetectionProblem, burst: Burst) -> str:
         for line in burst.lines:
             if line.input == j:
                 ax.axvline(line.omega, color="0.4", ls="--", lw=0.9)
-        ax.set(title=f"excited: {_name(problem.input_names, j)}", xlabel="rad/s", ylabel="efficiency [1/output unit]")
+        ax.set(title=f"excited: {_name(problem.input_names, j)}", xlabel="frequency [rad/s]", ylabel="efficiency [1/output unit]")
         ax.set_ylim(bottom=max(1e-6, found.together.max() * 1e-5))
     axes[0].legend(fontsize=7, frameon=False)
     return _svg(figure)
@@ -72,6 +82,7 @@ def _curve_figure(problem: DetectionProblem, seen: Prospect) -> str:
     for n, ax in enumerate(axes):
         ax.add_patch(_circle())
         ax.set_aspect("equal", adjustable="datalim")
+        ax.set(xlabel="real [sd]", ylabel="imaginary [sd]")
         ax.set_title(f"{_line_name(problem, seen, n % lines)} to {_name(problem.output_names, n // lines)}", fontsize=8)
     axes[0].legend(fontsize=6, frameon=False)
     return _svg(figure)
@@ -82,7 +93,7 @@ def _severity_figure(seen: Prospect, h: float) -> str:
     for k, name in enumerate(seen.curves.names):
         severities = -np.geomspace(1e-3, abs(seen.reach[name][0]), 80)
         ax.semilogx(-severities, [seen.detection(name, float(s), h) for s in severities], color=_colour(k), label=name)
-    ax.set(xlabel="loss (share of the gain)", ylabel="probability of detection", ylim=(0, 1.02))
+    ax.set(xlabel="loss [share of the gain]", ylabel="probability of detection [1]", ylim=(0, 1.02))
     ax.legend(fontsize=7, frameon=False)
     return _svg(figure)
 
@@ -97,7 +108,7 @@ def _length_figure(problem: DetectionProblem, burst: Burst, h: float) -> str:
         ax.semilogx(lengths * problem.plant.dt, [detection_probability(tail(h), d * np.sqrt(n / steady)) for n in lengths],
                     color=_colour(k), label=name)  # fmt: skip
     ax.axvline(steady * problem.plant.dt, color="0.4", ls="--", lw=0.9)
-    ax.set(xlabel="seconds of steady excitation", ylabel="probability of detection", ylim=(0, 1.02))
+    ax.set(xlabel="steady excitation [s]", ylabel="probability of detection [1]", ylim=(0, 1.02))
     ax.legend(fontsize=7, frameon=False)
     return _svg(figure)
 

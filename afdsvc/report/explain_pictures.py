@@ -30,7 +30,7 @@ def courses(explanation: Explanation) -> str:
         _left(axes[2 * j + 1], course, j, name)
     axes[0].legend(fontsize=7, frameon=False, ncols=3, loc="upper right")
     axes[1].legend(fontsize=7, frameon=False, ncols=2, loc="upper right")
-    axes[-1].set_xlabel(f"s, {course.name}", fontsize=8)
+    axes[-1].set_xlabel(f"time [s], {course.name}", fontsize=8)
     return svg(figure)
 
 
@@ -54,20 +54,21 @@ def spectra(explanation: Explanation) -> str:
         return ""
     figure, axes = _axes(len(explanation.spectra), 1, 2.4)
     for ax, s in zip(axes, explanation.spectra, strict=True):
-        _density(ax, s)
+        unit = next((v.unit for v in explanation.nominal.model.outputs if v.name == s.output), "")
+        _density(ax, s, f"{s.output} [({unit})²/Hz]" if unit else f"{s.output} [1/Hz]")
     axes[0].legend(fontsize=7, frameon=False, ncols=4, loc="upper right")
-    axes[-1].set_xlabel("Hz", fontsize=8)
+    axes[-1].set_xlabel("frequency [Hz]", fontsize=8)
     return svg(figure)
 
 
-def _density(ax: Axes, s: Spectrum) -> None:
+def _density(ax: Axes, s: Spectrum, name: str) -> None:
     for values, colour, words, width in (
         (s.measured, MEASURED, "measured output", 0.7), (s.before, BEFORE, "residual before", 1.3),
         (s.after, AFTER, "residual after", 1.3), (s.noise, NOISE, "what does not repeat (noise)", 1.0),
     ):
         if values is not None:
             ax.loglog(*_averaged(s.frequency, values), color=colour, lw=width, label=words)
-    _labelled(ax, s.output)
+    _labelled(ax, name)
     floor = float(_averaged(s.frequency, s.after)[1].min())
     if floor > 0:
         ax.set_ylim(bottom=floor / 5)

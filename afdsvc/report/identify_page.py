@@ -52,7 +52,9 @@ def _bode(result: IdentifyResult) -> str:
             ax.loglog(hz, full[:, i, j], color=FULL, label="before reduction", lw=0.8, ls=":")
         ax.loglog(hz, value, color=AFTER, label="identified", lw=1.3)
         ax.set_title(f"{_variable(result, 'inputs', j)} to {_variable(result, 'outputs', i)}", fontsize=8)
-        ax.set_xlabel("Hz", fontsize=8)
+        ax.set_xlabel("frequency [Hz]", fontsize=8)
+        units = [side[at].unit or "1" for side, at in ((result.model.outputs, i), (result.model.inputs, j))]
+        ax.set_ylabel(f"magnitude [{' / '.join(units)}]", fontsize=8)
     axes[0].legend(fontsize=7, frameon=False)
     return _svg(figure)
 
@@ -74,7 +76,7 @@ def _time(result: IdentifyResult) -> str:
             ax.plot(shown.t, shown.before[:, i], color=BEFORE, lw=1.0, label="before")
         ax.plot(shown.t, shown.after[:, i], color=AFTER, lw=1.1, label="identified")
         ax.set_ylabel(_variable(result, "outputs", i), fontsize=8)
-    axes[-1].set_xlabel(f"s, {shown.recording}", fontsize=8)
+    axes[-1].set_xlabel(f"time [s], {shown.recording}", fontsize=8)
     axes[0].legend(fontsize=7, frameon=False, ncols=3)
     return _svg(figure)
 
@@ -88,7 +90,7 @@ def _singular_values(result: IdentifyResult) -> str:
     n = np.arange(1, len(values) + 1)
     ax.semilogy(n[:order], values[:order], "o", color=AFTER, ms=4, label=f"kept: {order}")
     ax.semilogy(n[order:], values[order:], "o", color=BEFORE, ms=4, mfc="none", label="left out")
-    ax.set(xlabel="state", ylabel="singular value")
+    ax.set(xlabel="state [number]", ylabel="singular value [1]")
     ax.legend(fontsize=7, frameon=False)
     return _svg(figure)
 
