@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -23,8 +24,8 @@ class Runs:
 
     @classmethod
     def start(cls, outputs: int) -> Runs:
-        """Return runs of nothing."""
-        return cls(np.full(outputs, np.nan), np.zeros(outputs))
+        """Return runs of nothing, one object for all who ask."""
+        return _nothing(outputs)
 
     def add(self, y: Array) -> tuple[Runs, Array]:
         """Return the runs after the samples ``y (n, p)`` and the longest run seen in them, shape ``(p,)``."""
@@ -95,6 +96,11 @@ class BurstChecks:
             if run >= frozen:
                 return f"sensor {_name(names, i)} stood still for {int(run)} samples"
         return ""
+
+
+@lru_cache(maxsize=64)
+def _nothing(outputs: int) -> Runs:
+    return Runs(np.full(outputs, np.nan), np.zeros(outputs))
 
 
 def _name(names: Sequence[str], i: int) -> str:

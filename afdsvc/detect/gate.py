@@ -48,8 +48,8 @@ class Gate:
         LagSums.
         """
         skipped = min(state.skip, len(series))
-        state = replace(state, skip=state.skip - skipped)
-        series = series[skipped:] if skipped else series
+        if skipped:
+            state, series = replace(state, skip=state.skip - skipped), series[skipped:]
         while len(series):
             room = self.part - state.now.n
             now = state.now.add(series[:room] if room < len(series) else series)
@@ -57,7 +57,7 @@ class Gate:
             parts = state.parts
             if now.n >= self.part:
                 parts, now = (*parts, now)[-PARTS:], now.cleared()
-            state = replace(state, now=now, parts=parts)
+            state = GateState(now, parts, state.skip, state.because)
         return state
 
     @property

@@ -49,7 +49,24 @@ class Filters(Protocol):
         ...
 
 
-_RESTING, _STEPPED = Once(256), Once(8)
+class Counting(Protocol):
+    """Something counted along the outputs, like `checks.Runs`."""
+
+    def add(self, y: Array) -> tuple[Any, Array]:
+        """Return the counts after the samples ``y (n, p)`` and what was found in them."""
+        ...
+
+
+_RESTING, _STEPPED, _COUNTED = Once(256), Once(8), Once(8)
+
+
+def counted(runs: Counting, block: ResidualBlock) -> tuple[Any, Array]:
+    """Return the counts after the block's outputs and what was found in them."""
+    return _COUNTED(_count, runs, block)
+
+
+def _count(runs: Counting, block: ResidualBlock) -> tuple[Any, Array]:
+    return runs.add(block.y)
 
 
 def at_rest(filters: Filters) -> Any:

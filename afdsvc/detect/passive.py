@@ -22,7 +22,7 @@ from afdsvc.detect.cusum import Cusum, CusumState, cusum
 from afdsvc.detect.gate import Gate, GateState, Judgement, finite
 from afdsvc.detect.noise_driven import NoiseDriven, noise_driven
 from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
-from afdsvc.detect.once import at_rest, stepped
+from afdsvc.detect.once import at_rest, counted, stepped
 from afdsvc.detect.recent import NOTHING, Recent
 from afdsvc.detect.regressors import regressors
 from afdsvc.detect.run_length import rate_boundary
@@ -82,7 +82,7 @@ class PassiveDetector:
         if block.gap:
             state = self._restarted(state, "a gap in the samples")
         for piece in pieces(block):
-            runs, _ = state.runs.add(piece.y)
+            runs, _ = counted(state.runs, piece)
             filters, series = stepped(self.filters, state.filters, piece)
             state = replace(state, runs=runs, filters=filters)
             if not finite(series):

@@ -20,6 +20,7 @@ import numpy as np
 from numba import njit
 
 from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect.once import Once
 from afdsvc.detect.products import selection
 from afdsvc.detect.residual import decay
 from afdsvc.detect.stated import uncertain_parameters
@@ -87,6 +88,9 @@ class Regressors:
 
     def without_faults(self) -> Regressors:
         """Return the filter that only normalises the residual: its cost does not grow with the number of faults."""
+        return _LIGHT(Regressors._light, self)
+
+    def _light(self) -> Regressors:
         none = slice(0, 0)
         return replace(
             self, names=(), faults=0, bounds=(), sd=self.sd[none], exact=(), Bw=self.Bw[none], Dyw=self.Dyw[none],
@@ -103,8 +107,18 @@ def regressors(problem: DetectionProblem) -> Regressors:
     """Return the regressors of every fault, then of every uncertain parameter; raises `BadInput` when the innovations
     do not belong to the plant.
 
-    A fault with several channels (``w = theta z`` with vectors w and z) is one regressor.
+    A fault with several channels (``w = theta z`` with vectors w and z) is one regressor. Problems that differ in their false
+    alarms only, as those of the detectors of one machine do, get the same object.
     """
+    p = problem
+    about = (p.augmented, p.uncertain, p.innovations, p.covariance, p.output_cov, p.process_cov, p.uncertainty, p.severity_range)
+    return _REGRESSORS(lambda *_: _regressors(problem), *about)
+
+
+_REGRESSORS, _LIGHT = Once(256), Once(256)
+
+
+def _regressors(problem: DetectionProblem) -> Regressors:
     g = problem.augmented.plant
     Kp, uncertain = predictor_gain(problem, g), uncertain_parameters(problem)
     ways = [_way(problem, problem.augmented, name, Kp) for name in problem.fault_names]

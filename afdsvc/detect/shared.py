@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 from scipy.linalg import qr
 
+from afdsvc.detect.once import Once
 from afdsvc.detect.regressors import Regressors
 from afdsvc.detect.residual import decay
 from afdsvc.lti.statespace import Array, StateSpace
@@ -77,6 +78,13 @@ Filters: TypeAlias = Regressors | SharedRegressors
 
 def shared(filters: Regressors) -> Filters:
     """Return the filter of all regressors together, or the regressors themselves where that would not be cheaper."""
+    return _SHARED(_shared, filters)
+
+
+_SHARED = Once(256)
+
+
+def _shared(filters: Regressors) -> Filters:
     n, p, K = filters.plant.order, filters.plant.outputs, len(filters.names)
     if not K:
         return filters

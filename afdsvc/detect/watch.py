@@ -21,7 +21,7 @@ from afdsvc.detect.gate import Gate, GateState, Judgement, finite
 from afdsvc.detect.hypotheses import NONE, Fit
 from afdsvc.detect.nuisances import NONE as NO_NUISANCES
 from afdsvc.detect.nuisances import Cleaning, Nuisances
-from afdsvc.detect.once import Once, at_rest, stepped
+from afdsvc.detect.once import Once, at_rest, counted, stepped
 from afdsvc.detect.presence import Shown
 from afdsvc.detect.recent import NOTHING, Recent
 from afdsvc.detect.regressors import Regressors, regressors
@@ -150,18 +150,18 @@ class BurstDetector:
         if state.playing is not None and not _same_burst(state.playing, piece):
             found += self._judge(state, state.playing, piece.k0 - 1, piece.dt)
             state = replace(state, playing=None)
-        runs, longest = state.runs.add(piece.y)
+        runs, longest = counted(state.runs, piece)
         filters, series = stepped(self.filters, state.filters, piece)
+        cleaning, gate, recent = None, state.gate, state.recent
         if not finite(series):
-            filters, gate = at_rest(self.filters), self.gate.restart(state.gate, "a sample that is not a finite number")
-            state = replace(state, gate=gate, cleaning=None, recent=NOTHING)
+            filters, recent = at_rest(self.filters), NOTHING
+            gate = self.gate.restart(gate, "a sample that is not a finite number")
         elif piece.burst is None:
             cleaning, clean, kept = self.nuisances.clean(state.cleaning, piece, series[:, :1], self.gate.part)
-            recent = state.recent.add(piece, self.gate.window + self.gate.settle)
-            state = replace(state, gate=self.gate.add(state.gate, clean if kept.all() else clean[kept]), cleaning=cleaning, recent=recent)
-        state = replace(state, filters=filters, runs=runs)
+            recent = recent.add(piece, self.gate.window + self.gate.settle)
+            gate = self.gate.add(gate, clean if kept.all() else clean[kept])
+        state = WatchState(filters, gate, runs, state.playing, cleaning, recent)
         if piece.burst is not None:
-            state = replace(state, cleaning=None)
             state, evidence = self._burst_piece(state, piece, piece.burst, series, longest)
             found += evidence
         return state, found
