@@ -1,5 +1,9 @@
 """The diagnosis burst: one line on every input, where the faults that resemble each other most can be told apart.
 
+With one input and one output a line brings back two numbers only, and nearly any two numbers lie near some point of some
+fault's curve: that none of the known faults is there can then hardly be excluded. Such a machine gets two lines of together the
+same power, far enough apart to say different things.
+
 The pair hardest to separate is usually actuator and sensor of one axis: their waves differ by a fraction of a per
 cent in the output they share and only show their difference in the other one. Frequencies are chosen for the worst
 pair, the amplitude for a separation that singles out the right fault nearly always, inside what rig and noise allow.
@@ -7,7 +11,7 @@ pair, the amplitude for a separation that singles out the right fault nearly alw
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +33,7 @@ SETTLE = 0.2  # largest share left to settling
 GRID = 48  # frequencies compared
 PERIODS = 8  # fewest whole periods of the slowest line
 FASTEST = 0.5  # highest frequency as a share of Nyquist
+DIFFERENT = 0.4  # smallest relative distance of two lines on one input
 CLOSEST = 0.02  # smallest relative distance of two lines, and of a line from a rotor order
 ORDERS = 4  # multiples of the rotor's speed that lines keep away from
 APART = 3  # whole periods of the steady part by which lines differ from a rotor order at least
@@ -59,7 +64,8 @@ def default_burst(
     aim: Aim = Aim(),  # frozen
     name: str = "diagnosis",
 ) -> Burst:
-    """Return the burst; ``output_amplitude`` [output unit] fixes what every line may cause at the outputs it reaches.
+    """Return the burst; ``output_amplitude`` [output unit] fixes what every line may cause at the outputs it reaches
+    (where one input has two lines: the root of the sum of their squares).
 
     Without it the amplitude is the smallest that reaches ``aim``, and never more than the limits leave after noise.
     What the burst can and cannot do is in its ``notes``. Raises `Refused` when the limits leave no room at all,
@@ -100,10 +106,10 @@ class _Plan:
 def _best_plan(problem: DetectionProblem, frame: Burst, left: Room, aim: Aim) -> _Plan:
     """Return the plan that disturbs the outputs least if it reaches the aim, else the one that uses the limits best."""
     omega = _frequencies(frame, problem)
-    spent, gains = costs(problem, omega), _gains(problem, omega, aim)
+    spent, gains, inputs = costs(problem, omega), _gains(problem, omega, aim), _inputs(problem)
     plans = []
     for price in (spent.output.max(axis=1), _share_of_room(spent, left)):
-        unit = replace(frame, lines=_unit_lines(omega, spent, _choose(gains, price, omega)))
+        unit = replace(frame, lines=_unit_lines(omega, spent, inputs, _choose(gains, price, omega, inputs)))
         largest = _largest(unit.lines, omega, spent, left)
         plans.append(_Plan(unit, largest, _reach(burst_prospect(problem, _scaled(unit, largest)), aim)))
     goal = aim.goal(problem)
@@ -154,13 +160,19 @@ def _share_of_room(spent: Costs, left: Room) -> Array:
     return np.asarray(np.max(shares, axis=0))
 
 
-def _choose(pair_gains: Array, price: Array, omega: Array) -> tuple[int, ...]:
-    """Return the index of the frequency for every input that separates the worst pair best at a given price ``(L, m)``.
+def _inputs(problem: DetectionProblem) -> list[int]:
+    """Return the input of every line."""
+    m, p = problem.plant.inputs, problem.plant.outputs
+    return [0, 0] if m == p == 1 else list(range(m))
+
+
+def _choose(pair_gains: Array, price: Array, omega: Array, inputs: Sequence[int]) -> tuple[int, ...]:
+    """Return the index of the frequency for every line that separates the worst pair best at a given price ``(L, m)``.
 
     Squared separations of different lines add up, at least, so each input in turn is given the frequency that helps the
     pair worst off; three rounds let early choices be revised.
     """
-    gains = pair_gains / np.maximum(price, 1e-300)[:, :, None] ** 2
+    gains = (pair_gains / np.maximum(price, 1e-300)[:, :, None] ** 2)[:, list(inputs)]
     chosen: dict[int, int] = {}
     for _ in range(3):
         for j in range(gains.shape[1]):
@@ -168,7 +180,8 @@ def _choose(pair_gains: Array, price: Array, omega: Array) -> tuple[int, ...]:
             others = sum((gains[chosen[i], i] for i in rest), np.zeros(gains.shape[2]))
             worst = np.min(gains[:, j] + others, axis=1) + 1e-9 * gains[:, j].mean(axis=1)
             for i in rest:
-                worst[np.abs(omega / omega[chosen[i]] - 1) < CLOSEST] = -np.inf
+                apart = DIFFERENT if inputs[i] == inputs[j] else CLOSEST
+                worst[np.abs(omega / omega[chosen[i]] - 1) < apart] = -np.inf
             chosen[j] = int(np.argmax(worst))
     return tuple(chosen[j] for j in sorted(chosen))
 
@@ -191,11 +204,11 @@ def _rows(problem: DetectionProblem, pairs: tuple[tuple[int, int], ...], aim: Ai
     return [i for i, (a, b) in enumerate(pairs) if a in wanted and b in wanted]
 
 
-def _unit_lines(omega: Array, spent: Costs, chosen: tuple[int, ...]) -> tuple[Line, ...]:
-    """Return lines that each cause an amplitude of 1 at the output they move most."""
+def _unit_lines(omega: Array, spent: Costs, inputs: Sequence[int], chosen: tuple[int, ...]) -> tuple[Line, ...]:
+    """Return lines that each cause an amplitude of 1 at the output they move most; those of one input together."""
     lines = []
-    for j, k in enumerate(chosen):
-        cost = float(spent.output[k, :, j].max())
+    for j, k in zip(inputs, chosen, strict=True):
+        cost = float(spent.output[k, :, j].max()) * np.sqrt(list(inputs).count(j))
         if cost > 0:
             lines.append(Line(j, float(omega[k]), 1 / cost, phase=0.0))
     return tuple(lines)

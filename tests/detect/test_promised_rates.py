@@ -128,7 +128,7 @@ def test_one_alarm_in_twenty_bursts(name, machine):
 
 @pytest.mark.parametrize("name", ["matched_filter", "regression"])
 def test_one_alarm_in_ten_thousand_bursts(name):
-    found, error = rare_rate(name, "proportional 0", 1e-4, 250)
+    found, error = rare_rate(name, "proportional 0", 1e-4, 300)
     assert error < 0.2e-4
     assert found == pytest.approx(1e-4, abs=2.58 * error + 0.03e-4)
 

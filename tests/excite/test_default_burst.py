@@ -83,11 +83,11 @@ def test_limits_are_kept_even_when_they_defeat_the_aim():
     assert "not_separated" in burst.notes
 
 
-def test_one_input_machine_gets_one_line():
+def test_a_one_input_machine_gets_both_lines_on_it():
     problem = unstable_problem()
     loose = replace(problem.limits, output=np.array([50.0]), input=np.array([50.0]), alpha=np.array([50.0]))
     burst = default_burst(problem, loose, seconds=3.0)
-    assert [line.input for line in burst.lines] == [0]
+    assert [line.input for line in burst.lines] == [0, 0]
 
 
 def test_no_room_and_nonsense_are_refused_with_reasons():
@@ -99,3 +99,34 @@ def test_no_room_and_nonsense_are_refused_with_reasons():
         default_burst(problem, problem.limits, seconds=-1.0)
     with pytest.raises(BadInput, match="too few"):
         default_burst(problem, problem.limits, seconds=0.003)
+
+
+@pytest.mark.parametrize("rpm", [600, 1100, 3000])
+def test_lines_keep_away_from_the_orders_of_a_rotor(rpm):
+    problem = replace(bearing_problem("lqg"), speed=rpm * np.pi / 30)
+    burst = default_burst(problem, problem.limits, 1.0, 0.4)
+    steady = steady_samples(burst) * problem.plant.dt
+    assert len(burst.lines) == 2
+    for line in burst.lines:
+        for order in range(1, 5):
+            apart = abs(line.omega - order * problem.speed)
+            assert apart > 3 * 2 * np.pi / steady
+            assert apart > 0.02 * order * problem.speed
+
+
+def test_a_line_that_sits_on_an_order_is_moved():
+    still = bearing_problem("lqg")
+    line = default_burst(still, still.limits, 1.0, 0.4).lines[0]
+    burst = default_burst(replace(still, speed=line.omega), still.limits, 1.0, 0.4)
+    assert min(abs(other.omega / line.omega - 1) for other in burst.lines) > 0.02
+
+
+def test_one_input_and_one_output_get_two_lines_of_the_power_of_one():
+    problem = unstable_problem()
+    limits = Limits(np.full(1, 50.0), np.full(1, 50.0), np.full(1, 50.0))
+    burst = default_burst(problem, limits, 0.6, 1.5)
+    slow, fast = sorted(line.omega for line in burst.lines)
+    assert fast > 1.4 * slow
+    spent = costs(problem, np.array([line.omega for line in burst.lines])).output[:, 0, 0]
+    caused = np.array([line.amplitude for line in burst.lines]) * spent
+    assert np.sum(caused**2) == pytest.approx(1.5**2, rel=1e-6)
