@@ -15,7 +15,7 @@ import numpy as np
 from afdsvc.api.detection import ResidualBlock
 from afdsvc.detect.gate import Gate, Judgement
 from afdsvc.detect.nuisances import Cleaning, Nuisances
-from afdsvc.detect.once import at_rest, stepped
+from afdsvc.detect.once import Once, at_rest, stepped
 from afdsvc.detect.products import Products
 from afdsvc.detect.shared import Filters
 from afdsvc.detect.whiteness import LagSums
@@ -33,6 +33,9 @@ class Recent:
 
     def add(self, block: ResidualBlock, most: int) -> Recent:
         """Return the samples with a block added, the oldest beyond ``most`` forgotten."""
+        return _ADDED(Recent._add, self, block, most)
+
+    def _add(self, block: ResidualBlock, most: int) -> Recent:
         return _newest((*self.blocks, block), self.n + len(block), most)
 
     def until(self, k: int, most: int) -> Recent:
@@ -68,6 +71,7 @@ class Recent:
 
 
 NOTHING = Recent()
+_ADDED = Once()
 
 
 def _newest(blocks: tuple[ResidualBlock, ...], n: int, most: int) -> Recent:

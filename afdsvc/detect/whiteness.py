@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from afdsvc.detect.once import Once
 from afdsvc.errors import BadInput
@@ -158,8 +158,8 @@ def _tests(n: int, products: Array, total: Array) -> Whiteness:
     dof = p * (p + 1) / 2
     bartlett = 1 + (2 * p + 1 - 2 / (p + 1)) / (6 * n)  # brings the mean of the ratio to its degrees of freedom
     return Whiteness(
-        n, float(chi2.sf(Q, p * p * lags)), float(chi2.sf(likelihood / bartlett, dof)),
-        float(chi2.sf(float(total @ total) / n, p)), sd,
+        n, float(chdtrc(p * p * lags, Q)), float(chdtrc(dof, max(likelihood / bartlett, 0.0))),
+        float(chdtrc(p, float(total @ total) / n)), sd,
     )
 
 
