@@ -44,7 +44,7 @@ def _sentence(model: Model, unit: SteppedPlant, trace: Trace) -> str:
     linear, _ = simulate(sampled, u)
     parts = [
         f"{v.name} {100 * _nrmse(y[:, i], real[:, i]):.3g} % by the simulator itself, {100 * _nrmse(y[:, i], linear[:, i]):.3g} % by its linear part "
-        f"(the two differ by {100 * _nrmse(real[:, i], linear[:, i]):.2g} %)"
+        f"(the two differ by {100 * round(_nrmse(real[:, i], linear[:, i]), 9):.2g} %)"
         for i, v in enumerate(model.outputs)
     ]
     return f"{trace.name}, simulated from its inputs and from rest, error over variation: {'; '.join(parts)}"

@@ -140,8 +140,8 @@ def _sentences(table: ModelTable, part: LinearPart, plant: StateSpace, push: Arr
     said = [
         f"{table.dynamics} only steps, so what is worked with is its linear part of order {plant.order} ({kind}) around its start: the inputs "
         f"were pushed ({pushes}) and {looked} looked at for {samples} steps of {table.dt:g} s",
-        f"that linear part misses {100 * part.missed:.2g} % of the simulator's answer to a random push of the same size, "
-        f"and twice the push changes the answer by {100 * part.bent:.2g} % of itself"
+        f"that linear part misses {100 * round(part.missed, 9):.2g} % of the simulator's answer to a random push of the same size, "
+        f"and twice the push changes the answer by {100 * round(part.bent, 9):.2g} % of itself"
         + ("" if max(part.missed, part.bent) < 0.05 else ": the simulator is not linear, and what it does beyond is not in the nominal model"),
     ]
     if part.drift > STILL:

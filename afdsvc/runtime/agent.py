@@ -86,9 +86,9 @@ class RigAgent:
         finally:
             self.port.close()
             self._post.close()
-        if self.connect is not None:
-            self.stopping.set()
-            joining.join(3)
+            if self.connect is not None:  # also when the machine has failed: nobody is to wait for the network then
+                self.stopping.set()
+                joining.join(3)
         if self._twin is not None:
             raise self._twin
 
