@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from afdsvc.api.detection import DetectionProblem, ResidualBlock
 from afdsvc.api.evidence import Evidence
+from afdsvc.detect import arl
 from afdsvc.detect.checks import Runs
 from afdsvc.detect.cusum import Cusum, CusumState, cusum
 from afdsvc.detect.gate import Gate, GateState, Judgement, finite
@@ -27,7 +28,7 @@ from afdsvc.detect.recent import NOTHING, Recent
 from afdsvc.detect.regressors import regressors
 from afdsvc.detect.run_length import rate_boundary
 from afdsvc.detect.shared import Filters, shared
-from afdsvc.detect.uneven import excursion_steps
+from afdsvc.detect.uneven import excursion_steps, faulty_information
 from afdsvc.detect.watch import Finding, evidence, pieces
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
@@ -70,6 +71,25 @@ class PassiveDetector:
     def boundary(self) -> float:
         """Boundary of the largest CUSUM."""
         return self.test.boundary
+
+    def delay(self, fault: str, severity: float) -> float:
+        """Return the mean time [s] from a fault's onset to the alarm, its CUSUM being at zero then, which is the worst case.
+
+        From the run length in the faulty loop, which brings less information than the healthy one. Infinite for a fault
+        below half the severity looked for, on which the CUSUM does not grow; raises `BadInput` for one the loop's noise does
+        not show.
+        """
+        shown = [self.problem.fault_names[i] for i in self.which]
+        if fault not in shown:
+            raise BadInput(f"the loop's own noise does not show fault '{fault}'; one of {', '.join(shown)} is wanted")
+        k, block = shown.index(fault), self.test.block
+        theta, noise = float(self.test.severity[k]), noise_driven(self.problem)
+        G = faulty_information(noise, int(self.which[k]), severity) * block
+        if not abs(severity) > abs(theta) / 2:
+            return math.inf
+        step, mu = excursion_steps(noise, self.which[k : k + 1], self.test.severity[k : k + 1], block)[0], abs(theta) * math.sqrt(G)
+        looks = arl.run_length(mu, self.boundary, True, bias=theta * (severity - theta) * G, step=float(step))
+        return looks * block * self.problem.plant.dt
 
     def start(self) -> PassiveState:
         """Return the initial state."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
 from afdsvc.detect.noise_driven import NoiseDriven
+from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 
 
@@ -24,6 +25,15 @@ def excursion_steps(noise: NoiseDriven, which: NDArray[np.intp], theta: Array, s
     which look once in so many ``samples``; shape ``(K,)``.
     """
     return np.array([_both_ends(noise, int(i), float(th), samples) for i, th in zip(which, theta, strict=True)])
+
+
+def faulty_information(noise: NoiseDriven, fault: int, severity: float) -> float:
+    """Return the information per sample about a fault once it is there; raises `BadInput` when the loop is lost."""
+    A, B, C = _driven(noise, fault)
+    tilted = A + severity * B @ C
+    if np.abs(np.linalg.eigvals(tilted)).max(initial=0.0) >= 1:
+        raise BadInput(f"severity {severity:g} makes the loop unstable; one it survives is wanted")
+    return float(np.trace(C @ solve_discrete_lyapunov(tilted, B @ B.T) @ C.T))
 
 
 def _both_ends(noise: NoiseDriven, fault: int, theta: float, samples: int) -> float:
