@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from afdsvc.api.physics import Hypothesis, Machine, Physics
+from afdsvc.api.physics import Machine, Physics
 from afdsvc.gap.baseline import Baseline, again, baseline
 from afdsvc.gap.clock import aligned, reads_time
 from afdsvc.gap.judge import Ruling, judge, separation
@@ -21,9 +21,11 @@ from afdsvc.gap.runs import Run
 from afdsvc.gap.search import Mapper, block_costs, round_of
 from afdsvc.gap.settle import raw, settle
 from afdsvc.gap.sizes import bandwidth, machine
+from afdsvc.lti.statespace import Array
 
 WORTH_SAYING = 0.03  # share of the gap below which a further effect is not named
-BETTER_SHAPE = 0.25  # share below which a second effect at the same place is only a better shape of the first
+BETTER_SHAPE = 0.35  # share below which a second effect at the same place is only a better shape of the first
+ALIKE = 0.4  # correlation of two answers from which one may be the other's better shape
 SURE_SECOND = 4.0  # standard errors a further effect must show
 QUIET = 1e-3  # p-value above which what is left counts as noise
 BAND = 1.5  # how far above the excitation what repeats is looked for
@@ -86,7 +88,7 @@ def forward(
         point = ruling.rivals[0].candidate.point
         cost = yardstick.cost(point)
         share = (costs[-1] - cost) / yardstick.gap(costs[0])
-        objection = _second(ruling, share, base.point) if number else ""
+        objection = _second(base, ruling, share) if number else ""
         if objection:
             last = replace(ruling, accepted=False, reason=objection)
             break
@@ -95,26 +97,36 @@ def forward(
         costs.append(cost)
         base = again(base, point)
         base, order = _without_superfluous(base, order, samples)
-    base, order, steps = _reconsider(base, order, steps, select, samples, mapper)
+    base, order, steps = _reconsider(base, order, steps, yardstick, samples, mapper)
     return Found(start, base, tuple(steps), last, tuple(order), first, tuple(select), tone)
 
 
 def _reconsider(
-    base: Baseline, order: list[int], steps: list[Step], select: Sequence[Run], samples: tuple[int, int], mapper: Mapper
+    base: Baseline, order: list[int], steps: list[Step], yardstick: Yardstick, samples: tuple[int, int], mapper: Mapper
 ) -> tuple[Baseline, list[int], list[Step]]:
     """Judge every effect anew with the others in place; one that is not asked for beside them any more is dropped."""
     if len(order) < 2 and base.limited == "noise":
         return base, order, steps
-    steps = list(steps)
+    steps, whole = list(steps), yardstick.gap(yardstick.cost(yardstick.base.point))
     for number in list(order):
         at = order.index(number)
-        base_then, ruling = reconsidered(base, at, steps[number].ruling, select, samples, mapper)
-        if ruling.accepted:
-            steps[number] = replace(steps[number], ruling=ruling)
-            base, order = base_then, [*order[:at], *order[at + 1 :], number]
-        elif len(order) > 1:
-            base, order = base_then, [*order[:at], *order[at + 1 :]]
+        others = order[:at] + order[at + 1 :]
+        without, ruling = reconsidered(base, at, steps[number].ruling, yardstick.select, samples, mapper)
+        if ruling.accepted and not (others and base.limited == "noise" and _needless(base.objective, ruling, whole)):
+            base = replace(base, point=ruling.rivals[0].candidate.point)
+            steps[number], order = replace(steps[number], ruling=ruling), [*others, number]
+        elif others:
+            base, order = without, others
+    if len(order) == 1 < len(steps):
+        steps[order[0]] = replace(steps[order[0]], share=(whole - yardstick.gap(yardstick.cost(base.point))) / whole)
     return base, order, steps
+
+
+def _needless(objective: Objective, ruling: Ruling, whole: float) -> bool:
+    """Whether an effect closes too little of the ``whole`` gap beside the others to be told."""
+    choice = ruling.rivals[0].candidate
+    share = float((ruling.nothing.blocks - choice.blocks).sum()) / whole
+    return share < WORTH_SAYING or (share < BETTER_SHAPE and bool(_shaped(objective, choice.point)))
 
 
 def sight_tone(base: Baseline) -> Tone:
@@ -187,7 +199,7 @@ def _part(progress: Progress, number: int) -> Progress:
     return lambda what, share: progress(f"effect {number + 1}: {what}", share)
 
 
-def _second(ruling: Ruling, share: float, before: Point) -> str:
+def _second(base: Baseline, ruling: Ruling, share: float) -> str:
     """Return why a further effect is not worth saying, or ""."""
     choice = ruling.rivals[0].candidate
     if share < WORTH_SAYING:
@@ -195,14 +207,30 @@ def _second(ruling: Ruling, share: float, before: Point) -> str:
     z = separation(ruling.nothing.blocks, choice.blocks)
     if z < SURE_SECOND:
         return f"a further effect ({choice.key}) shows in {z:.1f} standard errors only"
-    same = [e.hypothesis for e in before.effects if choice.hypothesis is not None and _same_place(e.hypothesis, choice.hypothesis)]
+    same = _shaped(base.objective, choice.point)
     if same and share < BETTER_SHAPE:
-        return f"a further effect ({choice.key}) only mends the shape of {same[0].key}"
+        return f"a further effect ({choice.key}) only mends the shape of {same}"
     return ""
 
 
-def _same_place(a: Hypothesis, b: Hypothesis) -> bool:
-    return a.site == b.site and (a.family == b.family or a.site != "machine")
+def _shaped(objective: Objective, point: Point) -> str:
+    """Return which effect the last one of a point is like: at the same place, with an answer of about the same course; or ""."""
+    *others, last = point.effects
+    near = [k for k, e in enumerate(others) if e.hypothesis.site == last.hypothesis.site]
+    if not near:
+        return ""
+    whole, own = objective.vector(point), _answer(objective, point, len(others))
+    for k in near:
+        other = _answer(objective, point, k) - whole
+        like = abs(float(other @ (own - whole))) / max(float(np.linalg.norm(other) * np.linalg.norm(own - whole)), 1e-300)
+        if like > ALIKE:
+            return others[k].hypothesis.key
+    return ""
+
+
+def _answer(objective: Objective, point: Point, k: int) -> Array:
+    """Return the residual with effect ``k`` left out and nothing refitted."""
+    return objective.vector(replace(point, effects=point.effects[:k] + point.effects[k + 1 :]))
 
 
 def _without_superfluous(base: Baseline, order: list[int], samples: tuple[int, int]) -> tuple[Baseline, list[int]]:

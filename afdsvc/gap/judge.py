@@ -13,6 +13,7 @@ from afdsvc.gap.search import Candidate
 from afdsvc.lti.statespace import Array
 
 SURE = 1e-5  # false-acceptance probability of one hypothesis on the training runs
+SURE_CHANGE = 1e-3  # the same for a change of a constant, which invents nothing and has the owner's prior against it already
 CLOSE = 10.0  # score units within which a rival is a look-alike
 APART = 3.0  # standard errors by which blocks must differ to tell two hypotheses apart
 MILD = 2.0  # price of a parameter when asking whether two hypotheses can be told apart
@@ -128,7 +129,8 @@ def _objection(
 ) -> str:
     """Return why the choice is not accepted, or ""."""
     k = max(c.parameters, 1)
-    wanted = max(float(stats.chi2.isf(SURE / tried, k)), k * float(np.log(max(samples[0] / base.memory, 2.0))))
+    sure = SURE_CHANGE if c.hypothesis is not None and c.hypothesis.physics == "parameter_change" else SURE
+    wanted = max(float(stats.chi2.isf(sure / tried, k)), k * float(np.log(max(samples[0] / base.memory, 2.0))))
     if gain < wanted:
         return f"the best hypothesis ({c.key}) gains {gain:.1f} where chance and {tried} trials ask for {wanted:.1f}"
     if samples[1] and gain_select <= (-WORSE if _strained(nothing) else 2.0):

@@ -125,10 +125,28 @@ class Slope:
         return np.asarray(-np.linalg.solve(H + damping * np.diag(np.diag(H)), g) * self.scales)
 
 
-def slope(objective: Objective, point: Point, states_only: bool = False) -> Slope:
-    """Return the objective's slope in its nuisance at a point, by normal equations: columns are scaled and have a prior."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Borrowed:
+    """Columns of theta and the initial states from a point nearby, with other effects: ``J (data, count)``, their scales."""
+
+    J: Array
+    scales: Array
+
+
+def borrowed(t: Tangent) -> Borrowed:
+    """Return what a tangent lends to refits of its objective with other effects."""
+    count = len(t.point.theta) + sum(len(x) for x in t.point.x0)
+    rows = t.objective.samples
+    return Borrowed(t.q[:rows] @ t.r[:, :count], t.scales[:count])
+
+
+def slope(objective: Objective, point: Point, states_only: bool = False, known: Borrowed | None = None) -> Slope:
+    """Return the objective's slope in its nuisance at a point, by normal equations: columns are scaled and have a prior.
+
+    ``known`` columns are taken as they are; only those of the point's effects are worked out.
+    """
     data = objective.vector(point)
-    J, (weights, own), scales = _columns(objective, point, data, states_only)
+    J, (weights, own), scales = _columns(objective, point, data, states_only, known)
     weight = np.diag(weights).copy()
     r: Array = np.asarray(np.linalg.cholesky(J.T @ J + np.diag(weight**2)).T, dtype=np.float64)
     return Slope(point, J, weight, r, np.concatenate([data, own]), scales)
@@ -146,7 +164,7 @@ def tangent(objective: Objective, point: Point, states_only: bool = False) -> Ta
 
 
 def _columns(
-    objective: Objective, point: Point, data: Array, states_only: bool
+    objective: Objective, point: Point, data: Array, states_only: bool, known: Borrowed | None = None
 ) -> tuple[Array, tuple[Array, Array], Array]:
     """Return the scaled Jacobian of the data, the prior rows (Jacobian, residual), and the scale of each parameter."""
     k = 0 if states_only else len(point.theta)
@@ -154,11 +172,11 @@ def _columns(
     etas = 0 if states_only else sum(len(e.values) for e in point.effects)
     total = k + states + etas
     J, scales = np.zeros((data.size, total)), np.ones(total)
-    for j in range(k):
-        step = np.zeros(k)
-        step[j] = THETA_STEP
-        J[:, j] = (objective.vector(replace(point, theta=point.theta + step)) - data) / THETA_STEP
-    _state_columns(objective, point, J, scales, k)
+    if known is None:
+        _theta_columns(objective, point, data, J, k)
+        _state_columns(objective, point, J, scales, k)
+    else:
+        J[:, : k + states], scales[: k + states] = known.J, known.scales
     if etas:
         _effect_columns(objective, point, data, J, scales, k + states)
     weight = np.full(total, 1e-3)
@@ -171,6 +189,13 @@ def prior_rows(point: Point, k: int, total: int) -> Array:
     own = np.zeros(total)
     own[:k] = point.theta[:k]
     return own
+
+
+def _theta_columns(objective: Objective, point: Point, data: Array, J: Array, k: int) -> None:
+    for j in range(k):
+        step = np.zeros(len(point.theta))
+        step[j] = THETA_STEP
+        J[:, j] = (objective.vector(replace(point, theta=point.theta + step)) - data) / THETA_STEP
 
 
 def _state_columns(objective: Objective, point: Point, J: Array, scales: Array, first: int) -> None:

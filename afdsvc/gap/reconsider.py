@@ -8,6 +8,7 @@ from functools import partial
 
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.judge import Rival, Ruling, judge
+from afdsvc.gap.objective import Borrowed, borrowed, tangent
 from afdsvc.gap.runs import Run
 from afdsvc.gap.search import Candidate, Mapper, evaluate
 from afdsvc.gap.settle import settle
@@ -20,17 +21,16 @@ PASSES = 8
 def reconsidered(
     base: Baseline, number: int, ruling: Ruling, select: Sequence[Run], samples: tuple[int, int], mapper: Mapper = map
 ) -> tuple[Baseline, Ruling]:
-    """Return the end of the search with effect ``number`` moved to the end, the best of its look-alikes in its place, and
-    the new ruling; the search without it, and a ruling that says why, when nothing is accepted there any more."""
+    """Return the end of the search without effect ``number`` and the ruling on what is to take its place there: itself, one of
+    its look-alikes, or nothing."""
     point = base.point
     kept = point.effects[:number] + point.effects[number + 1 :]
     without = replace(base, point=settle(base.objective, replace(point, effects=kept), PASSES))
     nothing = evaluate(without, select, None, without.point)
-    found = list(mapper(partial(_swapped, base, kept, select), _contenders(point.effects[number], kept, ruling)))
+    known = borrowed(tangent(base.objective, without.point)) if base.limited == "noise" else None
+    found = list(mapper(partial(_swapped, base, kept, select, known), _contenders(point.effects[number], kept, ruling)))
     new = judge(without, [nothing, *found], max(len(found), 1), samples)
-    if not new.accepted:
-        return without, new
-    return replace(base, point=new.rivals[0].candidate.point), replace(new, beaten=_all_beaten(new, ruling))
+    return without, replace(new, beaten=_all_beaten(new, ruling)) if new.accepted else new
 
 
 def _contenders(current: Effect, kept: Sequence[Effect], ruling: Ruling) -> list[Effect]:
@@ -41,8 +41,10 @@ def _contenders(current: Effect, kept: Sequence[Effect], ruling: Ruling) -> list
     return [current, *others[: max(RIVALS - 1, 0)]]
 
 
-def _swapped(base: Baseline, kept: tuple[Effect, ...], select: Sequence[Run], effect: Effect) -> Candidate:
-    point = settle(base.objective, replace(base.point, effects=(*kept, effect)), PASSES)
+def _swapped(
+    base: Baseline, kept: tuple[Effect, ...], select: Sequence[Run], known: Borrowed | None, effect: Effect
+) -> Candidate:
+    point = settle(base.objective, replace(base.point, effects=(*kept, effect)), PASSES, known=known)
     return evaluate(base, select, effect.hypothesis, point)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from afdsvc.api.physics import Hypothesis
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.fit import Trial, apply_shift, fit, screen
-from afdsvc.gap.objective import Point, Tangent, tangent
+from afdsvc.gap.objective import Borrowed, Point, Tangent, borrowed, tangent
 from afdsvc.gap.runs import Run
 from afdsvc.gap.settle import full_cost, settle
 from afdsvc.gap.simulator import Effect
@@ -94,7 +94,7 @@ def round_of(
     close = _each_once([
         *mapper(partial(_shifted, base, t), _diverse(fitted, REFINED)), *((full_cost(base.objective, p), h, p) for _, h, p in changed),
     ])
-    settled = list(mapper(partial(_settled, base), close[:SETTLED])) + [(h, p) for _, h, p in close[SETTLED:]]
+    settled = list(mapper(partial(_settled, base, _lent(base, t)), close[:SETTLED])) + [(h, p) for _, h, p in close[SETTLED:]]
     refined = list(mapper(partial(_evaluated, base, select), settled))
     progress("refining", 1.0)
     return sorted([nothing, *refined], key=lambda c: c.train)
@@ -136,7 +136,7 @@ def _shifted(base: Baseline, t: Tangent, trial: Trial) -> tuple[float, Hypothesi
     both = [(full_cost(base.objective, p), p) for p in (apply_shift(t, effect), t.point.with_effect(effect))]
     cost, point = min(both, key=lambda pair: pair[0])
     if cost > trial.cost + max(1.0, 3e-3 * trial.cost):
-        point = settle(base.objective, point, 2)
+        point = settle(base.objective, point, 2, known=_lent(base, t))
         cost = full_cost(base.objective, point)
     return cost, trial.hypothesis, point
 
@@ -149,8 +149,13 @@ def _each_once(found: Iterable[Transferred]) -> list[Transferred]:
     return list(best.values())
 
 
-def _settled(base: Baseline, found: tuple[float, Hypothesis, Point]) -> tuple[Hypothesis, Point]:
-    return found[1], settle(base.objective, found[2], 20)
+def _lent(base: Baseline, t: Tangent) -> Borrowed | None:
+    """Return the columns refits may begin with: none where the model limits, for its residual weighs their errors."""
+    return borrowed(t) if base.limited == "noise" else None
+
+
+def _settled(base: Baseline, known: Borrowed | None, found: Transferred) -> tuple[Hypothesis, Point]:
+    return found[1], settle(base.objective, found[2], 20, known=known)
 
 
 def _evaluated(base: Baseline, select: Sequence[Run], found: tuple[Hypothesis, Point]) -> Candidate:

@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from afdsvc.gap.fit import moved
-from afdsvc.gap.objective import Objective, Point, Slope, prior_rows, slope
+from afdsvc.gap.objective import Borrowed, Objective, Point, Slope, prior_rows, slope
 from afdsvc.lti.statespace import Array
 
 REUSED = 3  # steps taken with one tangent
+LENT = 4  # slopes with borrowed columns before own ones are worked out
+SETTLED = 0.2  # fall of the cost at which a refit with borrowed columns counts as settled
 
 
 def raw(objective: Objective, point: Point) -> list[Array]:
@@ -18,17 +20,27 @@ def raw(objective: Objective, point: Point) -> list[Array]:
     return [objective.residual(i, point.theta, x0, point.effects) for i, x0 in enumerate(point.x0)]
 
 
-def settle(objective: Objective, point: Point, iterations: int = 6, states_only: bool = False) -> Point:
-    """Return the point refitted in its nuisance (initial states, theta within its prior, parameters of its effects)."""
+def settle(
+    objective: Objective, point: Point, iterations: int = 6, states_only: bool = False, known: Borrowed | None = None
+) -> Point:
+    """Return the point refitted in its nuisance (initial states, theta within its prior, parameters of its effects).
+
+    It begins with ``known`` columns where there are some, and works out its own as soon as those do not lead on.
+    """
     damping = 0.0
-    for _ in range(iterations):
-        t = slope(objective, point, states_only)
+    for turn in range(iterations):
+        if turn == LENT:
+            known = None
+        t = slope(objective, point, states_only, known)
         before = float(t.full @ t.full)
         point, after, damping = _descend(objective, t, before, damping, states_only)
         if _done(before, after):
-            break
+            if known is None or (damping == 0 and 0 < before - after < SETTLED):
+                break
+            known, damping = None, 0.0
+            continue
         point, done = _again(objective, t, point, after, states_only)
-        if done:
+        if done and known is None:
             break
     return point
 

@@ -1,13 +1,14 @@
 """Two more demands on an answer: it may not bend the model beyond what its owner allows, nor leave noise at its own place alone.
 
 The free numbers of the model have a stated prior, so their squared distance from it is chi-square distributed when nothing is
-wrong with the physics named: a sum far beyond is a lack of fit, even where the recordings are matched to the noise. And what
-does not repeat beyond the stated noise, at the output of a named effect while another output is as quiet as stated, is something
-that acts at random where the effect does: the effect is not the whole law.
+wrong with the physics named: a sum far beyond is a lack of fit, even where the recordings are matched to the noise. And what does
+not repeat beyond the stated noise, at the output of an effect that grips and lets go (friction, play, a loop) while another
+output is as quiet as stated, is something that acts at random where the effect does: the effect is not the whole law.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from scipy import stats
 from afdsvc.gap.baseline import Baseline
 
 SURE = 1e-5  # p-value of the strain below which the owner's statement is contradicted
-RANDOM = 1e-9  # p-value of an excess of noise
+RANDOM = 1e-5  # p-value of an excess of noise
 CALM = 1.03  # ratio of standard deviations up to which an output is as quiet as stated
 FREQUENT = 0.5  # share of an effect's power in an output from which it acts there
 
@@ -36,29 +37,35 @@ def strained(base: Baseline) -> str:
     )
 
 
-def irregular(base: Baseline) -> str:
-    """Return why what does not repeat belongs to an effect of the final point, or ""."""
-    stated = base.nominal.model.output_sd
-    if base.limited != "noise" or not base.floor.known or stated is None or base.ratio == 0:
-        return ""
-    ratio = base.floor.sd / np.maximum(stated, 1e-300)
-    calm = ratio < CALM
-    for j in np.flatnonzero(~calm):
-        n = base.floor.samples
-        p = float(stats.f.sf(ratio[j] ** 2 / max(float(ratio.min()) ** 2, 1.0), n, n))
-        if calm.any() and p < RANDOM and _acting_at(base, int(j)):
-            name = base.nominal.model.outputs[j].name
+def irregular(base: Baseline, coloured: Collection[str] = ()) -> str:
+    """Return why what does not repeat belongs to an effect of the final point, or ""; ``coloured`` are outputs of coloured noise."""
+    outputs = [v.name for v in base.nominal.model.outputs]
+    for j in _restless(base, [name in coloured for name in outputs]):
+        if _grips_at(base, j):
             return (
-                f"what does not repeat at {name}, where the named effect acts, is {ratio[j] ** 2:.3g} times as powerful as the stated noise "
-                f"(p = {p:.1g}) while elsewhere the noise is as stated: something acts there at random"
+                f"what does not repeat at {outputs[j]}, where the named effect grips and lets go, is no noise of the sensor as stated, while "
+                f"elsewhere the noise is: something acts there at random"
             )
     return ""
 
 
-def _acting_at(base: Baseline, output: int) -> bool:
-    """Whether an effect of the final point acts mostly at this output."""
+def _restless(base: Baseline, coloured: Sequence[bool]) -> list[int]:
+    """Return the outputs with noise of more power than stated, or of a colour, while another has neither."""
+    stated, n = base.nominal.model.output_sd, base.floor.samples
+    if base.limited != "noise" or not base.floor.known or stated is None:
+        return []
+    ratio = base.floor.sd / np.maximum(stated, 1e-300)
+    louder = [r > CALM and float(stats.f.sf(r**2 / max(float(ratio.min()) ** 2, 1.0), n, n)) < RANDOM for r in ratio]
+    found = louder if base.ratio > 0 else [a or b for a, b in zip(louder, coloured, strict=True)]
+    return [] if all(found) else [j for j, is_so in enumerate(found) if is_so]
+
+
+def _grips_at(base: Baseline, output: int) -> bool:
+    """Whether an effect that remembers, or dry friction, acts mostly at this output."""
     final = base.objective.whitened(base.point)
-    for k in range(len(base.point.effects)):
+    for k, e in enumerate(base.point.effects):
+        if not e.hypothesis.memory and e.hypothesis.family != "friction":
+            continue
         without = replace(base.point, effects=base.point.effects[:k] + base.point.effects[k + 1 :])
         change = sum(((a - b) ** 2).sum(0) for a, b in zip(base.objective.whitened(without), final, strict=True))
         if change[output] > FREQUENT * float(np.sum(change)):

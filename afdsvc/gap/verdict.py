@@ -45,7 +45,8 @@ def judged(found: Found, done: Explained) -> Judgement:
         best = found.steps[0].ruling.rivals[0].candidate.key
         why = f"only {100 * done.fraction:.0f} % of the gap goes with the best hypotheses ({best} first), so none of them is claimed"
         return Judgement("unexplained", (why, *words), remains=True)
-    lacking = strained(found.end) or (irregular(found.end) if found.steps else "")
+    tinted = {n.site.partition(":")[2] for n in noise if n.physics == "coloured_noise"}
+    lacking = strained(found.end) or (irregular(found.end, tinted) if found.steps else "")
     if lacking:
         nearest = f"; nearest comes {found.steps[0].ruling.rivals[0].candidate.key}, which is not claimed" if found.steps else ""
         return Judgement("unexplained", (lacking + nearest, *words), remains=True)

@@ -1,0 +1,126 @@
+"""A constant that is off by more than its owner states: named for what it is, and never shared out among the others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from afdsvc.api.model import Model, Variable
+from afdsvc.api.signals import Channel, Trace
+from afdsvc.gap.baseline import Baseline, baseline
+from afdsvc.gap.explain import explain
+from afdsvc.gap.forward import seen
+from afdsvc.gap.nominal import nominal
+from afdsvc.gap.objective import tangent
+from afdsvc.gap.runs import prepare
+from afdsvc.gap.settle import full_cost
+from afdsvc.gap.simulator import Effect
+from afdsvc.gap.strain import irregular, strained
+from afdsvc.gap.transfer import transfers
+from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.simulate import simulate
+from afdsvc.lti.statespace import StateSpace
+from afdsvc.plugins.physics import afdsvc_physics
+
+DT, PERIOD, PERIODS, NOISE, KNOWN = 1e-3, 1000, 4, 0.3, 0.02
+
+
+def plant(stiffness: float = 1.0, damping: float = 1.0, mass: float = 1.0) -> StateSpace:
+    A = np.array([[0, 1.0], [-4e4 * stiffness / mass, -30.0 * damping / mass]])
+    return StateSpace(A, np.array([[0.0], [4e4 / mass]]), np.array([[1.0, 0]]), np.zeros((1, 1)))
+
+
+def model() -> Model:
+    states = (Variable("q", "mm"), Variable("v", "mm/s", rate_of="q"))
+    G = plant()
+    sd = {name: KNOWN * np.abs(matrix) * (np.abs(matrix) != 1) for name, matrix in (("A", G.A), ("B", G.B), ("C", G.C))}
+    return Model("spring", (Variable("force", "N"),), (Variable("position", "mm"),), states, G, entry_sd=sd, output_sd=np.array([NOISE]))
+
+
+def recordings(truth: StateSpace, count: int = 4) -> list[Trace]:
+    found = []
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        lines = np.array([k for i, k in enumerate(range(1, 100, 2)) if i % 4 != 3])
+        t = np.arange(PERIOD) * DT
+        u = np.cos(2 * np.pi * np.outer(t, lines) / (PERIOD * DT) + rng.uniform(0, 2 * np.pi, len(lines))).sum(1)
+        u = np.tile((1.0, 0.5, 0.75, 0.8)[seed] * u / u.std(), PERIODS)
+        y = simulate(sample_zoh(truth, DT), u[:, None])[0][:, 0]
+        values = np.column_stack([u, y + NOISE * rng.standard_normal(len(u))])
+        found.append(Trace(f"r{seed}", DT, (Channel("u_force"), Channel("y_position")), values))
+    return found
+
+
+def start(truth: StateSpace) -> Baseline:
+    runs = prepare(model(), recordings(truth, 2))
+    return baseline(nominal(model(), runs[0].dt), runs)
+
+
+@pytest.mark.parametrize(("changed", "name"), [({"stiffness": 1.15}, "stiffness"), ({"mass": 1.2}, "mass"), ({"damping": 1.3}, "damping")])
+def test_a_constant_off_by_many_deviations_is_named(changed, name):
+    *given, held = recordings(plant(**changed))
+    answer = explain(model(), given, [held], afdsvc_physics(), rehearse=False)
+    assert answer.verdict == "parameter_change"
+    told = {key for n in answer.named for key in n.parameters}
+    assert name in told
+
+
+def test_a_transfer_costs_what_it_promises():
+    """Predicted from matrices and information alone, and then simulated."""
+    base = start(plant(stiffness=1.15))
+    t = tangent(base.objective, base.point)
+    cost, hypothesis, point = transfers(t, [h for p in afdsvc_physics() for h in p.hypotheses(seen(base))], 8.0)[0]
+    assert hypothesis.key.endswith("stiffness")
+    assert t.cost - cost > 30
+    assert full_cost(base.objective, point) == pytest.approx(cost, abs=0.1 * (t.cost - cost))
+
+
+def test_a_model_within_its_statement_is_not_strained():
+    assert strained(start(plant(stiffness=1.03, damping=0.98))) == ""
+
+
+def test_a_model_beyond_its_statement_is_strained():
+    said = strained(start(plant(stiffness=1.2)))
+    assert "standard deviations" in said
+    assert "A[1,0]" in said
+
+
+def test_a_model_that_states_nothing_is_not_strained():
+    base = start(plant(stiffness=1.2))
+    assert strained(replace(base, limited="model")) == ""
+
+
+@pytest.fixture(scope="module")
+def gripping() -> Baseline:
+    """Two springs side by side, the first with a hysteretic force named."""
+    G = plant()
+    pair = StateSpace(*(np.kron(np.eye(2), M) for M in (G.A, G.B, G.C, G.D)))
+    states = tuple(v for i in "ab" for v in (Variable(f"q{i}", "mm"), Variable(f"v{i}", "mm/s", rate_of=f"q{i}")))
+    both = Model("pair", (Variable("fa", "N"), Variable("fb", "N")), (Variable("a", "mm"), Variable("b", "mm")), states, pair, output_sd=np.full(2, NOISE))
+    traces = [side_by_side(*recordings(plant(), 4)[2 * k : 2 * k + 2]) for k in range(2)]
+    runs = prepare(both, traces)
+    base = baseline(nominal(both, runs[0].dt), runs)
+    law = next(h for p in afdsvc_physics() for h in p.hypotheses(seen(base)) if h.key == "hysteresis@state:va")
+    return replace(base, point=base.point.with_effect(Effect(law, np.array([0.1 * law.parameters[0].scale, *law.starts[0][1:]]))))
+
+
+def side_by_side(a: Trace, b: Trace) -> Trace:
+    names = ("u_fa", "u_fb", "y_a", "y_b")
+    return Trace(a.name + b.name, DT, tuple(Channel(n) for n in names), np.column_stack([a.values[:, 0], b.values[:, 0], a.values[:, 1], b.values[:, 1]]))
+
+
+@pytest.mark.parametrize(
+    ("louder", "ratio", "coloured", "said"),
+    [
+        ((1.1, 1.0), 0.0, (), True), ((1.0, 1.0), 0.0, ("a",), True), ((1.1, 1.0), 0.01, (), True),
+        ((1.0, 1.0), 0.0, (), False),  # as stated
+        ((1.1, 1.1), 0.0, (), False),  # louder everywhere: the statement is wrong, not the law
+        ((1.0, 1.1), 0.0, (), False),  # somewhere else
+        ((1.0, 1.0), 0.0, ("a", "b"), False),  # coloured everywhere
+    ],
+)
+def test_noise_where_something_grips_alone_belongs_to_it(gripping, louder, ratio, coloured, said):
+    floor = replace(gripping.floor, sd=NOISE * np.array(louder), known=True)
+    assert bool(irregular(replace(gripping, floor=floor, ratio=ratio, limited="noise"), coloured)) == said
