@@ -17,6 +17,7 @@ _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 _STAMPS = ("header.stamp", "timestamp", "stamp")
 _SECONDS, _NANOS = ("sec", "seconds", "secs"), ("nanosec", "nanos", "nsec", "nsecs")
 _SHOWN = 12
+_LATEST = 9e9  # seconds; the year 2255, and what 64 bits of ns hold
 
 
 def decoder(channel: Channel, schema: Schema | None, where: str) -> Decode:
@@ -56,7 +57,10 @@ def number(message: Any, path: str, where: str) -> float:
     """Return the number at a path such as ``pose.position.x`` or ``current[0]``; raises `BadInput` naming what there is."""
     value = at(message, path)
     if isinstance(value, Real):  # bool and numpy numbers too
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:
+            raise BadInput(f"{where}: holds a whole number of {len(str(value))} digits; one a double can hold is wanted") from None
     found = "has no such field" if value is None else f"holds {type(value).__name__} there"
     there = [name for _, name in zip(range(_SHOWN + 1), numeric_paths(message), strict=False)]
     listed = ", ".join(there[:_SHOWN]) + (", ..." if len(there) > _SHOWN else "")
@@ -80,7 +84,7 @@ def stamp_ns(message: Any) -> int | None:
     for path in _STAMPS:
         found = at(message, path)
         seconds, nanos = (_first(found, names) for names in (_SECONDS, _NANOS))
-        if seconds is not None and nanos is not None:
+        if isinstance(seconds, Real) and isinstance(nanos, Real) and abs(seconds) < _LATEST and abs(nanos) < _LATEST:
             return (int(seconds) * 10**9 + int(nanos)) or None
     return None
 

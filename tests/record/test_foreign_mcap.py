@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
 from google.protobuf.message_factory import GetMessageClass
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from mcap.writer import Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
 from afdsvc.errors import BadInput
 from afdsvc.record.foreign import prepared, read_foreign
-from afdsvc.record.foreign_messages import numeric_paths, stamp_ns
+from afdsvc.record.foreign_messages import number, numeric_paths, stamp_ns
 from afdsvc.record.loading import Naming, load_traces
 from afdsvc.record.mapping import DataMapping
 from afdsvc.record.schemas import pool_of
@@ -262,3 +264,41 @@ def test_paths_and_stamps_of_odd_messages():
     assert stamp_ns({"header": {"stamp": {"sec": 0, "nanosec": 0}}}) is None
     assert stamp_ns({"stamp": 3}) is None
     assert stamp_ns([1, 2]) is None
+    for odd in ("abc", 1e300, float("nan"), [1], None):
+        assert stamp_ns({"stamp": {"sec": odd, "nsec": 1}}) is None
+    with pytest.raises(BadInput, match="holds a whole number of 401 digits"):
+        number({"v": 10**400}, "v", "here")
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_damaged_bytes_are_read_or_refused_never_fatal(data, tmp_path):
+    """Whatever is wrong with a file of others, the answer is samples or one sentence."""
+    kind = data.draw(st.sampled_from(["json", "protobuf"]))
+    path = tmp_path / f"{kind}.mcap"
+    if not path.exists():
+        write_json(path, True, "header", chunk=4000) if kind == "json" else write_protobuf(path)
+    raw = bytearray(path.read_bytes())
+    for at in data.draw(st.lists(st.integers(0, len(raw) - 1), min_size=1, max_size=20)):
+        raw[at] = data.draw(st.integers(0, 255))
+    (tmp_path / "damaged.mcap").write_bytes(raw)
+    place = {"json": "encoder.angle.deg[0]", "protobuf": "/drive/state.state.current[1]"}[kind]
+    refused = refusal(tmp_path / "damaged.mcap", place)
+    assert not refused or "damaged.mcap" in refused
+
+
+def refusal(path, place: str) -> str:
+    """Return the sentence a file is refused with, "" when it is read; everything else goes up."""
+    try:
+        read_foreign(path, mapping(y_x=place))
+    except BadInput as error:
+        return str(error)
+    return ""
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.recursive(st.none() | st.booleans() | st.integers() | st.floats() | st.text(), lambda v: st.lists(v) | st.dictionaries(st.text(), v)))
+def test_any_json_has_a_stamp_or_none_and_paths_that_hold_numbers(message):
+    assert stamp_ns(message) is None or isinstance(stamp_ns(message), int)
+    for path in numeric_paths(message):
+        assert isinstance(path, str)

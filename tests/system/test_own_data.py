@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from afdsvc.api.signals import Channel, Trace
 from afdsvc.errors import BadInput
-from afdsvc.explaining import ExplainOptions, explain_files
+from afdsvc.explaining import ExplainOptions, explain_files, from_rest
 from afdsvc.modelling import identify_files
 from afdsvc.offline import diagnose_recordings, import_recording
+from afdsvc.record.foreign import prepared
 from afdsvc.record.loading import Naming
+from afdsvc.record.model_file import read_model
 from afdsvc.record.reader import Recording
 from afdsvc.runtime.site import read_site
 from afdsvc.service import run_rig
@@ -115,6 +118,23 @@ def test_explain_tells_it_in_document_and_page(folder):
     assert set(TOLD) <= set(found["notes"]["data"])
     assert found["verdict"] == "consistent"
     assert "What was done to the data" in Path(found["report"]).read_text()
+
+
+def test_where_a_simulator_rests_is_taken_off_the_recordings_and_told(folder):
+    (folder / "lag.py").write_text("def lag(x, u, dt):\n    x = 0.0 if x is None else 0.9 * x + 0.1 * u[0]\n    return [x], [x + 7.0]\n".replace("0.9 * x", "0.9 * x[0]"))
+    text = MODEL.replace("A = [[0.9]]\nB = [[0.1]]\nC = [[1.0]]\nD = [[0.0]]", 'dynamics = "lag.py:lag"')
+    (folder / "lag.toml").write_text(text)
+    model = read_model(folder / "lag.toml", allow_code=True)
+    trace = Trace("run.csv", 0.005, (Channel("u_force"), Channel("y_position")), np.column_stack([np.ones(60), np.arange(60) + 7.0]))
+    (moved,) = from_rest([trace], model)
+    np.testing.assert_allclose(moved.values, np.column_stack([np.ones(60), np.arange(60)]), atol=1e-12)
+    assert prepared([moved]) == ["run.csv: 7 is taken off y_position, where the simulator rests"]
+    assert from_rest([trace], read_model(write_model_of_matrices(folder))) == [trace]
+
+
+def write_model_of_matrices(folder: Path) -> Path:
+    (folder / "matrices.toml").write_text(MODEL)
+    return folder / "matrices.toml"
 
 
 def test_a_recording_in_other_units_than_the_model_is_converted_and_told(folder):
