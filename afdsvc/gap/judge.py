@@ -129,7 +129,8 @@ def _objection(
 ) -> str:
     """Return why the choice is not accepted, or ""."""
     k = max(c.parameters, 1)
-    sure = SURE_CHANGE if c.hypothesis is not None and c.hypothesis.physics == "parameter_change" else SURE
+    change = c.hypothesis is not None and c.hypothesis.physics == "parameter_change"
+    sure = SURE_CHANGE if change and base.limited == "noise" else SURE
     wanted = max(float(stats.chi2.isf(sure / tried, k)), k * float(np.log(max(samples[0] / base.memory, 2.0))))
     if gain < wanted:
         return f"the best hypothesis ({c.key}) gains {gain:.1f} where chance and {tried} trials ask for {wanted:.1f}"

@@ -85,7 +85,7 @@ def round_of(
     progress("screening", 0.0)
     trials = sorted(mapper(partial(screen, t), _preselected(base, hypotheses, mapper)), key=lambda x: x.cost)
     nothing = evaluate(base, select, None, base.point)
-    changed = transfers(t, hypotheses, HOPELESS)[:TRANSFERRED]
+    changed = transfers(t, hypotheses, HOPELESS)[:TRANSFERRED] if base.limited == "noise" else []
     if not trials or (t.cost - trials[0].cost < HOPELESS and not changed):
         return [nothing, *(evaluate(base, select, x.hypothesis, apply_shift(t, Effect(x.hypothesis, x.values))) for x in trials[:1])]
     progress("fitting", 0.3)
