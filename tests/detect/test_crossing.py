@@ -55,3 +55,9 @@ def test_an_uncertain_model_counts_with_its_waves():
 
 def test_a_wave_nobody_can_miss_overflows_nothing():
     assert paths(400 / np.sqrt(20) * different()).boundary(1e-3) >= 0
+
+
+@pytest.mark.parametrize("block", [0, 7, 19])
+def test_weights_are_those_of_a_density(block):
+    """Whatever block they are taken at, they average to one: a mutual check of Shiryaev's recursion and the onsets to come."""
+    assert paths(0.2 * different()).weight[:, block].mean() == pytest.approx(1.0, abs=0.02)
