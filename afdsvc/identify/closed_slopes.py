@@ -44,3 +44,14 @@ def closed_slopes(augmented: StateSpace, plant: StateSpace, moved: Slopes) -> Sl
     A[:, :n, n:], A[:, n:, :n] = moved.B @ to_u, from_y @ moved.C
     B[:, :n], C[:, :, :n] = moved.B @ excited, seen @ moved.C
     return Slopes(A, B, C, np.zeros((q, len(seen), excited.shape[1])))
+
+
+def filtered_slopes(after: StateSpace, slopes: Slopes) -> Slopes:
+    """Return the slopes of ``after @ S`` from those of S; the filter's states come after those of S."""
+    q, n, k = len(slopes.A), slopes.A.shape[1], after.order
+    A, B = np.zeros((q, n + k, n + k)), np.zeros((q, n + k, slopes.B.shape[2]))
+    C = np.zeros((q, after.outputs, n + k))
+    A[:, :n, :n], A[:, n:, :n] = slopes.A, after.B @ slopes.C
+    B[:, :n], B[:, n:] = slopes.B, after.B @ slopes.D
+    C[:, :, :n] = after.D @ slopes.C
+    return Slopes(A, B, C, after.D @ slopes.D)

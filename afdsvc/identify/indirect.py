@@ -16,7 +16,7 @@ from copy import copy
 import numpy as np
 
 from afdsvc.errors import BadInput, IllConditioned
-from afdsvc.identify.closed_slopes import closed_slopes, differences
+from afdsvc.identify.closed_slopes import closed_slopes, differences, filtered_slopes
 from afdsvc.identify.descent import Local, Minimum, descend
 from afdsvc.identify.fit import Estimate, Fit
 from afdsvc.identify.innovations import InnovationsForm, fitted_errors
@@ -70,6 +70,7 @@ class Mismatch:
 
     skip: int = 0
     free: int | None = None
+    tolerance: float = 1e-5  # of the log-likelihood, where the descent may end
 
     def __init__(
         self,
@@ -93,7 +94,7 @@ class Mismatch:
         for _ in range(_OUTER_STEPS):
             self.covariance = self.error_covariance(best.point * self.structure.scales)
             # In the 1-norm weights are renewed step by step, which converges slowly: stop at a thirtieth of a standard error.
-            tolerance = 1e-5 if self.norm == 2 else 1e-3
+            tolerance = self.tolerance if self.norm == 2 else 1e-3
             before, best = best.point, descend(self.local, best.point, lower, upper, tolerance=tolerance)
             steps += best.steps
             if float(np.abs(best.point - before).max()) < (1e-3 if self.norm == 2 else 1e-2):
@@ -113,12 +114,12 @@ class Mismatch:
     def slopes(self, theta: Array) -> Slopes:
         """Return the slopes of the matrices of S(theta): differences of small matrices, samples do not count."""
         steps = 1e-4 * self.structure.scales
-        if self.whitener is None:
-            plant = self._sampled(theta)
-            moved = differences(self._sampled, theta, steps)
-            if not (plant.D.any() or moved.D.any()):
-                return closed_slopes(self.augmented, plant, moved)
-        return differences(self._closed, theta, steps)
+        plant = self._sampled(theta)
+        moved = differences(self._sampled, theta, steps)
+        if plant.D.any() or moved.D.any():
+            return differences(self._closed, theta, steps)
+        slopes = closed_slopes(self.augmented, plant, moved)
+        return slopes if self.whitener is None else filtered_slopes(self.whitener, slopes)
 
     def _closed(self, theta: Array) -> StateSpace:
         sampled = self._sampled(theta)
@@ -159,13 +160,15 @@ class Mismatch:
             self.states = [np.zeros(order) for _ in self.recordings]
 
     def group_gradients(self, z: Array, groups: int) -> Array:
-        """Return the gradient group of samples by group of samples, shape ``(about groups, q)``."""
+        """Return the gradient group of samples by group of samples, ``(about groups, q)``, from the initial states fitted last."""
         theta, scale = z * self.structure.scales, self.structure.scales
         S, slopes = self.signature(theta), self.slopes(theta)
         whitener = np.linalg.inv(np.linalg.cholesky(self.covariance))
         block = max(1, -(-sum(map(len, self.recordings)) // groups))
+        self._fit_states(S.order)
         parts = [
-            sweep(S, slopes, r.u, r.y, np.zeros(S.order), whitener, block=block).gradients for r in self.recordings
+            sweep(S, slopes, r.u, r.y, x0, whitener, block=block).gradients
+            for r, x0 in zip(self.recordings, self.states, strict=True)
         ]
         return np.vstack(parts)[:, : len(z)] * scale
 

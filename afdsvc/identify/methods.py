@@ -29,6 +29,7 @@ from afdsvc.identify.refinement import refine
 from afdsvc.identify.structure import Structure, model_structure
 from afdsvc.identify.subspace import Subspace, Weighting, decompose, realise
 from afdsvc.lti.coprime import Factorisation
+from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, StateSpace
 
 
@@ -100,7 +101,7 @@ def _refined(
 ) -> Outcome:
     """Fit the reduced plant to the recordings, from the truncation that disturbs the loop least."""
     fact = _known_controller(problem, "hansen")
-    refinement = refine(fact, signals, _chosen(reductions))
+    refinement = refine(fact, signals, _chosen(reductions), _whitener(problem, fact))
     found = judged("refined", refinement.system, full, fact, problem.training)
     band = refinement.band(omega_grid(full.dt), options.groups) if options.groups else None
     note = (
@@ -110,6 +111,18 @@ def _refined(
     return Outcome(
         replace(fit, model=_output_error(refinement.system), band=band, notes=(note,)), full, (found, *reductions)
     )
+
+
+def _whitener(problem: Prepared, fact: Factorisation) -> StateSpace | None:
+    """Return the whitening filter for an unstable plant with known noise, None for any other.
+
+    The noise of beta holds the zeros of Mt at the unstable poles: next to none where the plant is slow, which is lost when every
+    frequency counts alike.
+    """
+    sd = problem.model.output_sd
+    if sd is None or not sd.all() or is_stable(problem.nominal.A, problem.nominal.dt):
+        return None
+    return Noise(np.diag(sd**2), problem.model.process_cov).whitener(fact)
 
 
 def _hansen_repeat(

@@ -61,17 +61,20 @@ class Refinement:
         return ResponseBand(omega, response(centre).astype(np.complex128), covariance, freedom=count - 1)
 
 
-def refine(fact: Factorisation, signals: Sequence[Recording], start: StateSpace) -> Refinement:
+def refine(
+    fact: Factorisation, signals: Sequence[Recording], start: StateSpace, whitener: StateSpace | None = None
+) -> Refinement:
     """Return the plant of the order of ``start`` whose S explains ``signals`` (alpha as u, beta as y) best.
 
     Correlations bring the start near at a cost that does not grow with the recordings; sweeps over the samples have
-    the last word, so neither the start nor where an impulse response was cut off is left in the result.
+    the last word, so neither the start nor where an impulse response was cut off is left in the result. ``whitener``
+    filters beta before the sweeps: without it every frequency counts alike, however noisy it is.
     """
-    first = _left(_objective(fact, signals, start))
+    first = _left(_objective(fact, signals, start, whitener))
     system = approach(fact, signals, _balanced(start))
-    objective = _objective(fact, signals, system)
+    objective = _objective(fact, signals, system, whitener)
     if _left(objective) > first:
-        objective = _objective(fact, signals, start)
+        objective = _objective(fact, signals, start, whitener)
     for _ in range(_RESTARTS):  # the coordinates are those of the point they start from
         before, z = _left(objective), np.zeros(len(objective.structure.parameters))
         unbounded = np.full(len(z), np.inf)
@@ -80,12 +83,17 @@ def refine(fact: Factorisation, signals: Sequence[Recording], start: StateSpace)
         found = Refinement(system, _left(objective, best.point) / first, objective, best.point)
         if found.gain * first > before * (1 - 1e-4):
             break
-        objective = _objective(fact, signals, system)
+        objective = _objective(fact, signals, system, whitener)
     return found
 
 
-def _objective(fact: Factorisation, signals: Sequence[Recording], around: StateSpace) -> Mismatch:
-    return Mismatch(local_structure(_balanced(around)), fact, signals, 2, None)
+def _objective(
+    fact: Factorisation, signals: Sequence[Recording], around: StateSpace, whitener: StateSpace | None
+) -> Mismatch:
+    objective = Mismatch(local_structure(_balanced(around)), fact, signals, 2, whitener)
+    if whitener is not None:
+        objective.tolerance = 1e-2  # flat directions of a weighted fit take long to walk and change nothing
+    return objective
 
 
 def _left(objective: Mismatch, z: Array | None = None) -> float:

@@ -136,8 +136,8 @@ def _pack(system: StateSpace, slopes: Slopes) -> tuple[Array, ...]:
 
 
 @njit(cache=True, fastmath=True)
-def _advance(M: Any, slope: Any, x: Any, X: Any, i: int, sign: float, row: Any) -> Any:
-    """Add ``sign (M X + slope x)`` of row i to ``row`` and return row i of ``M x``; entries that are zero cost nothing."""
+def _advance(M: Any, slope: Any, moves: Any, x: Any, X: Any, i: int, sign: float, row: Any) -> Any:
+    """Add ``sign (M X + slope x)`` of row i to ``row`` and return row i of ``M x``; zero entries and slopes (not ``moves``) cost nothing."""
     total, q = 0.0, slope.shape[2]
     for j in range(M.shape[1]):
         entry, value = M[i, j], sign * x[j]
@@ -146,9 +146,20 @@ def _advance(M: Any, slope: Any, x: Any, X: Any, i: int, sign: float, row: Any) 
             factor = sign * entry
             for s in range(X.shape[1]):
                 row[s] += factor * X[j, s]
-        for s in range(q):
-            row[s] += slope[i, j, s] * value
+        if moves[i, j]:
+            for s in range(q):
+                row[s] += slope[i, j, s] * value
     return total
+
+
+@njit(cache=True)
+def _moving(slope: Any) -> Any:
+    """Return which entries of a matrix move with any parameter."""
+    moving = np.zeros(slope.shape[:2], dtype=np.bool_)
+    for i in range(slope.shape[0]):
+        for j in range(slope.shape[1]):
+            moving[i, j] = np.any(slope[i, j] != 0.0)
+    return moving
 
 
 @njit(cache=True, fastmath=True)
@@ -170,15 +181,16 @@ def _step(
 ) -> None:
     """Advance state x ``(n,)`` and sensitivities X ``(n, q + free)``; fill errors and their derivatives."""
     (n, columns), (p, m) = X.shape, D.shape
+    moves_A, moves_B, moves_C, moves_D = _moving(dA), _moving(dB), _moving(dC), _moving(dD)
     new_x, new_X, known = np.empty(n), np.empty((n, columns)), np.zeros((m, 0))
     for k in range(v.shape[0]):
         for i in range(p):
             jacobian[k, i] = 0.0
-            predicted = _advance(C, dC, x, X, i, -1.0, jacobian[k, i])
-            errors[k, i] = y[k, i] - predicted - _advance(D, dD, v[k], known, i, -1.0, jacobian[k, i])
+            predicted = _advance(C, dC, moves_C, x, X, i, -1.0, jacobian[k, i])
+            errors[k, i] = y[k, i] - predicted - _advance(D, dD, moves_D, v[k], known, i, -1.0, jacobian[k, i])
         for i in range(n):
             new_X[i] = 0.0
-            new_x[i] = _advance(A, dA, x, X, i, 1.0, new_X[i])
-            new_x[i] += _advance(B, dB, v[k], known, i, 1.0, new_X[i])
+            new_x[i] = _advance(A, dA, moves_A, x, X, i, 1.0, new_X[i])
+            new_x[i] += _advance(B, dB, moves_B, v[k], known, i, 1.0, new_X[i])
         x[:] = new_x
         X[:, :] = new_X

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from afdsvc.errors import BadInput
-from afdsvc.identify.closed_slopes import closed_slopes, differences
+from afdsvc.identify.closed_slopes import closed_slopes, differences, filtered_slopes
 from afdsvc.identify.local_coordinates import local_structure
 from afdsvc.lti.choice import factorise
 from afdsvc.lti.statespace import StateSpace
@@ -29,3 +29,13 @@ def test_a_feedthrough_is_refused(bearing, observer_loop):
     moved = differences(local_structure(direct).build, np.zeros(28), np.full(28, 1e-3))
     with pytest.raises(BadInput, match="the plant has a feedthrough"):
         closed_slopes(interconnection(observer_loop(bearing)), direct, moved)
+
+
+def test_slopes_behind_a_filter(bearing, observer_loop):
+    rng = np.random.default_rng(2)
+    fact, structure, z, steps = observer_loop(bearing), local_structure(bearing), np.zeros(24), np.full(24, 1e-3)
+    after = StateSpace(0.3 * rng.standard_normal((3, 3)), *(rng.standard_normal(s) for s in ((3, 2), (2, 3), (2, 2))), bearing.dt)
+    own = closed_slopes(interconnection(fact), structure.build(z), differences(structure.build, z, steps))
+    wanted = differences(lambda v: after @ deviation_system(fact, structure.build(v)), z, steps)
+    for name in ("A", "B", "C", "D"):
+        np.testing.assert_allclose(getattr(filtered_slopes(after, own), name), getattr(wanted, name), atol=1e-9)
