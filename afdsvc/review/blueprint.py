@@ -83,7 +83,7 @@ def _severity(id: str, common: bool = False) -> rrb.TimeSeriesView:
     """Return severities, from nothing to total loss when several machines stand side by side."""
     return rrb.TimeSeriesView(
         origin=paths.path(id, "severity"), name="which part, how severe [%]", axis_x=whole_range(),
-        axis_y=rrb.ScalarAxis(range=(-105.0, 5.0) if common else None),
+        axis_y=rrb.ScalarAxis(range=(-105.0, 5.0)) if common else None,
         plot_legend=_legend(True),
     )  # fmt: skip
 

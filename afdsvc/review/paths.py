@@ -22,8 +22,8 @@ TITLES = {
     "outputs": "output y",
     "inputs": "input u",
     "excitation": "excitation alpha",
-    "residual": "residual beta (raw)",
-    "whitened": "residual r (white)",
+    "residual": "residual beta",
+    "whitened": "white r",
     "aux": "other signals",
 }
 
