@@ -6,6 +6,7 @@ import sys
 import threading
 import uuid
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
 from functools import lru_cache, partial
 from typing import Any
@@ -44,13 +45,18 @@ from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import RigDescription
 
 
-def pipeline_of(machine: Commissioned, plugins: Plugins, ready: Callable[[DetectionProblem], object] | None = None) -> Judged:
+def pipeline_of(
+    machine: Commissioned, plugins: Plugins, ready: Callable[[DetectionProblem], object] | None = None, beside: Executor | None = None
+) -> Judged:
     """Return the machine's way from blocks to evidence, calibrated on its first quiet data where the site wants that.
 
-    A machine with ``speed_step_rpm`` has one way for every speed; ``ready`` is called with the problem of each.
+    A machine with ``speed_step_rpm`` has one way for every speed; ``ready`` is called with the problem of each, and those of
+    later speeds are made by ``beside`` when that is given.
     """
     if machine.config.speed_step_rpm:
-        return _speed_pipeline(machine, plugins, ready)
+        made = _speed_pipeline(machine, plugins, ready)
+        made.later = beside.submit if beside else None
+        return made
     design = _design(machine, plugins)
     samples = round(machine.config.calibrate_seconds / machine.plant.dt)
     if machine.config.calibrate_on:
@@ -104,11 +110,13 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         for opened in (post, news):
             stack.callback(opened.close, 0.5)
         stack.callback(outlets.close)
+        beside = ThreadPoolExecutor(1, "afdsvc-commission")
+        stack.callback(beside.shutdown, wait=False, cancel_futures=True)
         watches: dict[str, MachineWatch] = {}
         desks: dict[str, BurstDesk] = {}
         for machine in machines:
             id, diagnosis = machine.config.id, diagnosis_burst(machine)
-            stream = pipeline_of(machine, plugins, diagnosis)
+            stream = pipeline_of(machine, plugins, diagnosis, beside)
             sink = Fan([*outlets.of(machine), Publisher(keys, post, news, transport.heard)])
             watches[id] = MachineWatch(id, stream, sink, clock)
             if machine.limits is not None:

@@ -3,12 +3,18 @@
 Speeds are rounded to multiples of a spacing; at each the machine is commissioned when it first runs there. While the speed is further
 from that of the model than half the spacing (and a tenth, so that it does not flutter) nothing is judged. Once it has kept
 still for a while, the parts for the new speed take over and begin anew.
+
+Making parts takes seconds. A service has that done beside its worker (``later``): blocks wait here meanwhile and are judged
+when the parts are there, a few with every block that comes. What is decided is the same either way.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -23,6 +29,8 @@ from afdsvc.runtime.pipeline import Outcome, Pipeline, remember
 RPM = 30 / np.pi  # rpm per rad/s
 SLACK = 0.6  # of the spacing: how far the speed may be from that of the model in use
 STILL = 0.25  # of the spacing: how far the speed may move while it counts as still
+WAITING = 2_000  # blocks that wait for parts; with more of them the worker waits itself
+CATCH_UP = 8  # blocks judged for every block that comes, while some wait
 
 
 @dataclass
@@ -31,6 +39,7 @@ class SpeedPipeline:
 
     ``design(speed)`` returns the pipeline for a speed [rad/s]; it raises `AfdsvcError` where there is no model. ``spacing``
     [rad/s] is that of the speeds with a model, ``still_seconds`` how long a new speed must last, ``speed`` where the machine begins.
+    ``later`` runs a design in another thread (`concurrent.futures.Executor.submit`); None: here and now.
     """
 
     design: Callable[[float], Pipeline]
@@ -38,6 +47,7 @@ class SpeedPipeline:
     speed: float
     still_seconds: float = 1.0
     bursts: dict[str, Burst] = field(default_factory=dict)
+    later: Callable[[Callable[[], Pipeline]], Future[Pipeline]] | None = None
 
     def __post_init__(self) -> None:
         self._node = self._nearest(self.speed)
@@ -45,6 +55,8 @@ class SpeedPipeline:
         self._problem = self._pipeline.problem
         self._held, self._from = 0.0, self._node
         self._without = float("nan")  # the speed last found to have no model
+        self._coming: tuple[float, Future[Pipeline]] | None = None
+        self._waiting: deque[Block] = deque()
 
     @property
     def problem(self) -> DetectionProblem:
@@ -71,6 +83,31 @@ class SpeedPipeline:
 
     def step(self, block: Block) -> Outcome:
         """Return what a block leads to; between two speeds that is nothing but a sentence."""
+        if self._coming is None and not self._waiting:
+            return self._judge(block)
+        self._waiting.append(block)
+        if self._coming is not None and not self._coming[1].done() and len(self._waiting) < WAITING:
+            return Outcome((), (), None)
+        return self._catch_up()
+
+    def _catch_up(self) -> Outcome:
+        """Judge some of the blocks that wait; a residual is handed out only where it belongs to the block that came last."""
+        findings: list[Finding] = []
+        if self._coming is not None:
+            node, coming = self._coming
+            self._coming = None
+            findings.append(self._commission(node, coming.result))
+        outcomes: list[Outcome] = []
+        while self._waiting and self._coming is None and len(outcomes) < CATCH_UP:
+            outcomes.append(self._judge(self._waiting.popleft()))
+        return Outcome(
+            tuple(e for o in outcomes for e in o.evidence),
+            (*findings, *(f for o in outcomes for f in o.findings)),
+            outcomes[-1].residual if outcomes and not self._waiting else None,
+            sum(o.lost_samples for o in outcomes),
+        )
+
+    def _judge(self, block: Block) -> Outcome:
         try:
             speed = block.column("aux_speed")
         except BadInput as missing:
@@ -97,11 +134,16 @@ class SpeedPipeline:
         if self._held < self.still_seconds or block.burst:
             return []
         self._held, node = 0.0, self._nearest(float(speed[-1]))
-        return [] if node == self._without else [self._commission(node)]
+        if node == self._without:
+            return []
+        if self.later is None:
+            return [self._commission(node, partial(self.design, node))]
+        self._coming = node, self.later(partial(self.design, node))
+        return []
 
-    def _commission(self, node: float) -> Finding:
+    def _commission(self, node: float, made: Callable[[], Pipeline]) -> Finding:
         try:
-            pipeline = self.design(node)
+            pipeline = made()
         except AfdsvcError as error:
             self._without = node
             return Finding("speed", f"at {node * RPM:.0f} rpm nothing can be judged: {error}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from types import SimpleNamespace
 
 import numpy as np
@@ -34,10 +35,10 @@ class Parts:
 class Machine:
     """Runs a pipeline over blocks of ten samples at given speeds."""
 
-    def __init__(self, speed: float = 100.0, highest: float = 1e9) -> None:
+    def __init__(self, speed: float = 100.0, highest: float = 1e9, later=None) -> None:
         self.made: list[Parts] = []
-        self.highest, self.seq = highest, 0
-        self.pipeline = SpeedPipeline(self.design, 20.0, speed, still_seconds=0.3)
+        self.highest, self.seq, self.residuals = highest, 0, []
+        self.pipeline = SpeedPipeline(self.design, 20.0, speed, still_seconds=0.3, later=later)
 
     def design(self, node: float) -> Parts:
         if node > self.highest:
@@ -52,6 +53,7 @@ class Machine:
             self.last = speed
             outcome = self.pipeline.step(Block("m", "s", self.seq, 10 * self.seq, 0.01, 0, CHANNELS, values, burst))
             said += [f.message for f in outcome.findings]
+            self.residuals.append(outcome.residual is not None)
             self.seq += 1
         return said
 
@@ -97,3 +99,59 @@ def test_a_speed_that_is_no_number_is_no_speed() -> None:
     assert "the speed leaves" in m.run(float("nan"))[0]
     block = Block("m", "s", 9, 90, 0.01, 0, CHANNELS[:2], np.zeros((10, 2)))
     assert m.pipeline.step(block).findings[0].message.startswith("block 9 of 'm': block has no channel 'aux_speed'")
+
+
+class Beside:
+    """Takes what is to be made later, and makes it when told."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple] = []
+
+    def __call__(self, make) -> Future:
+        self.asked.append((make, Future()))
+        return self.asked[-1][1]
+
+    def finish(self) -> None:
+        make, promise = self.asked.pop()
+        try:
+            promise.set_result(make())
+        except BadInput as error:
+            promise.set_exception(error)
+
+
+COURSE = (100.0, 139.0, *[140.0] * 40, 170.0, *[180.0] * 30)
+
+
+def test_parts_made_beside_the_worker_see_the_same_blocks_and_say_the_same() -> None:
+    at_once, beside = Machine(), Beside()
+    said = at_once.run(*COURSE)
+    m = Machine(later=beside)
+    told = m.run(*COURSE[:12])
+    assert len(m.made) == 1  # nothing made yet: blocks wait
+    with pytest.raises(Refused):
+        _ = m.pipeline.problem
+    beside.finish()
+    told += m.run(*COURSE[12:60])
+    assert not beside.asked[1:]
+    beside.finish()
+    told += m.run(*COURSE[60:])
+    assert told == said
+    assert [p.seen for p in m.made] == [p.seen for p in at_once.made]
+    assert m.residuals[-1]
+
+
+def test_no_model_there_is_said_when_it_is_known() -> None:
+    beside = Beside()
+    m = Machine(highest=150.0, later=beside)
+    m.run(100)
+    assert m.run(200, *[200.0] * 15)[1:] == []
+    beside.finish()
+    assert m.run(200.0, 200.0) == ["at 1910 rpm nothing can be judged: there is no model at this speed"]
+
+
+def test_too_many_blocks_make_the_worker_wait(monkeypatch) -> None:
+    monkeypatch.setattr("afdsvc.runtime.speed.WAITING", 5)
+    m = Machine(later=lambda make: SimpleNamespace(done=lambda: False, result=make))
+    m.run(100, 139, *[140.0] * 20)
+    assert [p.node for p in m.made] == [100.0, 140.0]
+    assert m.made[1].seen[-1] == 21
