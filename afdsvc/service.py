@@ -33,6 +33,7 @@ from afdsvc.runtime.metrics import serve_metrics
 from afdsvc.runtime.pipeline import CalibratedPipeline, Judged, Pipeline, calibrated
 from afdsvc.runtime.posting import Post
 from afdsvc.runtime.publishing import Publisher
+from afdsvc.runtime.rehearsal import Rehearsals
 from afdsvc.runtime.requests import QUESTIONS
 from afdsvc.runtime.scheduler import Scheduler, Wanted
 from afdsvc.runtime.sinks import Fan
@@ -114,11 +115,14 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         stack.callback(beside.shutdown, wait=False, cancel_futures=True)
         watches: dict[str, MachineWatch] = {}
         desks: dict[str, BurstDesk] = {}
+        rehearsed: list[tuple[Pipeline, Burst]] = []
         for machine in machines:
             id, diagnosis = machine.config.id, diagnosis_burst(machine)
             stream = pipeline_of(machine, plugins, diagnosis, beside)
             sink = Fan([*outlets.of(machine), Publisher(keys, post, news, transport.heard)])
             watches[id] = MachineWatch(id, stream, sink, clock)
+            if machine.limits is not None and isinstance(stream, Pipeline):
+                rehearsed.append((stream, diagnosis(stream.problem)))
             if machine.limits is not None:
                 scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(desks)), 0.0)
                 desks[id] = BurstDesk(id, burst_design(machine, stream, diagnosis), scheduler, stream, sink, keys, transport, clock)
@@ -133,6 +137,9 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
             outboxes=outboxes,
         )  # fmt: skip
         housekeeper = outlets.housekeeper()
+        rehearsals = Rehearsals(rehearsed)
+        rehearsals.start()
+        stack.callback(rehearsals.close)
         hub.start()
         stack.callback(hub.stop)
         housekeeper.start()
