@@ -1,6 +1,7 @@
 """How well bearing stiffness is found through S(theta): the published setting, then noise, unbalance, several at once.
 
     python benchmarks/rotor/identify.py --runs 100
+    python benchmarks/rotor/identify.py --only-coverage --runs 110 --seed 3000
 """
 
 from __future__ import annotations
@@ -60,11 +61,11 @@ def deviations(seed: int, change: dict[str, float], full: bool, project: bool = 
 FOUR = dict(zip(("stiffness_a_x", "stiffness_a_y", "stiffness_b_x", "stiffness_b_y"), (-0.1, 0.2, -0.3, -0.5), strict=True))
 
 
-def coverage(runs: int, full: bool, project: bool = True) -> str:
+def coverage(runs: int, full: bool, project: bool = True, states: int = 8, first: int = 1000) -> str:
     """Return how often intervals of 95 and 99.7 % hold the truth, four stiffnesses at once, and how errors compare to them."""
     errors = []
     for seed in range(runs):
-        found = deviations(1000 + seed, FOUR, full, project)
+        found = deviations(first + seed, FOUR, full, project, states=states)
         errors.append([found[name][2] for name in FOUR])
         print("  run", seed, "errors in standard errors:", np.round(errors[-1], 2), flush=True)
     e = np.array(errors)
@@ -81,13 +82,16 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--only-coverage", action="store_true")
+    parser.add_argument("--states", type=int, default=8, help="of the model and of the machine, with --only-coverage")
+    parser.add_argument("--full", action="store_true", help="320 states of the machine, with --only-coverage")
+    parser.add_argument("--seed", type=int, default=1000, help="of the first run")
     wanted = parser.parse_args()
     if wanted.only_coverage:
-        print(coverage(wanted.runs, False))
+        print(coverage(wanted.runs, wanted.full, True, wanted.states, wanted.seed))
         sys.exit()
     print("published setting, 8 states on 8:", published(False), " on the full model:", published(True), flush=True)
     print("one stiffness, noise and unbalance:", {k: np.round(v, 4) for k, v in deviations(0, {"stiffness_b_y": -0.5}, True).items()}, flush=True)
     print("four at once:", {k: np.round(v, 4) for k, v in deviations(0, FOUR, True).items()}, flush=True)
     for full, project, runs in ((False, True, wanted.runs), (True, True, wanted.runs // 4), (False, False, wanted.runs // 4)):
         machine, treatment = "320 states" if full else "8 states", "projected out" if project else "left in"
-        print(f"{machine}, unbalance {treatment}: {coverage(runs, full, project)}", flush=True)
+        print(f"{machine}, unbalance {treatment}: {coverage(runs, full, project, first=wanted.seed)}", flush=True)
