@@ -20,6 +20,8 @@ import pyarrow.parquet as pq
 from joblib import Parallel, delayed, parallel_config
 
 from afdsvc.errors import AfdsvcError, BadInput
+from afdsvc.record.loading import Naming
+from afdsvc.record.validation import read_text
 
 TASKS = ("diagnose", "identify", "explain")
 COLUMNS = (
@@ -30,12 +32,15 @@ COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """What is done to every recording: the task, the model where one is needed, the detectors `diagnose` is to use instead."""
+    """What is done to every recording: the task, the model where one is needed, the detectors `diagnose` is to use instead, the
+    mapping file of recordings of others.
+    """
 
     task: str
     model: Path | None = None
     detectors: tuple[str, ...] = ()
     allow_code: bool = False
+    mapping: Path | None = None
 
     def __post_init__(self) -> None:
         if self.task not in TASKS:
@@ -43,20 +48,25 @@ class Batch:
         if self.task == "identify" and self.model is None:
             raise BadInput("task 'identify' needs --model MODEL.toml")
 
+    @property
+    def naming(self) -> Naming:
+        """What the columns and topics of recordings of others are."""
+        return Naming.of(self.mapping)
+
     def document(self, recording: Path, folder: Path) -> Mapping[str, Any]:
         """Return the document of one recording; models and pages the task makes go into ``folder``."""
         if self.task == "diagnose":
             from afdsvc.offline import diagnose_recordings
 
-            return diagnose_recordings([recording], self.model, detectors=self.detectors)
+            return diagnose_recordings([recording], self.model, detectors=self.detectors, naming=self.naming)
         if self.task == "identify":
             from afdsvc.modelling import identify_files
 
             folder.mkdir(parents=True, exist_ok=True)
-            return identify_files(self.model or Path(), [recording], [], folder / "identified.toml", {}, 0)
+            return identify_files(self.model or Path(), [recording], [], folder / "identified.toml", {}, 0, naming=self.naming)
         from afdsvc.explaining import ExplainOptions, explain_files
 
-        options = ExplainOptions(out=folder, allow_code=self.allow_code, jobs=1)
+        options = ExplainOptions(out=folder, allow_code=self.allow_code, jobs=1, mapping_file=self.mapping)
         return explain_files(self.model or recording, [recording], (), options)
 
 
@@ -119,6 +129,8 @@ def _key(batch: Batch, recording: Path) -> str:
     except OSError as error:
         raise BadInput(f"{recording}: cannot be read: {error.strerror}") from error
     said = [batch.task, str(batch.model), *batch.detectors, str(recording.resolve()), stat.st_size, stat.st_mtime_ns]
+    if batch.mapping is not None:
+        said.append(read_text(batch.mapping))
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()[:24]
 
 

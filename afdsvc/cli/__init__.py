@@ -269,6 +269,7 @@ def batch(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="TABLE.parquet", help="Where the table goes.")],
     model: Annotated[Path | None, typer.Option(metavar="MODEL.toml", help="The model, for what carries none.")] = None,
     detector: Annotated[list[str] | None, typer.Option(metavar="NAME", help="For `diagnose`, instead of the site's own.")] = None,
+    mapping: MappingOption = None,
     jobs: Annotated[int, typer.Option(help="How many at a time.")] = 2,
     cluster: Annotated[str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler (extra `cluster`).")] = None,
     as_json: Json = False,
@@ -277,7 +278,7 @@ def batch(
     from afdsvc.batch import Batch, run_batch
     from afdsvc.terminal import progress
 
-    chosen = Batch(task, model, tuple(detector or ()))
+    chosen = Batch(task, model, tuple(detector or ()), mapping=mapping)
     with progress(task, len(recordings)) as tell:
         done = run_batch(chosen, recordings, out, jobs, cluster, lambda n, of: tell(n))
     value = {"table": str(done.table), "rows": done.rows, "failed": done.failed, "kept": done.kept}

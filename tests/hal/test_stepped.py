@@ -121,6 +121,7 @@ faults = [{name = "position_sensor", severity = -1.0, at_seconds = 1.0}, {name =
     y = samples(opened, 4)[:, 1]
     noise = 0.01 * np.random.default_rng(0).standard_normal(1000)
     assert not np.allclose(y[:250], noise[:250])
+    np.testing.assert_allclose(y[420:500], noise[420:500], atol=1e-9)  # what moved before the actuator went has died away
     np.testing.assert_allclose(y[500:], noise[500:], atol=1e-12)  # the sensor says nothing
 
 

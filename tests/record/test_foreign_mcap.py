@@ -152,6 +152,25 @@ def test_the_time_that_was_asked_for_is_taken(time, said, tmp_path):
     assert said in prepared([trace])[0]
 
 
+def test_log_and_publish_times_are_two_and_the_longest_topic_is_meant(tmp_path):
+    """The log comes late by up to 0.4 ms, publishing does not; "/a.b" is a topic beside "/a", whose messages have a field b too."""
+    rng = np.random.default_rng(0)
+    with (tmp_path / "two.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        short, long = (writer.register_channel(name, "json", 0) for name in ("/a", "/a.b"))
+        for k in range(N):
+            t = T0 + k * DT_NS
+            writer.add_message(short, t, b'{"b": {"v": -1.0}}', t)
+            writer.add_message(long, t + int(rng.integers(400_000)), json.dumps({"v": U[k]}).encode(), t)
+        writer.finish()
+    (trace,) = read_foreign(tmp_path / "two.mcap", mapping(y_x="/a.b.v", time={"from": "publish"}))
+    np.testing.assert_array_equal(trace.column("y_x"), U)
+    assert not any("miss an even grid" in s for s in prepared([trace]))
+    (trace,) = read_foreign(tmp_path / "two.mcap", mapping(y_x="/a.b.v", time={"from": "log"}))
+    assert any("the times of /a.b miss an even grid of 0.001 s by up to" in s for s in prepared([trace]))
+
+
 def test_a_field_can_be_the_time_in_its_own_unit(tmp_path):
     wanted = mapping(y_angle="encoder.angle.deg[0]", time={"from": "us", "unit": "us"})
     (trace,) = read_foreign(write_json(tmp_path / "e.mcap", False), wanted)

@@ -7,9 +7,11 @@ import threading
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from afdsvc.api.signals import Channel, Trace
+from afdsvc.batch import Batch, run_batch
 from afdsvc.errors import BadInput
 from afdsvc.explaining import ExplainOptions, explain_files, from_rest
 from afdsvc.modelling import identify_files
@@ -86,6 +88,17 @@ def test_a_gap_is_two_recordings_to_diagnose(folder):
     found = diagnose_recordings([folder / "log.csv"], folder / "lag.toml", calibrate=3.0, naming=Naming.of(folder / "mapping.toml"))
     assert [r["recording"].split("/")[-1] for r in found["recordings"]] == ["log.csv (1)", "log.csv (2)"]
     assert all(any("1 gap longer" in note for note in r["notes"]) for r in found["recordings"])
+
+
+def test_a_batch_takes_a_mapping_and_begins_anew_when_it_changes(folder):
+    batch = Batch("identify", folder / "lag.toml", mapping=folder / "mapping.toml")
+    done = run_batch(batch, [folder / "log.csv"], folder / "all.parquet", jobs=1)
+    row = pq.read_table(folder / "all.parquet").to_pylist()[0]
+    assert (done.failed, row["error"], row["value"] > 0.8) == (0, "", True)
+    assert set(TOLD) <= set(json.loads(row["document"])["notes"])
+    assert run_batch(batch, [folder / "log.csv"], folder / "all.parquet", jobs=1).kept == 1
+    (folder / "mapping.toml").write_text(MAPPING.replace("Pos", "Note"))
+    assert run_batch(batch, [folder / "log.csv"], folder / "all.parquet", jobs=1).kept == 0
 
 
 def test_an_import_keeps_gap_units_and_story(folder):
