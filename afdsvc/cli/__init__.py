@@ -156,6 +156,7 @@ def diagnose(
     calibrate: Annotated[float | None, typer.Option(metavar="SECONDS", help="Quiet data to learn the noise from.")] = None,
     calibrate_on: Annotated[Path | None, typer.Option(metavar="TABLE", help="Learn the noise from another table.")] = None,
     detector: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Instead of the site's own; may be repeated.")] = None,
+    page: Annotated[Path | None, typer.Option("--page", metavar="FILE.html", help="Write the diagnosis as a page, too.")] = None,
     mapping: MappingOption = None,
     as_json: Json = False,
 ) -> None:
@@ -165,6 +166,10 @@ def diagnose(
     from afdsvc.terminal import diagnosis_table
 
     document = diagnose_recordings(recordings, model, calibrate, calibrate_on, detector or [], Naming.of(mapping))
+    if page:
+        from afdsvc.report.diagnose_page import diagnose_page
+
+        page.write_text(diagnose_page(document), encoding="utf-8")
     show(as_json, document, lambda: diagnosis_table(document))
 
 
