@@ -8,6 +8,9 @@ left out. For gain faults of a stable plant with output noise one step is exact 
 
 The predictor's gain stays the nominal one: with process noise the error of a faulty model is then not quite white,
 which costs a little precision, not correctness.
+
+Slopes are driven by the very noise they are compared with. Without a fault the first step is that of `regression`, and mean and
+variance of its signed root are taken out as there.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ from afdsvc.api.detection import DetectionProblem, ResidualBlock
 from afdsvc.detect import maximum
 from afdsvc.detect.demodulate import Basis, BasisSums, project
 from afdsvc.detect.hypotheses import Fit, anything_log_evidence, linear_fit, weights
+from afdsvc.detect.noise_driven import NoiseDriven, noise_driven
 from afdsvc.detect.nuisances import NONE, Nuisances
 from afdsvc.detect.recent import between
 from afdsvc.detect.regressors import predictor_gain, whitener
@@ -59,6 +63,7 @@ class Iterated:
     Kp: Array
     Li: Array
     settle: int
+    noise: NoiseDriven
     nuisances: Nuisances = NONE
 
     def start(self, burst: Burst, dt: float) -> Recorded:
@@ -85,7 +90,9 @@ class Iterated:
         h = maximum.threshold(_gram_vectors(scores[seen]), self.problem.false_alarms.per_burst)
         basis = self._basis(burst, self.nuisances.turning(signals))
         other = anything_log_evidence(project(sums.lines, basis).z) if basis.omega else None
-        statistic, parts = max(_signed_root(fits[k]) for k in seen), {"samples": float(len(healthy) / self.Li.shape[0])}
+        samples = len(healthy) // len(self.Li)
+        mean, sd = self.noise.signed_root(samples, burst)
+        statistic, parts = max((_signed_root(fits[k]) - mean[k]) / sd[k] for k in seen), {"samples": float(samples)}
         return [Finding(statistic, h, tuple(fits), weights(fits, other), parts)]
 
     def _fit(self, name: str, signals: ResidualBlock, healthy: Array) -> Fit:
@@ -144,7 +151,7 @@ class Iterated:
 def iterated(problem: DetectionProblem, settle: int, nuisances: Nuisances = NONE) -> Iterated:
     """Return the statistic for one machine; the first ``settle`` samples of every burst are left out."""
     gain = predictor_gain(problem, problem.augmented.plant)
-    return Iterated(problem, gain, whitener(problem.covariance), settle, nuisances)
+    return Iterated(problem, gain, whitener(problem.covariance), settle, noise_driven(problem), nuisances)
 
 
 def _signed_root(fit: Fit) -> float:

@@ -70,7 +70,7 @@ def _threshold(raw: bytes, shape: tuple[int, int], false_alarm: float) -> float:
     wanted = math.log(false_alarm)
 
     def excess(c: float) -> float:
-        return math.log(max(_union(e, heights(length, c))[0], 1e-300)) - wanted
+        return math.log(max(_union(e, heights(length, c)), 1e-300)) - wanted
 
     low, high = 1e-6, math.log(1 / false_alarm) + math.log(len(t)) + 1.0  # P <= K e^-c
     return low if excess(low) <= 0 else float(brentq(excess, low, high, xtol=1e-5))
@@ -79,23 +79,18 @@ def _threshold(raw: bytes, shape: tuple[int, int], false_alarm: float) -> float:
 def robust_threshold(waves: Array, factor: Array, found: Models, false_alarm: float) -> float:
     """Return c at which the largest ratio exceeds c with probability ``false_alarm`` averaged over the models.
 
-    ``factor`` is the Cholesky factor of the covariance the ``waves`` were whitened with. Every wave counts with its share in
-    the union of alarms, found at the threshold of the nominal machine.
+    ``factor`` is the Cholesky factor of the covariance the ``waves`` were whitened with.
     """
-    nominal, length = threshold(waves, false_alarm), np.linalg.norm(waves, axis=1)
-    share = _union(reduced(waves), heights(length, nominal))[1]
-    raw = np.linalg.solve(factor.T, (waves / length[:, None]).T).T  # <raw, z> is <e, whitened z>
-    along = [found.along(e) for e in raw]
-    mean, sd = np.array([m for m, _ in along]), np.maximum(np.array([s for _, s in along]), 1e-12)
+    t, f = np.ascontiguousarray(waves, dtype=float), np.ascontiguousarray(factor, dtype=float)
+    return _robust_threshold(t.tobytes(), t.shape, f.tobytes(), found, false_alarm)
 
-    def excess(c: float) -> float:
-        rates = ndtr((mean - heights(length, c)[:, None]) / sd) @ found.weights
-        return math.log(max(float(share @ rates), 1e-300) / false_alarm)
 
-    high = nominal
-    while excess(high) > 0:
-        high *= 1.5
-    return float(brentq(excess, 1e-6, high, xtol=1e-5)) if excess(1e-6) > 0 else 1e-6
+@lru_cache(maxsize=64)  # as above
+def _robust_threshold(raw: bytes, shape: tuple[int, int], root: bytes, found: Models, false_alarm: float) -> float:
+    t, factor = np.frombuffer(raw).reshape(shape), np.frombuffer(root).reshape(shape[1], shape[1])
+    length = np.linalg.norm(t, axis=1)
+    e = np.linalg.solve(factor.T, (t / length[:, None]).T).T  # <e, z> is the whitened projection
+    return found.mixture(e).threshold(lambda c: heights(length, c), false_alarm, threshold(t, false_alarm))
 
 
 def heights(length: Array, c: float) -> Array:
@@ -103,21 +98,19 @@ def heights(length: Array, c: float) -> Array:
     return np.asarray(c / length + length / 2)
 
 
-def _union(e: Array, h: Array) -> tuple[float, Array]:
-    """Return the probability that any ``<z, e_k>`` exceeds its height ``h_k``, and every k's share of its own tail.
+def _union(e: Array, h: Array) -> float:
+    """Return the probability that any ``<z, e_k>`` exceeds its height ``h_k``.
 
     The union estimator of `maximum`, points being spent on the directions in proportion to their tails.
     """
     tails = ndtr(-h)
     total = float(tails.sum())
     if not total > 0:
-        return 0.0, np.ones(len(e))
+        return 0.0
     u = points(e.shape[1])
     k = np.minimum(np.searchsorted(np.cumsum(tails) / total, (np.arange(len(u)) + 0.5) / len(u)), len(e) - 1)
     w = ndtri(u[:, 1:])
     z = w + (-ndtri(u[:, 0] * tails[k]) - np.sum(w * e[k], axis=1))[:, None] * e[k]
     near = np.flatnonzero(tails > 1e-9 * tails.max())
     inverse = 1 / np.maximum((z @ e[near].T > h[near]).sum(axis=1), 1)
-    drawn = np.bincount(k, minlength=len(e))
-    share = np.where(drawn > 0, np.bincount(k, weights=inverse, minlength=len(e)) / np.maximum(drawn, 1), 1.0)
-    return total * float(np.mean(inverse)), np.asarray(share)
+    return total * float(np.mean(inverse))

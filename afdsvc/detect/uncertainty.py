@@ -16,20 +16,21 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtri
 from scipy.stats import qmc
 
 from afdsvc.api.bursts import Line
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect import maximum
 from afdsvc.detect.curves import fault_curves
+from afdsvc.detect.mixture import Mixture
 from afdsvc.detect.stated import uncertain_parameters
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 
 NODES = 15  # models of one uncertain parameter
-POINTS = 128  # models of several
+POINTS = 256  # models of several
+WIDER = 2.5  # variance added to that of the parameters when several are drawn, over their number
 
 
 def as_faults(problem: DetectionProblem) -> DetectionProblem:
@@ -70,10 +71,9 @@ class Models:
         """Second moment of the waves about zero, ``(D, D)``; to first order that is `model_doubt`."""
         return np.asarray(np.einsum("q,qi,qj->ij", self.weights, self.waves, self.waves))
 
-    def along(self, direction: Array) -> tuple[Array, Array]:
-        """Return mean and standard deviation of ``<direction, z>`` for every model, both ``(Q,)``."""
-        variance = np.einsum("i,qij,j->q", direction, self.covariances, direction)
-        return self.waves @ direction, np.sqrt(np.maximum(variance, 0.0))
+    def mixture(self, directions: Array) -> Mixture:
+        """Return these machines seen along directions ``(K, D)``."""
+        return Mixture(self.weights, self.waves, np.asarray(np.linalg.cholesky(self.covariances)), directions)
 
 
 def models(problem: DetectionProblem, lines: Sequence[Line], R: Array) -> Models:
@@ -110,22 +110,18 @@ def robust_threshold(directions: Array, found: Models, false_alarm: float) -> fl
     """Return h at which ``max_k <e_k, z>`` exceeds h with probability ``false_alarm`` averaged over the models.
 
     ``directions (K, D)`` need not be unit vectors: ``<e_k, z>`` has unit variance in the nominal machine plus doubt.
-    Every direction counts with its share in the union of alarms, found at the threshold of the nominal machine.
     """
-    nominal = maximum.threshold(directions, false_alarm)
+    e = np.ascontiguousarray(directions, dtype=float)
+    return _robust_threshold(e.tobytes(), e.shape, found, false_alarm)
+
+
+@lru_cache(maxsize=64)  # the same burst asks for the same threshold again and again
+def _robust_threshold(raw: bytes, shape: tuple[int, int], found: Models, false_alarm: float) -> float:
+    e = np.frombuffer(raw).reshape(shape)
+    nominal = maximum.threshold(e, false_alarm)
     if len(found.weights) == 1:
         return nominal
-    share = maximum.shares(directions, nominal)
-    along = [found.along(e) for e in directions]
-
-    def excess(h: float) -> float:
-        rates = [found.weights @ ndtr((mean - h) / np.maximum(sd, 1e-12)) for mean, sd in along]
-        return math.log(float(share @ np.array(rates)) / false_alarm)
-
-    high = nominal
-    while excess(high) > 0:
-        high *= 1.5
-    return float(brentq(excess, 0.0, high, xtol=1e-6)) if excess(0.0) > 0 else 0.0
+    return found.mixture(e).threshold(lambda h: np.full(len(e), h), false_alarm, nominal)
 
 
 def _nodes(parameters: int) -> tuple[Array, Array]:
@@ -133,6 +129,10 @@ def _nodes(parameters: int) -> tuple[Array, Array]:
     if parameters == 1:
         z, w = np.polynomial.hermite_e.hermegauss(NODES)
         return z[:, None], w / w.sum()
+    # rare alarms come from models far out: the points are spread wider than the parameters, less so in many dimensions, and weighted
+    wide = 1 + WIDER / parameters
     u = qmc.Sobol(parameters, scramble=False).random(POINTS)
     shifted = np.modf(u + (1 + np.arange(parameters)) * 0.6180339887498949)[0]
-    return np.asarray(ndtri(np.clip(shifted, 1e-9, 1 - 1e-9))), np.full(POINTS, 1 / POINTS)
+    z = math.sqrt(wide) * ndtri(np.clip(shifted, 1e-9, 1 - 1e-9))
+    w = np.exp(-0.5 * np.sum(z**2, axis=1) * (1 - 1 / wide))
+    return np.asarray(z), w / w.sum()
