@@ -98,10 +98,9 @@ class Estimators:
 
     def iterate(self, shown: BurstSamples) -> Fit:
         """Return the iterated regression's fit."""
-        signals = np.hstack([shown.block.y, shown.block.u])
-        healthy = self.again._error(self.problem.augmented.plant, signals)  # noqa: SLF001 - one fault of the detector's own fits
+        healthy = self.again._error(self.problem.augmented.plant, shown.block)  # noqa: SLF001 - one fault of the detector's own fits
         assert healthy is not None
-        return self.again._fit(self.setting.fault, signals, healthy)  # noqa: SLF001
+        return self.again._fit(self.setting.fault, shown.block, healthy)  # noqa: SLF001
 
 
 def study(setting: Setting, runs: int) -> list[Found]:
