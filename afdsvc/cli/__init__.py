@@ -167,9 +167,9 @@ def diagnose(
 
     document = diagnose_recordings(recordings, model, calibrate, calibrate_on, detector or [], Naming.of(mapping))
     if page:
-        from afdsvc.report.diagnose_page import diagnose_page
+        from afdsvc.report.diagnose_page import write_diagnosis
 
-        page.write_text(diagnose_page(document), encoding="utf-8")
+        write_diagnosis(document, page)
     show(as_json, document, lambda: diagnosis_table(document))
 
 

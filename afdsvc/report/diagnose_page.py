@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, select_autoescape
 from matplotlib.figure import Figure
+
+from afdsvc.errors import BadInput
 
 COLOURS = ("#1b6ca8", "#c8553d", "#588157", "#7b4b94", "#c29200", "#3a3a3a")
 NONE = "none_of_these"
@@ -18,6 +21,14 @@ def diagnose_page(document: Mapping[str, Any]) -> str:
     page = Environment(loader=PackageLoader("afdsvc.report", "."), autoescape=select_autoescape(["j2"]))
     shown = [{**recording, "answer": answer(recording["verdict"]), "severities": _severities(recording)} for recording in document["recordings"]]
     return page.get_template("diagnose_page.html.j2").render(recordings=shown, percent=_percent, weights=_weights)
+
+
+def write_diagnosis(document: Mapping[str, Any], path: Path) -> None:
+    """Write the page; raises `BadInput` when that cannot be done."""
+    try:
+        path.write_text(diagnose_page(document), encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def answer(verdict: Mapping[str, Any]) -> str:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from afdsvc.errors import BadInput
 from afdsvc.offline import diagnose_recordings
-from afdsvc.report.diagnose_page import answer, diagnose_page
+from afdsvc.report.diagnose_page import answer, diagnose_page, write_diagnosis
 
 SHIPPED = Path(__file__).parents[2] / "recordings" / "shipped"
 
@@ -52,6 +53,13 @@ def test_every_recording_is_answered_and_every_decision_stands_in_the_table(docu
 def test_names_cannot_break_out_of_the_page(document):
     evil = {**document["recordings"][0], "recording": "<script>alert(1)</script>"}
     assert "<script" not in diagnose_page({"recordings": [evil]})
+
+
+def test_a_page_that_cannot_be_written_is_named(document, tmp_path):
+    with pytest.raises(BadInput, match=r"nowhere/page\.html: cannot be written: No such file"):
+        write_diagnosis(document, tmp_path / "nowhere" / "page.html")
+    write_diagnosis(document, tmp_path / "page.html")
+    assert (tmp_path / "page.html").read_text().startswith("<!doctype html>")
 
 
 @pytest.mark.parametrize(
