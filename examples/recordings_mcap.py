@@ -89,5 +89,6 @@ if __name__ == "__main__":
     write_json()
     write_protobuf()
     for name in ("json", "protobuf", *(["ros2"] if write_ros2() else [])):
+        Path(f"{name}-ours.mcap").unlink(missing_ok=True)  # recordings are not overwritten unasked
         made = import_recording(Path(f"{name}.mcap"), Path(f"{name}-ours.mcap"), None, {}, Path(f"{name}.toml"))
         print(f"\n{made['recording']}: {made['samples']} samples every {made['dt']} s: {', '.join(made['channels'])}", *made["notes"], sep="\n")

@@ -68,6 +68,7 @@ if __name__ == "__main__":
     Path("axis.toml").write_text(MODEL)
     Path("mapping.toml").write_text(MAPPING)
     for name in write(logged()):
+        Path(f"{name}.mcap").unlink(missing_ok=True)  # recordings are not overwritten unasked
         made = import_recording(Path(name), Path(f"{name}.mcap"), Path("axis.toml"), {}, Path("mapping.toml"))
         print(f"{name}: {made['samples']} samples every {made['dt']} s in {made['pieces']} pieces, {', '.join(made['channels'])}")
     print(*made["notes"], sep="\n")

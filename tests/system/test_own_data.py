@@ -20,6 +20,7 @@ from afdsvc.record.foreign import prepared
 from afdsvc.record.loading import Naming
 from afdsvc.record.model_file import read_model
 from afdsvc.record.reader import Recording
+from afdsvc.report.diagnose_page import diagnose_page
 from afdsvc.runtime.site import read_site
 from afdsvc.service import run_rig
 
@@ -76,8 +77,12 @@ def write(path: Path, seed: int = 0, keep=slice(None)) -> Path:
 
 def test_diagnose_tells_what_was_done_to_the_data(folder):
     naming = Naming.of(folder / "mapping.toml")
-    (found,) = diagnose_recordings([folder / "log.csv"], folder / "lag.toml", calibrate=5.0, naming=naming)["recordings"]
+    document = diagnose_recordings([folder / "log.csv"], folder / "lag.toml", calibrate=5.0, naming=naming)
+    (found,) = document["recordings"]
     assert found["notes"] == TOLD
+    page = diagnose_page(document)
+    assert "What was done to the data" in page
+    assert "times 2.5 N/A, converted to N" in page
     assert found["verdict"]["fault"] is None
     with pytest.raises(BadInput, match=r"log\.csv.*has no column 't'"):
         diagnose_recordings([folder / "log.csv"], folder / "lag.toml", calibrate=5.0)
