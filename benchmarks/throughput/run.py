@@ -56,15 +56,23 @@ def blocks(site: Site) -> tuple[int, int, int]:
     return sum(m["blocks"] for m in status["machines"]), sum(m["lost_blocks"] for m in status["machines"]), status["recording_dropped"]
 
 
-def wait_for(site: Site, service: subprocess.Popen[bytes]) -> None:
-    """Wait until the service answers."""
-    for _ in range(600):
-        with suppress(AfdsvcError):
-            ask_service(site, "status", "benchmark")
-            return
+def wait_for(site: Site, service: subprocess.Popen[bytes]) -> tuple[float, float]:
+    """Wait until the service answers, then until it has rehearsed its bursts and is idle; returns both times [s]."""
+    began, answers = time.monotonic(), 0.0
+    while not answers:
         if service.poll() is not None:
             raise SystemExit("the service did not start")
-        time.sleep(0.2)
+        with suppress(AfdsvcError):
+            ask_service(site, "status", "benchmark")
+            answers = time.monotonic() - began
+    before = used(service.pid)[0]
+    for _ in range(120):
+        time.sleep(1.0)
+        after = used(service.pid)[0]
+        if after - before < 0.1:
+            break
+        before = after
+    return answers, time.monotonic() - began
 
 
 def hold(machines: int, seconds: float, profile: str = "") -> dict[str, Any]:
@@ -76,7 +84,7 @@ def hold(machines: int, seconds: float, profile: str = "") -> dict[str, Any]:
         command = [sys.executable, *(["-m", "afdsvc"] if not profile else [str(HERE / "profiled.py"), profile]), "serve", str(path)]
         with (Path(folder) / "log").open("wb") as log:
             service = subprocess.Popen(command, stdout=log, stderr=log)
-        wait_for(site, service)
+        answers, idle = wait_for(site, service)
         load = subprocess.Popen(
             [sys.executable, str(HERE / "load.py"), str(path), str(seconds)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
@@ -101,7 +109,7 @@ def hold(machines: int, seconds: float, profile: str = "") -> dict[str, Any]:
         size = sum(p.stat().st_size for p in (Path(folder) / "recordings").glob("*.mcap")) / 1e6
         delays = told.pop("latencies_s")
         return {
-            "machines": machines, "seconds": seconds, "load": os.getloadavg()[0], **told, "judged": seen, "lost_samples": lost,
+            "machines": machines, "seconds": seconds, "answers_s": answers, "idle_s": idle, "load": os.getloadavg()[0], **told, "judged": seen, "lost_samples": lost,
             "dropped": dropped, "waiting_at_end": waiting, "blocks_per_s": (seen - judged0) / (time.monotonic() - t0),
             "cpu": (cpu1 - cpu0) / (t1 - t0), "memory_mb": memory, "recorded_mb": size, "decisions": len(delays),
             "latency_median_s": delays[len(delays) // 2] if delays else None,
@@ -116,7 +124,8 @@ def tell(row: dict[str, Any]) -> None:
     print(
         f"{row['machines']:4d} machines: {'held' if row['held'] else 'NOT held'}; {100 * row['cpu']:.0f} % of a core, "
         f"{row['waiting_at_end']} of {row['sent']} blocks waiting, {row['lost_samples']} samples lost, {row['dropped']} dropped; "
-        f"decision {latency} after a burst ({row['bursts']} bursts); {row['memory_mb']:.0f} MB; load {row['load']:.1f}",
+        f"decision {latency} after a burst ({row['bursts']} bursts); {row['memory_mb']:.0f} MB; "
+        f"listens after {row['answers_s']:.0f} s, ready after {row['idle_s']:.0f} s; load {row['load']:.1f}",
         flush=True,
     )
 
