@@ -83,9 +83,9 @@ def stamp_ns(message: Any) -> int | None:
     """Return the time a message carries in its header [ns], None where it carries none or an empty one."""
     for path in _STAMPS:
         found = at(message, path)
-        seconds, nanos = (_first(found, names) for names in (_SECONDS, _NANOS))
-        if isinstance(seconds, Real) and isinstance(nanos, Real) and abs(seconds) < _LATEST and abs(nanos) < _LATEST:
-            return (int(seconds) * 10**9 + int(nanos)) or None
+        parts = [_first(found, names) for names in (_SECONDS, _NANOS)]
+        if all(isinstance(part, Real) and -_LATEST < part < _LATEST for part in parts):
+            return (int(parts[0]) * 10**9 + int(parts[1])) or None
     return None
 
 
