@@ -84,7 +84,7 @@ def stamp_ns(message: Any) -> int | None:
     for path in _STAMPS:
         found = at(message, path)
         parts = [_first(found, names) for names in (_SECONDS, _NANOS)]
-        if all(isinstance(part, Real) and -_LATEST < part < _LATEST for part in parts):
+        if all(isinstance(part, (int, float)) and -_LATEST < part < _LATEST for part in parts):
             return (int(parts[0]) * 10**9 + int(parts[1])) or None
     return None
 
