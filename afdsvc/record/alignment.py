@@ -66,7 +66,7 @@ def aligned(
         raise BadInput(f"{where}: the longest stretch without a gap has {longest} samples; at least {SHORTEST} are wanted")
     if len(kept) < len(pieces):
         lost = sum(len(p.values) for p in pieces if len(p.values) < SHORTEST)
-        told.append(f"{len(pieces) - len(kept)} stretches shorter than {SHORTEST} samples are left out, {lost} samples in all")
+        told.append(f"stretches shorter than {SHORTEST} samples are left out: {len(pieces) - len(kept)}, with {lost} samples in all")
     return kept, told
 
 
@@ -115,7 +115,7 @@ def _evened(group: Group, where: str, gap: float, regular: bool, told: list[str]
     if worst > JITTER:
         told.append(_jitter(group.name, worst, step, regular))
     if filled > 0:
-        told.append(f"{filled} missing samples of {group.name}, fewer at a time than the mapping calls a gap, were interpolated")
+        told.append(f"missing samples of {group.name}, fewer at a time than the mapping calls a gap, were interpolated: {filled}")
     return pieces
 
 

@@ -52,7 +52,7 @@ def test_pieces_too_short_to_tell_anything_are_left_out_and_counted():
     t = DT * np.concatenate([np.arange(100), [110, 111, 112], np.arange(120, 220)])
     pieces, told = aligned([group(t)], "here")
     assert [len(p.values) for p in pieces] == [100, 100]
-    assert "1 stretches shorter than 50 samples are left out, 3 samples in all" in told
+    assert "stretches shorter than 50 samples are left out: 1, with 3 samples in all" in told
     with pytest.raises(BadInput, match="here: the longest stretch without a gap has 30 samples; at least 50 are wanted"):
         aligned([group(DT * np.arange(30))], "here")
 
@@ -126,7 +126,7 @@ def test_samples_without_a_time_are_dropped_and_counted():
     _, told = aligned([Group("drive", np.append(t, np.nan), {"u_x": np.ones(101)})], "here", gap=2.5)
     assert told == [
         "2 samples of drive have no time and are dropped",
-        "1 missing samples of drive, fewer at a time than the mapping calls a gap, were interpolated",
+        "missing samples of drive, fewer at a time than the mapping calls a gap, were interpolated: 1",
     ]
 
 

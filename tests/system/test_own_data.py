@@ -138,6 +138,22 @@ def test_explain_tells_it_in_document_and_page(folder):
     assert "What was done to the data" in Path(found["report"]).read_text()
 
 
+def test_explain_and_identify_say_what_stands_for_a_simulator(folder):
+    """A simulator with the recorded machine's own lag: its linear part is found, compared with it on every recording, and consistent."""
+    (folder / "lag.py").write_text("def lag(x, u, dt):\n    x = 0.0 if x is None else 0.9 * x + 0.1 * u[0]\n    return x, [x]\n")
+    (folder / "lag.toml").write_text(MODEL.replace("A = [[0.9]]\nB = [[0.1]]\nC = [[1.0]]\nD = [[0.0]]", 'dynamics = "lag.py:lag"'))
+    held = write(folder / "kept.csv", 1)
+    options = ExplainOptions(folder / "out", allow_code=True, jobs=1, mapping_file=folder / "mapping.toml")
+    found = explain_files(folder / "lag.toml", [folder / "log.csv"], [held], options)
+    assert found["verdict"] == "consistent"
+    assert found["check"][0].startswith("lag.py:lag only steps, so what is worked with is its linear part of order 1")
+    assert any(s.startswith("kept.csv, simulated from its inputs and from rest") and "(the two differ by 0 %)" in s for s in found["check"])
+    naming = Naming.of(folder / "mapping.toml")
+    method = {"method": "subspace", "order": 1}
+    found = identify_files(folder / "lag.toml", [folder / "log.csv"], [held], None, method, 0, allow_code=True, naming=naming)
+    assert any("lag.py:lag only steps" in note for note in found["notes"])
+
+
 def test_where_a_simulator_rests_is_taken_off_the_recordings_and_told(folder):
     (folder / "lag.py").write_text("def lag(x, u, dt):\n    x = 0.0 if x is None else 0.9 * x + 0.1 * u[0]\n    return [x], [x + 7.0]\n".replace("0.9 * x", "0.9 * x[0]"))
     text = MODEL.replace("A = [[0.9]]\nB = [[0.1]]\nC = [[1.0]]\nD = [[0.0]]", 'dynamics = "lag.py:lag"')
