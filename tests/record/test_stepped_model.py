@@ -7,7 +7,9 @@ from afdsvc.api.signals import Channel, Trace
 from afdsvc.errors import BadInput
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
+from afdsvc.plants.fmi_unit import UnitDescription
 from afdsvc.plants.unit_comparison import compared
+from afdsvc.record import stepped_model
 from afdsvc.record.linear_model import linear_model
 from afdsvc.record.model_file import model_text, parse_model, read_model
 from afdsvc.testing.fmi_units import build_slide
@@ -85,11 +87,14 @@ def test_a_unit_alone_stands_for_a_model_in_its_modes(tmp_path):
         read_model(tmp_path / "Slide2.fmu")
 
 
-def test_a_unit_alone_must_say_its_step(tmp_path):
-    pytest.importorskip("fmpy", reason="the extra 'fmi' is not installed")
-    pytest.importorskip("pythonfmu3", reason="the builder of test units is not installed")
+def test_a_unit_alone_must_say_enough(tmp_path, monkeypatch):
+    told = {"step": None, "inputs": {"force": "N"}}
+    monkeypatch.setattr(stepped_model, "describe", lambda path: UnitDescription("slide", told["inputs"], {"position": "mm"}, told["step"]))
     with pytest.raises(BadInput, match=r"states no step size in its default experiment; a MODEL\.toml with dynamics = \"Slide3\.fmu\""):
-        read_model(build_slide(tmp_path, 3), allow_code=True)
+        read_model(tmp_path / "Slide3.fmu", allow_code=True)
+    told.update(step=0.002, inputs={})
+    with pytest.raises(BadInput, match=r"Slide3\.fmu: has no real inputs; at least one is wanted"):
+        read_model(tmp_path / "Slide3.fmu", allow_code=True)
 
 
 def test_what_is_written_is_the_linear_part_which_needs_no_simulator(tmp_path):
