@@ -165,9 +165,9 @@ def run(code, at, p, offset, A, B, C, Ak, Bk, Ck, Dk, e, given, closed, noise, w
         for i in range(outputs):
             y[i] = clean[i] + noise[k, i]
         _read(code, at, p, y)
-        for i in range(entry.size):
-            entry[i] = e[k, i] + (y[i] if i < outputs else 0.0)
-        if closed:
+        if closed:  # what is played instead has no entries: reading them would be reading beyond the array
+            for i in range(entry.size):
+                entry[i] = e[k, i] + (y[i] if i < outputs else 0.0)
             _control(Ak, Bk, Ck, Dk, xk, spare, entry, u)
         else:
             u[:] = given[k]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from afdsvc.trial import NOTHING, Options, generate
+from afdsvc.trial import NOTHING, Options, generate, kernel
 from afdsvc.trial.machine import Machine
+from afdsvc.trial.run import play, replay
 
 
 def sampled(machine: Machine, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -101,3 +104,16 @@ def test_integrator_converges_with_its_step() -> None:
     fine = replace(trial.machine, substeps=2 * trial.machine.substeps)
     apart = play(fine, trial.truth, trial.runs[1]).y - trial.played[1].y
     assert np.abs(apart).max() < 1e-3 * trial.machine.sigma.min()
+
+
+def test_a_replay_reads_nothing_beyond_what_it_is_given(monkeypatch) -> None:
+    """Uncompiled, where Python looks at every index: compiled code would read on and, at the end of the heap, crash."""
+    trial = generate(NOTHING, None, 0.0, np.random.default_rng(3), Options(controller="proportional", periods=1))
+    short = trial.runs[0]
+    n = 40
+    cut = {name: getattr(short, name)[:n] for name in ("alpha", "ref", "noise", "colour", "push")}
+    short = replace(short, aux=short.aux[: n + 1], **cut)
+    compiled = play(trial.machine, trial.truth, short)
+    monkeypatch.setattr("afdsvc.trial.run.integrate", kernel.run.py_func)
+    assert np.allclose(play(trial.machine, trial.truth, short).y, compiled.y)
+    assert np.allclose(replay(trial.machine, trial.truth, short, compiled.u).y, compiled.y)
