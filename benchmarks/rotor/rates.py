@@ -70,7 +70,7 @@ def noise_to_residual(parts: Commissioned) -> StateSpace:
     return whiten @ found.filter @ seen @ StateSpace.gain(np.linalg.cholesky(parts.output_cov), loop.dt)
 
 
-def waves(parts: Commissioned, burst: Burst, size: float) -> Waves:
+def waves(parts: Commissioned, burst: Burst, size: float, severities: Sequence[float]) -> Waves:
     """Return for every fault and severity the noise that leaves in the residual what the fault would."""
     path, alpha = noise_to_residual(parts), burst.play(parts.plant.dt)
     found, p, m = innovations(parts.plant, parts.output_cov), parts.plant.outputs, parts.plant.inputs
@@ -79,7 +79,7 @@ def waves(parts: Commissioned, burst: Burst, size: float) -> Waves:
     seen = np.zeros((len(alpha), 1))
     seen[slice(*window(burst))] = 1.0
     for name in parts.augmented.fault_names:
-        for severity in SEVERITIES:
+        for severity in severities:
             loop = closed(parts.augmented.close({name: severity}), parts.controller.interconnection)
             if not loop.is_stable():
                 continue
@@ -116,15 +116,18 @@ def played(parts: Commissioned, burst: Burst, drawn: Waves, bursts: int, rng: np
         yield blocks, counts
 
 
-def judged(controller: str, kinds: Sequence[str], bursts: int, rate: float, direct: bool, seed: int, seconds: float) -> dict[str, list[tuple[Evidence, float]]]:
-    """Return every evidence of every detector and what its burst counts for."""
+def judged(
+    controller: str, kinds: Sequence[str], bursts: int, rate: float, severities: Sequence[float], seed: int, seconds: float
+) -> dict[str, list[tuple[Evidence, float]]]:
+    """Return every evidence of every detector and what its burst counts for; without severities no waves are added."""
     installed = plugins()
     detectors = [{"kind": k, "false_alarms_per_1000_bursts": 1000 * rate} for k in kinds]
     wanted = {"controller": {"kind": controller}, "detectors": detectors, "bursts": {"severity": -0.2, "seconds": seconds}}
     parts = machine(installed, **wanted)
     stream = service.pipeline_of(parts, installed)
     burst = service.burst_design(parts, stream)(Wanted("study"))
-    drawn = Waves(np.zeros((0, 0)), 0.0) if direct else waves(parts, burst, float(norm.isf(rate / len(parts.augmented.fault_names))))
+    size = float(norm.isf(rate / len(parts.augmented.fault_names)))
+    drawn = waves(parts, burst, size, severities) if severities else Waves(np.zeros((0, 0)), 0.0)
     found: dict[str, list[tuple[Evidence, float]]] = {kind: [] for kind in kinds}
     pending = 0.0
     for number, (blocks, counts) in enumerate(played(parts, burst, drawn, bursts, np.random.default_rng(seed))):
@@ -157,11 +160,13 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=0.5)
     parser.add_argument("--controllers", nargs="+", default=["lqg", "pid"])
+    parser.add_argument("--severities", nargs="+", type=float, default=list(SEVERITIES), help="of the faults the waves look like")
     parser.add_argument("--detectors", nargs="+", default=list(KINDS))
     wanted = parser.parse_args()
     print(f"promised {wanted.rate:g} per burst of {wanted.seconds:g} s, 31,500 rpm, G2.5")
     print("controller | detector | alarms per burst | 99 % interval | bursts with alarm | refused")
     for controller in wanted.controllers:
-        options = (wanted.detectors, wanted.bursts, wanted.rate, wanted.direct, wanted.seed, wanted.seconds)
+        severities = () if wanted.direct else tuple(wanted.severities)
+        options = (wanted.detectors, wanted.bursts, wanted.rate, severities, wanted.seed, wanted.seconds)
         for kind, evidence in judged(controller, *options).items():
             print(f"{controller} | {kind} | {told(evidence, wanted.direct)}", flush=True)
