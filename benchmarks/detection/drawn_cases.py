@@ -112,7 +112,7 @@ def _doubtful(
 
 
 CASES: dict[str, Callable[[], Doubtful]] = {
-    "lqg-0": lambda: _bearing("lqg"), "proportional-0": lambda: _bearing("proportional"), "unstable": _unstable, "random": _random,
+    "unstable": _unstable, "random": _random, "proportional-0": lambda: _bearing("proportional"), "lqg-0": lambda: _bearing("lqg"),
 }  # fmt: skip
 
 

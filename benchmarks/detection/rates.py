@@ -1,6 +1,6 @@
 """Alarm rates of every shipped detector on every machine, promised one alarm in 10 to 10,000 bursts.
 
-    python benchmarks/detection/rates.py [--quick] [--docs] [--machines KEY ..]
+    python benchmarks/detection/rates.py [--quick] [--docs] [--machines KEY ..] [--again DETECTOR ..]
 
 Prints one line per combination; ``--docs`` writes docs/reference/detection-rates.md and the table beside it as CSV. What falls
 outside its 99 per cent interval is repeated with an independent seed, and both results are shown.
@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,7 +22,8 @@ from rates_baselines import BASELINES, baseline_rates  # noqa: E402
 from rates_cases import MACHINES, RATES, RateCase, rate_case  # noqa: E402
 from rates_counting import Rate  # noqa: E402
 from rates_lines import LINE_DETECTORS, PUBLISHED, line_rate  # noqa: E402
-from rates_page import write  # noqa: E402
+from rates_page import agreement as agreement_text  # noqa: E402
+from rates_page import load, write  # noqa: E402
 from rates_played import played_rates  # noqa: E402
 from rates_real import Agreement, agreement, passive_agreement, record  # noqa: E402
 from rates_regression import REGRESSIONS, regression_rates  # noqa: E402
@@ -94,10 +95,11 @@ def estimates(case: RateCase, effort: Effort, seed: int, only: str = "") -> Iter
         yield "model_bank", played_rates(case, "model_bank", seed, effort.bank, effort.bank)
 
 
-def rows(case: RateCase, effort: Effort) -> list[Row]:
-    """Return all combinations of one machine; those outside are repeated once."""
+def rows(case: RateCase, effort: Effort, only: Sequence[str] = ("",)) -> list[Row]:
+    """Return all combinations of one machine, or those of some detectors; those outside are repeated once."""
     out = []
-    for name, found in estimates(case, effort, SEED):
+    first = [(name, found) for one in only for name, found in estimates(case, effort, SEED, one) if one in ("", name)]
+    for name, found in first:
         promise = NONE if name in PUBLISHED else ABOVE if name == "model_bank" else KEPT
         mine = [Row(case.key, name, rate, promise, found[rate]) for rate in RATES]
         if promise == KEPT and not all(row.kept(row.found) for row in mine):
@@ -107,6 +109,18 @@ def rows(case: RateCase, effort: Effort) -> list[Row]:
             print(f"{row.machine:18s} {row.detector:20s} {row.promised:g} {row.found} {row.again or ''}", flush=True)
         out += mine
     return out
+
+
+def renewed(cases: list[RateCase], effort: Effort, names: list[str], folder: Path) -> None:
+    """Count some detectors anew and put them in the place of what the page says of them."""
+    known, text, seconds = load(folder)
+    started = time.process_time()
+    fresh = {(r.machine, r.detector, r.promised): r for case in cases for r in rows(case, effort, names)}
+    merged = [
+        fresh.get(key) or Row(*key, by_seed[1][0], by_seed[1][1], by_seed[2][1] if 2 in by_seed else None)
+        for key, by_seed in known.items()
+    ]
+    write(merged, text, seconds + time.process_time() - started, folder)
 
 
 def agreements(case: RateCase, effort: Effort, names: list[str]) -> list[tuple[str, float, Agreement]]:
@@ -128,9 +142,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="few runs: checks that everything works")
     parser.add_argument("--docs", action="store_true", help="write docs/reference/detection-rates.md and .csv")
+    parser.add_argument("--again", nargs="*", default=[], metavar="DETECTOR", help="renew these detectors in the page only")
     parser.add_argument("--machines", nargs="*", default=list(MACHINES), choices=list(MACHINES))
     wanted = parser.parse_args()
     effort, started = QUICK if wanted.quick else FULL, time.process_time()
+    folder = ROOT / "docs" / "reference"
+    if wanted.again:
+        renewed([rate_case(key) for key in wanted.machines], effort, wanted.again, folder)
+        return
     found: list[Row] = []
     agreed: dict[str, list[tuple[str, float, Agreement]]] = {}
     for key in wanted.machines:
@@ -139,7 +158,7 @@ def main() -> None:
         agreed[key] = agreements(case, effort, list(dict.fromkeys(r.detector for r in found if r.machine == key)))
         print(f"{case.title}: {time.process_time() - at:.0f} CPU seconds", flush=True)
     if wanted.docs:
-        write(found, agreed, time.process_time() - started, ROOT / "docs" / "reference")
+        write(found, agreement_text(agreed), time.process_time() - started, folder)
 
 
 if __name__ == "__main__":
