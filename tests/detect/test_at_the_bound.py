@@ -177,7 +177,7 @@ def test_ten_per_cent_is_found_on_the_right_axis_in_one_burst_below_a_micrometre
     burst = multisine(problem, problem.limits, Wish(-0.1, 0.9, 0.99, 1e-3))
     assert burst.samples * problem.plant.dt <= 2.5
     filters = regressors(problem)
-    statistic, found, right = regression(problem, filters), 0, 0
+    statistic, found, right, sure = regression(problem, filters), 0, 0, 0
     for fault in problem.fault_names:
         axis = fault.split("_")[0]
         source = trials(problem, burst, {fault: -0.1}, filters=filters)
@@ -185,10 +185,12 @@ def test_ten_per_cent_is_found_on_the_right_axis_in_one_burst_below_a_micrometre
             sums, _ = statistic.step(statistic.start(burst, problem.plant.dt), source.samples(source.noise(seed)))
             (finding,) = statistic.decide(sums, burst, problem.plant.dt)
             found += finding.statistic > finding.threshold
-            right += sum(w for n, w in finding.weights.items() if n.startswith(axis)) > 0.99
+            weight = sum(w for n, w in finding.weights.items() if n.startswith(axis))
+            right, sure = right + (weight > 0.5), sure + (weight > 0.99)
     allowed = 0.99 * 4 * each - 2.58 * np.sqrt(0.01 * 4 * each)
     assert found >= allowed - 0.4
     assert right >= allowed - 0.4
+    assert sure >= 0.94 * 4 * each - 0.4
 
 
 def one_sine(problem, amplitude):
