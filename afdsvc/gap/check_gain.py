@@ -25,11 +25,12 @@ SHIFTS = 40
 
 @dataclass(frozen=True, slots=True)
 class _Path:
-    """The factor of one path against the model, and the share of the output explained with the factors."""
+    """The factor of one path against the model, the power the model says it has, and the share of the output explained."""
 
     output: int
     input: int
     factor: float
+    power: float
     explained: float
 
 
@@ -61,7 +62,7 @@ def _paths(terms: ComplexArray, y: ComplexArray, j: int) -> Iterator[_Path]:
     heard = np.flatnonzero(c**2 * power > HEARD * total)
     explained = 1 - rest / total
     if explained > SURE:
-        yield from (_Path(j, int(i), float(c[i]), explained) for i in heard)
+        yield from (_Path(j, int(i), float(c[i]), float(power[i]), explained) for i in heard)
 
 
 def _real_fit(X: ComplexArray, y: ComplexArray) -> tuple[Array, float]:
@@ -84,9 +85,11 @@ def _factors(nominal: Nominal, paths: list[_Path]) -> Iterator[Finding]:
             blamed |= {(p.output, p.input) for p in own}
             yield _finding(f"u_{v.name}", 1 / own[0].factor)
     for j, v in enumerate(nominal.model.outputs):
-        own = [p for p in paths if p.output == j and (p.output, p.input) not in blamed and _off(p.factor)]
+        here = [p for p in paths if p.output == j and (p.output, p.input) not in blamed]
+        main = max(here, key=lambda p: p.power, default=None)  # a small path may be far off for crosstalk alone
+        own = [main] if main is not None and _off(main.factor) else []
         if own:
-            alone = len(own) == 1 and sum(p.input == own[0].input for p in paths) == 1
+            alone = len(here) == 1 and sum(p.input == own[0].input for p in paths) == 1
             other = f"u_{nominal.model.inputs[own[0].input].name}"
             also = f" (or {other}, by the inverse: only one path tells)" if alone else ""
             yield _finding(f"y_{v.name}", own[0].factor, also)

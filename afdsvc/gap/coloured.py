@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,13 +28,14 @@ def coloured(runs: Sequence[Run], residuals: Sequence[Array], outputs: Sequence[
     pieces = toneless([p - p.mean(0) for p in wandering(runs, calm)])
     if not pieces:
         return ()
-    found: list[Named] = []
+    found: list[tuple[float, Named]] = []
     for j, (name, unit) in enumerate(outputs):
         own = [p[:, [j]] for p in pieces]
         p_white = whiteness_p(own)
         if p_white < SURE:
-            found.append(_named(name, unit, own, p_white, effect + len(found), runs[0].dt))
-    return tuple(found)
+            found.append(_named(name, unit, own, p_white, runs[0].dt))
+    found.sort(key=lambda pair: -pair[0])  # a loop carries colour to other outputs, where its share is smaller
+    return tuple(replace(named, effect=effect + k) for k, (_, named) in enumerate(found))
 
 
 def _without(run: Run, e: Array, lines: Sequence[float]) -> Array:
@@ -45,7 +47,8 @@ def _without(run: Run, e: Array, lines: Sequence[float]) -> Array:
     return np.asarray(e - waves @ np.linalg.lstsq(waves, e, rcond=None)[0])
 
 
-def _named(name: str, unit: str, pieces: Sequence[Array], p_white: float, effect: int, dt: float) -> Named:
+def _named(name: str, unit: str, pieces: Sequence[Array], p_white: float, dt: float) -> tuple[float, Named]:
+    """Return the share of the noise's power that is coloured, and the name."""
     r = _correlation(pieces)
     pole, power = _first_order(r)
     sd = float(np.sqrt(power))
@@ -56,7 +59,7 @@ def _named(name: str, unit: str, pieces: Sequence[Array], p_white: float, effect
         f"noise of sensor {name}: coloured (whiteness p = {p_white:.1g}), rms {sd:.3g} {unit} with a correlation time of "
         f"{seconds:.3g} s beside white noise; {100 * share:.0f} % of the noise's power"
     )
-    return Named("coloured_noise", f"output:{name}", 1.0, told, sentence, effect, 0.0, "noise")
+    return share, Named("coloured_noise", f"output:{name}", 1.0, told, sentence, 1, 0.0, "noise")
 
 
 def _correlation(pieces: Sequence[Array]) -> Array:

@@ -25,6 +25,7 @@ from afdsvc.lti.statespace import Array
 
 WORTH_SAYING = 0.03  # share of the gap below which a further effect is not named
 BETTER_SHAPE = 0.35  # share below which a second effect at the same place is only a better shape of the first
+BETTER_ELSEWHERE = 0.1  # the same at another place, whose answer runs as that of the first
 ALIKE = 0.4  # correlation of two answers from which one may be the other's better shape
 SURE_SECOND = 4.0  # standard errors a further effect must show
 QUIET = 1e-3  # p-value above which what is left counts as noise
@@ -126,7 +127,7 @@ def _needless(objective: Objective, ruling: Ruling, whole: float) -> bool:
     """Whether an effect closes too little of the ``whole`` gap beside the others to be told."""
     choice = ruling.rivals[0].candidate
     share = float((ruling.nothing.blocks - choice.blocks).sum()) / whole
-    return share < WORTH_SAYING or (share < BETTER_SHAPE and bool(_shaped(objective, choice.point)))
+    return share < WORTH_SAYING or bool(_shaped(objective, choice.point, share))
 
 
 def sight_tone(base: Baseline) -> Tone:
@@ -207,16 +208,19 @@ def _second(base: Baseline, ruling: Ruling, share: float) -> str:
     z = separation(ruling.nothing.blocks, choice.blocks)
     if z < SURE_SECOND:
         return f"a further effect ({choice.key}) shows in {z:.1f} standard errors only"
-    same = _shaped(base.objective, choice.point)
-    if same and share < BETTER_SHAPE:
+    same = _shaped(base.objective, choice.point, share)
+    if same:
         return f"a further effect ({choice.key}) only mends the shape of {same}"
     return ""
 
 
-def _shaped(objective: Objective, point: Point) -> str:
-    """Return which effect the last one of a point is like: at the same place, with an answer of about the same course; or ""."""
+def _shaped(objective: Objective, point: Point, share: float) -> str:
+    """Return which effect the last one of a point, closing this ``share`` of the gap, is a better shape of; or "".
+
+    Laws are never exact, so what the first leaves runs as its own answer does, and is small: smaller where another place offers it.
+    """
     *others, last = point.effects
-    near = [k for k, e in enumerate(others) if e.hypothesis.site == last.hypothesis.site]
+    near = [k for k, e in enumerate(others) if share < (BETTER_SHAPE if e.hypothesis.site == last.hypothesis.site else BETTER_ELSEWHERE)]
     if not near:
         return ""
     whole, own = objective.vector(point), _answer(objective, point, len(others))

@@ -14,6 +14,7 @@ from afdsvc.gap.whitening import correlation_time
 from afdsvc.lti.statespace import Array
 
 SURE = 1e-6
+LOUDER = 1.1  # ratio of excitations from which two recordings have different levels
 GROWTH = 1.08  # ratio of powers from which it matters
 
 
@@ -48,7 +49,10 @@ def _of_output(known: Sequence[tuple[Run, Sequence[Array]]], j: int) -> Growth:
         x = np.vstack([p[:, [j]] - p[:, j].mean() for p in pieces])
         powers.append(float((x**2).mean()))
         freedoms.append(x.size * (len(pieces) - 1) / len(pieces) / correlation_time(x))
+    levels = [float(np.nanstd(r.U, axis=0).max()) for r, _ in known]
     a, b = int(np.argmax(powers)), int(np.argmin(powers))
+    if levels[a] <= LOUDER * levels[b]:  # what does not grow with the excitation is noise that is not the same every day
+        return Growth(j, known[a][0].name, known[b][0].name, 1.0, 1.0)
     ratio = powers[a] / max(powers[b], 1e-300)
     p = min(1.0, len(known) ** 2 * float(stats.f.sf(ratio, freedoms[a], freedoms[b])))
     return Growth(j, known[a][0].name, known[b][0].name, ratio, p)

@@ -16,17 +16,22 @@ from scipy import stats
 
 from afdsvc.gap.baseline import Baseline
 
+SHAPE = 0.01  # share of what a law explains that the model's numbers may take up: laws are right to a tenth of their answer
 SURE = 1e-5  # p-value of the strain below which the owner's statement is contradicted
 RANDOM = 1e-5  # p-value of an excess of noise
 CALM = 1.03  # ratio of standard deviations up to which an output is as quiet as stated
 FREQUENT = 0.5  # share of an effect's power in an output from which it acts there
 
 
-def strained(base: Baseline) -> str:
-    """Return why the model is bent too far at the end of a search, or ""."""
+def strained(base: Baseline, explained: float = 0.0) -> str:
+    """Return why the model is bent too far at the end of a search, or "".
+
+    ``explained`` is what the laws named take away of the whitened sum of squares; a changed constant is exact and takes no
+    such allowance.
+    """
     theta = base.point.theta
     strain = float(theta @ theta)
-    p = float(stats.chi2.sf(strain, max(len(theta), 1)))
+    p = float(stats.chi2.sf(strain - SHAPE * explained, max(len(theta), 1)))
     if base.limited != "noise" or len(theta) == 0 or p > SURE:
         return ""
     worst = int(np.argmax(np.abs(theta)))

@@ -46,7 +46,7 @@ def judged(found: Found, done: Explained) -> Judgement:
         why = f"only {100 * done.fraction:.0f} % of the gap goes with the best hypotheses ({best} first), so none of them is claimed"
         return Judgement("unexplained", (why, *words), remains=True)
     tinted = {n.site.partition(":")[2] for n in noise if n.physics == "coloured_noise"}
-    lacking = strained(found.end) or (irregular(found.end, tinted) if found.steps else "")
+    lacking = strained(found.end, _explained_by_laws(found)) or (irregular(found.end, tinted) if found.steps else "")
     if lacking:
         nearest = f"; nearest comes {found.steps[0].ruling.rivals[0].candidate.key}, which is not claimed" if found.steps else ""
         return Judgement("unexplained", (lacking + nearest, *words), remains=True)
@@ -60,6 +60,15 @@ def judged(found: Found, done: Explained) -> Judgement:
     if noise:
         return Judgement("omitted_physics", words, True, noise)
     return Judgement("consistent", ("nothing is left in the recordings but noise", *words))
+
+
+def _explained_by_laws(found: Found) -> float:
+    """Return by how much the named laws lower the whitened sum of squares; 0 where only constants are changed."""
+    effects = found.end.point.effects
+    if not effects or is_change([e.hypothesis for e in effects]):
+        return 0.0
+    costs = [float(np.square(b.objective.vector(b.point)).sum()) for b in (found.start, found.end)]
+    return max(costs[0] - costs[1], 0.0)
 
 
 def _restless(found: Found, g: Growth) -> str:

@@ -15,9 +15,9 @@ from afdsvc.gap.stepped import stepped
 PERIOD, PERIODS = 1000, 5
 
 
-def run(name: str = "r") -> Run:
+def run(name: str = "r", level: float = 1.0) -> Run:
     n = PERIOD * PERIODS
-    u = np.tile(np.random.default_rng(0).standard_normal((PERIOD, 1)), (PERIODS, 1))
+    u = level * np.tile(np.random.default_rng(0).standard_normal((PERIOD, 1)), (PERIODS, 1))
     empty = np.zeros((n, 0))
     return Run(name, 1e-3, 0.0, u, np.zeros((n, 1)), empty, np.zeros((n, 1)), (), period=PERIOD)
 
@@ -50,10 +50,23 @@ def test_a_tone_is_no_coloured_noise():
 
 def test_what_grows_with_the_level_is_no_noise():
     assert not growth([run("a"), run("b")], [white(1), white(2)]).matters
-    found = growth([run("quiet"), run("loud")], [white(1), white(2, 1.3)])
+    found = growth([run("quiet"), run("loud", 2.0)], [white(1), white(2, 1.3)])
     assert found.matters
     assert (found.loud, found.quiet) == ("loud", "quiet")
     assert found.ratio == pytest.approx(1.69, rel=0.1)
+
+
+def test_noise_that_is_louder_on_a_day_of_weaker_excitation_does_not_grow_with_it():
+    assert not growth([run("quiet", 2.0), run("loud", 1.0)], [white(1), white(2, 1.3)]).matters
+    assert not growth([run("quiet"), run("loud")], [white(1), white(2, 1.3)]).matters
+
+
+def test_of_two_outputs_with_coloured_noise_the_more_coloured_one_is_told_first():
+    pair = np.hstack([white(1) + first_order(2, 0.9, 0.5), white(3) + first_order(4, 0.9, 1.5)])
+    one = run()
+    both = Run("r", 1e-3, 0.0, one.U, np.zeros_like(pair), np.zeros((len(pair), 0)), np.zeros_like(pair), (), period=PERIOD)
+    names = coloured([both], [pair], [("a", "m"), ("b", "m")], 2)
+    assert [(n.site, n.effect) for n in names] == [("output:b", 2), ("output:a", 3)]
 
 
 def test_coloured_noise_of_one_size_does_not_seem_to_grow():
