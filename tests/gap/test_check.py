@@ -72,6 +72,17 @@ def test_a_wrong_unit_is_named_with_its_factor(column, factor, word):
     assert word in refused
 
 
+@pytest.mark.parametrize("share", [0.3, -0.3])
+def test_crosstalk_between_sensors_is_no_wrong_unit(share):
+    """The small path of the model may be several times off, with the other sign, when a sensor hears the other axis."""
+    crossed = []
+    for t in sound()[1]:
+        values, names = t.values.copy(), [c.name for c in t.channels]
+        values[:, names.index("y_horizontal")] += share * values[:, names.index("y_vertical")]
+        crossed.append(Trace(t.name, t.dt, t.channels, values, t.t0))
+    assert objection(check(sound()[0], crossed)) == ""
+
+
 def test_a_wrong_unit_of_an_input_is_seen():
     refused = objection(check(sound()[0], spoiled("u_vertical", lambda x: 1e-3 * x)))
     assert "u_vertical" in refused

@@ -87,6 +87,14 @@ def test_a_model_beyond_its_statement_is_strained():
     assert "A[1,0]" in said
 
 
+def test_a_named_law_may_strain_the_model_a_little_for_what_it_explains():
+    """A hundredth of the sum of squares that a law takes away: laws are right in form to a tenth of their answer."""
+    base = start(plant(stiffness=1.2))
+    strain = float(base.point.theta @ base.point.theta)
+    assert strained(base, 100 * strain) == ""
+    assert strained(base, 10 * strain) != ""
+
+
 def test_a_model_that_states_nothing_is_not_strained():
     base = start(plant(stiffness=1.2))
     assert strained(replace(base, limited="model")) == ""
