@@ -12,7 +12,7 @@ variance in short bursts; mean and variance to order 1/n are computed from the l
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,7 +45,8 @@ class RegressionSums:
 class Regression:
     """Statistic of the regression detector. ``false_alarm`` is per burst, ``bounds`` those of the severities, ``sd``
     the standard deviations of the model's uncertain parameters, which are averaged out, ``nuisances`` what is projected
-    out of residual and regressors, ``theta (K, p, F)`` makes the regressors from the features in the series.
+    out of residual and regressors, ``theta (K, p, F)`` makes the regressors from the features in the series. Severities of
+    the faults of ``first_order`` are told with an error of their square beside the standard error.
     """
 
     names: tuple[str, ...]
@@ -56,6 +57,7 @@ class Regression:
     noise: NoiseDriven
     theta: Array
     nuisances: Nuisances = NONE
+    first_order: frozenset[str] = frozenset()
 
     def start(self, burst: Burst, dt: float) -> RegressionSums:
         """Return empty sums."""
@@ -78,7 +80,8 @@ class Regression:
         both = zip(self.names, b, np.diag(G), strict=True)
         fits = tuple(linear_fit(name, float(v), float(g), self.bounds) for name, v, g in both)
         parts = {"samples": float(sums.products.n)}
-        return [Finding(statistic, h, fits, weights(fits, self._anything(sums, burst)), parts)]
+        told = tuple(replace(f, sd=float(np.hypot(f.sd, f.severity**2))) if f.fault in self.first_order else f for f in fits)
+        return [Finding(statistic, h, told, weights(fits, self._anything(sums, burst)), parts)]
 
     def test(self, sums: RegressionSums, burst: Burst) -> tuple[float, float]:
         """Return statistic and threshold only."""
@@ -123,7 +126,8 @@ def regression(
     """Return the statistic for one machine and the filters whose series it is shown."""
     p, rate = problem.plant.outputs, problem.false_alarms.per_burst
     noise = noise_driven(problem, filters if isinstance(filters, Regressors) else None)
-    return Regression(problem.fault_names, filters.sd, p, rate, problem.severity_range, noise, filters.theta, nuisances)
+    first_order = frozenset(n for n, exact in zip(filters.names, filters.exact, strict=False) if not exact)
+    return Regression(problem.fault_names, filters.sd, p, rate, problem.severity_range, noise, filters.theta, nuisances, first_order)
 
 
 def _omega(burst: Burst | None) -> tuple[float, ...]:

@@ -54,7 +54,7 @@ def conclude(evidence: Sequence[Evidence]) -> Verdict:
     """Return the verdict of decisions in the order they were made.
 
     The alarm is the first trustworthy detection. The fault is the one the newest burst names with certainty (its strongest
-    decision: the largest margin over its threshold); its severity is pooled over the bursts before that named the same fault,
+    decision: the largest margin over its threshold); its severity, the surest estimate of each burst, is pooled over the bursts before that named the same fault,
     as long as they agree. Else the newest weights are told. A passive detection, which excites nothing, never overrides what a
     burst has told.
     """
@@ -69,8 +69,9 @@ def conclude(evidence: Sequence[Evidence]) -> Verdict:
     if newest is None:
         weighted = [e for e in told[-1] if e.weights] or told[-1]
         return Verdict(None, None, found[0].seconds, weighted[-1].weights, True)
-    same = list(takewhile(lambda e: e is not None and e.fault == newest.fault, reversed(best)))
-    estimates = [e.severity for e in same if e is not None and e.severity is not None]
+    both = zip(reversed(best), reversed(told), strict=True)
+    same = [group for e, group in takewhile(lambda b: b[0] is not None and b[0].fault == newest.fault, both)]
+    estimates = [s for s in (surest(group, newest.fault) for group in same) if s is not None]
     return Verdict(newest.fault, pooled(estimates) if estimates else None, found[0].seconds, newest.weights, True)
 
 
@@ -81,6 +82,12 @@ def strongest(decisions: Sequence[Evidence]) -> Evidence | None:
     """
     named = [e for e in decisions if e.fault]
     return max(named, key=lambda e: (e.severity is not None, e.statistic - e.threshold), default=None)
+
+
+def surest(decisions: Sequence[Evidence], fault: str | None) -> Severity | None:
+    """Return the severity with the smallest standard error among the decisions that name this fault, None when none tells any."""
+    told = [e.severity for e in decisions if e.fault == fault and e.severity is not None]
+    return min(told, key=lambda s: s.sd, default=None)
 
 
 def open_question(decisions: Sequence[Evidence]) -> Question | None:

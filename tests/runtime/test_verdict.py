@@ -48,6 +48,13 @@ def test_the_strongest_of_the_newest_burst_names_the_fault():
     assert verdict.first_detected_s == 1.0
 
 
+def test_the_severity_is_that_of_the_surest_decision_on_the_fault():
+    strong = replace(said(statistic=99.0), severity=Severity(-0.41, 0.17))
+    sure = replace(said("matched_filter", statistic=50.0), severity=Severity(-0.3, 0.01))
+    other = replace(said("fault_curves", statistic=20.0, fault="c"), severity=Severity(-0.9, 0.001))
+    assert conclude([strong, sure, other]).severity == sure.severity
+
+
 def test_a_passive_detection_never_overrides_a_burst():
     passive = said("passive_cusum", burst="", seconds=9.0, fault=None)
     assert conclude([said(), passive]).fault == "a"
