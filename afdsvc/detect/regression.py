@@ -30,6 +30,7 @@ from afdsvc.detect.watch import BurstSamples, Finding
 from afdsvc.lti.statespace import Array
 
 UNSEEN = 1e-9  # a fault whose information is below this share of the best seen one is invisible to this burst
+CURVATURE = 2.0  # errors of first-order severities seen are 1.2 to 2.2 times the severity's square
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +47,7 @@ class Regression:
     """Statistic of the regression detector. ``false_alarm`` is per burst, ``bounds`` those of the severities, ``sd``
     the standard deviations of the model's uncertain parameters, which are averaged out, ``nuisances`` what is projected
     out of residual and regressors, ``theta (K, p, F)`` makes the regressors from the features in the series. Severities of
-    the faults of ``first_order`` are told with an error of their square beside the standard error.
+    the faults of ``first_order`` are told with twice their square beside the standard error.
     """
 
     names: tuple[str, ...]
@@ -80,7 +81,7 @@ class Regression:
         both = zip(self.names, b, np.diag(G), strict=True)
         fits = tuple(linear_fit(name, float(v), float(g), self.bounds) for name, v, g in both)
         parts = {"samples": float(sums.products.n)}
-        told = tuple(replace(f, sd=float(np.hypot(f.sd, f.severity**2))) if f.fault in self.first_order else f for f in fits)
+        told = tuple(replace(f, sd=float(np.hypot(f.sd, CURVATURE * f.severity**2))) if f.fault in self.first_order else f for f in fits)
         return [Finding(statistic, h, told, weights(fits, self._anything(sums, burst)), parts)]
 
     def test(self, sums: RegressionSums, burst: Burst) -> tuple[float, float]:

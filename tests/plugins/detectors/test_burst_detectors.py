@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from afdsvc.errors import BadInput
+from afdsvc.plants.gas_bearing import gas_bearing
 from afdsvc.plugins.detectors import afdsvc_detectors
 from afdsvc.testing.machines import bearing_problem
 
@@ -195,3 +196,15 @@ def test_missing_noise_is_refused_at_design(name):
     problem = replace(bearing_problem(), covariance=np.full((2, 2), np.nan))
     with pytest.raises(BadInput, match="state the noise of every output"):
         DESIGNS[name].design(problem, {})
+
+
+def test_a_severity_of_first_order_says_how_wrong_it_may_be(bursts, run, shown):
+    """Stiffness is no gain: one regression is right to first order only, and its error covers what the second order does."""
+    problem = bearing_problem("proportional")
+    names = ("stiffness_hh", "damping_vv")
+    problem = replace(problem, augmented=gas_bearing().faults(list(names)), severity_range=(-0.5, 0.0))
+    burst = bursts("proportional")[1]
+    found, *_ = shown(DESIGNS["regression"].design(problem, {}), run(problem, burst, {"stiffness_hh": -0.1}, 5), burst)
+    assert found.detected
+    assert found.fault == "stiffness_hh"
+    assert 0.01 < abs(found.severity.value + 0.1) < 3 * found.severity.sd
