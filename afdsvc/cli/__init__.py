@@ -95,11 +95,12 @@ def serve(
     """Run the service of one site until SIGTERM or Ctrl-C."""
     from afdsvc.runtime.site import read_site
     from afdsvc.service import serving
-    from afdsvc.supervision import start_logging, supervised
+    from afdsvc.supervision import collect_rarely, start_logging, supervised
 
     start_logging(_one_of("--log", logs, ("text", "json")))
     stop, log = _stop_on_signals(), logging.getLogger("afdsvc")
     with serving(read_site(site)) as hub, supervised(hub.healthy):
+        collect_rarely()
         log.info("%s: serving '%s' with %d machine(s)", __version__, hub.keys.site, len(hub.watches))
         stop.wait(seconds)
     _leave()
