@@ -19,6 +19,7 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUM
 
 import numpy as np  # noqa: E402
 from drawn_cases import CASES, Doubtful, Machine, Playground  # noqa: E402
+from drawn_cusum import cusum_drawn  # noqa: E402
 from drawn_judges import Judges  # noqa: E402
 from drawn_lines import line_rates, wider  # noqa: E402
 from drawn_loss import Loss, losses  # noqa: E402
@@ -30,6 +31,7 @@ from scipy.special import logsumexp  # noqa: E402
 from afdsvc.detect.noise_driven import noise_driven  # noqa: E402
 from afdsvc.detect.power import tail_point  # noqa: E402
 from afdsvc.detect.reach import reachable  # noqa: E402
+from afdsvc.errors import BadInput  # noqa: E402
 from afdsvc.lti.statespace import Array  # noqa: E402
 
 SEED = 1
@@ -66,7 +68,9 @@ def rows(doubtful: Doubtful, plain: int, rare: int) -> list[Row]:
     hits = np.array([_plain(doubtful, ground, judges, rng) for _ in range(plain)])
     faults = _faults(doubtful)
     weights = np.array([_rare(doubtful, ground, judges, faults, rng) for _ in range(rare)])
-    out, seldom = [], line_rates(doubtful, tuple(r for r in RATES if r < COUNTED), 2 * rare, 20, SEED)
+    out, rarer = list[Row](), tuple(r for r in RATES if r < COUNTED)
+    seldom = line_rates(doubtful, rarer, 4 * rare, 20, SEED)
+    seldom |= {("cusum", rate): both for rate, both in cusum_drawn(doubtful, rarer, 32 * rare, 5, SEED).items()}
     for i, name in enumerate(judges[0].names):
         for j, rate in enumerate(RATES):
             both = seldom.get((name, rate)) or [
@@ -97,7 +101,10 @@ def _rare(
     """
     z, log_prior = wider(rng, len(doubtful.deviations))
     drawn = {name: float(sd * v) for (name, sd), v in zip(doubtful.deviations.items(), z, strict=True)}
-    machines = [ground.machine({**drawn, **fault}) for fault in faults]
+    try:
+        machines = [ground.machine({**drawn, **fault}) for fault in faults]
+    except BadInput:  # so far out that a loop is lost: nothing comes back
+        return np.zeros((2, len(Judges.names), len(RATES)))
     series, run = ground.play(machines[int(rng.integers(len(machines)))], rng)
     densities = np.array([machine.log_density(run) for machine in machines])
     weight = np.exp(log_prior + densities[0] - logsumexp(densities) + np.log(len(machines)))
@@ -122,7 +129,7 @@ def main() -> None:
     parser.add_argument("--docs", action="store_true", help="write docs/reference/detection-drawn.md and .csv")
     parser.add_argument("--cases", nargs="*", default=list(CASES), choices=list(CASES))
     wanted = parser.parse_args()
-    plain, rare = (60, 60) if wanted.quick else (600, 500)
+    plain, rare = (60, 60) if wanted.quick else (1000, 250)
     started, found, lost = time.process_time(), list[Row](), list[Loss]()
     cases = [CASES[key]() for key in wanted.cases]
     for doubtful in cases:

@@ -1,7 +1,7 @@
 """Rare alarms of the line detectors on machines with parameters drawn: only the coordinates of the lines are drawn.
 
-Their mean and covariance follow from the machine's own response at the lines. Half of the machines come from a wider density than
-stated; on each, noise is pushed along the directions likeliest to alarm. Both are weighted back.
+Their mean and covariance follow from the machine's own response at the lines. Two thirds of the machines come from wider densities
+than stated; on each, noise is pushed along the directions likeliest to alarm. Both are weighted back.
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from afdsvc.detect.curves import fault_curves
 from afdsvc.detect.uncertainty import model_doubt
 from afdsvc.lti.statespace import Array
 
-WIDER = 1.7  # times the stated uncertainty, for half of the machines
+SCALES = (1.0, 1.7, 3.0)  # times the stated uncertainty, in equal parts
 PUSHES = 64  # directions noise is pushed along, at most
 
 
 def wider(rng: np.random.Generator, count: int) -> tuple[Array, float]:
     """Return standardised deviations drawn for one machine and the logarithm of their weight."""
-    z = rng.normal(size=count) * (WIDER if rng.random() < 0.5 else 1.0)
-    return z, float(-np.log(0.5 + 0.5 * np.exp(0.5 * float(z @ z) * (1 - WIDER**-2)) / WIDER**count))
+    scales = np.array(SCALES)
+    z = rng.normal(size=count) * scales[int(rng.integers(len(scales)))]
+    return z, float(-logsumexp(0.5 * float(z @ z) * (1 - scales**-2) - count * np.log(scales)) + np.log(len(scales)))
 
 
 def line_rates(

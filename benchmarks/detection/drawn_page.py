@@ -23,11 +23,11 @@ Made by `python benchmarks/detection/drawn.py --docs` ({seconds:.0f} CPU seconds
 [detection-drawn.csv](detection-drawn.csv). The machine that makes the data is healthy, its uncertain parameters are drawn from
 their stated distribution, a new machine for every burst; what is believed is the nominal model. Wanted: alarms not above the promise.
 
-Rates of 1/10 and 1/100 are counted on played bursts. Rarer ones are found by importance sampling, parameters drawn from a density half
-of which is wider: for the line detectors only the coordinates of the lines are drawn, with mean and covariance of each machine; for the
-others whole bursts are played, with faults of two severities, and weighted by their likelihood without a fault over that of the
-mixture. Their few hundred bursts are too few for most of the rare cells, which are refused. Intervals are 99 %. *Taken as certain* is
-the same detector on the same machines, had its owner stated no uncertainty.
+Rates of 1/10 and 1/100 are counted on played bursts. Rarer ones are found by importance sampling, parameters drawn from a density part
+of which is wider: for the line detectors and the CUSUM only the coordinates of the lines are drawn, with mean and covariance of each
+machine; for the others whole bursts are played, with faults of two severities, and weighted by their likelihood without a fault over
+that of the mixture. Those few hundred bursts are too few for the rare cells, which are refused. Intervals are 99 %. *Taken as certain*
+is the same detector on the same machines, had its owner stated no uncertainty.
 
 """
 BLIND = """\
