@@ -23,6 +23,7 @@ from afdsvc.runtime.intake import Expectation, Finding, IntakeState, judge, long
 log = logging.getLogger(__name__)
 LONGEST_SETTLING = 20_000
 REMEMBERED = 64  # bursts known by name
+JUDGED = ("diagnose", "isolate")  # purposes of bursts that detectors are designed for; others have far too many lines
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +48,8 @@ class Pipeline:
     """Residual generation and detectors of one machine.
 
     After every start and every interruption the residual filter settles for a while before detectors see it: its initial
-    state is unknown. Bursts are known by name from the requests (`announce`); blocks of an unknown burst are not judged.
+    state is unknown. Bursts are known by name from the requests (`announce`); blocks of an unknown burst are not judged, nor are
+    those of a burst made for something else than detection.
     """
 
     problem: DetectionProblem
@@ -129,6 +131,8 @@ class Pipeline:
     def _seen(self, block: Block, r: Array) -> ResidualBlock:
         name, start = self._burst
         known = self.bursts.get(name) if name else None
+        if known is not None and known.purpose not in JUDGED:
+            known = None
         aux = {c.label: block.values[:, i] for i, c in enumerate(block.channels) if c.role == "aux"}
         return ResidualBlock(
             block.k0,
