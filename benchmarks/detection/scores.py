@@ -15,6 +15,7 @@ from bursts import Played, Player
 from scipy.special import logsumexp
 
 from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect.active import ActiveSums
 from afdsvc.detect.demodulate import BasisSums
 from afdsvc.detect.hypotheses import LineData, anything_log_evidence, curve_fit, weights
 from afdsvc.detect.matched import MatchedFilter
@@ -139,7 +140,9 @@ def stepped_scorer(name: str, player: Player, thin: int = 1, label: str = "", **
 
 def _unbounded(sums: object) -> object:
     """Return sums of a sequential test that goes on to the end of the burst, so that its peak can be read."""
-    return replace(sums, boundary=math.inf) if hasattr(sums, "boundary") else sums  # type: ignore[type-var]
+    if isinstance(sums, ActiveSums):
+        return replace(sums, plan=replace(sums.plan, cusum=replace(sums.plan.cusum, boundary=math.inf)))
+    return sums
 
 
 def energy_scorer(name: str, player: Player) -> Scorer:
