@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from afdsvc.detect.hypotheses import linear_fit, weights
 from afdsvc.detect.products import Products, add_products
 from afdsvc.detect.watch import Finding
+from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 
 
@@ -72,6 +73,8 @@ class Cusum:
 
         ``flat (n, p + F)`` is the normalised residual, then the features. Stops at the crossing.
         """
+        if flat.shape[1] != sum(state.cross.shape):
+            raise BadInput(f"series of {flat.shape[1]} columns; {' and '.join(map(str, state.cross.shape))} of residual and features are wanted")
         g, n, total, began = state.g.copy(), state.n.copy(), state.total.copy(), state.began.copy()
         cross, square = state.cross.copy(), state.square.copy()
         at, who, peak, begun = _cusum(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 
 
@@ -29,9 +30,15 @@ class Products:
         return cls(0, np.zeros((outputs, features)), np.zeros(features * (features + 1) // 2))
 
     def add(self, series: Array) -> Products:
-        """Return the sums with samples added; ``series (n, S, p)``: the residual, then features as vectors of p."""
+        """Return the sums with samples added; ``series (n, S, p)``: the residual, then features as vectors of p.
+
+        Raises `BadInput` when the series holds other features than the sums do.
+        """
         cross, square = self.cross.copy(), self.square.copy()
-        _accumulate(np.ascontiguousarray(series).reshape(len(series), -1), cross, square)
+        flat = np.ascontiguousarray(series).reshape(len(series), -1)
+        if flat.shape[1] != sum(cross.shape):
+            raise BadInput(f"series of {flat.shape[1]} columns; {cross.shape[0]} of the residual and {cross.shape[1]} features are wanted")
+        _accumulate(flat, cross, square)
         return Products(self.n + len(series), cross, square)
 
     def score(self, theta: Array) -> Array:

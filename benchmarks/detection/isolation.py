@@ -14,7 +14,7 @@ from scores import Clairvoyant, line_weights, statistic
 from afdsvc.api.bursts import Burst
 from afdsvc.detect.demodulate import BasisSums, project
 from afdsvc.detect.hypotheses import NONE, anything_log_evidence, linear_fit, weights
-from afdsvc.detect.regression import Regression, averaged_out
+from afdsvc.detect.regression import Regression, averaged_out, regression
 from afdsvc.excite.default import second_burst
 from afdsvc.lti.statespace import Array
 
@@ -94,7 +94,7 @@ def check(player: Player, played: Played) -> float:
     """Return the largest difference between these weights and those the detectors report themselves, over two bursts."""
     off = 0.0
     for name, weigh in (("regression", _regression_weights(player)), ("fault_curves", line_weights("fault_curves", player))):
-        found = statistic(name, player.problem)
+        found = regression(player.problem, player.filters) if name == "regression" else statistic(name, player.problem)
         for shown, fast in zip(played.shown[:2], weigh(played)[:2], strict=True):
             sums, _ = found.step(found.start(player.burst, shown.dt), shown)  # type: ignore[attr-defined]
             slow = found.decide(sums, player.burst, shown.dt)[0].weights  # type: ignore[attr-defined]

@@ -21,7 +21,7 @@ from afdsvc.detect.hypotheses import LineData, anything_log_evidence, curve_fit,
 from afdsvc.detect.matched import MatchedFilter
 from afdsvc.detect.power import tail_point
 from afdsvc.detect.reach import reachable
-from afdsvc.detect.regression import Regression, averaged_out
+from afdsvc.detect.regression import Regression, averaged_out, regression
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array
 from afdsvc.lti.whitening import innovations
@@ -216,6 +216,8 @@ def check(player: Player, played: Played) -> dict[str, float]:
     off = {}
     for scorer in (line_scorer("matched_filter", player), line_scorer("fault_curves", player), regression_scorer(player)):
         found, fast = statistic(scorer.name, player.problem), scorer.score(played)
+        if scorer.name == "regression":  # bursts are shown with every regressor in its own column
+            found = regression(player.problem, player.filters)
         for i, shown in enumerate(played.shown[:2]):
             sums, _ = found.step(found.start(player.burst, shown.dt), shown)  # type: ignore[attr-defined]
             slow = found.decide(sums, player.burst, shown.dt)[0].statistic  # type: ignore[attr-defined]
