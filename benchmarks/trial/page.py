@@ -39,7 +39,8 @@ def main(folder: Path, planned: int, commit: str) -> None:
         "done is a fair sample); the same command with the same folder goes on with the rest. With so few, read the intervals, not the "
         "percentages.\n" if len(done) < planned else f"\n{planned} trials, commit {commit}.\n"
     )
-    command = f"\nMade by `afdsvc trial --folder trials --n {planned} --seed 2026` and `python benchmarks/trial/page.py trials {planned} {commit}`.\n"
+    seed = done[0]["answer"]["seed"].split("/")[0]
+    command = f"\nMade by `afdsvc trial --folder trials --n {planned} --seed {seed}` and `python benchmarks/trial/page.py trials {planned} {commit}`.\n"
     (DOCS / "blind-trials.md").write_text(f"{title}\n{short}{HOW}{command}{rest}", encoding="utf-8")
     (folder / "blind-trials.html").write_text(page(done, "Blind trials of explain"), encoding="utf-8")
 
