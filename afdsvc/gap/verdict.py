@@ -39,7 +39,8 @@ def judged(found: Found, done: Explained) -> Judgement:
     noise = _noise_names(found)
     words = (*_noise_words(found), *(n.sentence for n in noise))
     restless = growth(found.end.objective.runs, raw(found.end.objective, found.end.point))
-    if restless is not None and restless.matters:
+    rounded = {n.site for n in noise if n.physics == "quantisation"}  # what rounding does repeats, and follows the level
+    if restless is not None and restless.matters and f"output:{found.end.nominal.model.outputs[restless.output].name}" not in rounded:
         return Judgement("unexplained", (_restless(found, restless), *words), remains=True)
     if found.steps and _too_little(done):
         best = found.steps[0].ruling.rivals[0].candidate.key
@@ -53,12 +54,12 @@ def judged(found: Found, done: Explained) -> Judgement:
     if found.steps:
         changed = is_change([e.hypothesis for e in found.end.point.effects]) and not noise
         return Judgement("parameter_change" if changed else "omitted_physics", (_closed(done), *words), True, noise, _left(done))
-    if _left(done):
+    if _left(done) and not rounded:
         p = done.before.total.p if done.before else 0.0
         why = f"something repeats with the excitation (p = {p:.1g}) that no hypothesis explains"
         return Judgement("unexplained", (why, *words), remains=True)
     if noise:
-        return Judgement("omitted_physics", words, True, noise)
+        return Judgement("omitted_physics", words, True, noise, _left(done))
     return Judgement("consistent", ("nothing is left in the recordings but noise", *words))
 
 

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from tempfile import mkdtemp
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from afdsvc.api.physics import Size
 from afdsvc.gap.coloured import coloured
+from afdsvc.gap.explain import explain
 from afdsvc.gap.runs import Run
 from afdsvc.gap.stationary import growth
 from afdsvc.gap.stepped import stepped
+from afdsvc.plugins.physics import afdsvc_physics
+from afdsvc.record.model_file import read_model
+from afdsvc.trial import Options, generate
+from afdsvc.trial.model_text import model_text
 
 PERIOD, PERIODS = 1000, 5
 
@@ -80,3 +88,13 @@ def test_steps_are_named_when_they_matter_beside_the_noise():
     assert (name.physics, name.site) == ("quantisation", "output:y")
     assert name.parameters["step"].value == 0.5
     assert not stepped([port], np.array([4.0]), 1)
+
+
+def test_coarse_rounding_is_named_though_it_repeats_with_the_excitation():
+    """A periodic signal is rounded alike in every period: what repeats is no sign of something else."""
+    trial = generate("quantisation", "output:horizontal", 1.0, np.random.default_rng(11), Options(periods=3))
+    path = Path(mkdtemp()) / "model.toml"
+    path.write_text(model_text(trial.machine))
+    answer = explain(read_model(path), trial.recordings, (trial.holdout,), afdsvc_physics(), rehearse=False)
+    assert answer.verdict == "omitted_physics"
+    assert (answer.named[0].physics, answer.named[0].site) == ("quantisation", "output:horizontal")
