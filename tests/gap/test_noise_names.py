@@ -92,7 +92,7 @@ def test_steps_are_named_when_they_matter_beside_the_noise():
 
 def test_coarse_rounding_is_named_though_it_repeats_with_the_excitation():
     """A periodic signal is rounded alike in every period: what repeats is no sign of something else."""
-    trial = generate("quantisation", "output:horizontal", 1.0, np.random.default_rng(11), Options(periods=3))
+    trial = generate("quantisation", "output:horizontal", 1.0, np.random.default_rng(12), Options(controller="proportional"))
     path = Path(mkdtemp()) / "model.toml"
     path.write_text(model_text(trial.machine))
     answer = explain(read_model(path), trial.recordings, (trial.holdout,), afdsvc_physics(), rehearse=False)
