@@ -2,7 +2,7 @@
 
 The log-likelihood ratios use the regressors psi of `regressors`, advanced in blocks of a few milliseconds from the products
 that all faults share (`shared`, `products`). They gain information at a random rate: the run length is that of uneven
-steps (`uneven`, `arl`), at the mean rate the healthy loop determines.
+steps (`uneven`, `arl`), at the mean rate the healthy loop determines, corrected by simulating the loop (`joint_rate`).
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from afdsvc.detect import arl
 from afdsvc.detect.checks import Runs
 from afdsvc.detect.cusum import Cusum, CusumState, cusum
 from afdsvc.detect.gate import Gate, GateState, Judgement, finite
+from afdsvc.detect.joint_rate import joint_rate
 from afdsvc.detect.noise_driven import NoiseDriven, noise_driven
 from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
 from afdsvc.detect.once import at_rest, counted, stepped
@@ -219,7 +220,8 @@ def _boundary(
     wrong = noise.gram[: filters.faults, filters.faults :][which] * filters.sd[None, :]
     bias = block * np.abs(theta) * np.linalg.norm(wrong, axis=1)
     step = excursion_steps(noise, which, theta, block)
-    return rate_boundary(correlation(noise)[np.ix_(which, which)], mu, bias, step, per_block)
+    joint = joint_rate(noise, which, theta, block)
+    return rate_boundary(correlation(noise)[np.ix_(which, which)], mu, bias, step, per_block, joint)
 
 
 def correlation(noise: NoiseDriven) -> Array:

@@ -26,7 +26,7 @@ from afdsvc.testing.machines import with_rate
 
 GROUPS = 50  # of runs, for the jackknife
 HOUR = 3600.0
-LEAD = 3.0  # times the mean time a CUSUM takes to its boundary: after that alarms come at a steady rate
+LEAD = 3.0  # times the mean time the slowest CUSUM takes to its boundary: after that alarms come at a steady rate
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def watch(case: RateCase, rates: tuple[float, ...] = RATES) -> Watch:
     assert not noise.loop.D[:, :p].any()  # the regressors lag the residual
     A, B, C = (np.ascontiguousarray(x) for x in (noise.loop.A, noise.loop.B[:, :p], noise.loop.C[rows]))
     boundaries, gain = np.array([f.boundary for f in found]), 0.5 * theta**2 * noise.passive[which]
-    lead = max(int(np.ceil(LEAD * boundaries.max() / gain.max())), case.burst.samples)
+    lead = max(int(np.ceil(LEAD * boundaries.max() / gain.min())), case.burst.samples)
     return Watch(A, B, C, theta, boundaries, filters.settling(), found[0].test.block, lead, case.burst.samples)
 
 
