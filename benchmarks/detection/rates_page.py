@@ -42,9 +42,7 @@ included and fed block by block, decide the same on the same noise.
 """
 
 READING = """\
-The boundary of `passive_cusum` comes from a simulation of the loop when the detector is designed. Its rows for the unstable and the
-random plant were counted with that boundary; those for the gas bearing were counted with the formula the simulation corrects, and
-are still to be counted anew. `model_bank` promises an upper bound (Ville's inequality) and stays far below it. Its rare cells come from bursts of its own models:
+The boundary of `passive_cusum` comes from a simulation of the loop when the detector is designed. `model_bank` promises an upper bound (Ville's inequality) and stays far below it. Its rare cells come from bursts of its own models:
 no run that alarms can weigh more than the promise, so few effective alarms do not matter there. `published_a0` and
 `published_a_phi` are the thesis' filters as published: their threshold is that of a single template, and what they hold is the rate
 of the largest over all phases and outputs, 2 to 4 times as much.
