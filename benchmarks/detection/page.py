@@ -114,7 +114,7 @@ def _same(found: Delays) -> Table:
 def _active(found: Delays) -> Table:
     rows = [[f"{-100 * s:g} %", str(m), f"{share:.2f}", f"{best:.3g}"] for s, (m, share, best) in found.active.items()]
     header = ["lost", "mean time to alarm [s]", "bursts that alarm", "minimax for the known wave [s]"]
-    text = f"{found.fault}, `cusum` with its default deflection of 12; a test over the whole burst needs {found.case.burst.samples * found.case.problem.plant.dt:g} s."
+    text = f"{found.fault}, `cusum` as designed by default; a test over the whole burst needs {found.case.burst.samples * found.case.problem.plant.dt:g} s."
     return Table(f"Delay inside a burst: {found.case.title}", text, header, rows)
 
 
