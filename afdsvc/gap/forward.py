@@ -11,7 +11,7 @@ from scipy import stats
 from afdsvc.api.physics import Machine, Physics
 from afdsvc.gap.baseline import Baseline, again, baseline
 from afdsvc.gap.clock import aligned, reads_time
-from afdsvc.gap.judge import Ruling, judge, separation
+from afdsvc.gap.judge import Ruling, bent, judge, separation
 from afdsvc.gap.lines import Tone, peaks, tones
 from afdsvc.gap.nominal import Nominal
 from afdsvc.gap.objective import Objective, Point
@@ -90,23 +90,27 @@ def forward(
         cost = yardstick.cost(point)
         share = (costs[-1] - cost) / yardstick.gap(costs[0])
         objection = _second(base, ruling, share) if number else ""
+        extended = base if objection else again(base, point)
+        objection = objection or bent(extended.point.theta, ruling)
         if objection:
             last = replace(ruling, accepted=False, reason=objection)
             break
         steps.append(Step(ruling, share))
         order.append(number)
         costs.append(cost)
-        base = again(base, point)
-        base, order = _without_superfluous(base, order, samples)
-    base, order, steps = _reconsider(base, order, steps, yardstick, samples, mapper)
+        base, order = _without_superfluous(extended, order, samples)
+    base, order, steps = _reconsider(start, base, order, steps, yardstick, samples, mapper)
     return Found(start, base, tuple(steps), last, tuple(order), first, tuple(select), tone)
 
 
 def _reconsider(
-    base: Baseline, order: list[int], steps: list[Step], yardstick: Yardstick, samples: tuple[int, int], mapper: Mapper
+    start: Baseline, base: Baseline, order: list[int], steps: list[Step], yardstick: Yardstick, samples: tuple[int, int], mapper: Mapper
 ) -> tuple[Baseline, list[int], list[Step]]:
-    """Judge every effect anew with the others in place; one that is not asked for beside them any more is dropped."""
-    if len(order) < 2 and base.limited == "noise":
+    """Judge every effect anew with the others in place; one that is not asked for beside them any more is dropped.
+
+    A single one is judged anew as well where the predictor it was chosen with took some of it for noise.
+    """
+    if not order or (len(order) < 2 and base.limited == "noise" and base.ratio == start.ratio):
         return base, order, steps
     steps, whole = list(steps), yardstick.gap(yardstick.cost(yardstick.base.point))
     for number in list(order):

@@ -18,6 +18,8 @@ CLOSE = 10.0  # score units within which a rival is a look-alike
 APART = 3.0  # standard errors by which blocks must differ to tell two hypotheses apart
 MILD = 2.0  # price of a parameter when asking whether two hypotheses can be told apart
 STRAINED, WORSE = 3.0, 4.0  # prior deviations from which a fit counts as strained; loss on selection allowed then
+ALIKE = 2.0  # score units within which two are equally good
+AT_END, INSIDE = 1e-3, 2.0  # part of its range that counts as its end; standard errors a shorter law may be worse by
 FAR_OFF = 5.0  # prior standard deviations a nuisance parameter may move without being suspect
 
 
@@ -117,11 +119,25 @@ def separation(worse: Array, better: Array, price: float = 0.0) -> float:
 
 
 def _simplest_first(rivals: list[Rival]) -> list[Rival]:
-    """Put the one with the fewest parameters first among those that are as good as the best."""
-    equal = [r for r in rivals if r.score < 2.0]
-    first = min(equal, key=lambda r: (r.candidate.parameters, r.score))
+    """Put the one with the fewest parameters first among those that are as good as the best.
+
+    A law whose shape sits at the end of its range is asked to be another: it gives way to a shorter one of its family at its
+    place that the data cannot tell from it.
+    """
+    best = min(rivals, key=lambda r: r.score)
+    shorter = [r for r in rivals if r.z < INSIDE and _limit_of(best.candidate, r.candidate)]
+    first = min([*(r for r in rivals if r.score < ALIKE), *shorter], key=lambda r: (r.candidate.parameters, r.score))
     rest = sorted((r for r in rivals if r is not first), key=lambda r: -r.weight)
     return [first, *rest]
+
+
+def _limit_of(long: Candidate, short: Candidate) -> bool:
+    """Whether a law with a parameter at an end of its range may be a shorter one of its family at its place."""
+    a, b = long.hypothesis, short.hypothesis
+    if a is None or b is None or (a.family, a.site) != (b.family, b.site) or short.parameters >= long.parameters:
+        return False
+    pairs = zip(a.parameters, long.effect.values, strict=True)
+    return any(p.free and min(v - p.low, p.high - v) <= AT_END * (p.high - p.low) for p, v in pairs)
 
 
 def _objection(
@@ -136,10 +152,15 @@ def _objection(
         return f"the best hypothesis ({c.key}) gains {gain:.1f} where chance and {tried} trials ask for {wanted:.1f}"
     if samples[1] and gain_select <= (-WORSE if _strained(nothing) else 2.0):
         return f"the best hypothesis ({c.key}) does not improve the recording kept for selection"
-    off = float(np.abs(c.point.theta).max(initial=0.0))
-    if off > max(FAR_OFF, float(np.abs(nothing.point.theta).max(initial=0.0)) + 1.0):
-        return f"the best hypothesis ({c.key}) needs a model parameter {off:.1f} standard deviations off"
     return ""
+
+
+def bent(theta: Array, ruling: Ruling) -> str:
+    """Return why the accepted choice, with the nuisance at ``theta``, asks too much of the model's own parameters, or ""."""
+    off = float(np.abs(theta).max(initial=0.0))
+    if off <= max(FAR_OFF, float(np.abs(ruling.nothing.point.theta).max(initial=0.0)) + 1.0):
+        return ""
+    return f"the best hypothesis ({ruling.rivals[0].candidate.key}) needs a model parameter {off:.1f} standard deviations off"
 
 
 def _strained(nothing: Candidate) -> bool:

@@ -10,24 +10,28 @@ from afdsvc.plugins.physics.attach import at_output
 
 
 def drift(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``y + rate (time since the recording began)``."""
-    out[0] += p[0] * m[0]
+    """``y + rate t + bend t^2``, ``t`` since the recording began."""
+    out[0] += (p[0] + p[1] * m[0]) * m[0]
     m[0] += dt
 
 
 class SensorDrift:
-    """A steady drift of every output."""
+    """A slow drift of every output, to second order in time: what warms up levels off."""
 
     name = "sensor_drift"
-    summary = "a reading that moves away at a constant rate"
+    summary = "a reading that moves away slowly, steadily or levelling off"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per output."""
         for port in machine.outputs:
             scale = (0.1 * machine.residual[port.index] + 1e-3 * port.rms) / machine.duration
+            bend = scale / machine.duration
             yield at_output(
-                port, drift, physics=self.name, family="offset", memory=1, starts=[(0.0,)],
-                parameters=[Coefficient("rate", f"{port.unit}/s", -1e5 * scale, 1e5 * scale, scale, linear=True)],
+                port, drift, physics=self.name, family="offset", memory=1, starts=[(0.0, 0.0)],
+                parameters=[
+                    Coefficient("rate", f"{port.unit}/s", -1e5 * scale, 1e5 * scale, scale, linear=True),
+                    Coefficient("change of rate", f"{port.unit}/s^2", -1e5 * bend, 1e5 * bend, bend, linear=True),
+                ],
                 predicts="a residual of this output that grows with time whatever the excitation",
                 refuted_by="a residual that is the same at the beginning and at the end",
             )
