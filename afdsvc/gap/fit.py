@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from afdsvc.api.physics import Coefficient, Hypothesis
 from afdsvc.gap.objective import Point, Tangent, small_step
@@ -18,11 +19,17 @@ LITTLE = 1e-4  # relative fall of the cost at which a fit stops
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """A hypothesis with values, and the cost it reaches in the tangent (sum of squares, prior included)."""
+    """A hypothesis with values, and the cost it reaches in the tangent (sum of squares, prior included).
+
+    Of a start: ``cost`` with an amplitude as good as can be, ``plain`` with the values as they are, ``other`` the values of
+    another start worth fitting.
+    """
 
     hypothesis: Hypothesis
     values: Array
     cost: float
+    plain: float = np.inf
+    other: Array | None = None
 
 
 def residual_with(tangent: Tangent, effect: Effect) -> Array:
@@ -32,17 +39,23 @@ def residual_with(tangent: Tangent, effect: Effect) -> Array:
 
 
 def screen(tangent: Tangent, hypothesis: Hypothesis) -> Trial:
-    """Return the most promising start of a hypothesis, with the cost a free amplitude would reach from it."""
-    return min((_from_start(tangent, hypothesis, np.array(s, float)) for s in hypothesis.starts), key=lambda t: t.cost)
+    """Return the most promising start of a hypothesis, with the cost a free amplitude would reach from it.
+
+    For a law without an amplitude the start that costs least as it stands is kept beside it.
+    """
+    tried = [_from_start(tangent, hypothesis, np.array(s, float)) for s in hypothesis.starts]
+    best = min(tried, key=lambda t: t.cost)
+    return replace(best, other=min(tried, key=lambda t: t.plain).values)
 
 
 def _from_start(tangent: Tangent, hypothesis: Hypothesis, start: Array) -> Trial:
     free = [j for j, c in enumerate(hypothesis.parameters) if c.linear]
     if not free:
         change = residual_with(tangent, Effect(hypothesis, start)) - tangent.rest
-        power = float(change @ change)
-        factor = -float(change @ tangent.rest) / power if power > 0 else 0.0
-        return Trial(hypothesis, start, tangent.cost - (factor**2 * power if factor > 0 else 0.0))
+        power, along = float(change @ change), float(change @ tangent.rest)
+        factor = -along / power if power > 0 else 0.0
+        cost = tangent.cost - (factor**2 * power if factor > 0 else 0.0)
+        return Trial(hypothesis, start, cost, tangent.cost + 2 * along + power)
     columns = []
     for j in free:
         values = start.copy()
@@ -110,17 +123,32 @@ def _jacobian(tangent: Tangent, hypothesis: Hypothesis, values: Array, rest: Arr
 
 
 def _step(hypothesis: Hypothesis, values: Array, J: Array, units: Array, rest: Array, damping: float) -> Array:
+    """Return the values after a damped step, held to their ranges."""
     H, g = J.T @ J, J.T @ rest
     scale = np.diag(np.diag(H) + 1e-12 * max(float(np.trace(H)), 1e-300))
-    move = -np.linalg.lstsq(H + damping * scale, g, rcond=None)[0]
-    new = values.copy()
     free = [j for j, c in enumerate(hypothesis.parameters) if c.free]
+    at_low, at_high = (np.array([values[j] == getattr(hypothesis.parameters[j], end) for j in free]) for end in ("low", "high"))
+    move = _within(H + damping * scale, g, at_low, at_high)
+    new = values.copy()
     for j, by, unit in zip(free, move, units, strict=True):
         if _logarithmic(hypothesis.parameters[j], values[j]):
             new[j] = values[j] * np.exp(np.clip(by, -1.5, 1.5))
         else:
             new[j] = values[j] + by * unit
     return inside(hypothesis.parameters, new)
+
+
+def _within(H: Array, g: Array, at_low: NDArray[np.bool_], at_high: NDArray[np.bool_]) -> Array:
+    """Return the step ``-H^-1 g``; what stands at an end of its range and would leave it stays, the others step without it."""
+    move, moving = np.zeros(len(g)), np.ones(len(g), bool)
+    while moving.any():
+        move[:] = 0.0
+        move[moving] = -np.linalg.lstsq(H[np.ix_(moving, moving)], g[moving], rcond=None)[0]
+        leaving = moving & (((move < 0) & at_low) | ((move > 0) & at_high))
+        if not leaving.any():
+            return move
+        moving &= ~leaving
+    return np.zeros(len(g))
 
 
 def apply_shift(tangent: Tangent, effect: Effect | None) -> Point:

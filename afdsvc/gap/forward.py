@@ -11,7 +11,7 @@ from scipy import stats
 from afdsvc.api.physics import Machine, Physics
 from afdsvc.gap.baseline import Baseline, again, baseline
 from afdsvc.gap.clock import aligned, reads_time
-from afdsvc.gap.judge import Ruling, bent, judge, separation
+from afdsvc.gap.judge import Ruling, Tried, bent, judge, separation
 from afdsvc.gap.lines import Tone, peaks, tones
 from afdsvc.gap.nominal import Nominal
 from afdsvc.gap.objective import Objective, Point
@@ -82,7 +82,7 @@ def forward(
         there = {e.hypothesis.key for e in base.point.effects}
         library = [h for p in physics for h in p.hypotheses(sight) if h.key not in there]
         candidates = round_of(base, select, library, mapper, _part(progress, number))
-        ruling = judge(base, candidates, len(library), samples)
+        ruling = judge(base, candidates, Tried.of(library), samples)
         if not ruling.accepted:
             last = ruling
             break

@@ -2,25 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
+from afdsvc.api.physics import Hypothesis
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.search import Candidate
 from afdsvc.lti.statespace import Array
 
+CHANGE = "parameter_change"
 SURE = 1e-5  # false-acceptance probability of one hypothesis on the training runs
 SURE_CHANGE = 1e-3  # the same for a change of a constant, which invents nothing and has the owner's prior against it already
 CLOSE = 10.0  # score units within which a rival is a look-alike
 APART = 3.0  # standard errors by which blocks must differ to tell two hypotheses apart
 MILD = 2.0  # price of a parameter when asking whether two hypotheses can be told apart
+SILENT = 16.0  # how much the selection runs must differ with an effect before they are asked for a gain: four standard errors
 STRAINED, WORSE = 3.0, 4.0  # prior deviations from which a fit counts as strained; loss on selection allowed then
 ALIKE = 2.0  # score units within which two are equally good
 AT_END, INSIDE = 1e-3, 2.0  # part of its range that counts as its end; standard errors a shorter law may be worse by
 FAR_OFF = 5.0  # prior standard deviations a nuisance parameter may move without being suspect
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """How many hypotheses were looked at, and how many of them change a constant: those have a chance of error of their own."""
+
+    all: int
+    changes: int
+
+    @classmethod
+    def of(cls, hypotheses: Iterable[Hypothesis]) -> Tried:
+        """Count, every count at least one."""
+        names = [h.physics for h in hypotheses]
+        return cls(max(len(names), 1), max(names.count(CHANGE), 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,8 +67,8 @@ class Ruling:
     share: float
 
 
-def judge(base: Baseline, candidates: Sequence[Candidate], tried: int, samples: tuple[int, int]) -> Ruling:
-    """Rule on the candidates of a round; ``tried`` hypotheses were looked at, ``samples`` are those of train and select."""
+def judge(base: Baseline, candidates: Sequence[Candidate], tried: Tried, samples: tuple[int, int]) -> Ruling:
+    """Rule on the candidates of a round; ``samples`` are those of train and select."""
     nothing = next(c for c in candidates if c.hypothesis is None)
     named = [c for c in candidates if c.hypothesis is not None and np.isfinite(c.train)]
     if not named:
@@ -141,16 +158,18 @@ def _limit_of(long: Candidate, short: Candidate) -> bool:
 
 
 def _objection(
-    base: Baseline, nothing: Candidate, c: Candidate, gain: float, gain_select: float, tried: int, samples: tuple[int, int]
+    base: Baseline, nothing: Candidate, c: Candidate, gain: float, gain_select: float, tried: Tried, samples: tuple[int, int]
 ) -> str:
     """Return why the choice is not accepted, or ""."""
     k = max(c.parameters, 1)
-    change = c.hypothesis is not None and c.hypothesis.physics == "parameter_change"
-    sure = SURE_CHANGE if change and base.limited == "noise" else SURE
-    wanted = max(float(stats.chi2.isf(sure / tried, k)), k * float(np.log(max(samples[0] / base.memory, 2.0))))
+    change = c.hypothesis is not None and c.hypothesis.physics == CHANGE and base.limited == "noise"
+    sure = SURE_CHANGE / tried.changes if change else SURE / tried.all
+    wanted = max(float(stats.chi2.isf(sure, k)), k * float(np.log(max(samples[0] / base.memory, 2.0))))
+    if base.limited == "noise":
+        gain += gain_select  # likelihoods add, and what was not fitted can only lose by chance
     if gain < wanted:
-        return f"the best hypothesis ({c.key}) gains {gain:.1f} where chance and {tried} trials ask for {wanted:.1f}"
-    if samples[1] and gain_select <= (-WORSE if _strained(nothing) else 2.0):
+        return f"the best hypothesis ({c.key}) gains {gain:.1f} where chance and {tried.changes if change else tried.all} trials ask for {wanted:.1f}"
+    if samples[1] and gain_select <= (-WORSE if _strained(nothing) or c.differs < SILENT else 2.0):
         return f"the best hypothesis ({c.key}) does not improve the recording kept for selection"
     return ""
 

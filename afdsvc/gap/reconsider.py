@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from afdsvc.gap.baseline import Baseline
-from afdsvc.gap.judge import Rival, Ruling, judge
+from afdsvc.gap.judge import Rival, Ruling, Tried, judge
 from afdsvc.gap.objective import Borrowed, borrowed, tangent
 from afdsvc.gap.runs import Run
 from afdsvc.gap.search import Candidate, Mapper, evaluate
@@ -28,8 +28,8 @@ def reconsidered(
     without = replace(base, point=settle(base.objective, replace(point, effects=kept), PASSES))
     nothing = evaluate(without, select, None, without.point)
     known = borrowed(tangent(base.objective, without.point)) if base.limited == "noise" else None
-    found = list(mapper(partial(_swapped, base, kept, select, known), _contenders(point.effects[number], kept, ruling)))
-    new = judge(without, [nothing, *found], max(len(found), 1), samples)
+    found = list(mapper(partial(_swapped, base, kept, select, known, nothing), _contenders(point.effects[number], kept, ruling)))
+    new = judge(without, [nothing, *found], Tried.of(c.hypothesis for c in found if c.hypothesis), samples)
     return without, replace(new, beaten=_all_beaten(new, ruling)) if new.accepted else new
 
 
@@ -42,10 +42,10 @@ def _contenders(current: Effect, kept: Sequence[Effect], ruling: Ruling) -> list
 
 
 def _swapped(
-    base: Baseline, kept: tuple[Effect, ...], select: Sequence[Run], known: Borrowed | None, effect: Effect
+    base: Baseline, kept: tuple[Effect, ...], select: Sequence[Run], known: Borrowed | None, nothing: Candidate, effect: Effect
 ) -> Candidate:
     point = settle(base.objective, replace(base.point, effects=(*kept, effect)), PASSES, known=known)
-    return evaluate(base, select, effect.hypothesis, point)
+    return evaluate(base, select, effect.hypothesis, point, nothing)
 
 
 def _all_beaten(new: Ruling, old: Ruling) -> tuple[Rival, ...]:

@@ -32,7 +32,8 @@ class Candidate:
     """A refined hypothesis (None: nothing added): where the search would stand with it, and what it costs.
 
     ``train`` is the full cost on the training runs (prior included), ``select`` the cost on runs never fitted, ``blocks``
-    the costs of consecutive pieces of both, ``parameters`` how many numbers were fitted for it.
+    the costs of consecutive pieces of both, ``parameters`` how many numbers were fitted for it. ``kept`` are the whitened
+    residuals of the selection runs (of the empty candidate), ``differs`` the sum of squares by which another's differ from them.
     """
 
     hypothesis: Hypothesis | None
@@ -41,6 +42,8 @@ class Candidate:
     select: float
     blocks: Array
     parameters: int
+    kept: tuple[Array, ...] = ()
+    differs: float = np.inf
 
     @property
     def effect(self) -> Effect:
@@ -53,16 +56,24 @@ class Candidate:
         return self.hypothesis.key if self.hypothesis else "nothing"
 
 
-def evaluate(base: Baseline, select: Sequence[Run], hypothesis: Hypothesis | None, point: Point) -> Candidate:
-    """Return the candidate with its costs; the initial states of the selection runs are fitted, nothing else there."""
+def evaluate(
+    base: Baseline, select: Sequence[Run], hypothesis: Hypothesis | None, point: Point, beside: Candidate | None = None
+) -> Candidate:
+    """Return the candidate with its costs; the initial states of the selection runs are fitted, nothing else there.
+
+    ``beside`` is the empty candidate.
+    """
     train = full_cost(base.objective, point)
     chosen = replace(base.objective, runs=tuple(select))
     start = Point(point.theta, tuple(np.zeros(base.nominal.plant.order) for _ in select), point.effects)
     there = settle(chosen, start, 2, states_only=True) if select else start
-    pieces = [*base.objective.whitened(point), *(chosen.whitened(there) if select else [])]
-    chosen_cost = float(sum((w**2).sum() for w in pieces[len(base.objective.runs) :]))
-    parameters = sum(c.free for c in hypothesis.parameters) if hypothesis else 0
-    return Candidate(hypothesis, point, train, chosen_cost, block_costs(pieces), parameters)
+    kept = chosen.whitened(there) if select else []
+    cost = float(sum((w**2).sum() for w in kept))
+    blocks = block_costs([*base.objective.whitened(point), *kept])
+    if beside is None or hypothesis is None:
+        return Candidate(hypothesis, point, train, cost, blocks, 0, tuple(kept))
+    differs = float(sum(((a - b) ** 2).sum() for a, b in zip(kept, beside.kept, strict=True)))
+    return Candidate(hypothesis, point, train, cost, blocks, sum(c.free for c in hypothesis.parameters), differs=differs)
 
 
 def block_costs(pieces: Sequence[Array]) -> Array:
@@ -87,7 +98,7 @@ def round_of(
     nothing = evaluate(base, select, None, base.point)
     changed = transfers(t, hypotheses, HOPELESS)[:TRANSFERRED] if base.limited == "noise" else []
     if not trials or (t.cost - trials[0].cost < HOPELESS and not changed):
-        return [nothing, *(evaluate(base, select, x.hypothesis, apply_shift(t, Effect(x.hypothesis, x.values))) for x in trials[:1])]
+        return [nothing, *(evaluate(base, select, x.hypothesis, apply_shift(t, Effect(x.hypothesis, x.values)), nothing) for x in trials[:1])]
     progress("fitting", 0.3)
     fitted = sorted(mapper(partial(_fitted, t), trials[:FITTED]), key=lambda x: x.cost)
     progress("refining", 0.6)
@@ -95,7 +106,7 @@ def round_of(
         *mapper(partial(_shifted, base, t), _diverse(fitted, REFINED)), *((full_cost(base.objective, p), h, p) for _, h, p in changed),
     ])
     settled = list(mapper(partial(_settled, base, _lent(base, t)), close[:SETTLED])) + [(h, p) for _, h, p in close[SETTLED:]]
-    refined = list(mapper(partial(_evaluated, base, select), settled))
+    refined = list(mapper(partial(_evaluated, base, select, nothing), settled))
     progress("refining", 1.0)
     return sorted([nothing, *refined], key=lambda c: c.train)
 
@@ -116,7 +127,11 @@ def _preselected(base: Baseline, hypotheses: Sequence[Hypothesis], mapper: Mappe
 
 
 def _fitted(t: Tangent, trial: Trial) -> Trial:
-    return fit(t, trial.hypothesis, trial.values)
+    """Return the fit from the start with the best prospects, or from the one that costs least, whichever ends lower."""
+    first = fit(t, trial.hypothesis, trial.values)
+    if trial.other is None or np.array_equal(trial.other, trial.values):
+        return first
+    return min(first, fit(t, trial.hypothesis, trial.other), key=lambda x: x.cost)
 
 
 def _diverse(trials: Sequence[Trial], count: int) -> list[Trial]:
@@ -158,5 +173,5 @@ def _settled(base: Baseline, known: Borrowed | None, found: Transferred) -> tupl
     return found[1], settle(base.objective, found[2], 20, known=known)
 
 
-def _evaluated(base: Baseline, select: Sequence[Run], found: tuple[Hypothesis, Point]) -> Candidate:
-    return evaluate(base, select, *found)
+def _evaluated(base: Baseline, select: Sequence[Run], nothing: Candidate, found: tuple[Hypothesis, Point]) -> Candidate:
+    return evaluate(base, select, *found, nothing)

@@ -57,7 +57,8 @@ def creep(s: Site) -> Effect:
 def slew_limit(s: Site) -> Effect:
     """The drive cannot follow fast commands."""
     rate = 0.5 * float(s.sizes.u[s.i]) / s.machine.dt
-    return s.on_input("slew_limit", c.SLEW, ("rate", s.unit + "/s", rate, -0.5))
+    values = ("rate", s.unit + "/s", rate, -0.5), ("time_constant", "s", s.draw(0.1, 0.25) * s.machine.dt, 0)
+    return s.on_input("slew_limit", c.SLEW, *values)
 
 
 def static_nonlinearity(s: Site) -> Effect:

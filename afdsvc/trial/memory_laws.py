@@ -83,15 +83,26 @@ def hysteresis(u: float, p: Row, m: Row, commit: bool) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
+def servo(way: float, size: float, t: float) -> float:
+    """Return what is left of a positive ``way`` after t (in time constants) of ``dw/dt = -size tanh(w / size)``: exactly."""
+    a = way / size
+    grown = a + math.log1p(-math.exp(-2.0 * a)) - math.log(2.0) - t  # log sinh, without overflow
+    if grown > 0.0:
+        return size * (grown + math.log1p(math.sqrt(1.0 + math.exp(-2.0 * grown))))
+    return size * math.asinh(math.exp(grown))
+
+
+@numba.njit(cache=True, error_model="numpy")
 def slew(u: float, p: Row, m: Row, h: float, commit: bool) -> float:
-    """Rate limit p0 per second upwards and 0.85 p0 downwards: the mean of the ramp over the step."""
-    start, way = m[0], u - m[0]
-    rate = p[0] if way > 0 else 0.85 * p[0]
-    share = min(abs(way) / (rate * h), 1.0)  # of the step spent on the ramp
-    end = start + math.copysign(rate * h * share, way)
+    """A servo of time constant p1 whose speed saturates as tanh at p0 per second upwards, 0.85 p0 downwards: its mean over the step."""
+    way = u - m[0]
+    if way == 0.0:
+        return u
+    size = (p[0] if way > 0 else 0.85 * p[0]) * p[1]
+    half, end = servo(abs(way), size, 0.5 * h / p[1]), servo(abs(way), size, h / p[1])
     if commit:
-        m[0] = end
-    return end - 0.5 * share * (end - start)
+        m[0] = u - math.copysign(end, way)
+    return u - math.copysign((abs(way) + 4.0 * half + end) / 6.0, way)
 
 
 @numba.njit(cache=True, error_model="numpy")

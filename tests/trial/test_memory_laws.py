@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from afdsvc.trial import memory_laws as law
 
@@ -77,13 +78,21 @@ def test_hysteresis_of_no_share_is_the_identity() -> None:
 
 
 def test_slew_limit_bounds_the_rate_and_lets_slow_commands_pass() -> None:
-    step = held(law.slew, np.concatenate([np.ones(40), -np.ones(60)]), 50.0, h=H)
-    assert np.diff(step).max() <= 50.0 * H + 1e-12
-    assert np.diff(step).min() >= -0.85 * 50.0 * H - 1e-12
+    step = held(law.slew, np.concatenate([np.ones(40), -np.ones(60)]), 50.0, 0.4 * H, h=H)
+    assert np.diff(step).max() == pytest.approx(50.0 * H)
+    assert np.diff(step).min() == pytest.approx(-0.85 * 50.0 * H)
     assert step[39] == pytest.approx(1.0)
     assert step[-1] == pytest.approx(-1.0)
     slow = 1e-2 * np.sin(np.arange(100) * 0.05)
-    assert held(law.slew, slow, 50.0, h=H) == pytest.approx(slow, abs=1e-4)
+    late = slow[1:] - 0.4 * np.diff(slow)  # a slow command is followed a time constant late
+    assert held(law.slew, slow, 50.0, 0.4 * H, h=H)[9:] == pytest.approx(late[8:], abs=4e-6)
+
+
+@pytest.mark.parametrize(("way", "size"), [(1e-3, 1.0), (3.0, 0.1), (50.0, 0.1), (900.0, 1.0)])
+def test_a_servo_follows_its_own_differential_equation(way: float, size: float) -> None:
+    """Oracle: scipy integrates ``dw/dt = -size tanh(w / size)``."""
+    solved = solve_ivp(lambda t, w: -size * np.tanh(w / size), (0, 2.5), [way], rtol=1e-10, atol=1e-14)
+    assert law.servo(way, size, 2.5) == pytest.approx(float(solved.y[0, -1]), rel=1e-7)
 
 
 def test_stick_slip_pulls_like_a_spring_until_it_lets_go_at_differing_stretches() -> None:

@@ -11,8 +11,9 @@ from afdsvc.plugins.physics.attach import at_output
 
 
 def uneven(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """First and second harmonic of the rotor angle in the reading."""
-    out[0] += p[0] * math.cos(z[1]) + p[1] * math.sin(z[1]) + p[2] * math.cos(2 * z[1]) + p[3] * math.sin(2 * z[1])
+    """The first three harmonics of the rotor angle in the reading."""
+    for k in range(3):
+        out[0] += p[2 * k] * math.cos((k + 1) * z[1]) + p[2 * k + 1] * math.sin((k + 1) * z[1])
 
 
 class Runout:
@@ -27,11 +28,11 @@ class Runout:
             return
         for port in machine.outputs:
             scale = 0.2 * float(machine.residual[port.index])
-            parts = ("first cosine", "first sine", "second cosine", "second sine")
+            parts = [f"{order} {part}" for order in ("first", "second", "third") for part in ("cosine", "sine")]
             yield at_output(
                 port, uneven, [Signal("aux", machine.aux["angle"].index)], physics=self.name, family="rotation",
                 parameters=[Coefficient(n, port.unit, -1e3 * scale, 1e3 * scale, scale, linear=True) for n in parts],
-                starts=[(0.0, 0.0, 0.0, 0.0)],
+                starts=[(0.0,) * 6],
                 predicts="lines at the rotor speed and its multiples in this output that are the same at every speed",
                 refuted_by="a line that grows with the speed or shows in the motion of other axes (then it is unbalance)",
             )

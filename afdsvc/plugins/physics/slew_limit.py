@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -10,15 +11,19 @@ from afdsvc.plugins.physics.attach import at_input
 
 
 def slew(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``m`` follows the input, changing by at most ``rate dt`` per step."""
+    """``m`` follows the input, rising by at most ``p[0] dt`` per step and falling by at most ``p[1] dt``; its mean over the step."""
     if m[1] == 0.0:
         m[0], m[1] = z[0], 1.0
-    m[0] += min(max(z[0] - m[0], -p[0] * dt), p[0] * dt)
-    out[0] += m[0] - z[0]
+    way = z[0] - m[0]
+    reach = (p[0] if way > 0 else p[1]) * dt
+    share = min(abs(way) / reach, 1.0)  # of the step under way
+    moved = math.copysign(reach * share, way)
+    out[0] += m[0] + moved * (1 - 0.5 * share) - z[0]
+    m[0] += moved
 
 
 class SlewLimit:
-    """A rate limit at every input."""
+    """A rate limit at every input, upwards and downwards."""
 
     name = "slew_limit"
     summary = "an input that can change no faster than a rate"
@@ -29,8 +34,10 @@ class SlewLimit:
             rate = port.rms * machine.bandwidth
             yield at_input(
                 port, slew, physics=self.name, family="memory", memory=2,
-                parameters=[Coefficient("rate", f"{port.unit}/s", 1e-3 * rate, 6 * rate, 0.02 * rate)],
-                starts=[(0.1 * rate,), (0.4 * rate,), (1.0 * rate,), (2.2 * rate,), (3.5 * rate,)],
+                parameters=[
+                    Coefficient(name, f"{port.unit}/s", 1e-3 * rate, 6 * rate, 0.02 * rate) for name in ("rate", "falling rate")
+                ],
+                starts=[(s * rate, s * rate) for s in (0.1, 0.4, 1.0, 2.2, 3.5)],
                 predicts="lag and lost amplitude at high frequency and high level only",
                 refuted_by="the same lag at every level",
             )
