@@ -117,7 +117,18 @@ def _power(base: Baseline) -> float:
 
 
 def _calm(nominal: Nominal, runs: Sequence[Run], point: Point, ramped: bool) -> Baseline:
-    simulator, ratio, point = calm_gain(nominal, runs, point, ramped)
+    return _weighed(nominal, runs, *calm_gain(nominal, runs, point, ramped))
+
+
+def corrected(base: Baseline, ratio: float) -> Baseline | None:
+    """Return the baseline of a model that limits, refitted with the correction of another ratio; None where none is stable."""
+    runs, point = base.objective.runs, base.point
+    simulator = _predictor(base.nominal, point, ratio, *_sizes(runs), base.objective.simulator.ramped)
+    return None if simulator is None else _weighed(base.nominal, runs, simulator, ratio, point)
+
+
+def _weighed(nominal: Nominal, runs: Sequence[Run], simulator: Simulator, ratio: float, point: Point) -> Baseline:
+    """Return the baseline whose measure is its own residual, with its correlation time."""
     objective = Objective(simulator, tuple(runs), white(np.ones(nominal.plant.outputs)))
     memory = 1.0
     for _ in range(2):

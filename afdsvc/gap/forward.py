@@ -21,6 +21,7 @@ from afdsvc.gap.runs import Run
 from afdsvc.gap.search import Mapper, block_costs, round_of
 from afdsvc.gap.settle import raw, settle
 from afdsvc.gap.sizes import bandwidth, machine
+from afdsvc.gap.surest import surest
 from afdsvc.lti.statespace import Array
 
 WORTH_SAYING = 0.03  # share of the gap below which a further effect is not named
@@ -91,7 +92,7 @@ def forward(
         share = (costs[-1] - cost) / yardstick.gap(costs[0])
         objection = _second(base, ruling, share) if number else ""
         extended = base if objection else again(base, point)
-        objection = objection or bent(extended.point.theta, ruling)
+        objection = objection or (bent(point.theta, ruling) and bent(extended.point.theta, ruling))
         if objection:
             last = replace(ruling, accepted=False, reason=objection)
             break
@@ -100,7 +101,7 @@ def forward(
         costs.append(cost)
         base, order = _without_superfluous(extended, order, samples)
     base, order, steps = _reconsider(start, base, order, steps, yardstick, samples, mapper)
-    return Found(start, base, tuple(steps), last, tuple(order), first, tuple(select), tone)
+    return Found(start, surest(base), tuple(steps), last, tuple(order), first, tuple(select), tone)
 
 
 def _reconsider(

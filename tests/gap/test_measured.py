@@ -35,7 +35,7 @@ def test_the_positioning_axis_shows_dry_friction_then_an_offset(measured):
     assert (firsts[1].physics, firsts[2].physics) == ("coulomb_friction", "constant_load")
     assert firsts[1].parameters["force"].value == pytest.approx(20.4, rel=0.1)
     assert abs(firsts[2].parameters["force"].value) == pytest.approx(3.16, rel=0.25)
-    assert force_error(answer, read_table(folder / "pulses.csv")) < 0.06
+    assert force_error(answer, read_table(folder / "pulses.csv")) <= 0.054
 
 
 def force_error(answer: Explanation, trace: Trace) -> float:
