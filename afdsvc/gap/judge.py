@@ -20,7 +20,7 @@ CLOSE = 10.0  # score units within which a rival is a look-alike
 APART = 3.0  # standard errors by which blocks must differ to tell two hypotheses apart
 MILD = 2.0  # price of a parameter when asking whether two hypotheses can be told apart
 SILENT = 16.0  # how much the selection runs must differ with an effect before they are asked for a gain: four standard errors
-STRAINED, WORSE = 3.0, 4.0  # prior deviations from which a fit counts as strained; loss on selection allowed then
+STRAINED, WORSE, LOST = 3.0, 4.0, 0.1  # prior deviations from which a fit counts as strained; loss on selection allowed then, least and per gain
 ALIKE = 2.0  # score units within which two are equally good
 AT_END, INSIDE = 1e-3, 2.0  # part of its range that counts as its end; standard errors a shorter law may be worse by
 FAR_OFF = 5.0  # prior standard deviations a nuisance parameter may move without being suspect
@@ -74,13 +74,30 @@ def judge(base: Baseline, candidates: Sequence[Candidate], tried: Tried, samples
     if not named:
         return Ruling(False, "no hypothesis applies to this machine", (), (), nothing, 0.0, 0.0)
     scored = sorted(((score(base, nothing, c, samples), c) for c in named), key=lambda s: -s[0])
-    best_score, best = scored[0]
-    rivals, beaten = _rivals(base, scored, samples)
+    rivals, beaten = _rivals(base, _general(base, nothing, scored, samples), samples)
     rivals = _simplest_first(rivals)
     choice = rivals[0].candidate
     gain, gain_select = gains(base, nothing, choice, samples)
     reason = _objection(base, nothing, choice, gain, gain_select, tried, samples)
     return Ruling(not reason, reason, tuple(rivals), tuple(beaten), nothing, gain, share(base, nothing, choice, samples))
+
+
+def _general(
+    base: Baseline, nothing: Candidate, scored: list[tuple[float, Candidate]], samples: tuple[int, int]
+) -> list[tuple[float, Candidate]]:
+    """Leave out what fits the training runs best and fails the selection runs, where another law does well on both."""
+    gained = [gains(base, nothing, c, samples) for _, c in scored]
+    sound = [not _fails(nothing, c, *g, samples) for (_, c), g in zip(scored, gained, strict=True)]
+    well = [ok and min(g) > 0 and value > 0 for ok, g, (value, _) in zip(sound, gained, scored, strict=True)]
+    if sound[0] or not any(well):
+        return scored
+    return [s for ok, s in zip(sound, scored, strict=True) if ok]
+
+
+def _fails(nothing: Candidate, c: Candidate, gain: float, gain_select: float, samples: tuple[int, int]) -> bool:
+    """Whether a candidate does not improve the selection runs where it should, or makes them worse where it need not."""
+    lenient = _strained(nothing) or c.differs < SILENT
+    return bool(samples[1]) and gain_select <= (-max(WORSE, LOST * (gain + gain_select)) if lenient else 2.0)
 
 
 def gains(base: Baseline, nothing: Candidate, c: Candidate, samples: tuple[int, int]) -> tuple[float, float]:
@@ -169,7 +186,7 @@ def _objection(
         gain += gain_select  # likelihoods add, and what was not fitted can only lose by chance
     if gain < wanted:
         return f"the best hypothesis ({c.key}) gains {gain:.1f} where chance and {tried.changes if change else tried.all} trials ask for {wanted:.1f}"
-    if samples[1] and gain_select <= (-WORSE if _strained(nothing) or c.differs < SILENT else 2.0):
+    if _fails(nothing, c, *gains(base, nothing, c, samples), samples):
         return f"the best hypothesis ({c.key}) does not improve the recording kept for selection"
     return ""
 

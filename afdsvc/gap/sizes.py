@@ -21,7 +21,7 @@ def machine(base: Baseline, tones: Sequence[float] = (), peaks: Sequence[float] 
     model, runs = base.nominal.model, objective.runs
     simulated = [objective.simulator.run(r, point.theta, x0, point.effects) for r, x0 in zip(runs, point.x0, strict=True)]
     x = np.vstack([s.x for s in simulated])
-    plant = base.nominal.at(point.theta)
+    plant = base.nominal.plant
     smooth = continuous(plant) if plant.discrete else plant
     states = _sizes(model.states, x)
     inputs = _sizes(model.inputs, np.vstack([r.U for r in runs]))

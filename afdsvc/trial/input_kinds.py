@@ -57,7 +57,7 @@ def creep(s: Site) -> Effect:
 def slew_limit(s: Site) -> Effect:
     """The drive cannot follow fast commands."""
     rate = 0.5 * float(s.sizes.u[s.i]) / s.machine.dt
-    values = ("rate", s.unit + "/s", rate, -0.5), ("time_constant", "s", s.draw(0.1, 0.25) * s.machine.dt, 0)
+    values = ("rate", s.unit + "/s", rate, -0.5), ("corner", s.unit, s.draw(0.02, 0.1) * float(s.sizes.u[s.i]), 0)
     return s.on_input("slew_limit", c.SLEW, *values)
 
 

@@ -94,12 +94,12 @@ def servo(way: float, size: float, t: float) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def slew(u: float, p: Row, m: Row, h: float, commit: bool) -> float:
-    """A servo of time constant p1 whose speed saturates as tanh at p0 per second upwards, 0.85 p0 downwards: its mean over the step."""
+    """A servo whose speed saturates, as tanh of its way over p1, at p0 per second upwards and 0.85 p0 downwards: its mean over the step."""
     way = u - m[0]
     if way == 0.0:
         return u
-    size = (p[0] if way > 0 else 0.85 * p[0]) * p[1]
-    half, end = servo(abs(way), size, 0.5 * h / p[1]), servo(abs(way), size, h / p[1])
+    t = (p[0] if way > 0 else 0.85 * p[0]) * h / p[1]
+    half, end = servo(abs(way), p[1], 0.5 * t), servo(abs(way), p[1], t)
     if commit:
         m[0] = u - math.copysign(end, way)
     return u - math.copysign((abs(way) + 4.0 * half + end) / 6.0, way)

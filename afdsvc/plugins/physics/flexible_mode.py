@@ -1,4 +1,4 @@
-"""Flexible mode: a resonance beside the modelled dynamics, driven by an input and seen at the outputs."""
+"""Flexible mode: a resonance beside the modelled dynamics, driven by an input and seen at the outputs, or a mass on an axis."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.plugins.physics.attach import on_machine
+from afdsvc.plugins.physics.attach import at_force, on_machine, position, velocity
 
 
 def mode(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -25,6 +25,35 @@ def mode(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
         out[j] += p[2 + j] * m[0]
 
 
+def appendage(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """A mass ``p2`` (of the axis' own) on a spring and damper: ``s'' = -w^2 (s - q) - 2 zeta w (s' - v)``, pulling back ``p2 s''``.
+
+    Exact for a motion of the axis that is straight over the step; the pull is its mean, so no momentum is lost.
+    """
+    if m[2] == 0.0:
+        m[0], m[1], m[2] = z[0] - 0.5 * dt * z[1], z[1], 1.0
+    w, zeta = p[0], p[1]
+    decay, wd = math.exp(-zeta * w * dt), w * math.sqrt(max(1 - zeta * zeta, 1e-12))
+    c, s = math.cos(wd * dt), math.sin(wd * dt)
+    e, r, before = m[0] - (z[0] - 0.5 * dt * z[1]), m[1] - z[1], m[1]
+    m[0] = z[0] + 0.5 * dt * z[1] + decay * (e * c + (r + zeta * w * e) / wd * s)
+    m[1] = z[1] + decay * (r * c - (w * w * e + zeta * w * r) / wd * s)
+    out[0] -= p[2] * (m[1] - before) / dt
+
+
+def _attach(plant: StateSpace, values: Sequence[float], position: int, rate: int) -> StateSpace:
+    """Return the plant with a mass on an axis: two more states, its position and velocity."""
+    w, zeta, ratio = values[:3]
+    n = plant.order
+    pull = np.zeros(n + 2)
+    pull[[position, rate, n, n + 1]] = w * w, 2 * zeta * w, -w * w, -2 * zeta * w
+    A = np.zeros((n + 2, n + 2))
+    A[:n, :n] = plant.A
+    A[rate] -= ratio * pull
+    A[n, n + 1], A[n + 1] = 1.0, pull
+    return StateSpace(A, np.vstack([plant.B, np.zeros((2, plant.inputs))]), np.hstack([plant.C, np.zeros((plant.outputs, 2))]), plant.D)
+
+
 def _extend(plant: StateSpace, values: Sequence[float], column: int) -> StateSpace:
     w, zeta, shares = values[0], values[1], np.array(values[2:])
     n = plant.order
@@ -36,15 +65,27 @@ def _extend(plant: StateSpace, values: Sequence[float], column: int) -> StateSpa
 
 
 class FlexibleMode:
-    """A resonance the model does not have, one hypothesis per input that could drive it."""
+    """A resonance the model does not have, one hypothesis per input that could drive it and per axis that could carry it."""
 
     name = "flexible_mode"
     summary = "a resonance of the structure beside the modelled dynamics"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per input, started at the peaks of the residual and on a logarithmic grid."""
+        """Return one hypothesis per input and per axis, started at the peaks of the residual and on a logarithmic grid."""
         low, high = 0.02 * machine.bandwidth, min(2 * machine.bandwidth, 0.9 * math.pi / machine.dt)
         grid = [*machine.peaks[:4], *np.geomspace(low * 3, high * 0.8, 5)]
+        band = Coefficient("frequency", "rad/s", low, high, 0.02 * low), Coefficient("damping ratio", "", 1e-3, 0.9, 0.02)
+        words = {
+            "physics": self.name, "family": "mode", "predicts": "a linear residual around one frequency, the same at every level",
+            "refuted_by": "a residual that repeats at unexcited lines or changes its share with the level",
+        }
+        for axis in machine.axes:
+            yield at_force(
+                axis, appendage, [position(axis), velocity(axis)], memory=3, notes={"variant": "attached mass"},
+                parameters=[*band, Coefficient("mass ratio", "", 0.0, 2.0, 0.02, linear=True)],
+                starts=[(w, zeta, 0.0) for w in grid for zeta in (0.02, 0.15)],
+                linear=lambda plant, values, q=axis.position.index, v=axis.rate.index: _attach(plant, values, q, v), **words,
+            )
         for port in machine.inputs:
             shares = [
                 Coefficient(
@@ -54,13 +95,8 @@ class FlexibleMode:
             ]
             yield on_machine(
                 "output", mode, [Signal("u", port.index)], [Signal("y", o.index) for o in machine.outputs],
-                physics=self.name, family="mode", memory=2,
-                parameters=[
-                    Coefficient("frequency", "rad/s", low, high, 0.02 * low), Coefficient("damping ratio", "", 1e-3, 0.9, 0.02), *shares
-                ],
+                memory=2, parameters=[*band, *shares],
                 starts=[(w, zeta, *np.zeros(len(shares))) for w in grid for zeta in (0.02, 0.15)],
                 linear=lambda plant, values, column=port.index: _extend(plant, values, column),
-                notes={"variant": port.name},
-                predicts="a linear residual around one frequency, the same at every level",
-                refuted_by="a residual that repeats at unexcited lines or changes its share with the level",
+                notes={"variant": port.name}, **words,
             )

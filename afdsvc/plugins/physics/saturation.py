@@ -34,7 +34,7 @@ class Saturation:
             yield at_input(
                 port, saturation, physics=self.name, family="input curve",
                 parameters=[
-                    Coefficient("limit", port.unit, 0.02 * peak, 0.999 * peak, 0.02 * peak),
+                    Coefficient("limit", port.unit, 0.02 * peak, 1.4 * peak, 0.02 * peak),
                     Coefficient("knee", "", SHARP, SOFT, 0.05, nuisance=True),
                 ],
                 starts=[(share * peak, 0.1) for share in (0.35, 0.6, 0.85, 0.95)],
