@@ -10,10 +10,14 @@ from afdsvc.plugins.physics.attach import at_input, at_output
 
 
 def play(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """What follows stays where it is until pushed by either edge of the gap; ``m`` is where it is."""
-    half = 0.5 * p[0]
-    m[0] = min(max(m[0], z[0] - half), z[0] + half)
-    out[0] += m[0] - z[0]
+    """What follows stays where it is until pushed by either edge of the gap; ``m`` is where it is.
+
+    Edges worn unevenly touch at two widths, ``gap (1 +- wear)``.
+    """
+    for k in range(2):
+        half = 0.5 * p[0] * (1 + (2 * k - 1) * p[1])
+        m[k] = min(max(m[k], z[0] - half), z[0] + half)
+        out[0] += 0.5 * (m[k] - z[0])
 
 
 class Backlash:
@@ -27,9 +31,11 @@ class Backlash:
         for port, attach in [*((i, at_input) for i in machine.inputs), *((o, at_output) for o in machine.outputs)]:
             r = port.rms
             yield attach(
-                port, play, physics=self.name, family="memory", memory=1,
-                parameters=[Coefficient("gap", port.unit, 1e-4 * r, 1.8 * port.peak, 0.03 * r)],
-                starts=[(0.05 * r,), (0.3 * r,), (1.0 * r,)],
+                port, play, physics=self.name, family="memory", memory=2,
+                parameters=[
+                    Coefficient("gap", port.unit, 1e-4 * r, 1.8 * port.peak, 0.03 * r), Coefficient("wear", "", 0.0, 0.5, 0.05, nuisance=True),
+                ],
+                starts=[(0.05 * r, 0.1), (0.3 * r, 0.1), (1.0 * r, 0.1)],
                 predicts="a loop of constant width at every level, and flat spots at the reversals",
                 refuted_by="a loop that widens in proportion to the level",
             )

@@ -10,8 +10,8 @@ from afdsvc.plugins.physics.attach import at_output
 
 
 def drift(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``y + rate t + bend t^2``, ``t`` since the recording began."""
-    out[0] += (p[0] + p[1] * m[0]) * m[0]
+    """``y + rate (t - levelling t^2)``, ``t`` since the recording began."""
+    out[0] += p[0] * (1 - p[1] * m[0]) * m[0]
     m[0] += dt
 
 
@@ -25,12 +25,11 @@ class SensorDrift:
         """Return one hypothesis per output."""
         for port in machine.outputs:
             scale = (0.1 * machine.residual[port.index] + 1e-3 * port.rms) / machine.duration
-            bend = scale / machine.duration
             yield at_output(
-                port, drift, physics=self.name, family="offset", memory=1, starts=[(0.0, 0.0)],
+                port, drift, physics=self.name, family="offset", memory=1, starts=[(0.0, 0.0), (0.0, 1 / machine.duration)],
                 parameters=[
                     Coefficient("rate", f"{port.unit}/s", -1e5 * scale, 1e5 * scale, scale, linear=True),
-                    Coefficient("change of rate", f"{port.unit}/s^2", -1e5 * bend, 1e5 * bend, bend, linear=True),
+                    Coefficient("levelling", "1/s", 0.0, 3 / machine.duration, 0.1 / machine.duration, nuisance=True),
                 ],
                 predicts="a residual of this output that grows with time whatever the excitation",
                 refuted_by="a residual that is the same at the beginning and at the end",
