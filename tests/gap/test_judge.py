@@ -1,0 +1,120 @@
+"""Rulings on made-up candidates: what is chosen, what gives way, what is refused, and by which evidence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from afdsvc.api.physics import Coefficient, Hypothesis, Signal
+from afdsvc.gap.judge import Tried, bent, judge
+from afdsvc.gap.objective import Point
+from afdsvc.gap.search import Candidate
+from afdsvc.gap.simulator import Effect
+
+SAMPLES = (20000, 10000)
+NOISE = SimpleNamespace(limited="noise", memory=1.0)
+FEW = Tried(100, 10)
+
+
+def nothing_law(p, z, m, dt, out):
+    """Do nothing: these candidates are never simulated."""
+
+
+def candidate(
+    physics: str, gain: float = 0.0, gain_select: float = 0.0, *, site: str = "input:a", values: tuple[float, ...] = (1.0,),
+    family: str = "memory", differs: float = 1e3, theta: float = 0.0, blocks: np.ndarray | None = None,
+) -> Candidate:
+    """Return a candidate that gains so much on the runs that fit and on those that select; parameters range from 0 to 4."""
+    own = Signal("u", 0)
+    parameters = tuple(Coefficient(f"p{i}", "", 0.0, 4.0, 0.1) for i in range(len(values)))
+    h = Hypothesis(physics, site, family, "input", nothing_law, (own,), (own,), parameters, (values,))
+    spread = np.linspace(-1, 1, 60) if blocks is None else blocks
+    point = Point(np.array([theta]), (), (Effect(h, np.array(values)),))
+    costs = 500.0 - (gain + gain_select) / 60 + spread
+    return Candidate(h, point, 20000 - gain, 10000 - gain_select, costs, len(values), differs=differs)
+
+
+def empty(theta: float = 0.0) -> Candidate:
+    return Candidate(None, Point(np.array([theta]), ()), 20000.0, 10000.0, np.full(60, 500.0), 0)
+
+
+def ruling(*candidates: Candidate, tried: Tried = FEW, theta: float = 0.0):
+    return judge(NOISE, [empty(theta), *candidates], tried, SAMPLES)
+
+
+def test_a_law_that_fails_the_selection_runs_gives_way_to_one_that_does_well_on_both():
+    r = ruling(candidate("overfitting", 900, -80), candidate("right", 500, 200))
+    assert r.accepted
+    assert r.rivals[0].candidate.hypothesis.physics == "right"
+
+
+def test_alone_it_is_refused_for_it():
+    r = ruling(candidate("overfitting", 900, -80), candidate("no better", 20, 0.5))
+    assert not r.accepted
+    assert "does not improve the recording kept for selection" in r.reason
+
+
+@pytest.mark.parametrize(("differs", "accepted"), [(1e3, False), (4.0, True)])
+def test_selection_runs_are_asked_for_a_gain_only_where_the_effect_shows_in_them(differs, accepted):
+    assert ruling(candidate("saturation", 300, -1.0, differs=differs)).accepted is accepted
+
+
+def test_gains_on_runs_that_were_not_fitted_count_as_evidence():
+    wanted = float(stats.chi2.isf(1e-5 / 100, 1))
+    assert ruling(candidate("law", wanted - 8, 9)).accepted
+    assert not ruling(candidate("law", wanted - 12, 9)).accepted
+
+
+def test_changes_of_constants_have_a_chance_of_error_of_their_own():
+    change = candidate("parameter_change", 13.6, 2.2, family="gain")
+    assert stats.chi2.isf(1e-3 / 10, 1) < 15.8 < stats.chi2.isf(1e-3 / 97, 1)
+    assert ruling(change, tried=Tried(97, 10)).accepted
+    assert not ruling(change, tried=Tried(97, 97)).accepted
+    assert not ruling(candidate("law", 13.6, 2.2), tried=Tried(97, 10)).accepted
+
+
+def test_hypotheses_are_counted_by_what_they_are():
+    laws = [candidate(n).hypothesis for n in ("law", "parameter_change", "law", "parameter_change")]
+    assert Tried.of(laws) == Tried(4, 2)
+    assert Tried.of([]) == Tried(1, 1)
+
+
+@pytest.mark.parametrize(
+    ("shape", "site", "family", "first"),
+    [
+        (4.0, "input:a", "memory", "play"),  # the loop stands at its end: it is asked to be play
+        (2.0, "input:a", "memory", "loop"),  # its shape is well inside
+        (4.0, "input:b", "memory", "loop"),  # the other acts elsewhere
+        (4.0, "input:a", "friction", "loop"),  # or is no relative
+    ],
+)
+def test_a_law_at_the_end_of_its_range_gives_way_to_a_shorter_relative_the_data_cannot_tell_from_it(shape, site, family, first):
+    rng = np.random.default_rng(3)
+    loop = candidate("loop", 1000, 500, values=(1.0, 1.0, shape))
+    play = candidate("play", 975, 490, site=site, family=family, blocks=np.linspace(-1, 1, 60) + 10 * rng.standard_normal(60))
+    assert ruling(loop, play).rivals[0].candidate.hypothesis.physics == first
+
+
+def test_a_shorter_relative_that_is_surely_worse_stays_behind():
+    noisy = np.random.default_rng(4).standard_normal(60)
+    loop, play = candidate("loop", 1000, 500, values=(1.0, 1.0, 4.0)), candidate("play", 700, 300, blocks=noisy)
+    assert ruling(loop, play).rivals[0].candidate.hypothesis.physics == "loop"
+
+
+def test_a_choice_may_not_bend_the_model_further_than_it_was():
+    r = ruling(candidate("law", 900, 400))
+    assert bent(np.array([4.9, -1.0]), r) == ""
+    assert "needs a model parameter 15.9 standard deviations off" in bent(np.array([0.3, -15.9]), r)
+    strained = replace(r, nothing=empty(15.5))
+    assert bent(np.array([0.3, -15.9]), strained) == ""
+
+
+def test_where_the_model_is_strained_a_loss_on_selection_is_weighed_against_the_gain():
+    """The owner's statement, not the selection runs, speaks against a strained constant."""
+    assert ruling(candidate("parameter_change", 94, -6.7, family="gain"), theta=6.8).accepted
+    assert not ruling(candidate("parameter_change", 94, -20, family="gain"), theta=6.8).accepted
+    assert not ruling(candidate("parameter_change", 94, -6.7, family="gain"), theta=1.0).accepted

@@ -1,0 +1,108 @@
+"""Laws of the library on their own, each against something that knows better."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.signal import lsim
+
+from afdsvc.lti.statespace import StateSpace
+from afdsvc.plugins.physics.backlash import play
+from afdsvc.plugins.physics.flexible_mode import _attach, appendage
+from afdsvc.plugins.physics.runout import uneven
+from afdsvc.plugins.physics.saturation import saturation
+from afdsvc.plugins.physics.sensor_drift import drift
+from afdsvc.plugins.physics.slew_limit import slew
+
+DT = 1e-3
+
+
+def changed(law, parameters, signal, memory: int = 0) -> np.ndarray:
+    """Return what a law adds, sample by sample."""
+    m, added = np.zeros(memory), []
+    for z in signal:
+        out = np.zeros(1)
+        law(np.array(parameters, float), np.atleast_1d(z), m, DT, out)
+        added.append(out[0])
+    return np.array(added)
+
+
+def test_a_mass_on_an_axis_moves_as_the_matrices_say():
+    """Oracle: scipy simulates the extended plant; the law pulls at the axis within it, step by step."""
+    w, zeta, ratio, h = 90.0, 0.03, 0.15, 1e-5
+    A = np.array([[0, 1.0], [-4e3, -12.0]])
+    plant = StateSpace(A, np.array([[0.0], [1.0]]), np.array([[1.0, 0]]), np.zeros((1, 1)))
+    t = np.arange(60000) * h
+    u = 1e4 * np.sin(70 * t)
+    whole = _attach(plant, (w, zeta, ratio), 0, 1)
+    _, y, _ = lsim((whole.A, whole.B, whole.C, whole.D), u, t)
+    p, m, x, seen = np.array([w, zeta, ratio]), np.zeros(3), np.zeros(2), []
+    for k in range(len(t)):
+        seen.append(x[0])
+        pull = np.zeros(1)
+        appendage(p, np.array([x[0] + 0.5 * h * x[1], x[1]]), m, h, pull)
+        slope = A @ x + np.array([0, u[k] + pull[0]])
+        x = x + h * slope + 0.5 * h * h * (A @ slope)
+    assert np.abs(np.array(seen) - y).max() < 2e-3 * np.abs(y).max()
+
+
+def test_a_mass_on_an_axis_that_stands_still_does_not_pull():
+    still = np.tile([0.3, 0.0], (50, 1))
+    assert changed(appendage, [90.0, 0.03, 0.2], still, 3) == pytest.approx(np.zeros(50), abs=1e-12)
+
+
+def test_slow_motion_carries_the_mass_along():
+    """Far below its resonance the mass is one with the axis: it pulls back its mass times the acceleration."""
+    t = np.arange(4000) * DT
+    q, v, a = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
+    pulls = changed(appendage, [200.0, 0.7, 0.2], np.column_stack([q, v]), 3)
+    assert pulls[500:] == pytest.approx(-0.2 * a[500:], abs=0.02)
+
+
+def test_saturation_is_the_identity_below_its_knee_and_the_limit_beyond():
+    u = np.linspace(-3, 3, 601)
+    limited = u + changed(saturation, [1.5, 0.2], u)
+    inside, beyond = np.abs(u) <= 1.2, np.abs(u) >= 1.8
+    assert np.array_equal(limited[inside], u[inside])
+    assert np.abs(limited[beyond]) == pytest.approx(np.full(beyond.sum(), 1.5))
+    assert (np.diff(limited) >= -1e-12).all()
+    assert np.abs(np.diff(limited, 2)).max() < 2e-4  # no corner: a hard limit would bend by the step, 0.01
+
+
+def test_play_without_wear_is_play_and_with_it_the_mean_of_two():
+    u = np.concatenate([np.linspace(0, 3, 31), np.linspace(3, -3, 61)])
+    narrow, wide = (u + changed(play, [g, 0.0], u, 2) for g in (0.8, 1.2))
+    assert u + changed(play, [1.0, 0.2], u, 2) == pytest.approx((narrow + wide) / 2)
+    assert narrow[30] == pytest.approx(3 - 0.4)
+    assert narrow[31:38] == pytest.approx(np.full(7, 2.6))
+
+
+@pytest.mark.parametrize(("target", "rate"), [(1.0, 400.0), (-1.0, 250.0), (0.1, 400.0)])
+def test_slew_limit_gives_the_mean_of_the_ramp_over_the_step(target, rate):
+    """Oracle: the ramp, integrated."""
+    added = changed(slew, [400.0, 250.0], [0.0, target, target], 2)
+
+    def ramp(t: float) -> float:
+        return math.copysign(min(rate * t, abs(target)), target)
+
+    for k in (1, 2):
+        mean = quad(ramp, (k - 1) * DT, k * DT, points=[min(abs(target) / rate, k * DT)])[0] / DT
+        assert target + added[k] == pytest.approx(mean)
+
+
+def test_drift_levels_off():
+    added = changed(drift, [2.0, 0.25], np.zeros(2001), 1)
+    assert added[1] == pytest.approx(2.0 * DT, rel=1e-3)
+    assert added[2000] == pytest.approx(2.0 * (2.0 - 0.25 * 4.0))
+    assert added[2000] - added[1999] == pytest.approx(0.0, abs=2e-3 * DT)
+
+
+def test_runout_is_the_first_three_harmonics():
+    angle = 2 * np.pi * np.arange(64) / 64
+    parts = [0.3, -0.1, 0.2, 0.05, -0.07, 0.4]
+    spectrum = np.fft.rfft(changed(uneven, parts, np.column_stack([np.zeros(64), angle]))) / 32
+    assert spectrum[1:4] == pytest.approx([complex(parts[2 * k], -parts[2 * k + 1]) for k in range(3)])
+    assert np.abs(spectrum[4:]).max() < 1e-12
