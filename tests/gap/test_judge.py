@@ -99,10 +99,13 @@ def test_a_law_at_the_end_of_its_range_gives_way_to_a_shorter_relative_the_data_
     assert ruling(loop, play).rivals[0].candidate.hypothesis.physics == first
 
 
-def test_a_shorter_relative_that_is_surely_worse_stays_behind():
-    noisy = np.random.default_rng(4).standard_normal(60)
-    loop, play = candidate("loop", 1000, 500, values=(1.0, 1.0, 4.0)), candidate("play", 700, 300, blocks=noisy)
-    assert ruling(loop, play).rivals[0].candidate.hypothesis.physics == "loop"
+@pytest.mark.parametrize(("behind", "first"), [(40, "play"), (190, "loop")])
+def test_a_shorter_relative_that_is_worse_by_two_standard_errors_stays_behind(behind, first):
+    noisy = 10 * np.random.default_rng(4).standard_normal(60)
+    noisy -= noisy.mean()
+    loop, play = candidate("loop", 1000, 500, values=(1.0, 1.0, 4.0)), candidate("play", 1000 - behind, 500, blocks=noisy)
+    assert [r.candidate.hypothesis.physics for r in ruling(loop, play).rivals[:1]] == [first]
+    assert len(ruling(loop, play).rivals) == 2
 
 
 def test_a_choice_may_not_bend_the_model_further_than_it_was():
