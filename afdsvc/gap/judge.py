@@ -22,6 +22,7 @@ MILD = 2.0  # price of a parameter when asking whether two hypotheses can be tol
 SILENT = 16.0  # how much the selection runs must differ with an effect before they are asked for a gain: four standard errors
 STRAINED, WORSE, LOST = 3.0, 4.0, 0.1  # prior deviations from which a fit counts as strained; loss on selection allowed then, least and per gain
 ALIKE = 2.0  # score units within which two are equally good
+EXACT = 1e-3  # share of a gain to which the form of a law can be trusted: nobody knows one better
 AT_END, INSIDE = 1e-3, 2.0  # part of its range that counts as its end; standard errors a shorter law may be worse by
 FAR_OFF = 5.0  # prior standard deviations a nuisance parameter may move without being suspect
 
@@ -74,8 +75,10 @@ def judge(base: Baseline, candidates: Sequence[Candidate], tried: Tried, samples
     if not named:
         return Ruling(False, "no hypothesis applies to this machine", (), (), nothing, 0.0, 0.0)
     scored = sorted(((score(base, nothing, c, samples), c) for c in named), key=lambda s: -s[0])
-    rivals, beaten = _rivals(base, _general(base, nothing, scored, samples), samples)
-    rivals = _simplest_first(rivals)
+    scored = _general(base, nothing, scored, samples)
+    inexact = EXACT * max(sum(gains(base, nothing, scored[0][1], samples)), 0.0)
+    rivals, beaten = _rivals(base, scored, samples, inexact)
+    rivals = _simplest_first(rivals, inexact)
     choice = rivals[0].candidate
     gain, gain_select = gains(base, nothing, choice, samples)
     reason = _objection(base, nothing, choice, gain, gain_select, tried, samples)
@@ -118,9 +121,9 @@ def score(base: Baseline, nothing: Candidate, c: Candidate, samples: tuple[int, 
 
 
 def _rivals(
-    base: Baseline, scored: Sequence[tuple[float, Candidate]], samples: tuple[int, int]
+    base: Baseline, scored: Sequence[tuple[float, Candidate]], samples: tuple[int, int], inexact: float
 ) -> tuple[list[Rival], list[Rival]]:
-    """Split into those within reach of the best (with weights) and those beaten.
+    """Split into those within reach of the best (with weights) and those beaten; what is ``inexact`` tells nobody apart.
 
     The choice pays the full price of every parameter; whether a rival can be told from it is asked at the mild price of
     Akaike, or a law that contains the choice as a special case would count as refuted just for being longer.
@@ -131,8 +134,8 @@ def _rivals(
     full = float(np.log(max(sum(samples) / base.memory, 2.0)))
     for value, c in scored:
         longer = c.parameters - best.parameters
-        z = separation(c.blocks, best.blocks, longer * MILD + _strain(c) - _strain(best))
-        close = top - value - longer * (full - MILD)
+        z = separation(c.blocks, best.blocks, longer * MILD + _strain(c) - _strain(best) - inexact)
+        close = top - value - longer * (full - MILD) - inexact
         evidence = min(max(close, 0.0), max(z, 0.0) ** 2) if c is not best else 0.0
         rival = Rival(c, top - value, z, float(np.exp(-evidence / 2)))
         (rivals if c is best or close < CLOSE or z < APART else beaten).append(rival)
@@ -152,7 +155,7 @@ def separation(worse: Array, better: Array, price: float = 0.0) -> float:
     return (float(d.sum()) + price) / spread if spread > 0 else 0.0
 
 
-def _simplest_first(rivals: list[Rival]) -> list[Rival]:
+def _simplest_first(rivals: list[Rival], inexact: float) -> list[Rival]:
     """Put the one with the fewest parameters first among those that are as good as the best.
 
     A law whose shape sits at the end of its range is asked to be another: it gives way to a shorter one of its family at its
@@ -160,7 +163,7 @@ def _simplest_first(rivals: list[Rival]) -> list[Rival]:
     """
     best = min(rivals, key=lambda r: r.score)
     shorter = [r for r in rivals if r.z < INSIDE and _limit_of(best.candidate, r.candidate)]
-    first = min([*(r for r in rivals if r.score < ALIKE), *shorter], key=lambda r: (r.candidate.parameters, r.score))
+    first = min([*(r for r in rivals if r.score < ALIKE + inexact), *shorter], key=lambda r: (r.candidate.parameters, r.score))
     rest = sorted((r for r in rivals if r is not first), key=lambda r: -r.weight)
     return [first, *rest]
 

@@ -121,3 +121,15 @@ def test_where_the_model_is_strained_a_loss_on_selection_is_weighed_against_the_
     assert ruling(candidate("parameter_change", 94, -6.7, family="gain"), theta=6.8).accepted
     assert not ruling(candidate("parameter_change", 94, -20, family="gain"), theta=6.8).accepted
     assert not ruling(candidate("parameter_change", 94, -6.7, family="gain"), theta=1.0).accepted
+
+
+@pytest.mark.parametrize(("behind", "first"), [(0.0005, "short"), (0.01, "long")])
+def test_no_law_is_trusted_to_a_thousandth_of_what_it_explains(behind, first):
+    """At a very high signal-to-noise ratio the form of a law decides, not its name: the shorter one is told first."""
+    gain = 1e6
+    costs = 1e-3 * np.random.default_rng(5).standard_normal(60)
+    long = candidate("long", gain, gain / 2, values=(1.0, 1.0), family="offset")
+    short = candidate("short", gain * (1 - behind), gain / 2, family="force", blocks=long.blocks - 500 + 1.5 * gain / 60 + costs)
+    r = judge(NOISE, [replace(empty(), train=2 * gain, select=gain), *(replace(c, train=2 * gain + c.train - 20000, select=gain + c.select - 10000) for c in (long, short))], FEW, SAMPLES)
+    assert r.rivals[0].candidate.hypothesis.physics == first
+    assert {x.candidate.hypothesis.physics for x in r.rivals} == ({"short", "long"} if first == "short" else {"long"})
