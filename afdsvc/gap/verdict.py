@@ -20,6 +20,7 @@ from afdsvc.gap.verify import Explained
 ENOUGH = 0.8  # explained fraction below which names are withdrawn
 SOMETHING = 1e-6  # p-value of what repeats below which something is there
 SURELY_LEFT = 1e-4  # p-value of what is left below which it is more than noise
+COLOURED = "coloured_noise"
 OTHER_NOISE = 1.25  # ratio to the stated noise from which it is said
 
 
@@ -36,8 +37,9 @@ class Judgement:
 
 def judged(found: Found, done: Explained) -> Judgement:
     """Return the verdict on a finished search."""
-    noise = _noise_names(found)
-    words = (*_noise_words(found), *(n.sentence for n in noise))
+    told = _noise_names(found)
+    words = (*_noise_words(found), *(n.sentence for n in told))
+    noise = tuple(n for n in told if found.end.limited == "noise" or n.physics != COLOURED)  # colour may be what the model leaves
     restless = growth(found.end.objective.runs, raw(found.end.objective, found.end.point))
     rounded = {n.site for n in noise if n.physics == "quantisation"}  # what rounding does repeats, and follows the level
     if restless is not None and restless.matters and f"output:{found.end.nominal.model.outputs[restless.output].name}" not in rounded:
@@ -46,7 +48,7 @@ def judged(found: Found, done: Explained) -> Judgement:
         best = found.steps[0].ruling.rivals[0].candidate.key
         why = f"only {100 * done.fraction:.0f} % of the gap goes with the best hypotheses ({best} first), so none of them is claimed"
         return Judgement("unexplained", (why, *words), remains=True)
-    tinted = {n.site.partition(":")[2] for n in noise if n.physics == "coloured_noise"}
+    tinted = {n.site.partition(":")[2] for n in noise if n.physics == COLOURED}
     lacking = strained(found.end, _explained_by_laws(found)) or (irregular(found.end, tinted) if found.steps else "")
     if lacking:
         nearest = f"; nearest comes {found.steps[0].ruling.rivals[0].candidate.key}, which is not claimed" if found.steps else ""

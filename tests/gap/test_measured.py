@@ -31,6 +31,7 @@ def test_the_positioning_axis_shows_dry_friction_then_an_offset(measured):
     folder = measured / "emps"
     answer = answered(folder, "model.toml", read_table(folder / "estimation.csv"), "pulses.csv")
     assert answer.verdict == "omitted_physics"
+    assert "coloured_noise" not in [n.physics for n in answer.named]  # the model limits here, and what it leaves is coloured
     firsts = {n.effect: n for n in reversed(answer.named)}
     assert (firsts[1].physics, firsts[2].physics) == ("coulomb_friction", "constant_load")
     assert firsts[1].parameters["force"].value == pytest.approx(20.4, rel=0.1)
