@@ -151,8 +151,10 @@ def _strain(c: Candidate) -> float:
 def separation(worse: Array, better: Array, price: float = 0.0) -> float:
     """Return by how many standard errors the blocks of one candidate (and the ``price`` of its parameters) cost more."""
     d = worse - better
-    spread = float(d.std(ddof=1)) * np.sqrt(len(d))
-    return (float(d.sum()) + price) / spread if spread > 0 else 0.0
+    total, spread = float(d.sum()) + price, float(d.std(ddof=1)) * np.sqrt(len(d))
+    if spread > 1e-12 * abs(total):
+        return total / spread
+    return float(np.copysign(np.inf, total)) if total else 0.0  # the same everywhere, as where one of them leaves
 
 
 def _simplest_first(rivals: list[Rival], inexact: float) -> list[Rival]:

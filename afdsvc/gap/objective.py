@@ -148,8 +148,16 @@ def slope(objective: Objective, point: Point, states_only: bool = False, known: 
     data = objective.vector(point)
     J, (weights, own), scales = _columns(objective, point, data, states_only, known)
     weight = np.diag(weights).copy()
-    r: Array = np.asarray(np.linalg.cholesky(J.T @ J + np.diag(weight**2)).T, dtype=np.float64)
-    return Slope(point, J, weight, r, np.concatenate([data, own]), scales)
+    return Slope(point, J, weight, _factor(J.T @ J + np.diag(weight**2)), np.concatenate([data, own]), scales)
+
+
+def _factor(H: Array) -> Array:
+    """Return the upper factor of a normal matrix; one that rounding made singular, where a simulation left, gets a ridge."""
+    try:
+        return np.asarray(np.linalg.cholesky(H).T, dtype=np.float64)
+    except np.linalg.LinAlgError:
+        ridge = 1e-9 * np.maximum(np.diag(H), 1e-12 * float(np.trace(H)))
+        return np.asarray(np.linalg.cholesky(H + np.diag(ridge)).T, dtype=np.float64)
 
 
 def tangent(objective: Objective, point: Point, states_only: bool = False) -> Tangent:

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Signal
-from afdsvc.gap.judge import Tried, bent, judge
+from afdsvc.gap.judge import Tried, bent, judge, separation
 from afdsvc.gap.objective import Point
 from afdsvc.gap.search import Candidate
 from afdsvc.gap.simulator import Effect
@@ -133,3 +133,12 @@ def test_no_law_is_trusted_to_a_thousandth_of_what_it_explains(behind, first):
     r = judge(NOISE, [replace(empty(), train=2 * gain, select=gain), *(replace(c, train=2 * gain + c.train - 20000, select=gain + c.select - 10000) for c in (long, short))], FEW, SAMPLES)
     assert r.rivals[0].candidate.hypothesis.physics == first
     assert {x.candidate.hypothesis.physics for x in r.rivals} == ({"short", "long"} if first == "short" else {"long"})
+
+
+def test_what_costs_more_by_the_same_everywhere_is_surely_worse():
+    """As a simulation does that leaves: every block costs the same huge number."""
+    good = np.linspace(400, 600, 60)
+    assert separation(np.full(60, 1e30), np.full(60, 500.0)) == np.inf
+    assert separation(np.full(60, 1e30), good) == np.inf
+    assert separation(good, good) == 0.0
+    assert separation(good, good, -1.0) == -np.inf

@@ -12,7 +12,7 @@ from afdsvc.api.signals import Channel, Trace
 from afdsvc.gap.baseline import Baseline, baseline
 from afdsvc.gap.forward import seen
 from afdsvc.gap.nominal import nominal
-from afdsvc.gap.objective import Point, borrowed, tangent
+from afdsvc.gap.objective import Point, _factor, borrowed, tangent
 from afdsvc.gap.runs import prepare
 from afdsvc.gap.settle import full_cost, settle
 from afdsvc.gap.simulator import Effect
@@ -56,3 +56,13 @@ def test_wrong_columns_are_given_up(base):
     off = replace(base.point, theta=base.point.theta + 1.0)
     there = settle(base.objective, off, 20, known=replace(lent, J=lent.J[::-1].copy()))
     assert full_cost(base.objective, there) == pytest.approx(full_cost(base.objective, base.point), abs=0.5)
+
+
+def test_a_normal_matrix_that_rounding_made_singular_is_factored_all_the_same():
+    """Where a simulation left, columns are huge and alike; 1e-3 of prior is lost in them."""
+    J = 1e15 * np.column_stack([np.ones(50), np.ones(50) * (1 + 1e-16), np.linspace(1, 2, 50)])
+    H = J.T @ J + 1e-6 * np.eye(3)
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(H)
+    r = _factor(H)
+    assert r.T @ r == pytest.approx(H, rel=1e-6)
