@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -151,10 +152,10 @@ def _strain(c: Candidate) -> float:
 def separation(worse: Array, better: Array, price: float = 0.0) -> float:
     """Return by how many standard errors the blocks of one candidate (and the ``price`` of its parameters) cost more."""
     d = worse - better
-    total, spread = float(d.sum()) + price, float(d.std(ddof=1)) * np.sqrt(len(d))
+    total, spread = float(d.sum()) + price, float(d.std(ddof=1)) * math.sqrt(len(d))
     if spread > 1e-12 * abs(total):
         return total / spread
-    return float(np.copysign(np.inf, total)) if total else 0.0  # the same everywhere, as where one of them leaves
+    return math.copysign(math.inf, total) if total else 0.0  # the same everywhere, as where one of them leaves
 
 
 def _simplest_first(rivals: list[Rival], inexact: float) -> list[Rival]:

@@ -61,7 +61,7 @@ def _restless(base: Baseline, coloured: Sequence[bool]) -> list[int]:
         return []
     ratio = base.floor.sd / np.maximum(stated, 1e-300)
     louder = [r > CALM and float(stats.f.sf(r**2 / max(float(ratio.min()) ** 2, 1.0), n, n)) < RANDOM for r in ratio]
-    found = louder if base.ratio > 0 else [a or b for a, b in zip(louder, coloured, strict=True)]
+    found = [a or b for a, b in zip(louder, coloured, strict=True)]
     return [] if all(found) else [j for j, is_so in enumerate(found) if is_so]
 
 

@@ -35,9 +35,9 @@ def exponential(u: float, p: Row) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def gain_law(u: float, p: Row, signal: float) -> float:
-    """Gain 1 + p0 (d + 0.2 d^2), d the deviation of the signal from p1 in units of p2."""
+    """Gain 1 + p0 (e^(0.4 d) - 1) / 0.4, d the deviation of the signal from p1 in units of p2."""
     d = (signal - p[1]) / p[2]
-    return u * (1.0 + p[0] * (d + 0.2 * d * d))
+    return u * (1.0 + p[0] * math.expm1(0.4 * d) / 0.4)
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -97,9 +97,9 @@ def unbalance(at: list[int], p: Row, speed: float, angle: float, dx: Row) -> Non
 
 @numba.njit(cache=True, error_model="numpy")
 def stiffness_follows(at: list[int], p: Row, x: Row, signal: float, dx: Row) -> None:
-    """Stiffness p3 (first axis) and p4 (second) grow by p0 (d + 0.2 d^2), d the signal's deviation from p1 in units of p2."""
+    """Stiffness p3 (first axis) and p4 (second) grow by p0 (e^(0.4 d) - 1) / 0.4, d the signal's deviation from p1 in units of p2."""
     d = (signal - p[1]) / p[2]
-    more = p[0] * (d + 0.2 * d * d)
+    more = p[0] * math.expm1(0.4 * d) / 0.4
     dx[at[1]] -= more * p[3] * x[at[0]]
     if at[3] >= 0:
         dx[at[3]] -= more * p[4] * x[at[2]]

@@ -10,13 +10,20 @@ from afdsvc.plugins.physics.attach import at_input, at_output
 
 
 def scaled(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``w (1 + c (aux - mean))``."""
-    out[0] += p[0] * (z[1] - p[1]) * z[0]
+    """``w (1 + c d + b d^2)`` with ``d = aux - mean``."""
+    d = z[1] - p[1]
+    out[0] += (p[0] + p[2] * d) * d * z[0]
 
 
 def varying(machine: Machine) -> list[Size]:
     """Return the auxiliary signals that vary and are no angle."""
     return [a for name, a in machine.aux.items() if name != "angle" and a.rms > 1e-6 * max(abs(a.mean), 1e-300) and a.rms > 0]
+
+
+def curvature(aux: Size, unit: str, scale: float) -> Coefficient:
+    """Return the bend of what follows a signal: how its ``scale`` per unit of the signal changes with the signal."""
+    per = scale / aux.rms
+    return Coefficient("curvature", unit, -100 * per, 100 * per, per, linear=True, nuisance=True)
 
 
 class GainFollowsAux:
@@ -44,8 +51,9 @@ def _parts(name: str, aux: Size, word: str) -> dict[str, Any]:
         "parameters": [
             Coefficient(f"share per {aux.name}", unit, -100 * scale, 100 * scale, scale, linear=True),
             Coefficient("reference", aux.unit, aux.mean, aux.mean, 1.0, nuisance=True),
+            curvature(aux, unit, scale),
         ],
-        "starts": [(0.0, aux.mean)], "notes": {"variant": aux.name},
+        "starts": [(0.0, aux.mean, 0.0)], "notes": {"variant": aux.name},
         "predicts": f"a residual proportional to the {word} that changes sign with {aux.name} about its mean",
         "refuted_by": f"a gain that stays the same while {aux.name} varies",
     }

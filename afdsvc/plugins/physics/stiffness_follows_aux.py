@@ -9,19 +9,21 @@ import numpy as np
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal, Size
 from afdsvc.plugins.physics.attach import at_force, force, on_machine, position, velocity
-from afdsvc.plugins.physics.gain_follows_aux import varying
+from afdsvc.plugins.physics.gain_follows_aux import curvature, varying
 
 
 def spring(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``-c (aux - mean) q``."""
-    out[0] -= p[0] * (z[1] - p[1]) * z[0]
+    """``-(c + b d) d q`` with ``d = aux - mean``."""
+    d = z[1] - p[1]
+    out[0] -= (p[0] + p[2] * d) * d * z[0]
 
 
 def springs(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``-c_k (aux - mean) q_k`` on every axis k: one cause, felt in all directions."""
+    """``-c_k (1 + b d) d q_k`` on every axis k, ``d = aux - mean``: one cause, felt in all directions."""
     n = len(out)
+    d = z[n] - p[n]
     for k in range(n):
-        out[k] -= p[k] * (z[n] - p[n]) * z[k]
+        out[k] -= p[k] * (1 + p[n + 1] * d) * d * z[k]
 
 
 class StiffnessFollowsAux:
@@ -41,8 +43,9 @@ class StiffnessFollowsAux:
                     parameters=[
                         _share(axis, aux),
                         Coefficient("reference", aux.unit, aux.mean, aux.mean, 1.0, nuisance=True),
+                        curvature(aux, "", _share(axis, aux).scale),
                     ],
-                    starts=[(0.0, aux.mean)], notes={"variant": aux.name},
+                    starts=[(0.0, aux.mean, 0.0)], notes={"variant": aux.name},
                     predicts=f"a resonance that moves with {aux.name}",
                     refuted_by=f"a resonance that stays where it is while {aux.name} varies",
                 )
@@ -51,8 +54,11 @@ class StiffnessFollowsAux:
         shares = [_share(axis, aux, f" of {axis.name}") for axis in machine.axes]
         return on_machine(
             "force", springs, [*(position(a) for a in machine.axes), Signal("aux", aux.index)], [velocity(a) for a in machine.axes],
-            physics=self.name, family="follows aux", starts=[(*np.zeros(len(shares)), aux.mean)], notes={"variant": aux.name},
-            parameters=[*shares, Coefficient("reference", aux.unit, aux.mean, aux.mean, 1.0, nuisance=True)],
+            physics=self.name, family="follows aux", starts=[(*np.zeros(len(shares)), aux.mean, 0.0)], notes={"variant": aux.name},
+            parameters=[
+                *shares, Coefficient("reference", aux.unit, aux.mean, aux.mean, 1.0, nuisance=True),
+                Coefficient("curvature", "", -1 / aux.rms, 1 / aux.rms, 0.05 / aux.rms, nuisance=True),
+            ],
             predicts=f"resonances of all directions that move together with {aux.name}",
             refuted_by=f"a resonance that stays where it is while {aux.name} varies",
         )
