@@ -122,7 +122,7 @@ def side_by_side(a: Trace, b: Trace) -> Trace:
 @pytest.mark.parametrize(
     ("louder", "ratio", "coloured", "said"),
     [
-        ((1.1, 1.0), 0.0, (), True), ((1.0, 1.0), 0.0, ("a",), True), ((1.1, 1.0), 0.01, (), True),
+        ((1.1, 1.0), 0.0, (), True), ((1.0, 1.0), 0.0, ("a",), True), ((1.1, 1.0), 0.01, (), True), ((1.0, 1.0), 0.01, ("a",), True),
         ((1.0, 1.0), 0.0, (), False),  # as stated
         ((1.1, 1.1), 0.0, (), False),  # louder everywhere: the statement is wrong, not the law
         ((1.0, 1.1), 0.0, (), False),  # somewhere else

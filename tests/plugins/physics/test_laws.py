@@ -12,10 +12,12 @@ from scipy.signal import lsim
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.backlash import play
 from afdsvc.plugins.physics.flexible_mode import _attach, appendage
+from afdsvc.plugins.physics.gain_follows_aux import scaled
 from afdsvc.plugins.physics.runout import uneven
 from afdsvc.plugins.physics.saturation import saturation
 from afdsvc.plugins.physics.sensor_drift import drift
 from afdsvc.plugins.physics.slew_limit import slew
+from afdsvc.plugins.physics.stiffness_follows_aux import spring, springs
 
 DT = 1e-3
 
@@ -106,3 +108,13 @@ def test_runout_is_the_first_three_harmonics():
     spectrum = np.fft.rfft(changed(uneven, parts, np.column_stack([np.zeros(64), angle]))) / 32
     assert spectrum[1:4] == pytest.approx([complex(parts[2 * k], -parts[2 * k + 1]) for k in range(3)])
     assert np.abs(spectrum[4:]).max() < 1e-12
+
+
+def test_what_follows_a_signal_may_bend():
+    signal = np.column_stack([np.full(5, 2.0), 6.0 + np.arange(-2, 3)])
+    d = np.arange(-2, 3)
+    assert changed(scaled, [0.1, 6.0, 0.02], signal) == pytest.approx(2.0 * (0.1 * d + 0.02 * d**2))
+    assert changed(spring, [30.0, 6.0, 5.0], signal) == pytest.approx(-2.0 * (30.0 * d + 5.0 * d**2))
+    z, out = np.array([2.0, -1.0, 7.5]), np.zeros(2)
+    springs(np.array([30.0, 40.0, 6.0, 0.1]), z, np.zeros(0), DT, out)
+    assert out == pytest.approx([-30 * 1.15 * 1.5 * 2, 40 * 1.15 * 1.5])
