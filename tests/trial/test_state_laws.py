@@ -129,7 +129,13 @@ def test_stiffness_follows_a_signal_about_its_mean() -> None:
     law.stiffness_follows(AT, p, x, 6.0, dx)
     assert not dx.any()
     law.stiffness_follows(AT, p, x, 6.5, more)
-    assert more == pytest.approx([0, -12.0, 0, -48.0])
+    grown = 0.1 * np.expm1(0.4) / 0.4  # a standard deviation up: every further one grows e^0.4 times as much
+    assert more == pytest.approx([0, -100.0 * grown, 0, -2.0 * 200.0 * grown])
+    twice, little = np.zeros(4), np.zeros(4)
+    law.stiffness_follows(AT, p, x, 7.0, twice)
+    assert (twice - more)[1] == pytest.approx(np.exp(0.4) * more[1])
+    law.stiffness_follows(AT, p, x, 6.0005, little)
+    assert little[1] == pytest.approx(-0.1 * 0.001 * 100.0, rel=1e-3)  # p0 per standard deviation, near the mean
 
 
 def test_parametric_stiffness_swings_between_stiffer_and_softer() -> None:
