@@ -41,7 +41,7 @@ def residual_with(tangent: Tangent, effect: Effect) -> Array:
 def screen(tangent: Tangent, hypothesis: Hypothesis) -> Trial:
     """Return the most promising start of a hypothesis, with the cost a free amplitude would reach from it.
 
-    For a law without an amplitude the start that costs least as it stands is kept beside it.
+    Another start is kept beside it: for a law without an amplitude the one that costs least as it stands, else the first.
     """
     tried = [_from_start(tangent, hypothesis, np.array(s, float)) for s in hypothesis.starts]
     best = min(tried, key=lambda t: t.cost)

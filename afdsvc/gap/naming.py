@@ -9,13 +9,12 @@ from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.estimates import deviations, estimates
 from afdsvc.gap.explanation import Estimate, Named, Rejected
 from afdsvc.gap.forward import Found, Step
-from afdsvc.gap.judge import Rival
+from afdsvc.gap.judge import CHANGE, Rival
 from afdsvc.gap.objective import Point
 from afdsvc.lti.statespace import Array
 
 LEAST_WEIGHT = 1e-3
 MOST_NAMES = 8
-CHANGE = "parameter_change"
 
 
 def names(found: Found, summaries: Mapping[str, str]) -> tuple[Named, ...]:
