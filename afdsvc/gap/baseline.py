@@ -25,6 +25,7 @@ from afdsvc.gap.whitening import correlation_time, white
 from afdsvc.lti.statespace import Array
 
 WORTH_A_GAIN = 10.0  # gain of log-likelihood that justifies process noise instead of output noise alone
+ABSENT = 1e-6  # weight of an input at which no noise enters
 FAR_ABOVE = 10.0  # power of the residual over the noise's from which on the model limits, not the noise
 
 
@@ -63,9 +64,12 @@ def baseline(nominal: Nominal, runs: Sequence[Run], point: Point | None = None) 
     """Choose the predictor, measure the noise and refit the nuisance, from the nominal model or from ``point``."""
     point = point or start_point(nominal, runs)
     calm = _model_limited(nominal, runs, point)
-    if calm.floor.known and _excess(calm) < FAR_ABOVE:
-        return _noise_limited(nominal, runs, calm.point) or calm
-    return calm
+    if not calm.floor.known or _excess(calm) >= FAR_ABOVE:
+        return calm
+    found = _noise_limited(nominal, runs, calm.point) or calm
+    if found.ratio < calm.ratio and _excess(found) >= FAR_ABOVE:  # a drifting plant goes elsewhere than the machine did: held to it
+        return _noise_limited(nominal, runs, calm.point, calm) or calm
+    return found
 
 
 def again(base: Baseline, point: Point) -> Baseline:
@@ -83,9 +87,13 @@ def _excess(base: Baseline) -> float:
     return float(np.max(power / base.floor.sd**2))
 
 
-def _noise_limited(nominal: Nominal, runs: Sequence[Run], point: Point) -> Baseline | None:
+def _noise_limited(nominal: Nominal, runs: Sequence[Run], point: Point, held: Baseline | None = None) -> Baseline | None:
+    """Return the baseline with the likeliest predictor, or that of ``held``; None where the noise is not known."""
     for _ in range(2):
-        simulator, ratio, point = likeliest_gain(nominal, runs, point)
+        if held is None:
+            simulator, ratio, point = likeliest_gain(nominal, runs, point)
+        else:
+            simulator, ratio = held.objective.simulator, held.ratio
         objective = Objective(simulator, tuple(runs), white(np.ones(nominal.plant.outputs)))
         found = noise.floor(runs, raw(objective, point))
         if not found.known:
@@ -166,6 +174,25 @@ def likeliest_gain(nominal: Nominal, runs: Sequence[Run], point: Point) -> tuple
     if 0.0 in tried and not tried[0.0][1].gain.any() and tried[0.0][0] < tried[best][0] + WORTH_A_GAIN:
         best = 0.0
     return tried[best][1], best, tried[best][2]
+
+
+def agitation(base: Baseline) -> Array:
+    """Return, for every input, by how much (in log likelihood) noise that enters there alone improves on none, at its best strength.
+
+    Asked at the strengths near that of the predictor.
+    """
+    runs, (sizes, drive) = base.objective.runs, _sizes(base.objective.runs)
+
+    def misfit(ratio: float, weights: Array) -> float:
+        simulator = _predictor(base.nominal, base.point, ratio, sizes, drive * weights)
+        if simulator is None:
+            return np.inf
+        objective = Objective(simulator, runs, white(sizes**2))
+        return _misfit(runs, raw(objective, settle(objective, base.point, 1, states_only=True)))
+
+    near = [base.ratio * factor for factor in (0.1, 1.0, 10.0)]
+    alone = np.maximum(np.eye(len(drive)), ABSENT)
+    return misfit(0.0, np.ones(len(drive))) - np.array([min(misfit(ratio, weights) for ratio in near) for weights in alone])
 
 
 def calm_gain(nominal: Nominal, runs: Sequence[Run], point: Point, ramped: bool = False) -> tuple[Simulator, float, Point]:

@@ -13,6 +13,7 @@ from afdsvc.api.physics import Hypothesis
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.fit import Trial, apply_shift, fit, screen
 from afdsvc.gap.objective import Borrowed, Point, Tangent, borrowed, tangent
+from afdsvc.gap.repeating import repeated
 from afdsvc.gap.runs import Run
 from afdsvc.gap.settle import full_cost, settle
 from afdsvc.gap.simulator import Effect
@@ -32,8 +33,9 @@ class Candidate:
     """A refined hypothesis (None: nothing added): where the search would stand with it, and what it costs.
 
     ``train`` is the full cost on the training runs (prior included), ``select`` the cost on runs never fitted, ``blocks``
-    the costs of consecutive pieces of both, ``parameters`` how many numbers were fitted for it. ``kept`` are the whitened
-    residuals of the selection runs (of the empty candidate), ``differs`` the sum of squares by which another's differ from them.
+    the costs of consecutive pieces of both, ``parameters`` how many numbers were fitted for it. ``heard`` and ``kept`` are the
+    whitened residuals of the training and the selection runs (of the empty candidate), ``differs`` the sum of squares by which
+    another's differ from the latter.
     """
 
     hypothesis: Hypothesis | None
@@ -42,6 +44,7 @@ class Candidate:
     select: float
     blocks: Array
     parameters: int
+    heard: tuple[Array, ...] = ()
     kept: tuple[Array, ...] = ()
     differs: float = np.inf
 
@@ -61,19 +64,27 @@ def evaluate(
 ) -> Candidate:
     """Return the candidate with its costs; the initial states of the selection runs are fitted, nothing else there.
 
-    ``beside`` is the empty candidate.
+    ``beside`` is the empty candidate. A predictor that assumes process noise answers noise too, and a law may mend how: what does
+    not repeat with the excitation is then no evidence for a law that would show in what does.
     """
-    train = full_cost(base.objective, point)
     chosen = replace(base.objective, runs=tuple(select))
     start = Point(point.theta, tuple(np.zeros(base.nominal.plant.order) for _ in select), point.effects)
     there = settle(chosen, start, 2, states_only=True) if select else start
+    heard = base.objective.whitened(point)
     kept = chosen.whitened(there) if select else []
-    cost = float(sum((w**2).sum() for w in kept))
-    blocks = block_costs([*base.objective.whitened(point), *kept])
+    strain = full_cost(base.objective, point) - _squares(heard)
     if beside is None or hypothesis is None:
-        return Candidate(hypothesis, point, train, cost, blocks, 0, tuple(kept))
-    differs = float(sum(((a - b) ** 2).sum() for a, b in zip(kept, beside.kept, strict=True)))
-    return Candidate(hypothesis, point, train, cost, blocks, sum(c.free for c in hypothesis.parameters), differs=differs)
+        return Candidate(hypothesis, point, strain + _squares(heard), _squares(kept), block_costs([*heard, *kept]), 0, tuple(heard), tuple(kept))
+    if base.limited == "noise" and base.ratio > 0 and not any(s.kind in ("aux", "t") for s in hypothesis.reads):
+        heard = [repeated(*three) for three in zip(base.objective.runs, heard, beside.heard, strict=True)]
+        kept = [repeated(*three) for three in zip(select, kept, beside.kept, strict=True)]
+    differs = _squares([a - b for a, b in zip(kept, beside.kept, strict=True)])
+    count = sum(c.free for c in hypothesis.parameters)
+    return Candidate(hypothesis, point, strain + _squares(heard), _squares(kept), block_costs([*heard, *kept]), count, differs=differs)
+
+
+def _squares(pieces: Sequence[Array]) -> float:
+    return float(sum((w**2).sum() for w in pieces))
 
 
 def block_costs(pieces: Sequence[Array]) -> Array:
