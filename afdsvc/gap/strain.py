@@ -21,7 +21,7 @@ from afdsvc.gap.sizes import bandwidth
 from afdsvc.lti.frequency import frequency_response
 
 SHAPE = 0.01  # share of what a law explains that the model's numbers may take up: laws are right to a tenth of their answer
-SURE = 1e-5  # p-value of the strain below which the owner's statement is contradicted
+SURE = 1e-4  # p-value of the strain below which the owner's statement is contradicted
 RANDOM = 1e-5  # p-value of an excess of noise
 CALM = 1.03  # ratio of standard deviations up to which an output is as quiet as stated
 BETTER_KNOWN = 0.5  # how far an estimate may move, over its prior's variance, from which the recordings know better than the owner
@@ -38,7 +38,7 @@ def strained(base: Baseline, explained: float = 0.0) -> str:
     theta = base.point.theta
     if base.limited != "noise" or len(theta) == 0:
         return ""
-    strain, count = _distance(base)
+    strain, count = distance(base)
     p = float(stats.chi2.sf(strain - SHAPE * explained, max(count, 1)))
     if p > SURE:
         return ""
@@ -50,7 +50,7 @@ def strained(base: Baseline, explained: float = 0.0) -> str:
     )
 
 
-def _distance(base: Baseline) -> tuple[float, int]:
+def distance(base: Baseline) -> tuple[float, int]:
     """Return how far the model's numbers are from their prior, as a sum of squares of independent deviates, and their count.
 
     A number the recordings say nothing about stays where its owner put it, and proves nothing: an estimate moves about its prior

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
@@ -17,7 +18,7 @@ from afdsvc.gap.objective import tangent
 from afdsvc.gap.runs import prepare
 from afdsvc.gap.settle import full_cost
 from afdsvc.gap.simulator import Effect
-from afdsvc.gap.strain import irregular, strained
+from afdsvc.gap.strain import distance, irregular, strained
 from afdsvc.gap.transfer import transfers
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
@@ -75,6 +76,42 @@ def test_a_transfer_costs_what_it_promises():
     assert hypothesis.key.endswith("stiffness")
     assert t.cost - cost > 30
     assert full_cost(base.objective, point) == pytest.approx(cost, abs=0.1 * (t.cost - cost))
+
+
+def test_the_distance_of_a_model_as_good_as_stated_is_chi_square():
+    """Sixty machines drawn from the owner's statement: the strain's p-values are uniform (Kolmogorov-Smirnov, fixed seed)."""
+    rng, p = np.random.default_rng(5), []
+    for _ in range(60):
+        a0, a1, b = 1 + KNOWN * rng.standard_normal(3)
+        G = plant()
+        truth = StateSpace(G.A * np.array([[1, 1], [a0, a1]]), G.B * np.array([[1], [b]]), G.C, G.D)
+        strain, count = distance(start(truth))
+        assert 1 <= count <= 3
+        p.append(stats.chi2.sf(strain, count))
+    assert stats.kstest(p, "uniform").pvalue > 0.01
+
+
+def test_numbers_the_recordings_say_nothing_about_do_not_count():
+    """A second machine that nobody moves adds three numbers to the model, and nothing to the strain."""
+    G = plant()
+    pair = StateSpace(*(np.kron(np.eye(2), M) for M in (G.A, G.B, G.C, G.D)))
+    sd = {"A": KNOWN * np.abs(pair.A) * (pair.A != 1), "B": KNOWN * np.abs(pair.B)}
+    states = tuple(v for i in "ab" for v in (Variable(f"q{i}", "mm"), Variable(f"v{i}", "mm/s", rate_of=f"q{i}")))
+    both = Model(
+        "pair", (Variable("fa", "N"), Variable("fb", "N")), (Variable("a", "mm"), Variable("b", "mm")), states, pair,
+        entry_sd=sd, output_sd=np.full(2, NOISE),
+    )
+    traces = []
+    for k, trace in enumerate(recordings(plant(stiffness=1.05), 2)):
+        still = np.column_stack([np.zeros(len(trace.values)), NOISE * np.random.default_rng(50 + k).standard_normal(len(trace.values))])
+        traces.append(side_by_side(trace, replace(trace, values=still)))
+    runs = prepare(both, traces)
+    base = baseline(nominal(both, runs[0].dt), runs)
+    strain, count = distance(base)
+    alone, known = distance(start(plant(stiffness=1.05)))
+    assert len(base.point.theta) == 6
+    assert count == known <= 3
+    assert strain == pytest.approx(alone, rel=0.2)
 
 
 def test_a_model_within_its_statement_is_not_strained():
