@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from tempfile import mkdtemp
 
@@ -12,6 +13,8 @@ from scipy.signal import lfilter
 from afdsvc.api.physics import Size
 from afdsvc.gap.coloured import coloured
 from afdsvc.gap.explain import explain
+from afdsvc.gap.noise import fold
+from afdsvc.gap.repeating import repeated
 from afdsvc.gap.runs import Run
 from afdsvc.gap.stationary import growth
 from afdsvc.gap.stepped import stepped
@@ -19,6 +22,7 @@ from afdsvc.plugins.physics import afdsvc_physics
 from afdsvc.record.model_file import read_model
 from afdsvc.trial import Options, generate
 from afdsvc.trial.model_text import model_text
+from afdsvc.trial.plan import make_trial, plan
 
 PERIOD, PERIODS = 1000, 5
 
@@ -98,3 +102,25 @@ def test_coarse_rounding_is_named_though_it_repeats_with_the_excitation():
     answer = explain(read_model(path), trial.recordings, (trial.holdout,), afdsvc_physics(), rehearse=False)
     assert answer.verdict == "omitted_physics"
     assert (answer.named[0].physics, answer.named[0].site) == ("quantisation", "output:horizontal")
+
+
+def test_what_repeats_is_taken_over_and_what_does_not_is_left():
+    one, (w, beside) = run(), (white(1) + 3.0, white(2))
+    told = repeated(one, w, beside)
+    assert np.array_equal(repeated(one, w, w), w)
+    settled = slice(len(w) - len(fold(one, w)) * PERIOD, None)
+    mean = [x[settled].reshape(-1, PERIOD).mean(0) for x in (told, w, beside)]
+    np.testing.assert_allclose(mean[0], mean[1], atol=1e-12)
+    np.testing.assert_allclose((told - beside)[settled].reshape(-1, PERIOD), np.tile(mean[1] - mean[2], (len(fold(one, w)), 1)), atol=1e-12)
+    assert np.array_equal(repeated(replace(one, period=0), w, beside), w)
+
+
+def test_a_law_that_only_predicts_noise_better_is_not_named():
+    """Coloured noise of the sensors, white by the model: as a predictor of noise a damped mass is far better than nothing."""
+    request = next(r for r in plan(300, 2028) if r.options.noise == "coloured")
+    trial = make_trial(request)
+    assert not trial.answer.hidden
+    path = Path(mkdtemp()) / "model.toml"
+    path.write_text(model_text(trial.machine))
+    answer = explain(read_model(path), trial.recordings, (trial.holdout,), afdsvc_physics(), rehearse=False)
+    assert {n.physics for n in answer.named} <= {"coloured_noise"}

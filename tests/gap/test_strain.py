@@ -10,7 +10,7 @@ from scipy import stats
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
-from afdsvc.gap.baseline import Baseline, baseline
+from afdsvc.gap.baseline import Baseline, agitation, baseline
 from afdsvc.gap.explain import explain
 from afdsvc.gap.forward import seen
 from afdsvc.gap.nominal import nominal
@@ -40,7 +40,8 @@ def model() -> Model:
     return Model("spring", (Variable("force", "N"),), (Variable("position", "mm"),), states, G, entry_sd=sd, output_sd=np.array([NOISE]))
 
 
-def recordings(truth: StateSpace, count: int = 4) -> list[Trace]:
+def recordings(truth: StateSpace, count: int = 4, shaken: float = 0.0) -> list[Trace]:
+    """Return recordings of a machine that a random force of this rms shakes."""
     found = []
     for seed in range(count):
         rng = np.random.default_rng(seed)
@@ -48,7 +49,8 @@ def recordings(truth: StateSpace, count: int = 4) -> list[Trace]:
         t = np.arange(PERIOD) * DT
         u = np.cos(2 * np.pi * np.outer(t, lines) / (PERIOD * DT) + rng.uniform(0, 2 * np.pi, len(lines))).sum(1)
         u = np.tile((1.0, 0.5, 0.75, 0.8)[seed] * u / u.std(), PERIODS)
-        y = simulate(sample_zoh(truth, DT), u[:, None])[0][:, 0]
+        force = u + shaken * np.random.default_rng(seed + 100).standard_normal(len(u))
+        y = simulate(sample_zoh(truth, DT), force[:, None])[0][:, 0]
         values = np.column_stack([u, y + NOISE * rng.standard_normal(len(u))])
         found.append(Trace(f"r{seed}", DT, (Channel("u_force"), Channel("y_position")), values))
     return found
@@ -140,12 +142,15 @@ def test_a_model_that_states_nothing_is_not_strained():
 @pytest.fixture(scope="module")
 def gripping() -> Baseline:
     """Two springs side by side, the first with a hysteretic force named."""
+    return hysteretic(recordings(plant(), 4))
+
+
+def hysteretic(traces: list[Trace]) -> Baseline:
     G = plant()
     pair = StateSpace(*(np.kron(np.eye(2), M) for M in (G.A, G.B, G.C, G.D)))
     states = tuple(v for i in "ab" for v in (Variable(f"q{i}", "mm"), Variable(f"v{i}", "mm/s", rate_of=f"q{i}")))
     both = Model("pair", (Variable("fa", "N"), Variable("fb", "N")), (Variable("a", "mm"), Variable("b", "mm")), states, pair, output_sd=np.full(2, NOISE))
-    traces = [side_by_side(*recordings(plant(), 4)[2 * k : 2 * k + 2]) for k in range(2)]
-    runs = prepare(both, traces)
+    runs = prepare(both, [side_by_side(*traces[2 * k : 2 * k + 2]) for k in range(2)])
     base = baseline(nominal(both, runs[0].dt), runs)
     law = next(h for p in afdsvc_physics() for h in p.hypotheses(seen(base)) if h.key == "hysteresis@state:va")
     return replace(base, point=base.point.with_effect(Effect(law, np.array([0.1 * law.parameters[0].scale, *law.starts[0][1:]]))))
@@ -169,3 +174,15 @@ def side_by_side(a: Trace, b: Trace) -> Trace:
 def test_noise_where_something_grips_alone_belongs_to_it(gripping, louder, ratio, coloured, said):
     floor = replace(gripping.floor, sd=NOISE * np.array(louder), known=True)
     assert bool(irregular(replace(gripping, floor=floor, ratio=ratio, limited="noise"), coloured)) == said
+
+
+@pytest.mark.parametrize(("a", "b", "where", "said"), [(0.3, 0.0, {0}, True), (0.0, 0.3, {1}, False), (0.3, 0.3, {0, 1}, False), (0.0, 0.0, set(), False)])
+def test_a_random_force_at_one_input_alone_belongs_to_what_grips_there(a, b, where, said):
+    """The likelihood tells at which input noise enters; at both it is the machine's, at the other it has to do with another thing."""
+    first, second = recordings(plant(), 4, shaken=a), recordings(plant(), 4, shaken=b)
+    base = hysteretic([trace for k in (0, 2) for trace in (first[k], second[k + 1])])
+    assert (base.ratio > 0) == bool(where)
+    if where:
+        assert set(np.flatnonzero(agitation(base) > 10)) == where
+    calm = replace(base, floor=replace(base.floor, sd=np.full(2, NOISE)))  # the predictor takes it up: what is left is as stated
+    assert bool(irregular(calm)) == said
