@@ -72,7 +72,7 @@ def evaluate(
     there = settle(chosen, start, 2, states_only=True) if select else start
     heard = base.objective.whitened(point)
     kept = chosen.whitened(there) if select else []
-    strain = full_cost(base.objective, point) - _squares(heard)
+    strain = float(np.dot(point.theta, point.theta))
     if beside is None or hypothesis is None:
         return Candidate(hypothesis, point, strain + _squares(heard), _squares(kept), block_costs([*heard, *kept]), 0, tuple(heard), tuple(kept))
     if base.limited == "noise" and base.ratio > 0 and not any(s.kind in ("aux", "t") for s in hypothesis.reads):

@@ -94,7 +94,7 @@ def _shaken(base: Baseline) -> list[int]:
     evidence = agitation(base)
     loudest = int(np.argmax(evidence))
     others = float(np.delete(evidence, loudest).max())
-    if evidence[loudest] - max(others, 0.0) < WORTH_A_GAIN or others > ELSEWHERE * evidence[loudest]:
+    if not np.isfinite(evidence).all() or evidence[loudest] - max(others, 0.0) < WORTH_A_GAIN or others > ELSEWHERE * evidence[loudest]:
         return []
     omega = np.geomspace(lower_edge(base.objective.runs), bandwidth(base.objective.runs), 32)
     response = np.abs(frequency_response(base.nominal.at(base.point.theta), omega)[:, :, loudest]) / base.floor.sd
