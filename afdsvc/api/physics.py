@@ -141,7 +141,8 @@ class Machine:
 
     ``bandwidth`` is the fastest angular frequency [rad/s] that is excited, ``plant`` the nominal plant, ``residual`` the rms
     of the residual per output, shape ``(p,)``, ``tones`` angular frequencies of the residual's lines outside the
-    excitation, ``peaks`` those where its spectrum stands out. ``shortage`` is the rms input that would cause the residual.
+    excitation, ``peaks`` those where its spectrum stands out. ``limited`` says whether noise limits what can be seen of a law
+    ("noise"), or the model ("model"): the form of a law then shows beyond its first approximation.
     """
 
     inputs: tuple[Size, ...]
@@ -156,6 +157,7 @@ class Machine:
     residual: Array
     tones: tuple[float, ...] = ()
     peaks: tuple[float, ...] = ()
+    limited: Literal["noise", "model"] = "noise"
 
 
 class Physics(Protocol):

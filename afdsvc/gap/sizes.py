@@ -32,6 +32,7 @@ def machine(base: Baseline, tones: Sequence[float] = (), peaks: Sequence[float] 
         tuple(_axes(model.states, states, inputs, smooth, x)),
         dict(zip(runs[0].aux, _sizes([Variable(a) for a in runs[0].aux], aux), strict=True)),
         runs[0].dt, sum(len(r) for r in runs) * runs[0].dt, bandwidth(runs), smooth, np.sqrt((e**2).mean(0)), tuple(tones), tuple(peaks),
+        "noise" if base.limited == "noise" else "model",
     )
 
 

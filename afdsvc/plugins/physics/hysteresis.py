@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -23,12 +24,43 @@ def bouc_wen(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] += p[0] * m[0]
 
 
+def bouc_wen_turned(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``a s`` with ``ds = dw (1 - cos(b) |s|^n) / width`` on the way out and ``dw (1 + sin(b) |s|^n) / width`` on the way back.
+
+    Angle 0 is the loop above; between 90 and 135 degrees it stiffens the further it goes and dissipates all the same.
+    """
+    if m[2] == 0.0:
+        m[1], m[2] = z[0], 1.0
+    step = (z[0] - m[1]) / p[1]
+    m[1] = z[0]
+    pieces = min(int(abs(step) / 0.1) + 1, 40)
+    d = step / pieces
+    for _ in range(pieces):
+        s = m[0]
+        for part in range(1, 3):  # midpoint rule
+            full = abs(s) ** p[2]
+            slope = 1.0 - math.cos(p[3]) * full if d * s > 0 else 1.0 + math.sin(p[3]) * full
+            s = m[0] + d * slope * 0.5 * part
+        m[0] = min(max(s, -1e3), 1e3)
+    out[0] += p[0] * m[0]
+
+
 def _shape(size: Size) -> list[Coefficient]:
     r = size.rms
     return [
         Coefficient("width", size.unit, 0.01 * r, 20 * r, 0.1 * r),
         Coefficient("exponent", "", 0.4, 4.0, 0.1, nuisance=True),
     ]
+
+
+def _forms(machine: Machine, size: Size, widths: tuple[float, ...]) -> Iterable[dict[str, Any]]:
+    """Yield the law with one shape; where the noise leaves more to be seen, also the one that may turn its loop."""
+    r = size.rms
+    yield {"law": bouc_wen, "shape": _shape(size), "starts": [(0.0, w * r, 1.0) for w in widths], "notes": {}}
+    if machine.limited == "model":
+        turn = Coefficient("turn", "rad", -math.pi / 4, 3 * math.pi / 4, 0.1, nuisance=True)
+        starts = [(0.0, w * r, 1.0, b) for w in widths for b in (0.5, 1.6)]
+        yield {"law": bouc_wen_turned, "shape": [*_shape(size), turn], "starts": starts, "notes": {"variant": "turned"}}
 
 
 class Hysteresis:
@@ -47,15 +79,11 @@ class Hysteresis:
         for port in machine.inputs:
             r = port.rms
             size = Coefficient("amplitude", port.unit, -5 * r, 5 * r, 0.05 * r, linear=True)
-            yield at_input(
-                port, bouc_wen, parameters=[size, *_shape(port)], starts=[(0.0, w * r, 1.0) for w in (0.3, 1.0, 3.0)], **words
-            )
+            for form in _forms(machine, port, (0.3, 1.0, 3.0)):
+                law, shape = form.pop("law"), form.pop("shape")
+                yield at_input(port, law, parameters=[size, *shape], **form, **words)
         for axis in machine.axes:
-            r = axis.position.rms
             loop = force(axis, "force", -20 * axis.push, 20 * axis.push, -0.1 * axis.push, linear=True)
-            yield at_force(
-                axis, bouc_wen, [position(axis)], parameters=[loop, *_shape(axis.position)],
-                starts=[(0.0, w * r, 1.0) for w in (0.1, 0.5, 2.0)], **words,
-            )
-
-
+            for form in _forms(machine, axis.position, (0.1, 0.5, 2.0)):
+                law, shape = form.pop("law"), form.pop("shape")
+                yield at_force(axis, law, [position(axis)], parameters=[loop, *shape], **form, **words)

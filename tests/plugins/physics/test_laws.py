@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
+from scipy.integrate import quad, solve_ivp
 from scipy.signal import lsim
 
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.backlash import play
 from afdsvc.plugins.physics.flexible_mode import _attach, appendage
 from afdsvc.plugins.physics.gain_follows_aux import scaled
+from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
 from afdsvc.plugins.physics.runout import uneven
 from afdsvc.plugins.physics.saturation import saturation
 from afdsvc.plugins.physics.sensor_drift import drift
@@ -118,3 +119,27 @@ def test_what_follows_a_signal_may_bend():
     z, out = np.array([2.0, -1.0, 7.5]), np.zeros(2)
     springs(np.array([30.0, 40.0, 6.0, 0.1]), z, np.zeros(0), DT, out)
     assert out == pytest.approx([-30 * 1.15 * 1.5 * 2, 40 * 1.15 * 1.5])
+
+
+def test_a_loop_that_is_not_turned_is_the_plain_one():
+    w = np.concatenate([np.linspace(0, 2, 400), np.linspace(2, -2, 800), np.linspace(-2, 1, 600)])
+    plain, turned = (changed(law, p, w, 3) for law, p in ((bouc_wen, [2.0, 0.7, 1.3]), (bouc_wen_turned, [2.0, 0.7, 1.3, 0.0])))
+    assert turned == pytest.approx(plain, abs=0.02)
+
+
+def test_a_turned_loop_is_the_published_one():
+    """Oracle: scipy integrates the equation and parameters of the hysteretic benchmark of Noel and Schoukens (2016)."""
+    alpha, beta, gamma, delta = 5e4, 1e3, 0.8, -1.1
+    t = np.arange(6000) / 6000
+
+    def way(t):  # in m
+        return 1.2e-3 * np.sin(2 * np.pi * 3 * t) + 4e-4 * np.sin(2 * np.pi * 11 * t)
+
+    def rate(t):
+        return 2 * np.pi * (3 * 1.2e-3 * np.cos(2 * np.pi * 3 * t) + 11 * 4e-4 * np.cos(2 * np.pi * 11 * t))
+
+    exact = solve_ivp(lambda t, z: alpha * rate(t) - beta * (gamma * abs(rate(t)) * z + delta * rate(t) * abs(z)), (0, 1), [0.0], t_eval=t, rtol=1e-9, max_step=1e-4).y[0]
+    out, back = gamma + delta, gamma - delta  # dz = alpha dw (1 - out beta / alpha |z|) and dw (1 + back beta / alpha |z|)
+    scale = alpha / beta / math.hypot(out, back)
+    z = changed(bouc_wen_turned, [scale, scale / alpha, 1.0, math.atan2(back, out)], way(t), 3)
+    assert np.abs(z - exact).max() < 2e-3 * np.abs(exact).max()
