@@ -59,7 +59,7 @@ def _forms(machine: Machine, size: Size, widths: tuple[float, ...]) -> Iterable[
     yield {"law": bouc_wen, "shape": _shape(size), "starts": [(0.0, w * r, 1.0) for w in widths], "notes": {}}
     if machine.limited == "model":
         turn = Coefficient("turn", "rad", -math.pi / 4, 3 * math.pi / 4, 0.1, nuisance=True)
-        starts = [(0.0, w * r, 1.0, b) for w in widths for b in (0.5, 1.6)]
+        starts = [(0.0, w * r, 1.0, b) for w in (0.5 * widths[0], *widths) for b in (0.5, 1.2, 1.8)]
         yield {"law": bouc_wen_turned, "shape": [*_shape(size), turn], "starts": starts, "notes": {"variant": "turned"}}
 
 
