@@ -199,8 +199,8 @@ def _objection(
 
 def bent(theta: Array, ruling: Ruling) -> str:
     """Return why the accepted choice, with the nuisance at ``theta``, asks too much of the model's own parameters, or ""."""
-    off = float(np.abs(theta).max(initial=0.0))
-    if off <= max(FAR_OFF, float(np.abs(ruling.nothing.point.theta).max(initial=0.0)) + 1.0):
+    off, before = float(np.abs(theta).max(initial=0.0)), ruling.nothing.point.theta
+    if off <= max(FAR_OFF, float(np.abs(before).max(initial=0.0)) + 1.0) or float(theta @ theta) <= float(before @ before):
         return ""
     return f"the best hypothesis ({ruling.rivals[0].candidate.key}) needs a model parameter {off:.1f} standard deviations off"
 

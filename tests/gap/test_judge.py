@@ -114,6 +114,15 @@ def test_a_choice_may_not_bend_the_model_further_than_it_was():
     assert "needs a model parameter 15.9 standard deviations off" in bent(np.array([0.3, -15.9]), r)
     strained = replace(r, nothing=empty(15.5))
     assert bent(np.array([0.3, -15.9]), strained) == ""
+    assert bent(np.array([0.3, -16.9]), strained) != ""
+
+
+def test_a_choice_that_leaves_the_model_nearer_on_the_whole_does_not_bend_it():
+    """One number may go further where the others come back: what else is missing still pulls at it."""
+    r = ruling(candidate("law", 900, 400))
+    strained = replace(r, nothing=replace(r.nothing, point=replace(r.nothing.point, theta=np.array([12.0, 12.0]))))
+    assert bent(np.array([0.3, -16.9]), strained) == ""
+    assert bent(np.array([3.0, -16.9]), strained) != ""
 
 
 def test_where_the_model_is_strained_a_loss_on_selection_is_weighed_against_the_gain():
