@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
+from tempfile import mkdtemp
 
 import numpy as np
 import pytest
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
+from afdsvc.gap.baseline import Baseline, baseline
 from afdsvc.gap.explain import explain
+from afdsvc.gap.nominal import nominal
+from afdsvc.gap.runs import prepare
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import afdsvc_physics
+from afdsvc.record.model_file import read_model
+from afdsvc.trial.model_text import model_text
+from afdsvc.trial.plan import make_trial, plan
 
 DT, PERIOD, PERIODS, NOISE = 1e-3, 500, 4, 0.003
 STATES = (Variable("q", "mm"), Variable("v", "mm/s", rate_of="q"))
@@ -77,6 +86,24 @@ def test_a_reading_that_drifts_is_named_or_told():
     *recordings, held = four(drift=0.02)
     answer = explain(falling(True), recordings, [held], afdsvc_physics(), rehearse=False)
     assert "sensor_drift" in [n.physics for n in answer.named] or any("drift" in s for s in answer.check)
+
+
+def test_a_drifting_plant_is_held_to_its_recordings():
+    """A free mass in closed loop with a cubic spring left out: simulated from its inputs alone it goes elsewhere altogether."""
+    cubic = (r for r in plan(300, 2029) if r.part == "axis" and r.wishes[0].physics == "cubic_stiffness" and r.wishes[0].rho == 0.3)
+    trial = make_trial(next(cubic))
+    path = Path(mkdtemp()) / "model.toml"
+    path.write_text(model_text(trial.machine))
+    model = read_model(path)
+    assert held_to(model, trial.recordings[:2]).ratio > 0
+    answer = explain(model, trial.recordings, (trial.holdout,), afdsvc_physics(), rehearse=False)
+    assert (answer.named[0].physics, answer.named[0].site) == ("cubic_stiffness", "state:v")
+    assert answer.fit[0].after_nrmse < 1.2 * answer.fit[0].noise_floor_nrmse
+
+
+def held_to(model: Model, recordings: Sequence[Trace]) -> Baseline:
+    runs = prepare(model, recordings)
+    return baseline(nominal(model, runs[0].dt), runs)
 
 
 def without(trace: Trace, name: str) -> Trace:
