@@ -15,7 +15,7 @@ from afdsvc.errors import BadInput
 from afdsvc.gap.check import check, insufficient_excitation, objection, one_frequency
 from afdsvc.gap.check_finding import Finding
 from afdsvc.gap.clock import aligned
-from afdsvc.gap.explanation import Course, Explanation, OutputFit
+from afdsvc.gap.explanation import Course, Explanation, Located, OutputFit
 from afdsvc.gap.forward import Found, Progress, Yardstick, forward
 from afdsvc.gap.freeform import remainder
 from afdsvc.gap.improved import extended
@@ -30,6 +30,7 @@ from afdsvc.gap.search import Mapper
 from afdsvc.gap.settle import settle
 from afdsvc.gap.spectra import spectra
 from afdsvc.gap.split import Split, split
+from afdsvc.gap.strain import strained
 from afdsvc.gap.verdict import Judgement, judged
 from afdsvc.gap.verify import explained, shape
 from afdsvc.gap.whitening import whiteness_p
@@ -81,7 +82,7 @@ def _answer(found: Found, roles: Split, offered: Sequence[Physics], findings: Se
 
     return Explanation(
         verdict=judgement.verdict,
-        located=locate(found.start, roles.select, found.machine),
+        located=_located(found, roles),
         named=(*named, *judgement.names),
         rejected=rejections(found, error),
         fit=tuple(_fit(held, j, v.name, floor) for j, v in enumerate(nom.model.outputs)),
@@ -101,6 +102,19 @@ def _answer(found: Found, roles: Split, offered: Sequence[Physics], findings: Se
         improved=extended(nom, found.end.point),
         notes={"limited_by": found.start.limited, "process_noise_ratio": found.start.ratio, "shapes": _shapes(found)},
     )
+
+
+def _located(found: Found, roles: Split) -> tuple[Located, ...]:
+    """Return where model and recordings part; where only strained numbers hide it, where the model as stated parts from them."""
+    start = found.start
+    places = locate(start, roles.select, found.machine)
+    if places or not strained(start):
+        return places
+    rigid = replace(start.nominal, entries=())
+    objective = replace(start.objective, simulator=replace(start.objective.simulator, nominal=rigid))
+    point = settle(objective, Point(np.zeros(0), start.point.x0), 2, states_only=True)
+    at = replace(start, objective=objective, point=point)
+    return tuple(replace(p, evidence=f"with the model's numbers as stated: {p.evidence}") for p in locate(at, roles.select))
 
 
 def _shapes(found: Found) -> list[float | None]:

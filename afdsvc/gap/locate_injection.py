@@ -108,7 +108,7 @@ def _rest(lines: _Lines, column: Array | None) -> float:
         r = r - unit * (unit.conj() * r).sum(1, keepdims=True)
         J = J - unit[:, :, None] * (unit.conj()[:, :, None] * J).sum(1, keepdims=True)
     k = J.shape[2]
-    stacked = np.vstack([J.real.reshape(-1, k), J.imag.reshape(-1, k), np.eye(k)])
+    stacked = np.vstack([J.real.reshape(r.size, k), J.imag.reshape(r.size, k), np.eye(k)])
     wanted = np.concatenate([r.real.ravel(), r.imag.ravel(), lines.theta])
     rest = wanted - stacked @ np.linalg.lstsq(stacked, wanted, rcond=None)[0]
     return float(rest @ rest)

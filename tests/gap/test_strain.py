@@ -68,6 +68,15 @@ def test_a_constant_off_by_many_deviations_is_named(changed, name):
     assert answer.verdict == "parameter_change"
     told = {key for n in answer.named for key in n.parameters}
     assert name in told
+    place = answer.located[0]
+    assert (place.output, place.kind) == ("position", "linear")
+    assert "as stated" in place.evidence
+
+
+def test_nothing_is_located_where_the_model_is_as_stated():
+    *given, held = recordings(plant(stiffness=1.03))
+    answer = explain(model(), given, [held], afdsvc_physics(), rehearse=False)
+    assert (answer.verdict, answer.located) == ("consistent", ())
 
 
 def test_a_transfer_costs_what_it_promises():
@@ -154,6 +163,20 @@ def hysteretic(traces: list[Trace]) -> Baseline:
     base = baseline(nominal(both, runs[0].dt), runs)
     law = next(h for p in afdsvc_physics() for h in p.hypotheses(seen(base)) if h.key == "hysteresis@state:va")
     return replace(base, point=base.point.with_effect(Effect(law, np.array([0.1 * law.parameters[0].scale, *law.starts[0][1:]]))))
+
+
+def test_a_model_of_two_outputs_that_is_stated_exactly_is_located_all_the_same():
+    """Two springs, one of them a tenth stiffer than its model says, with no number the owner would let move."""
+    G = plant()
+    pair = StateSpace(*(np.kron(np.eye(2), M) for M in (G.A, G.B, G.C, G.D)))
+    states = tuple(v for i in "ab" for v in (Variable(f"q{i}", "mm"), Variable(f"v{i}", "mm/s", rate_of=f"q{i}")))
+    both = Model("pair", (Variable("fa", "N"), Variable("fb", "N")), (Variable("a", "mm"), Variable("b", "mm")), states, pair, entry_sd={name: np.zeros_like(getattr(pair, name)) for name in "ABC"})
+    off, right = recordings(plant(stiffness=1.1), 3), recordings(plant(), 4)[1:]
+    *given, held = [side_by_side(x, y) for x, y in zip(off, right, strict=True)]
+    answer = explain(both, given, [held], afdsvc_physics(), rehearse=False)
+    assert answer.located[0].output == "a"
+    assert (answer.verdict, answer.named[0].site) == ("parameter_change", "state:va")
+    assert answer.fit[0].after_nrmse < 0.5 * answer.fit[0].before_nrmse
 
 
 def side_by_side(a: Trace, b: Trace) -> Trace:
