@@ -1,13 +1,17 @@
 """Write docs/reference/blind-trials.md (and an HTML page beside the results) from a folder of `afdsvc trial`.
 
     afdsvc trial --folder trials --n 300 --seed 2026 --jobs 2     # hours; goes on where it was interrupted
-    python benchmarks/trial/page.py trials 300 COMMIT
+    afdsvc trial --folder nothing --parts nothing --n 2500 --seed 2031 --jobs 2     # 200 more with nothing hidden
+    python benchmarks/trial/page.py trials 300 COMMIT nothing COMMIT
 """
 
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from pathlib import Path
+
+from scipy.stats import binomtest
 
 from afdsvc.trial import markdown, page, results
 from afdsvc.trial.study import rescored
@@ -30,8 +34,20 @@ more than once in a hundred. Times are by the clock, of a trial among whatever e
 """
 
 
-def main(folder: Path, planned: int, commit: str) -> None:
-    """Score the kept results anew and write both pages."""
+def nothing_hidden(folder: Path, commit: str) -> str:
+    """Return what came of a study in which nothing was hidden."""
+    scores = [rescored(r)["score"] for r in results(folder)]
+    verdicts = ", ".join(f"{count} {verdict}" for verdict, count in Counter(s["verdict"] for s in scores).most_common())
+    named, sure = (sum(bool(s[key]) for s in scores) for key in ("false_name", "confident_false"))
+    high = 100 * float(binomtest(sure, len(scores)).proportion_ci(0.95, "exact").high)
+    return (
+        f"\nIn {len(scores)} more trials with nothing hidden (`--parts nothing`, another seed, commit {commit}): {verdicts}; {named} were given a "
+        f"name, {sure} with confidence (95 %, Clopper-Pearson: at most {high:.1f} in 100).\n"
+    )
+
+
+def main(folder: Path, planned: int, commit: str, *more: str) -> None:
+    """Score the kept results anew and write both pages; ``more`` are folder and commit of a study with nothing hidden."""
     done = [rescored(r) for r in results(folder)]
     text = markdown(done, "Blind trials of `explain`")
     title, rest = text.split("\n", 1)
@@ -42,9 +58,10 @@ def main(folder: Path, planned: int, commit: str) -> None:
     )
     seed = done[0]["answer"]["seed"].split("/")[0]
     command = f"\nMade by `afdsvc trial --folder trials --n {planned} --seed {seed}` and `python benchmarks/trial/page.py trials {planned} {commit}`.\n"
-    (DOCS / "blind-trials.md").write_text(f"{title}\n{short}{HOW}{command}{rest}", encoding="utf-8")
+    empty = nothing_hidden(Path(more[0]), more[1]) if more else ""
+    (DOCS / "blind-trials.md").write_text(f"{title}\n{short}{HOW}{command}{empty}{rest}", encoding="utf-8")
     (folder / "blind-trials.html").write_text(page(done, "Blind trials of explain"), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3])
+    main(Path(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:])
