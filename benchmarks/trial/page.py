@@ -41,8 +41,8 @@ def nothing_hidden(folder: Path, commit: str) -> str:
     named, sure = (sum(bool(s[key]) for s in scores) for key in ("false_name", "confident_false"))
     high = 100 * float(binomtest(sure, len(scores)).proportion_ci(0.95, "exact").high)
     return (
-        f"\nIn {len(scores)} more trials with nothing hidden (`--parts nothing`, another seed, commit {commit}): {verdicts}; {named} were given a "
-        f"name, {sure} with confidence (95 %, Clopper-Pearson: at most {high:.1f} in 100).\n"
+        f"\nIn {len(scores)} more trials with nothing hidden (`--parts nothing`, another seed, commit {commit}): {verdicts}; a name was given in "
+        f"{named}, with confidence in {sure} (95 %, Clopper-Pearson: at most {high:.1f} in 100).\n"
     )
 
 
