@@ -16,6 +16,7 @@ import numpy as np
 from scipy import stats
 
 from afdsvc.gap.baseline import WORTH_A_GAIN, Baseline, agitation, lower_edge
+from afdsvc.gap.check_information import entry_name
 from afdsvc.gap.objective import tangent
 from afdsvc.gap.sizes import bandwidth
 from afdsvc.lti.frequency import frequency_response
@@ -46,7 +47,7 @@ def strained(base: Baseline, explained: float = 0.0) -> str:
     entry = base.nominal.entries[worst]
     return (
         f"the model's own numbers would have to move beyond what their owner states (chi-square {strain:.0f} for {count} of them, "
-        f"p = {p:.1g}; {entry.matrix}[{entry.row},{entry.column}] by {theta[worst]:+.1f} standard deviations)"
+        f"p = {p:.1g}; {entry_name(base.nominal, entry)} by {theta[worst]:+.1f} standard deviations)"
     )
 
 
