@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from afdsvc.api.physics import Hypothesis
 from afdsvc.gap.baseline import Baseline
@@ -38,8 +39,18 @@ def _deviation(base: Baseline, point: Point) -> Array:
 
 
 def _told(step: Step) -> list[Rival]:
-    rivals = [r for r in step.ruling.rivals if r.weight >= LEAST_WEIGHT or r is step.ruling.rivals[0]][:MOST_NAMES]
-    return rivals
+    rivals = _one_constant(step.ruling.rivals)
+    return [r for r in rivals if r.weight >= LEAST_WEIGHT or r is rivals[0]][:MOST_NAMES]
+
+
+def _one_constant(rivals: Sequence[Rival]) -> list[Rival]:
+    """Return the rivals with the ways in which one constant may have changed told as one, the first, with their weights added."""
+    first: dict[tuple[str, ...], Rival] = {}
+    for r in rivals:
+        h = _law(r)
+        what = (h.site, h.parameters[0].name) if h.physics == CHANGE else (h.key,)
+        first[what] = replace(first[what], weight=first[what].weight + r.weight) if what in first else r
+    return list(first.values())
 
 
 def _named(

@@ -10,7 +10,9 @@ import pytest
 from scipy import stats
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Signal
-from afdsvc.gap.judge import Tried, bent, judge, separation
+from afdsvc.gap.forward import Step
+from afdsvc.gap.judge import Rival, Tried, bent, judge, separation
+from afdsvc.gap.naming import _told
 from afdsvc.gap.objective import Point
 from afdsvc.gap.search import Candidate
 from afdsvc.gap.simulator import Effect
@@ -151,3 +153,20 @@ def test_what_costs_more_by_the_same_everywhere_is_surely_worse():
     assert separation(np.full(60, 1e30), good) == np.inf
     assert separation(good, good) == 0.0
     assert separation(good, good, -1.0) == -np.inf
+
+
+def rivals_of(*told: tuple[str, str, float]) -> Step:
+    """Return a step whose rivals change constants: name, variant and weight of each."""
+    listed = []
+    for name, variant, weight in told:
+        c = candidate("parameter_change", 100, 50, family="gain")
+        h = replace(c.hypothesis, notes={"variant": variant}, parameters=(replace(c.hypothesis.parameters[0], name=name),))
+        listed.append(Rival(replace(c, hypothesis=h), 0.0, 0.0, weight))
+    return Step(replace(ruling(candidate("parameter_change", 100, 50)), rivals=tuple(listed)), 1.0)
+
+
+def test_two_ways_in_which_one_constant_may_have_changed_are_one_name():
+    step = rivals_of(("damping", "damping", 0.3), ("stiffness", "stiffness", 0.2), ("damping", "damping with its couplings", 0.5))
+    assert [(r.candidate.key, r.weight) for r in _told(step)] == [
+        ("parameter_change@input:a#damping", pytest.approx(0.8)), ("parameter_change@input:a#stiffness", pytest.approx(0.2)),
+    ]

@@ -228,3 +228,32 @@ def test_a_random_force_at_one_input_alone_belongs_to_what_grips_there(a, b, whe
         assert set(np.flatnonzero(agitation(base) > 10)) == where
     calm = replace(base, floor=replace(base.floor, sd=np.full(2, NOISE)))  # the predictor takes it up: what is left is as stated
     assert bool(irregular(calm)) == said
+
+
+def coupled(damping: float) -> StateSpace:
+    """Two springs, ``a`` and ``b``, whose dampers pull at each other too; what damps ``a`` is ``damping`` times as strong."""
+    A = np.kron(np.eye(2), plant().A)
+    A[1, [1, 3]], A[3, 1] = np.array([-30.0, -18.0]) * damping, -18.0
+    G = plant()
+    return StateSpace(A, np.kron(np.eye(2), G.B), np.kron(np.eye(2), G.C), np.zeros((2, 2)))
+
+
+def test_what_damps_an_axis_may_change_with_its_couplings_and_is_one_name():
+    G, truth = coupled(1.0), coupled(0.5)
+    states = tuple(v for i in "ab" for v in (Variable(f"q{i}", "mm"), Variable(f"v{i}", "mm/s", rate_of=f"q{i}")))
+    sd = {name: KNOWN * np.abs(matrix) * (np.abs(matrix) != 1) for name, matrix in (("A", G.A), ("B", G.B), ("C", G.C))}
+    both = Model("pair", (Variable("fa", "N"), Variable("fb", "N")), (Variable("a", "mm"), Variable("b", "mm")), states, G, entry_sd=sd, output_sd=np.full(2, NOISE))
+    played = [side_by_side(x, y) for x, y in zip(recordings(plant(), 3), recordings(plant(), 4)[1:], strict=True)]
+    *given, held = [answered(truth, trace, seed) for seed, trace in enumerate(played)]
+    answer = explain(both, given, [held], afdsvc_physics(), rehearse=False)
+    assert [(n.physics, n.site) for n in answer.named] == [("parameter_change", "state:va")]
+    change = answer.named[0]
+    assert change.weight > 0.99
+    assert abs(change.parameters["damping"].value + 0.5) < 4 * change.parameters["damping"].sd < 0.1
+
+
+def answered(truth: StateSpace, played: Trace, seed: int) -> Trace:
+    """Return a trace with the answer of another plant to its inputs."""
+    u = played.values[:, :2]
+    y = simulate(sample_zoh(truth, DT), u)[0] + NOISE * np.random.default_rng(seed + 50).standard_normal(u.shape)
+    return replace(played, values=np.column_stack([u, y]))

@@ -13,6 +13,7 @@ from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.attach import at_force, at_input, at_output, position, velocity
 
 IntArray = NDArray[np.int64]
+LOWEST = {"stiffness": -0.99, "damping": -3.0}  # a machine may be driven by what should damp it
 _REFUTED = "a residual at unexcited lines, or one whose share changes with the level"
 
 
@@ -24,6 +25,14 @@ def gain(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 def term(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """A term of the force balance ``1 + c`` times as large; ``p[1]`` is its nominal coefficient."""
     out[0] += p[0] * p[1] * z[0]
+
+
+def terms(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """Several terms of one kind ``1 + c`` times as large, an axis' own and what couples it; ``p[1:]`` are their coefficients."""
+    total = 0.0
+    for k in range(len(z)):
+        total += p[1 + k] * z[k]
+    out[0] += p[0] * total
 
 
 def inertia(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -54,6 +63,7 @@ class ParameterChange:
             )
         for axis in machine.axes if machine.plant is not None else ():
             yield from self._of_axis(axis, machine)
+            yield from self._with_couplings(axis, machine)
 
     def _of_axis(self, axis: Axis, machine: Machine) -> Iterable[Hypothesis]:
         assert machine.plant is not None  # noqa: S101
@@ -61,8 +71,8 @@ class ParameterChange:
         for name, state, signal in (("stiffness", axis.position.index, position(axis)), ("damping", axis.rate.index, velocity(axis))):
             if row[state] != 0:
                 yield at_force(
-                    axis, term, [signal], **self._parts(name, [float(row[state])], -3.0 if name == "damping" else -0.99),
-                    linear=lambda plant, values, i=axis.rate.index, j=state: _scaled_entry(plant, values, i, j),
+                    axis, term, [signal], **self._parts(name, [float(row[state])], LOWEST[name]),
+                    linear=lambda plant, values, i=axis.rate.index, j=state: _scaled_entries(plant, values, i, np.array([j])),
                 )
         inputs = machine.plant.B[axis.rate.index]
         states, ports = np.flatnonzero(row), np.flatnonzero(inputs)
@@ -74,10 +84,26 @@ class ParameterChange:
                 linear=lambda plant, values, i=axis.rate.index: _scaled_row(plant, values, i, states, ports),
             )
 
-    def _parts(self, what: str, fixed: Sequence[float], low: float = -0.999) -> dict[str, Any]:
+    def _with_couplings(self, axis: Axis, machine: Machine) -> Iterable[Hypothesis]:
+        """Yield stiffness and damping once more where the axis feels other axes too: what makes them may be one thing for all."""
+        assert machine.plant is not None  # noqa: S101
+        row = machine.plant.A[axis.rate.index]
+        kinds = {"stiffness": [a.position.index for a in machine.axes], "damping": [a.rate.index for a in machine.axes]}
+        own = {"stiffness": axis.position.index, "damping": axis.rate.index}
+        for name, columns in kinds.items():
+            states = np.array([j for j in columns if row[j] != 0])
+            if row[own[name]] == 0 or len(states) < 2:
+                continue
+            yield at_force(
+                axis, terms, [Signal("x", int(j)) for j in states],
+                **self._parts(name, [float(v) for v in row[states]], LOWEST[name], f"{name} with its couplings"),
+                linear=lambda plant, values, i=axis.rate.index, states=states: _scaled_entries(plant, values, i, states),
+            )
+
+    def _parts(self, what: str, fixed: Sequence[float], low: float = -0.999, variant: str = "") -> dict[str, Any]:
         constants = [Coefficient("nominal", "", v, v, 1.0, nuisance=True) for v in fixed]
         return {
-            "physics": self.name, "family": "gain", "notes": {"variant": what},
+            "physics": self.name, "family": "gain", "notes": {"variant": variant or what},
             "parameters": [Coefficient(what, "", low, 30.0, 0.02, linear=what != "mass"), *constants],
             "starts": [(0.0 if what != "mass" else s, *fixed) for s in ((0.0,) if what != "mass" else (0.05, -0.05))],
             "predicts": "a linear residual in fixed proportion to what the model says at every level",
@@ -97,9 +123,9 @@ def _scaled_output(plant: StateSpace, values: Sequence[float], row: int) -> Stat
     return StateSpace(plant.A, plant.B, T @ plant.C, T @ plant.D, plant.dt)
 
 
-def _scaled_entry(plant: StateSpace, values: Sequence[float], i: int, j: int) -> StateSpace:
+def _scaled_entries(plant: StateSpace, values: Sequence[float], i: int, states: IntArray) -> StateSpace:
     A = plant.A.copy()
-    A[i, j] += values[0] * values[1]
+    A[i, states] += values[0] * np.asarray(values[1:])
     return StateSpace(A, plant.B, plant.C, plant.D, plant.dt)
 
 

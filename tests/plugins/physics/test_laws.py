@@ -14,6 +14,7 @@ from afdsvc.plugins.physics.backlash import play
 from afdsvc.plugins.physics.flexible_mode import _attach, appendage
 from afdsvc.plugins.physics.gain_follows_aux import scaled
 from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
+from afdsvc.plugins.physics.parameter_change import _scaled_entries, terms
 from afdsvc.plugins.physics.runout import uneven
 from afdsvc.plugins.physics.saturation import saturation
 from afdsvc.plugins.physics.sensor_drift import drift
@@ -143,3 +144,15 @@ def test_a_turned_loop_is_the_published_one():
     scale = alpha / beta / math.hypot(out, back)
     z = changed(bouc_wen_turned, [scale, scale / alpha, 1.0, math.atan2(back, out)], way(t), 3)
     assert np.abs(z - exact).max() < 2e-3 * np.abs(exact).max()
+
+
+def test_a_row_of_damping_that_changes_is_the_law_and_the_matrices_alike():
+    rows, share = [-30.0, -18.0], -0.4
+    speeds = np.random.default_rng(3).standard_normal((20, 2))
+    pushes = changed(terms, [share, *rows], speeds)
+    A = np.diag([-1.0, -30.0, -2.0, -25.0])
+    A[1, 3] = -18.0
+    whole = _scaled_entries(StateSpace(A, np.zeros((4, 1)), np.zeros((1, 4)), np.zeros((1, 1))), (share, *rows), 1, np.array([1, 3]))
+    assert pushes == pytest.approx(speeds @ (whole.A - A)[1, [1, 3]])
+    assert whole.A[1, [1, 3]] == pytest.approx(0.6 * A[1, [1, 3]])
+    assert (whole.A != A).sum() == 2
