@@ -18,7 +18,7 @@ from afdsvc.gap.objective import Objective, Point
 from afdsvc.gap.reconsider import reconsidered
 from afdsvc.gap.repeating import repeating
 from afdsvc.gap.runs import Run
-from afdsvc.gap.search import Mapper, block_costs, round_of
+from afdsvc.gap.search import Candidate, Mapper, block_costs, round_of
 from afdsvc.gap.settle import raw, settle
 from afdsvc.gap.sizes import bandwidth, machine
 from afdsvc.gap.surest import surest
@@ -100,6 +100,9 @@ def forward(
         order.append(number)
         costs.append(cost)
         base, order = _without_superfluous(extended, order, samples)
+    if tone is not None and reads_time(base.point) and len(base.point.effects) > 1:
+        base, start, select = _on_one_clock(base, start, select, tone)  # the others were in the way when it was set
+        base, yardstick = replace(base, point=settle(base.objective, base.point)), Yardstick(start, tuple(select))
     base, order, steps = _reconsider(start, base, order, steps, yardstick, samples, mapper)
     return Found(start, surest(base), tuple(steps), last, tuple(order), first, tuple(select), tone)
 
@@ -119,8 +122,9 @@ def _reconsider(
         others = order[:at] + order[at + 1 :]
         without, ruling = reconsidered(base, at, steps[number].ruling, yardstick.select, samples, mapper)
         if ruling.accepted and not (others and base.limited == "noise" and _needless(base.objective, ruling, whole)):
-            base = replace(base, point=ruling.rivals[0].candidate.point)
-            steps[number], order = replace(steps[number], ruling=ruling), [*others, number]
+            choice = ruling.rivals[0].candidate
+            base, steps[number] = replace(base, point=choice.point), replace(steps[number], ruling=ruling)
+            order = [*others[: choice.place], number, *others[choice.place :]]
         elif others:
             base, order = without, others
     if len(order) == 1 < len(steps):
@@ -132,7 +136,7 @@ def _needless(objective: Objective, ruling: Ruling, whole: float) -> bool:
     """Whether an effect closes too little of the ``whole`` gap beside the others to be told."""
     choice = ruling.rivals[0].candidate
     share = float((ruling.nothing.blocks - choice.blocks).sum()) / whole
-    return share < WORTH_SAYING or bool(_shaped(objective, choice.point, share))
+    return share < WORTH_SAYING or bool(_shaped(objective, choice, share))
 
 
 def sight_tone(base: Baseline) -> Tone:
@@ -213,27 +217,28 @@ def _second(base: Baseline, ruling: Ruling, share: float) -> str:
     z = separation(ruling.nothing.blocks, choice.blocks)
     if z < SURE_SECOND:
         return f"a further effect ({choice.key}) shows in {z:.1f} standard errors only"
-    same = _shaped(base.objective, choice.point, share)
+    same = _shaped(base.objective, choice, share)
     if same:
         return f"a further effect ({choice.key}) only mends the shape of {same}"
     return ""
 
 
-def _shaped(objective: Objective, point: Point, share: float) -> str:
-    """Return which effect the last one of a point, closing this ``share`` of the gap, is a better shape of; or "".
+def _shaped(objective: Objective, choice: Candidate, share: float) -> str:
+    """Return which other effect the one a candidate adds, closing this ``share`` of the gap, is a better shape of; or "".
 
     Laws are never exact, so what the first leaves runs as its own answer does, and is small: smaller where another place offers it.
     """
-    *others, last = point.effects
-    near = [k for k, e in enumerate(others) if share < (BETTER_SHAPE if e.hypothesis.site == last.hypothesis.site else BETTER_ELSEWHERE)]
+    point, site = choice.point, choice.effect.hypothesis.site
+    least = [BETTER_SHAPE if e.hypothesis.site == site else BETTER_ELSEWHERE for e in point.effects]
+    near = [k for k, limit in enumerate(least) if share < limit and k != choice.place]
     if not near:
         return ""
-    whole, own = objective.vector(point), _answer(objective, point, len(others))
+    whole, own = objective.vector(point), _answer(objective, point, choice.place)
     for k in near:
         other = _answer(objective, point, k) - whole
         like = abs(float(other @ (own - whole))) / max(float(np.linalg.norm(other) * np.linalg.norm(own - whole)), 1e-300)
         if like > ALIKE:
-            return others[k].hypothesis.key
+            return point.effects[k].hypothesis.key
     return ""
 
 

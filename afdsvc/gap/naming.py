@@ -6,13 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from afdsvc.api.physics import Hypothesis
-from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.estimates import deviations, estimates
 from afdsvc.gap.explanation import Estimate, Named, Rejected
 from afdsvc.gap.forward import Found, Step
 from afdsvc.gap.judge import CHANGE, Rival
 from afdsvc.gap.objective import Point
-from afdsvc.lti.statespace import Array
 
 LEAST_WEIGHT = 1e-3
 MOST_NAMES = 8
@@ -29,13 +27,9 @@ def names(found: Found, summaries: Mapping[str, str]) -> tuple[Named, ...]:
             h = _law(rival)
             effect, sd = final.get(h.key, (rival.candidate.effect, None))
             if sd is None:
-                sd = _deviation(found.start, rival.candidate.point)
+                sd = deviations(found.start.objective, rival.candidate.point)[rival.candidate.place]
             listed.append(_named(h, rival, step, count, estimates(effect, sd, B), summaries))
     return tuple(listed)
-
-
-def _deviation(base: Baseline, point: Point) -> Array:
-    return deviations(base.objective, point)[-1]
 
 
 def _told(step: Step) -> list[Rival]:

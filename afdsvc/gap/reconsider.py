@@ -1,4 +1,8 @@
-"""Every name judged again with everything else in place: the first choice was made while later effects were still missing."""
+"""Every name judged again with everything else in place: the first choice was made while later effects were still missing.
+
+Effects at one port act one after the other (what is cut and then delayed is not what is delayed and then cut), in an order the
+search did not choose; here every one is tried before and behind the others of its port.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +10,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
+from afdsvc.api.physics import Hypothesis
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.judge import Rival, Ruling, Tried, judge
 from afdsvc.gap.objective import Borrowed, borrowed, tangent
 from afdsvc.gap.runs import Run
 from afdsvc.gap.search import Candidate, Mapper, evaluate
-from afdsvc.gap.settle import settle
+from afdsvc.gap.settle import full_cost, settle
 from afdsvc.gap.simulator import Effect
 
 RIVALS = 7  # how many look-alikes of an effect are tried in its place
@@ -28,7 +33,8 @@ def reconsidered(
     without = replace(base, point=settle(base.objective, replace(point, effects=kept), PASSES))
     nothing = evaluate(without, select, None, without.point)
     known = borrowed(tangent(base.objective, without.point)) if base.limited == "noise" else None
-    found = list(mapper(partial(_swapped, base, kept, select, known, nothing), _contenders(point.effects[number], kept, ruling)))
+    tried = partial(_swapped, base, kept, select, known, nothing, number)
+    found = list(mapper(tried, _contenders(point.effects[number], kept, ruling)))
     new = judge(without, [nothing, *found], Tried.of(c.hypothesis for c in found if c.hypothesis), samples)
     return without, replace(new, beaten=_all_beaten(new, ruling)) if new.accepted else new
 
@@ -42,10 +48,24 @@ def _contenders(current: Effect, kept: Sequence[Effect], ruling: Ruling) -> list
 
 
 def _swapped(
-    base: Baseline, kept: tuple[Effect, ...], select: Sequence[Run], known: Borrowed | None, nothing: Candidate, effect: Effect
+    base: Baseline, kept: tuple[Effect, ...], select: Sequence[Run], known: Borrowed | None, nothing: Candidate, number: int, effect: Effect
 ) -> Candidate:
-    point = settle(base.objective, replace(base.point, effects=(*kept, effect)), PASSES, known=known)
-    return evaluate(base, select, effect.hypothesis, point, nothing)
+    """Return the candidate with ``effect`` as number ``number`` among the kept, or where else it does best if the order matters."""
+    in_order = [(*kept[:k], effect, *kept[k:]) for k in _places(kept, effect, number)]
+    points = [settle(base.objective, replace(base.point, effects=effects), PASSES, known=known) for effects in in_order]
+    best = min(points, key=lambda p: full_cost(base.objective, p)) if len(points) > 1 else points[0]
+    return evaluate(base, select, effect.hypothesis, best, nothing)
+
+
+def _places(kept: Sequence[Effect], effect: Effect, number: int) -> list[int]:
+    """Return where among the kept an effect is tried: at its number, and on either side of those it acts in series with."""
+    series = [k for k, other in enumerate(kept) if _in_series(effect.hypothesis, other.hypothesis)]
+    return list(dict.fromkeys([number, *series, *(k + 1 for k in series)]))
+
+
+def _in_series(a: Hypothesis, b: Hypothesis) -> bool:
+    """Whether one of two laws changes what the other reads; forces add up, and do not."""
+    return a.stage == b.stage != "force" and not (set(a.writes).isdisjoint(b.reads) and set(b.writes).isdisjoint(a.reads))
 
 
 def _all_beaten(new: Ruling, old: Ruling) -> tuple[Rival, ...]:

@@ -51,7 +51,13 @@ class Candidate:
     @property
     def effect(self) -> Effect:
         """The effect this candidate adds."""
-        return self.point.effects[-1]
+        return self.point.effects[self.place]
+
+    @property
+    def place(self) -> int:
+        """Which of the point's effects this candidate adds: those at one port act one after the other."""
+        keys = [e.hypothesis.key for e in self.point.effects]
+        return len(keys) - 1 - keys[::-1].index(self.key)
 
     @property
     def key(self) -> str:

@@ -27,6 +27,7 @@ RANDOM = 1e-5  # p-value of an excess of noise
 CALM = 1.03  # ratio of standard deviations up to which an output is as quiet as stated
 BETTER_KNOWN = 0.5  # how far an estimate may move, over its prior's variance, from which the recordings know better than the owner
 ELSEWHERE = 0.25  # evidence for noise at another input over that at the loudest from which the machine is restless everywhere
+GRIPPING = ("friction", "memory")  # families of laws that hold on to where they were
 FREQUENT = 0.5  # share of an effect's power in an output from which it acts there
 
 
@@ -103,10 +104,10 @@ def _shaken(base: Baseline) -> list[int]:
 
 
 def _grips_at(base: Baseline, output: int) -> bool:
-    """Whether an effect that remembers, or dry friction, acts mostly at this output."""
+    """Whether an effect that grips and lets go acts mostly at this output."""
     final = base.objective.whitened(base.point)
     for k, e in enumerate(base.point.effects):
-        if not e.hypothesis.memory and e.hypothesis.family != "friction":
+        if e.hypothesis.family not in GRIPPING:
             continue
         without = replace(base.point, effects=base.point.effects[:k] + base.point.effects[k + 1 :])
         change = sum(((a - b) ** 2).sum(0) for a, b in zip(base.objective.whitened(without), final, strict=True))

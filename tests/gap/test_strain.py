@@ -257,3 +257,11 @@ def answered(truth: StateSpace, played: Trace, seed: int) -> Trace:
     u = played.values[:, :2]
     y = simulate(sample_zoh(truth, DT), u)[0] + NOISE * np.random.default_rng(seed + 50).standard_normal(u.shape)
     return replace(played, values=np.column_stack([u, y]))
+
+
+def test_a_drift_holds_on_to_nothing_where_the_noise_is_louder(gripping):
+    """A law may count the time and yet grip nothing: rounding or a bad cable beside a drift is no riddle."""
+    law = next(h for p in afdsvc_physics() for h in p.hypotheses(seen(gripping)) if h.key == "sensor_drift@output:a")
+    drifting = Effect(law, np.array([50 * law.parameters[0].scale, 0.0]))
+    base = replace(gripping, point=replace(gripping.point, effects=(drifting,)), ratio=0.0, limited="noise")
+    assert not irregular(replace(base, floor=replace(base.floor, sd=NOISE * np.array([1.1, 1.0]), known=True)))
