@@ -16,7 +16,7 @@ from afdsvc.lti.statespace import Array
 
 CHANGE = "parameter_change"
 SURE = 1e-5  # false-acceptance probability of one hypothesis on the training runs
-SURE_CHANGE = 1e-3  # the same for a change of a constant, which invents nothing and has the owner's prior against it already
+SURE_CHANGE = 2e-3  # the same for a change of a constant, which invents nothing and has the owner's prior against it already
 CLOSE = 10.0  # score units within which a rival is a look-alike
 APART = 3.0  # standard errors by which blocks must differ to tell two hypotheses apart
 MILD = 2.0  # price of a parameter when asking whether two hypotheses can be told apart
@@ -24,13 +24,13 @@ SILENT = 16.0  # how much the selection runs must differ with an effect before t
 STRAINED, WORSE, LOST = 3.0, 4.0, 0.1  # prior deviations from which a fit counts as strained; loss on selection allowed then, least and per gain
 ALIKE = 2.0  # score units within which two are equally good
 EXACT = 1e-3  # share of a gain to which the form of a law can be trusted: nobody knows one better
-AT_END, INSIDE = 1e-3, 2.0  # part of its range that counts as its end; standard errors a shorter law may be worse by
+AT_END, INSIDE = 1e-3, 1.0  # part of its range that counts as its end; standard errors a shorter law may be worse by
 FAR_OFF = 5.0  # prior standard deviations a nuisance parameter may move without being suspect
 
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """How many hypotheses were looked at, and how many of them change a constant: those have a chance of error of their own."""
+    """How many hypotheses were looked at, and how many constants they change: those have a chance of error of their own."""
 
     all: int
     changes: int
@@ -38,8 +38,9 @@ class Tried:
     @classmethod
     def of(cls, hypotheses: Iterable[Hypothesis]) -> Tried:
         """Count, every count at least one."""
-        names = [h.physics for h in hypotheses]
-        return cls(max(len(names), 1), max(names.count(CHANGE), 1))
+        tried = list(hypotheses)
+        constants = {(h.site, h.parameters[0].name) for h in tried if h.physics == CHANGE}
+        return cls(max(len(tried), 1), max(len(constants), 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

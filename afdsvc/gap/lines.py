@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaln, logsumexp
 
 from afdsvc.gap.noise import fold, running_median
 from afdsvc.gap.runs import Run
 from afdsvc.lti.statespace import Array
 
 TALL = 7.0  # how far a tone towers over the median of its neighbourhood (amplitude)
+HEARD = 5.5  # the same for one that comes from outside, in all runs together: noise alone gets there in one machine of hundreds
 NEIGHBOURHOOD = 61
 ALONE = 3.0  # times the neighbouring lines of the excitation from which a line stands out among them
 MAINS, WANDER = (50.0, 60.0), 0.25  # Hz, and how far off they are looked for
@@ -33,16 +35,27 @@ def tones(runs: Sequence[Run], residuals: Sequence[Array], most: int = 4) -> lis
 
     Without a repeating excitation, lines where the input has power are left out: they may be the machine's own.
     """
+    clean = [np.nan_to_num(e) for e in residuals]
+    listed = [(group[0][0], tone) for group in _alike(runs, clean) for tone in _lines(group[0][0], [e for _, e in group])]
+    listed += [(run, tone) for run, e in zip(runs, clean, strict=True) for tone in (*_mains(run, e), *_standing_out(run, e))]
     found: list[Tone] = []
-    for run, e in zip(runs, residuals, strict=True):
-        for tone in (*_lines(run, _unsynchronised(run, np.nan_to_num(e))), *_mains(run, np.nan_to_num(e)), *_standing_out(run, np.nan_to_num(e))):
-            resolution = 4 * np.pi / (len(e) * run.dt)
-            same = [t for t in found if abs(t.omega - tone.omega) < resolution]
-            if not same:
-                found.append(tone)
-            elif tone.height > same[0].height:
-                found[found.index(same[0])] = tone
+    for run, tone in listed:
+        resolution = 4 * np.pi / (len(run) * run.dt)
+        same = [t for t in found if abs(t.omega - tone.omega) < resolution]
+        if not same:
+            found.append(tone)
+        elif tone.height > same[0].height:
+            found[found.index(same[0])] = tone
     return sorted(found, key=lambda t: -t.height)[:most]
+
+
+def _alike(runs: Sequence[Run], residuals: Sequence[Array]) -> list[list[tuple[Run, Array]]]:
+    """Return runs and what does not repeat in them, those together whose spectra have the same lines."""
+    groups: dict[tuple[int, float, int], list[tuple[Run, Array]]] = {}
+    for run, e in zip(runs, residuals, strict=True):
+        own = _unsynchronised(run, e)
+        groups.setdefault((len(own), run.dt, run.period), []).append((run, own))
+    return list(groups.values())
 
 
 def _mains(run: Run, e: Array) -> list[Tone]:
@@ -93,25 +106,50 @@ def _standing_out(run: Run, e: Array, most: int = 6) -> list[Tone]:
     """Return lines beside those of the excitation, or on one, that tower over the neighbouring lines of the excitation too."""
     if not run.period:
         return []
-    tall = sorted(_lines(run, e, everywhere=True), key=lambda t: -t.height)[:most]
-    return [t for t in tall if 2 * t.amplitude > ALONE * _beside(run, e[:, t.output], t.omega / (2 * np.pi))]
+    tall = sorted((t for t in _lines(run, [e], everywhere=True) if t.height > TALL), key=lambda t: -t.height)[:most]
+    return [t for t in tall if t.amplitude > ALONE * _beside(run, e[:, t.output], t.omega / (2 * np.pi))]
 
 
-def _lines(run: Run, e: Array, everywhere: bool = False) -> list[Tone]:
-    n = len(e)
+def _lines(run: Run, residuals: Sequence[Array], everywhere: bool = False) -> list[Tone]:
+    """Return the lines that stand out in residuals of one length, of runs like ``run``, taken together."""
+    n = len(residuals[0])
     if n < 256:
         return []
     window = np.hanning(n)[:, None]
-    size = np.abs(np.fft.rfft((e - e.mean(0)) * window, axis=0)) * 4 / n
-    around = np.maximum(running_median(size, NEIGHBOURHOOD), 1e-300)
+    sizes = [np.abs(np.fft.rfft((e - e.mean(0)) * window, axis=0)) * 4 / n for e in residuals]
+    step = 1 if everywhere or not run.period else max(n // run.period, 1)
+    size, heights = np.sqrt(np.mean(np.square(sizes), axis=0)), _together([_heights(s, step) for s in sizes])
     quiet = np.ones(n // 2 + 1, bool) if everywhere else _quiet(run, n, window)
     found = []
-    for j in range(e.shape[1]):
-        height = size[:, j] / around[:, j]
+    for j in range(size.shape[1]):
+        height = heights[:, j]
         for k in range(4, len(height) - 2):
-            if height[k] > TALL and height[k] == height[k - 2 : k + 3].max() and quiet[k]:
-                found.append(Tone(_centre(size[:, j], k) * 2 * np.pi / (n * run.dt), float(size[k, j]) / 2, j, float(height[k])))
+            if height[k] > HEARD and height[k] == height[k - 2 : k + 3].max() and quiet[k]:
+                found.append(Tone(_centre(size[:, j], k) * 2 * np.pi / (n * run.dt), float(size[k, j]), j, float(height[k])))
     return found
+
+
+def _heights(size: Array, step: int) -> Array:
+    """Return sizes over the median of their neighbourhood.
+
+    Where what repeats was taken out, every ``step``-th line is, and those beside it have lost a part: each is compared with its like.
+    """
+    height = size / np.maximum(running_median(size, NEIGHBOURHOOD), 1e-300)
+    for k in range(step):
+        height[k::step] /= np.maximum(np.median(height[k::step], axis=0), 1e-300)
+    return height
+
+
+def _together(heights: Sequence[Array]) -> Array:
+    """Return the heights over the median at which one spectrum would be as improbable as these are together.
+
+    Of white noise, ``log(2) height^2`` is exponential with mean one, and a sum of ``m`` of them is Gamma distributed.
+    """
+    if len(heights) == 1:
+        return heights[0]
+    power = np.maximum(np.log(2) * np.sum(np.square(heights), axis=0), 1e-300)
+    less = logsumexp([i * np.log(power) - gammaln(i + 1) for i in range(len(heights))], axis=0)
+    return np.asarray(np.sqrt(np.maximum(power - less, 0.0) / np.log(2)))
 
 
 def _quiet(run: Run, n: int, window: Array) -> NDArray[np.bool_]:
