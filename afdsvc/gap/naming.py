@@ -33,16 +33,16 @@ def names(found: Found, summaries: Mapping[str, str]) -> tuple[Named, ...]:
 
 
 def _told(step: Step) -> list[Rival]:
-    rivals = _one_constant(step.ruling.rivals)
+    rivals = _each_once(step.ruling.rivals)
     return [r for r in rivals if r.weight >= LEAST_WEIGHT or r is rivals[0]][:MOST_NAMES]
 
 
-def _one_constant(rivals: Sequence[Rival]) -> list[Rival]:
-    """Return the rivals with the ways in which one constant may have changed told as one, the first, with their weights added."""
+def _each_once(rivals: Sequence[Rival]) -> list[Rival]:
+    """Return the rivals with the shapes of one thing told as one, the first of them, with their weights added."""
     first: dict[tuple[str, ...], Rival] = {}
     for r in rivals:
         h = _law(r)
-        what = (h.site, h.parameters[0].name) if h.physics == CHANGE else (h.key,)
+        what = (h.physics, h.site, h.notes.get("of", h.notes.get("variant", "")))
         first[what] = replace(first[what], weight=first[what].weight + r.weight) if what in first else r
     return list(first.values())
 

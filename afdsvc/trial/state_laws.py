@@ -46,10 +46,10 @@ def memory_polynomial(u: float, p: Row, s: Row, ds: Row) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def flexible_mode(q: float, v: float, p: Row, s: Row, ds: Row) -> float:
-    """A mass p0 (relative) on a joint of p1 rad/s, damping ratio p2, 10 % stiffer at a stretch p3; its pull on the axis."""
+    """A mass p0 (relative) on a joint of p1 rad/s, damping ratio p2, 10 % stiffer at a stretch p3 by contact that grows; its pull on the axis."""
     stretch = s[0] - q
     ds[0] = s[1]
-    ds[1] = -p[1] ** 2 * stretch * (1.0 + 0.1 * (stretch / p[3]) ** 2) - 2.0 * p[2] * p[1] * (s[1] - v)
+    ds[1] = -p[1] ** 2 * stretch * (1.0 + 0.1 * abs(stretch / p[3]) ** 1.5) - 2.0 * p[2] * p[1] * (s[1] - v)
     return -p[0] * ds[1]
 
 

@@ -157,18 +157,21 @@ def test_what_costs_more_by_the_same_everywhere_is_surely_worse():
     assert separation(good, good, -1.0) == -np.inf
 
 
-def rivals_of(*told: tuple[str, str, float]) -> Step:
-    """Return a step whose rivals change constants: name, variant and weight of each."""
+def rivals_of(*told: tuple[dict[str, str], float]) -> Step:
+    """Return a step whose rivals have these notes and weights."""
     listed = []
-    for name, variant, weight in told:
-        c = candidate("parameter_change", 100, 50, family="gain")
-        h = replace(c.hypothesis, notes={"variant": variant}, parameters=(replace(c.hypothesis.parameters[0], name=name),))
-        listed.append(Rival(replace(c, hypothesis=h), 0.0, 0.0, weight))
-    return Step(replace(ruling(candidate("parameter_change", 100, 50)), rivals=tuple(listed)), 1.0)
+    for notes, weight in told:
+        c = candidate("mode", 100, 50)
+        listed.append(Rival(replace(c, hypothesis=replace(c.hypothesis, notes=notes)), 0.0, 0.0, weight))
+    return Step(replace(ruling(candidate("mode", 100, 50)), rivals=tuple(listed)), 1.0)
 
 
-def test_two_ways_in_which_one_constant_may_have_changed_are_one_name():
-    step = rivals_of(("damping", "damping", 0.3), ("stiffness", "stiffness", 0.2), ("damping", "damping with its couplings", 0.5))
-    assert [(r.candidate.key, r.weight) for r in _told(step)] == [
-        ("parameter_change@input:a#damping", pytest.approx(0.8)), ("parameter_change@input:a#stiffness", pytest.approx(0.2)),
-    ]
+def test_two_shapes_of_one_thing_are_one_name():
+    own, other, shape = {"variant": "damping"}, {"variant": "stiffness"}, {"variant": "damping with its couplings", "of": "damping"}
+    step = rivals_of((own, 0.3), (other, 0.2), (shape, 0.5))
+    assert [(r.candidate.key, r.weight) for r in _told(step)] == [("mode@input:a#damping", pytest.approx(0.8)), ("mode@input:a#stiffness", pytest.approx(0.2))]
+
+
+def test_another_shape_of_the_plain_law_is_the_plain_law():
+    step = rivals_of(({}, 0.4), ({"variant": "turned", "of": ""}, 0.6))
+    assert [(r.candidate.key, r.weight) for r in _told(step)] == [("mode@input:a", pytest.approx(1.0))]

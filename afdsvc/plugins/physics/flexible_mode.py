@@ -12,6 +12,8 @@ from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.attach import at_force, on_machine, position, velocity
 
+ATTACHED = "attached mass"
+
 
 def mode(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``q'' + 2 zeta w q' + w^2 q = w^2 u``, seen as ``r_j q`` at output j; exact for an input held over the step."""
@@ -38,6 +40,21 @@ def appendage(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     e, r, before = m[0] - (z[0] - 0.5 * dt * z[1]), m[1] - z[1], m[1]
     m[0] = z[0] + 0.5 * dt * z[1] + decay * (e * c + (r + zeta * w * e) / wd * s)
     m[1] = z[1] + decay * (r * c - (w * w * e + zeta * w * r) / wd * s)
+    out[0] -= p[2] * (m[1] - before) / dt
+
+
+def bent_appendage(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """`appendage` on a spring whose stiffness goes as ``1 + p3 (s - q)^2``, held over the step at what it is in its middle."""
+    if m[2] == 0.0:
+        m[0], m[1], m[2] = z[0] - 0.5 * dt * z[1], z[1], 1.0
+    w, zeta = p[0], p[1]
+    e, r, before = m[0] - (z[0] - 0.5 * dt * z[1]), m[1] - z[1], m[1]
+    middle = e + 0.5 * dt * r
+    stiff = w * w * min(max(1.0 + p[3] * middle * middle, 0.04), 1e4)
+    sigma, wd = zeta * w, math.sqrt(max(stiff - zeta * zeta * w * w, 1e-12 * w * w))
+    decay, c, s = math.exp(-sigma * dt), math.cos(wd * dt), math.sin(wd * dt)
+    m[0] = z[0] + 0.5 * dt * z[1] + decay * (e * c + (r + sigma * e) / wd * s)
+    m[1] = z[1] + decay * (r * c - (stiff * e + sigma * r) / wd * s)
     out[0] -= p[2] * (m[1] - before) / dt
 
 
@@ -81,10 +98,17 @@ class FlexibleMode:
         }
         for axis in machine.axes:
             yield at_force(
-                axis, appendage, [position(axis), velocity(axis)], memory=3, notes={"variant": "attached mass"},
+                axis, appendage, [position(axis), velocity(axis)], memory=3, notes={"variant": ATTACHED},
                 parameters=[*band, Coefficient("mass ratio", "", 0.0, 2.0, 0.02, linear=True)],
                 starts=[(w, zeta, 0.0) for w in grid for zeta in (0.02, 0.15)],
                 linear=lambda plant, values, q=axis.position.index, v=axis.rate.index: _attach(plant, values, q, v), **words,
+            )
+            unit = axis.position.rms**-2
+            bend = Coefficient("hardening", f"1/{axis.position.unit}^2", -unit, 10 * unit, 0.01 * unit, nuisance=True)
+            yield at_force(
+                axis, bent_appendage, [position(axis), velocity(axis)], memory=3, notes={"variant": f"{ATTACHED} on a bent spring", "of": ATTACHED},
+                parameters=[*band, Coefficient("mass ratio", "", 0.0, 2.0, 0.02, linear=True), bend],
+                starts=[(w, zeta, 0.0, 0.0) for w in grid for zeta in (0.02, 0.15)], **words,
             )
         for port in machine.inputs:
             shares = [

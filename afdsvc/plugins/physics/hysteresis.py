@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Size
+from afdsvc.api.physics import Coefficient, Hypothesis, Law, Machine, Size
 from afdsvc.plugins.physics.attach import at_force, at_input, force, position
 
 
@@ -53,14 +53,17 @@ def _shape(size: Size) -> list[Coefficient]:
     ]
 
 
-def _forms(machine: Machine, size: Size, widths: tuple[float, ...]) -> Iterable[dict[str, Any]]:
-    """Yield the law with one shape; where the noise leaves more to be seen, also the one that may turn its loop."""
+Form = tuple[Law, list[Coefficient], dict[str, Any]]
+
+
+def _forms(machine: Machine, size: Size, widths: tuple[float, ...]) -> Iterable[Form]:
+    """Yield law, shape and words of the loop with one shape; where the noise leaves more to be seen, also of one that may turn."""
     r = size.rms
-    yield {"law": bouc_wen, "shape": _shape(size), "starts": [(0.0, w * r, 1.0) for w in widths], "notes": {}}
+    yield bouc_wen, _shape(size), {"starts": [(0.0, w * r, 1.0) for w in widths]}
     if machine.limited == "model":
         turn = Coefficient("turn", "rad", -math.pi / 4, 3 * math.pi / 4, 0.1, nuisance=True)
         starts = [(0.0, w * r, 1.0, b) for w in (0.5 * widths[0], *widths) for b in (0.5, 1.2, 1.8)]
-        yield {"law": bouc_wen_turned, "shape": [*_shape(size), turn], "starts": starts, "notes": {"variant": "turned"}}
+        yield bouc_wen_turned, [*_shape(size), turn], {"starts": starts, "notes": {"variant": "turned", "of": ""}}
 
 
 class Hysteresis:
@@ -79,11 +82,9 @@ class Hysteresis:
         for port in machine.inputs:
             r = port.rms
             size = Coefficient("amplitude", port.unit, -5 * r, 5 * r, 0.05 * r, linear=True)
-            for form in _forms(machine, port, (0.3, 1.0, 3.0)):
-                law, shape = form.pop("law"), form.pop("shape")
+            for law, shape, form in _forms(machine, port, (0.3, 1.0, 3.0)):
                 yield at_input(port, law, parameters=[size, *shape], **form, **words)
         for axis in machine.axes:
             loop = force(axis, "force", -20 * axis.push, 20 * axis.push, -0.1 * axis.push, linear=True)
-            for form in _forms(machine, axis.position, (0.1, 0.5, 2.0)):
-                law, shape = form.pop("law"), form.pop("shape")
+            for law, shape, form in _forms(machine, axis.position, (0.1, 0.5, 2.0)):
                 yield at_force(axis, law, [position(axis)], parameters=[loop, *shape], **form, **words)

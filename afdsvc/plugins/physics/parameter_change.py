@@ -103,7 +103,7 @@ class ParameterChange:
     def _parts(self, what: str, fixed: Sequence[float], low: float = -0.999, variant: str = "") -> dict[str, Any]:
         constants = [Coefficient("nominal", "", v, v, 1.0, nuisance=True) for v in fixed]
         return {
-            "physics": self.name, "family": "gain", "notes": {"variant": variant or what},
+            "physics": self.name, "family": "gain", "notes": {"variant": variant or what, "of": what},
             "parameters": [Coefficient(what, "", low, 30.0, 0.02, linear=what != "mass"), *constants],
             "starts": [(0.0 if what != "mass" else s, *fixed) for s in ((0.0,) if what != "mass" else (0.05, -0.05))],
             "predicts": "a linear residual in fixed proportion to what the model says at every level",

@@ -11,7 +11,7 @@ from scipy.signal import lsim
 
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.backlash import play
-from afdsvc.plugins.physics.flexible_mode import _attach, appendage
+from afdsvc.plugins.physics.flexible_mode import _attach, appendage, bent_appendage
 from afdsvc.plugins.physics.gain_follows_aux import scaled
 from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
 from afdsvc.plugins.physics.parameter_change import _scaled_entries, terms
@@ -24,12 +24,12 @@ from afdsvc.plugins.physics.stiffness_follows_aux import spring, springs
 DT = 1e-3
 
 
-def changed(law, parameters, signal, memory: int = 0) -> np.ndarray:
+def changed(law, parameters, signal, memory: int = 0, dt: float = DT) -> np.ndarray:
     """Return what a law adds, sample by sample."""
     m, added = np.zeros(memory), []
     for z in signal:
         out = np.zeros(1)
-        law(np.array(parameters, float), np.atleast_1d(z), m, DT, out)
+        law(np.array(parameters, float), np.atleast_1d(z), m, dt, out)
         added.append(out[0])
     return np.array(added)
 
@@ -51,6 +51,25 @@ def test_a_mass_on_an_axis_moves_as_the_matrices_say():
         slope = A @ x + np.array([0, u[k] + pull[0]])
         x = x + h * slope + 0.5 * h * h * (A @ slope)
     assert np.abs(np.array(seen) - y).max() < 2e-3 * np.abs(y).max()
+
+
+def test_a_mass_on_a_bent_spring_is_the_duffing_oscillator_on_a_moving_base():
+    """Oracle: scipy's DOP853 on ``s'' = -w^2 d (1 + k d^2) - 2 zeta w d'``, ``d = s - q``; the pull is ``-p2 s''``."""
+    w, zeta, ratio, bend, h = 90.0, 0.03, 0.15, 0.4, 1e-4
+    t = np.arange(8000) * h
+    q, v = np.sin(70 * t), 70 * np.cos(70 * t)
+
+    def slope(now: float, x: np.ndarray) -> list[float]:
+        d, rate = x[0] - np.sin(70 * now), x[1] - 70 * np.cos(70 * now)
+        return [x[1], -(w**2) * d * (1 + bend * d * d) - 2 * zeta * w * rate]
+
+    true = solve_ivp(slope, (0, t[-1]), [q[0], v[0]], method="DOP853", t_eval=t, rtol=1e-9, atol=1e-9).y
+    s2 = np.array([slope(now, x)[1] for now, x in zip(t, true.T, strict=True)])
+    assert np.abs(true[0] - q).max() > 1.2  # the spring is stiffer by more than half then
+    pulls = changed(bent_appendage, [w, zeta, ratio, bend], np.column_stack([q, v]), 3, h)
+    assert pulls[1:] == pytest.approx(-ratio * (s2[1:] + s2[:-1]) / 2, abs=0.005 * ratio * np.abs(s2).max())
+    straight = [changed(law, [w, zeta, ratio, *more], np.column_stack([q, v]), 3, h) for law, more in ((appendage, ()), (bent_appendage, (0.0,)))]
+    assert straight[0] == pytest.approx(straight[1], rel=1e-9, abs=1e-9 * np.abs(straight[0]).max())
 
 
 def test_a_mass_on_an_axis_that_stands_still_does_not_pull():
