@@ -81,6 +81,14 @@ def again(base: Baseline, point: Point) -> Baseline:
     return replace(base, objective=objective, point=settle(objective, point, 2), floor=floor)
 
 
+def as_stated(base: Baseline) -> Baseline:
+    """Return the baseline with every number of the model held where its owner stated it, and no effects."""
+    rigid = replace(base.nominal, entries=())
+    objective = replace(base.objective, simulator=replace(base.objective.simulator, nominal=rigid))
+    point = settle(objective, Point(np.zeros(0), base.point.x0), 2, states_only=True)
+    return replace(base, objective=objective, point=point)
+
+
 def _excess(base: Baseline) -> float:
     """Return the power of the residual over that of the noise, the larger of the outputs'."""
     power = np.mean([(e**2).mean(0) for e in raw(base.objective, base.point)], axis=0)

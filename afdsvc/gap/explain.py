@@ -12,6 +12,7 @@ from afdsvc.api.model import Model
 from afdsvc.api.physics import Physics
 from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
+from afdsvc.gap.baseline import as_stated
 from afdsvc.gap.check import check, insufficient_excitation, objection, one_frequency
 from afdsvc.gap.check_finding import Finding
 from afdsvc.gap.clock import aligned
@@ -110,11 +111,8 @@ def _located(found: Found, roles: Split) -> tuple[Located, ...]:
     places = locate(start, roles.select, found.machine)
     if places or not strained(start):
         return places
-    rigid = replace(start.nominal, entries=())
-    objective = replace(start.objective, simulator=replace(start.objective.simulator, nominal=rigid))
-    point = settle(objective, Point(np.zeros(0), start.point.x0), 2, states_only=True)
-    at = replace(start, objective=objective, point=point)
-    return tuple(replace(p, evidence=f"with the model's numbers as stated: {p.evidence}") for p in locate(at, roles.select))
+    stated = locate(as_stated(start), roles.select)
+    return tuple(replace(p, evidence=f"with the model's numbers as stated: {p.evidence}") for p in stated)
 
 
 def _shapes(found: Found) -> list[float | None]:

@@ -21,7 +21,8 @@ HOW = """
 Every trial is made by a truth generator that shares no code with the simulator or the hypotheses of `explain`: its own
 Runge-Kutta integrator in five sub-steps, its own functional forms (arctan friction where the hypothesis has tanh, smooth dead
 zones where it has sharp ones, hysteresis of other exponents, five edges of play where it has two, a servo with a soft corner where it
-has a rate limit, limits approached by a power law where it has a parabola), its own errors of every constant, drawn from the stated 2 %.
+has a rate limit, limits approached by a power law where it has a parabola, a joint that stiffens by another power), its own errors of
+every constant, drawn from the stated 2 %.
 It writes three recordings, a held-out one and the nominal MODEL.toml; the answer is sealed with a hash over answer, nonce and
 files and kept in another folder. `explain` is handed the files only. Then the seal is checked and broken, and the answer scored.
 rho is the effect's rms in the outputs over the noise's, measured without noise.

@@ -11,7 +11,7 @@ Starts = Sequence[Sequence[float]]
 
 
 def at_input(port: Size, law: Law, reads: Sequence[Signal] = (), **rest: Any) -> Hypothesis:
-    """Return a law that changes an input; it reads the input, then ``reads``."""
+    """Return a law that changes an input; it reads the input as earlier effects left it, then ``reads``."""
     own = Signal("u", port.index)
     return _hypothesis(f"input:{port.name}", "input", law, (own, *reads), (own,), rest)
 
@@ -22,7 +22,7 @@ def at_force(axis: Axis, law: Law, reads: Sequence[Signal], **rest: Any) -> Hypo
 
 
 def at_output(port: Size, law: Law, reads: Sequence[Signal] = (), **rest: Any) -> Hypothesis:
-    """Return a law that changes what a sensor says; it reads the clean output, then ``reads``."""
+    """Return a law that changes what a sensor says; it reads the output as earlier effects left it, then ``reads``."""
     own = Signal("y", port.index)
     return _hypothesis(f"output:{port.name}", "output", law, (own, *reads), (own,), rest)
 
