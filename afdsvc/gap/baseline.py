@@ -119,7 +119,7 @@ def _model_limited(nominal: Nominal, runs: Sequence[Run], point: Point) -> Basel
     if nominal.plant.discrete or nominal.model.controller is not None or any(_driven(r) for r in runs):
         return held
     smooth = _calm(nominal, runs, point, ramped=True)
-    return min(held, smooth, key=_power)
+    return min(held, smooth, key=power)
 
 
 def _driven(run: Run) -> bool:
@@ -127,7 +127,8 @@ def _driven(run: Run) -> bool:
     return run.W is not None or bool(np.ptp(run.REF, axis=0).max(initial=0.0) > 0) or run.commanded
 
 
-def _power(base: Baseline) -> float:
+def power(base: Baseline) -> float:
+    """Return the power of the residual, every output in units of its reading's spread, summed over all samples."""
     scale = np.sqrt(noise.positive(np.mean([np.nanvar(r.Y, axis=0) for r in base.objective.runs], axis=0)))
     return float(sum(((e / scale) ** 2).sum() for e in raw(base.objective, base.point)))
 

@@ -152,7 +152,8 @@ def _held(plant: StateSpace, h: float) -> tuple[Array, Array, Array]:
     n, m = plant.B.shape
     big = np.zeros((2 * n + m, 2 * n + m))
     big[:n] = np.hstack([plant.A, plant.B, np.eye(n)])
-    e = sla.expm(big * h)
+    with np.errstate(over="ignore", invalid="ignore"):  # a fit may look where everything leaves: its simulation is given up then
+        e = sla.expm(big * h)
     return _c(e[:n, :n]), _c(e[:n, n : n + m]), _c(e[:n, n + m :])
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import fftconvolve
 
-from afdsvc.gap.baseline import Baseline, corrected
+from afdsvc.gap.baseline import Baseline, corrected, power
 from afdsvc.gap.noise import RATIOS
 from afdsvc.gap.objective import slope
 from afdsvc.lti.statespace import Array
@@ -32,7 +32,7 @@ def surest(base: Baseline) -> Baseline:
     tried = [(_spread(base, lags), base)]
     for ratio in RATIOS[RATIOS.index(base.ratio) + 1 :]:
         found = corrected(base, ratio)
-        if found is None:
+        if found is None or power(found) > power(base):  # a sensor that folds its readings sends the correction the wrong way
             continue
         tried.append((_spread(found, lags), found))
         if len(tried) - 1 - int(np.argmin([s for s, _ in tried])) >= WORSE:

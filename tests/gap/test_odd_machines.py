@@ -16,6 +16,8 @@ from afdsvc.gap.baseline import Baseline, baseline
 from afdsvc.gap.explain import explain
 from afdsvc.gap.nominal import nominal
 from afdsvc.gap.runs import prepare
+from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import afdsvc_physics
 from afdsvc.record.model_file import read_model
@@ -109,3 +111,31 @@ def held_to(model: Model, recordings: Sequence[Trace]) -> Baseline:
 def without(trace: Trace, name: str) -> Trace:
     kept = [i for i, c in enumerate(trace.channels) if c.name != name]
     return replace(trace, channels=tuple(trace.channels[i] for i in kept), values=trace.values[:, kept])
+
+
+def drives(off: float = 1.0) -> StateSpace:
+    """A motor with a lag that drives a flywheel through a belt: three states, the speed is seen; ``off`` scales all but the structure."""
+    lag, belt, damping = 3.0 * off, 20.0 / off, 0.3 * off
+    A = np.array([[-lag, 0, 0], [0, 0, 1.0], [belt**2, -(belt**2), -2 * damping * belt]])
+    return StateSpace(A, np.array([[lag], [0], [0]]), np.array([[0, 1.0, 0]]), np.zeros((1, 1)))
+
+
+def counted(seed: int) -> Trace:
+    """Return 10 s of steps of both signs at 50 Hz; the pulse counter sees how fast, and not which way."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.choice([-1, 1], 50) * rng.uniform(0.3, 1.5, 50), 10)
+    speed = simulate(sample_zoh(drives(), 0.02), u[:, None])[0][:, 0]
+    return Trace(f"r{seed}", 0.02, (Channel("u_motor"), Channel("y_speed")), np.column_stack([u, np.abs(speed) + 0.01 * rng.standard_normal(500)]))
+
+
+def test_a_pulse_counter_that_knows_no_direction_is_named():
+    """The structure of the coupled electric drives of Wigren and Schoukens (2017), with constants of our own: a linear plant and ``|speed|``."""
+    plant = drives(1.05)
+    sd = {"A": 0.1 * np.abs(plant.A) * (np.abs(plant.A) != 1), "B": 0.1 * plant.B, "C": 0 * plant.C}
+    states = (Variable("drive", "V"), Variable("w", "1/s"), Variable("a", "1/s^2", rate_of="w"))
+    model = Model("drives", (Variable("motor", "V"),), (Variable("speed", "1/s"),), states, plant, entry_sd=sd)
+    answer = explain(model, [counted(1), counted(2)], [counted(3)], afdsvc_physics(), rehearse=False)
+    assert [(n.physics, n.site) for n in answer.named] == [("sensor_rectification", "output:speed")]
+    assert answer.named[0].parameters["sign lost"].value == pytest.approx(1.0, abs=0.03)
+    assert answer.fit[0].before_nrmse > 1
+    assert answer.fit[0].after_nrmse < 0.1

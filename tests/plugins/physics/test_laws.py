@@ -18,6 +18,7 @@ from afdsvc.plugins.physics.parameter_change import _scaled_entries, terms
 from afdsvc.plugins.physics.runout import uneven
 from afdsvc.plugins.physics.saturation import saturation
 from afdsvc.plugins.physics.sensor_drift import drift
+from afdsvc.plugins.physics.sensor_rectification import unsigned
 from afdsvc.plugins.physics.slew_limit import slew
 from afdsvc.plugins.physics.stiffness_follows_aux import spring, springs
 
@@ -175,3 +176,9 @@ def test_a_row_of_damping_that_changes_is_the_law_and_the_matrices_alike():
     assert pushes == pytest.approx(speeds @ (whole.A - A)[1, [1, 3]])
     assert whole.A[1, [1, 3]] == pytest.approx(0.6 * A[1, [1, 3]])
     assert (whole.A != A).sum() == 2
+
+
+def test_a_sensor_without_a_sign_reads_the_size_and_half_of_that_loses_one_side():
+    y = np.linspace(-2, 2, 41)
+    assert y + changed(unsigned, [1.0], y) == pytest.approx(np.abs(y))
+    assert y + changed(unsigned, [0.5], y) == pytest.approx(np.maximum(y, 0))
