@@ -84,7 +84,7 @@ def _restless(found: Found, g: Growth) -> str:
 
 def _too_little(done: Explained) -> bool:
     """Whether the names leave too much of the gap, and what they leave is no noise."""
-    return done.fraction + 2 * done.sd < ENOUGH and done.p_left < SURELY_LEFT
+    return done.fraction + done.sd < ENOUGH and done.p_left < SURELY_LEFT
 
 
 def _left(done: Explained) -> bool:

@@ -13,6 +13,7 @@ from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.attach import at_force, on_machine, position, velocity
 
 ATTACHED = "attached mass"
+DAMPED = 0.25  # damping ratio above which a structure has no resonance to speak of: its amplification is below two
 
 
 def mode(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -91,7 +92,7 @@ class FlexibleMode:
         """Return one hypothesis per input and per axis, started at the peaks of the residual and on a logarithmic grid."""
         low, high = 0.02 * machine.bandwidth, min(2 * machine.bandwidth, 0.9 * math.pi / machine.dt)
         grid = [*machine.peaks[:4], *np.geomspace(low * 3, high * 0.8, 5)]
-        band = Coefficient("frequency", "rad/s", low, high, 0.02 * low), Coefficient("damping ratio", "", 1e-3, 0.9, 0.02)
+        band = Coefficient("frequency", "rad/s", low, high, 0.02 * low), Coefficient("damping ratio", "", 1e-3, DAMPED, 0.02)
         words = {
             "physics": self.name, "family": "mode", "predicts": "a linear residual around one frequency, the same at every level",
             "refuted_by": "a residual that repeats at unexcited lines or changes its share with the level",
