@@ -265,3 +265,17 @@ def test_a_drift_holds_on_to_nothing_where_the_noise_is_louder(gripping):
     drifting = Effect(law, np.array([50 * law.parameters[0].scale, 0.0]))
     base = replace(gripping, point=replace(gripping.point, effects=(drifting,)), ratio=0.0, limited="noise")
     assert not irregular(replace(base, floor=replace(base.floor, sd=NOISE * np.array([1.1, 1.0]), known=True)))
+
+
+def relaxing(share: float, seconds: float) -> StateSpace:
+    """Return the spring of 200 rad/s with a Maxwell element of ``share`` of its stiffness beside it: rubber, not a structure."""
+    k = 4e4
+    A = np.array([[0, 1.0, 0], [-k, -30.0, -1.0], [0, share * k, -1 / seconds]])
+    return StateSpace(A, np.array([[0.0], [k], [0.0]]), np.array([[1.0, 0, 0]]), np.zeros((1, 1)))
+
+
+def test_what_relaxes_is_the_damping_it_mostly_is_and_no_resonance():
+    """A tenth of the stiffness that relaxes within 4 ms: nothing there rings, though a mass with a damping ratio of 0.37 would fit."""
+    *given, held = recordings(relaxing(0.1, 0.004))
+    answer = explain(model(), given, [held], afdsvc_physics(), rehearse=False)
+    assert (answer.named[0].physics, answer.named[0].site, *answer.named[0].parameters) == ("parameter_change", "state:v", "damping")
