@@ -71,10 +71,12 @@ def played(runs: Sequence[Run], i: int) -> Played:
     signals = [_driver(r, i) for r in runs]
     rms = tuple(float(s.std()) for s in signals)
     top = max(rms)
-    rms = tuple(x if x > 1e-6 * max(top, 1e-300) else 0.0 for x in rms)
+    if top == 0:
+        return Played(rms, 0, (0.0, 0.0), False, 0)
+    rms = tuple(x if x > 1e-6 * top else 0.0 for x in rms)
     loudest = int(np.argmax(rms))
     lines, band, odd, periods = _spectrum(runs[loudest], signals[loudest])
-    return Played(rms if top > 0 else tuple(0.0 for _ in rms), lines, band, odd, periods)
+    return Played(rms, lines, band, odd, periods)
 
 
 def _driver(run: Run, i: int) -> Array:

@@ -30,7 +30,19 @@ def samples(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
         for i, v in enumerate(model.inputs):
             yield from _clipped(run, f"u_{v.name}", v.unit, run.U[:, i])
     for j, v in enumerate(model.outputs):
-        yield from _quantised(f"y_{v.name}", v.unit, np.concatenate([r.Y[:, j] for r in runs]))
+        everything = np.concatenate([r.Y[:, j] for r in runs])
+        yield from _dead(f"y_{v.name}", v.unit, everything)
+        yield from _quantised(f"y_{v.name}", v.unit, everything)
+
+
+def _dead(name: str, unit: str, x: Array) -> Iterator[Finding]:
+    x = x[np.isfinite(x)]
+    if len(x) and np.ptp(x) == 0:
+        yield Finding(
+            "stop", "dead",
+            f"{name} reads {x[0] + 0.0:.6g} {unit} in every sample: the sensor is dead or not connected; recordings in which it moves, or a "
+            "model without it, are wanted",
+        )
 
 
 def _gaps(run: Run, name: str, x: Array) -> Iterator[Finding]:

@@ -49,7 +49,7 @@ class Whitener:
 def white(variance: Array) -> Whitener:
     """Return the whitener of white noise with this variance per channel, shape ``(p,)``, or covariance ``(p, p)``."""
     cov = np.diag(variance) if variance.ndim == 1 else variance
-    return Whitener(np.zeros((0, *cov.shape)), np.asarray(np.linalg.cholesky(cov), dtype=np.float64))
+    return Whitener(np.zeros((0, *cov.shape)), _cholesky(cov))
 
 
 def fit(pieces: Sequence[Array], order: int = ORDER) -> Whitener:

@@ -84,3 +84,35 @@ def test_what_is_held_out_is_never_fitted():
     runs = prepare(model(), [recording(k) for k in range(5)])
     many = split(runs[:4], runs[4:])
     assert [len(x) for x in (many.train, many.select, many.heldout)] == [3, 1, 1]
+
+
+def pair(dead: bool = False) -> tuple[Model, list[Trace]]:
+    """Two machines of one kind side by side, the second at rest: nothing is played on it, and its sensor sees noise."""
+    plant = StateSpace(*(np.kron(np.eye(2), M) for M in (PLANT.A, PLANT.B, PLANT.C, PLANT.D)))
+    one = model()
+    both = Model(
+        "pair", tuple(Variable(f"{v.name}{i}", v.unit) for i in "ab" for v in one.inputs), tuple(Variable(f"{v.name}{i}", v.unit) for i in "ab" for v in one.outputs),
+        tuple(Variable(f"{v.name}{i}", v.unit, rate_of=f"{v.rate_of}{i}" if v.rate_of else "") for i in "ab" for v in one.states), plant,
+    )
+    return both, [beside_rest(recording(seed), seed, dead) for seed in range(3)]
+
+
+def beside_rest(trace: Trace, seed: int, dead: bool) -> Trace:
+    names, columns = [], []
+    for c, x in zip(trace.channels, trace.values.T, strict=True):
+        still = 0 * x if c.name.startswith("u_") or dead else 1e-3 * np.std(x) * np.random.default_rng(seed).standard_normal(len(x))
+        names += [Channel(f"{c.name}a"), Channel(f"{c.name}b")]
+        columns += [x, still]
+    return Trace(trace.name, trace.dt, tuple(names), np.column_stack(columns))
+
+
+def test_an_input_on_which_nothing_is_played_is_told_and_no_obstacle():
+    both, (*given, held) = pair()
+    answer = explain(both, given, [held], afdsvc_physics(), rehearse=False)
+    assert any("is not excited" in s for s in answer.check)
+
+
+def test_a_sensor_that_never_moves_is_refused_by_name():
+    both, (*given, held) = pair(dead=True)
+    with pytest.raises(BadInput, match=r"y_\w+b reads 0 .* in every sample"):
+        explain(both, given, [held], afdsvc_physics(), rehearse=False)
