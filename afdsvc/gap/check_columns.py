@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
 from afdsvc.gap.check_finding import Finding
@@ -19,6 +21,7 @@ def columns(model: Model, traces: Sequence[Trace], runs: Sequence[Run]) -> Itera
     )
     yield from _unused(model, traces)
     yield from _units(model, traces)
+    yield from _bridged(traces)
     yield from _sampling(model, runs[0].dt)
 
 
@@ -41,6 +44,16 @@ def _units(model: Model, traces: Sequence[Trace]) -> Iterator[Finding]:
             if unit and channel.unit and unit != channel.unit:
                 yield Finding(
                     "warning", "units", f"{trace.name}: {channel.name} is recorded in {channel.unit}; the model has it in {unit}"
+                )
+
+
+def _bridged(traces: Sequence[Trace]) -> Iterator[Finding]:
+    for trace in traces:
+        for channel in trace.channels:
+            missing = int((~np.isfinite(trace.column(channel.name))).sum()) if channel.role in ("aux", "ref") else 0
+            if missing:
+                yield Finding(
+                    "warning", "gaps", f"{trace.name}: {channel.name} lacks {missing} of {len(trace)} samples; straight lines bridge them"
                 )
 
 

@@ -25,6 +25,7 @@ def samples(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
     for run in runs:
         for j, v in enumerate(model.outputs):
             yield from _gaps(run, f"y_{v.name}", run.Y[:, j])
+            yield from _still(run, f"y_{v.name}", v.unit, run.Y[:, j])
             yield from _clipped(run, f"y_{v.name}", v.unit, run.Y[:, j])
             yield from _drift(run, f"y_{v.name}", v.unit, j)
         for i, v in enumerate(model.inputs):
@@ -53,6 +54,12 @@ def _gaps(run: Run, name: str, x: Array) -> Iterator[Finding]:
             "warning", "gaps",
             f"{run.name}: {name} lacks {int(missing.sum())} of {len(x)} samples, the first at {at:.6g} s; they count for nothing",
         )
+
+
+def _still(run: Run, name: str, unit: str, x: Array) -> Iterator[Finding]:
+    x = x[np.isfinite(x)]
+    if np.ptp(x) == 0:
+        yield Finding("warning", "dead", f"{run.name}: {name} reads {x[0] + 0.0:.6g} {unit} in every sample: the sensor is dead there, or nothing moves")
 
 
 def _clipped(run: Run, name: str, unit: str, x: Array) -> Iterator[Finding]:

@@ -16,6 +16,7 @@ from afdsvc.lti.statespace import Array
 
 SURE = 1e-6  # p-value of whiteness below which an output's noise counts as coloured
 LAGS = 6
+ROUNDING = 1e-9  # of a reading's spread: noise below it is that of arithmetic, in recordings that were computed and not measured
 
 
 def coloured(runs: Sequence[Run], residuals: Sequence[Array], outputs: Sequence[tuple[str, str]], effect: int) -> tuple[Named, ...]:
@@ -32,7 +33,7 @@ def coloured(runs: Sequence[Run], residuals: Sequence[Array], outputs: Sequence[
     for j, (name, unit) in enumerate(outputs):
         own = [p[:, [j]] for p in pieces]
         p_white = whiteness_p(own)
-        if p_white < SURE:
+        if p_white < SURE and np.std(own) > ROUNDING * max(float(np.nanstd(r.Y[:, j])) for r in runs):
             found.append(_named(name, unit, own, p_white, runs[0].dt))
     found.sort(key=lambda pair: -pair[0])  # a loop carries colour to other outputs, where its share is smaller
     return tuple(replace(named, effect=effect + k) for k, (_, named) in enumerate(found))

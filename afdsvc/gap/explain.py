@@ -58,6 +58,7 @@ def explain(
         raise BadInput(objection(findings))
     runs = prepare(model, [*recordings, *holdout])
     roles = split(runs[: len(recordings)], runs[len(recordings) :])
+    _refuse_still(model, roles.heldout)
     start = nominal(model, runs[0].dt)
     found = forward(start, roles.train, roles.select, offered, most, mapper, progress)
     progress("reporting", 0.9)
@@ -66,6 +67,15 @@ def explain(
     answer = _answer(found, roles, offered, findings, rehearse)
     progress("reporting", 1.0)
     return answer
+
+
+def _refuse_still(model: Model, held: Sequence[Run]) -> None:
+    """Raise `BadInput` where a reading never moves in what is held out: no fit could be shown there."""
+    for j, v in enumerate(model.outputs):
+        y = np.concatenate([r.Y[:, j] for r in held])
+        if np.nanmax(y) == np.nanmin(y):
+            names = ", ".join(r.name for r in held)
+            raise BadInput(f"{names}, held out: y_{v.name} reads {np.nanmin(y) + 0.0:.6g} {v.unit} in every sample; recordings in which it moves are wanted")
 
 
 def _answer(found: Found, roles: Split, offered: Sequence[Physics], findings: Sequence[Finding], rehearse: bool) -> Explanation:

@@ -76,12 +76,21 @@ def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:
     if not np.isfinite(U).all():
         at = int(np.argwhere(~np.isfinite(U).all(1))[0, 0])
         raise BadInput(f"{trace.name}: an input is missing at sample {at}; inputs without gaps are wanted (cut the recording there)")
+    _check_readings(trace, model, Y)
     REF = np.column_stack([_optional(trace, f"ref_{v.name}", n) for v in model.outputs])
     AUX = np.column_stack([np.zeros((n, 0)), *(_optional(trace, f"aux_{a}", n) for a in labels)])
     period, settled = repetition(_driver(trace, U, REF))
     u, y, aux, ref = (np.ascontiguousarray(a, dtype=np.float64) for a in (U, Y, AUX, REF))
     commanded = bool(trace.role("alpha").size)
     return Run(trace.name, trace.dt, trace.t0, u, y, aux, ref, labels, _added(model, trace.dt, U, Y, REF), period, settled, commanded)
+
+
+def _check_readings(trace: Trace, model: Model, Y: Array) -> None:
+    for v, y in zip(model.outputs, Y.T, strict=True):
+        if np.isinf(y).any():
+            raise BadInput(f"{trace.name}: y_{v.name} is infinite at sample {int(np.argmax(np.isinf(y)))}; a number, or nan for a gap, is wanted")
+        if not np.isfinite(y).any():
+            raise BadInput(f"{trace.name}: y_{v.name} has no reading at all; recordings with readings of every output are wanted")
 
 
 def _column(trace: Trace, name: str) -> Array:
@@ -92,7 +101,14 @@ def _column(trace: Trace, name: str) -> Array:
 
 
 def _optional(trace: Trace, name: str, n: int) -> Array:
-    return np.nan_to_num(trace.column(name)) if trace.has(name) else np.zeros(n)
+    """Return a column with its gaps bridged by straight lines, as the check says; zeros where there is none."""
+    if not trace.has(name):
+        return np.zeros(n)
+    x = trace.column(name)
+    seen = np.isfinite(x)
+    if not seen.any():
+        raise BadInput(f"{trace.name}: {name} has no value at all; leave the column out, or bring recordings that have it")
+    return x if seen.all() else np.interp(np.arange(n), np.flatnonzero(seen), x[seen])
 
 
 def _driver(trace: Trace, U: Array, REF: Array) -> Array:

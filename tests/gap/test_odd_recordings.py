@@ -116,3 +116,46 @@ def test_a_sensor_that_never_moves_is_refused_by_name():
     both, (*given, held) = pair(dead=True)
     with pytest.raises(BadInput, match=r"y_\w+b reads 0 .* in every sample"):
         explain(both, given, [held], afdsvc_physics(), rehearse=False)
+
+
+@pytest.mark.parametrize(("which", "spoil", "said"), [
+    (1, np.nan, "r1: y_position has no reading at all"),
+    (2, np.nan, "r2: y_position has no reading at all"),  # held out
+    (2, 0.0, "r2, held out: y_position reads 0 mm in every sample"),
+])
+def test_a_recording_without_readings_is_refused_by_name(which, spoil, said):
+    traces = [recording(k) for k in range(3)]
+    traces[which] = replace(traces[which], values=np.column_stack([traces[which].values[:, 0], np.full(len(traces[which]), spoil)]))
+    with pytest.raises(BadInput, match=said):
+        explain(model(), traces[:2], traces[2:], afdsvc_physics(), rehearse=False)
+
+
+def test_an_infinite_reading_is_refused_with_its_place():
+    trace = recording(0)
+    trace.values[123, 1] = np.inf
+    with pytest.raises(BadInput, match="r0: y_position is infinite at sample 123"):
+        explain(model(), [trace, recording(1)], [recording(2)], afdsvc_physics(), rehearse=False)
+
+
+def test_gaps_in_another_signal_are_bridged_and_told():
+    traces = [with_speed(recording(k), gap=slice(100, 140) if k == 0 else slice(0)) for k in range(3)]
+    run = prepare(model(), traces)[0]
+    assert run.AUX[100:140, 0] == pytest.approx(np.arange(100, 140) / 10)
+    answer = explain(model(), traces[:2], traces[2:], afdsvc_physics(), rehearse=False)
+    assert "r0: aux_speed lacks 40 of 2000 samples; straight lines bridge them" in answer.check
+    lost = with_speed(recording(0), gap=slice(0, 2000))
+    with pytest.raises(BadInput, match="r0: aux_speed has no value at all"):
+        prepare(model(), [lost])
+
+
+def with_speed(trace: Trace, gap: slice) -> Trace:
+    speed = np.arange(len(trace)) / 10
+    speed[gap] = np.nan
+    return replace(trace, channels=(*trace.channels, Channel("aux_speed", "rad/s")), values=np.column_stack([trace.values, speed]))
+
+
+def test_recordings_without_any_noise_have_no_coloured_noise():
+    """Two simulators compared with each other: what is left is rounding."""
+    traces = [replace(t, values=np.column_stack([t.values[:, 0], simulate(sample_zoh(PLANT, DT), t.values[:, :1])[0][:, 0]])) for t in map(recording, range(3))]
+    answer = explain(model(), traces[:2], traces[2:], afdsvc_physics(), rehearse=False)
+    assert (answer.verdict, answer.named) == ("consistent", ())
