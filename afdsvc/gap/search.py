@@ -21,7 +21,7 @@ from afdsvc.gap.transfer import Transferred, transfers
 from afdsvc.lti.statespace import Array
 
 Mapper = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
-FITTED, REFINED, SETTLED, TRANSFERRED = 18, 8, 4, 3  # how many hypotheses survive each stage; changes looked at besides
+FITTED, REFINED, SETTLED, TRANSFERRED = 18, 8, 6, 3  # how many hypotheses survive each stage; constants looked at besides
 BLOCKS = 60
 PART, LEAST_PART, SCREENED = 5, 1000, 30  # a first screen on a fifth of every run keeps so many hypotheses
 SLOW = ("offset",)  # families that need a whole run to show
@@ -113,7 +113,7 @@ def round_of(
     progress("screening", 0.0)
     trials = sorted(mapper(partial(screen, t), _preselected(base, hypotheses, mapper)), key=lambda x: x.cost)
     nothing = evaluate(base, select, None, base.point)
-    changed = transfers(t, hypotheses, HOPELESS)[:TRANSFERRED] if base.limited == "noise" else []
+    changed = _one_way_each(transfers(t, hypotheses, HOPELESS))[:TRANSFERRED] if base.limited == "noise" else []
     if not trials or (t.cost - trials[0].cost < HOPELESS and not changed):
         return [nothing, *(evaluate(base, select, x.hypothesis, apply_shift(t, Effect(x.hypothesis, x.values)), nothing) for x in trials[:1])]
     progress("fitting", 0.3)
@@ -171,6 +171,14 @@ def _shifted(base: Baseline, t: Tangent, trial: Trial) -> tuple[float, Hypothesi
         point = settle(base.objective, point, 2, known=_lent(base, t))
         cost = full_cost(base.objective, point)
     return cost, trial.hypothesis, point
+
+
+def _one_way_each(found: Iterable[Transferred]) -> list[Transferred]:
+    """Return every constant in the best of the ways in which it may have changed (alone, or with its couplings), in the order given."""
+    best: dict[tuple[str, str], Transferred] = {}
+    for x in found:
+        best.setdefault((x[1].site, x[1].parameters[0].name), x)
+    return list(best.values())
 
 
 def _each_once(found: Iterable[Transferred]) -> list[Transferred]:

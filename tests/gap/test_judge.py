@@ -14,7 +14,7 @@ from afdsvc.gap.forward import Step
 from afdsvc.gap.judge import CHANGE, Rival, Tried, bent, judge, separation
 from afdsvc.gap.naming import _told
 from afdsvc.gap.objective import Point
-from afdsvc.gap.search import Candidate
+from afdsvc.gap.search import Candidate, _one_way_each
 from afdsvc.gap.simulator import Effect
 
 SAMPLES = (20000, 10000)
@@ -175,3 +175,16 @@ def test_two_shapes_of_one_thing_are_one_name():
 def test_another_shape_of_the_plain_law_is_the_plain_law():
     step = rivals_of(({}, 0.4), ({"variant": "turned", "of": ""}, 0.6))
     assert [(r.candidate.key, r.weight) for r in _told(step)] == [("mode@input:a", pytest.approx(1.0))]
+
+
+def test_of_every_constant_that_may_have_changed_the_best_way_is_looked_at():
+    """A second way of one constant may not push another constant out of the few that are looked at."""
+    ways = [("stiffness", "with its couplings", 10.0), ("stiffness", "", 11.0), ("damping", "", 12.0), ("mass", "", 13.0)]
+    found = []
+    for name, variant, cost in ways:
+        h = candidate(CHANGE).hypothesis
+        h = replace(h, notes={"variant": f"{name} {variant}".strip(), "of": name}, parameters=(replace(h.parameters[0], name=name),))
+        found.append((cost, h, Point(np.zeros(0), ())))
+    assert [(cost, h.notes["variant"]) for cost, h, _ in _one_way_each(found)] == [
+        (10.0, "stiffness with its couplings"), (12.0, "damping"), (13.0, "mass"),
+    ]
