@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.plugins.physics.attach import at_force, at_input, at_output, position, velocity
+from afdsvc.plugins.physics.attach import at_force, at_input, at_output
 
 IntArray = NDArray[np.int64]
 LOWEST = {"stiffness": -0.99, "damping": -3.0}  # a machine may be driven by what should damp it
@@ -22,13 +22,8 @@ def gain(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] += p[0] * z[0]
 
 
-def term(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """A term of the force balance ``1 + c`` times as large; ``p[1]`` is its nominal coefficient."""
-    out[0] += p[0] * p[1] * z[0]
-
-
 def terms(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """Several terms of one kind ``1 + c`` times as large, an axis' own and what couples it; ``p[1:]`` are their coefficients."""
+    """Terms of the force balance ``1 + c`` times as large; ``p[1:]`` are their nominal coefficients."""
     total = 0.0
     for k in range(len(z)):
         total += p[1 + k] * z[k]
@@ -63,17 +58,19 @@ class ParameterChange:
             )
         for axis in machine.axes if machine.plant is not None else ():
             yield from self._of_axis(axis, machine)
-            yield from self._with_couplings(axis, machine)
 
     def _of_axis(self, axis: Axis, machine: Machine) -> Iterable[Hypothesis]:
         assert machine.plant is not None  # noqa: S101
         row = machine.plant.A[axis.rate.index]
-        for name, state, signal in (("stiffness", axis.position.index, position(axis)), ("damping", axis.rate.index, velocity(axis))):
-            if row[state] != 0:
-                yield at_force(
-                    axis, term, [signal], **self._parts(name, [float(row[state])], LOWEST[name]),
-                    linear=lambda plant, values, i=axis.rate.index, j=state: _scaled_entries(plant, values, i, np.array([j])),
-                )
+        for name, own, columns in (
+            ("stiffness", axis.position.index, [a.position.index for a in machine.axes]),
+            ("damping", axis.rate.index, [a.rate.index for a in machine.axes]),
+        ):
+            coupled = [j for j in columns if row[j] != 0]
+            if row[own] != 0:
+                yield self._of_terms(axis, row, name, [own], name)
+            if row[own] != 0 and len(coupled) > 1:  # what makes them may be one thing for all axes
+                yield self._of_terms(axis, row, name, coupled, f"{name} with its couplings")
         inputs = machine.plant.B[axis.rate.index]
         states, ports = np.flatnonzero(row), np.flatnonzero(inputs)
         reads = [*(Signal("x", int(j)) for j in states), *(Signal("u", int(j)) for j in ports)]
@@ -84,21 +81,13 @@ class ParameterChange:
                 linear=lambda plant, values, i=axis.rate.index: _scaled_row(plant, values, i, states, ports),
             )
 
-    def _with_couplings(self, axis: Axis, machine: Machine) -> Iterable[Hypothesis]:
-        """Yield stiffness and damping once more where the axis feels other axes too: what makes them may be one thing for all."""
-        assert machine.plant is not None  # noqa: S101
-        row = machine.plant.A[axis.rate.index]
-        kinds = {"stiffness": [a.position.index for a in machine.axes], "damping": [a.rate.index for a in machine.axes]}
-        own = {"stiffness": axis.position.index, "damping": axis.rate.index}
-        for name, columns in kinds.items():
-            states = np.array([j for j in columns if row[j] != 0])
-            if row[own[name]] == 0 or len(states) < 2:
-                continue
-            yield at_force(
-                axis, terms, [Signal("x", int(j)) for j in states],
-                **self._parts(name, [float(v) for v in row[states]], LOWEST[name], f"{name} with its couplings"),
-                linear=lambda plant, values, i=axis.rate.index, states=states: _scaled_entries(plant, values, i, states),
-            )
+    def _of_terms(self, axis: Axis, row: NDArray[np.float64], name: str, columns: Sequence[int], variant: str) -> Hypothesis:
+        states = np.array(columns)
+        return at_force(
+            axis, terms, [Signal("x", int(j)) for j in states],
+            **self._parts(name, [float(v) for v in row[states]], LOWEST[name], variant),
+            linear=lambda plant, values: _scaled_entries(plant, values, axis.rate.index, states),
+        )
 
     def _parts(self, what: str, fixed: Sequence[float], low: float = -0.999, variant: str = "") -> dict[str, Any]:
         constants = [Coefficient("nominal", "", v, v, 1.0, nuisance=True) for v in fixed]
