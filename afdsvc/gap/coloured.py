@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy import stats
 
 from afdsvc.gap.explanation import Estimate, Named
+from afdsvc.gap.first_order import FirstOrder, first_order
 from afdsvc.gap.lines import tones
 from afdsvc.gap.noise import toneless, wandering
 from afdsvc.gap.runs import Run
@@ -16,6 +18,8 @@ from afdsvc.lti.statespace import Array
 
 SURE = 1e-6  # p-value of whiteness below which an output's noise counts as coloured
 LAGS = 6
+CHANCE = 1e-3  # that white noise of a machine, in which nothing else is found, is told coloured
+BOTH = 0.05  # p-value in what does not repeat from which colour in the whole residual counts
 ROUNDING = 1e-9  # of a reading's spread: noise below it is that of arithmetic, in recordings that were computed and not measured
 
 
@@ -24,9 +28,7 @@ def coloured(runs: Sequence[Run], residuals: Sequence[Array], outputs: Sequence[
 
     ``effect`` is the number the first of them gets. Lines are taken out first: a tone is no noise.
     """
-    lines = [t.omega for t in tones(runs, residuals)]
-    calm = [_without(r, e, lines) for r, e in zip(runs, residuals, strict=True)]
-    pieces = toneless([p - p.mean(0) for p in wandering(runs, calm)])
+    pieces = _noise(runs, _lineless(runs, residuals))
     if not pieces:
         return ()
     found: list[tuple[float, Named]] = []
@@ -37,6 +39,56 @@ def coloured(runs: Sequence[Run], residuals: Sequence[Array], outputs: Sequence[
             found.append(_named(name, unit, own, p_white, runs[0].dt))
     found.sort(key=lambda pair: -pair[0])  # a loop carries colour to other outputs, where its share is smaller
     return tuple(replace(named, effect=effect + k) for k, (_, named) in enumerate(found))
+
+
+def faintly_coloured(runs: Sequence[Run], residuals: Sequence[Array], outputs: Sequence[tuple[str, str]]) -> tuple[Named, ...]:
+    """Return one name per output whose noise has a first-order part too faint for `coloured`: for residuals in which nothing is left.
+
+    It has to show in what does not repeat; or in the whole residual, and there with the same pole.
+    """
+    whole = _lineless(runs, residuals)
+    pieces = _noise(runs, whole)
+    if not pieces:
+        return ()
+    found: list[tuple[float, Named]] = []
+    for j, (name, unit) in enumerate(outputs):
+        seen = _faint([p[:, j] for p in pieces], [e[:, j] for e in whole], CHANCE / len(outputs))
+        sd = float(np.std(np.concatenate([p[:, j] for p in pieces])))
+        if seen is not None and sd > ROUNDING * max(float(np.nanstd(r.Y[:, j])) for r in runs):
+            found.append((seen.share, _faint_name(name, unit, seen, sd, runs[0].dt)))
+    found.sort(key=lambda pair: -pair[0])
+    return tuple(replace(named, effect=1 + k) for k, (_, named) in enumerate(found))
+
+
+def _faint(noise: Sequence[Array], whole: Sequence[Array], chance: float) -> FirstOrder | None:
+    """Return the first-order part of the noise where it is no accident."""
+    best = first_order(noise)
+    if best.p < chance / 2:
+        return best
+    best = first_order(whole)
+    beside = first_order(noise, best.pole)
+    return best if best.p < chance / 2 and stats.norm.sf(beside.z) < BOTH else None
+
+
+def _faint_name(name: str, unit: str, seen: FirstOrder, sd: float, dt: float) -> Named:
+    rms = sd * float(np.sqrt(seen.share))
+    seconds = -dt / float(np.log(seen.pole))
+    told = {"rms": Estimate(rms, rms * seen.sd / (2 * seen.share), unit), "correlation time": Estimate(seconds, None, "s")}
+    sentence = (
+        f"noise of sensor {name}: {100 * seen.share:.2g} +- {100 * seen.sd:.1g} % of its power is coloured (first-order test, "
+        f"p = {seen.p:.1g}), rms {rms:.3g} {unit} with a correlation time of {seconds:.3g} s beside white noise"
+    )
+    return Named("coloured_noise", f"output:{name}", 1.0, told, sentence, 1, 0.0, "noise")
+
+
+def _lineless(runs: Sequence[Run], residuals: Sequence[Array]) -> list[Array]:
+    lines = [t.omega for t in tones(runs, residuals)]
+    return [_without(r, e, lines) for r, e in zip(runs, residuals, strict=True)]
+
+
+def _noise(runs: Sequence[Run], residuals: Sequence[Array]) -> list[Array]:
+    """Return what does not repeat, without what towers out of its spectrum."""
+    return toneless([p - p.mean(0) for p in wandering(runs, residuals)])
 
 
 def _without(run: Run, e: Array, lines: Sequence[float]) -> Array:

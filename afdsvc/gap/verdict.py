@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from afdsvc.gap.coloured import coloured
+from afdsvc.gap.coloured import coloured, faintly_coloured
 from afdsvc.gap.explanation import Named
 from afdsvc.gap.forward import Found
 from afdsvc.gap.naming import is_change
-from afdsvc.gap.settle import raw
+from afdsvc.gap.settle import raw, settle
 from afdsvc.gap.stationary import Growth, growth
 from afdsvc.gap.stepped import stepped
 from afdsvc.gap.strain import irregular, strained
@@ -62,6 +62,9 @@ def judged(found: Found, done: Explained) -> Judgement:
         return Judgement("unexplained", (why, *words), remains=True)
     if noise:
         return Judgement("omitted_physics", words, True, noise, _left(done))
+    faint = _faint_noise_names(found)
+    if faint:
+        return Judgement("omitted_physics", (*words, *(n.sentence for n in faint)), True, faint)
     return Judgement("consistent", ("nothing is left in the recordings but noise", *words))
 
 
@@ -106,6 +109,18 @@ def _noise_names(found: Found) -> tuple[Named, ...]:
     first = len(found.order) + 1
     steps = stepped(found.machine.outputs, found.end.floor.sd, first) if found.end.floor.known else ()
     return (*steps, *coloured(found.end.objective.runs, residuals, outputs, first + len(steps)))
+
+
+def _faint_noise_names(found: Found) -> tuple[Named, ...]:
+    """Return names for colour of the noise that shows in all recordings together, where they hold nothing else."""
+    base = found.end
+    if base.limited != "noise" or base.ratio > 0:
+        return ()
+    runs = (*base.objective.runs, *found.select)
+    objective = replace(base.objective, runs=runs)
+    start = replace(base.point, x0=tuple(np.zeros(base.nominal.plant.order) for _ in runs))
+    residuals = raw(objective, settle(objective, start, 2, states_only=True))
+    return faintly_coloured(runs, residuals, [(v.name, v.unit) for v in base.nominal.model.outputs])
 
 
 def _noise_words(found: Found) -> Sequence[str]:
