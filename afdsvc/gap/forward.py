@@ -159,7 +159,7 @@ def seen(base: Baseline) -> Machine:
     """Return the machine as it is seen from a baseline, with the tones and peaks of its residual."""
     residuals = raw(base.objective, base.point)
     runs = base.objective.runs
-    return machine(base, [t.omega for t in tones(runs, residuals)], peaks(runs, residuals))
+    return machine(base, [t.omega for t in tones(runs, residuals)], peaks(runs, residuals, 2 * bandwidth(runs)))
 
 
 def quiet(base: Baseline, sight: Machine) -> bool:

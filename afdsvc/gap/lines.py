@@ -37,7 +37,8 @@ def tones(runs: Sequence[Run], residuals: Sequence[Array], most: int = 4) -> lis
     """
     clean = [np.nan_to_num(e) for e in residuals]
     listed = [(group[0][0], tone) for group in _alike(runs, clean) for tone in _lines(group[0][0], [e for _, e in group])]
-    listed += [(run, tone) for run, e in zip(runs, clean, strict=True) for tone in (*_mains(run, e), *_standing_out(run, e))]
+    listed += [(group[0][0], tone) for group in _alike(runs, clean, whole=True) for tone in _mains(group)]
+    listed += [(run, tone) for run, e in zip(runs, clean, strict=True) for tone in _standing_out(run, e)]
     found: list[Tone] = []
     for run, tone in listed:
         resolution = 4 * np.pi / (len(run) * run.dt)
@@ -49,21 +50,21 @@ def tones(runs: Sequence[Run], residuals: Sequence[Array], most: int = 4) -> lis
     return sorted(found, key=lambda t: -t.height)[:most]
 
 
-def _alike(runs: Sequence[Run], residuals: Sequence[Array]) -> list[list[tuple[Run, Array]]]:
-    """Return runs and what does not repeat in them, those together whose spectra have the same lines."""
+def _alike(runs: Sequence[Run], residuals: Sequence[Array], whole: bool = False) -> list[list[tuple[Run, Array]]]:
+    """Return runs and what does not repeat in them (or the ``whole``), those together whose spectra have the same lines."""
     groups: dict[tuple[int, float, int], list[tuple[Run, Array]]] = {}
     for run, e in zip(runs, residuals, strict=True):
-        own = _unsynchronised(run, e)
+        own = e if whole else _unsynchronised(run, e)
         groups.setdefault((len(own), run.dt, run.period), []).append((run, own))
     return list(groups.values())
 
 
-def _mains(run: Run, e: Array) -> list[Tone]:
-    """Return the mains frequencies at which the residual towers over its neighbourhood, the excitation's lines included.
+def _mains(group: Sequence[tuple[Run, Array]]) -> list[Tone]:
+    """Return the mains frequencies at which residuals of like runs tower over their neighbourhood, the excitation's lines included.
 
     Mains may fall on a line of the excitation, where what repeats would hide it.
     """
-    n = len(e)
+    run, n = group[0][0], len(group[0][1])
     seconds = n * run.dt
     found = []
     for hertz in MAINS:
@@ -71,12 +72,14 @@ def _mains(run: Run, e: Array) -> list[Tone]:
             continue
         near = np.arange(hertz - WANDER, hertz + WANDER, 0.25 / seconds)
         around = np.concatenate([hertz + s * np.arange(4, 30) / seconds for s in (-1, 1)])
-        for j in range(e.shape[1]):
-            size = _amplitudes(run, e[:, j], near)
-            height = float(size.max() / max(np.median(_amplitudes(run, e[:, j], around)), 1e-300))
-            best = float(near[int(np.argmax(size))])
-            if height > TALL and size.max() > 1.5 * _beside(run, e[:, j], best):
-                found.append(Tone(2 * np.pi * best, float(size.max()), j, height))
+        for j in range(group[0][1].shape[1]):
+            sizes = [_amplitudes(run, e[:, j], near) for _, e in group]
+            heights = _together([x / max(float(np.median(_amplitudes(run, e[:, j], around))), 1e-300) for x, (_, e) in zip(sizes, group, strict=True)])
+            k = int(np.argmax(heights))
+            size = float(np.sqrt(np.mean([x[k] ** 2 for x in sizes])))
+            beside = float(np.sqrt(np.mean([_beside(r, e[:, j], float(near[k])) ** 2 for r, e in group])))
+            if heights[k] > HEARD and size > 1.5 * beside:
+                found.append(Tone(2 * np.pi * float(near[k]), size, j, float(heights[k])))
     return found
 
 
@@ -170,8 +173,11 @@ def _centre(size: Array, k: int) -> float:
     return float(k + side * (2 * ratio - 1) / (ratio + 1))
 
 
-def peaks(runs: Sequence[Run], residuals: Sequence[Array], most: int = 4) -> list[float]:
-    """Return angular frequencies [rad/s] at which the smoothed spectrum of the residual stands out, highest first."""
+def peaks(runs: Sequence[Run], residuals: Sequence[Array], below: float = np.inf, most: int = 4) -> list[float]:
+    """Return angular frequencies [rad/s] at which the smoothed spectrum of the residual stands out, up to ``below``.
+
+    Half of them tower over their neighbourhood, as a faint resonance in white noise does; half are the largest that there are.
+    """
     n = min(min(len(e) for e in residuals), 8192)
     power: Array = np.zeros(n // 2 + 1)
     for e in residuals:
@@ -180,11 +186,14 @@ def peaks(runs: Sequence[Run], residuals: Sequence[Array], most: int = 4) -> lis
         for start in range(0, len(x) - n + 1, n):
             power += (np.abs(np.fft.rfft((x[start : start + n] / scale) * np.hanning(n)[:, None], axis=0)) ** 2).sum(1)
     smooth = np.convolve(power, np.ones(5) / 5, "same")
-    inner = np.arange(3, len(smooth) - 1)
+    per_bin = 2 * np.pi / (n * runs[0].dt)
+    inner = np.arange(3, int(min(len(smooth) - 1, max(below / per_bin, 4))))
     tops = inner[(smooth[inner] >= smooth[inner - 1]) & (smooth[inner] > smooth[inner + 1])]
-    best = sorted(tops, key=lambda k: -smooth[k] * np.sqrt(k))[: 4 * most]
+    height = smooth / np.maximum(running_median(smooth[:, None], 2 * NEIGHBOURHOOD + 1)[:, 0], 1e-300)
+    orders = [sorted(tops, key=lambda k: -size[k])[: 4 * most] for size in (height, smooth * np.sqrt(np.arange(len(smooth))))]
     chosen: list[int] = []
-    for k in best:
-        if all(abs(k - c) > 0.1 * c for c in chosen):
-            chosen.append(int(k))
-    return [float(2 * np.pi * k / (n * runs[0].dt)) for k in chosen[:most]]
+    for count, best in zip((most - most // 2, most), orders, strict=True):
+        for k in best:
+            if len(chosen) < count and all(abs(k - c) > 0.1 * c for c in chosen):
+                chosen.append(int(k))
+    return [per_bin * k for k in chosen]

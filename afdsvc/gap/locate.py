@@ -68,7 +68,7 @@ def locate(base: Baseline, more: Sequence[Run] = (), seen: Machine | None = None
 
 def _machine(base: Baseline) -> Machine:
     residuals, runs = raw(base.objective, base.point), base.objective.runs
-    return machine(base, [t.omega for t in tones(runs, residuals)], peaks(runs, residuals))
+    return machine(base, [t.omega for t in tones(runs, residuals)], peaks(runs, residuals, 2 * bandwidth(runs)))
 
 
 def _facts(sight: View, seen: Machine) -> _Facts:
