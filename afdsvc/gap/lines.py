@@ -16,6 +16,7 @@ from afdsvc.lti.statespace import Array
 TALL = 7.0  # how far a tone towers over the median of its neighbourhood (amplitude)
 HEARD = 5.5  # the same for one that comes from outside, in all runs together: noise alone gets there in one machine of hundreds
 NEIGHBOURHOOD = 61
+RELATIVE = 0.02  # half the width of a resonance, as a part of its frequency
 ALONE = 3.0  # times the neighbouring lines of the excitation from which a line stands out among them
 MAINS, WANDER = (50.0, 60.0), 0.25  # Hz, and how far off they are looked for
 
@@ -189,7 +190,7 @@ def peaks(runs: Sequence[Run], residuals: Sequence[Array], below: float = np.inf
     per_bin = 2 * np.pi / (n * runs[0].dt)
     inner = np.arange(3, int(min(len(smooth) - 1, max(below / per_bin, 4))))
     tops = inner[(smooth[inner] >= smooth[inner - 1]) & (smooth[inner] > smooth[inner + 1])]
-    height = smooth / np.maximum(running_median(smooth[:, None], 2 * NEIGHBOURHOOD + 1)[:, 0], 1e-300)
+    height = _excess(power, running_median(smooth[:, None], 5 * NEIGHBOURHOOD)[:, 0])
     orders = [sorted(tops, key=lambda k: -size[k])[: 4 * most] for size in (height, smooth * np.sqrt(np.arange(len(smooth))))]
     chosen: list[int] = []
     for count, best in zip((most - most // 2, most), orders, strict=True):
@@ -197,3 +198,12 @@ def peaks(runs: Sequence[Run], residuals: Sequence[Array], below: float = np.inf
             if len(chosen) < count and all(abs(k - c) > 0.1 * c for c in chosen):
                 chosen.append(int(k))
     return [per_bin * k for k in chosen]
+
+
+def _excess(power: Array, level: Array) -> Array:
+    """Return by how many standard errors the power around every bin, over a part of its frequency, is above the level."""
+    k = np.arange(len(power))
+    half = np.maximum(2, np.round(RELATIVE * k)).astype(np.int64)
+    first, last = np.maximum(k - half, 0), np.minimum(k + half + 1, len(power))
+    sums = np.concatenate([[0.0], np.cumsum(power / np.maximum(level, 1e-300))])
+    return np.asarray((sums[last] - sums[first] - (last - first)) / np.sqrt(last - first))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.signal import lfilter
 
-from afdsvc.gap.lines import HEARD, _together, tones
+from afdsvc.gap.lines import HEARD, _together, peaks, tones
 from afdsvc.gap.runs import Run
 
 DT, PERIOD, PERIODS, OMEGA = 1e-3, 2000, 5, 110.9
@@ -22,9 +23,9 @@ def noise(rng: np.random.Generator) -> np.ndarray:
     return rng.standard_normal((PERIOD * PERIODS, 1))
 
 
-def with_tone(rng: np.random.Generator, amplitude: float) -> np.ndarray:
+def with_tone(rng: np.random.Generator, amplitude: float, omega: float = OMEGA) -> np.ndarray:
     t = DT * np.arange(PERIOD * PERIODS)
-    return noise(rng) + amplitude * np.sin(OMEGA * t + rng.uniform(0, 2 * np.pi))[:, None]
+    return noise(rng) + amplitude * np.sin(omega * t + rng.uniform(0, 2 * np.pi))[:, None]
 
 
 def test_a_weak_tone_is_heard_in_two_runs_where_one_may_miss_it():
@@ -58,3 +59,42 @@ def test_what_towers_beyond_all_numbers_is_no_infinity():
     loud = np.array([1e6])
     assert np.isfinite(_together([loud, loud])[0])
     assert _together([loud, loud])[0] > 1e6 > HEARD
+
+
+def test_weak_mains_are_heard_beside_a_line_of_the_excitation():
+    """49.95 Hz, a twentieth of a hertz from a line, where other tones are not looked for."""
+    found = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        found += tones([run()] * 2, [with_tone(rng, 0.14, 2 * np.pi * 49.95) for _ in range(2)])[:1]
+    assert len(found) >= 18
+    assert [t.omega for t in found] == pytest.approx([2 * np.pi * 49.95] * len(found), abs=2 * np.pi * 0.06)
+
+
+def test_an_excitation_that_the_model_answers_wrongly_at_every_line_is_no_mains():
+    t = DT * np.arange(PERIOD * PERIODS)
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        lines = np.arange(91, 110)  # of 0.5 Hz
+        left = [noise(rng) + 0.14 * np.sin(2 * np.pi * np.outer(t, lines) / 2 + rng.uniform(0, 6, lines.size)).sum(1)[:, None] for _ in range(2)]
+        assert not tones([run()] * 2, left)
+
+
+def test_a_faint_resonance_in_white_noise_is_the_first_peak():
+    """A damped oscillation of one hundredth of the noise's power, at a fiftieth of the sampling frequency."""
+    omega, hits = 2 * np.pi * 20.0, 0
+    pole = np.exp((-0.02 + 1j) * omega * DT)
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        ring = [lfilter([1.0], np.poly([pole, pole.conj()]).real, noise(rng), axis=0) for _ in range(2)]
+        left = [noise(rng) + 0.1 * x / x.std() for x in ring]
+        first = peaks([run()] * 2, left, 2 * np.pi * 250)[0]
+        hits += abs(first - omega) < 0.05 * omega
+    assert hits >= 18
+
+
+def test_peaks_stay_within_reach():
+    rng = np.random.default_rng(3)
+    found = peaks([run()], [noise(rng)], 400.0)
+    assert 1 <= len(found) <= 4
+    assert max(found) <= 400.0
