@@ -76,10 +76,11 @@ def judge(base: Baseline, candidates: Sequence[Candidate], tried: Tried, samples
     named = [c for c in candidates if c.hypothesis is not None and np.isfinite(c.train)]
     if not named:
         return Ruling(False, "no hypothesis applies to this machine", (), (), nothing, 0.0, 0.0)
-    scored = sorted(((score(base, nothing, c, samples), c) for c in named), key=lambda s: -s[0])
+    price = _price(base, nothing, named, samples)
+    scored = sorted(((score(base, nothing, c, samples, price), c) for c in named), key=lambda s: -s[0])
     scored = _general(base, nothing, scored, samples)
     inexact = EXACT * max(sum(gains(base, nothing, scored[0][1], samples)), 0.0)
-    rivals, beaten = _rivals(base, scored, samples, inexact)
+    rivals, beaten = _rivals(scored, price, inexact)
     rivals = _simplest_first(rivals, inexact)
     choice = rivals[0].candidate
     gain, gain_select = gains(base, nothing, choice, samples)
@@ -116,15 +117,22 @@ def gains(base: Baseline, nothing: Candidate, c: Candidate, samples: tuple[int, 
     )
 
 
-def score(base: Baseline, nothing: Candidate, c: Candidate, samples: tuple[int, int]) -> float:
-    """Return the gain on train and select less the price of the parameters."""
-    train, select = gains(base, nothing, c, samples)
-    return train + select - c.parameters * float(np.log(max(sum(samples) / base.memory, 2.0)))
+def score(base: Baseline, nothing: Candidate, c: Candidate, samples: tuple[int, int], price: float) -> float:
+    """Return the gain on train and select less the ``price`` of every parameter."""
+    return sum(gains(base, nothing, c, samples)) - c.parameters * price
 
 
-def _rivals(
-    base: Baseline, scored: Sequence[tuple[float, Candidate]], samples: tuple[int, int], inexact: float
-) -> tuple[list[Rival], list[Rival]]:
+def _price(base: Baseline, nothing: Candidate, named: Sequence[Candidate], samples: tuple[int, int]) -> float:
+    """Return the price of a parameter: the logarithm of how many samples' worth there is about the effect (Schwarz 1978).
+
+    Most samples say nothing about a faint effect: its largest gain is what there is to know of it, and never more than the samples
+    (effective sample size: Berger, Bayarri and Pericchi 2014, Econometric Reviews 33).
+    """
+    known = max(sum(gains(base, nothing, c, samples)) for c in named)
+    return float(np.log(np.clip(known, np.exp(MILD), max(sum(samples) / base.memory, np.exp(MILD)))))
+
+
+def _rivals(scored: Sequence[tuple[float, Candidate]], price: float, inexact: float) -> tuple[list[Rival], list[Rival]]:
     """Split into those within reach of the best (with weights) and those beaten; what is ``inexact`` tells nobody apart.
 
     The choice pays the full price of every parameter; whether a rival can be told from it is asked at the mild price of
@@ -133,11 +141,10 @@ def _rivals(
     top, best = scored[0]
     rivals: list[Rival] = []
     beaten: list[Rival] = []
-    full = float(np.log(max(sum(samples) / base.memory, 2.0)))
     for value, c in scored:
         longer = c.parameters - best.parameters
         z = separation(c.blocks, best.blocks, longer * MILD + _strain(c) - _strain(best) - inexact)
-        close = top - value - longer * (full - MILD) - inexact
+        close = top - value - longer * (price - MILD) - inexact
         evidence = min(max(close, 0.0), max(z, 0.0) ** 2) if c is not best else 0.0
         rival = Rival(c, top - value, z, float(np.exp(-evidence / 2)))
         (rivals if c is best or close < CLOSE or z < APART else beaten).append(rival)

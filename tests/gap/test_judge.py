@@ -88,6 +88,21 @@ def test_hypotheses_are_counted_by_what_they_are():
 
 
 @pytest.mark.parametrize(
+    ("gain", "more", "first"),
+    [
+        (260, 18, "longer"),  # two more parameters for a faint effect: 2 ln 278 + 2 = 13.3
+        (260, 12, "short"),
+        (26000, 21, "short"),  # a plain one: 2 ln 26021 = 20.3, and a thousandth of what it explains tells nobody apart
+        (26000, 60, "longer"),
+        (2.6e6, 2700, "longer"),  # never more than the samples: 2 ln 30000 = 20.6
+    ],
+)
+def test_a_parameter_costs_the_logarithm_of_what_there_is_to_know_of_the_effect(gain, more, first):
+    longer, short = candidate("longer", gain + more, values=(1.0, 1.0, 2.0), differs=0.0), candidate("short", gain, differs=0.0)
+    assert ruling(longer, short).rivals[0].candidate.hypothesis.physics == first
+
+
+@pytest.mark.parametrize(
     ("shape", "site", "family", "first"),
     [
         (4.0, "input:a", "memory", "play"),  # the loop stands at its end: it is asked to be play
