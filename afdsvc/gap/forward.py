@@ -12,9 +12,10 @@ from afdsvc.api.physics import Machine, Physics
 from afdsvc.gap.baseline import Baseline, again, baseline
 from afdsvc.gap.clock import aligned, reads_time
 from afdsvc.gap.judge import Ruling, Tried, bent, judge, separation
-from afdsvc.gap.lines import Tone, peaks, tones
+from afdsvc.gap.lines import Tone, tones
 from afdsvc.gap.nominal import Nominal
 from afdsvc.gap.objective import Objective, Point
+from afdsvc.gap.peaks import peaks
 from afdsvc.gap.reconsider import reconsidered
 from afdsvc.gap.repeating import repeating
 from afdsvc.gap.runs import Run

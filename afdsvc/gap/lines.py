@@ -1,4 +1,4 @@
-"""Spectral lines of the residual: tones that do not come from the excitation, and peaks where it stands out."""
+"""Spectral lines of the residual: tones that do not come from the excitation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from afdsvc.lti.statespace import Array
 TALL = 7.0  # how far a tone towers over the median of its neighbourhood (amplitude)
 HEARD = 5.5  # the same for one that comes from outside, in all runs together: noise alone gets there in one machine of hundreds
 NEIGHBOURHOOD = 61
-RELATIVE = 0.02  # half the width of a resonance, as a part of its frequency
 ALONE = 3.0  # times the neighbouring lines of the excitation from which a line stands out among them
 MAINS, WANDER = (50.0, 60.0), 0.25  # Hz, and how far off they are looked for
 
@@ -172,38 +171,3 @@ def _centre(size: Array, k: int) -> float:
     side = 1 if c > a else -1
     ratio = (c if side > 0 else a) / b
     return float(k + side * (2 * ratio - 1) / (ratio + 1))
-
-
-def peaks(runs: Sequence[Run], residuals: Sequence[Array], below: float = np.inf, most: int = 4) -> list[float]:
-    """Return angular frequencies [rad/s] at which the smoothed spectrum of the residual stands out, up to ``below``.
-
-    Half of them tower over their neighbourhood, as a faint resonance in white noise does; half are the largest that there are.
-    """
-    n = min(min(len(e) for e in residuals), 8192)
-    power: Array = np.zeros(n // 2 + 1)
-    for e in residuals:
-        x = np.nan_to_num(e)
-        scale = np.maximum(x.std(0), 1e-300)
-        for start in range(0, len(x) - n + 1, n):
-            power += (np.abs(np.fft.rfft((x[start : start + n] / scale) * np.hanning(n)[:, None], axis=0)) ** 2).sum(1)
-    smooth = np.convolve(power, np.ones(5) / 5, "same")
-    per_bin = 2 * np.pi / (n * runs[0].dt)
-    inner = np.arange(3, int(min(len(smooth) - 1, max(below / per_bin, 4))))
-    tops = inner[(smooth[inner] >= smooth[inner - 1]) & (smooth[inner] > smooth[inner + 1])]
-    height = _excess(power, running_median(smooth[:, None], 5 * NEIGHBOURHOOD)[:, 0])
-    orders = [sorted(tops, key=lambda k: -size[k])[: 4 * most] for size in (height, smooth * np.sqrt(np.arange(len(smooth))))]
-    chosen: list[int] = []
-    for count, best in zip((most - most // 2, most), orders, strict=True):
-        for k in best:
-            if len(chosen) < count and all(abs(k - c) > 0.1 * c for c in chosen):
-                chosen.append(int(k))
-    return [per_bin * k for k in chosen]
-
-
-def _excess(power: Array, level: Array) -> Array:
-    """Return by how many standard errors the power around every bin, over a part of its frequency, is above the level."""
-    k = np.arange(len(power))
-    half = np.maximum(2, np.round(RELATIVE * k)).astype(np.int64)
-    first, last = np.maximum(k - half, 0), np.minimum(k + half + 1, len(power))
-    sums = np.concatenate([[0.0], np.cumsum(power / np.maximum(level, 1e-300))])
-    return np.asarray((sums[last] - sums[first] - (last - first)) / np.sqrt(last - first))

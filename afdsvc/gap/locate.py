@@ -11,7 +11,7 @@ from afdsvc.api.physics import Machine
 from afdsvc.gap import locate_words as words
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.explanation import Located
-from afdsvc.gap.lines import peaks, tones
+from afdsvc.gap.lines import tones
 from afdsvc.gap.locate_amplitude import Law, law
 from afdsvc.gap.locate_injection import Entry, injection
 from afdsvc.gap.locate_lines import Split, splits
@@ -19,6 +19,7 @@ from afdsvc.gap.locate_map import Dependence, dependences
 from afdsvc.gap.locate_time import Span, loud_span
 from afdsvc.gap.locate_tones import label, speeds
 from afdsvc.gap.locate_view import View, view
+from afdsvc.gap.peaks import peaks
 from afdsvc.gap.runs import Run
 from afdsvc.gap.settle import raw
 from afdsvc.gap.sizes import bandwidth, machine

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import stats
-from scipy.signal import lfilter
 
-from afdsvc.gap.lines import HEARD, _together, peaks, tones
+from afdsvc.gap.lines import HEARD, _together, tones
 from afdsvc.gap.runs import Run
 
 DT, PERIOD, PERIODS, OMEGA = 1e-3, 2000, 5, 110.9
@@ -78,23 +77,3 @@ def test_an_excitation_that_the_model_answers_wrongly_at_every_line_is_no_mains(
         lines = np.arange(70, 131, 3)  # of 0.5 Hz, 50 Hz among them
         left = [noise(rng) + 0.14 * np.sin(2 * np.pi * np.outer(t, lines) / 2 + rng.uniform(0, 6, lines.size)).sum(1)[:, None] for _ in range(2)]
         assert not tones([run()] * 2, left)
-
-
-def test_a_faint_resonance_in_white_noise_is_the_first_peak():
-    """A damped oscillation of one hundredth of the noise's power, at a fiftieth of the sampling frequency."""
-    omega, hits = 2 * np.pi * 20.0, 0
-    pole = np.exp((-0.02 + 1j) * omega * DT)
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        ring = [lfilter([1.0], np.poly([pole, pole.conj()]).real, noise(rng), axis=0) for _ in range(2)]
-        left = [noise(rng) + 0.1 * x / x.std() for x in ring]
-        first = peaks([run()] * 2, left, 2 * np.pi * 250)[0]
-        hits += abs(first - omega) < 0.05 * omega
-    assert hits >= 18
-
-
-def test_peaks_stay_within_reach():
-    rng = np.random.default_rng(3)
-    found = peaks([run()], [noise(rng)], 400.0)
-    assert 1 <= len(found) <= 4
-    assert max(found) <= 400.0
