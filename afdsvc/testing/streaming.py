@@ -1,9 +1,11 @@
-"""What watching costs: seconds of processor time per sample, for any number of hypotheses and length of a burst."""
+"""What watching costs, counted: instructions and memory per block, for any number of hypotheses and length of a burst."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+import sys
+import tracemalloc
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,17 +24,39 @@ def many_faults(problem: DetectionProblem, count: int) -> DetectionProblem:
     return replace(problem, augmented=augment(g, directions))
 
 
-def cost_per_sample(
-    detector: Detector, blocks: Sequence[ResidualBlock], timer: Callable[[], float], repeats: int = 5
-) -> float:
-    """Return seconds per sample, the best of several passes; ``timer`` is, for example, ``time.process_time``.
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What one block costs: calls of functions, Python's and built-in ones, and the largest memory [bytes] taken meanwhile."""
 
-    Leave the block in which the burst ends out to measure streaming alone: the decision comes with it.
+    calls: int
+    memory: int
+
+
+def work(detector: Detector, blocks: Sequence[ResidualBlock]) -> list[Work]:
+    """Return what every block of a record costs, counted and not timed: the same on every computer, whatever else it does.
+
+    A first pass, uncounted, lets be loaded and compiled what is so on first use. Leave the block in which the burst ends out to count
+    streaming alone: the decision comes with it. What goes on inside compiled functions is not counted, but by the memory it takes.
     """
-    best, samples = float("inf"), sum(len(b) for b in blocks)
-    for _ in range(repeats):
-        state, began = detector.start(), timer()
+    state, found = detector.start(), []
+    for block in blocks:
+        state, _ = detector.step(state, block)
+    state = detector.start()
+    tracemalloc.start()
+    try:
         for block in blocks:
-            state, _ = detector.step(state, block)
-        best = min(best, timer() - began)
-    return best / samples
+            tracemalloc.reset_peak()
+            before, calls = tracemalloc.get_traced_memory()[0], [0]
+            sys.setprofile(lambda frame, event, argument, calls=calls: _count(calls, event))
+            try:
+                state, _ = detector.step(state, block)
+            finally:
+                sys.setprofile(None)
+            found.append(Work(calls[0], tracemalloc.get_traced_memory()[1] - before))
+    finally:
+        tracemalloc.stop()
+    return found
+
+
+def _count(calls: list[int], event: str) -> None:
+    calls[0] += event in ("call", "c_call")

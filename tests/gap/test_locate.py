@@ -5,7 +5,6 @@ The generator integrates by other means and uses other laws than the map's colum
 
 from __future__ import annotations
 
-import time
 from functools import cache
 from pathlib import Path
 
@@ -14,7 +13,6 @@ import pytest
 from scipy import stats
 
 from afdsvc.gap.baseline import Baseline, baseline
-from afdsvc.gap.forward import seen
 from afdsvc.gap.locate import locate
 from afdsvc.gap.nominal import nominal
 from afdsvc.gap.runs import Run, prepare
@@ -90,20 +88,3 @@ def test_a_tone_is_told_from_an_answer_to_the_excitation(tmp_path: Path):
     assert place.kind == "noise"
     assert place.band_hz[0] == pytest.approx(50.0, abs=0.2)
     assert "mains" in place.evidence
-
-
-@pytest.mark.long
-def test_ten_seconds_take_less_than_three(tmp_path: Path):
-    """10 s at 5 kHz, two inputs and two outputs; processor time, so that other work on the machine does not count."""
-    trial = generate("coulomb_friction", "state:horizontal_rate", 0.3, np.random.default_rng(1))
-    path = tmp_path / "model.toml"
-    path.write_text(model_text(trial.machine))
-    model = read_model(path)
-    runs = prepare(model, (*trial.recordings, trial.holdout))
-    base = baseline(nominal(model, runs[0].dt), runs[:2])
-    assert sum(len(r) for r in runs) == 50_000
-    sight = seen(base)
-    locate(base, runs[2:], sight)
-    start = time.process_time()
-    locate(base, runs[2:], sight)
-    assert time.process_time() - start < 3.0
