@@ -6,6 +6,7 @@ import sys
 import tracemalloc
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from types import FrameType
 
 import numpy as np
 
@@ -46,17 +47,22 @@ def work(detector: Detector, blocks: Sequence[ResidualBlock]) -> list[Work]:
     try:
         for block in blocks:
             tracemalloc.reset_peak()
-            before, calls = tracemalloc.get_traced_memory()[0], [0]
-            sys.setprofile(lambda frame, event, argument, calls=calls: _count(calls, event))
+            before, calls = tracemalloc.get_traced_memory()[0], _Calls()
+            sys.setprofile(calls)
             try:
                 state, _ = detector.step(state, block)
             finally:
                 sys.setprofile(None)
-            found.append(Work(calls[0], tracemalloc.get_traced_memory()[1] - before))
+            found.append(Work(calls.count, tracemalloc.get_traced_memory()[1] - before))
     finally:
         tracemalloc.stop()
     return found
 
 
-def _count(calls: list[int], event: str) -> None:
-    calls[0] += event in ("call", "c_call")
+class _Calls:
+    """A profile function that counts calls."""
+
+    count = 0
+
+    def __call__(self, frame: FrameType, event: str, argument: object) -> None:
+        self.count += event in ("call", "c_call")
