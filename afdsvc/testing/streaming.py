@@ -1,4 +1,4 @@
-"""What watching costs, counted: instructions and memory per block, for any number of hypotheses and length of a burst."""
+"""What watching costs, counted: calls and memory per block, for any number of hypotheses and length of a burst."""
 
 from __future__ import annotations
 
