@@ -122,7 +122,8 @@ def round_of(
     close = _each_once([
         *mapper(partial(_shifted, base, t), _diverse(fitted, REFINED)), *((full_cost(base.objective, p), h, p) for _, h, p in changed),
     ])
-    settled = list(mapper(partial(_settled, base, _lent(base, t)), close[:SETTLED])) + [(h, p) for _, h, p in close[SETTLED:]]
+    near, far = _promising(close, {h.key for _, h, _ in changed})
+    settled = [*mapper(partial(_settled, base, _lent(base, t)), near), *((h, p) for _, h, p in far)]
     refined = list(mapper(partial(_evaluated, base, select, nothing), settled))
     progress("refining", 1.0)
     return sorted([nothing, *refined], key=lambda c: c.train)
@@ -187,6 +188,15 @@ def _each_once(found: Iterable[Transferred]) -> list[Transferred]:
     for x in sorted(found, key=lambda x: x[0]):
         best.setdefault(x[1].key, x)
     return list(best.values())
+
+
+def _promising(found: Sequence[Transferred], constants: set[str]) -> tuple[list[Transferred], list[Transferred]]:
+    """Split what was found, best first, into what is settled and what is not; ``constants`` always are.
+
+    What other numbers took over is handed back to a constant by a linear step, which may be a long one: its cost there is no verdict.
+    """
+    near = [k for k, x in enumerate(found) if k < SETTLED or x[1].key in constants]
+    return [found[k] for k in near], [x for k, x in enumerate(found) if k not in near]
 
 
 def _lent(base: Baseline, t: Tangent) -> Borrowed | None:

@@ -14,7 +14,7 @@ from afdsvc.gap.forward import Step
 from afdsvc.gap.judge import CHANGE, Rival, Tried, bent, judge, separation
 from afdsvc.gap.naming import _told
 from afdsvc.gap.objective import Point
-from afdsvc.gap.search import Candidate, _one_way_each
+from afdsvc.gap.search import SETTLED, Candidate, _one_way_each, _promising
 from afdsvc.gap.simulator import Effect
 
 SAMPLES = (20000, 10000)
@@ -203,3 +203,11 @@ def test_of_every_constant_that_may_have_changed_the_best_way_is_looked_at():
     assert [(cost, h.notes["variant"]) for cost, h, _ in _one_way_each(found)] == [
         (10.0, "stiffness with its couplings"), (12.0, "damping"), (13.0, "mass"),
     ]
+
+
+def test_a_constant_that_took_back_what_others_had_absorbed_is_settled_wherever_it_stands():
+    found = [(100.0 + k, candidate(f"law{k}").hypothesis, Point(np.zeros(1), ())) for k in range(SETTLED + 4)]
+    last = found[-1][1].key
+    near, far = _promising(found, {last})
+    assert [h.key for _, h, _ in near] == [*(h.key for _, h, _ in found[:SETTLED]), last]
+    assert [h.key for _, h, _ in far] == [h.key for _, h, _ in found[SETTLED:-1]]
