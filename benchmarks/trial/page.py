@@ -3,12 +3,14 @@
     afdsvc trial --folder trials --n 300 --seed 2026 --jobs 2     # hours; goes on where it was interrupted
     afdsvc trial --folder nothing --parts nothing --n 2500 --seed 2031 --jobs 2     # 200 more with nothing hidden
     python benchmarks/trial/page.py trials 300 COMMIT nothing COMMIT
+    python benchmarks/trial/page.py trials 300 COMMIT --name blind-trials-newest     # beside the page, not instead of it
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 from scipy.stats import binomtest
@@ -47,7 +49,7 @@ def nothing_hidden(folder: Path, commit: str) -> str:
     )
 
 
-def main(folder: Path, planned: int, commit: str, *more: str) -> None:
+def main(folder: Path, planned: int, commit: str, more: Sequence[str], name: str) -> None:
     """Score the kept results anew and write both pages; ``more`` are folder and commit of a study with nothing hidden."""
     done = [rescored(r) for r in results(folder)]
     text = markdown(done, "Blind trials of `explain`")
@@ -58,11 +60,19 @@ def main(folder: Path, planned: int, commit: str, *more: str) -> None:
         "percentages.\n" if len(done) < planned else f"\n{planned} trials, commit {commit}.\n"
     )
     seed = done[0]["answer"]["seed"].split("/")[0]
-    command = f"\nMade by `afdsvc trial --folder trials --n {planned} --seed {seed}` and `python benchmarks/trial/page.py trials {planned} {commit}`.\n"
+    named = "" if name == "blind-trials" else f" --name {name}"
+    command = f"\nMade by `afdsvc trial --folder trials --n {planned} --seed {seed}` and `python benchmarks/trial/page.py trials {planned} {commit}{named}`.\n"
     empty = nothing_hidden(Path(more[0]), more[1]) if more else ""
-    (DOCS / "blind-trials.md").write_text(f"{title}\n{short}{HOW}{command}{empty}{rest}", encoding="utf-8")
-    (folder / "blind-trials.html").write_text(page(done, "Blind trials of explain"), encoding="utf-8")
+    (DOCS / f"{name}.md").write_text(f"{title}\n{short}{HOW}{command}{empty}{rest}", encoding="utf-8")
+    (folder / f"{name}.html").write_text(page(done, "Blind trials of explain"), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("planned", type=int)
+    parser.add_argument("commit")
+    parser.add_argument("more", nargs="*", help="folder and commit of a study with nothing hidden")
+    parser.add_argument("--name", default="blind-trials", help="of the page")
+    given = parser.parse_args()
+    main(given.folder, given.planned, given.commit, given.more, given.name)
