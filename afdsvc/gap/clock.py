@@ -14,7 +14,7 @@ import numpy as np
 from afdsvc.gap.lines import Tone
 from afdsvc.gap.objective import Objective, Point
 from afdsvc.gap.runs import Run
-from afdsvc.gap.settle import raw, settle
+from afdsvc.gap.settle import raw, started
 from afdsvc.lti.statespace import Array
 
 
@@ -33,9 +33,8 @@ def aligned(objective: Objective, point: Point, runs: Sequence[Run], tone: Tone)
     """Return the runs with clocks set by the tone in their residuals at a point (its initial states are fitted anew)."""
     if not runs:
         return ()
-    x0 = tuple(np.zeros(objective.simulator.nominal.plant.order) for _ in runs)
     there = replace(objective, runs=tuple(runs))
-    residuals = raw(there, settle(there, replace(timeless(point), x0=x0), 2, states_only=True))
+    residuals = raw(there, started(there, timeless(point)))
     return tuple(_set(r, e[:, tone.output], tone.omega) for r, e in zip(runs, residuals, strict=True))
 
 

@@ -28,7 +28,7 @@ from afdsvc.gap.objective import Objective, Point
 from afdsvc.gap.prediction import Player, nrmse, player
 from afdsvc.gap.runs import Run, prepare
 from afdsvc.gap.search import Mapper
-from afdsvc.gap.settle import settle
+from afdsvc.gap.settle import started
 from afdsvc.gap.spectra import spectra
 from afdsvc.gap.split import Split, split
 from afdsvc.gap.strain import strained
@@ -176,9 +176,7 @@ def _whiteness(found: Found, heldout: Sequence[Run]) -> tuple[float, float]:
 
 
 def _white(objective: Objective, point: Point) -> float:
-    x0 = tuple(np.zeros(objective.simulator.nominal.plant.order) for _ in objective.runs)
-    there = settle(objective, replace(point, x0=x0), 2, states_only=True)
-    pieces = objective.whitened(there)
+    pieces = objective.whitened(started(objective, point))
     return whiteness_p(pieces) if all(np.isfinite(w).all() for w in pieces) else 0.0
 
 

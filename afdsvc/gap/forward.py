@@ -20,7 +20,7 @@ from afdsvc.gap.reconsider import reconsidered
 from afdsvc.gap.repeating import repeating
 from afdsvc.gap.runs import Run
 from afdsvc.gap.search import Candidate, Mapper, block_costs, round_of
-from afdsvc.gap.settle import raw, settle
+from afdsvc.gap.settle import raw, settle, started
 from afdsvc.gap.sizes import bandwidth, machine
 from afdsvc.gap.surest import surest
 from afdsvc.lti.statespace import Array
@@ -202,8 +202,7 @@ class Yardstick:
     def whitened(self, point: Point) -> list[np.ndarray]:
         """Return the whitened residual of every run with the initial states refitted."""
         objective = self._objective
-        x0 = tuple(np.zeros(self.base.nominal.plant.order) for _ in objective.runs)
-        return objective.whitened(settle(objective, replace(point, x0=x0), 2, states_only=True))
+        return objective.whitened(started(objective, point))
 
 
 def _part(progress: Progress, number: int) -> Progress:

@@ -15,7 +15,7 @@ from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.explanation import Remainder
 from afdsvc.gap.objective import Objective
 from afdsvc.gap.runs import Run
-from afdsvc.gap.settle import raw, settle
+from afdsvc.gap.settle import raw, started
 from afdsvc.gap.simulator import Effect
 from afdsvc.lti.statespace import Array
 
@@ -38,8 +38,7 @@ def free_gain(base: Baseline, select: Sequence[Run]) -> float:
         return 0.0
     objective, point = base.objective, base.point
     held = replace(objective, runs=tuple(select))
-    x0 = tuple(np.zeros(base.nominal.plant.order) for _ in select)
-    there = settle(held, replace(point, x0=x0), 2, states_only=True)
+    there = started(held, point)
     fitted = [_features(objective, r, x, point.theta, point.effects) for r, x in zip(objective.runs, point.x0, strict=True)]
     sizes = np.sqrt(np.mean([np.mean(f**2, axis=(0, 1)) for f in fitted], axis=0)) + 1e-300
     sd = np.sqrt(np.mean([(e**2).mean(0) for e in raw(objective, point)], axis=0)) + 1e-300

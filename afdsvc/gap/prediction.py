@@ -30,15 +30,19 @@ class Player:
         return self.started(run, point.theta, point.effects)[1]
 
     def started(self, run: Run, theta: Array, effects: Sequence[Effect]) -> tuple[Array, Array]:
-        """Return the fitted initial state and the outputs simulated from it."""
+        """Return the fitted initial state and the outputs simulated from it.
 
+        It is looked for from rest and from the state that fits the model without the effects: a law that is not smooth may not
+        show the way from rest.
+        """
         sizes = np.nanstd(run.Y, axis=0)
         sizes = np.where(sizes > 0, sizes, 1.0)
 
         def play(x0: Array) -> Array:
             return self.simulator.run(run, theta, x0, effects, closed=self.way == WAYS[1]).y / sizes
 
-        x0, y = _from_best_state(play, run.Y / sizes, self.simulator.nominal.plant.order)
+        starts = [np.zeros(self.simulator.nominal.plant.order), *([self.started(run, theta, ())[0]] if effects else [])]
+        x0, y, _ = min((_best_state(play, run.Y / sizes, x) for x in starts), key=lambda found: found[2])
         return x0, y * sizes
 
 
@@ -66,13 +70,12 @@ def _forgets(nominal: Nominal, seconds: float) -> bool:
     return bool(rates.min() * seconds > FORGETS)
 
 
-def _from_best_state(play: Callable[[Array], Array], Y: Array, order: int, passes: int = 2) -> tuple[Array, Array]:
-    """Gauss-Newton in the initial state, steps halved while they do not help."""
-    x0 = np.zeros(order)
+def _best_state(play: Callable[[Array], Array], Y: Array, x0: Array, passes: int = 2) -> tuple[Array, Array, float]:
+    """Gauss-Newton in the initial state, steps shortened while they do not help; returns it, the outputs and the cost."""
     y = play(x0)
     cost = _cost(Y - y)
     for _ in range(passes):
-        J = np.column_stack([(play(x0 + 1e-3 * unit) - y).ravel() / 1e-3 for unit in np.eye(order)])
+        J = np.column_stack([(play(x0 + 1e-3 * unit) - y).ravel() / 1e-3 for unit in np.eye(len(x0))])
         e = np.nan_to_num(Y - y).ravel()
         J[~np.isfinite(J).all(1)] = 0.0
         scale = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
@@ -83,7 +86,7 @@ def _from_best_state(play: Callable[[Array], Array], Y: Array, order: int, passe
         fall, (x0, y, cost) = cost - found[2], found
         if fall < 1e-6 * cost:
             break
-    return x0, y
+    return x0, y, cost
 
 
 def _along(play: Callable[[Array], Array], Y: Array, x0: Array, step: Array, cost: float) -> tuple[Array, Array, float] | None:

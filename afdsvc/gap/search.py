@@ -15,7 +15,7 @@ from afdsvc.gap.fit import Trial, apply_shift, fit, screen
 from afdsvc.gap.objective import Borrowed, Point, Tangent, borrowed, tangent
 from afdsvc.gap.repeating import repeated
 from afdsvc.gap.runs import Run
-from afdsvc.gap.settle import full_cost, settle
+from afdsvc.gap.settle import full_cost, settle, started
 from afdsvc.gap.simulator import Effect
 from afdsvc.gap.transfer import Transferred, transfers
 from afdsvc.lti.statespace import Array
@@ -74,10 +74,8 @@ def evaluate(
     not repeat with the excitation is then no evidence for a law that would show in what does.
     """
     chosen = replace(base.objective, runs=tuple(select))
-    start = Point(point.theta, tuple(np.zeros(base.nominal.plant.order) for _ in select), point.effects)
-    there = settle(chosen, start, 2, states_only=True) if select else start
     heard = base.objective.whitened(point)
-    kept = chosen.whitened(there) if select else []
+    kept = chosen.whitened(started(chosen, point)) if select else []
     strain = float(np.dot(point.theta, point.theta))
     if beside is None or hypothesis is None:
         return Candidate(hypothesis, point, strain + _squares(heard), _squares(kept), block_costs([*heard, *kept]), 0, tuple(heard), tuple(kept))

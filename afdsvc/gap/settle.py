@@ -20,6 +20,29 @@ def raw(objective: Objective, point: Point) -> list[Array]:
     return [objective.residual(i, point.theta, x0, point.effects) for i, x0 in enumerate(point.x0)]
 
 
+def started(objective: Objective, point: Point) -> Point:
+    """Return the point with the initial states that fit the runs best, whichever it had.
+
+    They are looked for from rest and, in runs in which that comes out behind the states that fit without the effects, from
+    those: a law that is not smooth may not show the way from rest.
+    """
+    rest = replace(point, x0=tuple(np.zeros(objective.simulator.nominal.plant.order) for _ in objective.runs))
+    there = settle(objective, rest, 2, states_only=True)
+    if not point.effects:
+        return there
+    plain = settle(objective, replace(rest, effects=()), 2, states_only=True)
+    better = _better_each(objective, there, replace(point, x0=plain.x0))
+    return there if better is there else settle(objective, better, 2, states_only=True)
+
+
+def _better_each(objective: Objective, one: Point, other: Point) -> Point:
+    """Return one point with the initial states of the other in the runs that these fit better; itself where there are none."""
+    costs = [[float((w**2).sum()) for w in objective.whitened(p)] for p in (one, other)]
+    behind = [there < here for here, there in zip(*costs, strict=True)]
+    x0 = tuple(b if worse else a for a, b, worse in zip(one.x0, other.x0, behind, strict=True))
+    return replace(one, x0=x0) if any(behind) else one
+
+
 def settle(
     objective: Objective, point: Point, iterations: int = 6, states_only: bool = False, known: Borrowed | None = None
 ) -> Point:

@@ -11,7 +11,7 @@ from afdsvc.gap.coloured import coloured, faintly_coloured
 from afdsvc.gap.explanation import Named
 from afdsvc.gap.forward import Found
 from afdsvc.gap.naming import is_change
-from afdsvc.gap.settle import raw, settle
+from afdsvc.gap.settle import raw, started
 from afdsvc.gap.stationary import Growth, growth
 from afdsvc.gap.stepped import stepped
 from afdsvc.gap.strain import irregular, strained
@@ -118,8 +118,7 @@ def _faint_noise_names(found: Found) -> tuple[Named, ...]:
         return ()
     runs = (*base.objective.runs, *found.select)
     objective = replace(base.objective, runs=runs)
-    start = replace(base.point, x0=tuple(np.zeros(base.nominal.plant.order) for _ in runs))
-    residuals = raw(objective, settle(objective, start, 2, states_only=True))
+    residuals = raw(objective, started(objective, base.point))
     return faintly_coloured(runs, residuals, [(v.name, v.unit) for v in base.nominal.model.outputs])
 
 

@@ -13,6 +13,7 @@ from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.attach import at_force, on_machine, position, velocity
 
 ATTACHED = "attached mass"
+HARDENED = 0.88, 0.04, 0.003  # start on a hardening spring: of the peak's frequency, damping ratio, bend in units of the motion
 DAMPED = 0.25  # damping ratio above which a structure has no resonance to speak of: its amplification is below two
 
 
@@ -82,6 +83,13 @@ def _extend(plant: StateSpace, values: Sequence[float], column: int) -> StateSpa
     return StateSpace(A, np.vstack([plant.B, drive]), C, plant.D)
 
 
+def _hardened(peaks: Sequence[float], unit: float) -> list[tuple[float, float, float, float]]:
+    """Return starts with a spring that hardens: such a mode peaks above its frequency at rest, and from a straight spring at the
+    peak a fit ends in a softening one."""
+    lower, zeta, bend = HARDENED
+    return [(lower * w, zeta, 0.0, bend * unit) for w in peaks]
+
+
 class FlexibleMode:
     """A resonance the model does not have, one hypothesis per input that could drive it and per axis that could carry it."""
 
@@ -109,7 +117,7 @@ class FlexibleMode:
             yield at_force(
                 axis, bent_appendage, [position(axis), velocity(axis)], memory=3, notes={"variant": f"{ATTACHED} on a bent spring", "of": ATTACHED},
                 parameters=[*band, Coefficient("mass ratio", "", 0.0, 2.0, 0.02, linear=True), bend],
-                starts=[(w, zeta, 0.0, 0.0) for w in grid for zeta in (0.02, 0.15)], **words,
+                starts=[*_hardened(machine.peaks, unit), *((w, zeta, 0.0, 0.0) for w in grid for zeta in (0.02, 0.15))], **words,
             )
         for port in machine.inputs:
             shares = [
