@@ -23,10 +23,13 @@ BOTH = 0.05  # p-value in what does not repeat from which colour in the whole re
 ROUNDING = 1e-9  # of a reading's spread: noise below it is that of arithmetic, in recordings that were computed and not measured
 
 
-def coloured(runs: Sequence[Run], residuals: Sequence[Array], outputs: Sequence[tuple[str, str]], effect: int) -> tuple[Named, ...]:
+def coloured(
+    runs: Sequence[Run], residuals: Sequence[Array], outputs: Sequence[tuple[str, str]], effect: int, predicted: bool = False
+) -> tuple[Named, ...]:
     """Return one name per output ``(name, unit)`` whose noise is coloured; none where nothing repeats, so noise is not known.
 
-    ``effect`` is the number the first of them gets. Lines are taken out first: a tone is no noise.
+    ``effect`` is the number the first of them gets. Lines are taken out first: a tone is no noise. Of residuals that are
+    ``predicted`` from the readings before, negative correlation is no colour: a prediction that corrects too much leaves it.
     """
     pieces = _noise(runs, _lineless(runs, residuals))
     if not pieces:
@@ -35,6 +38,8 @@ def coloured(runs: Sequence[Run], residuals: Sequence[Array], outputs: Sequence[
     for j, (name, unit) in enumerate(outputs):
         own = [p[:, [j]] for p in pieces]
         p_white = whiteness_p(own)
+        if predicted and _correlation(own)[1] <= 0:
+            continue
         if p_white < SURE and np.std(own) > ROUNDING * max(float(np.nanstd(r.Y[:, j])) for r in runs):
             found.append(_named(name, unit, own, p_white, runs[0].dt))
     found.sort(key=lambda pair: -pair[0])  # a loop carries colour to other outputs, where its share is smaller
@@ -103,6 +108,8 @@ def _without(run: Run, e: Array, lines: Sequence[float]) -> Array:
 def _named(name: str, unit: str, pieces: Sequence[Array], p_white: float, dt: float) -> tuple[float, Named]:
     """Return the share of the noise's power that is coloured, and the name."""
     r = _correlation(pieces)
+    if r[1] <= 0:
+        return 0.0, _alternating(name, unit, r, sum(len(x) for x in pieces), p_white)
     pole, power = _first_order(r)
     sd = float(np.sqrt(power))
     seconds = -dt / np.log(pole)
@@ -113,6 +120,13 @@ def _named(name: str, unit: str, pieces: Sequence[Array], p_white: float, dt: fl
         f"{seconds:.3g} s beside white noise; {100 * share:.0f} % of the noise's power"
     )
     return share, Named("coloured_noise", f"output:{name}", 1.0, told, sentence, 1, 0.0, "noise")
+
+
+def _alternating(name: str, unit: str, r: Array, n: int, p_white: float) -> Named:
+    """Return the name for noise whose neighbours tend to opposite signs, which has no correlation time."""
+    told = {"rms": Estimate(float(np.sqrt(r[0])), None, unit), "correlation of neighbours": Estimate(float(r[1] / r[0]), float(n**-0.5), "")}
+    sentence = f"noise of sensor {name}: coloured (whiteness p = {p_white:.1g}), rms {np.sqrt(r[0]):.3g} {unit}; neighbouring samples correlate by {r[1] / r[0]:.2g}"
+    return Named("coloured_noise", f"output:{name}", 1.0, told, sentence, 1, 0.0, "noise")
 
 
 def _correlation(pieces: Sequence[Array]) -> Array:

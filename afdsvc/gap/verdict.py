@@ -55,7 +55,7 @@ def judged(found: Found, done: Explained) -> Judgement:
         return Judgement("unexplained", (lacking + nearest, *words), remains=True)
     if found.steps:
         changed = is_change([e.hypothesis for e in found.end.point.effects]) and not noise
-        return Judgement("parameter_change" if changed else "omitted_physics", (_closed(done), *words), True, noise, _left(done))
+        return Judgement("parameter_change" if changed else "omitted_physics", (_closed(found, done), *words), True, noise, _left(done))
     if _left(done) and not rounded:
         p = done.before.total.p if done.before else 0.0
         why = f"something repeats with the excitation (p = {p:.1g}) that no hypothesis explains"
@@ -86,8 +86,13 @@ def _restless(found: Found, g: Growth) -> str:
 
 
 def _too_little(done: Explained) -> bool:
-    """Whether the names leave too much of the gap, and what they leave is no noise."""
-    return done.fraction + done.sd < ENOUGH and done.p_left < SURELY_LEFT
+    """Whether the names leave too much of the gap, and what they leave is no noise.
+
+    Where nothing that counts repeated before, nothing that counts is left: the evidence lay elsewhere, as in strain that a constant
+    took away.
+    """
+    nothing_before = done.before is not None and done.before.total.p >= SOMETHING
+    return not nothing_before and done.fraction + done.sd < ENOUGH and done.p_left < SURELY_LEFT
 
 
 def _left(done: Explained) -> bool:
@@ -95,12 +100,22 @@ def _left(done: Explained) -> bool:
     return done.after is not None and done.after.total.p < SOMETHING
 
 
-def _closed(done: Explained) -> str:
-    said = f"{100 * min(done.fraction, 1.0):.0f} % of the gap is explained"
+def _closed(found: Found, done: Explained) -> str:
+    said = _absorbed(found) or f"{100 * min(done.fraction, 1.0):.0f} % of the gap is explained"
     if not _left(done):
         return said
     assert done.after is not None  # noqa: S101
     return f"{said}; a remainder still repeats with the excitation (p = {done.after.total.p:.1g})"
+
+
+def _absorbed(found: Found) -> str:
+    """Return how much nearer to their statement the model's numbers are, where that is most of the evidence; else ""."""
+    data = [float(np.square(b.objective.vector(b.point)).sum()) for b in (found.start, found.end)]
+    strain = [float(np.dot(b.point.theta, b.point.theta)) for b in (found.start, found.end)]
+    if strain[0] - strain[1] <= max(data[0] - data[1], 0.0):
+        return ""
+    far, near = np.sqrt(strain)
+    return f"other numbers of the model had absorbed it: they are {near:.2g} standard deviations from what is stated instead of {far:.2g}"
 
 
 def _noise_names(found: Found) -> tuple[Named, ...]:
@@ -108,7 +123,7 @@ def _noise_names(found: Found) -> tuple[Named, ...]:
     residuals = raw(found.end.objective, found.end.point)
     first = len(found.order) + 1
     steps = stepped(found.machine.outputs, found.end.floor.sd, first) if found.end.floor.known else ()
-    return (*steps, *coloured(found.end.objective.runs, residuals, outputs, first + len(steps)))
+    return (*steps, *coloured(found.end.objective.runs, residuals, outputs, first + len(steps), predicted=found.end.ratio > 0))
 
 
 def _faint_noise_names(found: Found) -> tuple[Named, ...]:

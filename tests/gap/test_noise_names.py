@@ -55,6 +55,20 @@ def test_first_order_noise_beside_white_noise_is_named_with_its_size_and_time():
     assert name.parameters["correlation time"].value == pytest.approx(-1e-3 / np.log(0.9), rel=0.25)
 
 
+def test_noise_that_alternates_is_told_as_it_is_and_of_a_predictor_not_at_all():
+    """Differences of white noise correlate by -1/2 with their neighbours and with nothing else; a predictor that corrects too much leaves such."""
+    residuals = [np.diff(white(seed), axis=0, prepend=0.0) for seed in (1, 2)]
+    (name,) = coloured([run(), run()], residuals, [("y", "m")], 1)
+    assert name.parameters["correlation of neighbours"].value == pytest.approx(-0.5, abs=0.03)
+    assert name.parameters["rms"].value == pytest.approx(np.sqrt(2), rel=0.05)
+    assert not coloured([run(), run()], residuals, [("y", "m")], 1, predicted=True)
+
+
+def test_colour_is_colour_of_a_predictor_too():
+    residuals = [white(1) + first_order(2, 0.9, 1.0), white(3) + first_order(4, 0.9, 1.0)]
+    assert coloured([run(), run()], residuals, [("y", "m")], 1, predicted=True)
+
+
 def test_a_tone_is_no_coloured_noise():
     t = np.arange(PERIOD * PERIODS) * 1e-3
     assert not coloured([run()], [white(1) + np.sin(2 * np.pi * 37.5 * t)[:, None]], [("y", "m")], 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from afdsvc.gap.repeating import Repeating, Share
 from afdsvc.gap.verdict import _too_little
 from afdsvc.gap.verify import Explained
 
@@ -16,3 +17,9 @@ from afdsvc.gap.verify import Explained
 ])
 def test_names_are_withdrawn_where_surely_too_little_goes_with_them(fraction, sd, p_left, withdrawn):
     assert _too_little(Explained(fraction, sd, None, None, p_left)) == withdrawn
+
+
+@pytest.mark.parametrize(("before", "withdrawn"), [(1e-5, False), (1e-7, True)])
+def test_a_constant_that_takes_strain_away_is_not_held_to_a_gap_that_would_not_count(before, withdrawn):
+    repeats = Repeating(Share(500.0, 120.0, before, 2800), {}, (), 50000)
+    assert _too_little(Explained(0.0, 0.28, repeats, repeats, before)) == withdrawn

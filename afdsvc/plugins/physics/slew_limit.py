@@ -29,15 +29,16 @@ class SlewLimit:
     summary = "an input that can change no faster than a rate"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per input, with rates from a tenth of the excitation's to three times it."""
+        """Return one hypothesis per input, with rates from a tenth of the excitation's up to those that no step of it reaches but
+        that take a part of the step."""
         for port in machine.inputs:
-            rate = port.rms * machine.bandwidth
+            rate, jump = port.rms * machine.bandwidth, port.rms / machine.dt
             yield at_input(
                 port, slew, physics=self.name, family="memory", memory=2,
                 parameters=[
-                    Coefficient(name, f"{port.unit}/s", 1e-3 * rate, 6 * rate, 0.02 * rate) for name in ("rate", "falling rate")
+                    Coefficient(name, f"{port.unit}/s", 1e-3 * rate, max(6 * rate, 20 * jump), 0.02 * rate) for name in ("rate", "falling rate")
                 ],
-                starts=[(s * rate, s * rate) for s in (0.1, 0.4, 1.0, 2.2, 3.5)],
+                starts=[(s, s) for s in (0.1 * rate, 0.4 * rate, 1.0 * rate, 2.2 * rate, 3.5 * rate, 5 * jump)],
                 predicts="lag and lost amplitude at high frequency and high level only",
                 refuted_by="the same lag at every level",
             )
