@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from afdsvc.gap.coloured import coloured, faintly_coloured
+from afdsvc.gap.coloured import ROUNDING, coloured, faintly_coloured
 from afdsvc.gap.explanation import Named
 from afdsvc.gap.forward import Found
 from afdsvc.gap.naming import is_change
@@ -37,6 +37,8 @@ class Judgement:
 
 def judged(found: Found, done: Explained) -> Judgement:
     """Return the verdict on a finished search."""
+    if _only_rounding(found):
+        return Judgement("consistent", (f"what is left is less than {ROUNDING:g} of every reading, as the rounding of computed recordings",))
     told = _noise_names(found)
     words = (*_noise_words(found), *(n.sentence for n in told))
     noise = tuple(n for n in told if found.end.limited == "noise" or n.physics != COLOURED)  # colour may be what the model leaves
@@ -66,6 +68,13 @@ def judged(found: Found, done: Explained) -> Judgement:
     if faint:
         return Judgement("omitted_physics", (*words, *(n.sentence for n in faint)), True, faint)
     return Judgement("consistent", ("nothing is left in the recordings but noise", *words))
+
+
+def _only_rounding(found: Found) -> bool:
+    """Whether the model leaves no more than arithmetic does, at every output."""
+    runs = found.start.objective.runs
+    left = np.max([np.sqrt(np.nanmean(e**2, axis=0)) for e in raw(found.start.objective, found.start.point)], axis=0)
+    return bool((left < ROUNDING * np.max([np.nanstd(r.Y, axis=0) for r in runs], axis=0)).all())
 
 
 def _explained_by_laws(found: Found) -> float:
