@@ -82,6 +82,11 @@ def _explained_by_laws(found: Found) -> float:
     effects = found.end.point.effects
     if not effects or is_change([e.hypothesis for e in effects]):
         return 0.0
+    return _fallen(found)
+
+
+def _fallen(found: Found) -> float:
+    """Return by how much the whitened sum of squares has fallen since the start of the search, at least 0."""
     costs = [float(np.square(b.objective.vector(b.point)).sum()) for b in (found.start, found.end)]
     return max(costs[0] - costs[1], 0.0)
 
@@ -119,9 +124,8 @@ def _closed(found: Found, done: Explained) -> str:
 
 def _absorbed(found: Found) -> str:
     """Return how much nearer to their statement the model's numbers are, where that is most of the evidence; else ""."""
-    data = [float(np.square(b.objective.vector(b.point)).sum()) for b in (found.start, found.end)]
     strain = [float(np.dot(b.point.theta, b.point.theta)) for b in (found.start, found.end)]
-    if strain[0] - strain[1] <= max(data[0] - data[1], 0.0):
+    if strain[0] - strain[1] <= _fallen(found):
         return ""
     far, near = np.sqrt(strain)
     return f"other numbers of the model had absorbed it: they are {near:.2g} standard deviations from what is stated instead of {far:.2g}"

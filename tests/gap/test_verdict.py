@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from afdsvc.gap.repeating import Repeating, Share
-from afdsvc.gap.verdict import _too_little
+from afdsvc.gap.verdict import _absorbed, _too_little
 from afdsvc.gap.verify import Explained
 
 
@@ -23,3 +26,14 @@ def test_names_are_withdrawn_where_surely_too_little_goes_with_them(fraction, sd
 def test_a_constant_that_takes_strain_away_is_not_held_to_a_gap_that_would_not_count(before, withdrawn):
     repeats = Repeating(Share(500.0, 120.0, before, 2800), {}, (), 50000)
     assert _too_little(Explained(0.0, 0.28, repeats, repeats, before)) == withdrawn
+
+
+@pytest.mark.parametrize(("residual", "said"), [(10.0, True), (12.0, False)])
+def test_what_other_numbers_had_absorbed_is_said_where_it_is_most_of_the_evidence(residual, said):
+    """Strain falls from 25 to 1; the sum of squares by 0 or by 44."""
+    start, end = (
+        SimpleNamespace(objective=SimpleNamespace(vector=lambda point, e=e: np.array([e])), point=SimpleNamespace(theta=np.array(theta)))
+        for e, theta in ((residual, [3.0, 4.0]), (10.0, [0.0, 1.0]))
+    )
+    words = _absorbed(SimpleNamespace(start=start, end=end))
+    assert ("1 standard deviations from what is stated instead of 5" in words) == said
