@@ -65,6 +65,18 @@ def test_selection_runs_are_asked_for_a_gain_only_where_the_effect_shows_in_them
     assert ruling(candidate("saturation", 300, -1.0, differs=differs)).accepted is accepted
 
 
+@pytest.mark.parametrize(
+    ("gain", "gain_select", "accepted"),
+    [
+        (1100, -2.7, True),  # at 45 % of its size in a recording that holds 2 % of the effect: the form differs a little there
+        (1100, -14.0, False),  # at 23 %: it is not there
+        (400, -2.7, False),  # where 6 % of the effect is, its size counts
+    ],
+)
+def test_quiet_selection_runs_are_asked_for_the_sign_of_an_effect_not_for_its_exact_size(gain, gain_select, accepted):
+    assert ruling(candidate("clearance", gain, gain_select, differs=25.8)).accepted is accepted
+
+
 def test_gains_on_runs_that_were_not_fitted_count_as_evidence():
     wanted = float(stats.chi2.isf(1e-5 / 100, 1))
     assert ruling(candidate("law", wanted - 8, 9)).accepted
