@@ -78,17 +78,23 @@ def _only_rounding(found: Found) -> bool:
 
 
 def _explained_by_laws(found: Found) -> float:
-    """Return by how much the named laws lower the whitened sum of squares; 0 where only constants are changed."""
+    """Return by how much the named laws lower the cost, with what the model's numbers had absorbed; 0 where only constants are changed."""
     effects = found.end.point.effects
     if not effects or is_change([e.hypothesis for e in effects]):
         return 0.0
-    return _fallen(found)
+    return _fallen(found) + max(_relieved(found), 0.0)
 
 
 def _fallen(found: Found) -> float:
     """Return by how much the whitened sum of squares has fallen since the start of the search, at least 0."""
     costs = [float(np.square(b.objective.vector(b.point)).sum()) for b in (found.start, found.end)]
     return max(costs[0] - costs[1], 0.0)
+
+
+def _relieved(found: Found) -> float:
+    """Return by how much the strain of the model's numbers, as a sum of squares, is less than at the start of the search."""
+    before, after = (float(np.dot(b.point.theta, b.point.theta)) for b in (found.start, found.end))
+    return before - after
 
 
 def _restless(found: Found, g: Growth) -> str:
@@ -124,10 +130,9 @@ def _closed(found: Found, done: Explained) -> str:
 
 def _absorbed(found: Found) -> str:
     """Return how much nearer to their statement the model's numbers are, where that is most of the evidence; else ""."""
-    strain = [float(np.dot(b.point.theta, b.point.theta)) for b in (found.start, found.end)]
-    if strain[0] - strain[1] <= _fallen(found):
+    if _relieved(found) <= _fallen(found):
         return ""
-    far, near = np.sqrt(strain)
+    far, near = (float(np.linalg.norm(b.point.theta)) for b in (found.start, found.end))
     return f"other numbers of the model had absorbed it: they are {near:.2g} standard deviations from what is stated instead of {far:.2g}"
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from afdsvc.gap.repeating import Repeating, Share
-from afdsvc.gap.verdict import _absorbed, _too_little
+from afdsvc.gap.verdict import _absorbed, _explained_by_laws, _too_little
 from afdsvc.gap.verify import Explained
 
 
@@ -30,10 +32,26 @@ def test_a_constant_that_takes_strain_away_is_not_held_to_a_gap_that_would_not_c
 
 @pytest.mark.parametrize(("residual", "said"), [(10.0, True), (12.0, False)])
 def test_what_other_numbers_had_absorbed_is_said_where_it_is_most_of_the_evidence(residual, said):
-    """Strain falls from 25 to 1; the sum of squares by 0 or by 44."""
-    start, end = (
-        SimpleNamespace(objective=SimpleNamespace(vector=lambda point, e=e: np.array([e])), point=SimpleNamespace(theta=np.array(theta)))
-        for e, theta in ((residual, [3.0, 4.0]), (10.0, [0.0, 1.0]))
-    )
-    words = _absorbed(SimpleNamespace(start=start, end=end))
+    words = _absorbed(search(residual))
     assert ("1 standard deviations from what is stated instead of 5" in words) == said
+
+
+@pytest.mark.parametrize(("physics", "before", "after", "explained"), [
+    ("sensor_misalignment", [3.0, 4.0], [0.0, 1.0], 44 + 24),
+    ("sensor_misalignment", [0.0, 1.0], [3.0, 4.0], 44),  # what the law itself puts on the numbers is no merit of it
+    ("parameter_change", [3.0, 4.0], [0.0, 1.0], 0),
+])
+def test_a_law_explains_what_it_takes_off_the_model_s_numbers_too(physics, before, after, explained):
+    assert _explained_by_laws(search(12.0, before, after, physics)) == pytest.approx(explained)
+
+
+def search(residual: float, before: Sequence[float] = (3.0, 4.0), after: Sequence[float] = (0.0, 1.0), physics: str = "law") -> Any:
+    """Return the ends of a search: the strain falls from 25 to 1, the sum of squares from that of the residual to 100."""
+    start, end = (
+        SimpleNamespace(
+            objective=SimpleNamespace(vector=lambda point, e=e: np.array([e])),
+            point=SimpleNamespace(theta=np.array(theta), effects=[SimpleNamespace(hypothesis=SimpleNamespace(physics=physics))]),
+        )
+        for e, theta in ((residual, before), (10.0, after))
+    )
+    return SimpleNamespace(start=start, end=end)
