@@ -251,8 +251,8 @@ def trial(
     folder: Annotated[Path, typer.Option(metavar="DIR", help="Where trials, sealed answers, results and reports are kept.")] = Path("trials"),
     n: Annotated[int, typer.Option("--n", help="How many trials the whole plan has.")] = 20,
     rho: Annotated[float | None, typer.Option(help="Severity of what is hidden, its rms in the outputs over the noise's.")] = None,
-    kinds: Annotated[str, typer.Option(metavar="NAME,NAME", help="Only trials that hide one of these; 'nothing' is one.")] = "",
-    parts: Annotated[str, typer.Option(metavar="PART,PART", help="Only these parts of the plan.")] = "",
+    kinds: Annotated[list[str] | None, typer.Option(metavar="NAME,NAME", help="Only trials that hide one of these; 'nothing' is one.")] = None,
+    parts: Annotated[list[str] | None, typer.Option(metavar="PART,PART", help="Only these parts of the plan.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the plan.")] = 1,
     jobs: Annotated[int, typer.Option(help="Trials at a time.")] = 1,
     keep: Annotated[bool, typer.Option("--keep", help="Keep the recordings.")] = False,
@@ -262,7 +262,7 @@ def trial(
     from afdsvc.blind_trials import trial_files
     from afdsvc.terminal import progress, trial_table
 
-    hidden, of_plan = ([word for word in text.split(",") if word] for text in (kinds, parts))
+    hidden, of_plan = ([word for text in texts or () for word in text.split(",") if word] for texts in (kinds, parts))
     with progress("trials", 1.0) as tell:
         document = trial_files(folder, n, seed, rho, hidden, of_plan, jobs, keep, lambda done, of: tell(done / of))
     show(as_json, document, lambda: trial_table(document))

@@ -6,9 +6,11 @@ import json
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from afdsvc import blind_trials
 from afdsvc.blind_trials import chosen, trial_files
+from afdsvc.cli import app
 from afdsvc.errors import BadInput
 from afdsvc.trial.plan import plan
 
@@ -41,6 +43,19 @@ def test_what_cannot_be_asked_is_one_sentence(arguments, words) -> None:
     with pytest.raises(BadInput) as refusal:
         chosen(*arguments)
     assert all(word in str(refusal.value) for word in words)
+
+
+def test_parts_and_kinds_may_be_given_with_commas_or_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[list[str], list[str]]] = []
+
+    def stopped(folder: Path, n: int, seed: int, rho: float | None, kinds: list[str], parts: list[str], *rest: object) -> dict:
+        asked.append((kinds, parts))
+        raise BadInput("enough is known")
+
+    monkeypatch.setattr(blind_trials, "trial_files", stopped)
+    for given in (["--parts", "axis,two", "--kinds", "backlash"], ["--parts", "axis", "--kinds", "backlash", "--parts", "two"], []):
+        assert CliRunner().invoke(app, ["trial", "--folder", str(tmp_path), *given]).exit_code
+    assert asked == [(["backlash"], ["axis", "two"])] * 2 + [([], [])]
 
 
 def test_trials_are_made_sealed_explained_scored_and_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
