@@ -32,18 +32,15 @@ def coloured(
     ``predicted`` from the readings before, negative correlation is no colour: a prediction that corrects too much leaves it.
     """
     pieces = _noise(runs, _lineless(runs, residuals))
-    if not pieces:
-        return ()
-    found: list[tuple[float, Named]] = []
-    for j, (name, unit) in enumerate(outputs):
+    found = []
+    for j, (name, unit) in enumerate(outputs if pieces else ()):
         own = [p[:, [j]] for p in pieces]
-        p_white = whiteness_p(own)
         if predicted and _correlation(own)[1] <= 0:
             continue
-        if p_white < SURE and np.std(own) > ROUNDING * max(float(np.nanstd(r.Y[:, j])) for r in runs):
+        p_white = whiteness_p(own)
+        if p_white < SURE and _measured(runs, j, _rms(own)):
             found.append(_named(name, unit, own, p_white, runs[0].dt))
-    found.sort(key=lambda pair: -pair[0])  # a loop carries colour to other outputs, where its share is smaller
-    return tuple(replace(named, effect=effect + k) for k, (_, named) in enumerate(found))
+    return _numbered(found, effect)
 
 
 def faintly_coloured(runs: Sequence[Run], residuals: Sequence[Array], outputs: Sequence[tuple[str, str]]) -> tuple[Named, ...]:
@@ -53,16 +50,29 @@ def faintly_coloured(runs: Sequence[Run], residuals: Sequence[Array], outputs: S
     """
     whole = _lineless(runs, residuals)
     pieces = _noise(runs, whole)
-    if not pieces:
-        return ()
-    found: list[tuple[float, Named]] = []
-    for j, (name, unit) in enumerate(outputs):
-        seen = _faint([p[:, j] for p in pieces], [e[:, j] for e in whole], CHANCE / len(outputs))
-        sd = float(np.std(np.concatenate([p[:, j] for p in pieces])))
-        if seen is not None and sd > ROUNDING * max(float(np.nanstd(r.Y[:, j])) for r in runs):
-            found.append((seen.share, _faint_name(name, unit, seen, sd, runs[0].dt)))
-    found.sort(key=lambda pair: -pair[0])
-    return tuple(replace(named, effect=1 + k) for k, (_, named) in enumerate(found))
+    found = []
+    for j, (name, unit) in enumerate(outputs if pieces else ()):
+        own = [p[:, j] for p in pieces]
+        seen = _faint(own, [e[:, j] for e in whole], CHANCE / len(outputs))
+        if seen is not None and _measured(runs, j, _rms(own)):
+            found.append((seen.share, _faint_name(name, unit, seen, _rms(own), runs[0].dt)))
+    return _numbered(found, 1)
+
+
+def _numbered(found: Sequence[tuple[float, Named]], first: int) -> tuple[Named, ...]:
+    """Return the names by falling share: a loop carries colour to other outputs, where its share is smaller."""
+    in_order = sorted(found, key=lambda pair: -pair[0])
+    return tuple(replace(named, effect=first + k) for k, (_, named) in enumerate(in_order))
+
+
+def _measured(runs: Sequence[Run], j: int, rms: float) -> bool:
+    """Whether noise of this rms at output ``j`` is more than the rounding of recordings that were computed."""
+    return rms > ROUNDING * max(float(np.nanstd(r.Y[:, j])) for r in runs)
+
+
+def _rms(pieces: Sequence[Array]) -> float:
+    """Return the rms of pieces of any lengths about zero, which is their mean."""
+    return float(np.sqrt(np.mean(np.concatenate(pieces) ** 2)))
 
 
 def _faint(noise: Sequence[Array], whole: Sequence[Array], chance: float) -> FirstOrder | None:

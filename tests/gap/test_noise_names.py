@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import lfilter
 
 from afdsvc.api.physics import Size
-from afdsvc.gap.coloured import coloured
+from afdsvc.gap.coloured import coloured, faintly_coloured
 from afdsvc.gap.explain import explain
 from afdsvc.gap.noise import fold
 from afdsvc.gap.repeating import repeated
@@ -27,11 +27,11 @@ from afdsvc.trial.plan import make_trial, plan
 PERIOD, PERIODS = 1000, 5
 
 
-def run(name: str = "r", level: float = 1.0) -> Run:
-    n = PERIOD * PERIODS
-    u = level * np.tile(np.random.default_rng(0).standard_normal((PERIOD, 1)), (PERIODS, 1))
+def run(name: str = "r", level: float = 1.0, period: int = PERIOD) -> Run:
+    n = period * PERIODS
+    u = level * np.tile(np.random.default_rng(0).standard_normal((period, 1)), (PERIODS, 1))
     empty = np.zeros((n, 0))
-    return Run(name, 1e-3, 0.0, u, np.zeros((n, 1)), empty, np.zeros((n, 1)), (), period=PERIOD)
+    return Run(name, 1e-3, 0.0, u, np.zeros((n, 1)), empty, np.zeros((n, 1)), (), period=period)
 
 
 def white(seed: int, sd: float = 1.0) -> np.ndarray:
@@ -53,6 +53,13 @@ def test_first_order_noise_beside_white_noise_is_named_with_its_size_and_time():
     assert (name.physics, name.site, name.effect) == ("coloured_noise", "output:y", 3)
     assert name.parameters["rms"].value == pytest.approx(1.0, rel=0.15)
     assert name.parameters["correlation time"].value == pytest.approx(-1e-3 / np.log(0.9), rel=0.25)
+
+
+@pytest.mark.parametrize("tell", [lambda r, e: coloured(r, e, [("y", "m")], 1), lambda r, e: faintly_coloured(r, e, [("y", "m")])])
+def test_recordings_with_periods_of_different_lengths_are_taken_together(tell):
+    runs = [run("a"), run("b", period=PERIOD // 2)]
+    (name,) = tell(runs, [(white(k) + first_order(k + 4, 0.9, 1.0))[: len(r)] for k, r in enumerate(runs)])
+    assert name.parameters["rms"].value == pytest.approx(1.0, rel=0.15)
 
 
 def test_noise_that_alternates_is_told_as_it_is_and_of_a_predictor_not_at_all():
