@@ -9,9 +9,10 @@ from scipy import stats
 
 from afdsvc.api.model import Model
 from afdsvc.gap.check_finding import Finding
+from afdsvc.gap.glitches import Glitch
+from afdsvc.gap.grid import grid
 from afdsvc.gap.noise import fold
 from afdsvc.gap.runs import Run
-from afdsvc.gap.sizes import grid
 from afdsvc.lti.statespace import Array
 
 STUCK = 0.002  # share of the samples at one extreme from which a signal counts as clipped
@@ -24,7 +25,9 @@ def samples(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
     """Yield findings about single channels."""
     for run in runs:
         for j, v in enumerate(model.outputs):
-            yield from _gaps(run, f"y_{v.name}", run.Y[:, j])
+            alone = run.glitches[j] if run.glitches else ()
+            yield from _gaps(run, f"y_{v.name}", run.Y[:, j], alone)
+            yield from _glitches(run, f"y_{v.name}", v.unit, alone)
             yield from _still(run, f"y_{v.name}", v.unit, run.Y[:, j])
             yield from _clipped(run, f"y_{v.name}", v.unit, run.Y[:, j])
             yield from _drift(run, f"y_{v.name}", v.unit, j)
@@ -46,13 +49,24 @@ def _dead(name: str, unit: str, x: Array) -> Iterator[Finding]:
         )
 
 
-def _gaps(run: Run, name: str, x: Array) -> Iterator[Finding]:
+def _gaps(run: Run, name: str, x: Array, alone: Sequence[Glitch]) -> Iterator[Finding]:
     missing = ~np.isfinite(x)
+    missing[[g.sample for g in alone]] = False
     if missing.any():
         at = float(run.t0 + run.dt * int(np.argmax(missing)))
         yield Finding(
             "warning", "gaps",
             f"{run.name}: {name} lacks {int(missing.sum())} of {len(x)} samples, the first at {at:.6g} s; they count for nothing",
+        )
+
+
+def _glitches(run: Run, name: str, unit: str, found: Sequence[Glitch]) -> Iterator[Finding]:
+    if found:
+        worst = max(found, key=lambda g: abs(g.height))
+        yield Finding(
+            "warning", "glitches",
+            f"{run.name}: {len(found)} of {run.Y.shape[0]} samples of {name} stand alone, the farthest at {run.t0 + run.dt * worst.sample:.6g} s "
+            f"{abs(worst.height):.3g} {unit} from where its neighbours lie: they are taken for glitches and count for nothing",
         )
 
 

@@ -38,6 +38,7 @@ from afdsvc.gap.whitening import whiteness_p
 from afdsvc.lti.statespace import Array
 
 MOST_EFFECTS = 3
+WORSE = 1.1  # ratio of held-out errors, after to before, beyond which names are withdrawn
 
 
 def explain(
@@ -84,8 +85,9 @@ def _answer(found: Found, roles: Split, offered: Sequence[Physics], findings: Se
     courses = _courses(found, roles, playing)
     held = [c for c in courses if c.role == "heldout"]
     done = explained(Yardstick(found.end, roles.select), found.start.point, found.end.point)
-    judgement = _by_excitation(judged(found, done), findings)
     floor = tuple(float(v) for v in found.end.floor.sd) if found.end.floor.known else None
+    fits = tuple(_fit(held, j, v.name, floor) for j, v in enumerate(nom.model.outputs))
+    judgement = _by_heldout(_by_excitation(judged(found, done), findings), fits, found)
     named = names(found, {p.name: p.summary for p in offered}) if judgement.keeps else ()
 
     def error(point: Point) -> float:
@@ -96,7 +98,7 @@ def _answer(found: Found, roles: Split, offered: Sequence[Physics], findings: Se
         located=_located(found, roles),
         named=(*named, *judgement.names),
         rejected=rejections(found, error),
-        fit=tuple(_fit(held, j, v.name, floor) for j, v in enumerate(nom.model.outputs)),
+        fit=fits,
         heldout=roles.heldout_names,
         whiteness_p=_whiteness(found, roles.heldout),
         simulated=playing.way,
@@ -138,6 +140,19 @@ def _by_excitation(judgement: Judgement, findings: Sequence[Finding]) -> Judgeme
     if not poor or judgement.keeps:
         return judgement
     return Judgement("insufficient_excitation", (poor, *judgement.sentences), remains=judgement.remains)
+
+
+def _by_heldout(judgement: Judgement, fits: Sequence[OutputFit], found: Found) -> Judgement:
+    """Return the judgement, or that nothing is claimed because what was found does worse on the recordings nobody had looked at."""
+    before, after = (float(np.linalg.norm([getattr(f, k) for f in fits])) for k in ("before_nrmse", "after_nrmse"))
+    if not judgement.keeps or not found.steps or after <= WORSE * before:
+        return judgement
+    best = found.steps[0].ruling.rivals[0].candidate.key
+    why = (
+        f"on the recordings held out the best hypotheses ({best} first) do worse than the model without them ({100 * after:.3g} % instead of "
+        f"{100 * before:.3g} %), so none of them is claimed"
+    )
+    return Judgement("unexplained", (why, *judgement.sentences), remains=True)
 
 
 def _next(found: Found, judgement: Judgement) -> Mapping[str, Any] | None:

@@ -18,6 +18,7 @@ from afdsvc.gap.whitening import Whitener, fit, white, whiteness_p
 from afdsvc.lti.riccati import kalman_predictor_gain
 from afdsvc.lti.statespace import Array, StateSpace
 
+FEW = 0.01  # share of missing samples up to which periods are told by the others
 RATIOS = (0.0, *(10.0**k for k in range(-7, 5)))
 
 
@@ -51,7 +52,10 @@ def wandering(runs: Sequence[Run], residuals: Sequence[Array]) -> list[Array]:
 
 
 def fold(run: Run, e: Array) -> Array | None:
-    """Return the settled periods of a residual, shape ``(periods, period, p)``; None when there are fewer than two."""
+    """Return the settled periods of a residual, shape ``(periods, period, p)``; None when there are fewer than two.
+
+    A few missing samples are the mean of the others of their phase; with more than `FEW` of them, the answer is None.
+    """
     if not run.period:
         return None
     start = max(run.settled, run.period // 4)
@@ -61,7 +65,14 @@ def fold(run: Run, e: Array) -> Array | None:
         if start < run.settled:
             return None
     folded = e[len(e) - count * run.period :].reshape(count, run.period, -1)
-    return folded if np.isfinite(folded).all() else None
+    return _bridged(folded)
+
+
+def _bridged(folded: Array) -> Array | None:
+    missing = np.isnan(folded)
+    if np.isinf(folded).any() or missing.mean() > FEW or missing.all(0).any():
+        return None
+    return np.where(missing, np.nanmean(folded, axis=0), folded) if missing.any() else folded
 
 
 def floor(runs: Sequence[Run], residuals: Sequence[Array]) -> Floor:

@@ -10,6 +10,7 @@ import numpy as np
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
+from afdsvc.gap.glitches import Glitch, glitches
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
@@ -22,7 +23,8 @@ class Run:
     ``W (n, m)`` is what was added to the controller's output, ``u - K (y - ref)``, and exists when the controller is known
     and the inputs and outputs have no gaps. ``period`` is the number of samples after which the excitation repeats (0 when
     it does not), ``settled`` the sample from which it does. ``commanded`` says that an excitation ``alpha`` was recorded, so
-    a controller made the input. ``clock`` is the time laws see at the first sample [s]; None: ``t0``.
+    a controller made the input. ``clock`` is the time laws see at the first sample [s]; None: ``t0``. ``glitches`` are the readings of every
+    output that were taken for such, and are missing in ``Y``.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Run:
     settled: int = 0
     commanded: bool = False
     clock: float | None = None
+    glitches: tuple[tuple[Glitch, ...], ...] = ()
 
     def __len__(self) -> int:
         return len(self.U)
@@ -80,9 +83,13 @@ def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:
     REF = np.column_stack([_optional(trace, f"ref_{v.name}", n) for v in model.outputs])
     AUX = np.column_stack([np.zeros((n, 0)), *(_optional(trace, f"aux_{a}", n) for a in labels)])
     period, settled = repetition(_driver(trace, U, REF))
-    u, y, aux, ref = (np.ascontiguousarray(a, dtype=np.float64) for a in (U, Y, AUX, REF))
+    u, y, aux, ref = (np.array(a, dtype=np.float64, order="C") for a in (U, Y, AUX, REF))
     commanded = bool(trace.role("alpha").size)
-    return Run(trace.name, trace.dt, trace.t0, u, y, aux, ref, labels, _added(model, trace.dt, U, Y, REF), period, settled, commanded)
+    added = _added(model, trace.dt, U, Y, REF)  # the controller saw the glitches
+    alone = tuple(glitches(column, period) for column in y.T)
+    for j, found in enumerate(alone):
+        y[[g.sample for g in found], j] = np.nan
+    return Run(trace.name, trace.dt, trace.t0, u, y, aux, ref, labels, added, period, settled, commanded, glitches=alone)
 
 
 def _check_readings(trace: Trace, model: Model, Y: Array) -> None:

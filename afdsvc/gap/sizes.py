@@ -9,6 +9,7 @@ import numpy as np
 from afdsvc.api.model import Variable
 from afdsvc.api.physics import Axis, Machine, Size
 from afdsvc.gap.baseline import Baseline
+from afdsvc.gap.grid import grid
 from afdsvc.gap.nominal import continuous
 from afdsvc.gap.runs import Run
 from afdsvc.gap.settle import raw
@@ -43,17 +44,6 @@ def _sizes(variables: Sequence[Variable], values: Array) -> tuple[Size, ...]:
         peak = float(np.abs(column).max(initial=0.0))
         found.append(Size(i, v.name, v.unit, float(column.mean()), float(column.std()) or peak or 1.0, peak, grid(column)))
     return tuple(found)
-
-
-def grid(column: Array) -> float:
-    """Return the step of the grid the values lie on: at most half of them may differ, and all differences be multiples."""
-    values = np.unique(column)
-    if not 3 <= len(values) <= len(column) / 2:
-        return 0.0
-    gaps = np.diff(values)
-    step = float(gaps.min())
-    multiples = gaps / step
-    return step if np.abs(multiples - np.round(multiples)).max() < 0.02 * max(1.0, float(np.median(multiples))) else 0.0
 
 
 def _axes(

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from afdsvc.gap.explain import _by_heldout
+from afdsvc.gap.explanation import OutputFit
 from afdsvc.gap.repeating import Repeating, Share
-from afdsvc.gap.verdict import _absorbed, _explained_by_laws, _too_little
+from afdsvc.gap.verdict import Judgement, _absorbed, _explained_by_laws, _too_little
 from afdsvc.gap.verify import Explained
 
 
@@ -43,6 +45,22 @@ def test_what_other_numbers_had_absorbed_is_said_where_it_is_most_of_the_evidenc
 ])
 def test_a_law_explains_what_it_takes_off_the_model_s_numbers_too(physics, before, after, explained):
     assert _explained_by_laws(search(12.0, before, after, physics)) == pytest.approx(explained)
+
+
+@pytest.mark.parametrize(("after", "claimed"), [((0.3, 0.5), True), ((0.43, 0.42), True), ((0.3, 0.6), False), ((0.3, np.inf), False)])
+def test_names_that_do_worse_on_recordings_held_out_are_not_claimed(after, claimed):
+    """Before: 0.4 and 0.4, together 0.57; beyond a tenth more nothing is claimed."""
+    fits = [OutputFit(name, 0.4, value, None) for name, value in zip("ab", after, strict=True)]
+    best = SimpleNamespace(ruling=SimpleNamespace(rivals=[SimpleNamespace(candidate=SimpleNamespace(key="cubic_stiffness@state:v"))]))
+    judgement = _by_heldout(Judgement("omitted_physics", ("99 % of the gap is explained",), True), fits, SimpleNamespace(steps=[best]))
+    assert judgement.keeps == claimed
+    assert (judgement.verdict == "unexplained") != claimed
+    assert claimed or "cubic_stiffness@state:v first) do worse" in judgement.sentences[0]
+
+
+def test_what_names_noise_alone_is_not_held_to_it():
+    named = Judgement("omitted_physics", ("coloured",), True)
+    assert _by_heldout(named, [OutputFit("a", 0.4, 0.6, None)], SimpleNamespace(steps=[])) is named
 
 
 def search(residual: float, before: Sequence[float] = (3.0, 4.0), after: Sequence[float] = (0.0, 1.0), physics: str = "law") -> Any:
