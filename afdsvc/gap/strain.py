@@ -27,7 +27,7 @@ RANDOM = 1e-5  # p-value of an excess of noise
 CALM = 1.03  # ratio of standard deviations up to which an output is as quiet as stated
 BETTER_KNOWN = 0.5  # how far an estimate may move, over its prior's variance, from which the recordings know better than the owner
 ELSEWHERE = 0.25  # evidence for noise at another input over that at the loudest from which the machine is restless everywhere
-GRIPPING = ("friction", "memory")  # families of laws that hold on to where they were
+GRIPPING = ("friction", "memory")  # families of laws that hold on to where they were: dry friction; play and loops
 FREQUENT = 0.5  # share of an effect's power in an output from which it acts there
 
 

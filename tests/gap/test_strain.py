@@ -259,12 +259,16 @@ def answered(truth: StateSpace, played: Trace, seed: int) -> Trace:
     return replace(played, values=np.column_stack([u, y]))
 
 
-def test_a_drift_holds_on_to_nothing_where_the_noise_is_louder(gripping):
-    """A law may count the time and yet grip nothing: rounding or a bad cable beside a drift is no riddle."""
-    law = next(h for p in afdsvc_physics() for h in p.hypotheses(seen(gripping)) if h.key == "sensor_drift@output:a")
-    drifting = Effect(law, np.array([50 * law.parameters[0].scale, 0.0]))
-    base = replace(gripping, point=replace(gripping.point, effects=(drifting,)), ratio=0.0, limited="noise")
-    assert not irregular(replace(base, floor=replace(base.floor, sd=NOISE * np.array([1.1, 1.0]), known=True)))
+@pytest.mark.parametrize(("key", "size", "grips"), [
+    ("sensor_drift@output:a", 50.0, False), ("slew_limit@input:fa", None, False), ("creep@input:fa", 5.0, False), ("backlash@input:fa", None, True),
+])
+def test_what_remembers_need_not_grip_where_the_noise_is_louder(gripping, key, size, grips):
+    """A law may count the time, lag behind or creep and yet hold on to nothing: rounding or a bad cable beside it is no riddle."""
+    law = next(h for p in afdsvc_physics() for h in p.hypotheses(seen(gripping)) if h.key == key)
+    values = np.array(law.starts[0])
+    values[0] = values[0] if size is None else size * law.parameters[0].scale
+    base = replace(gripping, point=replace(gripping.point, effects=(Effect(law, values),)), ratio=0.0, limited="noise")
+    assert grips == bool(irregular(replace(base, floor=replace(base.floor, sd=NOISE * np.array([1.1, 1.0]), known=True))))
 
 
 def relaxing(share: float, seconds: float) -> StateSpace:

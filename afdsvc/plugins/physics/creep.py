@@ -30,7 +30,7 @@ class Creep:
         fast, slow = 3 / machine.bandwidth, max(machine.duration, 10 / machine.bandwidth)
         for port in machine.inputs:
             yield at_input(
-                port, creep, physics=self.name, family="memory", memory=3,
+                port, creep, physics=self.name, family="relaxation", memory=3,
                 parameters=[
                     Coefficient("share", "", -3.0, 3.0, 0.05, linear=True),
                     Coefficient("time constant", "s", fast, slow, 0.1 * fast),

@@ -34,7 +34,7 @@ class SlewLimit:
         for port in machine.inputs:
             rate, jump = port.rms * machine.bandwidth, port.rms / machine.dt
             yield at_input(
-                port, slew, physics=self.name, family="memory", memory=2,
+                port, slew, physics=self.name, family="rate", memory=2,
                 parameters=[
                     Coefficient(name, f"{port.unit}/s", 1e-3 * rate, max(6 * rate, 20 * jump), 0.02 * rate) for name in ("rate", "falling rate")
                 ],
