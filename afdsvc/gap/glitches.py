@@ -2,7 +2,8 @@
 
 A sample is held against the cubic through its four neighbours. One that departs by many deviations, of the whole recording and of its
 surroundings, is a glitch when a spike of one or two samples describes it far better than kinks (a velocity that jumps, as in an impact) or
-a step; when such samples are rare; and when none recurs with the excitation, as what the machine does would.
+a step; when such samples are rare; and when it neither follows a pulse of the excitation nor recurs with it, as what the machine does
+would.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ COARSE = 0.3  # steps of a coarse reading that count as one deviation
 AROUND = 25  # samples to either side whose deviations are the surroundings
 REACH = 4  # samples to either side that a spike, a kink and a step are fitted to
 PLAIN = 0.25  # sum of squares that a spike may leave of what the best kink or step leaves
+ANSWERED = 3  # samples within which a reading may follow a pulse of the excitation
 RARE = 0.005  # share of the samples beyond which they are no accident
 NORMAL = 1.4826  # standard deviation of normal noise over its median magnitude
 
@@ -32,16 +34,26 @@ class Glitch:
     height: float
 
 
-def glitches(y: Array, period: int = 0) -> tuple[Glitch, ...]:
-    """Return the glitches of one reading ``(n,)``, NaN where missing, with an excitation of ``period`` samples (0: none)."""
+def glitches(y: Array, drive: Array, period: int = 0) -> tuple[Glitch, ...]:
+    """Return the glitches of one reading ``(n,)``, NaN where missing.
+
+    ``drive (n, m)`` is what excites the machine, repeating after ``period`` samples (0: it does not): a reading may follow a pulse of
+    it at once.
+    """
     if len(y) < 4 * AROUND or not np.isfinite(y).any():
         return ()
-    r = _departure(y)
-    found = [k for k in _far(r, COARSE * grid(y[np.isfinite(y)])) if r[k] == _largest(r, k)]
+    found = _standing_out(y)
     if len(found) > RARE * len(y):
         return ()
-    accidents = [k for k in found if not (period and _recurs(k, found, period, len(y)))]
+    pulses = {k + late for column in drive.T for k in _standing_out(column) for late in range(ANSWERED + 1)}
+    accidents = [k for k in found if k not in pulses and not (period and _recurs(k, found, period, len(y)))]
     return tuple(Glitch(j, float(y[j] - level)) for k in accidents for j, level in _spikes(y, k))
+
+
+def _standing_out(x: Array) -> list[int]:
+    """Return the samples whose departure is large, and the largest among its neighbours'."""
+    r = _departure(x)
+    return [k for k in _far(r, COARSE * grid(x[np.isfinite(x)])) if abs(r[k]) == np.abs(r[max(k - 2, 0) : k + 3]).max()]
 
 
 def _departure(y: Array) -> Array:
@@ -61,12 +73,6 @@ def _far(r: Array, coarse: float) -> list[int]:
 def _around(size: Array, k: int) -> float:
     near = np.concatenate([size[max(k - AROUND, 0) : max(k - REACH, 0)], size[k + REACH + 1 : k + AROUND + 1]])
     return NORMAL * float(np.median(near))
-
-
-def _largest(r: Array, k: int) -> float:
-    """Return the departure of largest magnitude among a sample and its two neighbours on either side."""
-    near = r[max(k - 2, 0) : k + 3]
-    return float(near[int(np.argmax(np.abs(near)))])
 
 
 def _spikes(y: Array, k: int) -> list[tuple[int, float]]:

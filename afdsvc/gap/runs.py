@@ -82,11 +82,12 @@ def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:
     _check_readings(trace, model, Y)
     REF = np.column_stack([_optional(trace, f"ref_{v.name}", n) for v in model.outputs])
     AUX = np.column_stack([np.zeros((n, 0)), *(_optional(trace, f"aux_{a}", n) for a in labels)])
-    period, settled = repetition(_driver(trace, U, REF))
+    drive = _driver(trace, U, REF)
+    period, settled = repetition(drive)
     u, y, aux, ref = (np.array(a, dtype=np.float64, order="C") for a in (U, Y, AUX, REF))
     commanded = bool(trace.role("alpha").size)
     added = _added(model, trace.dt, U, Y, REF)  # the controller saw the glitches
-    alone = tuple(glitches(column, period) for column in y.T)
+    alone = tuple(glitches(column, drive, period) for column in y.T)
     for j, found in enumerate(alone):
         y[[g.sample for g in found], j] = np.nan
     return Run(trace.name, trace.dt, trace.t0, u, y, aux, ref, labels, added, period, settled, commanded, glitches=alone)

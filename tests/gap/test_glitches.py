@@ -9,7 +9,7 @@ from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.gap.check import check
 from afdsvc.gap.explain import explain
-from afdsvc.gap.glitches import glitches
+from afdsvc.gap.glitches import Glitch, glitches
 from afdsvc.gap.noise import fold
 from afdsvc.gap.runs import prepare
 from afdsvc.lti.sampling import sample_zoh
@@ -32,6 +32,10 @@ def recording(seed: int, at: tuple[int, ...] = (), height: float = 5.0) -> Trace
     return Trace(f"r{seed}", DT, (Channel("u_force"), Channel("y_position")), np.column_stack([u, y]))
 
 
+def found_in(y: np.ndarray, period: int = 0, drive: np.ndarray | None = None) -> tuple[Glitch, ...]:
+    return glitches(y, np.zeros((len(y), 1)) if drive is None else drive, period)
+
+
 def reading(at: tuple[int, ...] = (), height: float = 5.0) -> np.ndarray:
     return recording(1, at, height).column("y_position").copy()
 
@@ -39,35 +43,56 @@ def reading(at: tuple[int, ...] = (), height: float = 5.0) -> np.ndarray:
 def test_single_samples_and_pairs_are_found_with_their_height():
     y = reading((300, 1203))
     y[850:852] += (3.0, -4.0)
-    found = {g.sample: g.height for g in glitches(y, PERIOD)}
+    found = {g.sample: g.height for g in found_in(y, PERIOD)}
     assert found == {300: pytest.approx(5.0, abs=0.3), 850: pytest.approx(3.0, abs=0.3), 851: pytest.approx(-4.0, abs=0.3), 1203: pytest.approx(5.0, abs=0.3)}
 
 
 def test_noise_of_any_machine_has_none():
     rng = np.random.default_rng(0)
     heavy = rng.standard_t(4, 20000)
-    assert sum(len(glitches(rng.standard_normal(5000))) for _ in range(40)) == 0
-    assert len(glitches(np.cumsum(heavy))) == 0
-    assert not glitches(np.round(reading() / 0.5) * 0.5, PERIOD)  # one step of a coarse reading is none
+    assert sum(len(found_in(rng.standard_normal(5000))) for _ in range(40)) == 0
+    assert len(found_in(np.cumsum(heavy))) == 0
+    assert not found_in(np.round(reading() / 0.5) * 0.5, PERIOD)  # one step of a coarse reading is none
 
 
 @pytest.mark.parametrize("law", ["impact", "step", "long"])
 def test_what_lasts_is_no_glitch(law):
     y, t = reading(), np.arange(PERIOD * PERIODS)
     y += {"impact": 2.0 * np.maximum(t - 700.4, 0), "step": 5.0 * (t >= 700), "long": 5.0 * ((t >= 700) & (t < 706))}[law]
-    assert not glitches(y)
+    assert not found_in(y)
 
 
 def test_what_recurs_with_the_excitation_is_of_the_machine():
     at = (300, 300 + PERIOD, 300 + 3 * PERIOD)
-    assert not glitches(reading(at), PERIOD)
-    assert len(glitches(reading(at))) == 3
-    assert len(glitches(reading((300, 300 + PERIOD)), PERIOD)) == 2  # twice in four periods may be chance
+    assert not found_in(reading(at), PERIOD)
+    assert len(found_in(reading(at))) == 3
+    assert len(found_in(reading((300, 300 + PERIOD)), PERIOD)) == 2  # twice in four periods may be chance
+
+
+def test_what_follows_a_pulse_of_the_excitation_at_once_is_its_answer():
+    """An accelerometer on a machine that is struck for one sample."""
+    drive = np.zeros((4000, 1))
+    drive[[900, 2500], 0] = 3.0
+    y = np.roll(drive[:, 0], 1) + NOISE * np.random.default_rng(0).standard_normal(4000)
+    assert not found_in(y, drive=drive)
+    assert [g.sample for g in found_in(y)] == [901, 2501]
+
+
+@pytest.mark.parametrize("output", [[1.0, 0.0], [0.0, 1.0]])
+def test_noiseless_answers_of_machines_have_none(output):
+    """Square waves, chirps and multisines through a light spring, computed: nothing but rounding beside the answer."""
+    t = np.arange(4000) * DT
+    chirp = np.sin(2 * np.pi * (5 + 40 * t) * t)
+    drives = (np.sign(np.sin(2 * np.pi * 3 * t)), np.where(t > 1, chirp, 0.0), np.clip(1.5 * np.sin(2 * np.pi * 7 * t), -1, 1))
+    for u in drives:
+        y = simulate(sample_zoh(StateSpace(PLANT.A, PLANT.B, np.array([output]), PLANT.D), DT), u[:, None])[0][:, 0]
+        assert not found_in(y, drive=u[:, None])
+        assert not found_in(y + 1e-6 * np.random.default_rng(0).standard_normal(4000), drive=u[:, None])
 
 
 def test_many_are_no_accident():
     at = tuple(range(10, PERIOD * PERIODS, 97))
-    assert not glitches(reading(at), PERIOD)
+    assert not found_in(reading(at), PERIOD)
 
 
 def test_they_count_for_nothing_and_it_is_said():
