@@ -30,6 +30,7 @@ BETTER_SHAPE = 0.35  # share below which a second effect at the same place is on
 BETTER_ELSEWHERE = 0.1  # the same at another place, whose answer runs as that of the first
 ALIKE = 0.4  # correlation of two answers from which one may be the other's better shape
 SURE_SECOND = 4.0  # standard errors a further effect must show
+SURE_UNSEEN = 50.0  # gain on recordings that were not fitted, twice the log-likelihood, from which it may show in a few places only
 QUIET = 1e-3  # p-value above which what is left counts as noise
 BAND = 1.5  # how far above the excitation what repeats is looked for
 Progress = Callable[[str, float], None]
@@ -215,12 +216,21 @@ def _second(base: Baseline, ruling: Ruling, share: float) -> str:
     if share < WORTH_SAYING:
         return f"a further effect ({choice.key}) would close only {100 * share:.1f} % of the gap"
     z = separation(ruling.nothing.blocks, choice.blocks)
-    if z < SURE_SECOND:
+    if z < SURE_SECOND and not _confirmed(base, ruling.nothing, choice):
         return f"a further effect ({choice.key}) shows in {z:.1f} standard errors only"
     same = _shaped(base.objective, choice, share)
     if same:
         return f"a further effect ({choice.key}) only mends the shape of {same}"
     return ""
+
+
+def _confirmed(base: Baseline, nothing: Candidate, choice: Candidate) -> bool:
+    """Whether recordings that were not fitted hold a further effect, however few the places where it shows.
+
+    What follows a signal that moves for a moment only gains in one block of many: no spread between blocks can tell that from chance,
+    but where the noise is known the likelihood can.
+    """
+    return base.limited == "noise" and nothing.select - choice.select >= SURE_UNSEEN
 
 
 def _shaped(objective: Objective, choice: Candidate, share: float) -> str:
