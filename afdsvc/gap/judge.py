@@ -21,7 +21,7 @@ CLOSE = 10.0  # score units within which a rival is a look-alike
 APART = 3.0  # standard errors by which blocks must differ to tell two hypotheses apart
 MILD = 2.0  # price of a parameter when asking whether two hypotheses can be told apart
 SILENT = 16.0  # how much the selection runs must differ with an effect before they are asked for a gain: four standard errors
-FAINT, PRESENT = 0.05, 0.25  # what differs there, per gain where fitted, too little to judge a law's form by; size it must have there
+FAINT, INEXACT = 0.05, 0.01  # what differs there, per gain where fitted, too little to judge a law's form by; loss allowed there, per gain
 STRAINED, WORSE, LOST = 3.0, 4.0, 0.1  # prior deviations from which a fit counts as strained; loss on selection allowed then, least and per gain
 ALIKE = 2.0  # score units within which two are equally good
 EXACT = 1e-3  # share of a gain to which the form of a law can be trusted: nobody knows one better
@@ -104,10 +104,10 @@ def _general(
 def _fails(nothing: Candidate, c: Candidate, gain: float, gain_select: float, samples: tuple[int, int]) -> bool:
     """Whether a candidate does not improve the selection runs where it should, or makes them worse where it need not.
 
-    Quiet selection runs hardly reach what a clearance or a limit does, and hold it with the size its exact form has there: then it
-    is enough that the effect is there with its sign. Its best size there is (1 + gain / differs) / 2 of what the law says.
+    Quiet selection runs hardly reach what a clearance or a limit does, and hold it with the size that its exact form has there. Laws are
+    right to a tenth of their answer: a hundredth of what a law explains may be lost in them.
     """
-    if c.differs < FAINT * gain and gain_select > (2 * PRESENT - 1) * c.differs:
+    if c.differs < FAINT * gain and gain_select > -INEXACT * gain:
         return False
     lenient = _strained(nothing) or c.differs < SILENT
     return bool(samples[1]) and gain_select <= (-max(WORSE, LOST * (gain + gain_select)) if lenient else 2.0)
