@@ -72,9 +72,9 @@ class Hypothesis:
 
     ``site`` is ``input:NAME``, ``state:NAME``, ``output:NAME`` or ``machine``. ``family`` groups laws that resemble each
     other in data; what grips and lets go is of family "friction" or "memory". ``starts`` are starting points of the search
-    (values in the order of ``parameters``), guessed from the recordings. ``substeps`` asks for that many calls per sample of a continuous model, for laws that act within a sample.
-    ``linear`` returns the extended linear plant when the law is linear, given the continuous or discrete plant
-    and the fitted values. ``predicts`` and ``refuted_by`` are sentences for people. ``notes["variant"]`` tells hypotheses of one
+    (values in the order of ``parameters``), guessed from the recordings. ``substeps`` asks for that many calls per sample of a
+    continuous model, for laws that act within a sample. ``linear`` returns the extended linear plant when the law is linear,
+    given the continuous or discrete plant and the fitted values. ``predicts`` and ``refuted_by`` are sentences for people. ``notes["variant"]`` tells hypotheses of one
     physics at one site apart; where one is only another shape of a second, ``notes["of"]`` is the second's variant, and both are
     told as one name.
     """

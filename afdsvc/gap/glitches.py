@@ -19,8 +19,8 @@ from afdsvc.lti.statespace import Array
 FAR = 12.0  # standard deviations from the cubic through the neighbours
 COARSE = 0.3  # steps of a coarse reading that count as one deviation
 AROUND = 25  # samples to either side whose deviations are the surroundings
-REACH = 4  # samples to either side that a spike, a kink and a step are fitted to
-PLAIN = 0.25  # sum of squares that a spike may leave of what the best kink or step leaves
+REACH = 4  # samples to either side that a spike, kinks and a step are fitted to
+PLAIN = 0.25  # mean square that a spike may leave of what the best kinks or step leave
 ANSWERED = 3  # samples within which a reading may follow a pulse of the excitation
 RARE = 0.005  # share of the samples beyond which they are no accident
 NORMAL = 1.4826  # standard deviation of normal noise over its median magnitude
@@ -43,7 +43,7 @@ def glitches(y: Array, drive: Array, period: int = 0) -> tuple[Glitch, ...]:
     if len(y) < 4 * AROUND or not np.isfinite(y).any():
         return ()
     found = _standing_out(y)
-    if len(found) > RARE * len(y):
+    if not found or len(found) > RARE * len(y):
         return ()
     pulses = {k + late for column in drive.T for k in _standing_out(column) for late in range(ANSWERED + 1)}
     accidents = [k for k in found if k not in pulses and not (period and _recurs(k, found, period, len(y)))]
@@ -71,8 +71,9 @@ def _far(r: Array, coarse: float) -> list[int]:
 
 
 def _around(size: Array, k: int) -> float:
-    near = np.concatenate([size[max(k - AROUND, 0) : max(k - REACH, 0)], size[k + REACH + 1 : k + AROUND + 1]])
-    return NORMAL * float(np.median(near))
+    """Return the deviation before or after, whichever is larger: a loud passage may begin or end here."""
+    sides = size[max(k - AROUND, 0) : max(k - REACH, 0)], size[k + REACH + 1 : k + AROUND + 1]
+    return NORMAL * max(float(np.median(side)) for side in sides if len(side))
 
 
 def _spikes(y: Array, k: int) -> list[tuple[int, float]]:

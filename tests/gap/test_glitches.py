@@ -55,6 +55,20 @@ def test_noise_of_any_machine_has_none():
     assert not found_in(np.round(reading() / 0.5) * 0.5, PERIOD)  # one step of a coarse reading is none
 
 
+def test_a_flicker_of_one_step_of_a_coarse_reading_is_none():
+    y = np.round(3 * np.sin(2 * np.pi * 0.5 * np.arange(2000) * DT) / 0.5) * 0.5
+    y[777] += 0.5
+    assert not found_in(y)
+
+
+def test_a_short_loud_passage_is_measured_by_itself():
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        y = NOISE * rng.standard_normal(20000)
+        y[9000:9060] += rng.standard_normal(60)
+        assert not found_in(y)
+
+
 @pytest.mark.parametrize("law", ["impact", "step", "long"])
 def test_what_lasts_is_no_glitch(law):
     y, t = reading(), np.arange(PERIOD * PERIODS)
@@ -105,6 +119,12 @@ def test_they_count_for_nothing_and_it_is_said():
     assert "r0: 1 of 2000 samples of y_position stand alone, the farthest at 1.207 s 4.93 mm" in told[0].sentence
 
 
+def test_what_recurs_is_kept_in_what_is_prepared():
+    (run,) = prepare(MODEL, [recording(0, (300, 300 + PERIOD, 300 + 3 * PERIOD))])
+    assert run.period == PERIOD
+    assert np.isfinite(run.Y).all()
+
+
 def test_the_noise_is_that_of_the_other_samples():
     *given, held = (recording(k, (207 + 111 * k, 1261 + 37 * k)) for k in range(4))
     answer = explain(MODEL, given, [held], afdsvc_physics(), rehearse=False)
@@ -121,3 +141,6 @@ def test_periods_with_few_missing_samples_are_told_by_the_others():
     holed = run.Y.copy()
     holed[600:700] = np.nan
     assert fold(run, holed) is None
+    left = run.Y.copy()
+    left[-1] = np.inf  # a simulation that left is no gap
+    assert fold(run, left) is None
