@@ -122,14 +122,14 @@ class Size:
 class Axis:
     """A direction of motion: the states that are its position and its velocity.
 
-    ``travel`` and ``speed`` are the rms of position and velocity, ``push`` the rms of the rate of change of the velocity
-    that the model's terms cause one by one (the largest of them): the scale of a force that matters.
+    ``position`` is None where the model has the velocity only (a motor whose speed is measured). ``push`` is the rms of the
+    rate of change of the velocity caused by the largest of the model's terms: the scale of a force that matters.
     ``input`` is the input that acts on the velocity at once, with gain ``gain`` (None when there is none), so that
     ``force = acceleration / gain`` can be told in the unit of the input.
     """
 
     name: str
-    position: Size
+    position: Size | None
     rate: Size
     push: float
     input: int | None = None
