@@ -4,10 +4,10 @@ from afdsvc.trial.answer import Answer, Hidden
 from afdsvc.trial.folder import Paths, write
 from afdsvc.trial.generate import NOTHING, Trial, Wish, generate, generate_several
 from afdsvc.trial.options import Options
-from afdsvc.trial.oracle import Oracle, oracle
 from afdsvc.trial.pages import markdown, page
 from afdsvc.trial.plan import Request, make_trial, plan
-from afdsvc.trial.score import Score, score
+from afdsvc.trial.scoring.oracle import Oracle, oracle
+from afdsvc.trial.scoring.score import Score, score
 from afdsvc.trial.seal import open_seal, seal
 from afdsvc.trial.study import results, study
 

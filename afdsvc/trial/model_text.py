@@ -8,7 +8,7 @@ import numpy as np
 
 from afdsvc.api.model import Variable
 from afdsvc.lti.statespace import Array, StateSpace
-from afdsvc.trial.machine import Machine
+from afdsvc.trial.machines.machine import Machine
 
 
 def model_text(machine: Machine, with_controller: bool = True) -> str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from afdsvc.errors import BadInput
-from afdsvc.trial.bearing import gas_bearing
-from afdsvc.trial.machine import Machine
-from afdsvc.trial.positioning_axis import positioning_axis
+from afdsvc.trial.machines.bearing import gas_bearing
+from afdsvc.trial.machines.machine import Machine
+from afdsvc.trial.machines.positioning_axis import positioning_axis
 
 CHOICES = {
     "machine": ("gas_bearing", "positioning_axis"),
@@ -28,7 +28,7 @@ class Options:
     or twice the stated standard deviation. ``dirty`` hides four small unrelated effects (rho 0.04 each) besides.
     ``parameter_error`` is the standard deviation of the plant's own errors in units of the stated one. ``known_controller``
     says whether the MODEL.toml carries the controller. ``periods`` of the excitation are recorded (0: as the machine has it).
-    ``measure`` is how rho is measured (`afdsvc.trial.severity.visibility`); auto: by commands where the plant is stable.
+    ``measure`` is how rho is measured (`afdsvc.trial.effects.severity.visibility`); auto: by commands where the plant is stable.
     """
 
     machine: str = "gas_bearing"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 
-from afdsvc.trial.tables import Result, Table, confusion_matrix, tables
+from afdsvc.trial.scoring.tables import Result, Table, confusion_matrix, tables
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:75rem;margin:2rem auto;padding:0 1rem;color:#222}
 table{border-collapse:collapse;margin:1rem 0}td,th{border:1px solid #ddd;padding:.2rem .5rem;text-align:left;font-size:13px}

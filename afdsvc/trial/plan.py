@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from afdsvc.errors import Refused
-from afdsvc.trial.catalogue import changes_at, outside_at, physics_at
+from afdsvc.trial.effects.catalogue import changes_at, outside_at, physics_at
 from afdsvc.trial.generate import Trial, Wish, generate_several
 from afdsvc.trial.options import Options
 

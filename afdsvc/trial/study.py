@@ -16,10 +16,10 @@ from afdsvc.errors import BadInput
 from afdsvc.trial.answer import Answer
 from afdsvc.trial.folder import Paths, write
 from afdsvc.trial.generate import Trial
-from afdsvc.trial.oracle import Oracle, oracle
 from afdsvc.trial.plan import Request, make_trial
-from afdsvc.trial.rival import apart
-from afdsvc.trial.score import score
+from afdsvc.trial.scoring.oracle import Oracle, oracle
+from afdsvc.trial.scoring.rival import apart
+from afdsvc.trial.scoring.score import score
 from afdsvc.trial.seal import open_seal, seal
 
 Explain = Callable[[Path, tuple[Path, ...], Path], Mapping[str, Any]]

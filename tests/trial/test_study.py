@@ -9,10 +9,11 @@ from dataclasses import replace
 import pytest
 
 from afdsvc.errors import BadInput
-from afdsvc.trial import Options, Request, Wish, make_trial, markdown, page, plan, results, rival, study
+from afdsvc.trial import Options, Request, Wish, make_trial, markdown, page, plan, results, study
 from afdsvc.trial.plan import MIX
+from afdsvc.trial.scoring import rival
+from afdsvc.trial.scoring.tables import confusion_matrix, tables, wilson
 from afdsvc.trial.study import rescored
-from afdsvc.trial.tables import confusion_matrix, tables, wilson
 
 SHORT = Options(controller="proportional", periods=1)
 REQUESTS = [

@@ -1,0 +1,1 @@
+"""What a machine is recorded under: excitation, ambient signals, noise."""

@@ -1,0 +1,1 @@
+"""What can be hidden: names, places, sizes and severity."""

@@ -1,0 +1,1 @@
+"""Machines whose recordings are made up: constants, axes, controllers."""

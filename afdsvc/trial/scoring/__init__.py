@@ -1,0 +1,1 @@
+"""Scores of an explanation against the sealed answer, and the tables of a study."""

@@ -1,0 +1,1 @@
+"""Integration of a made-up machine under its controller."""
