@@ -1,0 +1,1 @@
+"""Why simulation and recordings differ: what physics the model leaves out."""

@@ -1,0 +1,210 @@
+"""The nominal model as the search sees it: its free numbers, how far they may move, and the plant they make.
+
+Free numbers ("nuisance parameters") of matrices are the entries of A, B, C, D that are neither 0 nor +-1, or those with a
+stated standard deviation; of Python code the parameters with one. They are counted in units of that deviation, so their
+prior is standard normal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.optimize import root
+
+from afdsvc.api.model import Model
+from afdsvc.errors import BadInput
+from afdsvc.explain.simulate.dynamics import linearised, program
+from afdsvc.explain.simulate.steps import Steps, continuous, steps
+from afdsvc.lti.statespace import Array, StateSpace
+
+DEFAULT_RELATIVE_SD = 0.05
+MOST_ENTRIES = 60  # free entries of a sampled black-box model above which only the gains of its inputs and outputs move
+PYTHON_ANGLE = 0.2  # largest angle [rad] the fastest pole of Python code may turn in one Runge-Kutta step
+PYTHON_SUBSTEPS = 200
+PARAMETER, INPUT_GAIN, OUTPUT_GAIN = "parameter", "input gain", "output gain"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One free number of the model: matrix, row, column, the standard deviation its owner states, and a name for people.
+
+    ``matrix`` is A, B, C or D; "parameter" with ``row`` the number of the parameter; "input gain" with ``column`` the number
+    of the input or "output gain" with ``row`` that of the output, both relative.
+    """
+
+    matrix: str
+    row: int
+    column: int
+    sd: float
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nominal:
+    """A nominal model at the sample time of the recordings.
+
+    ``plant`` is continuous (dt 0), or discrete when no continuous one has this sampling. ``entries`` are the free numbers. For
+    Python code ``plant`` is its linearisation at ``point``, a state and an input.
+    """
+
+    model: Model
+    plant: StateSpace
+    entries: tuple[Entry, ...]
+    dt: float
+    point: tuple[Array, Array] | None = None
+
+    @property
+    def python(self) -> bool:
+        """Whether the model is Python code, simulated as it is."""
+        return self.point is not None
+
+    def at(self, theta: Array) -> StateSpace:
+        """Return the plant with its free numbers moved by ``theta`` standard deviations, shape ``(len(entries),)``."""
+        if self.point is not None:
+            return _linear(self.model, self.point, self.parameters(theta))
+        parts = {"A": self.plant.A.copy(), "B": self.plant.B.copy(), "C": self.plant.C.copy(), "D": self.plant.D.copy()}
+        for value, entry in zip(theta, self.entries, strict=True):
+            _move(parts, entry, float(value))
+        return StateSpace(parts["A"], parts["B"], parts["C"], parts["D"], self.plant.dt)
+
+    def parameters(self, theta: Array) -> Array:
+        """Return the values of all parameters of Python code in the model's order; empty for matrices."""
+        values = np.array([q.value for q in self.model.parameters.values()] if self.python else [], dtype=np.float64)
+        for value, entry in zip(theta, self.entries, strict=True):
+            if entry.matrix == PARAMETER:
+                values[entry.row] += value * entry.sd
+        return values
+
+    def values(self, theta: Array) -> dict[str, float]:
+        """Return values by name: of all parameters of Python code, or of the free entries of matrices (gains: 1 is nominal)."""
+        if self.python:
+            return dict(zip(self.model.parameters, self.parameters(theta).tolist(), strict=True))
+        return {e.name: _start(self.plant, e) + float(v) * e.sd for v, e in zip(theta, self.entries, strict=True)}
+
+    def steps(self, theta: Array, least: int = 1) -> Steps:
+        """Return the matrices the simulation needs, in at least that many sub-steps."""
+        return _cached_steps(self, theta.tobytes(), least)
+
+    def moved(self, theta: Array) -> Model:
+        """Return the model with its free numbers moved, to be written out."""
+        if not self.python:
+            return replace(self.model, plant=self.at(theta), sample_time=self.plant.dt)
+        values = self.values(theta)
+        return replace(self.model, parameters={name: replace(q, value=values[name]) for name, q in self.model.parameters.items()})
+
+
+def nominal(model: Model, dt: float, inputs: Array | None = None) -> Nominal:
+    """Return the nominal model for recordings sampled every ``dt`` seconds.
+
+    Python code is linearised at the origin, or with ``inputs (m,)`` at the state that balances them, if there is one. Raises
+    `BadInput` when a discrete model has another sample time and no continuous counterpart, or when the code fails.
+    """
+    if model.dynamics is not None:
+        return _python(model, dt, inputs)
+    if model.plant is None:
+        raise BadInput(f"model '{model.name}' has neither matrices nor a simulator; expected one of the two")
+    plant, sds = model.plant, dict(model.entry_sd)
+    sampled = plant.discrete
+    if sampled and abs(plant.dt / dt - 1) > 1e-6:
+        plant, sds = _continuous(model.name, plant, dt), {}
+    entries = _entries(plant, sds)
+    if sampled and len(entries) > MOST_ENTRIES:
+        entries = _gains(model, plant, entries)
+    return Nominal(model, plant, entries, dt)
+
+
+def _python(model: Model, dt: float, inputs: Array | None) -> Nominal:
+    if model.sample_time and abs(model.sample_time / dt - 1) > 1e-6:
+        raise BadInput(
+            f"model '{model.name}' is Python code with a step of {model.sample_time:g} s and the recording is sampled every {dt:g} s; "
+            "one of the two must be resampled"
+        )
+    values = np.array([q.value for q in model.parameters.values()], dtype=np.float64)
+    point = _point(model, values, inputs)
+    sds = [abs(q.value) * q.relative_sd for q in model.parameters.values()]
+    entries = tuple(Entry(PARAMETER, k, 0, sd, name) for k, (name, sd) in enumerate(zip(model.parameters, sds, strict=True)) if sd > 0)
+    return Nominal(model, _linear(model, point, values), entries, dt, point)
+
+
+def _point(model: Model, values: Array, inputs: Array | None) -> tuple[Array, Array]:
+    """Return the state and input to linearise at."""
+    rest = np.zeros(len(model.states))
+    if inputs is None:
+        return rest, np.zeros(len(model.inputs))
+    rate, u = program(model).rate, np.asarray(inputs, dtype=np.float64)
+
+    def imbalance(x: Array) -> Array:
+        return rate(0.0, x, u, values) - (x if model.sample_time else 0.0)
+
+    found = root(imbalance, rest)
+    return (np.asarray(found.x) if found.success else rest), u
+
+
+def _linear(model: Model, point: tuple[Array, Array], values: Array) -> StateSpace:
+    """Return the linearisation of Python code, or the linear part the code itself offers; zero where it has no slope."""
+    if model.plant is not None:
+        return model.plant
+    code = program(model)
+    A, B = linearised(code.rate, *point, values)
+    C, D = linearised(code.output, *point, values)
+    return StateSpace(A, B, C, D, model.sample_time)
+
+
+@lru_cache(maxsize=64)
+def _cached_steps(nominal: Nominal, theta: bytes, least: int) -> Steps:
+    plant = nominal.at(np.frombuffer(theta))
+    return steps(plant, nominal.dt, least, PYTHON_ANGLE, PYTHON_SUBSTEPS) if nominal.python else steps(plant, nominal.dt, least)
+
+
+def _continuous(name: str, plant: StateSpace, dt: float) -> StateSpace:
+    found = continuous(plant)
+    if found is None:
+        raise BadInput(
+            f"model '{name}' is sampled every {plant.dt:g} s and the recording every {dt:g} s; a pole on the "
+            "negative real axis or at zero forbids another sample time, so one of the two must be resampled"
+        )
+    return found
+
+
+def _entries(plant: StateSpace, stated: Mapping[str, Array]) -> tuple[Entry, ...]:
+    found: list[Entry] = []
+    for name in ("A", "B", "C", "D"):
+        matrix: Array = getattr(plant, name)
+        sd = np.asarray(stated[name], float) if name in stated else _default_sd(matrix)
+        if sd.shape != matrix.shape:
+            raise BadInput(f"uncertainty of {name} has shape {sd.shape}; expected {matrix.shape}")
+        found += [Entry(name, int(i), int(j), float(sd[i, j]), f"{name}[{i + 1},{j + 1}]") for i, j in np.argwhere(sd > 0)]
+    return tuple(found)
+
+
+def _gains(model: Model, plant: StateSpace, entries: tuple[Entry, ...]) -> tuple[Entry, ...]:
+    """Return one gain per input and output, each known as well as the entries are at the median."""
+    relative = [e.sd / abs(start) for e in entries if (start := _start(plant, e))]
+    sd = float(np.median(relative)) if relative else DEFAULT_RELATIVE_SD
+    return (
+        *(Entry(INPUT_GAIN, 0, j, sd, f"gain of {v.name}") for j, v in enumerate(model.inputs)),
+        *(Entry(OUTPUT_GAIN, i, 0, sd, f"gain of {v.name}") for i, v in enumerate(model.outputs)),
+    )
+
+
+def _move(parts: dict[str, Array], entry: Entry, value: float) -> None:
+    if entry.matrix == INPUT_GAIN:
+        for name in ("B", "D"):
+            parts[name][:, entry.column] *= 1 + value * entry.sd
+    elif entry.matrix == OUTPUT_GAIN:
+        for name in ("C", "D"):
+            parts[name][entry.row] *= 1 + value * entry.sd
+    else:
+        parts[entry.matrix][entry.row, entry.column] += value * entry.sd
+
+
+def _start(plant: StateSpace, entry: Entry) -> float:
+    return 1.0 if entry.matrix in (INPUT_GAIN, OUTPUT_GAIN) else float(getattr(plant, entry.matrix)[entry.row, entry.column])
+
+
+def _default_sd(matrix: Array) -> Array:
+    fixed = (matrix == 0) | (np.abs(matrix) == 1)
+    return np.where(fixed, 0.0, DEFAULT_RELATIVE_SD * np.abs(matrix))

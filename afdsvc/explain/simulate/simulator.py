@@ -1,0 +1,147 @@
+"""Running the nominal model with effects over a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from afdsvc.errors import BadInput
+from afdsvc.explain.simulate import kernel
+from afdsvc.explain.simulate.dynamics import linearised, program
+from afdsvc.explain.simulate.effects import Effect, table
+from afdsvc.explain.simulate.nominal import PYTHON_ANGLE, PYTHON_SUBSTEPS, Nominal
+from afdsvc.explain.simulate.steps import Steps, contiguous
+from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.statespace import Array, StateSpace
+
+__all__ = ["Effect", "Recorded", "Simulated", "Simulator", "controller_of", "sampled"]
+
+
+class Recorded(Protocol):
+    """What is simulated of a recording: ``U (n, m)``, ``Y (n, p)``, ``AUX (n, a)``, ``REF (n, p)``; see `Run`."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def dt(self) -> float: ...
+    @property
+    def t0(self) -> float: ...
+    @property
+    def clock(self) -> float | None: ...
+    @property
+    def U(self) -> Array: ...
+    @property
+    def Y(self) -> Array: ...
+    @property
+    def AUX(self) -> Array: ...
+    @property
+    def REF(self) -> Array: ...
+    @property
+    def W(self) -> Array | None: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulated:
+    """What a simulation gives: outputs ``y (n, p)``, inputs before effects ``u (n, m)``, states ``x (n, order)``."""
+
+    y: Array
+    u: Array
+    x: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulator:
+    """A nominal model and the predictor gain ``Kp (n, p)`` its states are corrected with (zero: pure simulation).
+
+    ``ramped`` takes measured inputs to run smoothly between samples, as those of an analogue source do, instead of held.
+    """
+
+    nominal: Nominal
+    gain: Array
+    ramped: bool = False
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know about this simulation: code that could not be compiled."""
+        return program(self.nominal.model).notes if self.nominal.python else ()
+
+    def run(
+        self, run: Recorded, theta: Array, x0: Array, effects: Sequence[Effect] = (), closed: bool = False, free: bool = False
+    ) -> Simulated:
+        """Simulate one recording from the state ``x0``.
+
+        ``closed`` feeds the simulated output back through the model's controller; ``free`` leaves out the correction of
+        the states, for a simulation from the measured input alone. A simulation that diverges is nan from there on.
+        """
+        least = max([4 if self.ramped else 1, *(e.hypothesis.substeps for e in effects)])
+        theta = np.asarray(theta, dtype=np.float64)
+        steps = self.nominal.steps(theta, least)
+        simulated = self._play(run, theta, steps, x0, effects, closed, free)
+        finer = self._needed(simulated, theta, steps.nsub)
+        if finer > steps.nsub:
+            simulated = self._play(run, theta, self.nominal.steps(theta, finer), x0, effects, closed, free)
+        return simulated
+
+    def _play(
+        self, run: Recorded, theta: Array, steps: Steps, x0: Array, effects: Sequence[Effect], closed: bool, free: bool
+    ) -> Simulated:
+        plant = self.nominal.at(theta)
+        n, p, m = len(run.U), plant.outputs, plant.inputs
+        K, U = self._loop(run, closed)
+        placed = table(effects, m, plant.order, p, run.AUX.shape[1])
+        y, u, x = np.empty((n, p)), np.empty((n, m)), np.empty((n, plant.order))
+        gain = np.zeros_like(self.gain) if free or closed else self.gain
+        kernel.simulate(  # type: ignore[call-arg]
+            closed, self.ramped and not closed, bool(np.any(plant.D)), steps.nsub, run.dt, run.t0 if run.clock is None else run.clock,
+            steps.phi, steps.gam, steps.gx, steps.phih, steps.gamh, contiguous(plant.C), contiguous(plant.D), contiguous(gain),
+            placed.forced, placed.middle, *self._code(theta), *K, U, run.Y, run.REF, run.AUX,
+            np.array(x0, dtype=np.float64), *placed.arguments(), y, u, x,
+        )
+        return Simulated(y, u, x)
+
+    def _code(self, theta: Array) -> tuple[int, int, int, Array]:
+        """Return the kind of plant, the addresses of its functions, and its parameter values."""
+        if not self.nominal.python:
+            return kernel.LINEAR, 0, 0, np.zeros(0)
+        code = program(self.nominal.model)
+        kind = kernel.DISCRETE if self.nominal.plant.discrete else kernel.CONTINUOUS
+        return kind, code.rate_address, code.output_address, self.nominal.parameters(theta)
+
+    def _needed(self, simulated: Simulated, theta: Array, nsub: int) -> int:
+        """Return the sub-steps that Python code needs where it has been: its poles may be faster there than at the start."""
+        if not self.nominal.python or self.nominal.plant.discrete:
+            return nsub
+        if not np.isfinite(simulated.y).all():
+            return min(8 * nsub, PYTHON_SUBSTEPS)
+        rate, values = program(self.nominal.model).rate, self.nominal.parameters(theta)
+        where = {*simulated.x.argmin(0).tolist(), *simulated.x.argmax(0).tolist(), len(simulated.x) // 2}
+        slopes = [linearised(rate, simulated.x[k], simulated.u[k], values)[0] for k in where]
+        fastest = float(np.abs(np.linalg.eigvals(np.array(slopes))).max(initial=0.0))
+        needed = int(np.ceil(fastest * self.nominal.dt / PYTHON_ANGLE))
+        return min(needed, PYTHON_SUBSTEPS) if needed > 2 * nsub else nsub
+
+    def _loop(self, run: Recorded, closed: bool) -> tuple[tuple[Array, Array, Array, Array], Array]:
+        m, p = run.U.shape[1], run.Y.shape[1]
+        if not closed:
+            return (np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), np.zeros((m, p))), run.U
+        K = controller_of(self.nominal, run.dt)
+        if K is None or run.W is None:
+            raise BadInput(f"{run.name}: the controller or what was added to its output is unknown; the loop cannot be closed")
+        return (contiguous(K.A), contiguous(K.B), contiguous(K.C), contiguous(K.D)), run.W
+
+
+def controller_of(nominal: Nominal, dt: float) -> StateSpace | None:
+    """Return the model's controller at the sample time, if there is one."""
+    return None if nominal.model.controller is None else sampled(nominal.model.controller, dt)
+
+
+def sampled(controller: StateSpace, dt: float) -> StateSpace | None:
+    """Return the controller at the sample time; a continuous one is held; None when its own sample time differs."""
+    if not controller.order:
+        return StateSpace(controller.A, controller.B, controller.C, controller.D, dt)
+    if controller.discrete:
+        return controller if abs(controller.dt / dt - 1) < 1e-6 else None
+    return sample_zoh(controller, dt)

@@ -1,0 +1,86 @@
+"""The plant over one sub-step of the simulation."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sla
+
+from afdsvc.lti.statespace import Array, StateSpace
+
+STEP_ANGLE = 0.5  # largest angle [rad] the fastest pole of a linear plant may turn in one sub-step
+MOST_SUBSTEPS = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """The plant over one sub-step ``h`` and half of it: ``x+ = phi x + gam u + gx f``, held u and f; ``f`` adds to dx/dt."""
+
+    nsub: int
+    phi: Array
+    gam: Array
+    gx: Array
+    phih: Array
+    gamh: Array
+
+
+def steps(plant: StateSpace, dt: float, least: int = 1, angle: float = STEP_ANGLE, most: int = MOST_SUBSTEPS) -> Steps:
+    """Return the sub-step matrices of a plant sampled every ``dt`` seconds."""
+    if plant.discrete:
+        return _discrete_steps(plant)
+    fastest = float(np.abs(plant.poles()).max(initial=0.0))
+    return _continuous_steps(plant, dt, int(np.clip(np.ceil(fastest * dt / angle), least, max(most, least))))
+
+
+def continuous(plant: StateSpace) -> StateSpace | None:
+    """Return the continuous plant whose zero-order hold this discrete one is; None when there is none that is real."""
+    n, m = plant.B.shape
+    if n == 0:
+        return StateSpace.gain(plant.D)
+    poles = plant.poles()
+    if (np.abs(poles) < 1e-9).any() or ((poles.real < 0) & (np.abs(poles.imag) < 1e-9)).any():
+        return None
+    big = np.block([[plant.A, plant.B], [np.zeros((m, n)), np.eye(m)]])
+    with warnings.catch_warnings():  # its estimate of the error is a few roundings; what counts is checked below
+        warnings.simplefilter("ignore")
+        log = np.asarray(sla.logm(big))
+    if not np.isfinite(log).all() or np.abs(np.imag(log)).max() > 1e-6 * np.abs(log).max():
+        return None
+    if np.abs(sla.expm(np.real(log)) - big).max() > 1e-6 * np.abs(big).max():
+        return None
+    rate = np.real(log) / plant.dt
+    return StateSpace(rate[:n, :n], rate[:n, n:], plant.C, plant.D)
+
+
+def _continuous_steps(plant: StateSpace, dt: float, nsub: int) -> Steps:
+    h = dt / nsub
+    phi, gam, gx = _held(plant, h)
+    phih, gamh, _ = _held(plant, h / 2)
+    return Steps(nsub, phi, gam, gx, phih, gamh)
+
+
+def _held(plant: StateSpace, h: float) -> tuple[Array, Array, Array]:
+    n, m = plant.B.shape
+    big = np.zeros((2 * n + m, 2 * n + m))
+    big[:n] = np.hstack([plant.A, plant.B, np.eye(n)])
+    with np.errstate(over="ignore", invalid="ignore"):  # parameters of an intermediate fit may make the plant diverge
+        e = sla.expm(big * h)
+    return contiguous(e[:n, :n]), contiguous(e[:n, n : n + m]), contiguous(e[:n, n + m :])
+
+
+def _discrete_steps(plant: StateSpace) -> Steps:
+    """One step per sample; a force is held over it as the continuous counterpart would, if there is one."""
+    n = plant.order
+    twin = continuous(plant)
+    if twin is None:
+        eye = np.eye(n)
+        return Steps(1, contiguous(plant.A), contiguous(plant.B), eye * plant.dt, eye, np.zeros_like(plant.B))
+    half = _continuous_steps(twin, plant.dt, 1)
+    return Steps(1, contiguous(plant.A), contiguous(plant.B), half.gx, half.phih, half.gamh)
+
+
+def contiguous(matrix: Array) -> Array:
+    """Return the matrix as the compiled simulation takes it: rows one after the other."""
+    return np.ascontiguousarray(matrix)
