@@ -70,13 +70,17 @@ class Coefficient:
 class Hypothesis:
     """One physics at one site: a law, its parameters, and how to tell it from others.
 
-    ``site`` is ``input:NAME``, ``state:NAME``, ``output:NAME`` or ``machine``. ``family`` groups laws that resemble each
-    other in data; what grips and lets go is of family "friction" or "memory". ``starts`` are starting points of the search
-    (values in the order of ``parameters``), guessed from the recordings. ``substeps`` asks for that many calls per sample of a
-    continuous model, for laws that act within a sample. ``linear`` returns the extended linear plant when the law is linear,
-    given the continuous or discrete plant and the fitted values. ``predicts`` and ``refuted_by`` are sentences for people. ``notes["variant"]`` tells hypotheses of one
-    physics at one site apart; where one is only another shape of a second, ``notes["of"]`` is the second's variant, and both are
-    told as one name.
+    ``site`` is ``input:NAME``, ``state:NAME``, ``output:NAME`` or ``machine``; a law of stage "force" may have the site of the
+    input it concerns. ``family`` groups laws that resemble each other in data; friction that sticks is of family "friction",
+    other laws with a memory of the way of family "memory". ``starts`` are starting points of the search (values in the order of
+    ``parameters``), guessed from the recordings. ``substeps`` asks for that many calls per sample of a continuous model, for
+    laws that act within a sample. ``linear`` returns the extended linear plant when the law is linear, given the continuous or
+    discrete plant and the fitted values. ``predicts`` and ``refuted_by`` are sentences for people. ``description`` marks a law
+    that describes a curve without a mechanism, such as a polynomial: a mechanism that fits as well goes before it.
+
+    Keys of ``notes``: ``variant`` distinguishes hypotheses of one physics at one site; where one is only another shape of a
+    second, ``of`` is the second's variant, and both are reported under one name. ``gauge`` names what the parameter cannot be
+    told apart from by any recording: hypotheses with the same ``gauge`` change the same product.
     """
 
     physics: str
@@ -93,6 +97,7 @@ class Hypothesis:
     linear: Callable[[StateSpace, Sequence[float]], StateSpace] | None = None
     predicts: str = ""
     refuted_by: str = ""
+    description: bool = False
     notes: Mapping[str, str] = field(default_factory=dict)
 
     @property

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Law, Signal, Size
+from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Law, Machine, Signal, Size
 
-Starts = Sequence[Sequence[float]]
+MOST_TERMS = 14  # of a force balance read by one law; the simulation carries 16 signals per law
 
 
 def at_input(port: Size, law: Law, reads: Sequence[Signal] = (), **rest: Any) -> Hypothesis:
@@ -37,14 +37,37 @@ def on_machine(stage: str, law: Law, reads: Sequence[Signal], writes: Sequence[S
     return _hypothesis("machine", stage, law, tuple(reads), tuple(writes), rest)
 
 
-def position(axis: Axis) -> Signal:
-    """The position of an axis, to be read."""
-    return Signal("x", axis.position.index)
+def placed(machine: Machine) -> Iterator[tuple[Axis, Size]]:
+    """Yield every axis whose position is a state, with that position."""
+    for axis in machine.axes:
+        if axis.position is not None:
+            yield axis, axis.position
+
+
+def state(size: Size) -> Signal:
+    """A state, such as the position of an axis, to be read."""
+    return Signal("x", size.index)
 
 
 def velocity(axis: Axis) -> Signal:
     """The velocity of an axis, to be read, or its rate of change, to be written."""
     return Signal("x", axis.rate.index)
+
+
+def balance(machine: Machine, axis: Axis) -> tuple[list[Signal], list[Coefficient]]:
+    """Return the signals of the model's force balance on an axis and their coefficients as constants; none where there are over 14."""
+    if machine.plant is None:
+        return [], []
+    x, u = machine.plant.A[axis.rate.index], machine.plant.B[axis.rate.index]
+    terms = [(Signal("x", j), v) for j, v in enumerate(x) if v] + [(Signal("u", j), v) for j, v in enumerate(u) if v]
+    if len(terms) > MOST_TERMS:
+        return [], []
+    return [signal for signal, _ in terms], [constant("nominal", "", float(v)) for _, v in terms]
+
+
+def constant(name: str, unit: str, value: float) -> Coefficient:
+    """Return a number of a law that no fit moves."""
+    return Coefficient(name, unit, value, value, abs(value) or 1.0, nuisance=True)
 
 
 def force(axis: Axis, name: str, low: float, high: float, scale: float, per: str = "", **rest: Any) -> Coefficient:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
-from afdsvc.plugins.physics.attach import at_force, force, position
+from afdsvc.plugins.physics.attach import at_force, force, placed, state
 
 
 def stop(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -25,14 +25,14 @@ class Clearance:
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per axis, started at gaps between a third and nearly all of the travel."""
-        for axis in machine.axes:
-            peak = axis.position.peak
-            scale = 0.1 * axis.push / axis.position.rms
+        for axis, q in placed(machine):
+            peak = q.peak
+            scale = 0.1 * axis.push / q.rms
             yield at_force(
-                axis, stop, [position(axis)], physics=self.name, family="stiffness",
+                axis, stop, [state(q)], physics=self.name, family="stiffness",
                 parameters=[
-                    force(axis, "stiffness", 0.0, 1e4 * scale, scale, axis.position.unit, linear=True),
-                    Coefficient("gap", axis.position.unit, 0.02 * peak, 0.98 * peak, 0.02 * peak),
+                    force(axis, "stiffness", 0.0, 1e4 * scale, scale, q.unit, linear=True),
+                    Coefficient("gap", q.unit, 0.02 * peak, 0.98 * peak, 0.02 * peak),
                 ],
                 starts=[(0.0, share * peak) for share in (0.15, 0.35, 0.6, 0.8)],
                 predicts="nothing below a level, and above it a stiffness that sets in at the same deflection everywhere",

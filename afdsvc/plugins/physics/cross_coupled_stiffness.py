@@ -8,7 +8,7 @@ from itertools import combinations
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
-from afdsvc.plugins.physics.attach import on_machine, position, velocity
+from afdsvc.plugins.physics.attach import on_machine, placed, state, velocity
 
 
 def swirl(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -29,10 +29,10 @@ class CrossCoupledStiffness:
         aux = machine.aux.get("speed")
         speed = (math.hypot(aux.mean, aux.rms) or 1.0) if aux else 1.0
         follows = aux is not None and aux.rms > 1e-3 * abs(aux.mean)
-        for a, b in combinations(machine.axes, 2):
-            scale = 0.05 * min(a.push / b.position.rms, b.push / a.position.rms)
+        for (a, p), (b, q) in combinations(placed(machine), 2):
+            scale = 0.05 * min(a.push / q.rms, b.push / p.rms)
             for with_speed in (False, True) if follows else (False,):
-                reads = [position(a), position(b), *([Signal("aux", aux.index)] if with_speed and aux else [])]
+                reads = [state(p), state(q), *([Signal("aux", aux.index)] if with_speed and aux else [])]
                 yield on_machine(
                     "force", swirl, reads, [velocity(a), velocity(b)], physics=self.name, family="cross coupling",
                     parameters=[

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
-from afdsvc.plugins.physics.attach import at_force, at_input, force, position
+from afdsvc.plugins.physics.attach import at_force, at_input, force, placed, state
 
 
 def cubic(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -32,10 +32,10 @@ class CubicStiffness:
             "predicts": "odd distortion that grows with the cube of the amplitude; a resonance that moves with the level",
             "refuted_by": "distortion at even lines, or a resonance that stays where it is",
         }
-        for axis in machine.axes:
-            scale = 0.05 * axis.push / axis.position.rms**3
-            k3 = force(axis, "stiffness", -200 * scale, 200 * scale, scale, f"({axis.position.unit})^3", linear=True)
-            yield at_force(axis, cubic, [position(axis)], parameters=[k3], **words)
+        for axis, q in placed(machine):
+            scale = 0.05 * axis.push / q.rms**3
+            k3 = force(axis, "stiffness", -200 * scale, 200 * scale, scale, f"({q.unit})^3", linear=True)
+            yield at_force(axis, cubic, [state(q)], parameters=[k3], **words)
         if not machine.axes and len(machine.inputs) == len(machine.outputs) == 1:
             u, y = machine.inputs[0], machine.outputs[0]
             scale = 0.05 * u.rms / y.rms**3

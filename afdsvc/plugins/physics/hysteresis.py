@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Law, Machine, Size
-from afdsvc.plugins.physics.attach import at_force, at_input, force, position
+from afdsvc.plugins.physics.attach import at_force, at_input, force, placed, state
 
 
 def bouc_wen(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -84,7 +84,7 @@ class Hysteresis:
             size = Coefficient("amplitude", port.unit, -5 * r, 5 * r, 0.05 * r, linear=True)
             for law, shape, form in _forms(machine, port, (0.3, 1.0, 3.0)):
                 yield at_input(port, law, parameters=[size, *shape], **form, **words)
-        for axis in machine.axes:
+        for axis, q in placed(machine):
             loop = force(axis, "force", -20 * axis.push, 20 * axis.push, -0.1 * axis.push, linear=True)
-            for law, shape, form in _forms(machine, axis.position, (0.1, 0.5, 2.0)):
-                yield at_force(axis, law, [position(axis)], parameters=[loop, *shape], **form, **words)
+            for law, shape, form in _forms(machine, q, (0.1, 0.5, 2.0)):
+                yield at_force(axis, law, [state(q)], parameters=[loop, *shape], **form, **words)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.plugins.physics.attach import at_force, at_input, at_output
+from afdsvc.plugins.physics.attach import at_force, at_input, at_output, balance, placed
 
 IntArray = NDArray[np.int64]
 LOWEST = {"stiffness": -0.99, "damping": -3.0}  # a machine may be driven by what should damp it
@@ -63,21 +63,21 @@ class ParameterChange:
         assert machine.plant is not None  # noqa: S101
         row = machine.plant.A[axis.rate.index]
         for name, own, columns in (
-            ("stiffness", axis.position.index, [a.position.index for a in machine.axes]),
-            ("damping", axis.rate.index, [a.rate.index for a in machine.axes]),
+            ("stiffness", axis.position, [q for _, q in placed(machine)]),
+            ("damping", axis.rate, [a.rate for a in machine.axes]),
         ):
-            coupled = [j for j in columns if row[j] != 0]
-            if row[own] != 0:
-                yield self._of_terms(axis, row, name, [own], name)
-            if row[own] != 0 and len(coupled) > 1:  # what makes them may be one thing for all axes
+            if own is None:
+                continue
+            coupled = [s.index for s in columns if row[s.index] != 0]
+            if row[own.index] != 0:
+                yield self._of_terms(axis, row, name, [own.index], name)
+            if row[own.index] != 0 and len(coupled) > 1:  # what makes them may be one thing for all axes
                 yield self._of_terms(axis, row, name, coupled, f"{name} with its couplings")
-        inputs = machine.plant.B[axis.rate.index]
-        states, ports = np.flatnonzero(row), np.flatnonzero(inputs)
-        reads = [*(Signal("x", int(j)) for j in states), *(Signal("u", int(j)) for j in ports)]
-        if 0 < len(reads) <= 14:
-            terms = [*(float(v) for v in row[states]), *(float(v) for v in inputs[ports])]
+        reads, constants = balance(machine, axis)
+        if reads:
+            states, ports = (np.array([s.index for s in reads if s.kind == kind], dtype=np.int64) for kind in "xu")
             yield at_force(
-                axis, inertia, reads, **self._parts("mass", terms, -0.9),
+                axis, inertia, reads, **self._parts("mass", [c.low for c in constants], -0.9),
                 linear=lambda plant, values, i=axis.rate.index: _scaled_row(plant, values, i, states, ports),
             )
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
-from afdsvc.plugins.physics.attach import at_force, at_input, force, position
+from afdsvc.plugins.physics.attach import at_force, at_input, force, placed, state
 
 
 def quadratic(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -32,10 +32,10 @@ class QuadraticStiffness:
             "predicts": "even distortion and a mean that shifts with the square of the amplitude",
             "refuted_by": "distortion at odd lines only",
         }
-        for axis in machine.axes:
-            scale = 0.05 * axis.push / axis.position.rms**2
-            k2 = force(axis, "stiffness", -200 * scale, 200 * scale, scale, f"({axis.position.unit})^2", linear=True)
-            yield at_force(axis, quadratic, [position(axis)], parameters=[k2], **words)
+        for axis, q in placed(machine):
+            scale = 0.05 * axis.push / q.rms**2
+            k2 = force(axis, "stiffness", -200 * scale, 200 * scale, scale, f"({q.unit})^2", linear=True)
+            yield at_force(axis, quadratic, [state(q)], parameters=[k2], **words)
         if not machine.axes and len(machine.inputs) == len(machine.outputs) == 1:
             u, y = machine.inputs[0], machine.outputs[0]
             scale = 0.05 * u.rms / y.rms**2

@@ -32,7 +32,7 @@ class SensorNonlinearity:
                     Coefficient("cubic share", "", -10.0, 10.0, 0.02, linear=True),
                     Coefficient("reference", port.unit, r, r, r, nuisance=True),
                 ],
-                starts=[(0.0, 0.0, r)],
+                starts=[(0.0, 0.0, r)], description=True,
                 predicts="distortion of this output in phase with the output itself, the other outputs unchanged",
                 refuted_by="distortion that shows in several outputs or that resonates",
             )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal, Size
-from afdsvc.plugins.physics.attach import at_force, force, on_machine, position, velocity
+from afdsvc.plugins.physics.attach import at_force, force, on_machine, placed, state, velocity
 from afdsvc.plugins.physics.gain_follows_aux import curvature, varying
 
 
@@ -34,26 +34,27 @@ class StiffnessFollowsAux:
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per axis and varying auxiliary signal, and per signal one for all axes."""
-        for aux in varying(machine) if len(machine.axes) > 1 else ():
-            yield self._everywhere(machine, aux)
-        for axis in machine.axes:
+        axes = list(placed(machine))
+        for aux in varying(machine) if len(axes) > 1 else ():
+            yield self._everywhere(axes, aux)
+        for axis, q in axes:
             for aux in varying(machine):
                 yield at_force(
-                    axis, spring, [position(axis), Signal("aux", aux.index)], physics=self.name, family="follows aux",
+                    axis, spring, [state(q), Signal("aux", aux.index)], physics=self.name, family="follows aux",
                     parameters=[
-                        _share(axis, aux),
+                        _share(axis, q, aux),
                         Coefficient("reference", aux.unit, aux.mean, aux.mean, 1.0, nuisance=True),
-                        curvature(aux, "", _share(axis, aux).scale),
+                        curvature(aux, "", _share(axis, q, aux).scale),
                     ],
                     starts=[(0.0, aux.mean, 0.0)], notes={"variant": aux.name},
                     predicts=f"a resonance that moves with {aux.name}",
                     refuted_by=f"a resonance that stays where it is while {aux.name} varies",
                 )
 
-    def _everywhere(self, machine: Machine, aux: Size) -> Hypothesis:
-        shares = [_share(axis, aux, f" of {axis.name}") for axis in machine.axes]
+    def _everywhere(self, axes: Sequence[tuple[Axis, Size]], aux: Size) -> Hypothesis:
+        shares = [_share(axis, q, aux, f" of {axis.name}") for axis, q in axes]
         return on_machine(
-            "force", springs, [*(position(a) for a in machine.axes), Signal("aux", aux.index)], [velocity(a) for a in machine.axes],
+            "force", springs, [*(state(q) for _, q in axes), Signal("aux", aux.index)], [velocity(a) for a, _ in axes],
             physics=self.name, family="follows aux", starts=[(*np.zeros(len(shares)), aux.mean, 0.0)], notes={"variant": aux.name},
             parameters=[
                 *shares, Coefficient("reference", aux.unit, aux.mean, aux.mean, 1.0, nuisance=True),
@@ -64,7 +65,7 @@ class StiffnessFollowsAux:
         )
 
 
-def _share(axis: Axis, aux: Size, where: str = "") -> Coefficient:
-    scale = 0.05 * axis.push / axis.position.rms / aux.rms
-    per = f"{axis.position.unit}/({aux.unit or aux.name})"
+def _share(axis: Axis, q: Size, aux: Size, where: str = "") -> Coefficient:
+    scale = 0.05 * axis.push / q.rms / aux.rms
+    per = f"{q.unit}/({aux.unit or aux.name})"
     return force(axis, f"stiffness per {aux.name}{where}", -100 * scale, 100 * scale, scale, per, linear=True)

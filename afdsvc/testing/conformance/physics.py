@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -17,8 +17,9 @@ STAGES = ("input", "force", "output")
 
 @lru_cache(maxsize=1)
 def machines() -> tuple[Machine, ...]:
-    """Return two examples: a turning rotor on two axes with all auxiliary signals, and a black box of one input and output."""
-    return _rotor(), _black_box()
+    """Return examples: a rotor on two axes with all auxiliary signals, a black box, a motor of which only the speed is a state,
+    an arm, a magnet, two tanks, a structure in modal coordinates, and a damper whose motion is imposed."""
+    return _rotor(), _black_box(), _motor(), _arm(), _magnet(), _tanks(), _structure(), _damper()
 
 
 def _size(index: int, name: str, unit: str, rms: float, step: float = 0.0) -> Size:
@@ -47,13 +48,62 @@ def _black_box() -> Machine:
     return Machine(port, (_size(0, "y", "V", 0.5),), (_size(0, "s", "", 0.5),), (), {}, 1e-3, 10.0, 200.0, plant, np.array([0.05]))
 
 
+def _plain(
+    inputs: Sequence[tuple[str, str, float]], states: Sequence[tuple[str, str, float]], outputs: Sequence[tuple[str, str, float]],
+    matrices: Sequence[Any], axes: Sequence[tuple[int | None, int]], step: float,
+) -> Machine:
+    """Return a machine of ports and states (name, unit, rms), and axes by the numbers of their position and velocity."""
+    u, x, y = (tuple(_size(i, *row) for i, row in enumerate(rows)) for rows in (inputs, states, outputs))
+    A, B, C, D = (np.array(matrix, dtype=float) for matrix in matrices)
+    plant = StateSpace(A, B, C, D)
+    motions = tuple(
+        Axis(x[v].name, None if q is None else x[q], x[v], float(abs(B[v, 0])) * u[0].rms, 0, float(B[v, 0]), u[0].unit)
+        for q, v in axes
+    )
+    return Machine(u, y, x, motions, {}, step, 1e4 * step, 0.3 / step, plant, np.array([0.1 * size.rms for size in y]))
+
+
+def _motor() -> Machine:
+    shaft = [("w", "rad/s", 20.0)]
+    return _plain([("voltage", "V", 5.0)], shaft, shaft, ([[-8.0]], [[40.0]], [[1.0]], [[0.0]]), [(None, 0)], 1e-2)
+
+
+def _arm() -> Machine:
+    motion = [("q", "rad", 0.4), ("w", "rad/s", 3.0)]
+    return _plain([("torque", "N*m", 0.5)], motion, motion[:1], ([[0, 1], [-60, -1.5]], [[0], [50]], [[1, 0]], [[0]]), [(0, 1)], 5e-3)
+
+
+def _magnet() -> Machine:
+    motion = [("q", "mm", 0.1), ("v", "mm/s", 8.0)]
+    return _plain([("current", "A", 0.4)], motion, motion[:1], ([[0, 1], [5e3, -10]], [[0], [2e3]], [[1, 0]], [[0]]), [(0, 1)], 1e-3)
+
+
+def _tanks() -> Machine:
+    levels = [("h1", "m", 0.3), ("h2", "m", 0.3)]
+    return _plain([("pump", "V", 2.0)], levels, levels[1:], ([[-0.02, 0], [0.013, -0.006]], [[0.003], [0]], [[0, 1]], [[0]]), [], 4.0)
+
+
+def _structure() -> Machine:
+    motion = [("q1", "m", 1e-4), ("v1", "m/s", 2e-3), ("q2", "m", 5e-5), ("v2", "m/s", 2e-3), ("q3", "m", 2e-5), ("v3", "m/s", 2e-3)]
+    A = np.zeros((6, 6))
+    for k, w in enumerate((20.0, 45.0, 90.0)):
+        A[2 * k, 2 * k + 1], A[2 * k + 1, 2 * k], A[2 * k + 1, 2 * k + 1] = 1.0, -w * w, -0.02 * w
+    matrices = (A, [[0], [1], [0], [1], [0], [1]], [[1, 0, 1, 0, -1, 0]], [[0]])
+    return _plain([("shaker", "N", 1.0)], motion, [("motion", "m", 1e-4)], matrices, [(0, 1), (2, 3), (4, 5)], 2e-3)
+
+
+def _damper() -> Machine:
+    force = [("force", "N", 300.0)]
+    return _plain([("speed", "m/s", 0.2)], force, force, ([[-50.0]], [[7e4]], [[1.0]], [[0.0]]), [], 5e-3)
+
+
 def _offered(thing: Any) -> Iterator[Hypothesis]:
     for machine in machines():
         yield from thing.hypotheses(machine)
 
 
 def makes_sense_somewhere(thing: Any) -> None:
-    """Offers a hypothesis for a turning rotor or a black box, and every one under another key."""
+    """Offers a hypothesis for one of the example machines, and every one under another key."""
     assert list(_offered(thing)), "no hypothesis for any of the example machines"
     for machine in machines():
         keys = [h.key for h in thing.hypotheses(machine)]
@@ -65,7 +115,7 @@ def tells_what_it_predicts(thing: Any) -> None:
     for h in _offered(thing):
         assert h.predicts, f"{h.key}: 'predicts' is empty"
         assert h.refuted_by, f"{h.key}: 'refuted_by' is empty"
-        assert h.stage in STAGES, f"{h.key}: stage '{h.stage}'; one of {', '.join(STAGES)} is wanted"
+        assert h.stage in STAGES, f"{h.key}: stage '{h.stage}'; expected one of {', '.join(STAGES)}"
         assert h.starts, f"{h.key}: there is no start"
         names, free = [p.name for p in h.parameters], [p.name for p in h.parameters if p.free]
         assert len(set(free)) == len(free), f"{h.key}: two of the parameters that are fitted share a name: {free}"

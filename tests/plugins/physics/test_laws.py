@@ -11,7 +11,7 @@ from scipy.signal import lsim
 
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.backlash import play
-from afdsvc.plugins.physics.flexible_mode import _attach, appendage, bent_appendage
+from afdsvc.plugins.physics.flexible_mode import _attach, bent_spring, masses
 from afdsvc.plugins.physics.gain_follows_aux import scaled
 from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
 from afdsvc.plugins.physics.parameter_change import _scaled_entries, terms
@@ -42,13 +42,13 @@ def test_a_mass_on_an_axis_moves_as_the_matrices_say():
     plant = StateSpace(A, np.array([[0.0], [1.0]]), np.array([[1.0, 0]]), np.zeros((1, 1)))
     t = np.arange(60000) * h
     u = 1e4 * np.sin(70 * t)
-    whole = _attach(plant, (w, zeta, ratio), 0, 1)
+    whole = _attach(plant, (w, zeta, ratio), 1)
     _, y, _ = lsim((whole.A, whole.B, whole.C, whole.D), u, t)
     p, m, x, seen = np.array([w, zeta, ratio]), np.zeros(3), np.zeros(2), []
     for k in range(len(t)):
         seen.append(x[0])
         pull = np.zeros(1)
-        appendage(p, np.array([x[0] + 0.5 * h * x[1], x[1]]), m, h, pull)
+        masses(p, np.array([x[1] + 0.5 * h * (A @ x)[1] + 0.5 * h * u[k]]), m, h, pull)
         slope = A @ x + np.array([0, u[k] + pull[0]])
         x = x + h * slope + 0.5 * h * h * (A @ slope)
     assert np.abs(np.array(seen) - y).max() < 2e-3 * np.abs(y).max()
@@ -67,22 +67,21 @@ def test_a_mass_on_a_bent_spring_is_the_duffing_oscillator_on_a_moving_base():
     true = solve_ivp(slope, (0, t[-1]), [q[0], v[0]], method="DOP853", t_eval=t, rtol=1e-9, atol=1e-9).y
     s2 = np.array([slope(now, x)[1] for now, x in zip(t, true.T, strict=True)])
     assert np.abs(true[0] - q).max() > 1.2  # the spring is stiffer by more than half then
-    pulls = changed(bent_appendage, [w, zeta, ratio, bend], np.column_stack([q, v]), 3, h)
+    pulls = changed(bent_spring, [w, zeta, ratio, bend], v, 3, h)
     assert pulls[1:] == pytest.approx(-ratio * (s2[1:] + s2[:-1]) / 2, abs=0.005 * ratio * np.abs(s2).max())
-    straight = [changed(law, [w, zeta, ratio, *more], np.column_stack([q, v]), 3, h) for law, more in ((appendage, ()), (bent_appendage, (0.0,)))]
+    straight = [changed(law, [w, zeta, ratio, *more], v, 3, h) for law, more in ((masses, ()), (bent_spring, (0.0,)))]
     assert straight[0] == pytest.approx(straight[1], rel=1e-9, abs=1e-9 * np.abs(straight[0]).max())
 
 
 def test_a_mass_on_an_axis_that_stands_still_does_not_pull():
-    still = np.tile([0.3, 0.0], (50, 1))
-    assert changed(appendage, [90.0, 0.03, 0.2], still, 3) == pytest.approx(np.zeros(50), abs=1e-12)
+    assert changed(masses, [90.0, 0.03, 0.2], np.zeros(50), 3) == pytest.approx(np.zeros(50), abs=1e-12)
 
 
 def test_slow_motion_carries_the_mass_along():
     """Far below its resonance the mass is one with the axis: it pulls back its mass times the acceleration."""
     t = np.arange(4000) * DT
-    q, v, a = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
-    pulls = changed(appendage, [200.0, 0.7, 0.2], np.column_stack([q, v]), 3)
+    v, a = 2 * np.cos(2 * t), -4 * np.sin(2 * t)
+    pulls = changed(masses, [200.0, 0.7, 0.2], v, 3)
     assert pulls[500:] == pytest.approx(-0.2 * a[500:], abs=0.02)
 
 
