@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -135,3 +135,9 @@ class Trace:
     def span(self, start: int, stop: int) -> Trace:
         """Return samples ``start`` to ``stop`` (exclusive) as a trace of its own."""
         return Trace(self.name, self.dt, self.channels, self.values[start:stop], self.t0 + start * self.dt, self.notes)
+
+
+def residual_block(block: Block, residual: Array) -> Block:
+    """Return the whitened residual as a block of its own, channels ``aux_r_<output>`` in the outputs' units."""
+    channels = tuple(Channel(f"aux_r_{c.label}", c.unit) for c in block.channels if c.role == "y")
+    return replace(block, channels=channels, values=residual, late=0)

@@ -18,8 +18,8 @@ import numpy as np
 from afdsvc.errors import BadInput
 from afdsvc.identify.recordings import Recording
 from afdsvc.lti.coprime import Factorisation
-from afdsvc.lti.exchange import exchange
 from afdsvc.lti.lft import star
+from afdsvc.lti.port_exchange import exchange
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.stability import worst_pole
 from afdsvc.lti.statespace import Array, StateSpace

@@ -18,8 +18,8 @@ from scipy import linalg
 
 from afdsvc.errors import IllConditioned
 from afdsvc.identify.structure import Structure
-from afdsvc.lti.balance import state_scaling
 from afdsvc.lti.riccati import riccati
+from afdsvc.lti.scaling import state_scaling
 from afdsvc.lti.stability import eigenvalues, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace
 

@@ -16,8 +16,8 @@ from afdsvc.identify.recordings import Recording, together
 from afdsvc.identify.rotation import without_rotation
 from afdsvc.identify.screening import screen
 from afdsvc.identify.structure import model_structure
-from afdsvc.lti.choice import factorise
 from afdsvc.lti.coprime import Factorisation
+from afdsvc.lti.factorise import factorise
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace

@@ -22,8 +22,8 @@ from afdsvc.identify.hansen import settling_samples, youla_signals
 from afdsvc.identify.indirect import Mismatch, fit_indirect, judged
 from afdsvc.identify.recordings import Recording
 from afdsvc.identify.structure import Structure
-from afdsvc.lti.choice import factorise
 from afdsvc.lti.coprime import Factorisation
+from afdsvc.lti.factorise import factorise
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace

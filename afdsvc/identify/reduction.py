@@ -21,8 +21,8 @@ from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.identify.hansen import excited_loop, loop_is_stable
 from afdsvc.identify.recordings import Recording
 from afdsvc.lti.coprime import Factorisation
-from afdsvc.lti.exchange import exchange
 from afdsvc.lti.frequency import frequency_response
+from afdsvc.lti.port_exchange import exchange
 from afdsvc.lti.reduce import balanced_truncation, closed_loop_truncation, weighted_truncation
 from afdsvc.lti.statespace import Array, ComplexArray, StateSpace, block_diagonal
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from afdsvc.errors import IllConditioned
-from afdsvc.lti.balance import balanced, state_scaling
 from afdsvc.lti.frequency import transfer
+from afdsvc.lti.scaling import balanced, state_scaling
 from afdsvc.lti.stability import eigenvalues
 from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
 

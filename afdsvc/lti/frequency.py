@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import schur
 
 from afdsvc.errors import BadInput, IllConditioned
-from afdsvc.lti.balance import balanced
+from afdsvc.lti.scaling import balanced
 from afdsvc.lti.statespace import ComplexArray, StateSpace
 
 

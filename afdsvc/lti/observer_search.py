@@ -15,7 +15,7 @@ from math import comb
 import numpy as np
 from scipy.linalg import schur
 
-from afdsvc.lti.balance import state_scaling
+from afdsvc.lti.scaling import state_scaling
 from afdsvc.lti.statespace import Array, ComplexArray
 
 CANDIDATES = 1000

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import schur, solve_continuous_lyapunov, solve_discrete_lyapunov, solve_sylvester
 
 from afdsvc.errors import BadInput, IllConditioned
-from afdsvc.lti.balance import balanced
+from afdsvc.lti.scaling import balanced
 from afdsvc.lti.stability import require_stable
 from afdsvc.lti.statespace import Array, StateSpace, block_diagonal
 

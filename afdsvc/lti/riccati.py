@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import solve_continuous_are, solve_discrete_are
 
 from afdsvc.errors import BadInput, IllConditioned
-from afdsvc.lti.balance import state_scaling
+from afdsvc.lti.scaling import state_scaling
 from afdsvc.lti.stability import describe_pole, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from afdsvc.errors import IllConditioned
-from afdsvc.lti.balance import rescale, state_scaling
 from afdsvc.lti.lft import AugmentedPlant
 from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.scaling import rescale, state_scaling
 from afdsvc.lti.statespace import Array, StateSpace
 
 ACCURACY = 1e-12  # where adding points stops

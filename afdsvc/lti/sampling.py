@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from afdsvc.errors import BadInput
-from afdsvc.lti.balance import balanced, rescale
+from afdsvc.lti.scaling import balanced, rescale
 from afdsvc.lti.statespace import StateSpace
 
 

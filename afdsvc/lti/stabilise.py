@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import schur, solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from afdsvc.errors import IllConditioned
-from afdsvc.lti.balance import state_scaling
+from afdsvc.lti.scaling import state_scaling
 from afdsvc.lti.stability import closed_loop_matrix, describe_pole, eigenvalues
 from afdsvc.lti.statespace import Array, StateSpace, common_dt
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from afdsvc.errors import BadInput, NotStabilising
-from afdsvc.lti.balance import state_scaling
+from afdsvc.lti.scaling import state_scaling
 from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
 
 MARGIN = 1e-12

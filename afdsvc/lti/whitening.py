@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from afdsvc.errors import BadInput, IllConditioned
-from afdsvc.lti.balance import state_scaling
 from afdsvc.lti.coprime import Factorisation
+from afdsvc.lti.reachability import trim
 from afdsvc.lti.riccati import covariance, cross_covariance, riccati
+from afdsvc.lti.scaling import state_scaling
 from afdsvc.lti.stabilise import mirror
 from afdsvc.lti.stability import describe_pole, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace
-from afdsvc.lti.structure import trim
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,11 +13,11 @@ import numpy as np
 
 from afdsvc.errors import BadInput
 from afdsvc.lti.coprime import Factorisation
-from afdsvc.lti.exchange import exchange
 from afdsvc.lti.lft import star
+from afdsvc.lti.port_exchange import exchange
+from afdsvc.lti.reachability import trim
 from afdsvc.lti.stability import require_stable
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.lti.structure import trim
 
 
 def interconnection(fact: Factorisation) -> StateSpace:

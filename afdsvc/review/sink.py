@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from afdsvc.api.signals import Block
+from afdsvc.api.signals import Block, residual_block
 from afdsvc.lti.statespace import Array
 from afdsvc.record.foxglove_log import Level
 from afdsvc.review.log import ReviewLog
-from afdsvc.runtime.publishing import residual_block
 from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RigEvent
 
 _LEVELS = {"info": Level.INFO, "warning": Level.WARNING, "error": Level.ERROR}

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from afdsvc.api.signals import Block, Channel
+from afdsvc.api.signals import Block, residual_block
 from afdsvc.lti.statespace import Array
 from afdsvc.runtime.posting import Post
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RigEvent
-
-
-def residual_block(block: Block, residual: Array) -> Block:
-    """Return the whitened residual as a block of its own, channels ``aux_r_<output>`` in the outputs' units."""
-    channels = tuple(Channel(f"aux_r_{c.label}", c.unit) for c in block.channels if c.role == "y")
-    return replace(block, channels=channels, values=residual, late=0)
 
 
 @dataclass

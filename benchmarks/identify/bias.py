@@ -19,7 +19,7 @@ from afdsvc.identify.reduction import compare_reductions
 from afdsvc.identify.refinement import refine
 from afdsvc.identify.spectral import direct_spectral, indirect_spectral
 from afdsvc.identify.subspace import decompose, realise
-from afdsvc.lti.choice import factorise
+from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
 

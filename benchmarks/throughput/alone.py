@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 from machine import LENGTH, Signals, Talker, commissioned, site_text
 
-from afdsvc.api.signals import of_role
+from afdsvc.api.signals import of_role, residual_block
 from afdsvc.plugins.manager import load
 from afdsvc.record.recorder import Recorder, RecordingSettings
-from afdsvc.runtime.publishing import residual_block
 from afdsvc.runtime.site import parse_site
 from afdsvc.runtime.transport import Transport
 from afdsvc.service import pipeline_of

@@ -6,7 +6,7 @@ import pytest
 from afdsvc.errors import BadInput
 from afdsvc.identify.closed_slopes import closed_slopes, differences, filtered_slopes
 from afdsvc.identify.local_coordinates import local_structure
-from afdsvc.lti.choice import factorise
+from afdsvc.lti.factorise import factorise
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.yjbk import deviation_system, interconnection
 

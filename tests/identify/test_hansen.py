@@ -17,7 +17,7 @@ from afdsvc.identify.hansen import (
     youla_signals,
 )
 from afdsvc.identify.recordings import Recording
-from afdsvc.lti.choice import factorise
+from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace

@@ -8,8 +8,8 @@ from afdsvc.identify.greybox import fit_greybox
 from afdsvc.identify.indirect import fit_indirect
 from afdsvc.identify.recordings import Recording
 from afdsvc.identify.structure import Parameter, Structure, physical_structure
-from afdsvc.lti.choice import factorise
 from afdsvc.lti.coprime import observer_factorisation
+from afdsvc.lti.factorise import factorise
 from afdsvc.lti.riccati import kalman_predictor_gain, lqr
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.statespace import StateSpace

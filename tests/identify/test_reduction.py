@@ -8,7 +8,7 @@ from afdsvc.identify.hansen import excited_loop, rebuilt_plant
 from afdsvc.identify.recordings import Recording
 from afdsvc.identify.reduction import TRUNCATIONS, compare_reductions, judged
 from afdsvc.identify.refinement import refine
-from afdsvc.lti.choice import factorise
+from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.yjbk import deviation_system

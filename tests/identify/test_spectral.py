@@ -7,7 +7,7 @@ from afdsvc.errors import BadInput
 from afdsvc.identify.impulse_fit import approach
 from afdsvc.identify.recordings import Recording
 from afdsvc.identify.spectral import direct_spectral, indirect_spectral
-from afdsvc.lti.choice import factorise
+from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from afdsvc.errors import BadInput, IllConditioned, NotStabilising
-from afdsvc.lti.choice import factorise
 from afdsvc.lti.conditioning import amplification, identity_residual
 from afdsvc.lti.coprime import (
     controller_factorisation,
@@ -15,6 +14,7 @@ from afdsvc.lti.coprime import (
     proportional_factorisation,
     stable_controller_factorisation,
 )
+from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.riccati import kalman_predictor_gain, lqr
 from afdsvc.lti.stabilise import gain_with_margin

@@ -12,13 +12,13 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from afdsvc.errors import IllConditioned
-from afdsvc.lti.choice import factorise
 from afdsvc.lti.coprime import (
     Factorisation,
     observer_factorisation,
     proportional_factorisation,
     stable_controller_factorisation,
 )
+from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.lft import star
 from afdsvc.lti.riccati import kalman_predictor_gain, lqr

@@ -1,7 +1,7 @@
 """The door: the same mathematics for systems of python-control, drawn by anybody.
 
 Each function takes and returns `control.StateSpace` (transfer functions, numbers and arrays are converted) in positive
-feedback ``u = K y``. All four use the same choice of coprime factors (`afdsvc.lti.choice.factorise`), so beta of
+feedback ``u = K y``. All four use the same choice of coprime factors (`afdsvc.lti.factorise.factorise`), so beta of
 `augmented_controller` is the output of `deviation` and the input of `whitening`.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from afdsvc.errors import BadInput
-from afdsvc.lti.choice import factorise
+from afdsvc.lti.factorise import factorise
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import whitening_filter
 from afdsvc.lti.yjbk import deviation_system, interconnection
