@@ -16,7 +16,7 @@ from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
 from afdsvc.gap.explain import explain
 from afdsvc.gap.explanation import Explanation
-from afdsvc.plants.unit_comparison import compared
+from afdsvc.plants.stepped.comparison import compared
 from afdsvc.plugins.manager import load
 from afdsvc.record.foreign import PREPARED, prepared, read_foreign
 from afdsvc.record.improved_model import write_improved

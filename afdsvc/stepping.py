@@ -16,8 +16,8 @@ from afdsvc.errors import BadInput
 from afdsvc.hal.loop import LoopSettings, Prediction
 from afdsvc.hal.stepped import GainFault, SteppedSimulator
 from afdsvc.lti.statespace import Array
-from afdsvc.plants.fmi_unit import FmiUnit
-from afdsvc.plants.function_plant import FunctionPlant
+from afdsvc.plants.stepped.fmi_unit import FmiUnit
+from afdsvc.plants.stepped.function_plant import FunctionPlant
 from afdsvc.record.model_code import load_code
 from afdsvc.record.model_file import read_model
 from afdsvc.runtime.site import STEPPED, Fault, Machine

@@ -24,12 +24,12 @@ from afdsvc.detect.curves import FaultCurves, fault_curves
 from afdsvc.detect.cusum import Cusum, CusumState, cusum
 from afdsvc.detect.demodulate import Basis, BasisSums, line_frequencies, window
 from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
-from afdsvc.detect.once import Played
 from afdsvc.detect.power import deflection_wanted
 from afdsvc.detect.reach import reachable
 from afdsvc.detect.uncertainty import models
 from afdsvc.detect.watch import BurstSamples, Finding
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.memo import Played
 
 SHORTEST = 5e-3  # seconds of a block
 BLOCKS = 40  # at most, of a burst

@@ -14,8 +14,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from afdsvc.detect.whiteness import LagSums, Whiteness, whiteness, whiteness_without
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.whiteness import LagSums, Whiteness, whiteness, whiteness_without
 
 PARTS = 4
 

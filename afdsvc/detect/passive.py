@@ -24,7 +24,6 @@ from afdsvc.detect.gate import Gate, GateState, Judgement, finite
 from afdsvc.detect.joint_rate import joint_rate
 from afdsvc.detect.noise_driven import NoiseDriven, noise_driven
 from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
-from afdsvc.detect.once import at_rest, counted, stepped
 from afdsvc.detect.recent import NOTHING, Recent
 from afdsvc.detect.regressors import regressors
 from afdsvc.detect.run_length import rate_boundary
@@ -33,6 +32,7 @@ from afdsvc.detect.uneven import excursion_steps, faulty_information
 from afdsvc.detect.watch import Finding, evidence, pieces
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.memo import at_rest, counted, stepped
 
 BLOCK = 1e-3  # seconds between looks at the CUSUMs
 

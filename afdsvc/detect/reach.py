@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.once import Once
 from afdsvc.lti.lft import fault_signature
+from afdsvc.stats.memo import Once
 
 STEPS = 64
 

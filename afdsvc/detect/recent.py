@@ -15,11 +15,11 @@ import numpy as np
 from afdsvc.api.detection import ResidualBlock
 from afdsvc.detect.gate import Gate, Judgement
 from afdsvc.detect.nuisances import Cleaning, Nuisances
-from afdsvc.detect.once import Once, at_rest, stepped
 from afdsvc.detect.products import Products
 from afdsvc.detect.shared import Filters
-from afdsvc.detect.whiteness import LagSums
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.memo import Once, at_rest, stepped
+from afdsvc.stats.whiteness import LagSums
 
 LIKELIEST = 3  # faults that may explain coloured data: those that explain most of them
 

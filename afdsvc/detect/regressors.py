@@ -20,7 +20,6 @@ import numpy as np
 from numba import njit
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.once import Once
 from afdsvc.detect.products import selection
 from afdsvc.detect.residual import decay
 from afdsvc.detect.stated import uncertain_parameters
@@ -28,6 +27,7 @@ from afdsvc.errors import BadInput
 from afdsvc.lti.lft import AugmentedPlant
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import innovations
+from afdsvc.stats.memo import Once
 
 NUDGE = 1e-5  # by which parameters are moved for derivatives
 _NO_GAIN = 1e-9  # a predictor gain below this is the rounding of a Riccati solver

@@ -18,10 +18,10 @@ import numpy as np
 from numba import njit
 from scipy.linalg import qr
 
-from afdsvc.detect.once import Once
 from afdsvc.detect.regressors import Regressors
 from afdsvc.detect.residual import decay
 from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.stats.memo import Once
 
 RANK = 1e-13  # share of the largest below which a direction is rounding
 DOUBLINGS = 60  # of the horizon over which states are reached

@@ -21,13 +21,13 @@ from afdsvc.detect.gate import Gate, GateState, Judgement, finite
 from afdsvc.detect.hypotheses import NONE, Fit
 from afdsvc.detect.nuisances import NONE as NO_NUISANCES
 from afdsvc.detect.nuisances import Cleaning, Nuisances
-from afdsvc.detect.once import Once, at_rest, counted, stepped
 from afdsvc.detect.presence import Shown
 from afdsvc.detect.recent import NOTHING, Recent
 from afdsvc.detect.regressors import Regressors, regressors
 from afdsvc.detect.shared import Filters, shared
 from afdsvc.errors import AfdsvcError
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.memo import Once, at_rest, counted, stepped
 
 BOUND = 2.0  # standard errors beyond an early estimate where the severity hardly lies
 

@@ -14,15 +14,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from afdsvc.dataset.experiment import Run
 from afdsvc.errors import BadInput
 from afdsvc.gap import noise
 from afdsvc.gap.nominal import Nominal
 from afdsvc.gap.objective import Objective, Point
-from afdsvc.gap.runs import Run
 from afdsvc.gap.settle import raw, settle
 from afdsvc.gap.simulator import Simulator
-from afdsvc.gap.whitening import correlation_time, white
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.ar_noise import correlation_time, white
 
 WORTH_A_GAIN = 10.0  # gain of log-likelihood that justifies process noise instead of output noise alone
 ABSENT = 1e-6  # weight of an input at which no noise enters

@@ -6,18 +6,18 @@ from collections.abc import Sequence
 
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
+from afdsvc.dataset.columns import columns
+from afdsvc.dataset.excitation import SINE, excitation
+from afdsvc.dataset.experiment import prepare
+from afdsvc.dataset.finding import Finding
+from afdsvc.dataset.sample_checks import samples
 from afdsvc.errors import BadInput
 from afdsvc.gap.check_ambiguity import ambiguities
-from afdsvc.gap.check_columns import columns
-from afdsvc.gap.check_excitation import SINE, excitation
-from afdsvc.gap.check_finding import Finding
 from afdsvc.gap.check_gain import gains
 from afdsvc.gap.check_information import information
 from afdsvc.gap.check_lines import lines
 from afdsvc.gap.check_loop import loop
-from afdsvc.gap.check_samples import samples
 from afdsvc.gap.nominal import nominal
-from afdsvc.gap.runs import prepare
 
 
 def check(model: Model, traces: Sequence[Trace]) -> tuple[Finding, ...]:

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from afdsvc.api.model import Model
-from afdsvc.gap.check_excitation import played
-from afdsvc.gap.check_finding import Finding
+from afdsvc.dataset.excitation import played
+from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.finding import Finding
 from afdsvc.gap.locate_tones import speeds
-from afdsvc.gap.runs import Run
 from afdsvc.gap.sizes import bandwidth
 
 SHORT = 0.12  # phase [rad] by which one sample of delay differs from one of lag, third order; see `_timing`

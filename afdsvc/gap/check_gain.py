@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from afdsvc.gap.check_finding import Finding
+from afdsvc.dataset.finding import Finding
 from afdsvc.gap.check_lines import ComplexArray, Lines, response
 from afdsvc.gap.nominal import Nominal
 from afdsvc.lti.statespace import Array

@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from afdsvc.gap.check_finding import Finding
+from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.finding import Finding
 from afdsvc.gap.check_lines import Lines, response
 from afdsvc.gap.noise import wandering
 from afdsvc.gap.nominal import Entry, Nominal
-from afdsvc.gap.runs import Run
 from afdsvc.lti.statespace import Array
 
 TOLD = 0.5  # posterior over prior standard deviation below which the data tell a number

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from afdsvc.gap.noise import fold
+from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.periods import fold
 from afdsvc.gap.nominal import Nominal
-from afdsvc.gap.runs import Run
 from afdsvc.lti.statespace import Array
 
 STRONG = 0.02  # amplitude over the strongest of the same input

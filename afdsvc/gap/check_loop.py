@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from afdsvc.gap.check_finding import Finding
+from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.finding import Finding
 from afdsvc.gap.nominal import Nominal
-from afdsvc.gap.runs import Run
 
 MARGIN = 1e-9
 

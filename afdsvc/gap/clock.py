@@ -11,11 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from afdsvc.gap.lines import Tone
+from afdsvc.dataset.experiment import Run
 from afdsvc.gap.objective import Objective, Point
-from afdsvc.gap.runs import Run
 from afdsvc.gap.settle import raw, started
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.tones import Tone
 
 
 def reads_time(point: Point) -> bool:

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
+from afdsvc.dataset.experiment import Run
 from afdsvc.gap.explanation import Estimate, Named
-from afdsvc.gap.first_order import FirstOrder, first_order
-from afdsvc.gap.lines import tones
 from afdsvc.gap.noise import toneless, wandering
-from afdsvc.gap.runs import Run
-from afdsvc.gap.whitening import whiteness_p
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.ar_noise import whiteness_p
+from afdsvc.stats.first_order_noise import FirstOrder, first_order
+from afdsvc.stats.tones import tones
 
 SURE = 1e-6  # p-value of whiteness below which an output's noise counts as coloured
 LAGS = 6

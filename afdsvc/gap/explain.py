@@ -11,10 +11,12 @@ import numpy as np
 from afdsvc.api.model import Model
 from afdsvc.api.physics import Physics
 from afdsvc.api.signals import Trace
+from afdsvc.dataset.experiment import Run, prepare
+from afdsvc.dataset.finding import Finding
+from afdsvc.dataset.split import Split, split
 from afdsvc.errors import BadInput
 from afdsvc.gap.baseline import as_stated
 from afdsvc.gap.check import check, insufficient_excitation, objection, one_frequency
-from afdsvc.gap.check_finding import Finding
 from afdsvc.gap.clock import aligned
 from afdsvc.gap.explanation import Course, Explanation, Located, OutputFit
 from afdsvc.gap.forward import Found, Progress, Yardstick, forward
@@ -26,16 +28,14 @@ from afdsvc.gap.next_experiment_rivals import experiment_after, first_experiment
 from afdsvc.gap.nominal import nominal
 from afdsvc.gap.objective import Objective, Point
 from afdsvc.gap.prediction import Player, nrmse, player
-from afdsvc.gap.runs import Run, prepare
 from afdsvc.gap.search import Mapper
 from afdsvc.gap.settle import started
 from afdsvc.gap.spectra import spectra
-from afdsvc.gap.split import Split, split
 from afdsvc.gap.strain import strained
 from afdsvc.gap.verdict import Judgement, judged
 from afdsvc.gap.verify import explained, shape
-from afdsvc.gap.whitening import whiteness_p
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.ar_noise import whiteness_p
 
 MOST_EFFECTS = 3
 WORSE = 1.1  # ratio of held-out errors, after to before, beyond which names are withdrawn

@@ -9,21 +9,21 @@ import numpy as np
 from scipy import stats
 
 from afdsvc.api.physics import Machine, Physics
+from afdsvc.dataset.experiment import Run
 from afdsvc.gap.baseline import Baseline, again, baseline
 from afdsvc.gap.clock import aligned, reads_time
 from afdsvc.gap.judge import Ruling, Tried, bent, judge, separation
-from afdsvc.gap.lines import Tone, tones
 from afdsvc.gap.nominal import Nominal
 from afdsvc.gap.objective import Objective, Point
-from afdsvc.gap.peaks import peaks
 from afdsvc.gap.reconsider import reconsidered
-from afdsvc.gap.repeating import repeating
-from afdsvc.gap.runs import Run
 from afdsvc.gap.search import Candidate, Mapper, block_costs, round_of
 from afdsvc.gap.settle import raw, settle, started
 from afdsvc.gap.sizes import bandwidth, machine
 from afdsvc.gap.surest import surest
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.periodic import repeating
+from afdsvc.stats.spectral_peaks import peaks
+from afdsvc.stats.tones import Tone, tones
 
 WORTH_SAYING = 0.03  # share of the gap below which a further effect is not named
 BETTER_SHAPE = 0.35  # share below which a second effect at the same place is only a better shape of the first

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from afdsvc.dataset.experiment import Run
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.explanation import Remainder
 from afdsvc.gap.objective import Objective
-from afdsvc.gap.runs import Run
 from afdsvc.gap.settle import raw, started
 from afdsvc.gap.simulator import Effect
 from afdsvc.lti.statespace import Array

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.api.physics import Machine
+from afdsvc.dataset.experiment import Run
 from afdsvc.gap import locate_words as words
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.explanation import Located
-from afdsvc.gap.lines import tones
 from afdsvc.gap.locate_amplitude import Law, law
 from afdsvc.gap.locate_injection import Entry, injection
 from afdsvc.gap.locate_lines import Split, splits
@@ -19,12 +19,12 @@ from afdsvc.gap.locate_map import Dependence, dependences
 from afdsvc.gap.locate_time import Span, loud_span
 from afdsvc.gap.locate_tones import label, speeds
 from afdsvc.gap.locate_view import View, view
-from afdsvc.gap.peaks import peaks
-from afdsvc.gap.runs import Run
 from afdsvc.gap.settle import raw
 from afdsvc.gap.sizes import bandwidth, machine
-from afdsvc.gap.whitening import whiteness_p
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.ar_noise import whiteness_p
+from afdsvc.stats.spectral_peaks import peaks
+from afdsvc.stats.tones import tones
 
 SURE = 1e-5  # p-value below which what repeats in an output is no chance
 HINT = 1e-2  # and above which nothing can depend on the motion alone, as it would have to repeat with it

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from afdsvc.gap.runs import Run
+from afdsvc.dataset.experiment import Run
 
 APART = 1.2  # ratio between levels from which a law can be read off
 ODD_ONE_OUT = 4.0  # standard errors by which the exponent must differ from 1 to count

@@ -9,12 +9,12 @@ import numpy as np
 from scipy import signal
 
 from afdsvc.api.physics import Axis, Machine
-from afdsvc.gap.lines import tones
 from afdsvc.gap.locate_columns import bent, clocks, dynamics, low_pass, moves, plays, rate, rates, rms, signs
 from afdsvc.gap.locate_lines import steady
 from afdsvc.gap.locate_sweep import push
 from afdsvc.gap.locate_view import View
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.tones import tones
 
 LAGS = (30.0, 300.0)  # over the fastest excited angular frequency: time constants of low-passes
 PEAKS, DAMPING = 2, 0.03  # how many peaks of the residual are tried as resonances, and how damped

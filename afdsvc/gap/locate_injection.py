@@ -14,12 +14,12 @@ import numpy as np
 from scipy import stats
 
 from afdsvc.api.physics import Machine
+from afdsvc.dataset.periods import fold
 from afdsvc.gap.locate_sweep import push
 from afdsvc.gap.locate_view import View
-from afdsvc.gap.noise import fold
 from afdsvc.gap.sizes import bandwidth
-from afdsvc.gap.whitening import Whitener
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.ar_noise import Whitener
 
 REFUSED = 1e-4  # p-value below which a place cannot be the only one
 

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from afdsvc.gap.noise import fold, running_median
-from afdsvc.gap.repeating import EXCITED
-from afdsvc.gap.runs import Run
+from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.periods import fold, running_median
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.periodic import EXCITED
 
 BoolArray = NDArray[np.bool_]
 WINDOW = 41  # lines over which the scatter is smoothed

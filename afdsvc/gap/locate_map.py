@@ -18,8 +18,8 @@ from afdsvc.api.physics import Machine
 from afdsvc.gap.locate_features import Group, groups
 from afdsvc.gap.locate_sweep import responses
 from afdsvc.gap.locate_view import View, per_run
-from afdsvc.gap.whitening import correlation_time
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.ar_noise import correlation_time
 
 SURE = 1e-4  # false-acceptance probability of the map as a whole
 FOLDS = 10

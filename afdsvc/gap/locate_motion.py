@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from afdsvc.gap.noise import fold
+from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.periods import fold
 from afdsvc.gap.objective import Point
-from afdsvc.gap.runs import Run
 from afdsvc.gap.simulator import Simulated, Simulator
 from afdsvc.lti.statespace import Array
 

@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 
 from afdsvc.gap.simulator import Simulator
-from afdsvc.gap.whitening import Whitener
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.ar_noise import Whitener
 
 
 def responses(simulator: Simulator, theta: Array, columns: Array, states: Array, outputs: Array, whitener: Whitener | None) -> Array:

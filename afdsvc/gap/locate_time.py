@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from afdsvc.gap.noise import fold
-from afdsvc.gap.runs import Run
-from afdsvc.gap.whitening import correlation_time
+from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.periods import fold
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.ar_noise import correlation_time
 
 BLOCKS = 40
 SURE = 1e-6

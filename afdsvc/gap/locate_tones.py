@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from afdsvc.gap.runs import Run
+from afdsvc.dataset.experiment import Run
 
 MAINS = (50.0, 60.0)  # Hz
 HARMONICS = (1, 2, 3, 4)

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from afdsvc.dataset.experiment import Run
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.fit import moved
 from afdsvc.gap.locate_motion import motion
 from afdsvc.gap.locate_sweep import unwhitened
 from afdsvc.gap.objective import Objective, Point, Tangent, tangent
-from afdsvc.gap.runs import Run
 from afdsvc.gap.simulator import Simulated
 from afdsvc.lti.statespace import Array
 

@@ -9,10 +9,10 @@ from itertools import product
 import numpy as np
 
 from afdsvc.api.bursts import Burst, Limits
+from afdsvc.dataset.experiment import Run
 from afdsvc.excite.identification_bursts import Band, multisine_burst
 from afdsvc.gap.baseline import Baseline, lower_edge
 from afdsvc.gap.locate_tones import speeds
-from afdsvc.gap.runs import Run
 from afdsvc.gap.sizes import bandwidth
 from afdsvc.lti.statespace import Array
 

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from afdsvc.api.bursts import Limits
+from afdsvc.dataset.experiment import Run, sampled
 from afdsvc.excite.identification_bursts import Band, multisine_burst
 from afdsvc.gap.check_information import noise_sd
 from afdsvc.gap.check_lines import response
 from afdsvc.gap.forward import Found, Step
 from afdsvc.gap.next_experiment import Contender, NextExperiment, next_experiment
 from afdsvc.gap.nominal import Nominal
-from afdsvc.gap.runs import Run, sampled
 from afdsvc.lti.statespace import Array
 
 DOUBT = 0.02  # weight from which a look-alike has to be told from the first

@@ -8,14 +8,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from afdsvc.api.bursts import Limits
+from afdsvc.dataset.experiment import Run
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.next_experiment_plans import Plan
 from afdsvc.gap.noise import positive
 from afdsvc.gap.objective import Point, small_step, tangent
-from afdsvc.gap.runs import Run
 from afdsvc.gap.simulator import Effect, controller_of
-from afdsvc.gap.whitening import white
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.ar_noise import white
 
 ROOM = 2.2  # largest output over what was recorded, where no limits are given
 THETA_STEP = 0.05

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.periods import fold, running_median
 from afdsvc.errors import IllConditioned
 from afdsvc.gap.nominal import Nominal
-from afdsvc.gap.runs import Run
-from afdsvc.gap.whitening import Whitener, fit, white, whiteness_p
 from afdsvc.lti.riccati import kalman_predictor_gain
 from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.stats.ar_noise import Whitener, fit, white, whiteness_p
 
-FEW = 0.01  # share of missing samples up to which periods are told by the others
 RATIOS = (0.0, *(10.0**k for k in range(-7, 5)))
 
 
@@ -49,30 +49,6 @@ def wandering(runs: Sequence[Run], residuals: Sequence[Array]) -> list[Array]:
         count = folded.shape[0]
         pieces += list((folded - folded.mean(0)) * np.sqrt(count / (count - 1)))
     return pieces
-
-
-def fold(run: Run, e: Array) -> Array | None:
-    """Return the settled periods of a residual, shape ``(periods, period, p)``; None when there are fewer than two.
-
-    A few missing samples are the mean of the others of their phase; with more than `FEW` of them, the answer is None.
-    """
-    if not run.period:
-        return None
-    start = max(run.settled, run.period // 4)
-    count = (len(e) - start) // run.period
-    if count < 2:
-        start, count = len(e) - 2 * run.period, 2
-        if start < run.settled:
-            return None
-    folded = e[len(e) - count * run.period :].reshape(count, run.period, -1)
-    return _bridged(folded)
-
-
-def _bridged(folded: Array) -> Array | None:
-    missing = np.isnan(folded)
-    if np.isinf(folded).any() or missing.mean() > FEW or missing.all(0).any():
-        return None
-    return np.where(missing, np.nanmean(folded, axis=0), folded) if missing.any() else folded
 
 
 def floor(runs: Sequence[Run], residuals: Sequence[Array]) -> Floor:
@@ -109,13 +85,6 @@ def _without_tones(x: Array) -> Array:
     tall = size > 6 * around
     spectrum[tall] *= (around / np.maximum(size, 1e-300))[tall]
     return np.asarray(np.fft.irfft(spectrum, len(x), axis=0))
-
-
-def running_median(size: Array, width: int) -> Array:
-    """Return the median of the neighbourhood of each row, per column."""
-    half = min(width, max(len(size) // 2 * 2 - 1, 1)) // 2
-    padded = np.pad(size, ((half, half), (0, 0)), mode="reflect")
-    return np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0), axis=-1)
 
 
 def predictor_gain(plant: StateSpace, nominal: Nominal, ratio: float, sizes: Array, drive: Array) -> Array | None:

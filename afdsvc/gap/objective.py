@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg as sla
 
-from afdsvc.gap.runs import Run
+from afdsvc.dataset.experiment import Run
 from afdsvc.gap.simulator import Effect, Simulator
-from afdsvc.gap.whitening import Whitener
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.ar_noise import Whitener
 
 THETA_STEP = 0.02  # of a prior standard deviation
 FAR = 1e30

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from afdsvc.dataset.experiment import Run
 from afdsvc.gap.baseline import calm_gain
 from afdsvc.gap.nominal import Nominal
 from afdsvc.gap.objective import Point
-from afdsvc.gap.runs import Run
 from afdsvc.gap.simulator import Effect, Simulator
 from afdsvc.lti.statespace import Array
 

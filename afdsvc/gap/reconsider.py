@@ -11,10 +11,10 @@ from dataclasses import replace
 from functools import partial
 
 from afdsvc.api.physics import Hypothesis
+from afdsvc.dataset.experiment import Run
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.judge import Rival, Ruling, Tried, judge
 from afdsvc.gap.objective import Borrowed, borrowed, tangent
-from afdsvc.gap.runs import Run
 from afdsvc.gap.search import Candidate, Mapper, evaluate
 from afdsvc.gap.settle import full_cost, settle
 from afdsvc.gap.simulator import Effect

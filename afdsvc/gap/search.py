@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from afdsvc.api.physics import Hypothesis
+from afdsvc.dataset.experiment import Run
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.fit import Trial, apply_shift, fit, screen
 from afdsvc.gap.objective import Borrowed, Point, Tangent, borrowed, tangent
-from afdsvc.gap.repeating import repeated
-from afdsvc.gap.runs import Run
 from afdsvc.gap.settle import full_cost, settle, started
 from afdsvc.gap.simulator import Effect
 from afdsvc.gap.transfer import Transferred, transfers
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.periodic import repeated
 
 Mapper = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 FITTED, REFINED, SETTLED, TRANSFERRED = 18, 8, 6, 3  # how many hypotheses survive each stage; constants looked at besides

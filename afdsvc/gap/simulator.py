@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from afdsvc.api.physics import Hypothesis, Signal
+from afdsvc.dataset.experiment import Run, sampled
 from afdsvc.errors import BadInput
 from afdsvc.gap import kernel
 from afdsvc.gap.compiled import compiled, idle
 from afdsvc.gap.nominal import Nominal
-from afdsvc.gap.runs import Run, sampled
 from afdsvc.lti.statespace import Array, StateSpace
 
 _STAGE = {"input": kernel.INPUT, "force": kernel.FORCE, "output": kernel.OUTPUT}

@@ -8,10 +8,10 @@ import numpy as np
 
 from afdsvc.api.model import Variable
 from afdsvc.api.physics import Axis, Machine, Size
+from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.resolution import grid
 from afdsvc.gap.baseline import Baseline
-from afdsvc.gap.grid import grid
 from afdsvc.gap.nominal import continuous
-from afdsvc.gap.runs import Run
 from afdsvc.gap.settle import raw
 from afdsvc.lti.statespace import Array, StateSpace
 

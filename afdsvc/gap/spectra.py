@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from afdsvc.dataset.experiment import Run
 from afdsvc.gap.explanation import Course, Spectrum
 from afdsvc.gap.noise import wandering
-from afdsvc.gap.runs import Run
 from afdsvc.lti.statespace import Array
 
 SEGMENT = 4096

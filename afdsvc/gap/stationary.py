@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from afdsvc.dataset.experiment import Run
 from afdsvc.gap.noise import wandering
-from afdsvc.gap.runs import Run
-from afdsvc.gap.whitening import correlation_time
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.ar_noise import correlation_time
 
 SURE = 1e-6
 LOUDER = 1.1  # ratio of excitations from which two recordings have different levels

@@ -10,11 +10,11 @@ import numpy as np
 from afdsvc.gap.baseline import Baseline
 from afdsvc.gap.forward import BAND, Yardstick
 from afdsvc.gap.objective import Objective, Point, tangent
-from afdsvc.gap.repeating import Repeating, repeating
 from afdsvc.gap.simulator import Effect
 from afdsvc.gap.sizes import bandwidth
-from afdsvc.gap.whitening import unpredictable, whiteness_p
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.ar_noise import unpredictable, whiteness_p
+from afdsvc.stats.periodic import Repeating, repeating
 
 
 @dataclass(frozen=True, slots=True, eq=False)

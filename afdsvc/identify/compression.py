@@ -18,8 +18,8 @@ from typing import Literal, cast
 import numpy as np
 from scipy import linalg
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
-from afdsvc.identify.recordings import Recording
 from afdsvc.lti.statespace import Array
 
 Route = Literal["auto", "qr", "gram"]

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from afdsvc.dataset.arrays import Recording, scaled, scales
 from afdsvc.errors import BadInput
 from afdsvc.identify.compression import compress_size, factor_of
-from afdsvc.identify.recordings import Recording, scaled, scales
 from afdsvc.lti.statespace import Array
 
 #: Power of a spectral bin, relative to the strongest, above which it counts as excited.

@@ -9,9 +9,9 @@ import numpy as np
 from scipy import stats
 
 from afdsvc.identify.innovations import InnovationsForm
-from afdsvc.identify.measures import Measures
-from afdsvc.identify.residual_tests import ResidualTests
 from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
+from afdsvc.stats.fit_measures import Measures
+from afdsvc.stats.portmanteau import ResidualTests
 
 
 @dataclass(frozen=True, slots=True)

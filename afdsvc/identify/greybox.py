@@ -14,17 +14,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import AfdsvcError, BadInput, IllConditioned
-from afdsvc.identify.descent import Local, Minimum, descend
 from afdsvc.identify.fit import Estimate, Fit, ResponseBand
 from afdsvc.identify.innovations import InnovationsForm, fitted_errors
 from afdsvc.identify.noisy_structure import PredictorPoint, plant_point, predictor_point
-from afdsvc.identify.recordings import Recording
 from afdsvc.identify.structure import Structure
 from afdsvc.identify.sweep import eliminate_state, sweep, whitening_of
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.stability import is_stable, worst_pole
 from afdsvc.lti.statespace import Array
+from afdsvc.stats.levenberg_marquardt import Local, Minimum, descend
 
 #: Smallest share of the information about one parameter that the others may leave, before it counts as unidentifiable.
 INDEPENDENT_SHARE = 1e-10

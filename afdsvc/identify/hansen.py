@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
-from afdsvc.identify.recordings import Recording
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.lft import star
 from afdsvc.lti.port_exchange import exchange

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from afdsvc.identify.recordings import Recording
+from afdsvc.dataset.arrays import Recording
 from afdsvc.lti.statespace import ComplexArray
 
 SHORTEST, LONGEST = 15, 60

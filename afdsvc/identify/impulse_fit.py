@@ -16,14 +16,13 @@ from copy import copy
 
 import numpy as np
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import IllConditioned
 from afdsvc.identify.closed_slopes import closed_slopes, differences
 from afdsvc.identify.compression import window_products
-from afdsvc.identify.descent import Local, descend
 from afdsvc.identify.hansen import settling_samples
 from afdsvc.identify.local_coordinates import local_structure
 from afdsvc.identify.noisy_structure import Slopes
-from afdsvc.identify.recordings import Recording
 from afdsvc.identify.structure import Structure
 from afdsvc.identify.sweep import responses, whitening_of
 from afdsvc.lti.coprime import Factorisation
@@ -31,6 +30,7 @@ from afdsvc.lti.lft import star
 from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.yjbk import interconnection
+from afdsvc.stats.levenberg_marquardt import Local, descend
 
 #: What is left of an impulse response where it is cut off.
 FORGOTTEN = 1e-3

@@ -15,13 +15,12 @@ from copy import copy
 
 import numpy as np
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput, IllConditioned
 from afdsvc.identify.closed_slopes import closed_slopes, differences, filtered_slopes
-from afdsvc.identify.descent import Local, Minimum, descend
 from afdsvc.identify.fit import Estimate, Fit
 from afdsvc.identify.innovations import InnovationsForm, fitted_errors
 from afdsvc.identify.noisy_structure import Slopes, require_samplable
-from afdsvc.identify.recordings import Recording
 from afdsvc.identify.structure import Structure
 from afdsvc.identify.sweep import eliminate_state, sweep
 from afdsvc.lti.coprime import Factorisation
@@ -31,6 +30,7 @@ from afdsvc.lti.simulate import simulate
 from afdsvc.lti.stability import is_stable, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.yjbk import deviation_system, interconnection
+from afdsvc.stats.levenberg_marquardt import Local, Minimum, descend
 
 #: Errors smaller than this share of their standard deviation count quadratically in the 1-norm.
 ROUNDED = 0.1

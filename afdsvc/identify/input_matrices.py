@@ -18,8 +18,8 @@ import numpy as np
 from numba import njit
 from scipy import linalg
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.identify.compression import factor_of, join
-from afdsvc.identify.recordings import Recording
 from afdsvc.lti.statespace import Array
 
 _BLOCK = 4096

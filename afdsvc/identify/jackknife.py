@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.identify.fit import ResponseBand
-from afdsvc.identify.recordings import Recording
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import Array, StateSpace
 

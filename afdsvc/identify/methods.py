@@ -8,6 +8,7 @@ from typing import cast
 
 import numpy as np
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.identify.excitation import Excitation, require_excitation, supported_order
 from afdsvc.identify.fit import Fit
@@ -23,7 +24,6 @@ from afdsvc.identify.polish import polish
 from afdsvc.identify.preparation import Prepared
 from afdsvc.identify.presence import answer_p, simulated_order
 from afdsvc.identify.recentred import Noise, fit_recentred
-from afdsvc.identify.recordings import Recording
 from afdsvc.identify.reduction import ReducedPlant, compare_reductions, judged
 from afdsvc.identify.refinement import refine
 from afdsvc.identify.structure import Structure, model_structure

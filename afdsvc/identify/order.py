@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from afdsvc.dataset.arrays import Recording, scaled, scales
 from afdsvc.errors import BadInput
 from afdsvc.identify.compression import compress_groups, compress_size, join, lags, triangle
 from afdsvc.identify.pbsid import decompose_predictor_factor
-from afdsvc.identify.recordings import Recording, scaled, scales
 from afdsvc.lti.statespace import Array
 
 _GROUPS = 10

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from afdsvc.dataset.arrays import Recording, scaled, scales
 from afdsvc.errors import BadInput
 from afdsvc.identify.compression import Route, compress, lags
 from afdsvc.identify.innovations import InnovationsForm
-from afdsvc.identify.recordings import Recording, scaled, scales
 from afdsvc.lti.statespace import Array, StateSpace
 
 

@@ -13,17 +13,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from afdsvc.dataset.arrays import Recording, scaled, scales
 from afdsvc.errors import IllConditioned
-from afdsvc.identify.descent import Local, descend
 from afdsvc.identify.innovations import InnovationsForm, fitted_errors
 from afdsvc.identify.local_coordinates import local_structure
 from afdsvc.identify.noisy_structure import Slopes
-from afdsvc.identify.recordings import Recording, scaled, scales
 from afdsvc.identify.structure import Structure
 from afdsvc.identify.sweep import eliminate_state, sweep, whitening_of
 from afdsvc.lti.reduce import balanced_truncation
 from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.stats.levenberg_marquardt import Local, descend
 
 _ROUNDS = 3
 

@@ -10,11 +10,11 @@ from scipy import linalg
 
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
+from afdsvc.dataset.arrays import Recording, together
+from afdsvc.dataset.rotation import without_rotation
+from afdsvc.dataset.screening import screen
 from afdsvc.errors import BadInput
 from afdsvc.identify.hansen import settling_samples
-from afdsvc.identify.recordings import Recording, together
-from afdsvc.identify.rotation import without_rotation
-from afdsvc.identify.screening import screen
 from afdsvc.identify.structure import model_structure
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.factorise import factorise

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy import linalg, stats
 
-from afdsvc.identify.recordings import Recording
+from afdsvc.dataset.arrays import Recording
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 

@@ -9,23 +9,23 @@ import numpy as np
 
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.identify import methods
 from afdsvc.identify.agreement import Agreement, agreement
 from afdsvc.identify.fit import ResponseBand
 from afdsvc.identify.hansen import loop_is_stable
 from afdsvc.identify.horizon import samples_needed
-from afdsvc.identify.measures import Measures
 from afdsvc.identify.methods import Outcome, omega_grid
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.preparation import Prepared, nominal_plant, prepare
-from afdsvc.identify.recordings import Recording
-from afdsvc.identify.residual_tests import residual_tests
 from afdsvc.identify.result import IdentifyResult, Preview, improved_model
 from afdsvc.identify.undamped import undamped_modes
 from afdsvc.identify.validation import Split, can_be_simulated, heldout_measures, predicted_outputs, split, validated
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
+from afdsvc.stats.fit_measures import Measures
+from afdsvc.stats.portmanteau import residual_tests
 
 #: Probability of calling an open loop closed.
 FEEDBACK_LEVEL = 0.01

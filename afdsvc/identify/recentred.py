@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import IllConditioned
 from afdsvc.identify.fit import Fit
 from afdsvc.identify.hansen import settling_samples, youla_signals
 from afdsvc.identify.indirect import Mismatch, fit_indirect, judged
-from afdsvc.identify.recordings import Recording
 from afdsvc.identify.structure import Structure
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.factorise import factorise

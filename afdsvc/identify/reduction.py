@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.identify.hansen import excited_loop, loop_is_stable
-from afdsvc.identify.recordings import Recording
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.port_exchange import exchange

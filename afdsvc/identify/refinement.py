@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.identify.fit import ResponseBand
 from afdsvc.identify.impulse_fit import approach
 from afdsvc.identify.indirect import Mismatch
 from afdsvc.identify.local_coordinates import local_structure
-from afdsvc.identify.recordings import Recording
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.reduce import balanced_truncation

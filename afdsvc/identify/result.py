@@ -11,9 +11,9 @@ import numpy as np
 from afdsvc.api.model import Model, Quantity, Variable
 from afdsvc.identify.agreement import Agreement
 from afdsvc.identify.fit import Fit, ResponseBand
-from afdsvc.identify.measures import Measures
 from afdsvc.identify.reduction import ReducedPlant
 from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.stats.fit_measures import Measures
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import signal
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
-from afdsvc.identify.recordings import Recording
 from afdsvc.lti.statespace import Array, ComplexArray
 
 

@@ -21,11 +21,11 @@ from typing import Literal
 import numpy as np
 from scipy import linalg
 
+from afdsvc.dataset.arrays import Recording, scaled, scales
 from afdsvc.errors import BadInput
 from afdsvc.identify.compression import Route, compress, lags, triangle
 from afdsvc.identify.innovations import InnovationsForm, noise_model
 from afdsvc.identify.input_matrices import regress_input_matrices
-from afdsvc.identify.recordings import Recording, scaled, scales
 from afdsvc.identify.stable import stable_transition
 from afdsvc.lti.statespace import Array, StateSpace
 

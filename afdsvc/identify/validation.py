@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.identify.fit import Fit
 from afdsvc.identify.hansen import excited_loop
 from afdsvc.identify.innovations import fitted_errors
-from afdsvc.identify.measures import Measures, measures
-from afdsvc.identify.recordings import Recording
-from afdsvc.identify.residual_tests import residual_tests
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.stats.fit_measures import Measures, measures
+from afdsvc.stats.portmanteau import residual_tests
 
 #: Growth of a slightly unstable mode over a recording up to which an open-loop simulation still means something.
 LARGEST_GROWTH = 1e3

@@ -15,9 +15,9 @@ from afdsvc.errors import BadInput
 from afdsvc.gap.nominal import continuous
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.statespace import Array, StateSpace
-from afdsvc.plants.fmi_unit import FmiUnit, describe
-from afdsvc.plants.function_plant import FunctionPlant
-from afdsvc.plants.perturbed import STILL, LinearPart, linear_part
+from afdsvc.plants.stepped.fmi_unit import FmiUnit, describe
+from afdsvc.plants.stepped.function_plant import FunctionPlant
+from afdsvc.plants.stepped.linearise import STILL, LinearPart, linear_part
 from afdsvc.record.model_code import load_code, refuse_code
 from afdsvc.record.model_schema import ModelTable, PerturbationTable
 from afdsvc.record.toml_text import Inline, toml_text

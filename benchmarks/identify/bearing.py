@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from afdsvc.identify.recordings import Recording
+from afdsvc.dataset.arrays import Recording
 from afdsvc.lti.coprime import Factorisation, observer_factorisation
 from afdsvc.lti.riccati import kalman_predictor_gain, lqr
 from afdsvc.lti.simulate import simulate

@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 from page import picture, table, write
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.identify.agreement import relative_error
 from afdsvc.identify.hansen import rebuilt_plant
 from afdsvc.identify.pbsid import decompose_predictor, realise_predictor
-from afdsvc.identify.recordings import Recording
 from afdsvc.identify.reduction import compare_reductions
 from afdsvc.identify.refinement import refine
 from afdsvc.identify.spectral import direct_spectral, indirect_spectral

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from bearing import PLANT, binary
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import AfdsvcError
 from afdsvc.identify.greybox import GreyboxOptions, fit_greybox
 from afdsvc.identify.hansen import excited_loop, rebuilt_plant
 from afdsvc.identify.order import choose_order
-from afdsvc.identify.recordings import Recording
 from afdsvc.identify.reduction import compare_reductions
 from afdsvc.identify.refinement import refine
 from afdsvc.identify.structure import physical_structure

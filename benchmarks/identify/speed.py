@@ -68,7 +68,7 @@ def errors(seed, A, B, C, D):
 
 
 def ours(u, y, horizon, weighting, route):
-    from afdsvc.identify.recordings import Recording
+    from afdsvc.dataset.arrays import Recording
     from afdsvc.identify.subspace import decompose, realise
 
     s = realise(decompose([Recording.of(u, y, 1.0)], horizon, weighting, route), ORDER, feedthrough=False).system
@@ -76,8 +76,8 @@ def ours(u, y, horizon, weighting, route):
 
 
 def pbsid(u, y, horizon):
+    from afdsvc.dataset.arrays import Recording
     from afdsvc.identify.pbsid import decompose_predictor, realise_predictor
-    from afdsvc.identify.recordings import Recording
 
     s = realise_predictor(decompose_predictor([Recording.of(u, y, 1.0)], 3 * horizon), ORDER).system
     return s.A, s.B, s.C, s.D

@@ -11,15 +11,15 @@ import pytest
 
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Channel, Trace
+from afdsvc.dataset.experiment import prepare, repetition
+from afdsvc.dataset.finding import Finding
 from afdsvc.errors import BadInput
 from afdsvc.gap.check import check, insufficient_excitation, objection, one_frequency
-from afdsvc.gap.check_finding import Finding
 from afdsvc.gap.check_information import posterior_sd
 from afdsvc.gap.check_lines import lines
 from afdsvc.gap.explain import explain
 from afdsvc.gap.next_experiment_rivals import first_experiment
 from afdsvc.gap.nominal import nominal
-from afdsvc.gap.runs import prepare, repetition
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.plugins.physics import afdsvc_physics
 from afdsvc.record.model_file import read_model

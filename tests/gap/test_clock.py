@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from afdsvc.dataset.experiment import Run
 from afdsvc.gap.clock import _set
-from afdsvc.gap.lines import tones
-from afdsvc.gap.runs import Run
+from afdsvc.stats.tones import tones
 
 DT, N = 1e-3, 6000
 

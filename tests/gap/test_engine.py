@@ -7,11 +7,11 @@ import pytest
 
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Channel, Trace
+from afdsvc.dataset.experiment import prepare
 from afdsvc.gap.baseline import baseline
 from afdsvc.gap.fit import fit, screen
 from afdsvc.gap.nominal import nominal
 from afdsvc.gap.objective import tangent
-from afdsvc.gap.runs import prepare
 from afdsvc.gap.simulator import Simulator
 from afdsvc.gap.sizes import machine
 from afdsvc.lti.simulate import simulate

@@ -7,12 +7,12 @@ import pytest
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
+from afdsvc.dataset.experiment import prepare
 from afdsvc.gap.baseline import baseline
 from afdsvc.gap.explain import explain
 from afdsvc.gap.forward import seen
 from afdsvc.gap.nominal import nominal
 from afdsvc.gap.objective import Point
-from afdsvc.gap.runs import prepare
 from afdsvc.gap.settle import started
 from afdsvc.gap.simulator import Effect
 from afdsvc.lti.statespace import StateSpace

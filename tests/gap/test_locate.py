@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from afdsvc.dataset.experiment import Run, prepare
 from afdsvc.gap.baseline import Baseline, baseline
 from afdsvc.gap.locate import locate
 from afdsvc.gap.nominal import nominal
-from afdsvc.gap.runs import Run, prepare
 from afdsvc.record.model_file import read_model
 from afdsvc.trial import Options, generate
 from afdsvc.trial.generate import Trial

@@ -7,6 +7,7 @@ import pytest
 from scipy import signal, stats
 
 from afdsvc.api.model import Model
+from afdsvc.dataset.experiment import Run, prepare
 from afdsvc.gap.baseline import baseline
 from afdsvc.gap.locate import locate
 from afdsvc.gap.locate_amplitude import law
@@ -16,12 +17,11 @@ from afdsvc.gap.locate_sweep import push, responses, unwhitened
 from afdsvc.gap.locate_time import loud_span
 from afdsvc.gap.locate_tones import label
 from afdsvc.gap.nominal import nominal
-from afdsvc.gap.runs import Run, prepare
 from afdsvc.gap.simulator import Simulator
-from afdsvc.gap.whitening import fit
 from afdsvc.plants.gas_bearing import gas_bearing
 from afdsvc.record.model_file import read_model
 from afdsvc.record.tables import read_table
+from afdsvc.stats.ar_noise import fit
 
 PERIOD, PERIODS, DT = 1000, 5, 1e-3
 

@@ -10,13 +10,13 @@ from afdsvc.api.bursts import Limits
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.physics import Hypothesis
 from afdsvc.api.signals import Channel, Trace
+from afdsvc.dataset.experiment import prepare
 from afdsvc.gap.baseline import Baseline, baseline
 from afdsvc.gap.fit import apply_shift, fit, screen
 from afdsvc.gap.next_experiment import Contender, next_experiment
 from afdsvc.gap.next_experiment_separation import unlike
 from afdsvc.gap.nominal import nominal
 from afdsvc.gap.objective import tangent
-from afdsvc.gap.runs import prepare
 from afdsvc.gap.settle import full_cost, settle
 from afdsvc.gap.simulator import Effect
 from afdsvc.gap.sizes import machine

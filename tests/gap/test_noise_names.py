@@ -11,15 +11,15 @@ import pytest
 from scipy.signal import lfilter
 
 from afdsvc.api.physics import Size
+from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.periods import fold
 from afdsvc.gap.coloured import coloured, faintly_coloured
 from afdsvc.gap.explain import explain
-from afdsvc.gap.noise import fold
-from afdsvc.gap.repeating import repeated
-from afdsvc.gap.runs import Run
 from afdsvc.gap.stationary import growth
 from afdsvc.gap.stepped import stepped
 from afdsvc.plugins.physics import afdsvc_physics
 from afdsvc.record.model_file import read_model
+from afdsvc.stats.periodic import repeated
 from afdsvc.trial import Options, generate
 from afdsvc.trial.model_text import model_text
 from afdsvc.trial.plan import make_trial, plan

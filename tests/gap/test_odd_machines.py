@@ -12,10 +12,10 @@ import pytest
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
+from afdsvc.dataset.experiment import prepare
 from afdsvc.gap.baseline import Baseline, baseline
 from afdsvc.gap.explain import explain
 from afdsvc.gap.nominal import nominal
-from afdsvc.gap.runs import prepare
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace

@@ -9,11 +9,11 @@ import pytest
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
+from afdsvc.dataset.experiment import prepare
+from afdsvc.dataset.split import split
 from afdsvc.errors import BadInput
 from afdsvc.gap.explain import explain
 from afdsvc.gap.nominal import continuous, nominal
-from afdsvc.gap.runs import prepare
-from afdsvc.gap.split import split
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace

@@ -9,11 +9,11 @@ import pytest
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
+from afdsvc.dataset.experiment import prepare
 from afdsvc.gap.baseline import Baseline, baseline
 from afdsvc.gap.forward import seen
 from afdsvc.gap.nominal import nominal
 from afdsvc.gap.objective import Point, _factor, borrowed, tangent
-from afdsvc.gap.runs import prepare
 from afdsvc.gap.settle import full_cost, settle
 from afdsvc.gap.simulator import Effect
 from afdsvc.lti.sampling import sample_zoh

@@ -10,12 +10,12 @@ from scipy import stats
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
+from afdsvc.dataset.experiment import prepare
 from afdsvc.gap.baseline import Baseline, agitation, baseline
 from afdsvc.gap.explain import explain
 from afdsvc.gap.forward import seen
 from afdsvc.gap.nominal import nominal
 from afdsvc.gap.objective import tangent
-from afdsvc.gap.runs import prepare
 from afdsvc.gap.settle import full_cost
 from afdsvc.gap.simulator import Effect
 from afdsvc.gap.strain import distance, irregular, strained

@@ -11,9 +11,9 @@ import pytest
 
 from afdsvc.gap.explain import _by_heldout
 from afdsvc.gap.explanation import OutputFit
-from afdsvc.gap.repeating import Repeating, Share
 from afdsvc.gap.verdict import Judgement, _absorbed, _explained_by_laws, _too_little
 from afdsvc.gap.verify import Explained
+from afdsvc.stats.periodic import Repeating, Share
 
 
 @pytest.mark.parametrize(("fraction", "sd", "p_left", "withdrawn"), [

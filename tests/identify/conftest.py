@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from afdsvc.identify.recordings import Recording
+from afdsvc.dataset.arrays import Recording
 from afdsvc.lti.coprime import Factorisation, observer_factorisation
 from afdsvc.lti.riccati import kalman_predictor_gain, lqr
 from afdsvc.lti.simulate import simulate

@@ -5,9 +5,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.identify.compression import compress, compress_groups, factor_of, join, lags
-from afdsvc.identify.recordings import Recording
 
 
 def _recordings(seed=0, lengths=(300, 170), m=2, p=1):

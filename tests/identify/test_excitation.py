@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Burst
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.identify.excitation import excitation, needed_order, require_excitation, supported_order
-from afdsvc.identify.recordings import Recording
 
 DT, N = 2e-4, 50_000
 T = np.arange(N) * DT

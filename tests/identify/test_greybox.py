@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.identify.greybox import GreyboxOptions, Likelihood, fit_greybox, greybox_band
-from afdsvc.identify.recordings import Recording
 from afdsvc.identify.structure import Parameter, Structure, physical_structure
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.simulate import simulate

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.identify.hansen import (
     excited_loop,
@@ -16,7 +17,6 @@ from afdsvc.identify.hansen import (
     settling_samples,
     youla_signals,
 )
-from afdsvc.identify.recordings import Recording
 from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.simulate import simulate

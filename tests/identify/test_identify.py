@@ -87,7 +87,7 @@ def test_hansen_finds_the_bearing_from_a_model_that_predicts_nothing(result, bea
 
 
 def test_truth_would_hardly_predict_better(result, run, bearing):
-    from afdsvc.identify.recordings import Recording
+    from afdsvc.dataset.arrays import Recording
     from afdsvc.identify.validation import heldout_measures
 
     trace = run(3, 4000)

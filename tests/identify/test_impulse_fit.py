@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.identify.impulse_fit import ImpulseFit, approach
 from afdsvc.identify.local_coordinates import local_structure
-from afdsvc.identify.recordings import Recording
 from afdsvc.identify.refinement import refine
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.reduce import balanced_truncation

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.identify.greybox import fit_greybox
 from afdsvc.identify.indirect import fit_indirect
-from afdsvc.identify.recordings import Recording
 from afdsvc.identify.structure import Parameter, Structure, physical_structure
 from afdsvc.lti.coprime import observer_factorisation
 from afdsvc.lti.factorise import factorise

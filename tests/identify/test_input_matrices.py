@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.identify.input_matrices import regress_input_matrices
-from afdsvc.identify.recordings import Recording
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
 

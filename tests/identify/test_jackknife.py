@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.identify.fit import ResponseBand
 from afdsvc.identify.jackknife import jackknife_band, without_group
-from afdsvc.identify.recordings import Recording
 from afdsvc.identify.subspace import decompose, realise
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.simulate import simulate

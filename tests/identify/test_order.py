@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.identify.order import choose_order
-from afdsvc.identify.recordings import Recording
 from afdsvc.lti.simulate import simulate
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.identify.pbsid import decompose_predictor, realise_predictor
-from afdsvc.identify.recordings import Recording
 from afdsvc.identify.subspace import decompose, realise
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.simulate import simulate
@@ -57,7 +57,7 @@ def test_unstable_plant_is_found_in_its_loop():
 
 
 def test_gain_makes_the_errors_white_and_of_the_stated_covariance(oscillators):
-    from afdsvc.identify.residual_tests import whiteness
+    from afdsvc.stats.portmanteau import whiteness
 
     system = oscillators(22)
     record = _feedback_record(system, 0.05, 6, 30_000, 0.5, 0.9)

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.identify.innovations import InnovationsForm
 from afdsvc.identify.local_coordinates import local_structure
 from afdsvc.identify.pbsid import decompose_predictor, realise_predictor
 from afdsvc.identify.polish import polish
-from afdsvc.identify.recordings import Recording
-from afdsvc.identify.residual_tests import whiteness
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
+from afdsvc.stats.portmanteau import whiteness
 
 OMEGA = np.linspace(0.05, 3.0, 40)
 

@@ -11,12 +11,12 @@ from scipy import stats
 
 from afdsvc.api.model import Model, Quantity
 from afdsvc.api.signals import Channel, Trace
+from afdsvc.dataset.arrays import Recording
 from afdsvc.identify.hansen import youla_signals
 from afdsvc.identify.indirect import fit_indirect
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.procedure import identify
 from afdsvc.identify.recentred import Noise, fit_recentred
-from afdsvc.identify.recordings import Recording
 from afdsvc.identify.structure import physical_structure
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array

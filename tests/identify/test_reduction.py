@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.identify.hansen import excited_loop, rebuilt_plant
-from afdsvc.identify.recordings import Recording
 from afdsvc.identify.reduction import TRUNCATIONS, compare_reductions, judged
 from afdsvc.identify.refinement import refine
 from afdsvc.lti.factorise import factorise

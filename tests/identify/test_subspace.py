@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
-from afdsvc.identify.recordings import Recording
 from afdsvc.identify.stable import stable_transition
 from afdsvc.identify.subspace import WEIGHTINGS, decompose, realise
 from afdsvc.lti.frequency import frequency_response

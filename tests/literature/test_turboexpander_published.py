@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from afdsvc.dataset.arrays import Recording
 from afdsvc.identify.indirect import fit_indirect
-from afdsvc.identify.recordings import Recording
 from afdsvc.identify.structure import physical_structure
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.sampling import sample_zoh

@@ -10,11 +10,11 @@ import pytest
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.physics import Axis, Hypothesis, Machine, Size
+from afdsvc.dataset.experiment import Run
 from afdsvc.gap.explanation import Estimate, Explanation, Named
 from afdsvc.gap.improved import extended
 from afdsvc.gap.nominal import nominal
 from afdsvc.gap.objective import Point
-from afdsvc.gap.runs import Run
 from afdsvc.gap.simulator import Effect, Simulator
 from afdsvc.identify.structure import model_structure
 from afdsvc.lti.statespace import StateSpace

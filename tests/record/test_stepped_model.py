@@ -7,8 +7,8 @@ from afdsvc.api.signals import Channel, Trace
 from afdsvc.errors import BadInput
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.plants.fmi_unit import UnitDescription
-from afdsvc.plants.unit_comparison import compared
+from afdsvc.plants.stepped.comparison import compared
+from afdsvc.plants.stepped.fmi_unit import UnitDescription
 from afdsvc.record import stepped_model
 from afdsvc.record.linear_model import linear_model
 from afdsvc.record.model_file import model_text, parse_model, read_model

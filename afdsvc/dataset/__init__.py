@@ -1,0 +1,1 @@
+"""Recordings as arrays: experiments, periods, screening, glitches, columns."""

@@ -1,0 +1,105 @@
+"""What was played: which inputs, which band, how many lines, levels and periods, and what that leaves ambiguous."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from afdsvc.api.model import Model
+from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.finding import Finding
+from afdsvc.dataset.periods import fold
+from afdsvc.lti.statespace import Array
+
+LEVELS_APART = 1.2
+SINE = "one frequency"  # the topic of an input that is excited at one or two frequencies only
+LEFT_OVER = 0.02  # of the input's rms: what reconstructing the loop may leave where nothing was added
+EXCITED = 0.1  # amplitude of a line over the largest from which it counts as played
+
+
+@dataclass(frozen=True, slots=True)
+class Played:
+    """What drove one input (or followed a reference) over all recordings: rms per recording, lines of the richest one, band
+    [Hz], whether only odd lines are in it, and the most periods of any."""
+
+    rms: tuple[float, ...]
+    lines: int
+    band: tuple[float, float]
+    odd: bool
+    periods: int
+
+    @property
+    def levels(self) -> int:
+        """How many levels that differ by more than a fifth."""
+        found: list[float] = []
+        for level in sorted(x for x in self.rms if x > 0):
+            if not found or level > LEVELS_APART * found[-1]:
+                found.append(level)
+        return len(found)
+
+
+def excitation(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
+    """Yield one finding per input, and what one frequency alone leaves open."""
+    for i, v in enumerate(model.inputs):
+        p = played(runs, i)
+        if not any(p.rms):
+            yield Finding("warning", "inputs", f"input {v.name} is not excited: what acts on it cannot be told from noise")
+        elif p.lines <= 2 and p.periods > 1:
+            yield Finding(
+                "warning", SINE,
+                f"input {v.name} is excited by {'one sine' if p.lines == 1 else 'two sines'} ({p.band[0]:.4g} Hz) only: delay, lag, "
+                "gain, stiffness and damping are two numbers to it, friction and a dead zone a third harmonic; a multisine would "
+                "tell them apart",
+            )
+        else:
+            yield Finding("ok", "inputs", _told(v.name, v.unit, p))
+
+
+def _told(name: str, unit: str, p: Played) -> str:
+    grid = ", odd ones only" if p.odd else ""
+    what = f"{p.lines} lines from {p.band[0]:.4g} to {p.band[1]:.4g} Hz{grid}, {p.periods} periods" if p.periods > 1 else (
+        f"an excitation that does not repeat, most of it from {p.band[0]:.4g} to {p.band[1]:.4g} Hz"
+    )
+    levels = ", ".join(f"{x:.3g}" for x in p.rms)
+    return f"input {name}: {what}, rms {levels} {unit} ({p.levels} level{'s' if p.levels != 1 else ''})"
+
+
+def played(runs: Sequence[Run], i: int) -> Played:
+    """Return what drove input ``i``: what was added to the controller's output, the reference, or the input itself."""
+    signals = [_driver(r, i) for r in runs]
+    rms = tuple(float(s.std()) for s in signals)
+    top = max(rms)
+    if top == 0:
+        return Played(rms, 0, (0.0, 0.0), False, 0)
+    rms = tuple(x if x > 1e-6 * top else 0.0 for x in rms)
+    loudest = int(np.argmax(rms))
+    lines, band, odd, periods = _spectrum(runs[loudest], signals[loudest])
+    return Played(rms, lines, band, odd, periods)
+
+
+def _driver(run: Run, i: int) -> Array:
+    """Return what moves the input by intent; zeros where only noise comes back through a controller."""
+    u = run.U[:, i] - run.U[:, i].mean()
+    if not run.commanded or run.W is None:
+        return np.asarray(u)
+    added = run.W[:, i] - run.W[:, i].mean()
+    if added.std() > LEFT_OVER * u.std():
+        return np.asarray(added)
+    return np.asarray(u if np.ptp(run.REF, axis=0).max(initial=0.0) > 0 else 0 * u)
+
+
+def _spectrum(run: Run, x: Array) -> tuple[int, tuple[float, float], bool, int]:
+    folded = fold(run, x[:, None])
+    if folded is None:
+        power = np.abs(np.fft.rfft(x)) ** 2
+        share = np.cumsum(power) / max(float(power.sum()), 1e-300)
+        low, high = np.searchsorted(share, [0.01, 0.99])
+        step = 1 / (len(x) * run.dt)
+        return int(high - low + 1), (low * step, high * step), False, 1
+    size = np.abs(np.fft.rfft(folded.mean(0)[:, 0]))[1:]
+    excited = np.flatnonzero(size > EXCITED * max(float(size.max()), 1e-300)) + 1
+    step = 1 / (run.period * run.dt)
+    odd = bool(len(excited) > 2 and (excited % 2 == 1).all())
+    return len(excited), (excited[0] * step, excited[-1] * step), odd, len(run) // run.period

@@ -1,0 +1,215 @@
+"""Recordings made ready for simulation: columns sorted by role and matched to the model, gaps marked, loop reconstructed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from afdsvc.api.model import Model
+from afdsvc.api.signals import Trace
+from afdsvc.dataset.glitches import Glitch, glitches
+from afdsvc.errors import BadInput
+from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.simulate import simulate
+from afdsvc.lti.statespace import Array, StateSpace
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """One recording as arrays: ``U (n, m)``, ``Y (n, p)`` (NaN where missing), ``AUX (n, a)``, ``REF (n, p)``.
+
+    ``W (n, m)`` is what was added to the controller's output, ``u - K (y - ref)``, and exists when the controller is known
+    and the inputs and outputs have no gaps. ``period`` is the number of samples after which the excitation repeats (0 when
+    it does not), ``settled`` the sample from which it does. ``commanded`` says that an excitation ``alpha`` was recorded, so
+    a controller made the input. ``clock`` is the time laws see at the first sample [s]; None: ``t0``. ``glitches`` are the readings of every
+    output that were taken for such, and are missing in ``Y``.
+    """
+
+    name: str
+    dt: float
+    t0: float
+    U: Array
+    Y: Array
+    AUX: Array
+    REF: Array
+    aux: tuple[str, ...]
+    W: Array | None = None
+    period: int = 0
+    settled: int = 0
+    commanded: bool = False
+    clock: float | None = None
+    glitches: tuple[tuple[Glitch, ...], ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.U)
+
+    def span(self, start: int, stop: int) -> Run:
+        """Return some samples as a run of its own; its loop starts with an unknown controller state, so W is dropped."""
+        cut = slice(start, stop)
+        keep = self.W[cut] if self.W is not None and start == 0 else None
+        return Run(
+            self.name, self.dt, self.t0 + start * self.dt, self.U[cut], self.Y[cut], self.AUX[cut], self.REF[cut],
+            self.aux, keep, self.period, max(0, self.settled - start), self.commanded,
+            None if self.clock is None else self.clock + start * self.dt,
+        )
+
+
+def prepare(model: Model, traces: Sequence[Trace]) -> list[Run]:
+    """Return the traces as runs; raises `BadInput` naming the recording and column that are missing or do not fit."""
+    if not traces:
+        raise BadInput("no recording was given; at least one is wanted")
+    rates = {round(t.dt / traces[0].dt, 6) for t in traces}
+    if len(rates) > 1:
+        raise BadInput(
+            f"recordings '{traces[0].name}' and others differ in sample time ({sorted({t.dt for t in traces})} s); "
+            "one sample time is wanted"
+        )
+    labels = tuple(sorted({c.label for t in traces for c in t.channels if c.role == "aux"}))
+    return [_run(model, trace, labels) for trace in traces]
+
+
+def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:
+    U = np.column_stack([_column(trace, f"u_{v.name}") for v in model.inputs])
+    Y = np.column_stack([_column(trace, f"y_{v.name}") for v in model.outputs])
+    n = len(trace)
+    if n < 50:
+        raise BadInput(f"{trace.name}: {n} samples; at least 50 are wanted")
+    if not np.isfinite(U).all():
+        at = int(np.argwhere(~np.isfinite(U).all(1))[0, 0])
+        raise BadInput(f"{trace.name}: an input is missing at sample {at}; inputs without gaps are wanted (cut the recording there)")
+    _check_readings(trace, model, Y)
+    REF = np.column_stack([_optional(trace, f"ref_{v.name}", n) for v in model.outputs])
+    AUX = np.column_stack([np.zeros((n, 0)), *(_optional(trace, f"aux_{a}", n) for a in labels)])
+    drive = _driver(trace, U, REF)
+    period, settled = repetition(drive)
+    u, y, aux, ref = (np.array(a, dtype=np.float64, order="C") for a in (U, Y, AUX, REF))
+    commanded = bool(trace.role("alpha").size)
+    added = _added(model, trace.dt, U, Y, REF)  # the controller saw the glitches
+    alone = tuple(glitches(column, drive, period) for column in y.T)
+    for j, found in enumerate(alone):
+        y[[g.sample for g in found], j] = np.nan
+    return Run(trace.name, trace.dt, trace.t0, u, y, aux, ref, labels, added, period, settled, commanded, glitches=alone)
+
+
+def _check_readings(trace: Trace, model: Model, Y: Array) -> None:
+    for v, y in zip(model.outputs, Y.T, strict=True):
+        if np.isinf(y).any():
+            raise BadInput(f"{trace.name}: y_{v.name} is infinite at sample {int(np.argmax(np.isinf(y)))}; a number, or nan for a gap, is wanted")
+        if not np.isfinite(y).any():
+            raise BadInput(f"{trace.name}: y_{v.name} has no reading at all; recordings with readings of every output are wanted")
+
+
+def _column(trace: Trace, name: str) -> Array:
+    if not trace.has(name):
+        have = ", ".join(c.name for c in trace.channels)
+        raise BadInput(f"{trace.name}: column '{name}' of the model is missing; the recording has {have}")
+    return trace.column(name)
+
+
+def _optional(trace: Trace, name: str, n: int) -> Array:
+    """Return a column with its gaps bridged by straight lines, as the check says; zeros where there is none."""
+    if not trace.has(name):
+        return np.zeros(n)
+    x = trace.column(name)
+    seen = np.isfinite(x)
+    if not seen.any():
+        raise BadInput(f"{trace.name}: {name} has no value at all; leave the column out, or bring recordings that have it")
+    return x if seen.all() else np.interp(np.arange(n), np.flatnonzero(seen), x[seen])
+
+
+def _driver(trace: Trace, U: Array, REF: Array) -> Array:
+    """Return the signal that would show the repetition of the excitation best: alpha, else the reference, else the input."""
+    alpha = np.nan_to_num(trace.role("alpha"))
+    for signal in (alpha, REF):
+        if signal.size and np.ptp(signal, axis=0).max() > 0:
+            return signal
+    return U
+
+
+EXACT = 1e-6  # difference between periods, over the power, of a signal that was computed and not measured
+
+
+def repetition(signal: Array, tolerance: float = 0.02) -> tuple[int, int]:
+    """Return the period in samples of a repeating signal ``(n, channels)`` and the sample from which it repeats; (0, 0) if none.
+
+    A lag counts as a period when what differs over it, with the first quarter of the signal left out, is below
+    ``tolerance`` of the signal's power; the shortest such lag is taken. At least two periods must fit.
+    """
+    x = signal - signal.mean(0)
+    n = len(x)
+    if not np.ptp(x, axis=0).max(initial=0.0) > 0:
+        return 0, 0
+    lags = _candidate_lags(x)
+    for close in (min(EXACT, tolerance), tolerance):
+        for lag in lags:
+            period = _sharpen(x, lag)
+            if _difference(x, period, n // 4) < close and _keeps(x, period, close):
+                return period, _settled(x, period, tolerance)
+    return 0, 0
+
+
+def _candidate_lags(x: Array) -> list[int]:
+    """Return lags at peaks of the unbiased autocorrelation above 0.7, shortest first."""
+    n = len(x)
+    spectrum = (np.abs(np.fft.rfft(x, 2 * n, axis=0)) ** 2).sum(1)
+    ac = np.fft.irfft(spectrum)[:n] / np.arange(n, 0, -1)
+    ac = ac / ac[0]
+    first = int(np.argmax(ac < 0.3)) if (ac < 0.3).any() else n
+    inner = np.arange(max(first, 8), n // 2 + 1)
+    inner = inner[inner < n - 1]
+    peaks = inner[(ac[inner] >= ac[inner - 1]) & (ac[inner] >= ac[inner + 1]) & (ac[inner] > 0.7)]
+    return [int(p) for p in peaks[:400]]
+
+
+def _sharpen(x: Array, lag: int) -> int:
+    """Return the lag within 2 % that the signal repeats best at, by two passes of a finer and finer search."""
+    for width, step in ((max(2, lag // 50), max(1, lag // 500)), (max(2, lag // 500), 1)):
+        near = range(max(2, lag - width), lag + width + 1, step)
+        lag = min(near, key=lambda k: _difference(x, k, len(x) // 4))
+    return lag
+
+
+def _keeps(x: Array, period: int, tolerance: float) -> bool:
+    """Whether the signal still repeats after as many periods as fit: a sine nearly repeats over many a wrong period."""
+    start = len(x) // 4
+    most = (len(x) - start - 64) // period
+    return most < 2 or _difference(x, most * period, start) < 2 * tolerance
+
+
+def _difference(x: Array, lag: int, start: int) -> float:
+    if len(x) - lag - start < 8:
+        return np.inf
+    d = x[start + lag :] - x[start:-lag]
+    return float((d**2).sum() / (2 * (x[start:] ** 2).mean() * d.size + 1e-300))
+
+
+def _settled(x: Array, period: int, tolerance: float) -> int:
+    """Return the first sample after which every eighth of a period equals the one a period later."""
+    block = max(period // 8, 1)
+    last = 0
+    for start in range(0, len(x) - period - block, block):
+        a, b = x[start : start + block], x[start + period : start + period + block]
+        if ((a - b) ** 2).sum() > 4 * tolerance * (x**2).mean() * a.size:
+            last = start + block
+    return last if last < len(x) // 2 else 0
+
+
+def _added(model: Model, dt: float, U: Array, Y: Array, REF: Array) -> Array | None:
+    """Return what was added to the output of the known controller, u - K (y - ref); None when it cannot be told."""
+    if model.controller is None or not np.isfinite(Y).all():
+        return None
+    K = sampled(model.controller, dt)
+    if K is None or K.outputs != U.shape[1] or K.inputs != Y.shape[1]:
+        return None
+    return np.ascontiguousarray(U - simulate(K, Y - REF)[0])
+
+
+def sampled(controller: StateSpace, dt: float) -> StateSpace | None:
+    """Return the controller at the sample time; a continuous one is held; None when its own sample time differs."""
+    if not controller.order:
+        return StateSpace(controller.A, controller.B, controller.C, controller.D, dt)
+    if controller.discrete:
+        return controller if abs(controller.dt / dt - 1) < 1e-6 else None
+    return sample_zoh(controller, dt)

@@ -1,0 +1,1 @@
+"""Finite-element rotors on magnetic bearings, and rotors modelled with ROSS."""

@@ -1,0 +1,1 @@
+"""Simulators that advance step by step: FMI units and Python functions."""

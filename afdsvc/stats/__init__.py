@@ -1,0 +1,1 @@
+"""Statistics shared by all methods: whiteness, periodic parts, tones, coloured noise, least squares."""

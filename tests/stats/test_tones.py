@@ -1,0 +1,79 @@
+"""Tones in what does not repeat: heard in all runs together, and never in noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from afdsvc.dataset.experiment import Run
+from afdsvc.stats.tones import HEARD, _together, tones
+
+DT, PERIOD, PERIODS, OMEGA = 1e-3, 2000, 5, 110.9
+
+
+def run() -> Run:
+    n = PERIOD * PERIODS
+    nothing = np.zeros((n, 1))
+    return Run("r", DT, 0.0, nothing, nothing, np.zeros((n, 0)), nothing, (), period=PERIOD)
+
+
+def noise(rng: np.random.Generator) -> np.ndarray:
+    return rng.standard_normal((PERIOD * PERIODS, 1))
+
+
+def with_tone(rng: np.random.Generator, amplitude: float, omega: float = OMEGA) -> np.ndarray:
+    t = DT * np.arange(PERIOD * PERIODS)
+    return noise(rng) + amplitude * np.sin(omega * t + rng.uniform(0, 2 * np.pi))[:, None]
+
+
+def test_a_weak_tone_is_heard_in_two_runs_where_one_may_miss_it():
+    alone, found = 0, []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        two = [with_tone(rng, 0.12) for _ in range(2)]
+        alone += bool(tones([run()], two[:1]))
+        found += tones([run()] * 2, two)[:1]
+    assert alone <= 24
+    assert len(found) >= 28
+    assert [t.omega for t in found] == pytest.approx([OMEGA] * len(found), abs=np.pi / (PERIOD * PERIODS * DT))
+    assert np.median([t.amplitude for t in found]) == pytest.approx(0.12, rel=0.2)
+
+
+def test_noise_has_no_tones():
+    """Sixty machines of which one in hundreds may say otherwise; what is left of noise where its repeating part was taken out counts."""
+    rng = np.random.default_rng(7)
+    assert sum(bool(tones([run()] * 3, [noise(rng) for _ in range(3)])) for _ in range(60)) <= 1
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_heights_together_are_as_improbable_as_a_single_one_of_that_height(count):
+    """Oracle: the exponential law of one line of white noise, by its median."""
+    rng = np.random.default_rng(count)
+    heights = [np.sqrt(rng.exponential(size=20000) / np.log(2)) for _ in range(count)]
+    assert stats.kstest(np.log(2) * _together(heights) ** 2, "expon").pvalue > 1e-3
+
+
+def test_what_towers_beyond_all_numbers_is_no_infinity():
+    loud = np.array([1e6])
+    assert np.isfinite(_together([loud, loud])[0])
+    assert _together([loud, loud])[0] > 1e6 > HEARD
+
+
+def test_weak_mains_are_heard_beside_a_line_of_the_excitation():
+    """49.95 Hz, a twentieth of a hertz from a line, where other tones are not looked for."""
+    found = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        found += tones([run()] * 2, [with_tone(rng, 0.14, 2 * np.pi * 49.95) for _ in range(2)])[:1]
+    assert len(found) >= 18
+    assert [t.omega for t in found] == pytest.approx([2 * np.pi * 49.95] * len(found), abs=2 * np.pi * 0.06)
+
+
+def test_an_excitation_that_the_model_answers_wrongly_at_every_line_is_no_mains():
+    t = DT * np.arange(PERIOD * PERIODS)
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        lines = np.arange(70, 131, 3)  # of 0.5 Hz, 50 Hz among them
+        left = [noise(rng) + 0.14 * np.sin(2 * np.pi * np.outer(t, lines) / 2 + rng.uniform(0, 6, lines.size)).sum(1)[:, None] for _ in range(2)]
+        assert not tones([run()] * 2, left)
