@@ -10,10 +10,10 @@ from afdsvc import commission
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem, FalseAlarms
 from afdsvc.api.signals import Block
-from afdsvc.detect.curves import FaultCurves, fault_curves
-from afdsvc.detect.demodulate import Basis, BasisSums, project, window
-from afdsvc.detect.reach import reachable
-from afdsvc.detect.regressors import whitener
+from afdsvc.detect.features.demodulation import Basis, BasisSums, project, window
+from afdsvc.detect.features.regressors import whitener
+from afdsvc.detect.stability_range import reachable
+from afdsvc.detect.statistics.fault_curves import FaultCurves, fault_curves
 from afdsvc.errors import AfdsvcError
 from afdsvc.plugins.manager import load
 from afdsvc.record.reader import Recording

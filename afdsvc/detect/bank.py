@@ -17,11 +17,11 @@ from scipy.special import logsumexp
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.hypotheses import Fit
-from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
-from afdsvc.detect.recent import between
-from afdsvc.detect.regressors import predictor_gain, whitener
-from afdsvc.detect.watch import BurstSamples, Finding
+from afdsvc.detect.burst_detector import BurstSamples, Finding
+from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
+from afdsvc.detect.features.quiet_window import between
+from afdsvc.detect.features.regressors import predictor_gain, whitener
+from afdsvc.detect.isolation import Fit
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, StateSpace

@@ -16,8 +16,8 @@ import math
 import numpy as np
 from scipy.optimize import brentq
 
-from afdsvc.detect.maximum import tests_counted
-from afdsvc.detect.power import tail
+from afdsvc.detect.thresholds.maximum import tests_counted
+from afdsvc.detect.thresholds.power import tail
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 

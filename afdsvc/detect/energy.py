@@ -15,8 +15,8 @@ from scipy.special import ndtri
 from scipy.stats import chi2
 
 from afdsvc.api.bursts import Burst
-from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
-from afdsvc.detect.watch import BurstSamples, Finding
+from afdsvc.detect.burst_detector import BurstSamples, Finding
+from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,14 +19,14 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.curves import loop_response
-from afdsvc.detect.demodulate import Basis, BasisSums
-from afdsvc.detect.hypotheses import Fit
-from afdsvc.detect.matched import window
-from afdsvc.detect.nuisances import NONE, Cleaning, Nuisances
-from afdsvc.detect.power import tail_point
-from afdsvc.detect.reach import reachable
-from afdsvc.detect.watch import BurstSamples, Finding
+from afdsvc.detect.burst_detector import BurstSamples, Finding
+from afdsvc.detect.features.demodulation import Basis, BasisSums
+from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
+from afdsvc.detect.isolation import Fit
+from afdsvc.detect.stability_range import reachable
+from afdsvc.detect.statistics.fault_curves import loop_response
+from afdsvc.detect.statistics.matched_filter import window
+from afdsvc.detect.thresholds.power import tail_point
 from afdsvc.errors import BadInput, Refused
 from afdsvc.lti.statespace import ComplexArray
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from afdsvc.detect.gate import Gate
-from afdsvc.detect.nuisances import Nuisances
+from afdsvc.detect.features.nuisances import Nuisances
+from afdsvc.detect.features.whiteness_gate import Gate
 from afdsvc.errors import BadInput
 
 

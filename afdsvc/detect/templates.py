@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.regressors import whitener
+from afdsvc.detect.features.regressors import whitener
 from afdsvc.errors import BadInput
 from afdsvc.lti.lft import star
 from afdsvc.lti.simulate import simulate

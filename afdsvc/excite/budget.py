@@ -12,7 +12,7 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from afdsvc.api.bursts import Limits
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.curves import LoopResponse, loop_response
+from afdsvc.detect.statistics.fault_curves import LoopResponse, loop_response
 from afdsvc.excite.rehearsal import faulty_loop
 from afdsvc.lti.statespace import Array
 

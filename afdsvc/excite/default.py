@@ -18,9 +18,9 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.hypotheses import NONE
-from afdsvc.detect.power import deflection_wanted, separation_wanted
-from afdsvc.detect.residual import decay
+from afdsvc.detect.features.innovations import decay
+from afdsvc.detect.isolation import NONE
+from afdsvc.detect.thresholds.power import deflection_wanted, separation_wanted
 from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.budget import Costs, Room, costs, room
 from afdsvc.excite.powers import candidates

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.curves import LoopResponse, loop_response
-from afdsvc.detect.power import deflection_wanted
-from afdsvc.detect.regressors import whitener
+from afdsvc.detect.features.regressors import whitener
+from afdsvc.detect.statistics.fault_curves import LoopResponse, loop_response
+from afdsvc.detect.thresholds.power import deflection_wanted
 from afdsvc.lti.statespace import Array
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.power import weight_reached
+from afdsvc.detect.thresholds.power import weight_reached
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.excite.default import second_burst
 from afdsvc.excite.prospect import Prospect, burst_prospect

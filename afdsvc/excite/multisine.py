@@ -9,9 +9,9 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.curves import loop_response
-from afdsvc.detect.power import deflection_wanted, separation_wanted
-from afdsvc.detect.residual import decay
+from afdsvc.detect.features.innovations import decay
+from afdsvc.detect.statistics.fault_curves import loop_response
+from afdsvc.detect.thresholds.power import deflection_wanted, separation_wanted
 from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.budget import costs, room
 from afdsvc.excite.crest import low_crest

@@ -19,9 +19,9 @@ from scipy.optimize import linprog
 
 from afdsvc.api.bursts import Line
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.curves import loop_response
-from afdsvc.detect.demodulate import coefficients
-from afdsvc.detect.regressors import whitener
+from afdsvc.detect.features.demodulation import coefficients
+from afdsvc.detect.features.regressors import whitener
+from afdsvc.detect.statistics.fault_curves import loop_response
 from afdsvc.errors import Refused
 from afdsvc.lti.statespace import Array
 

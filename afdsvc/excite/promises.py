@@ -9,11 +9,11 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, FalseAlarms
-from afdsvc.detect import maximum
-from afdsvc.detect.active import ActiveCusum
-from afdsvc.detect.gate import Gate
-from afdsvc.detect.noise_driven import noise_driven
-from afdsvc.detect.passive import passive_detector
+from afdsvc.detect.features.whiteness_gate import Gate
+from afdsvc.detect.statistics.active_cusum import ActiveCusum
+from afdsvc.detect.statistics.passive_cusum import passive_detector
+from afdsvc.detect.thresholds import maximum
+from afdsvc.detect.thresholds.regressor_information import noise_driven
 from afdsvc.excite.prospect import burst_prospect
 
 

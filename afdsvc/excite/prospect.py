@@ -13,12 +13,12 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.curves import FaultCurves, fault_curves
-from afdsvc.detect.hypotheses import LineData, curve_fit
-from afdsvc.detect.line_tests import LargestProjection, LikelihoodRatio, LineTest
-from afdsvc.detect.power import tail
-from afdsvc.detect.reach import reachable
-from afdsvc.detect.uncertainty import Models, model_doubt, models
+from afdsvc.detect.isolation import LineData, curve_fit
+from afdsvc.detect.model_uncertainty import Models, model_doubt, models
+from afdsvc.detect.stability_range import reachable
+from afdsvc.detect.statistics.fault_curves import FaultCurves, fault_curves
+from afdsvc.detect.statistics.line_tests import LargestProjection, LikelihoodRatio, LineTest
+from afdsvc.detect.thresholds.power import tail
 from afdsvc.lti.statespace import Array
 
 

@@ -11,8 +11,8 @@ from scipy.optimize import brentq
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, FalseAlarms
-from afdsvc.detect.curves import loop_response
-from afdsvc.detect.power import pair_confusion
+from afdsvc.detect.statistics.fault_curves import loop_response
+from afdsvc.detect.thresholds.power import pair_confusion
 from afdsvc.excite.budget import costs
 from afdsvc.excite.efficiency import efficiency
 from afdsvc.excite.isolation import isolable_pairs

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.curves import LoopResponse
+from afdsvc.detect.statistics.fault_curves import LoopResponse
 from afdsvc.lti.statespace import Array
 
 INVISIBLE = 1e-9  # gain, as a share of the largest, that is rounding

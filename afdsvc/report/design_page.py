@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.power import detection_probability, pair_confusion, tail
+from afdsvc.detect.thresholds.power import detection_probability, pair_confusion, tail
 from afdsvc.excite.efficiency import efficiency
 from afdsvc.excite.prospect import Prospect, burst_prospect, prospect, steady_samples
 

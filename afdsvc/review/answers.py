@@ -8,7 +8,7 @@ from collections import deque
 import rerun as rr
 
 from afdsvc.api.evidence import Evidence
-from afdsvc.detect.hypotheses import NONE
+from afdsvc.detect.isolation import NONE
 from afdsvc.review import paths
 from afdsvc.review.columns import Columns, at
 from afdsvc.runtime.verdict import Verdict, conclude

@@ -13,9 +13,9 @@ from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, Detector, ResidualBlock
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block
-from afdsvc.detect.gate import Gate
-from afdsvc.detect.noise_model import calibrate_noise
-from afdsvc.detect.residual import ResidualFilter
+from afdsvc.detect.features.innovations import ResidualFilter
+from afdsvc.detect.features.noise_calibration import calibrate_noise
+from afdsvc.detect.features.whiteness_gate import Gate
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.runtime.intake import Expectation, Finding, IntakeState, judge, longest_still

@@ -15,7 +15,7 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.signals import Block, of_role
-from afdsvc.detect.residual import ResidualFilter
+from afdsvc.detect.features.innovations import ResidualFilter
 from afdsvc.runtime.pipeline import LONGEST_SETTLING, Pipeline
 
 log = logging.getLogger(__name__)

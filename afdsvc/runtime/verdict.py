@@ -10,7 +10,7 @@ from itertools import groupby, takewhile
 from scipy.stats import chi2
 
 from afdsvc.api.evidence import Evidence, Severity
-from afdsvc.detect.hypotheses import NONE
+from afdsvc.detect.isolation import NONE
 
 TYPICAL = -0.5  # severity a second burst is made for when the first could not tell any
 

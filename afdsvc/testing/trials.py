@@ -13,9 +13,9 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.regressors import Regressors, regressors
+from afdsvc.detect.burst_detector import BurstSamples
+from afdsvc.detect.features.regressors import Regressors, regressors
 from afdsvc.detect.templates import templates
-from afdsvc.detect.watch import BurstSamples
 from afdsvc.excite.rehearsal import Rehearsal, faulty_loop, played, rehearse
 from afdsvc.lti.lft import star
 from afdsvc.lti.simulate import simulate

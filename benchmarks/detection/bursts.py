@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from machines import Case
 
-from afdsvc.detect.demodulate import Basis
-from afdsvc.detect.matched import window
-from afdsvc.detect.regressors import regressors
-from afdsvc.detect.watch import BurstSamples
+from afdsvc.detect.burst_detector import BurstSamples
+from afdsvc.detect.features.demodulation import Basis
+from afdsvc.detect.features.regressors import regressors
+from afdsvc.detect.statistics.matched_filter import window
 from afdsvc.excite.rehearsal import rehearse
 from afdsvc.lti.statespace import Array
 from afdsvc.testing.trials import Trials, trials

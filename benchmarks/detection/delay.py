@@ -17,9 +17,9 @@ from machines import Case
 from scores import DESIGNS
 
 from afdsvc.api.detection import DetectionProblem, ResidualBlock
-from afdsvc.detect import arl
-from afdsvc.detect.noise_driven import noise_driven
-from afdsvc.detect.regressors import regressors
+from afdsvc.detect.features.regressors import regressors
+from afdsvc.detect.thresholds import average_run_length
+from afdsvc.detect.thresholds.regressor_information import noise_driven
 from afdsvc.excite.rehearsal import faulty_loop
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array
@@ -102,7 +102,7 @@ def known(quiet: Quiet, i: int, severity: float, run_length: float) -> tuple[flo
     healthy = abs(severity) * float(np.sqrt(noise_driven(quiet.problem).passive[i]))
     series = _series(quiet, np.random.default_rng(6), 3000, 60_000, severity)[5000:, 1 + i]
     faulty = abs(severity) * float(np.sqrt(np.mean(np.sum(series**2, axis=1))))
-    delay = arl.run_length(faulty, arl.boundary(healthy, run_length), changed=True)
+    delay = average_run_length.run_length(faulty, average_run_length.boundary(healthy, run_length), changed=True)
     return delay, float(np.log(run_length)) / (faulty**2 / 2)
 
 
@@ -135,7 +135,7 @@ def active_delays(case: Case, fault: str, severities: tuple[float, ...], runs: i
                 samples.append(early.parts["sample"] + 1 if early is not None else np.nan)
         at = np.array(samples)
         mu = abs(severity) * np.sqrt(_active_information(player, fault, severity)[i] / case.burst.samples)
-        best = arl.run_length(mu, arl.burst_boundary(mu, case.burst.samples, case.problem.false_alarms.per_burst), changed=True)
+        best = average_run_length.run_length(mu, average_run_length.burst_boundary(mu, case.burst.samples, case.problem.false_alarms.per_burst), changed=True)
         share_ = float(np.mean(np.isfinite(at)))
         if share_ > 0.05:
             out.active[severity] = (mean(at[np.isfinite(at)] * dt), share_, best * dt)

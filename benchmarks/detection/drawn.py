@@ -28,9 +28,9 @@ from rates_cases import RATES  # noqa: E402
 from rates_counting import Rate, counted, weighted  # noqa: E402
 from scipy.special import logsumexp  # noqa: E402
 
-from afdsvc.detect.noise_driven import noise_driven  # noqa: E402
-from afdsvc.detect.power import tail_point  # noqa: E402
-from afdsvc.detect.reach import reachable  # noqa: E402
+from afdsvc.detect.stability_range import reachable  # noqa: E402
+from afdsvc.detect.thresholds.power import tail_point  # noqa: E402
+from afdsvc.detect.thresholds.regressor_information import noise_driven  # noqa: E402
 from afdsvc.errors import BadInput  # noqa: E402
 from afdsvc.lti.statespace import Array  # noqa: E402
 

@@ -13,7 +13,7 @@ import numpy as np
 from rates_cases import RateCase, short_burst
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.regressors import regressors
+from afdsvc.detect.features.regressors import regressors
 from afdsvc.excite.rehearsal import Rehearsal, played, rehearse
 from afdsvc.lti.lft import AugmentedPlant, FaultDirection, actuator_gain, augment, sensor_gain
 from afdsvc.lti.simulate import simulate

@@ -15,7 +15,7 @@ from numba import njit
 from rates_counting import Rate, weighted
 from rates_sequential import cusum_blocks
 
-from afdsvc.detect.curves import fault_curves
+from afdsvc.detect.statistics.fault_curves import fault_curves
 from afdsvc.lti.statespace import Array
 
 

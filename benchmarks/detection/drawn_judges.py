@@ -13,10 +13,10 @@ from rates_real import coordinates
 from rates_regression import correlation, threshold
 from rates_sequential import cusum_blocks
 
-from afdsvc.detect.noise_driven import noise_driven
-from afdsvc.detect.regression import averaged_out
-from afdsvc.detect.regressors import regressors
-from afdsvc.detect.uncertainty import model_doubt
+from afdsvc.detect.features.regressors import regressors
+from afdsvc.detect.model_uncertainty import model_doubt
+from afdsvc.detect.statistics.regression import averaged_out
+from afdsvc.detect.thresholds.regressor_information import noise_driven
 from afdsvc.lti.statespace import Array
 
 

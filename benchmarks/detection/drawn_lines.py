@@ -14,8 +14,8 @@ from rates_counting import Rate, weighted
 from rates_lines import LINE_DETECTORS, alarm_region
 from scipy.special import logsumexp, ndtr
 
-from afdsvc.detect.curves import fault_curves
-from afdsvc.detect.uncertainty import model_doubt
+from afdsvc.detect.model_uncertainty import model_doubt
+from afdsvc.detect.statistics.fault_curves import fault_curves
 from afdsvc.lti.statespace import Array
 
 SCALES = (1.0, 1.7, 3.0)  # times the stated uncertainty, in equal parts

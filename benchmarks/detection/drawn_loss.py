@@ -10,8 +10,8 @@ from rates_counting import Rate, counted
 from rates_lines import alarm_region
 from scipy.optimize import brentq
 
-from afdsvc.detect.curves import fault_curves
-from afdsvc.detect.reach import reachable
+from afdsvc.detect.stability_range import reachable
+from afdsvc.detect.statistics.fault_curves import fault_curves
 from afdsvc.excite.prospect import Prospect, prospect
 
 RATE = 0.01  # false alarms per burst at which probabilities are compared

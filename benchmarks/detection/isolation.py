@@ -12,9 +12,9 @@ from machines import LOOSE, Case
 from scores import Clairvoyant, line_weights, statistic
 
 from afdsvc.api.bursts import Burst
-from afdsvc.detect.demodulate import BasisSums, project
-from afdsvc.detect.hypotheses import NONE, anything_log_evidence, linear_fit, weights
-from afdsvc.detect.regression import Regression, averaged_out, regression
+from afdsvc.detect.features.demodulation import BasisSums, project
+from afdsvc.detect.isolation import NONE, anything_log_evidence, linear_fit, weights
+from afdsvc.detect.statistics.regression import Regression, averaged_out, regression
 from afdsvc.excite.default import second_burst
 from afdsvc.lti.statespace import Array
 

@@ -29,7 +29,7 @@ from rates_real import Agreement, agreement, passive_agreement, record  # noqa: 
 from rates_regression import REGRESSIONS, regression_rates  # noqa: E402
 from rates_sequential import cusum_rates, passive_rates  # noqa: E402
 
-from afdsvc.detect.regressors import regressors  # noqa: E402
+from afdsvc.detect.features.regressors import regressors  # noqa: E402
 
 SEED, REPEAT = 1, 2  # declared beforehand: the first run, and the one repetition of what fell outside
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,12 +11,12 @@ from rates_cases import RateCase
 from rates_counting import Rate, counted, weighted
 from scipy.special import logsumexp, ndtr
 
-from afdsvc.detect.matched import MatchedFilter
-from afdsvc.detect.power import tail_point
+from afdsvc.detect.model_uncertainty import models
 from afdsvc.detect.published import UNSEEN, PublishedFilter
-from afdsvc.detect.ratio import heights
-from afdsvc.detect.reach import reachable
-from afdsvc.detect.uncertainty import models
+from afdsvc.detect.stability_range import reachable
+from afdsvc.detect.statistics.likelihood_ratio import heights
+from afdsvc.detect.statistics.matched_filter import MatchedFilter
+from afdsvc.detect.thresholds.power import tail_point
 from afdsvc.lti.statespace import Array
 
 PART = 20_000

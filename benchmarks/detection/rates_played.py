@@ -14,11 +14,11 @@ from rates_cases import RATES, RateCase
 from rates_counting import Rate, counted, weighted
 from scipy.special import logsumexp
 
-from afdsvc.detect.noise_driven import noise_driven
-from afdsvc.detect.power import tail_point
-from afdsvc.detect.reach import reachable
-from afdsvc.detect.regressors import Regressors, regressors
-from afdsvc.detect.watch import BurstSamples, Finding
+from afdsvc.detect.burst_detector import BurstSamples, Finding
+from afdsvc.detect.features.regressors import Regressors, regressors
+from afdsvc.detect.stability_range import reachable
+from afdsvc.detect.thresholds.power import tail_point
+from afdsvc.detect.thresholds.regressor_information import noise_driven
 from afdsvc.lti.statespace import Array
 from afdsvc.testing.trials import Trials, trials
 

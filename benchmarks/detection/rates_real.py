@@ -17,7 +17,7 @@ from rates_regression import REGRESSIONS, loop, statistics, threshold
 from rates_sequential import cusum_alarms, passive_alarms, watch
 
 from afdsvc.api.detection import ResidualBlock
-from afdsvc.detect.demodulate import Basis, BasisSums, window
+from afdsvc.detect.features.demodulation import Basis, BasisSums, window
 from afdsvc.excite.rehearsal import Rehearsal, rehearse
 from afdsvc.lti.statespace import Array
 from afdsvc.testing.machines import with_rate

@@ -16,11 +16,11 @@ from rates_cases import RATES, RateCase
 from rates_counting import Rate, counted, weighted
 from rates_loop import advance, drive, read
 
-from afdsvc.detect import maximum
-from afdsvc.detect.noise_driven import NoiseDriven, noise_driven
-from afdsvc.detect.power import tail_point
-from afdsvc.detect.reach import reachable
-from afdsvc.detect.regressors import regressors
+from afdsvc.detect.features.regressors import regressors
+from afdsvc.detect.stability_range import reachable
+from afdsvc.detect.thresholds import maximum
+from afdsvc.detect.thresholds.power import tail_point
+from afdsvc.detect.thresholds.regressor_information import NoiseDriven, noise_driven
 from afdsvc.lti.statespace import Array
 
 REGRESSIONS = ("regression", "iterated_regression")

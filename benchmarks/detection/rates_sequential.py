@@ -16,11 +16,11 @@ from rates_cases import DESIGNS, RATES, RateCase
 from rates_counting import SURE, Rate, kish, weighted
 from rates_loop import advance, drive, gain, read, reflect
 
-from afdsvc.detect.active import _blocks
-from afdsvc.detect.demodulate import window
-from afdsvc.detect.noise_driven import noise_driven
-from afdsvc.detect.passive import PassiveDetector
-from afdsvc.detect.regressors import regressors
+from afdsvc.detect.features.demodulation import window
+from afdsvc.detect.features.regressors import regressors
+from afdsvc.detect.statistics.active_cusum import _blocks
+from afdsvc.detect.statistics.passive_cusum import PassiveDetector
+from afdsvc.detect.thresholds.regressor_information import noise_driven
 from afdsvc.lti.statespace import Array
 from afdsvc.testing.machines import with_rate
 

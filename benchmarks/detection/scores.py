@@ -15,13 +15,13 @@ from bursts import Played, Player
 from scipy.special import logsumexp
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.active import ActiveSums
-from afdsvc.detect.demodulate import BasisSums
-from afdsvc.detect.hypotheses import LineData, anything_log_evidence, curve_fit, weights
-from afdsvc.detect.matched import MatchedFilter
-from afdsvc.detect.power import tail_point
-from afdsvc.detect.reach import reachable
-from afdsvc.detect.regression import Regression, averaged_out, regression
+from afdsvc.detect.features.demodulation import BasisSums
+from afdsvc.detect.isolation import LineData, anything_log_evidence, curve_fit, weights
+from afdsvc.detect.stability_range import reachable
+from afdsvc.detect.statistics.active_cusum import ActiveSums
+from afdsvc.detect.statistics.matched_filter import MatchedFilter
+from afdsvc.detect.statistics.regression import Regression, averaged_out, regression
+from afdsvc.detect.thresholds.power import tail_point
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array
 from afdsvc.lti.whitening import innovations

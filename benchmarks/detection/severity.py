@@ -22,12 +22,12 @@ from severity_page import write  # noqa: E402
 from severity_settings import ITERATED, LINEAR, LINES, SETTINGS, Setting, information  # noqa: E402
 
 from afdsvc.api.detection import DetectionProblem  # noqa: E402
-from afdsvc.detect.demodulate import Basis, BasisSums, project, window  # noqa: E402
-from afdsvc.detect.hypotheses import Fit, curve_fit, linear_fit  # noqa: E402
-from afdsvc.detect.iterated import Iterated, iterated  # noqa: E402
-from afdsvc.detect.reach import reachable  # noqa: E402
-from afdsvc.detect.regressors import regressors  # noqa: E402
-from afdsvc.detect.watch import BurstSamples  # noqa: E402
+from afdsvc.detect.burst_detector import BurstSamples  # noqa: E402
+from afdsvc.detect.features.demodulation import Basis, BasisSums, project, window  # noqa: E402
+from afdsvc.detect.features.regressors import regressors  # noqa: E402
+from afdsvc.detect.isolation import Fit, curve_fit, linear_fit  # noqa: E402
+from afdsvc.detect.stability_range import reachable  # noqa: E402
+from afdsvc.detect.statistics.iterated_regression import Iterated, iterated  # noqa: E402
 from afdsvc.excite.prospect import Prospect, prospect  # noqa: E402
 from afdsvc.lti.statespace import Array  # noqa: E402
 from afdsvc.testing.trials import trials  # noqa: E402

@@ -28,7 +28,7 @@ from afdsvc.api.bursts import Burst
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block
 from afdsvc.commission import Commissioned
-from afdsvc.detect.matched import window
+from afdsvc.detect.statistics.matched_filter import window
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.whitening import innovations

@@ -8,13 +8,13 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 from afdsvc.api.bursts import Line
-from afdsvc.detect import ratio
-from afdsvc.detect.curves import loop_response
-from afdsvc.detect.hypotheses import curve_fit
-from afdsvc.detect.line_tests import LikelihoodRatio
-from afdsvc.detect.power import deflection_wanted, pair_confusion
-from afdsvc.detect.regression import regression
-from afdsvc.detect.regressors import regressors
+from afdsvc.detect.features.regressors import regressors
+from afdsvc.detect.isolation import curve_fit
+from afdsvc.detect.statistics import likelihood_ratio
+from afdsvc.detect.statistics.fault_curves import loop_response
+from afdsvc.detect.statistics.line_tests import LikelihoodRatio
+from afdsvc.detect.statistics.regression import regression
+from afdsvc.detect.thresholds.power import deflection_wanted, pair_confusion
 from afdsvc.excite.default import default_burst
 from afdsvc.excite.efficiency import efficiency, samples_for
 from afdsvc.excite.multisine import Wish, multisine
@@ -97,13 +97,13 @@ def test_power_with_four_faults_is_within_three_hundredths_of_the_average_test(c
 
 def test_the_ratio_on_a_straight_curve_is_the_matched_filter():
     straight = np.linspace(0.1, 12, 60)[:, None] * np.array([0.6, 0.8, 0.0])
-    assert np.sqrt(2 * ratio.threshold(straight, 1e-3)) == pytest.approx(norm.isf(1e-3), abs=0.01)
+    assert np.sqrt(2 * likelihood_ratio.threshold(straight, 1e-3)) == pytest.approx(norm.isf(1e-3), abs=0.01)
 
 
 def test_the_threshold_of_the_ratio_against_simulation():
     rng = np.random.default_rng(6)
     waves = rng.normal(size=(40, 5)) * rng.uniform(0.3, 3.0, size=(40, 1))
-    c = ratio.threshold(waves, 0.01)
+    c = likelihood_ratio.threshold(waves, 0.01)
     z = rng.normal(size=(400_000, 5))
     hits = np.mean((z @ waves.T - 0.5 * np.sum(waves**2, axis=1)).max(axis=1) > c)
     assert hits == pytest.approx(0.01, abs=2.58 * np.sqrt(0.01 / len(z)) + 1e-4)

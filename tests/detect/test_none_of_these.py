@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Limits
-from afdsvc.detect.hypotheses import NONE
-from afdsvc.detect.matched import MatchedFilter
+from afdsvc.detect.isolation import NONE
+from afdsvc.detect.statistics.matched_filter import MatchedFilter
 from afdsvc.excite.default import default_burst
 from afdsvc.testing.machines import unstable_problem
 from afdsvc.testing.trials import trials

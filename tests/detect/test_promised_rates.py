@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Limits
-from afdsvc.detect.active import ActiveCusum
-from afdsvc.detect.matched import MatchedFilter, window
-from afdsvc.detect.noise_driven import noise_driven
-from afdsvc.detect.reach import reachable
-from afdsvc.detect.regression import regression
-from afdsvc.detect.regressors import regressors
-from afdsvc.detect.watch import BurstSamples
+from afdsvc.detect.burst_detector import BurstSamples
+from afdsvc.detect.features.regressors import regressors
+from afdsvc.detect.stability_range import reachable
+from afdsvc.detect.statistics.active_cusum import ActiveCusum
+from afdsvc.detect.statistics.matched_filter import MatchedFilter, window
+from afdsvc.detect.statistics.regression import regression
+from afdsvc.detect.thresholds.regressor_information import noise_driven
 from afdsvc.excite.default import default_burst
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem, with_rate
 from afdsvc.testing.trials import faulty, tilted, trials

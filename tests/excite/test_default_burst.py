@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Limits
-from afdsvc.detect.power import separation_wanted
+from afdsvc.detect.thresholds.power import separation_wanted
 from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.budget import costs, noise_deviations
 from afdsvc.excite.default import Aim, default_burst

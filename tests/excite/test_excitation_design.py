@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Limits, Line
-from afdsvc.detect.curves import loop_response
-from afdsvc.detect.power import deflection_wanted, separation_wanted
+from afdsvc.detect.statistics.fault_curves import loop_response
+from afdsvc.detect.thresholds.power import deflection_wanted, separation_wanted
 from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.crest import _waves, low_crest, peak
 from afdsvc.excite.default import second_burst

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from afdsvc.detect.demodulate import Basis, BasisSums, project
-from afdsvc.detect.hypotheses import LineData, anything_log_evidence, curve_fit, weights
-from afdsvc.detect.matched import window
-from afdsvc.detect.power import weight_reached
-from afdsvc.detect.regressors import whitener
+from afdsvc.detect.features.demodulation import Basis, BasisSums, project
+from afdsvc.detect.features.regressors import whitener
+from afdsvc.detect.isolation import LineData, anything_log_evidence, curve_fit, weights
+from afdsvc.detect.statistics.matched_filter import window
+from afdsvc.detect.thresholds.power import weight_reached
 from afdsvc.excite.default import default_burst, second_burst
 from afdsvc.excite.isolation import NOT_ISOLABLE, isolable_pairs, separation
 from afdsvc.excite.prospect import burst_prospect

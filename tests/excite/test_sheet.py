@@ -8,9 +8,9 @@ import pytest
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import FalseAlarms
-from afdsvc.detect.demodulate import Basis, BasisSums, project
-from afdsvc.detect.matched import window
-from afdsvc.detect.regressors import whitener
+from afdsvc.detect.features.demodulation import Basis, BasisSums, project
+from afdsvc.detect.features.regressors import whitener
+from afdsvc.detect.statistics.matched_filter import window
 from afdsvc.excite.default import default_burst
 from afdsvc.excite.rehearsal import faulty_loop, rehearse
 from afdsvc.excite.sheet import design_sheet

@@ -11,7 +11,7 @@ import math
 
 import pytest
 
-from afdsvc.detect.power import detection_probability, tail_point
+from afdsvc.detect.thresholds.power import detection_probability, tail_point
 
 FALSE_ALARM = 2e-5  # a tenth of the sample time of 0.2 ms
 VARIANCE = 0.11

@@ -71,7 +71,7 @@ def test_amplitude_and_energy_of_the_residual() -> None:
 
 def test_threshold() -> None:
     """gamma = sqrt(sigma^2 nu) Q^-1(1e-4) = 4 with the printed variance 0.14."""
-    from afdsvc.detect.power import tail_point
+    from afdsvc.detect.thresholds.power import tail_point
 
     A0 = EXCITATION * abs(residual("b1", OMEGA))
     assert np.sqrt(0.14 * 200 * A0**2 / 2) * tail_point(1e-4) == pytest.approx(4.0, abs=0.05)
@@ -95,7 +95,7 @@ def test_excitation_frequency_is_the_upper_bound() -> None:
 
 def test_second_fault_is_not_detectable_as_shown() -> None:
     """Figure 0.14b shows a 10 % loss of b2 detected; amplitude 0.06 in noise of variance 0.147 gives P_D below 2 %."""
-    from afdsvc.detect.power import detection_probability
+    from afdsvc.detect.thresholds.power import detection_probability
 
     amplitude = EXCITATION * abs(residual("b2", OMEGA))
     assert amplitude == pytest.approx(0.0605, abs=1e-4)

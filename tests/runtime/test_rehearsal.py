@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from afdsvc import commission
-from afdsvc.detect import active
+from afdsvc.detect.statistics import active_cusum
 from afdsvc.plugins.manager import load
 from afdsvc.runtime.rehearsal import Rehearsals, rehearse
 from afdsvc.runtime.site import parse_site
@@ -34,7 +34,7 @@ def test_the_pipeline_is_not_touched_and_the_design_is_there():
 
 
 def cusum_designs() -> int:
-    return active._planned.cache_info().misses
+    return active_cusum._planned.cache_info().misses
 
 
 def test_what_fails_is_told_and_the_others_are_rehearsed(caplog):

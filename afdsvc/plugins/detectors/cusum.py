@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from afdsvc.api.detection import DetectionProblem, Detector
-from afdsvc.detect.active import ActiveCusum
-from afdsvc.detect.passive import passive_detector
+from afdsvc.detect.burst_detector import burst_detector
 from afdsvc.detect.settings import NUISANCES, Range, gate_of, nuisances_of, read
-from afdsvc.detect.watch import burst_detector
+from afdsvc.detect.statistics.active_cusum import ActiveCusum
+from afdsvc.detect.statistics.passive_cusum import passive_detector
 
 
 class ActiveCusumDesign:

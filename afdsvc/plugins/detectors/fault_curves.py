@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from afdsvc.api.detection import DetectionProblem, Detector
-from afdsvc.detect.matched import MatchedFilter
+from afdsvc.detect.burst_detector import burst_detector
 from afdsvc.detect.settings import NUISANCES, gate_of, nuisances_of, read
-from afdsvc.detect.watch import burst_detector
+from afdsvc.detect.statistics.matched_filter import MatchedFilter
 
 
 class FaultCurvesDesign:

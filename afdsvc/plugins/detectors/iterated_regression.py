@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from afdsvc.api.detection import DetectionProblem, Detector
-from afdsvc.detect.iterated import iterated
-from afdsvc.detect.regressors import regressors
+from afdsvc.detect.burst_detector import burst_detector
+from afdsvc.detect.features.regressors import regressors
 from afdsvc.detect.settings import NUISANCES, gate_of, nuisances_of, read
-from afdsvc.detect.watch import burst_detector
+from afdsvc.detect.statistics.iterated_regression import iterated
 
 
 class IteratedRegressionDesign:

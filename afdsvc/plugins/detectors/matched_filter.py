@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from afdsvc.api.detection import DetectionProblem, Detector
-from afdsvc.detect.matched import MatchedFilter
+from afdsvc.detect.burst_detector import burst_detector
 from afdsvc.detect.settings import NUISANCES, Range, gate_of, nuisances_of, read
-from afdsvc.detect.watch import burst_detector
+from afdsvc.detect.statistics.matched_filter import MatchedFilter
 
 
 class MatchedFilterDesign:

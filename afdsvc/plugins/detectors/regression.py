@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from afdsvc.api.detection import DetectionProblem, Detector
-from afdsvc.detect.regression import regression
-from afdsvc.detect.regressors import regressors
+from afdsvc.detect.burst_detector import burst_detector
+from afdsvc.detect.features.regressors import regressors
+from afdsvc.detect.features.shared_filter import shared
 from afdsvc.detect.settings import NUISANCES, gate_of, nuisances_of, read
-from afdsvc.detect.shared import shared
-from afdsvc.detect.watch import burst_detector
+from afdsvc.detect.statistics.regression import regression
 
 
 class RegressionDesign:

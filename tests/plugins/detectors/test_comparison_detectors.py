@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from afdsvc.detect.bank import bank
+from afdsvc.detect.burst_detector import BurstSamples
 from afdsvc.detect.energy import Energy
-from afdsvc.detect.iterated import iterated
+from afdsvc.detect.features.regressors import regressors
 from afdsvc.detect.published import PublishedFilter
-from afdsvc.detect.regressors import regressors
-from afdsvc.detect.watch import BurstSamples
+from afdsvc.detect.statistics.iterated_regression import iterated
 from afdsvc.excite.rehearsal import faulty_loop, rehearse
 from afdsvc.plants.gas_bearing import gas_bearing
 from afdsvc.plugins.detectors import afdsvc_detectors
@@ -96,7 +96,7 @@ def test_iterated_regression_is_unbiased_where_one_linearisation_is_not(bursts):
     pulls = np.array([(fit.severity - truth) / fit.sd for fit in fits])
     assert abs(pulls.mean()) < 2.58 / np.sqrt(len(pulls)) + 0.3
     assert 0.5 < pulls.std() < 1.7
-    from afdsvc.detect.regression import regression
+    from afdsvc.detect.statistics.regression import regression
 
     ((linear,),) = findings(problem, regression(problem, regressors(problem)), burst, {"stiffness_hh": truth}, [0])
     assert 20 * fits[0].sd < abs(linear.fits[0].severity - truth) < linear.fits[0].sd  # which it says itself
@@ -104,7 +104,7 @@ def test_iterated_regression_is_unbiased_where_one_linearisation_is_not(bursts):
 
 def test_iterated_regression_equals_the_exact_one_for_gain_faults(bursts):
     problem, burst = bursts("lqg", amplitude=0.5)
-    from afdsvc.detect.regression import regression
+    from afdsvc.detect.statistics.regression import regression
 
     settle = 423
     ((again,),) = findings(problem, iterated(problem, settle), burst, {"vertical_actuator": -0.6}, [4])

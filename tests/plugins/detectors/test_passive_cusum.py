@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from afdsvc.detect.arl import run_length
-from afdsvc.detect.noise_driven import noise_driven
-from afdsvc.detect.uneven import excursion_steps
+from afdsvc.detect.thresholds.average_run_length import run_length
+from afdsvc.detect.thresholds.regressor_information import excursion_steps, noise_driven
 from afdsvc.excite.rehearsal import faulty_loop, rehearse
 from afdsvc.plugins.detectors.cusum import PassiveCusumDesign
 from afdsvc.testing.machines import bearing_problem, with_rate

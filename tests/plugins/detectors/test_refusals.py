@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from afdsvc.detect.presence import weakest
+from afdsvc.detect.features.data_checks import weakest
 from afdsvc.errors import BadInput
 from afdsvc.excite.default import default_burst
 from afdsvc.excite.rehearsal import Rehearsal, faulty_loop, played, rehearse

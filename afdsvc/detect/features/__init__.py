@@ -1,0 +1,1 @@
+"""What detectors read from a block: innovations, regressors, demodulated lines, data checks."""

@@ -1,0 +1,1 @@
+"""Test statistics: matched filter, fault curves, regression, CUSUM."""

@@ -1,0 +1,229 @@
+"""CUSUM between bursts: what the loop's own noise gives away about a fault, all the time and without excitation.
+
+The log-likelihood ratios use the regressors psi of `regressors`, advanced in blocks of a few milliseconds from the products
+that all faults share (`shared`, `products`). They gain information at a random rate: the run length is that of uneven
+steps (`uneven`, `arl`), at the mean rate the healthy loop determines, corrected by simulating the loop (`joint_rate`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from afdsvc.api.detection import DetectionProblem, ResidualBlock
+from afdsvc.api.evidence import Evidence
+from afdsvc.detect.burst_detector import Finding, evidence, pieces
+from afdsvc.detect.features.data_checks import Runs
+from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
+from afdsvc.detect.features.quiet_window import NOTHING, Recent
+from afdsvc.detect.features.regressors import regressors
+from afdsvc.detect.features.shared_filter import Filters, shared
+from afdsvc.detect.features.whiteness_gate import Gate, GateState, Judgement, finite
+from afdsvc.detect.statistics.cusum import Cusum, CusumState, cusum
+from afdsvc.detect.thresholds import average_run_length
+from afdsvc.detect.thresholds.cusum_boundary import rate_boundary
+from afdsvc.detect.thresholds.joint_false_alarm_rate import joint_rate
+from afdsvc.detect.thresholds.regressor_information import NoiseDriven, excursion_steps, faulty_information, noise_driven
+from afdsvc.errors import BadInput
+from afdsvc.lti.statespace import Array
+from afdsvc.stats.memo import at_rest, counted, stepped
+
+BLOCK = 1e-3  # seconds between looks at the CUSUMs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PassiveState:
+    """Filters, gate, runs of constant values, CUSUMs, samples to stay silent, whether the gate's doubt was
+    reported, nuisances learnt, and the last quiet samples.
+    """
+
+    filters: Any
+    gate: GateState
+    runs: Runs
+    cusum: CusumState
+    silent: int = 0
+    doubted: bool = False
+    cleaning: Cleaning | None = None
+    recent: Recent = NOTHING
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PassiveDetector:
+    """The detector: CUSUMs ``test`` of the faults ``which (K,)``, samples of silence after an alarm."""
+
+    name: str
+    problem: DetectionProblem
+    filters: Filters
+    gate: Gate
+    which: NDArray[np.intp]
+    test: Cusum
+    silence: int
+    sure: float
+    frozen: int
+    nuisances: Nuisances = NONE
+
+    @property
+    def boundary(self) -> float:
+        """Boundary of the largest CUSUM."""
+        return self.test.boundary
+
+    def delay(self, fault: str, severity: float) -> float:
+        """Return the mean time [s] from a fault's onset to the alarm, its CUSUM being at zero then, which is the worst case.
+
+        From the run length in the faulty loop, which brings less information than the healthy one. Infinite for a fault
+        below half the severity looked for, on which the CUSUM does not grow; raises `BadInput` for one the loop's noise does
+        not show.
+        """
+        shown = [self.problem.fault_names[i] for i in self.which]
+        if fault not in shown:
+            raise BadInput(f"the loop's own noise does not show fault '{fault}'; one of {', '.join(shown)} is wanted")
+        k, block = shown.index(fault), self.test.block
+        theta, noise = float(self.test.severity[k]), noise_driven(self.problem)
+        G = faulty_information(noise, int(self.which[k]), severity) * block
+        if not abs(severity) > abs(theta) / 2:
+            return math.inf
+        step, mu = excursion_steps(noise, self.which[k : k + 1], self.test.severity[k : k + 1], block)[0], abs(theta) * math.sqrt(G)
+        looks = average_run_length.run_length(mu, self.boundary, True, bias=theta * (severity - theta) * G, step=float(step))
+        return looks * block * self.problem.plant.dt
+
+    def start(self) -> PassiveState:
+        """Return the initial state."""
+        p = self.problem.plant.outputs
+        return PassiveState(at_rest(self.filters), self.gate.start(0, p), Runs.start(p), self.test.start(), self.gate.settle)
+
+    def step(self, state: PassiveState, block: ResidualBlock) -> tuple[PassiveState, Sequence[Evidence]]:
+        """Return the state after the block and the alarms and doubts that fell inside it."""
+        found: list[Evidence] = []
+        if block.gap:
+            state = self._restarted(state, "a gap in the samples")
+        for piece in pieces(block):
+            runs, _ = counted(state.runs, piece)
+            filters, series = stepped(self.filters, state.filters, piece)
+            state = replace(state, runs=runs, filters=filters)
+            if not finite(series):
+                state = self._restarted(state, "a sample that is not a finite number")
+            elif piece.burst is None:
+                state = self._quiet(state, piece, series, found)
+            else:
+                state = replace(state, cleaning=None)
+        return state, found
+
+    def _restarted(self, state: PassiveState, because: str) -> PassiveState:
+        return replace(
+            state, filters=at_rest(self.filters), gate=self.gate.restart(state.gate, because),
+            cusum=self.test.start(), silent=self.gate.settle, cleaning=None, recent=NOTHING,
+        )
+
+    def _quiet(self, state: PassiveState, piece: ResidualBlock, series: Array, found: list[Evidence]) -> PassiveState:
+        """Advance over quiet samples, stopping where a gate part is full and where silence or a CUSUM ends."""
+        cleaning, series, kept = self.nuisances.clean(state.cleaning, piece, series, self.gate.part)
+        recent = state.recent.add(piece, self._remembered + len(piece))  # so that a doubt inside it has all it looks at
+        state, index = replace(state, cleaning=cleaning, recent=recent), np.flatnonzero(kept)
+        series = series if len(index) == len(series) else series[kept]
+        t = 0
+        while t < len(series):
+            n = min(len(series) - t, self._to_part(state))
+            chunk, k = series[t : t + n], piece.k0 + index[t : t + n]
+            if state.silent:
+                n = min(n, state.silent)
+                state = replace(state, silent=state.silent - n, gate=self.gate.add(state.gate, chunk[:n, :1]))
+            else:
+                state, n = self._watch(state, chunk, k, piece.dt, found)
+            t += n
+            if self._to_part(state) == self.gate.part and not state.gate.skip:
+                state = self._doubt(state, piece.k0 + int(index[t - 1]), piece.dt, found)
+        return state
+
+    def _watch(
+        self, state: PassiveState, series: Array, k: NDArray[np.intp], dt: float, found: list[Evidence]
+    ) -> tuple[PassiveState, int]:
+        after, at, who = self.test.step(state.cusum, series.reshape(len(series), -1))
+        n = len(series) if at < 0 else at + 1
+        state = replace(state, cusum=after, gate=self.gate.add(state.gate, series[:n, :1]))
+        if at < 0:
+            return state, n
+        found.append(self._alarm(state, who, int(k[at]), dt))
+        return replace(state, cusum=self.test.start(), silent=self.silence), n
+
+    def _alarm(self, state: PassiveState, who: int, k: int, dt: float) -> Evidence:
+        names = [self.problem.fault_names[i] for i in self.which]
+        finding = self.test.finding(state.cusum, who, names, self.problem.severity_range, k)
+        return self._evidence(state, finding, k, dt)
+
+    @property
+    def _remembered(self) -> int:
+        return self.gate.window + self.gate.settle
+
+    def _judgement(self, state: PassiveState, k: int) -> Judgement:
+        found = self.gate.judge(state.gate)
+        if found.ok or found.found is None:
+            return found
+        recent = state.recent.until(k, self._remembered)
+        return recent.explained(self.gate, self.filters, self.nuisances) or found
+
+    def _evidence(self, state: PassiveState, finding: Finding, k: int, dt: float) -> Evidence:
+        judgement = self._judgement(state, k)
+        still = [i for i, run in enumerate(state.runs.length) if run >= self.frozen]
+        complaint = f"sensor '{self._output(still[0])}' stands still" if still else ""
+        return evidence(self.name, self.problem.machine, k, dt, "", finding, judgement, complaint, self.sure)
+
+    def _doubt(self, state: PassiveState, k: int, dt: float, found: list[Evidence]) -> PassiveState:
+        """Say once that the quiet data cannot be trusted, again only after they could be in between."""
+        if state.gate.sums().n < self.gate.needed:
+            return state
+        ok = self._judgement(state, k).ok
+        if not ok and not state.doubted:
+            peak = float(state.cusum.g.max(initial=0.0))
+            found.append(self._evidence(state, Finding(peak, self.boundary), k, dt))
+        return replace(state, doubted=not ok)
+
+    def _to_part(self, state: PassiveState) -> int:
+        """Return the samples until the gate's present part is full."""
+        return state.gate.skip + self.gate.part - state.gate.now.n
+
+    def _output(self, i: int) -> str:
+        names = self.problem.output_names
+        return names[i] if i < len(names) else str(i)
+
+
+def passive_detector(
+    name: str, problem: DetectionProblem, gate: Gate, severity: float, silence_seconds: float, sure: float, frozen: int,
+    nuisances: Nuisances = NONE,
+) -> PassiveDetector:
+    """Return the passive CUSUM; raises `BadInput` when the loop's noise tells nothing about any fault."""
+    known = regressors(problem)
+    noise, filters = noise_driven(problem, known), shared(known)
+    passive = noise.passive[: filters.faults]
+    which = np.flatnonzero(passive > 1e-12 * max(passive.max(initial=0.0), 1e-300))
+    if not len(which):
+        raise BadInput(f"detector '{name}': the loop's own noise shows none of the faults; a burst is wanted for them")
+    theta, block = np.full(len(which), severity), max(1, round(BLOCK / problem.plant.dt))
+    boundary = _boundary(problem, noise, filters, which, theta, block)
+    gate = replace(gate, settle=filters.settling())
+    silence = math.ceil(silence_seconds / problem.plant.dt)
+    test = cusum(filters.theta[which], theta, range(len(which)), block, boundary)
+    return PassiveDetector(name, problem, filters, gate, which, test, silence, sure, frozen, nuisances)
+
+
+def _boundary(
+    problem: DetectionProblem, noise: NoiseDriven, filters: Filters, which: NDArray[np.intp], theta: Array, block: int
+) -> float:
+    """Return the boundary of CUSUMs that look at blocks of samples and alarm as often as promised."""
+    per_block = problem.false_alarms.per_hour * problem.plant.dt / 3600 * block
+    mu = np.abs(theta) * np.sqrt(block * noise.passive[which])
+    wrong = noise.gram[: filters.faults, filters.faults :][which] * filters.sd[None, :]
+    bias = block * np.abs(theta) * np.linalg.norm(wrong, axis=1)
+    step = excursion_steps(noise, which, theta, block)
+    joint = joint_rate(noise, which, theta, block)
+    return rate_boundary(correlation(noise)[np.ix_(which, which)], mu, bias, step, per_block, joint)
+
+
+def correlation(noise: NoiseDriven) -> Array:
+    """Return the correlations of the noise-driven scores of the faults, shape ``(K, K)``."""
+    scale = np.sqrt(np.maximum(np.diag(noise.gram), 1e-300))
+    return np.asarray(noise.gram / np.outer(scale, scale))

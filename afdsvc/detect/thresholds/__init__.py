@@ -1,0 +1,1 @@
+"""Thresholds for promised false-alarm rates, and the power of the tests."""

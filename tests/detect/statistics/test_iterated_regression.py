@@ -1,0 +1,27 @@
+"""The iterated regression's statistic where one step is exact: that of the regression on the samples after settling."""
+
+import numpy as np
+import pytest
+
+from afdsvc.detect.features.regressors import regressors
+from afdsvc.detect.statistics.iterated_regression import iterated
+from afdsvc.detect.thresholds.regressor_information import noise_driven
+from afdsvc.excite.default import default_burst
+from afdsvc.testing.machines import bearing_problem
+from afdsvc.testing.trials import trials
+
+
+def test_bias_and_spread_of_the_signed_root_are_taken_out():
+    problem = bearing_problem("lqg")
+    burst, filters = default_burst(problem, problem.limits, 0.5, 0.4), regressors(problem)
+    source, settle, dt = trials(problem, burst, filters=filters), filters.settling(1e-3), problem.plant.dt
+    statistic = iterated(problem, settle)
+    mean, sd = noise_driven(problem, filters).signed_root(burst.samples - settle, burst)
+    assert np.abs(mean).max() > 0.05  # of a standard deviation: enough to matter
+    for seed in range(4):
+        shown = source.samples(source.noise(seed))
+        series = shown.series[settle:]
+        b, G = (np.einsum("tkp,tkp->k", series[:, 1:], x) for x in (series[:, :1], series[:, 1:]))
+        expected = np.max((np.maximum(-b / np.sqrt(G), 0.0) - mean) / sd)
+        sums, _ = statistic.step(statistic.start(burst, dt), shown)
+        assert statistic.decide(sums, burst, dt)[0].statistic == pytest.approx(expected, abs=0.02)

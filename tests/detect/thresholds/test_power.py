@@ -1,0 +1,61 @@
+"""Detection and isolation probabilities against published figures and simulation."""
+
+import numpy as np
+import pytest
+
+from afdsvc.detect.thresholds import power
+from afdsvc.errors import BadInput
+
+
+def test_published_deflection_for_99_percent_at_one_in_a_million():
+    # Q^-1(1e-6) - Q^-1(0.99) from normal tables: 4.7534 + 2.3263
+    assert power.deflection_wanted(1e-6, 0.99) == pytest.approx(7.07977, abs=1e-4)
+
+
+@pytest.mark.parametrize(("energy", "printed"), [(2.70, 0.801), (3.02, 0.871)])
+def test_probability_printed_in_p3(energy, printed):
+    # thesis, publication P3: variance 0.11, P_FA 2e-5; "80 %" is printed for an energy of 2.70
+    assert power.detection_probability(2e-5, np.sqrt(energy / 0.11)) == pytest.approx(printed, abs=2e-3)
+
+
+def test_detection_probability_matches_simulation():
+    z = np.random.default_rng(1).normal(size=400_000)
+    found = np.mean(z + 3.0 > power.tail_point(1e-2))
+    assert power.detection_probability(1e-2, 3.0) == pytest.approx(found, abs=4 * 0.5 / 630)
+
+
+def test_unknown_phase_costs_power_and_keeps_the_rate():
+    assert power.unknown_phase(1e-4, 1e-9) == pytest.approx(1e-4, rel=1e-6)
+    # published comparison at d = 5, P_FA = 1e-4: known phase 0.8999, I/Q detector 0.7930
+    assert power.detection_probability(1e-4, 5.0) == pytest.approx(0.8999, abs=1e-4)
+    assert power.unknown_phase(1e-4, 5.0) == pytest.approx(0.7930, abs=1e-4)
+
+
+def test_weights_of_two_hypotheses_match_simulation():
+    rng, s, n = np.random.default_rng(2), 3.0, 400_000
+    ratio = rng.normal(s**2 / 2, s, n)
+    bound = np.log(0.99 / 0.01)
+    assert power.weight_reached(s, 0.99) == pytest.approx(np.mean(ratio > bound), abs=0.003)
+    assert power.falsely_sure(s, 0.99) == pytest.approx(np.mean(ratio < -bound), abs=2e-4)
+
+
+def test_falsely_sure_is_never_above_its_stated_maximum():
+    worst = max(power.falsely_sure(s, 0.99) for s in np.linspace(0.1, 30, 3000))
+    assert worst <= power.tail(np.sqrt(2 * np.log(99))) * (1 + 1e-9)
+    assert worst < 0.0013
+
+
+def test_separation_wanted_inverts_weight_reached():
+    s = power.separation_wanted(0.99, 0.999)
+    assert power.weight_reached(s, 0.99) == pytest.approx(0.999, abs=1e-9)
+
+
+def test_samples_grow_with_the_square_of_the_deflection_wanted():
+    assert power.samples_wanted(1e-6, 0.99, 0.1) == pytest.approx((7.079772 / 0.1) ** 2, rel=1e-6)
+    assert power.samples_wanted(1e-6, 0.99, 0.0) == np.inf
+
+
+@pytest.mark.parametrize("probability", [0.0, 1.0, -0.1, float("nan")])
+def test_impossible_probabilities_are_named(probability):
+    with pytest.raises(BadInput, match="between 0 and 1"):
+        power.detection_probability(probability, 1.0)
