@@ -13,8 +13,8 @@ from afdsvc.api.detection import FalseAlarms
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
-from afdsvc.excite.default import Aim, default_burst
-from afdsvc.excite.sheet import design_sheet
+from afdsvc.excite.design_sheet import design_sheet
+from afdsvc.excite.diagnosis_burst import Aim, default_burst
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.procedure import identify
 from afdsvc.plugins.manager import load

@@ -20,7 +20,7 @@ from afdsvc.api.clock import Clock
 from afdsvc.api.detection import DetectionProblem, FalseAlarms
 from afdsvc.commission import Commissioned
 from afdsvc.errors import BadInput
-from afdsvc.excite.default import Aim, default_burst, second_burst
+from afdsvc.excite.diagnosis_burst import Aim, default_burst, second_burst
 from afdsvc.outlets import Outlets, open_outboxes
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.runtime import commands

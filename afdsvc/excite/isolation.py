@@ -10,8 +10,8 @@ from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.thresholds.power import weight_reached
 from afdsvc.errors import AfdsvcError, Refused
-from afdsvc.excite.default import second_burst
-from afdsvc.excite.prospect import Prospect, burst_prospect
+from afdsvc.excite.diagnosis_burst import second_burst
+from afdsvc.excite.expected_detection import Prospect, burst_prospect
 
 WEIGHT = 0.99  # posterior weight that singles a fault out
 CERTAINTY = 0.99  # probability of that weight which counts as "isolated"

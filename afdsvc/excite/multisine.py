@@ -13,11 +13,11 @@ from afdsvc.detect.features.innovations import decay
 from afdsvc.detect.statistics.fault_curves import loop_response
 from afdsvc.detect.thresholds.power import deflection_wanted, separation_wanted
 from afdsvc.errors import BadInput, Refused
-from afdsvc.excite.budget import costs, room
+from afdsvc.excite.amplitude_budget import costs, room
 from afdsvc.excite.crest import low_crest
-from afdsvc.excite.powers import Allocation, Candidates, allocate, candidates
-from afdsvc.excite.prospect import prospect
-from afdsvc.excite.rehearsal import faulty_loop
+from afdsvc.excite.expected_detection import prospect
+from afdsvc.excite.power_allocation import Allocation, Candidates, allocate, candidates
+from afdsvc.excite.simulated_burst import faulty_loop
 from afdsvc.lti.statespace import Array
 
 FREQUENCIES = 200

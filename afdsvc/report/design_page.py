@@ -15,7 +15,7 @@ from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.thresholds.power import detection_probability, pair_confusion, tail
 from afdsvc.excite.efficiency import efficiency
-from afdsvc.excite.prospect import Prospect, burst_prospect, prospect, steady_samples
+from afdsvc.excite.expected_detection import Prospect, burst_prospect, prospect, steady_samples
 
 COLOURS = ("#1b6ca8", "#c8553d", "#588157", "#7b4b94", "#c29200", "#3a3a3a", "#008b8b", "#a0522d")
 
@@ -24,7 +24,7 @@ Units = tuple[Sequence[str], Sequence[str]]
 
 
 def design_page(problem: DetectionProblem, burst: Burst, sheet: Mapping[str, Any], units: Units = ((), ())) -> str:
-    """Return the page for a burst and the document `afdsvc.excite.sheet.design_sheet` made of it.
+    """Return the page for a burst and the document `afdsvc.excite.design_sheet.design_sheet` made of it.
 
     ``units`` are those of inputs and outputs, in the order of the problem's names.
     """

@@ -16,7 +16,7 @@ from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.burst_detector import BurstSamples
 from afdsvc.detect.features.regressors import Regressors, regressors
 from afdsvc.detect.templates import templates
-from afdsvc.excite.rehearsal import Rehearsal, faulty_loop, played, rehearse
+from afdsvc.excite.simulated_burst import Rehearsal, faulty_loop, played, rehearse
 from afdsvc.lti.lft import star
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace

@@ -12,7 +12,7 @@ from afdsvc.detect.burst_detector import BurstSamples
 from afdsvc.detect.features.demodulation import Basis
 from afdsvc.detect.features.regressors import regressors
 from afdsvc.detect.statistics.matched_filter import window
-from afdsvc.excite.rehearsal import rehearse
+from afdsvc.excite.simulated_burst import rehearse
 from afdsvc.lti.statespace import Array
 from afdsvc.testing.trials import Trials, trials
 

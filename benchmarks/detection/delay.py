@@ -20,7 +20,7 @@ from afdsvc.api.detection import DetectionProblem, ResidualBlock
 from afdsvc.detect.features.regressors import regressors
 from afdsvc.detect.thresholds import average_run_length
 from afdsvc.detect.thresholds.regressor_information import noise_driven
-from afdsvc.excite.rehearsal import faulty_loop
+from afdsvc.excite.simulated_burst import faulty_loop
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array
 from afdsvc.testing.machines import with_rate

@@ -14,7 +14,7 @@ from rates_cases import RateCase, short_burst
 
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.features.regressors import regressors
-from afdsvc.excite.rehearsal import Rehearsal, played, rehearse
+from afdsvc.excite.simulated_burst import Rehearsal, played, rehearse
 from afdsvc.lti.lft import AugmentedPlant, FaultDirection, actuator_gain, augment, sensor_gain
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace

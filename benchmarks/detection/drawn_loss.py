@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.statistics.fault_curves import fault_curves
-from afdsvc.excite.prospect import Prospect, prospect
+from afdsvc.excite.expected_detection import Prospect, prospect
 
 RATE = 0.01  # false alarms per burst at which probabilities are compared
 WANTED = 0.9  # probability of detection of the severity looked at, were the model certain

@@ -15,7 +15,7 @@ from afdsvc.api.bursts import Burst
 from afdsvc.detect.features.demodulation import BasisSums, project
 from afdsvc.detect.isolation import NONE, anything_log_evidence, linear_fit, weights
 from afdsvc.detect.statistics.regression import Regression, averaged_out, regression
-from afdsvc.excite.default import second_burst
+from afdsvc.excite.diagnosis_burst import second_burst
 from afdsvc.lti.statespace import Array
 
 SURE = 0.99

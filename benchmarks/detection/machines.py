@@ -8,7 +8,7 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst, Limits
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.excite.default import default_burst
+from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.testing.machines import bearing_problem, unstable_problem, with_rate
 
 RATE = 0.01  # false alarms per burst at which powers are compared

@@ -10,7 +10,7 @@ import numpy as np
 from afdsvc.api.bursts import Burst, Limits
 from afdsvc.api.detection import DetectionProblem, DetectorDesign
 from afdsvc.detect.features.demodulation import Basis, BasisSums, window
-from afdsvc.excite.default import default_burst
+from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.plugins.detectors import afdsvc_detectors
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem, with_rate
 

@@ -18,7 +18,7 @@ from rates_sequential import cusum_alarms, passive_alarms, watch
 
 from afdsvc.api.detection import ResidualBlock
 from afdsvc.detect.features.demodulation import Basis, BasisSums, window
-from afdsvc.excite.rehearsal import Rehearsal, rehearse
+from afdsvc.excite.simulated_burst import Rehearsal, rehearse
 from afdsvc.lti.statespace import Array
 from afdsvc.testing.machines import with_rate
 from afdsvc.testing.trials import trials

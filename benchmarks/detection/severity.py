@@ -28,7 +28,7 @@ from afdsvc.detect.features.regressors import regressors  # noqa: E402
 from afdsvc.detect.isolation import Fit, curve_fit, linear_fit  # noqa: E402
 from afdsvc.detect.stability_range import reachable  # noqa: E402
 from afdsvc.detect.statistics.iterated_regression import Iterated, iterated  # noqa: E402
-from afdsvc.excite.prospect import Prospect, prospect  # noqa: E402
+from afdsvc.excite.expected_detection import Prospect, prospect  # noqa: E402
 from afdsvc.lti.statespace import Array  # noqa: E402
 from afdsvc.testing.trials import trials  # noqa: E402
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst, Limits
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.excite.default import default_burst
+from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array
 from afdsvc.plants.gas_bearing import gas_bearing

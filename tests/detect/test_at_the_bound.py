@@ -15,11 +15,11 @@ from afdsvc.detect.statistics.fault_curves import loop_response
 from afdsvc.detect.statistics.line_tests import LikelihoodRatio
 from afdsvc.detect.statistics.regression import regression
 from afdsvc.detect.thresholds.power import deflection_wanted, pair_confusion
-from afdsvc.excite.default import default_burst
+from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.excite.efficiency import efficiency, samples_for
+from afdsvc.excite.expected_detection import burst_prospect, prospect
 from afdsvc.excite.multisine import Wish, multisine
-from afdsvc.excite.powers import allocate, candidates
-from afdsvc.excite.prospect import burst_prospect, prospect
+from afdsvc.excite.power_allocation import allocate, candidates
 from afdsvc.lti.lft import actuator_gain, augment
 from afdsvc.testing.machines import bearing_problem, with_rate
 from afdsvc.testing.trials import trials

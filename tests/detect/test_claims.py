@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from afdsvc.excite.rehearsal import rehearse
+from afdsvc.excite.simulated_burst import rehearse
 from afdsvc.plugins.detectors import PassiveCusumDesign
 from afdsvc.testing.machines import bearing_problem
 

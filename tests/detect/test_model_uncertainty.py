@@ -17,9 +17,9 @@ from afdsvc.detect.statistics.matched_filter import MatchedFilter
 from afdsvc.detect.statistics.regression import averaged_out, regression
 from afdsvc.detect.uncertain_parameters import uncertain_parameters
 from afdsvc.errors import BadInput
-from afdsvc.excite.default import default_burst
-from afdsvc.excite.prospect import burst_prospect, prospect
-from afdsvc.excite.rehearsal import faulty_loop, played, rehearse
+from afdsvc.excite.diagnosis_burst import default_burst
+from afdsvc.excite.expected_detection import burst_prospect, prospect
+from afdsvc.excite.simulated_burst import faulty_loop, played, rehearse
 from afdsvc.plants.gas_bearing import gas_bearing
 from afdsvc.plants.unstable_second_order import unstable_second_order
 from afdsvc.testing.machines import bearing_problem, unstable_problem, with_rate

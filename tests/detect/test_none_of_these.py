@@ -8,7 +8,7 @@ import pytest
 from afdsvc.api.bursts import Limits
 from afdsvc.detect.isolation import NONE
 from afdsvc.detect.statistics.matched_filter import MatchedFilter
-from afdsvc.excite.default import default_burst
+from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.testing.machines import unstable_problem
 from afdsvc.testing.trials import trials
 

@@ -13,7 +13,7 @@ from afdsvc.detect.statistics.active_cusum import ActiveCusum
 from afdsvc.detect.statistics.matched_filter import MatchedFilter, window
 from afdsvc.detect.statistics.regression import regression
 from afdsvc.detect.thresholds.regressor_information import noise_driven
-from afdsvc.excite.default import default_burst
+from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem, with_rate
 from afdsvc.testing.trials import faulty, tilted, trials
 

@@ -6,7 +6,7 @@ import pytest
 
 from afdsvc.detect.published import PublishedFilter
 from afdsvc.errors import Refused
-from afdsvc.excite.default import default_burst
+from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.testing.machines import bearing_problem
 
 

@@ -51,7 +51,7 @@ def test_every_detector_works_or_says_why_at_total_loss(name):
 def test_the_bound_of_an_early_decision_covers_the_truth(severity):
     from afdsvc.detect.burst_detector import BOUND
     from afdsvc.detect.features.regressors import regressors
-    from afdsvc.excite.default import default_burst
+    from afdsvc.excite.diagnosis_burst import default_burst
     from afdsvc.testing.machines import bearing_problem
 
     problem = bearing_problem("proportional")

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from afdsvc.excite.default import default_burst
-from afdsvc.excite.rehearsal import played, rehearse
+from afdsvc.excite.diagnosis_burst import default_burst
+from afdsvc.excite.simulated_burst import played, rehearse
 from afdsvc.plugins.detectors import afdsvc_detectors
 from afdsvc.testing.machines import bearing_problem
 from afdsvc.testing.streaming import many_faults, work

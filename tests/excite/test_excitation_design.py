@@ -12,11 +12,11 @@ from afdsvc.detect.statistics.fault_curves import loop_response
 from afdsvc.detect.thresholds.power import deflection_wanted, separation_wanted
 from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.crest import _waves, low_crest, peak
-from afdsvc.excite.default import second_burst
+from afdsvc.excite.diagnosis_burst import second_burst
 from afdsvc.excite.efficiency import efficiency, samples_for
+from afdsvc.excite.expected_detection import burst_prospect, prospect, steady_samples
 from afdsvc.excite.multisine import Wish, multisine, shortest
-from afdsvc.excite.powers import allocate, candidates
-from afdsvc.excite.prospect import burst_prospect, prospect, steady_samples
+from afdsvc.excite.power_allocation import allocate, candidates
 from afdsvc.testing.machines import bearing_problem, unstable_problem
 
 DT = 2e-4

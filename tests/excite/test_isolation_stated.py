@@ -10,10 +10,10 @@ from afdsvc.detect.features.regressors import whitener
 from afdsvc.detect.isolation import LineData, anything_log_evidence, curve_fit, weights
 from afdsvc.detect.statistics.matched_filter import window
 from afdsvc.detect.thresholds.power import weight_reached
-from afdsvc.excite.default import default_burst, second_burst
+from afdsvc.excite.diagnosis_burst import default_burst, second_burst
+from afdsvc.excite.expected_detection import burst_prospect
 from afdsvc.excite.isolation import NOT_ISOLABLE, isolable_pairs, separation
-from afdsvc.excite.prospect import burst_prospect
-from afdsvc.excite.rehearsal import faulty_loop, rehearse
+from afdsvc.excite.simulated_burst import faulty_loop, rehearse
 from afdsvc.testing.machines import bearing_problem
 
 PAIR = ("horizontal_actuator", "horizontal_sensor")

@@ -7,8 +7,8 @@ import pytest
 
 from afdsvc.api.bursts import Limits
 from afdsvc.api.detection import DetectionProblem, FalseAlarms
-from afdsvc.excite.default import Aim, default_burst
-from afdsvc.excite.rehearsal import played, rehearse
+from afdsvc.excite.diagnosis_burst import Aim, default_burst
+from afdsvc.excite.simulated_burst import played, rehearse
 from afdsvc.lti.whitening import innovations, whitening_filter
 from afdsvc.plants.amb_turboexpander import NOISE_SD, amb_turboexpander
 from afdsvc.plugins.controllers.lqg import Lqg

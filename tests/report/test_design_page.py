@@ -3,8 +3,8 @@
 from html.parser import HTMLParser
 
 from afdsvc.api.detection import FalseAlarms
-from afdsvc.excite.default import default_burst
-from afdsvc.excite.sheet import design_sheet
+from afdsvc.excite.design_sheet import design_sheet
+from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.report.design_page import design_page
 from afdsvc.testing.machines import bearing_problem
 

@@ -12,8 +12,8 @@ import numpy as np
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, Detector, ResidualBlock
 from afdsvc.api.evidence import Evidence
-from afdsvc.excite.default import default_burst
-from afdsvc.excite.rehearsal import Rehearsal, played, rehearse
+from afdsvc.excite.diagnosis_burst import default_burst
+from afdsvc.excite.simulated_burst import Rehearsal, played, rehearse
 from afdsvc.testing.conformance.named import refuses_nonsense
 from afdsvc.testing.machines import bearing_problem
 

@@ -6,7 +6,7 @@ import pytest
 from afdsvc.detect.features.regressors import regressors, whitener
 from afdsvc.detect.thresholds.regressor_information import noise_driven
 from afdsvc.errors import BadInput
-from afdsvc.excite.rehearsal import faulty_loop, rehearse
+from afdsvc.excite.simulated_burst import faulty_loop, rehearse
 from afdsvc.testing.machines import bearing_problem, unstable_problem
 
 

@@ -10,8 +10,8 @@ from afdsvc.detect.features.regressors import regressors
 from afdsvc.detect.features.shared_filter import SharedRegressors, shared
 from afdsvc.detect.features.sums import Products
 from afdsvc.detect.statistics.regression import regression
-from afdsvc.excite.default import default_burst
-from afdsvc.excite.rehearsal import played, rehearse
+from afdsvc.excite.diagnosis_burst import default_burst
+from afdsvc.excite.simulated_burst import played, rehearse
 from afdsvc.lti.lft import FaultDirection, augment
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem
 from afdsvc.testing.streaming import many_faults

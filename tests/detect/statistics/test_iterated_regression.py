@@ -6,7 +6,7 @@ import pytest
 from afdsvc.detect.features.regressors import regressors
 from afdsvc.detect.statistics.iterated_regression import iterated
 from afdsvc.detect.thresholds.regressor_information import noise_driven
-from afdsvc.excite.default import default_burst
+from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.testing.machines import bearing_problem
 from afdsvc.testing.trials import trials
 

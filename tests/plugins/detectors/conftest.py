@@ -8,8 +8,8 @@ import pytest
 
 from afdsvc.api.detection import DetectionProblem, Detector
 from afdsvc.api.evidence import Evidence
-from afdsvc.excite.default import default_burst
-from afdsvc.excite.rehearsal import Rehearsal, played, rehearse
+from afdsvc.excite.diagnosis_burst import default_burst
+from afdsvc.excite.simulated_burst import Rehearsal, played, rehearse
 from afdsvc.testing.machines import bearing_problem
 
 QUIET = 3000  # samples before the burst

@@ -11,7 +11,7 @@ from afdsvc.detect.energy import Energy
 from afdsvc.detect.features.regressors import regressors
 from afdsvc.detect.published import PublishedFilter
 from afdsvc.detect.statistics.iterated_regression import iterated
-from afdsvc.excite.rehearsal import faulty_loop, rehearse
+from afdsvc.excite.simulated_burst import faulty_loop, rehearse
 from afdsvc.plants.gas_bearing import gas_bearing
 from afdsvc.plugins.detectors import afdsvc_detectors
 from afdsvc.testing.machines import bearing_problem, unstable_problem, with_rate

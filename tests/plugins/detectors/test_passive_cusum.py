@@ -7,7 +7,7 @@ import pytest
 
 from afdsvc.detect.thresholds.average_run_length import run_length
 from afdsvc.detect.thresholds.regressor_information import excursion_steps, noise_driven
-from afdsvc.excite.rehearsal import faulty_loop, rehearse
+from afdsvc.excite.simulated_burst import faulty_loop, rehearse
 from afdsvc.plugins.detectors.cusum import PassiveCusumDesign
 from afdsvc.testing.machines import bearing_problem, with_rate
 

@@ -7,8 +7,8 @@ import pytest
 
 from afdsvc.detect.features.data_checks import weakest
 from afdsvc.errors import BadInput
-from afdsvc.excite.default import default_burst
-from afdsvc.excite.rehearsal import Rehearsal, faulty_loop, played, rehearse
+from afdsvc.excite.diagnosis_burst import default_burst
+from afdsvc.excite.simulated_burst import Rehearsal, faulty_loop, played, rehearse
 from afdsvc.lti.simulate import simulate
 from afdsvc.plugins.detectors import afdsvc_detectors
 from afdsvc.testing.machines import bearing_problem

@@ -7,8 +7,8 @@ import pytest
 
 from afdsvc.api.bursts import Limits
 from afdsvc.api.detection import DetectionProblem, FalseAlarms
-from afdsvc.excite.default import Aim, default_burst
-from afdsvc.excite.rehearsal import Rehearsal, played
+from afdsvc.excite.diagnosis_burst import Aim, default_burst
+from afdsvc.excite.simulated_burst import Rehearsal, played
 from afdsvc.lti.lft import star
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace

@@ -8,10 +8,10 @@ import pytest
 from afdsvc.api.bursts import Limits
 from afdsvc.detect.thresholds.power import separation_wanted
 from afdsvc.errors import BadInput, Refused
-from afdsvc.excite.budget import costs, noise_deviations
-from afdsvc.excite.default import Aim, default_burst
-from afdsvc.excite.prospect import burst_prospect, steady_samples
-from afdsvc.excite.rehearsal import faulty_loop, rehearse
+from afdsvc.excite.amplitude_budget import costs, noise_deviations
+from afdsvc.excite.diagnosis_burst import Aim, default_burst
+from afdsvc.excite.expected_detection import burst_prospect, steady_samples
+from afdsvc.excite.simulated_burst import faulty_loop, rehearse
 from afdsvc.testing.machines import bearing_problem, unstable_problem
 
 CASES = [("proportional", 0), ("proportional", 1100), ("lqg", 0), ("lqg", 1100)]

@@ -22,10 +22,10 @@ from afdsvc.detect.features.innovations import decay
 from afdsvc.detect.isolation import NONE
 from afdsvc.detect.thresholds.power import deflection_wanted, separation_wanted
 from afdsvc.errors import BadInput, Refused
-from afdsvc.excite.budget import Costs, Room, costs, room
-from afdsvc.excite.powers import candidates
-from afdsvc.excite.prospect import Prospect, burst_prospect
-from afdsvc.excite.rehearsal import faulty_loop
+from afdsvc.excite.amplitude_budget import Costs, Room, costs, room
+from afdsvc.excite.expected_detection import Prospect, burst_prospect
+from afdsvc.excite.power_allocation import candidates
+from afdsvc.excite.simulated_burst import faulty_loop
 from afdsvc.lti.statespace import Array
 
 RAMP = 0.05  # share of the burst that each ramp takes

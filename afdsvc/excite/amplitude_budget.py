@@ -13,7 +13,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from afdsvc.api.bursts import Limits
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.statistics.fault_curves import LoopResponse, loop_response
-from afdsvc.excite.rehearsal import faulty_loop
+from afdsvc.excite.simulated_burst import faulty_loop
 from afdsvc.lti.statespace import Array
 
 SEVERITIES = (-0.25, -0.5, -0.75, -1.0)

@@ -11,9 +11,9 @@ from afdsvc.api.detection import FalseAlarms
 from afdsvc.detect.features.demodulation import Basis, BasisSums, project
 from afdsvc.detect.features.regressors import whitener
 from afdsvc.detect.statistics.matched_filter import window
-from afdsvc.excite.default import default_burst
-from afdsvc.excite.rehearsal import faulty_loop, rehearse
-from afdsvc.excite.sheet import design_sheet
+from afdsvc.excite.design_sheet import design_sheet
+from afdsvc.excite.diagnosis_burst import default_burst
+from afdsvc.excite.simulated_burst import faulty_loop, rehearse
 from afdsvc.lti.lft import FaultDirection, augment
 from afdsvc.testing.machines import bearing_problem
 
@@ -64,7 +64,7 @@ def standard_scores(problem, burst, severities, runs, seed):
 
 def test_simulation_agrees_with_the_probability_of_detection(small):
     problem, burst, sheet = small
-    from afdsvc.excite.prospect import burst_prospect
+    from afdsvc.excite.expected_detection import burst_prospect
 
     seen, h = burst_prospect(problem, burst), sheet["thresholds"]["matched_filter"]
     for fault, severity in (("horizontal_actuator", -0.1), ("vertical_sensor", -0.1)):
@@ -101,7 +101,7 @@ def test_what_the_burst_cannot_separate_is_said_beforehand(small):
 
 def test_the_smallest_detectable_loss_is_detected_with_99_per_cent(small):
     problem, burst, sheet = small
-    from afdsvc.excite.prospect import burst_prospect
+    from afdsvc.excite.expected_detection import burst_prospect
 
     seen = burst_prospect(problem, burst)
     for f in sheet["faults"]:

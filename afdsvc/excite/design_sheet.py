@@ -13,12 +13,12 @@ from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, FalseAlarms
 from afdsvc.detect.statistics.fault_curves import loop_response
 from afdsvc.detect.thresholds.power import pair_confusion
-from afdsvc.excite.budget import costs
+from afdsvc.excite.amplitude_budget import costs
 from afdsvc.excite.efficiency import efficiency
+from afdsvc.excite.expected_detection import Prospect, burst_prospect
 from afdsvc.excite.isolation import isolable_pairs
-from afdsvc.excite.promises import alarms_per_hour, thresholds
-from afdsvc.excite.prospect import Prospect, burst_prospect
-from afdsvc.excite.visibility import blind_pairs, unseen
+from afdsvc.excite.observability import blind_pairs, unseen
+from afdsvc.excite.promised_rates import alarms_per_hour, thresholds
 
 SEVERITIES = (-0.1, -0.25, -0.5, -1.0)
 DETECTED = 0.99  # probability that counts as "detectable"

@@ -14,7 +14,7 @@ from afdsvc.detect.statistics.active_cusum import ActiveCusum
 from afdsvc.detect.statistics.passive_cusum import passive_detector
 from afdsvc.detect.thresholds import maximum
 from afdsvc.detect.thresholds.regressor_information import noise_driven
-from afdsvc.excite.prospect import burst_prospect
+from afdsvc.excite.expected_detection import burst_prospect
 
 
 def thresholds(problem: DetectionProblem, burst: Burst, alarms: Mapping[str, FalseAlarms]) -> dict[str, float]:
