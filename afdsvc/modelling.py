@@ -16,7 +16,7 @@ from afdsvc.errors import BadInput
 from afdsvc.excite.design_sheet import design_sheet
 from afdsvc.excite.diagnosis_burst import Aim, default_burst
 from afdsvc.identify.options import IdentifyOptions
-from afdsvc.identify.procedure import identify
+from afdsvc.identify.pipeline import identify
 from afdsvc.plugins.manager import load
 from afdsvc.record.foreign import prepared
 from afdsvc.record.loading import Naming, load_traces

@@ -8,7 +8,7 @@ and modified), `greybox` (prediction error, physical parameters), `indirect` (th
 
 from afdsvc.identify.fit import Estimate, Fit, ResponseBand
 from afdsvc.identify.options import IdentifyOptions
-from afdsvc.identify.procedure import identify
+from afdsvc.identify.pipeline import identify
 from afdsvc.identify.result import IdentifyResult
 
 __all__ = ["Estimate", "Fit", "IdentifyOptions", "IdentifyResult", "ResponseBand", "identify"]

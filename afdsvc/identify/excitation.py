@@ -17,7 +17,7 @@ from scipy import linalg
 
 from afdsvc.dataset.arrays import Recording, scaled, scales
 from afdsvc.errors import BadInput
-from afdsvc.identify.compression import compress_size, factor_of
+from afdsvc.identify.numerics.compression import compress_size, factor_of
 from afdsvc.lti.statespace import Array
 
 #: Power of a spectral bin, relative to the strongest, above which it counts as excited.

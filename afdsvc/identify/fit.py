@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import stats
 
-from afdsvc.identify.innovations import InnovationsForm
+from afdsvc.identify.numerics.innovations_form import InnovationsForm
 from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
 from afdsvc.stats.fit_measures import Measures
 from afdsvc.stats.portmanteau import ResidualTests

@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from afdsvc.errors import BadInput
+from afdsvc.identify.methods.subspace import WEIGHTINGS
 from afdsvc.identify.reduction import TRUNCATIONS
-from afdsvc.identify.subspace import WEIGHTINGS
 
 METHODS = ("auto", "hansen", "subspace", "pbsid", "pem", "greybox", "indirect")
 

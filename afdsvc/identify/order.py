@@ -4,6 +4,15 @@ The recordings are cut into groups. For every group the reduced-rank predictor o
 further state lowers (or raises) the error of the outputs to come, weighted by their covariance. The order is the
 smallest whose mean loss is within one standard error of the best (the one-standard-error rule of cross-validation).
 Nothing is assumed about the noise; disturbance modes count, as they must (they are part of the predictor).
+
+How far subspace methods look back and ahead.
+
+Is there anything to identify, although windows left out do not call for a state?
+
+Leaving windows out weighs what the past tells of future outputs once the future inputs are known. A deviation that
+answers a broad input at once and is buried in noise then goes unseen. The regression of the outputs on the inputs of
+the last samples sees it: an F test says whether there is an answer at all, and the orders compete by the error of their
+simulation with the Bayesian information criterion (G. Schwarz, Annals of Statistics 6, 1978).
 """
 
 from __future__ import annotations
@@ -12,13 +21,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, stats
 
 from afdsvc.dataset.arrays import Recording, scaled, scales
 from afdsvc.errors import BadInput
-from afdsvc.identify.compression import compress_groups, compress_size, join, lags, triangle
-from afdsvc.identify.pbsid import decompose_predictor_factor
-from afdsvc.lti.statespace import Array
+from afdsvc.identify.methods.pbsid import decompose_predictor_factor
+from afdsvc.identify.numerics.compression import compress_groups, compress_size, join, lags, triangle
+from afdsvc.lti.simulate import simulate
+from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
 
 _GROUPS = 10
 
@@ -113,3 +123,73 @@ def _one_standard_error(loss: Array) -> OrderChoice:
         "groups of windows left out"
     )
     return OrderChoice(order, mean, error, sentence)
+
+
+SHORTEST, LONGEST = 15, 60
+#: Windows wanted for every entry of a window.
+_WINDOWS_PER_ENTRY = 4
+
+
+def choose_horizon(recordings: Sequence[Recording], slowest: float, windows: int = 2) -> int:
+    """Return block rows that cover the slowest time constant (in samples), as far as the recordings allow.
+
+    ``windows`` is 2 for past and future of equal length, 1 for a past window only. Between `SHORTEST` and `LONGEST`
+    (times two for a past window only), fewer when the recordings are short.
+    """
+    channels = recordings[0].u.shape[1] + recordings[0].y.shape[1]
+    samples = sum(map(len, recordings))
+    affordable = samples // (windows * (_WINDOWS_PER_ENTRY * channels + 1))
+    longest = LONGEST * (2 if windows == 1 else 1)
+    return int(max(4, min(np.clip(np.ceil(slowest), SHORTEST, longest), affordable)))
+
+
+def memory(poles: ComplexArray) -> float:
+    """Return the slowest time constant of discrete poles, in samples."""
+    radius = float(np.abs(poles).max(initial=0.0))
+    return float(-1 / np.log(np.clip(radius, 1e-6, 1 - 1e-6)))
+
+
+def samples_needed(inputs: int, outputs: int, order: int) -> int:
+    """Return how many samples are the least for a model of some order: windows for the smallest horizon that shows
+    it."""
+    horizon = max(SHORTEST, -(-order // outputs) + 2)
+    return 2 * horizon * (_WINDOWS_PER_ENTRY * (inputs + outputs) + 1)
+
+
+def answer_p(recordings: Sequence[Recording], memory: int = 40) -> float:
+    """Return the p-value of "no output answers to any input of the last ``memory`` samples" (Bonferroni over
+    outputs)."""
+    U = np.vstack([_lagged(r.u, memory) for r in recordings])
+    Y = np.vstack([r.y[memory - 1 :] - r.y.mean(axis=0) for r in recordings])
+    predicted = U @ linalg.lstsq(U, Y)[0]
+    k, rest = U.shape[1], len(U) - U.shape[1]
+    if rest < k:
+        return 1.0
+    F = ((predicted**2).sum(axis=0) / k) / (((Y - predicted) ** 2).sum(axis=0) / rest)
+    return float(min(1.0, Y.shape[1] * stats.f(k, rest).sf(F).min()))
+
+
+def simulated_order(
+    recordings: Sequence[Recording], system_of: Callable[[int], StateSpace], largest: int
+) -> tuple[int, float]:
+    """Return the order from 0 to ``largest`` with the smallest criterion of its simulation, and its lead over order
+    0."""
+    criteria = [_criterion(recordings, None)]
+    criteria += [_criterion(recordings, system_of(n)) for n in range(1, largest + 1)]
+    best = int(np.argmin(criteria))
+    return best, float(criteria[0] - criteria[best])
+
+
+def _criterion(recordings: Sequence[Recording], system: StateSpace | None) -> float:
+    """Return ``N log det(error covariance) + d log N``; an order that cannot be simulated is out."""
+    errors = np.vstack([r.y if system is None else r.y - simulate(system, r.u)[0] for r in recordings])
+    if not np.isfinite(errors).all():
+        return float("inf")
+    d = 0 if system is None else system.order * (system.inputs + system.outputs) + system.inputs * system.outputs
+    return float(len(errors) * np.linalg.slogdet(errors.T @ errors / len(errors))[1] + d * np.log(len(errors)))
+
+
+def _lagged(u: Array, memory: int) -> Array:
+    """Return rows ``[u_k, u_k-1, ...]`` for every k with a full memory, shape ``(n - memory + 1, memory * m)``."""
+    windows = np.lib.stride_tricks.sliding_window_view(u, memory, axis=0)
+    return np.asarray(windows.reshape(len(windows), -1))

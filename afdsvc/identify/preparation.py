@@ -14,8 +14,8 @@ from afdsvc.dataset.arrays import Recording, together
 from afdsvc.dataset.rotation import without_rotation
 from afdsvc.dataset.screening import screen
 from afdsvc.errors import BadInput
-from afdsvc.identify.hansen import settling_samples
-from afdsvc.identify.structure import model_structure
+from afdsvc.identify.methods.hansen import settling_samples
+from afdsvc.identify.parameters.structure import model_structure
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.factorise import factorise
 from afdsvc.lti.sampling import sample_zoh

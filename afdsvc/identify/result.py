@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from afdsvc.api.model import Model, Quantity, Variable
-from afdsvc.identify.agreement import Agreement
 from afdsvc.identify.fit import Fit, ResponseBand
 from afdsvc.identify.reduction import ReducedPlant
+from afdsvc.identify.validation import Agreement
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.stats.fit_measures import Measures
 

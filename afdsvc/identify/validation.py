@@ -1,4 +1,12 @@
-"""Judging a model on recordings it has not seen."""
+"""Judging a model on recordings it has not seen.
+
+Do two independent routes to the same plant agree?
+
+Modes that look like a periodic disturbance taken for dynamics.
+
+The orbit of an unbalanced rotor, or mains hum, is predictable without any input. An order chosen from the data then
+makes room for an undamped mode, which draws the disturbance from its initial state and is no property of the plant.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +17,13 @@ import numpy as np
 
 from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
-from afdsvc.identify.fit import Fit
-from afdsvc.identify.hansen import excited_loop
-from afdsvc.identify.innovations import fitted_errors
+from afdsvc.identify.fit import Fit, ResponseBand
+from afdsvc.identify.methods.hansen import excited_loop
+from afdsvc.identify.numerics.innovations_form import fitted_errors
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
-from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
 from afdsvc.stats.fit_measures import Measures, measures
 from afdsvc.stats.portmanteau import residual_tests
 
@@ -94,3 +102,63 @@ def validated(
     tests = residual_tests(errors, np.vstack([r.u for r in centred]))
     per_output: Mapping[str, Measures] = dict(zip(names, found, strict=True))
     return replace(fit, heldout=per_output, tests=tests)
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """Two frequency responses against each other.
+
+    ``relative`` is the median over frequency of ``|G1 - G2| / |G1|`` (spectral norms); ``deviations`` the median
+    distance in combined standard deviations (about 0.8 expected when only noise separates them, far above 2 when one is
+    biased).
+    """
+
+    relative: float
+    deviations: float
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        verdict = (
+            "agree within their uncertainty"
+            if self.deviations < 2
+            else "differ by more than their uncertainty: do not trust either"
+        )
+        return (
+            f"the two routes differ by {100 * self.relative:.2g} % ({self.deviations:.2g} standard "
+            f"deviations): they {verdict}"
+        )
+
+
+def agreement(first: ResponseBand, second: ResponseBand) -> Agreement:
+    """Return how well two responses on the same frequencies agree."""
+    relative = np.linalg.norm(first.value - second.value, ord=2, axis=(1, 2)) / np.linalg.norm(
+        first.value, ord=2, axis=(1, 2)
+    )
+    spread = np.sqrt(first.sd**2 + second.sd**2)
+    distance = np.abs(first.value - second.value) / np.where(spread > 0, spread, np.inf)
+    return Agreement(float(np.median(relative)), float(np.median(distance)))
+
+
+def relative_error(found: ComplexArray, truth: ComplexArray) -> float:
+    """Return the median over frequency of ``|found - truth| / |truth|`` in spectral norms."""
+    return float(
+        np.median(np.linalg.norm(found - truth, ord=2, axis=(1, 2)) / np.linalg.norm(truth, ord=2, axis=(1, 2)))
+    )
+
+
+#: Relative damping below which a mode counts as undamped, and how near in frequency a nominal one excuses it.
+LEAST_DAMPING, NEIGHBOURHOOD = 0.01, 0.2
+
+
+def undamped_modes(found: StateSpace, nominal: StateSpace) -> list[float]:
+    """Return the frequencies [Hz] of undamped modes of a discrete system that the nominal one does not have nearby."""
+    known = _undamped(nominal, 2 * LEAST_DAMPING)
+    new = [w for w in _undamped(found, LEAST_DAMPING) if not (np.abs(known - w) < NEIGHBOURHOOD * w).any()]
+    return [float(w / (2 * np.pi)) for w in new]
+
+
+def _undamped(system: StateSpace, least: float) -> Array:
+    poles = system.poles().astype(np.complex128)
+    rates = np.log(poles[(np.abs(poles) > 0) & (poles.imag > 0)]) / system.dt
+    return np.asarray(np.abs(rates[np.abs(rates.real) < least * np.abs(rates)]))

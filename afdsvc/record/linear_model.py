@@ -8,7 +8,7 @@ import numpy as np
 
 from afdsvc.api.model import Model
 from afdsvc.errors import BadInput
-from afdsvc.identify.structure import model_structure
+from afdsvc.identify.parameters.structure import model_structure
 from afdsvc.lti.statespace import Array, StateSpace
 
 STEP = 1e-3  # of a standard deviation, for the slopes of the entries

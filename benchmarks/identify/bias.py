@@ -12,13 +12,12 @@ from matplotlib.ticker import NullFormatter
 from page import picture, table, write
 
 from afdsvc.dataset.arrays import Recording
-from afdsvc.identify.agreement import relative_error
-from afdsvc.identify.hansen import rebuilt_plant
-from afdsvc.identify.pbsid import decompose_predictor, realise_predictor
-from afdsvc.identify.reduction import compare_reductions
-from afdsvc.identify.refinement import refine
+from afdsvc.identify.methods.hansen import rebuilt_plant
+from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
+from afdsvc.identify.methods.subspace import decompose, realise
+from afdsvc.identify.reduction import compare_reductions, refine
 from afdsvc.identify.spectral import direct_spectral, indirect_spectral
-from afdsvc.identify.subspace import decompose, realise
+from afdsvc.identify.validation import relative_error
 from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace

@@ -7,13 +7,12 @@ from bearing import PLANT, binary
 
 from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import AfdsvcError
-from afdsvc.identify.greybox import GreyboxOptions, fit_greybox
-from afdsvc.identify.hansen import excited_loop, rebuilt_plant
+from afdsvc.identify.methods.greybox import GreyboxOptions, fit_greybox
+from afdsvc.identify.methods.hansen import excited_loop, rebuilt_plant
+from afdsvc.identify.methods.subspace import decompose, realise
 from afdsvc.identify.order import choose_order
-from afdsvc.identify.reduction import compare_reductions
-from afdsvc.identify.refinement import refine
-from afdsvc.identify.structure import physical_structure
-from afdsvc.identify.subspace import decompose, realise
+from afdsvc.identify.parameters.structure import physical_structure
+from afdsvc.identify.reduction import compare_reductions, refine
 from afdsvc.identify.validation import heldout_measures
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.sampling import sample_zoh

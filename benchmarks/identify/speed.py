@@ -69,7 +69,7 @@ def errors(seed, A, B, C, D):
 
 def ours(u, y, horizon, weighting, route):
     from afdsvc.dataset.arrays import Recording
-    from afdsvc.identify.subspace import decompose, realise
+    from afdsvc.identify.methods.subspace import decompose, realise
 
     s = realise(decompose([Recording.of(u, y, 1.0)], horizon, weighting, route), ORDER, feedthrough=False).system
     return s.A, s.B, s.C, s.D
@@ -77,7 +77,7 @@ def ours(u, y, horizon, weighting, route):
 
 def pbsid(u, y, horizon):
     from afdsvc.dataset.arrays import Recording
-    from afdsvc.identify.pbsid import decompose_predictor, realise_predictor
+    from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
 
     s = realise_predictor(decompose_predictor([Recording.of(u, y, 1.0)], 3 * horizon), ORDER).system
     return s.A, s.B, s.C, s.D

@@ -17,8 +17,8 @@ from page import table, write  # noqa: E402
 from scipy import stats  # noqa: E402
 
 from afdsvc.dataset.arrays import Recording  # noqa: E402
-from afdsvc.identify.greybox import fit_greybox  # noqa: E402
-from afdsvc.identify.structure import physical_structure  # noqa: E402
+from afdsvc.identify.methods.greybox import fit_greybox  # noqa: E402
+from afdsvc.identify.parameters.structure import physical_structure  # noqa: E402
 from afdsvc.lti.simulate import simulate  # noqa: E402
 from afdsvc.lti.statespace import StateSpace  # noqa: E402
 

@@ -19,7 +19,7 @@ from page import table, write  # noqa: E402
 
 from afdsvc.api.plant import PhysicalPlant  # noqa: E402
 from afdsvc.dataset.arrays import Recording  # noqa: E402
-from afdsvc.identify.hansen import youla_signals  # noqa: E402
+from afdsvc.identify.methods.hansen import youla_signals  # noqa: E402
 from afdsvc.lti.coprime import Factorisation  # noqa: E402
 from afdsvc.lti.sampling import sample_zoh  # noqa: E402
 from afdsvc.lti.simulate import simulate  # noqa: E402

@@ -20,7 +20,7 @@ from loop import full_plant, record, without_rotation
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.identify.options import IdentifyOptions
-from afdsvc.identify.procedure import identify
+from afdsvc.identify.pipeline import identify
 from afdsvc.identify.result import IdentifyResult
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace

@@ -17,9 +17,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from loop import full_plant, record, without_rotation
 
 from afdsvc.dataset.arrays import Recording
-from afdsvc.identify.indirect import fit_indirect
-from afdsvc.identify.recentred import Noise, fit_recentred
-from afdsvc.identify.structure import physical_structure
+from afdsvc.identify.methods.indirect import fit_indirect
+from afdsvc.identify.methods.repeated_indirect import Noise, fit_recentred
+from afdsvc.identify.parameters.structure import physical_structure
 from afdsvc.plants.amb_turboexpander import amb_turboexpander
 from afdsvc.plugins.controllers.lqg import Lqg
 

@@ -5,9 +5,8 @@ import pytest
 
 from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
-from afdsvc.identify.hansen import excited_loop, rebuilt_plant
-from afdsvc.identify.reduction import TRUNCATIONS, compare_reductions, judged
-from afdsvc.identify.refinement import refine
+from afdsvc.identify.methods.hansen import excited_loop, rebuilt_plant
+from afdsvc.identify.reduction import TRUNCATIONS, compare_reductions, judged, refine
 from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace

@@ -5,7 +5,7 @@ import pytest
 
 from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
-from afdsvc.identify.impulse_fit import approach
+from afdsvc.identify.numerics.impulse_fit import approach
 from afdsvc.identify.spectral import direct_spectral, indirect_spectral
 from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response

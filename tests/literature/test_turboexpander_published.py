@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from afdsvc.dataset.arrays import Recording
-from afdsvc.identify.indirect import fit_indirect
-from afdsvc.identify.structure import physical_structure
+from afdsvc.identify.methods.indirect import fit_indirect
+from afdsvc.identify.parameters.structure import physical_structure
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate

@@ -16,7 +16,7 @@ from afdsvc.gap.improved import extended
 from afdsvc.gap.nominal import nominal
 from afdsvc.gap.objective import Point
 from afdsvc.gap.simulator import Effect, Simulator
-from afdsvc.identify.structure import model_structure
+from afdsvc.identify.parameters.structure import model_structure
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import afdsvc_physics
 from afdsvc.record.improved_model import write_improved

@@ -1,0 +1,1 @@
+"""Identification methods: Hansen scheme, subspace, predictor-based subspace, grey box, indirect."""

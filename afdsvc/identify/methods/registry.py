@@ -1,0 +1,337 @@
+"""Each method as a function from a prepared problem to a fit; the same steps in the same order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from afdsvc.dataset.arrays import Recording
+from afdsvc.errors import BadInput
+from afdsvc.identify.excitation import Excitation, require_excitation, supported_order
+from afdsvc.identify.fit import Fit
+from afdsvc.identify.methods.black_box_pem import polish
+from afdsvc.identify.methods.greybox import GreyboxOptions, fit_greybox, greybox_band
+from afdsvc.identify.methods.hansen import rebuilt_plant, youla_signals
+from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
+from afdsvc.identify.methods.repeated_indirect import Noise, fit_recentred
+from afdsvc.identify.methods.subspace import Subspace, Weighting, decompose, realise
+from afdsvc.identify.numerics.innovations_form import InnovationsForm
+from afdsvc.identify.options import IdentifyOptions
+from afdsvc.identify.order import answer_p, choose_horizon, choose_order, memory, simulated_order
+from afdsvc.identify.parameters.structure import Structure, model_structure
+from afdsvc.identify.preparation import Prepared
+from afdsvc.identify.reduction import ReducedPlant, compare_reductions, judged, refine
+from afdsvc.identify.uncertainty import jackknife_band
+from afdsvc.lti.coprime import Factorisation
+from afdsvc.lti.stability import is_stable
+from afdsvc.lti.statespace import Array, StateSpace
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """A fit, the full-order plant it came from where it was reduced, and the reductions that were compared."""
+
+    fit: Fit
+    full: StateSpace | None = None
+    reductions: tuple[ReducedPlant, ...] = ()
+
+
+def band_hz(plant: StateSpace) -> tuple[float, float]:
+    """Return the band in which a discrete plant acts: a tenth of its slowest pole to twice its fastest, below 0.4 /
+    dt."""
+    poles = plant.poles()
+    rates = np.abs(np.log(poles[np.abs(poles) > 1e-9])) / plant.dt / (2 * np.pi) if len(poles) else np.zeros(0)
+    if not rates.size:
+        return 0.001 / plant.dt, 0.4 / plant.dt
+    high = min(2 * float(rates.max()), 0.4 / plant.dt)
+    return max(float(rates.min()) / 10, high / 1e4), high
+
+
+def omega_grid(dt: float, points: int = 120) -> Array:
+    """Return the angular frequencies [rad/s] at which responses are reported, logarithmic up to nearly half the
+    rate."""
+    return np.geomspace(1e-3, 0.98, points) * np.pi / dt
+
+
+def hansen(problem: Prepared, options: IdentifyOptions) -> Outcome:
+    """Identify S from (eta, eps), rebuild the plant, reduce it."""
+    fact = _known_controller(problem, "hansen")
+    signals = [youla_signals(fact, r).centred() for r in problem.training]
+    offered = _exciting(problem, signals, options.order or problem.nominal.order)
+    largest = 2 * problem.nominal.order + fact.controller.order + 4
+    largest = min(largest, supported_order(offered.persistent_order, problem.nominal.outputs))
+    found, order, reason = _open_loop_order(signals, problem.slowest, largest, options)
+    if order == 0:
+        return Outcome(_nominal_stands(problem, reason))
+    S = realise(found, order, stable=True)
+    full = rebuilt_plant(fact, S.system)
+    wanted = options.reduce_to if options.reduce_to is not None else problem.nominal.order
+    note = f"S of order {order} with horizon {found.horizon}, plant of order {full.order}"
+    fit = Fit("hansen", _output_error(full), found.singular_values, reason, deviation=S.system, notes=(note,))
+    if wanted >= full.order:
+        return Outcome(
+            _banded(fit, _hansen_repeat(fact, found.horizon, order, options, None, wanted), problem.training, options),
+            full,
+        )
+    reductions = _reductions(full, fact, wanted, problem.training, options)
+    if options.reduction == "refined":
+        return _refined(problem, signals, fit, full, reductions, options)
+    fit = replace(
+        fit,
+        model=_output_error(_chosen(reductions)),
+        notes=(f"{note}, reduced to {wanted} by {reductions[0].method} truncation",),
+    )
+    repeat = _hansen_repeat(fact, found.horizon, order, options, reductions[0].method, wanted)
+    return Outcome(_banded(fit, repeat, problem.training, options), full, tuple(reductions))
+
+
+def _refined(
+    problem: Prepared,
+    signals: Sequence[Recording],
+    fit: Fit,
+    full: StateSpace,
+    reductions: list[ReducedPlant],
+    options: IdentifyOptions,
+) -> Outcome:
+    """Fit the reduced plant to the recordings, from the truncation that disturbs the loop least."""
+    fact = _known_controller(problem, "hansen")
+    refinement = refine(fact, signals, _chosen(reductions), _whitener(problem, fact))
+    found = judged("refined", refinement.system, full, fact, problem.training)
+    band = refinement.band(omega_grid(full.dt), options.groups) if options.groups else None
+    note = (
+        f"{fit.notes[0]}, reduced to {found.system.order if found.system else 0} by {reductions[0].method} "
+        "truncation and refined on the recordings"
+    )
+    return Outcome(
+        replace(fit, model=_output_error(refinement.system), band=band, notes=(note,)), full, (found, *reductions)
+    )
+
+
+def _whitener(problem: Prepared, fact: Factorisation) -> StateSpace | None:
+    """Return the whitening filter for an unstable plant with known noise, None for any other.
+
+    The noise of beta holds the zeros of Mt at the unstable poles: next to none where the plant is slow, which is lost when every
+    frequency counts alike.
+    """
+    sd = problem.model.output_sd
+    if sd is None or not sd.all() or is_stable(problem.nominal.A, problem.nominal.dt):
+        return None
+    return Noise(np.diag(sd**2), problem.model.process_cov).whitener(fact)
+
+
+def _hansen_repeat(
+    fact: Factorisation, horizon: int, order: int, options: IdentifyOptions, reduction: str | None, wanted: int
+) -> Callable[[Sequence[Recording]], StateSpace]:
+    """Return the whole way from recordings of u and y to the plant, every choice fixed."""
+
+    def estimate(recordings: Sequence[Recording]) -> StateSpace:
+        signals = [youla_signals(fact, r) for r in recordings]
+        full = rebuilt_plant(
+            fact, realise(decompose(signals, horizon, cast(Weighting, options.weighting)), order, stable=True).system
+        )
+        return full if reduction is None else _chosen(compare_reductions(full, fact, wanted, recordings, [reduction]))
+
+    return estimate
+
+
+#: Probability of seeing an answer to the inputs where there is none.
+ANSWER_LEVEL = 1e-4
+
+
+def _open_loop_order(
+    recordings: Sequence[Recording], slowest: float, largest: int, options: IdentifyOptions
+) -> tuple[Subspace, int, str]:
+    """Return decomposition, order and why; a horizon not asked for is stretched to the slowest mode found."""
+    p, weighting = recordings[0].y.shape[1], cast(Weighting, options.weighting)
+    horizon = options.horizon or choose_horizon(recordings, slowest)
+    order, reason = _order(recordings, horizon, min(largest, (horizon - 1) * p), options, closed_loop=False)
+    found = decompose(recordings, horizon, weighting)
+    if order == 0 and answer_p(recordings) < ANSWER_LEVEL:
+        most = min(largest, (horizon - 1) * p)
+        order, lead = simulated_order(recordings, lambda n: realise(found, n, stable=True).system, most)
+        reason = (
+            f"order {order}: the outputs answer to the inputs, and it simulates best (criterion lower by {lead:.4g})"
+        )
+    if options.horizon is None and order:
+        longer = choose_horizon(recordings, memory(realise(found, order, stable=True).system.poles()))
+        if longer > 1.3 * horizon:
+            order, reason = _order(recordings, longer, min(largest, (longer - 1) * p), options, closed_loop=False)
+            found = decompose(recordings, longer, weighting)
+    return found, order, reason
+
+
+def subspace(problem: Prepared, options: IdentifyOptions) -> Outcome:
+    """Identify the plant from u and y in open loop."""
+    if problem.fact is not None or problem.closed_loop_signs:
+        signs = ", ".join(problem.closed_loop_signs) or "[controller] in the model"
+        raise BadInput(f"method 'subspace' is biased in closed loop, and this is one ({signs}); use hansen or pbsid")
+    _exciting(problem, problem.training, options.order or problem.nominal.order)
+    found, order, reason = _open_loop_order(problem.training, problem.slowest, 2 * problem.nominal.order + 8, options)
+    order = max(order, 1)
+    fit = Fit(
+        "subspace",
+        realise(found, order, stable=True),
+        found.singular_values,
+        reason,
+        notes=(f"horizon {found.horizon}",),
+    )
+
+    def estimate(recordings: Sequence[Recording]) -> StateSpace:
+        return realise(
+            decompose(recordings, found.horizon, cast(Weighting, options.weighting)), order, stable=True
+        ).system
+
+    return Outcome(_banded(fit, estimate, problem.training, options))
+
+
+def pbsid(problem: Prepared, options: IdentifyOptions) -> Outcome:
+    """Identify the plant from u and y with feedback present or not, by PBSIDopt."""
+    _exciting(problem, problem.training, options.order or problem.nominal.order)
+    if problem.played:  # noise that the controller brings back to u is no excitation to rely on
+        _exciting(problem, problem.played, options.order or problem.nominal.order)
+    past, order, reason = _closed_loop_order(problem, options)
+    found = decompose_predictor(problem.training, past)
+    fit = Fit("pbsid", realise_predictor(found, order), found.singular_values, reason, notes=(f"past window {past}",))
+
+    def estimate(recordings: Sequence[Recording]) -> StateSpace:
+        return realise_predictor(decompose_predictor(recordings, past), order).system
+
+    return Outcome(_banded(fit, estimate, problem.training, options))
+
+
+def pem(problem: Prepared, options: IdentifyOptions) -> Outcome:
+    """Identify the plant from u and y by prediction errors, a black box started from PBSIDopt."""
+    fit = pbsid(problem, replace(options, groups=0)).fit
+    past, order = int(fit.notes[0].rsplit(" ", 1)[1]), fit.order
+
+    def estimate(recordings: Sequence[Recording]) -> StateSpace:
+        return polish(realise_predictor(decompose_predictor(recordings, past), order), recordings).system
+
+    fit = replace(fit, method="pem", model=polish(fit.model, problem.training))
+    return Outcome(_banded(fit, estimate, problem.training, options))
+
+
+def _closed_loop_order(problem: Prepared, options: IdentifyOptions) -> tuple[int, int, str]:
+    """Return past window, order and why; a window not asked for is stretched to twice the slowest mode found."""
+    recordings, largest = problem.training, problem.nominal.order + 8
+    past = options.horizon or max(40, choose_horizon(recordings, 2 * problem.slowest, windows=1))
+    order, reason = _order(recordings, past, min(largest, max(2, past // 3)), options, closed_loop=True)
+    if options.horizon is None and order:
+        model = realise_predictor(decompose_predictor(recordings, past), order)
+        longer = choose_horizon(recordings, 2 * memory(model.system.poles()), windows=1)
+        if longer > 1.3 * past:
+            past = longer
+            order, reason = _order(recordings, past, min(largest, max(2, past // 3)), options, closed_loop=True)
+    return past, max(order, 1), reason
+
+
+def greybox(problem: Prepared, options: IdentifyOptions, rng: np.random.Generator | None) -> Outcome:
+    """Fit physical parameters (or uncertain entries) by maximum likelihood on u and y."""
+    structure = _structure(problem, options)
+    _exciting(problem, problem.training, problem.nominal.order)
+    entries = problem.model.dynamics is None
+    settings = GreyboxOptions(starts=options.starts, prior=entries if options.prior is None else options.prior)
+    fit = fit_greybox(structure, problem.training, settings, rng)
+    return Outcome(replace(fit, band=greybox_band(structure, fit, omega_grid(problem.nominal.dt))))
+
+
+def indirect(problem: Prepared, options: IdentifyOptions) -> Outcome:
+    """Fit physical parameters through S(theta), what was found becoming the nominal plant until it stays."""
+    fact, structure = _known_controller(problem, "indirect"), _structure(problem, options)
+    signals = [youla_signals(fact, r).centred() for r in problem.training]
+    _exciting(problem, signals, problem.nominal.order)
+    sd = problem.model.output_sd
+    noise = None if sd is None else Noise(np.diag(sd**2), problem.model.process_cov)
+    fit = fit_recentred(structure, fact, problem.training, noise, options.norm)
+    return Outcome(replace(fit, band=greybox_band(structure, fit, omega_grid(problem.nominal.dt))))
+
+
+def _structure(problem: Prepared, options: IdentifyOptions) -> Structure:
+    rates = tuple(s.name for s in problem.model.states if s.rate_of is not None)
+    structure = model_structure(problem.model, rates if options.process_states is None else options.process_states)
+    if options.free is None:
+        return structure
+    known = [p.name for p in structure.parameters]
+    for name in options.free:
+        if name not in known:
+            raise BadInput(f"model '{problem.model.name}' has no free parameter '{name}'; it has {', '.join(known)}")
+    kept = [known.index(name) for name in options.free]
+
+    def build(theta: Array) -> StateSpace:
+        values = structure.values.copy()
+        values[kept] = theta
+        return structure.build(values)
+
+    return replace(structure, parameters=tuple(structure.parameters[k] for k in kept), build=build)
+
+
+def _known_controller(problem: Prepared, method: str) -> Factorisation:
+    if problem.fact is None:
+        raise BadInput(
+            f"model '{problem.model.name}' names no controller, and method '{method}' needs the one that ran; "
+            "add [controller], "
+            "or use method pbsid or greybox, which need none"
+        )
+    return problem.fact
+
+
+def _exciting(problem: Prepared, recordings: Sequence[Recording], order: int) -> Excitation:
+    names = [v.name for v in problem.model.inputs]
+    size = np.max([r.u.std(axis=0) for r in problem.training], axis=0)
+    return require_excitation(recordings, order, names, problem.nominal.outputs, band_hz(problem.nominal), size)
+
+
+def _order(
+    recordings: Sequence[Recording], horizon: int, largest: int, options: IdentifyOptions, closed_loop: bool
+) -> tuple[int, str]:
+    if options.order is not None:
+        return options.order, f"order {options.order}: asked for"
+    choice = choose_order(recordings, horizon, largest, closed_loop)
+    return choice.order, choice.sentence
+
+
+def _nominal_stands(problem: Prepared, reason: str) -> Fit:
+    S = StateSpace.gain(np.zeros((problem.nominal.outputs, problem.nominal.inputs)), problem.nominal.dt)
+    note = "no deviation from the nominal model shows in the recordings; it stands as it is"
+    return Fit("hansen", _output_error(problem.nominal), order_reason=reason, deviation=S, notes=(note,))
+
+
+def _output_error(system: StateSpace) -> InnovationsForm:
+    """Return the plant without a noise model."""
+    return InnovationsForm(system, np.zeros((system.order, system.outputs)), np.eye(system.outputs))
+
+
+def _reductions(
+    full: StateSpace, fact: Factorisation, wanted: int, recordings: Sequence[Recording], options: IdentifyOptions
+) -> list[ReducedPlant]:
+    found = compare_reductions(full, fact, wanted, recordings)
+    return (
+        found
+        if options.reduction in ("best", "refined")
+        else sorted(found, key=lambda r: r.method != options.reduction)
+    )
+
+
+def _chosen(reductions: Sequence[ReducedPlant]) -> StateSpace:
+    best = reductions[0]
+    if best.system is None or not best.loop_stable:
+        raise BadInput(f"reduction '{best.method}' failed: {best.failure}; ask for a higher order with reduce_to")
+    return best.system
+
+
+def _banded(
+    fit: Fit,
+    estimate: Callable[[Sequence[Recording]], StateSpace],
+    recordings: Sequence[Recording],
+    options: IdentifyOptions,
+) -> Fit:
+    if not options.groups:
+        return fit
+    band = jackknife_band(estimate, recordings, omega_grid(fit.system.dt), options.groups, whole=fit.system)
+    return replace(fit, band=band)
+
+
+__all__ = ["Outcome", "band_hz", "greybox", "hansen", "indirect", "omega_grid", "pbsid", "pem", "subspace"]

@@ -1,0 +1,1 @@
+"""Numerical parts of the methods: compression, prediction errors, impulse responses."""

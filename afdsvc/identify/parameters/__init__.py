@@ -1,0 +1,1 @@
+"""Parametrisations: structures with physical parameters, their noise and gradients."""

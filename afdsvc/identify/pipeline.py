@@ -1,0 +1,213 @@
+"""The one entry: a model and recordings in, a better model and its judgement out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from afdsvc.api.model import Model
+from afdsvc.api.signals import Trace
+from afdsvc.dataset.arrays import Recording
+from afdsvc.errors import AfdsvcError, BadInput
+from afdsvc.identify.fit import ResponseBand
+from afdsvc.identify.methods import registry
+from afdsvc.identify.methods.hansen import loop_is_stable
+from afdsvc.identify.methods.registry import Outcome, omega_grid
+from afdsvc.identify.options import IdentifyOptions
+from afdsvc.identify.order import samples_needed
+from afdsvc.identify.preparation import Prepared, nominal_plant, prepare
+from afdsvc.identify.result import IdentifyResult, Preview, improved_model
+from afdsvc.identify.validation import (
+    Agreement,
+    Split,
+    agreement,
+    can_be_simulated,
+    heldout_measures,
+    predicted_outputs,
+    split,
+    undamped_modes,
+    validated,
+)
+from afdsvc.lti.frequency import frequency_response
+from afdsvc.lti.statespace import StateSpace
+from afdsvc.stats.fit_measures import Measures
+from afdsvc.stats.portmanteau import residual_tests
+
+#: Probability of calling an open loop closed.
+FEEDBACK_LEVEL = 0.01
+#: Samples that a recording must have at least where a handful of physical parameters is fitted.
+PARAMETRIC = 100
+
+
+def identify(
+    model: Model,
+    traces: Sequence[Trace],
+    holdout: Sequence[Trace] = (),
+    options: IdentifyOptions = IdentifyOptions(),
+    rng: np.random.Generator | None = None,
+) -> IdentifyResult:
+    """Return the plant identified from the traces, judged on the ``holdout`` traces (or the last quarter of each
+    trace).
+
+    ``rng`` is needed only for several starting points. Raises `BadInput` naming recording, field and cure when the data
+    cannot support an answer: too short, not exciting, drifting, with gaps, with a saturated actuator, made with another
+    or an unknown controller.
+    """
+    order = options.order or nominal_plant(model, traces[0].dt).order if traces else 1
+    needed = PARAMETRIC if options.method in ("greybox", "indirect") else samples_needed(len(model.inputs), len(model.outputs), order)
+    problem = prepare(model, traces, holdout, needed)
+    parts = split(problem.training, problem.heldout)
+    kept = tuple(a.span(0, len(r)) for a, r in zip(problem.played, parts.training, strict=False))
+    problem = replace(problem, training=parts.training, played=kept)
+    method = _method(problem, options)
+    outcome = _run(method, problem, options, rng)
+    names = [v.name for v in model.outputs]
+    fit = validated(outcome.fit, parts.heldout, names, problem.fact)
+    stable = None if problem.fact is None else loop_is_stable(fit.system, problem.fact.controller)
+    before = _before(problem, parts, names)
+    check, warning = _cross_check(problem, replace(outcome, fit=fit), options)
+    return IdentifyResult(
+        fit,
+        improved_model(model, fit),
+        problem.nominal,
+        before,
+        fit.heldout,
+        parts.names,
+        tuple(r.name for r in parts.training),
+        stable,
+        _certain(problem.nominal),
+        outcome.full,
+        outcome.reductions,
+        check,
+        _preview(problem, parts, fit.system),
+        (*warning, *_warnings(fit.heldout, before, stable), *_invented(fit.system, problem.nominal)),
+    )
+
+
+def _method(problem: Prepared, options: IdentifyOptions) -> str:
+    if options.method != "auto":
+        return options.method
+    if problem.fact is not None:
+        return "hansen"
+    if problem.closed_loop_signs:
+        raise BadInput(
+            f"model '{problem.model.name}' names no controller, but the recording was made in closed loop "
+            f"({', '.join(problem.closed_loop_signs)}): add [controller], or choose method pbsid or greybox, "
+            "which need none"
+        )
+    return "auto"
+
+
+def _open_or_closed(problem: Prepared, options: IdentifyOptions) -> Outcome:
+    """Identify without a controller: PBSIDopt, which feedback does not bias; the better conditioned open-loop method
+    when the prediction errors show no trace of feedback, or when PBSIDopt finds a plant nobody could have run in open
+    loop.
+    """
+    first = registry.pbsid(problem, replace(options, groups=0))
+    model = first.fit.model
+    errors = np.vstack([model.errors(r.u, r.y) for r in problem.training])
+    tests = residual_tests(errors, np.vstack([r.u for r in problem.training]))
+    feedback = tests.p_feedback.min() * tests.p_feedback.size < FEEDBACK_LEVEL
+    usable = all(can_be_simulated(model.system, len(r)) for r in (*problem.training, *problem.heldout))
+    return registry.pbsid(problem, options) if feedback and usable else registry.subspace(problem, options)
+
+
+def _run(method: str, problem: Prepared, options: IdentifyOptions, rng: np.random.Generator | None) -> Outcome:
+    if method == "greybox":
+        return registry.greybox(problem, options, rng)
+    if method == "auto":
+        return _open_or_closed(problem, options)
+    ways = {
+        "hansen": registry.hansen,
+        "subspace": registry.subspace,
+        "pbsid": registry.pbsid,
+        "pem": registry.pem,
+        "indirect": registry.indirect,
+    }
+    return ways[method](problem, options)
+
+
+def _before(problem: Prepared, parts: Split, names: Sequence[str]) -> dict[str, Measures]:
+    try:
+        found = heldout_measures(problem.nominal, parts.heldout, problem.fact)
+    except BadInput:  # an unstable nominal model without controller predicts nothing
+        found = [Measures(float("-inf"), float("inf"), float("-inf"))] * len(names)
+    return dict(zip(names, found, strict=True))
+
+
+def _cross_check(
+    problem: Prepared, outcome: Outcome, options: IdentifyOptions
+) -> tuple[Agreement | None, tuple[str, ...]]:
+    """Compare with PBSIDopt where there is an uncertainty to compare with."""
+    band = outcome.fit.band
+    if not options.cross_check or band is None or outcome.fit.method == "pbsid":
+        return None, ()
+    try:
+        other = registry.pbsid(problem, replace(options, order=None, horizon=None)).fit
+    except AfdsvcError as error:
+        return None, (f"no cross-check by PBSIDopt: {error}",)
+    excited = _excited(problem.training, band)
+    if other.band is None or not excited.any():
+        return None, ()
+    return agreement(_only(band, excited), _only(other.band, excited)), ()
+
+
+def _preview(problem: Prepared, parts: Split, system: StateSpace, samples: int = 600) -> Preview:
+    """Return the middle of the first recording not used, with what nominal model and fit make of it."""
+    recording = parts.heldout[0].centred()
+    start = max(0, (len(recording) - samples) // 2)
+    shown = slice(start, start + samples)
+    try:
+        before = predicted_outputs(problem.nominal, recording, problem.fact)[shown]
+    except BadInput:
+        before = None
+    after = predicted_outputs(system, recording, problem.fact)[shown]
+    t = recording.dt * np.arange(start, start + len(after), dtype=np.float64)
+    return Preview(parts.names[0], t, recording.y[shown], before, after)
+
+
+def _excited(recordings: Sequence[Recording], band: ResponseBand) -> np.ndarray:
+    """Return which frequencies hold a thousandth or more of the input's strongest power."""
+    dt = recordings[0].dt
+    power = sum(np.interp(band.omega, *_smooth_spectrum(r.u, dt)) for r in recordings)
+    return np.asarray(power > 1e-3 * np.max(power))
+
+
+def _smooth_spectrum(u: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    power = (np.abs(np.fft.rfft(u, axis=0)) ** 2).sum(axis=1)
+    width = max(1, len(power) // 200)
+    smooth = np.convolve(power, np.ones(width) / width, mode="same")
+    return 2 * np.pi * np.fft.rfftfreq(len(u), dt), smooth
+
+
+def _only(band: ResponseBand, kept: np.ndarray) -> ResponseBand:
+    return ResponseBand(band.omega[kept], band.value[kept], band.covariance[kept], band.freedom)
+
+
+def _certain(system: StateSpace) -> ResponseBand:
+    omega = omega_grid(system.dt)
+    value = frequency_response(system, omega)
+    return ResponseBand(omega, value, np.zeros((*value.shape, 2, 2)))
+
+
+def _invented(found: StateSpace, nominal: StateSpace) -> tuple[str, ...]:
+    return tuple(
+        f"the identified plant has an undamped mode at {hz:.4g} Hz that the nominal model has not: when that is the speed "
+        "of rotation or the mains, a periodic disturbance was taken for the plant; take it out of u and y first"
+        for hz in undamped_modes(found, nominal)
+    )
+
+
+def _warnings(after: object, before: object, stable: bool | None) -> tuple[str, ...]:
+    notes = []
+    if stable is False:
+        notes.append("the current controller does not stabilise the identified plant")
+    if isinstance(after, dict) and isinstance(before, dict):
+        worse = [name for name in after if after[name].r2 < before[name].r2 - 0.02]
+        notes += [
+            f"output '{name}' is predicted worse than before ({after[name].r2:.3g} against {before[name].r2:.3g})"
+            for name in worse
+        ]
+    return tuple(notes)
