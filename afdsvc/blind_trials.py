@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from afdsvc.errors import BadInput
+from afdsvc.explain.explain import explain
 from afdsvc.explaining import ExplainOptions, load_library, model_of, traces
-from afdsvc.gap.explain import explain
 from afdsvc.trial.pages import markdown, page, summary
 from afdsvc.trial.plan import MIX, Request, plan
 from afdsvc.trial.study import Result, study

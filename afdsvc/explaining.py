@@ -14,8 +14,8 @@ from afdsvc.api.model import Model
 from afdsvc.api.physics import Physics
 from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
-from afdsvc.gap.explain import explain
-from afdsvc.gap.explanation import Explanation
+from afdsvc.explain.explain import explain
+from afdsvc.explain.explanation import Explanation
 from afdsvc.plants.stepped.comparison import compared
 from afdsvc.plugins.manager import load
 from afdsvc.record.foreign import PREPARED, prepared, read_foreign

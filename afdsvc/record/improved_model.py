@@ -12,8 +12,8 @@ import numpy as np
 
 from afdsvc.api.model import Model, Quantity, Variable
 from afdsvc.api.physics import Coefficient, Hypothesis
-from afdsvc.gap.explanation import Explanation
-from afdsvc.gap.simulator import Effect
+from afdsvc.explain.explanation import Explanation
+from afdsvc.explain.simulator import Effect
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.record import stepped_dynamics
 from afdsvc.record.model_file import DYNAMICS, write_model

@@ -12,7 +12,7 @@ import numpy as np
 
 from afdsvc.api.model import SteppedPlant
 from afdsvc.errors import BadInput
-from afdsvc.gap.nominal import continuous
+from afdsvc.explain.nominal import continuous
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.plants.stepped.fmi_unit import FmiUnit, describe

@@ -10,7 +10,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, select_autoescape
 
 from afdsvc import __version__
-from afdsvc.gap.explanation import Explanation
+from afdsvc.explain.explanation import Explanation
 from afdsvc.report import explain_pictures
 
 VERDICTS = {

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from afdsvc.gap.explanation import Course, Explanation, Spectrum
+from afdsvc.explain.explanation import Course, Explanation, Spectrum
 from afdsvc.lti.statespace import Array
 
 MEASURED, BEFORE, AFTER, NOISE = "0.25", "#c8553d", "#1b6ca8", "#4a9c5d"

@@ -11,7 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from afdsvc.errors import BadInput
-from afdsvc.gap.explanation import Course, Explanation
+from afdsvc.explain.explanation import Course, Explanation
 from afdsvc.lti.statespace import Array
 from afdsvc.review.blueprint import whole_range
 from afdsvc.review.paths import APPLICATION, SECONDS

@@ -21,7 +21,7 @@ from scipy.linalg import expm
 from scipy.optimize import minimize
 
 from afdsvc.api.signals import Trace
-from afdsvc.gap.explain import explain
+from afdsvc.explain.explain import explain
 from afdsvc.plugins.physics import afdsvc_physics
 from afdsvc.record.model_file import read_model
 from afdsvc.record.tables import read_table

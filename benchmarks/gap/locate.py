@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from afdsvc.dataset.experiment import prepare
-from afdsvc.gap.baseline import baseline
-from afdsvc.gap.forward import seen
-from afdsvc.gap.locate import locate
-from afdsvc.gap.nominal import nominal
+from afdsvc.explain.baseline import baseline
+from afdsvc.explain.forward import seen
+from afdsvc.explain.locate import locate
+from afdsvc.explain.nominal import nominal
 from afdsvc.record.model_file import read_model
 from afdsvc.trial import generate
 from afdsvc.trial.model_text import model_text

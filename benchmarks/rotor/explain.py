@@ -13,7 +13,7 @@ import time
 
 import numpy as np
 
-from afdsvc.gap.explain import explain
+from afdsvc.explain.explain import explain
 from afdsvc.plugins.manager import load
 from afdsvc.record.model_file import parse_model
 from afdsvc.trial.generate import generate

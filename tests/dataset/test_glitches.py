@@ -10,8 +10,8 @@ from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.dataset.glitches import Glitch, glitches
 from afdsvc.dataset.periods import fold
-from afdsvc.gap.check import check
-from afdsvc.gap.explain import explain
+from afdsvc.explain.check import check
+from afdsvc.explain.explain import explain
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace

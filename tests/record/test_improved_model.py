@@ -11,11 +11,11 @@ import pytest
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.physics import Axis, Hypothesis, Machine, Size
 from afdsvc.dataset.experiment import Run
-from afdsvc.gap.explanation import Estimate, Explanation, Named
-from afdsvc.gap.improved import extended
-from afdsvc.gap.nominal import nominal
-from afdsvc.gap.objective import Point
-from afdsvc.gap.simulator import Effect, Simulator
+from afdsvc.explain.explanation import Estimate, Explanation, Named
+from afdsvc.explain.improved import extended
+from afdsvc.explain.nominal import nominal
+from afdsvc.explain.objective import Point
+from afdsvc.explain.simulator import Effect, Simulator
 from afdsvc.identify.parameters.structure import model_structure
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import afdsvc_physics

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from afdsvc.dataset.experiment import Run
-from afdsvc.gap.coloured import faintly_coloured
+from afdsvc.explain.coloured import faintly_coloured
 from afdsvc.stats.ar_noise import whiteness_p
 from afdsvc.stats.first_order_noise import autocorrelation, first_order
 

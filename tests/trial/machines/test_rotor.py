@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from afdsvc.gap.explain import explain
+from afdsvc.explain.explain import explain
 from afdsvc.plugins.manager import load
 from afdsvc.record.model_file import parse_model
 from afdsvc.trial.generate import Trial, generate

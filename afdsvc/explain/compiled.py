@@ -1,0 +1,34 @@
+"""Laws made callable from the kernel: each plain Python function is compiled once."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+from numba import cfunc
+from numba.core.errors import NumbaError
+
+from afdsvc.api.physics import Law
+from afdsvc.errors import BadInput
+from afdsvc.explain.kernel import LAW
+
+
+def _nothing(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """Leave everything as it is."""
+
+
+@lru_cache(maxsize=1024)
+def compiled(law: Law) -> Any:
+    """Return the law as a compiled callback; raises `BadInput` with the compiler's first complaint when it cannot be."""
+    try:
+        return cfunc(LAW, cache=True)(law)
+    except NumbaError as error:
+        why = str(error).strip().splitlines()[0]
+        raise BadInput(f"law '{law.__qualname__}' does not compile: {why}") from error
+    except RuntimeError:  # a function without a file has nowhere to keep its compiled form
+        return cfunc(LAW)(law)
+
+
+def idle() -> Any:
+    """Return the compiled law that does nothing."""
+    return compiled(_nothing)

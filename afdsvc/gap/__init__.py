@@ -1,1 +1,0 @@
-"""Where simulation and recordings part: locate, name, model, improve."""
