@@ -20,8 +20,8 @@ import pyarrow.parquet as pq
 from joblib import Parallel, delayed, parallel_config
 
 from afdsvc.errors import AfdsvcError, BadInput
-from afdsvc.record.loading import Naming
-from afdsvc.record.validation import read_text
+from afdsvc.files.tables.loading import Naming
+from afdsvc.files.validation import read_text
 
 TASKS = ("diagnose", "identify", "explain")
 COLUMNS = (

@@ -20,6 +20,9 @@ from afdsvc.api.port import Port
 from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput, NotStabilising
 from afdsvc.excite.identification_bursts import Band, multisine_burst, random_binary_burst, sweep_burst
+from afdsvc.files import site as site_file
+from afdsvc.files.model.model_file import model_text, read_model
+from afdsvc.files.tables.tables import read_table
 from afdsvc.hal.loop import LoopSettings, Prediction
 from afdsvc.hal.replay import Replay, blocks_of
 from afdsvc.hal.rotation import SpeedProfile
@@ -33,9 +36,6 @@ from afdsvc.plants.registry import plant as plant_by_name
 from afdsvc.plugins.controllers.lqg import gains
 from afdsvc.plugins.fault_set import FaultSet, chosen_faults, usual_faults
 from afdsvc.plugins.manager import Plugins
-from afdsvc.record.model_file import model_text, read_model
-from afdsvc.record.tables import read_table
-from afdsvc.runtime import site as site_file
 from afdsvc.runtime.clock import FastClock
 from afdsvc.runtime.intake import Expectation
 

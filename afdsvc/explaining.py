@@ -16,15 +16,15 @@ from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
 from afdsvc.explain.explain import explain
 from afdsvc.explain.explanation import Explanation
+from afdsvc.files.model.improved import write_improved
+from afdsvc.files.model.linear import linear_model
+from afdsvc.files.model.model_file import read_model
+from afdsvc.files.model.stepped import LINEARISED, REST
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.tables.foreign import PREPARED, prepared, read_foreign
+from afdsvc.files.tables.loading import TABLES, Naming, foreign_mapping, is_ours, load_table, own_traces
 from afdsvc.plants.stepped.comparison import compared
 from afdsvc.plugins.manager import load
-from afdsvc.record.foreign import PREPARED, prepared, read_foreign
-from afdsvc.record.improved_model import write_improved
-from afdsvc.record.linear_model import linear_model
-from afdsvc.record.loading import TABLES, Naming, foreign_mapping, is_ours, load_table, own_traces
-from afdsvc.record.model_file import read_model
-from afdsvc.record.reader import Recording
-from afdsvc.record.stepped_model import LINEARISED, REST
 
 RECORDING = ".mcap"
 CODE = "the model is a Python simulator; what is explained, and improved, is its linear part"

@@ -15,10 +15,10 @@ from afdsvc.detect.features.regressors import whitener
 from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.statistics.fault_curves import FaultCurves, fault_curves
 from afdsvc.errors import AfdsvcError
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.site import parse_site
 from afdsvc.plugins.manager import load
-from afdsvc.record.reader import Recording
 from afdsvc.review.plane import Plane, Point
-from afdsvc.runtime.site import parse_site
 
 SEVERITIES = 40
 MOST = 2  # planes of one machine: those where something shows, then those where the faults would show most

@@ -15,15 +15,15 @@ from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
 from afdsvc.excite.design_sheet import design_sheet
 from afdsvc.excite.diagnosis_burst import Aim, default_burst
+from afdsvc.files.model.model_file import read_model, write_model
+from afdsvc.files.model.stepped import LINEARISED
+from afdsvc.files.site import read_site
+from afdsvc.files.tables.foreign import prepared
+from afdsvc.files.tables.loading import Naming, load_traces
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.pipeline import identify
 from afdsvc.plugins.manager import load
-from afdsvc.record.foreign import prepared
-from afdsvc.record.loading import Naming, load_traces
-from afdsvc.record.model_file import read_model, write_model
-from afdsvc.record.stepped_model import LINEARISED
 from afdsvc.report.design_page import design_page
-from afdsvc.runtime.site import read_site
 
 
 def read_traces(

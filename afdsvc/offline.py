@@ -14,15 +14,15 @@ from afdsvc.api.model import Model
 from afdsvc.api.signals import Block
 from afdsvc.commission import Commissioned, Watched
 from afdsvc.errors import BadInput
+from afdsvc.files.model.model_file import read_model
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.site import Detector, Driver, Machine, parse_site
+from afdsvc.files.tables.foreign import prepared
+from afdsvc.files.tables.loading import TABLES, Naming, foreign_mapping, is_ours, load_traces, own_traces
+from afdsvc.files.tables.to_recording import import_traces
 from afdsvc.hal.replay import blocks_of
 from afdsvc.plugins.manager import Plugins, load
-from afdsvc.record.foreign import prepared
-from afdsvc.record.import_table import import_traces
-from afdsvc.record.loading import TABLES, Naming, foreign_mapping, is_ours, load_traces, own_traces
-from afdsvc.record.model_file import read_model
-from afdsvc.record.reader import Recording
 from afdsvc.runtime.commands import plain
-from afdsvc.runtime.site import Detector, Driver, Machine, parse_site
 from afdsvc.runtime.verdict import conclude
 from afdsvc.service import pipeline_of
 

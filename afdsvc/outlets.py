@@ -14,14 +14,14 @@ from afdsvc.alarms.outbox import Outbox
 from afdsvc.api.clock import Clock
 from afdsvc.api.notify import Notify
 from afdsvc.commission import Commissioned
+from afdsvc.files.recording.retention import Keep
+from afdsvc.files.site import Site
 from afdsvc.plugins.manager import Plugins
-from afdsvc.record.retention import Keep
 from afdsvc.runtime.commands import plain
 from afdsvc.runtime.housekeeping import Housekeeper
 from afdsvc.runtime.posting import Post
 from afdsvc.runtime.recording import RecorderSink
 from afdsvc.runtime.sinks import Sink, ThreadedSink
-from afdsvc.runtime.site import Site
 from afdsvc.wire.messages import AlarmChange
 
 if TYPE_CHECKING:

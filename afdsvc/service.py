@@ -21,6 +21,7 @@ from afdsvc.api.detection import DetectionProblem, FalseAlarms
 from afdsvc.commission import Commissioned
 from afdsvc.errors import BadInput
 from afdsvc.excite.diagnosis_burst import Aim, default_burst, second_burst
+from afdsvc.files.site import Site
 from afdsvc.outlets import Outlets, open_outboxes
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.runtime import commands
@@ -37,7 +38,6 @@ from afdsvc.runtime.rehearsal import Rehearsals
 from afdsvc.runtime.requests import QUESTIONS
 from afdsvc.runtime.scheduler import Scheduler, Wanted
 from afdsvc.runtime.sinks import Fan
-from afdsvc.runtime.site import Site
 from afdsvc.runtime.speed import SpeedPipeline
 from afdsvc.runtime.transport import Access, NoPeer, Transport
 from afdsvc.runtime.watch import MachineWatch

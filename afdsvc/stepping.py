@@ -13,14 +13,14 @@ from afdsvc.api.control_plugins import DesignedController
 from afdsvc.api.model import Model, SteppedPlant, Variable
 from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput
+from afdsvc.files.model.model_file import read_model
+from afdsvc.files.model.user_code import load_code
+from afdsvc.files.site import STEPPED, Fault, Machine
 from afdsvc.hal.loop import LoopSettings, Prediction
 from afdsvc.hal.stepped import GainFault, SteppedSimulator
 from afdsvc.lti.statespace import Array
 from afdsvc.plants.stepped.fmi_unit import FmiUnit
 from afdsvc.plants.stepped.function_plant import FunctionPlant
-from afdsvc.record.model_code import load_code
-from afdsvc.record.model_file import read_model
-from afdsvc.runtime.site import STEPPED, Fault, Machine
 
 AT_REST = 0.01  # of an output's limit: how far from zero a simulator may rest
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from afdsvc.api.signals import Block, Channel
-from afdsvc.record.reader import Recording
-from afdsvc.record.recorder import Recorder, RecordingSettings
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.review.log import ReviewLog
 from afdsvc.wire.codec import decode_block, encode_block
 

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from afdsvc.demo import DemoOptions, free_port, rig_process, site_text
+from afdsvc.files.site import read_site
 from afdsvc.hal import kernel
 from afdsvc.plants.registry import plant
 from afdsvc.plugins.manager import load
-from afdsvc.runtime.site import read_site
 from afdsvc.service import serving
 
 

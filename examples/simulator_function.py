@@ -9,9 +9,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from afdsvc import commission
+from afdsvc.files.site import read_site
 from afdsvc.plugins.manager import load
 from afdsvc.runtime.clock import FastClock
-from afdsvc.runtime.site import read_site
 from afdsvc.service import diagnosis_burst, pipeline_of
 
 FUNCTION = '''

@@ -11,9 +11,9 @@ import pytest
 
 from afdsvc import commission
 from afdsvc.api.port import DrivablePort
+from afdsvc.files.site import FaultInjection, Machine, Named
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.runtime.clock import FastClock
-from afdsvc.runtime.site import FaultInjection, Machine, Named
 
 
 @pytest.fixture(scope="session")

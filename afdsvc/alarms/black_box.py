@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from afdsvc.api.signals import Block
+from afdsvc.files.recording.foxglove_log import Level
+from afdsvc.files.recording.mcap_file import Header
+from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.lti.statespace import Array
-from afdsvc.record.foxglove_log import Level
-from afdsvc.record.mcap_file import Header
-from afdsvc.record.recorder import Recorder, RecordingSettings
 from afdsvc.wire import codec
 from afdsvc.wire.messages import AlarmChange, AlarmKind, BurstRequest, Finding, RigEvent
 

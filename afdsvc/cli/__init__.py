@@ -93,7 +93,7 @@ def serve(
     logs: Annotated[str, typer.Option("--log", metavar="text|json", help="How log lines are written on stderr.")] = "text",
 ) -> None:
     """Run the service of one site until SIGTERM or Ctrl-C."""
-    from afdsvc.runtime.site import read_site
+    from afdsvc.files.site import read_site
     from afdsvc.service import serving
     from afdsvc.supervision import collect_rarely, start_logging, supervised
 
@@ -122,7 +122,7 @@ def rig(
 
     SIGTERM and Ctrl-C end a burst smoothly and stop; SIGUSR1 is the emergency stop: no excitation until it is started again.
     """
-    from afdsvc.runtime.site import read_site
+    from afdsvc.files.site import read_site
     from afdsvc.service import run_rig
 
     emergency = threading.Event()
@@ -143,8 +143,8 @@ def _leave() -> None:
 @app.command()
 def certificates(site: SiteFile, as_json: Json = False) -> None:
     """Make the private authority and certificates of a secured site: service, rigs, operators, viewers; what is there is kept."""
+    from afdsvc.files.site import read_site
     from afdsvc.runtime.certificates import make_certificates
-    from afdsvc.runtime.site import read_site
 
     made = [str(path) for path in make_certificates(read_site(site))]
     show(as_json, {"made": made}, lambda: print("\n".join(made) or "everything is there already"))
@@ -162,8 +162,8 @@ def diagnose(
     as_json: Json = False,
 ) -> None:
     """Run the detectors over recordings: the same code and the same evidence as live."""
+    from afdsvc.files.tables.loading import Naming
     from afdsvc.offline import diagnose_recordings
-    from afdsvc.record.loading import Naming
     from afdsvc.terminal import diagnosis_table
 
     document = diagnose_recordings(recordings, model, calibrate, calibrate_on, detector or [], Naming.of(mapping))
@@ -210,8 +210,8 @@ def identify(
     as_json: Json = False,
 ) -> None:
     """Identify the plant from recordings made in closed loop, and judge it on data not used."""
+    from afdsvc.files.tables.loading import Naming
     from afdsvc.modelling import identify_files
-    from afdsvc.record.loading import Naming
     from afdsvc.terminal import identify_table
 
     options = {
@@ -327,8 +327,8 @@ def recover(
     as_json: Json = False,
 ) -> None:
     """Close and index a recording so that every tool opens it, and say what of it is lost."""
-    from afdsvc.record.recover import recover as copy
-    from afdsvc.record.recover import recover_in_place
+    from afdsvc.files.recording.recover import recover as copy
+    from afdsvc.files.recording.recover import recover_in_place
 
     done = copy(recording, out) if out else recover_in_place(recording)
     value = {"recording": str(done.path), "messages": dict(done.messages), "loss": done.loss}

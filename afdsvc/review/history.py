@@ -11,8 +11,8 @@ import rerun.blueprint as rrb
 
 from afdsvc.api.evidence import Evidence
 from afdsvc.errors import BadInput
-from afdsvc.record import topics
-from afdsvc.record.index import messages_on
+from afdsvc.files.recording import topics
+from afdsvc.files.recording.index import messages_on
 from afdsvc.review import paths
 from afdsvc.review.blueprint import whole_range
 from afdsvc.review.columns import Columns

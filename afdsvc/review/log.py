@@ -11,8 +11,8 @@ import rerun as rr
 
 from afdsvc.api.signals import Block
 from afdsvc.errors import BadInput
-from afdsvc.record.foxglove_log import Level
-from afdsvc.record.sentences import DecisionLog, event_sentence, evidence_sentence
+from afdsvc.files.recording.foxglove_log import Level
+from afdsvc.files.recording.sentences import DecisionLog, event_sentence, evidence_sentence
 from afdsvc.review import paths
 from afdsvc.review.blueprint import MachineLayout, blueprint
 from afdsvc.review.columns import at

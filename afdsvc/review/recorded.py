@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from afdsvc.errors import BadInput
-from afdsvc.record import topics
-from afdsvc.record.foxglove_log import Level, decode_log
-from afdsvc.record.reader import Entry, Recording
+from afdsvc.files.recording import topics
+from afdsvc.files.recording.foxglove_log import Level, decode_log
+from afdsvc.files.recording.reader import Entry, Recording
 from afdsvc.review.log import LOOPBACK, QUIET_HERTZ, ReviewLog
 from afdsvc.review.plane import Plane
 from afdsvc.review.signals import by_group

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from afdsvc.api.signals import Block, residual_block
+from afdsvc.files.recording.foxglove_log import Level
 from afdsvc.lti.statespace import Array
-from afdsvc.record.foxglove_log import Level
 from afdsvc.review.log import ReviewLog
 from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RigEvent
 

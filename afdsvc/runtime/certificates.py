@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from afdsvc.errors import BadInput
+from afdsvc.files.site import Security, Site
 from afdsvc.runtime.access import SERVICE, rig_name
-from afdsvc.runtime.site import Security, Site
 
 AUTHORITY = "ca"
 DAYS = 3650

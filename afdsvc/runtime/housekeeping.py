@@ -9,9 +9,9 @@ from pathlib import Path
 
 from afdsvc.api.clock import Clock
 from afdsvc.errors import BadInput
-from afdsvc.record.mcap_records import is_finished
-from afdsvc.record.recover import recover_in_place
-from afdsvc.record.retention import Keep, machine_of_file, recordings, tidy
+from afdsvc.files.recording.mcap_records import is_finished
+from afdsvc.files.recording.recover import recover_in_place
+from afdsvc.files.recording.retention import Keep, machine_of_file, recordings, tidy
 
 log = logging.getLogger(__name__)
 TIDY_SECONDS = 60.0

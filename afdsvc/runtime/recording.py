@@ -9,11 +9,11 @@ from pathlib import Path
 
 from afdsvc import __version__
 from afdsvc.api.signals import Block, residual_block
+from afdsvc.files.recording.foxglove_log import Level
+from afdsvc.files.recording.mcap_file import Header
+from afdsvc.files.recording.recorder import Recorder, RecordingFailed, RecordingSettings
+from afdsvc.files.site import Recording
 from afdsvc.lti.statespace import Array
-from afdsvc.record.foxglove_log import Level
-from afdsvc.record.mcap_file import Header
-from afdsvc.record.recorder import Recorder, RecordingFailed, RecordingSettings
-from afdsvc.runtime.site import Recording
 from afdsvc.wire import codec
 from afdsvc.wire.messages import AlarmChange, AlarmKind, BurstRequest, Finding, RigEvent
 

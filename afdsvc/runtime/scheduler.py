@@ -8,7 +8,7 @@ from datetime import datetime, time
 import numpy as np
 
 from afdsvc.errors import Refused
-from afdsvc.runtime.site import Bursts
+from afdsvc.files.site import Bursts
 from afdsvc.runtime.verdict import Question
 
 

@@ -21,7 +21,7 @@ import zenoh
 from zenoh import ext
 
 from afdsvc.errors import AfdsvcError, BadInput
-from afdsvc.runtime import site as site_file
+from afdsvc.files import site as site_file
 from afdsvc.runtime.certificates import key_files
 
 log = logging.getLogger(__name__)

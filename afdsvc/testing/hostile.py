@@ -23,14 +23,14 @@ from afdsvc import commission
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.signals import Block, Channel
 from afdsvc.errors import AfdsvcError, BadInput
+from afdsvc.files.model.model_file import parse_model
+from afdsvc.files.recording.mcap_file import Header
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.recording.recorder import Recorder, RecordingSettings
+from afdsvc.files.site import Driver, Machine, parse_site
+from afdsvc.files.tables.tables import read_table
 from afdsvc.plugins.manager import load
-from afdsvc.record.mcap_file import Header
-from afdsvc.record.model_file import parse_model
-from afdsvc.record.reader import Recording
-from afdsvc.record.recorder import Recorder, RecordingSettings
-from afdsvc.record.tables import read_table
 from afdsvc.runtime.clock import FastClock
-from afdsvc.runtime.site import Driver, Machine, parse_site
 from afdsvc.testing.messages import EXAMPLES
 from afdsvc.testing.mutation import mutate_bytes, mutate_text
 from afdsvc.wire import codec

@@ -28,10 +28,10 @@ import pyarrow.parquet as pq
 sys.path.insert(0, str(Path(__file__).parents[1] / "throughput"))
 from machine import Signals, Talker, commissioned, site_text
 
+from afdsvc.files.recording.mcap_file import Header
+from afdsvc.files.recording.recorder import Recorder, RecordingSettings
+from afdsvc.files.site import parse_site
 from afdsvc.plugins.manager import load
-from afdsvc.record.mcap_file import Header
-from afdsvc.record.recorder import Recorder, RecordingSettings
-from afdsvc.runtime.site import parse_site
 from afdsvc.service import diagnosis_burst, pipeline_of
 from afdsvc.wire import codec
 from afdsvc.wire.messages import BurstRequest

@@ -22,9 +22,9 @@ from scipy.optimize import minimize
 
 from afdsvc.api.signals import Trace
 from afdsvc.explain.explain import explain
+from afdsvc.files.model.model_file import read_model
+from afdsvc.files.tables.tables import read_table
 from afdsvc.plugins.physics import afdsvc_physics
-from afdsvc.record.model_file import read_model
-from afdsvc.record.tables import read_table
 
 KP, KV, VOLTS, GAIN = 160.18, 243.45, 10.0, 35.15
 M = 95.1089

@@ -16,7 +16,7 @@ from afdsvc.explain.baseline import baseline
 from afdsvc.explain.forward import seen
 from afdsvc.explain.locate import locate
 from afdsvc.explain.nominal import nominal
-from afdsvc.record.model_file import read_model
+from afdsvc.files.model.model_file import read_model
 from afdsvc.trial import generate
 from afdsvc.trial.model_text import model_text
 

@@ -14,8 +14,8 @@ import time
 import numpy as np
 
 from afdsvc.explain.explain import explain
+from afdsvc.files.model.model_file import parse_model
 from afdsvc.plugins.manager import load
-from afdsvc.record.model_file import parse_model
 from afdsvc.trial.generate import generate
 from afdsvc.trial.machines.rotor import RotorOptions
 from afdsvc.trial.model_text import model_text

@@ -12,10 +12,10 @@ from afdsvc import commission, service
 from afdsvc.api.bursts import Burst
 from afdsvc.api.evidence import Evidence
 from afdsvc.commission import Commissioned
+from afdsvc.files.site import Machine
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.runtime.clock import FastClock
 from afdsvc.runtime.scheduler import Wanted
-from afdsvc.runtime.site import Machine
 
 
 def machine(plugins: Plugins, faults: dict[str, tuple[float, float]] | None = None, seed: int = 1, **more: Any) -> Commissioned:

@@ -7,7 +7,7 @@ import sys
 import threading
 from pathlib import Path
 
-from afdsvc.runtime.site import read_site
+from afdsvc.files.site import read_site
 from afdsvc.service import run_rig
 
 

@@ -29,8 +29,8 @@ from random import Random
 
 from afdsvc.alarms.history import History
 from afdsvc.errors import AfdsvcError
-from afdsvc.record.reader import Recording
-from afdsvc.runtime.site import read_site
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.site import read_site
 from afdsvc.runtime.transport import Transport
 from afdsvc.testing.messages import EXAMPLES
 from afdsvc.testing.mutation import mutate_bytes

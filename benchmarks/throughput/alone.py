@@ -12,9 +12,9 @@ import numpy as np
 from machine import LENGTH, Signals, Talker, commissioned, site_text
 
 from afdsvc.api.signals import of_role, residual_block
+from afdsvc.files.recording.recorder import Recorder, RecordingSettings
+from afdsvc.files.site import parse_site
 from afdsvc.plugins.manager import load
-from afdsvc.record.recorder import Recorder, RecordingSettings
-from afdsvc.runtime.site import parse_site
 from afdsvc.runtime.transport import Transport
 from afdsvc.service import pipeline_of
 from afdsvc.wire.codec import decode_block, encode_block

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from machine import LENGTH, Signals, Talker, commissioned
 
-from afdsvc.runtime.site import Site, read_site
+from afdsvc.files.site import Site, read_site
 from afdsvc.runtime.transport import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys

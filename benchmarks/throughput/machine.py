@@ -15,9 +15,9 @@ from afdsvc import commission
 from afdsvc.api.bursts import Burst
 from afdsvc.api.signals import Block
 from afdsvc.commission import Commissioned
+from afdsvc.files.site import Site
 from afdsvc.hal import kernel
 from afdsvc.plugins.manager import load
-from afdsvc.runtime.site import Site
 from afdsvc.wire import afdsvc_pb2 as pb
 from afdsvc.wire.block_codec import encode_block
 

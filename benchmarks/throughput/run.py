@@ -29,7 +29,7 @@ from alone import mcap_alone, numpy_alone, zenoh_alone
 from machine import LENGTH, site_text
 
 from afdsvc.errors import AfdsvcError
-from afdsvc.runtime.site import Site, read_site
+from afdsvc.files.site import Site, read_site
 from afdsvc.service import ask_service
 
 HERE = Path(__file__).parent

@@ -21,7 +21,7 @@ import numpy as np
 from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.demo import DemoOptions, free_port, rig_process, run_demo, site_text
 from afdsvc.fault_planes import fault_planes
-from afdsvc.record.recorder import Recorder, RecordingSettings
+from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.review import review_history, review_recordings
 from afdsvc.wire.codec import encode_finding
 from afdsvc.wire.messages import Finding

@@ -18,8 +18,8 @@ from afdsvc.alarms.webhook import Webhook
 from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.api.signals import Block, Channel
 from afdsvc.errors import BadInput
-from afdsvc.record.mcap_file import Header
-from afdsvc.record.reader import Recording
+from afdsvc.files.recording.mcap_file import Header
+from afdsvc.files.recording.reader import Recording
 from afdsvc.runtime.commands import plain
 from afdsvc.wire import codec
 from afdsvc.wire.messages import Alarm, AlarmChange, AlarmKind, Finding

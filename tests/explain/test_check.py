@@ -20,10 +20,10 @@ from afdsvc.explain.check_lines import lines
 from afdsvc.explain.explain import explain
 from afdsvc.explain.next_experiment_rivals import first_experiment
 from afdsvc.explain.nominal import nominal
+from afdsvc.files.model.model_file import read_model
+from afdsvc.files.tables.tables import read_table
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.plugins.physics import afdsvc_physics
-from afdsvc.record.model_file import read_model
-from afdsvc.record.tables import read_table
 from afdsvc.trial import Options, generate
 from afdsvc.trial.model_text import model_text
 

@@ -14,11 +14,11 @@ from afdsvc.explain.nominal import nominal
 from afdsvc.explain.objective import tangent
 from afdsvc.explain.simulator import Simulator
 from afdsvc.explain.sizes import machine
+from afdsvc.files.model.model_file import read_model
+from afdsvc.files.tables.tables import read_table
 from afdsvc.lti.simulate import simulate
 from afdsvc.plants.gas_bearing import gas_bearing
 from afdsvc.plugins.physics import afdsvc_physics
-from afdsvc.record.model_file import read_model
-from afdsvc.record.tables import read_table
 
 
 def bearing_model() -> Model:

@@ -16,7 +16,7 @@ from afdsvc.dataset.experiment import Run, prepare
 from afdsvc.explain.baseline import Baseline, baseline
 from afdsvc.explain.locate import locate
 from afdsvc.explain.nominal import nominal
-from afdsvc.record.model_file import read_model
+from afdsvc.files.model.model_file import read_model
 from afdsvc.trial import Options, generate
 from afdsvc.trial.generate import Trial
 from afdsvc.trial.model_text import model_text

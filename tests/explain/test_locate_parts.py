@@ -18,9 +18,9 @@ from afdsvc.explain.locate_time import loud_span
 from afdsvc.explain.locate_tones import label
 from afdsvc.explain.nominal import nominal
 from afdsvc.explain.simulator import Simulator
+from afdsvc.files.model.model_file import read_model
+from afdsvc.files.tables.tables import read_table
 from afdsvc.plants.gas_bearing import gas_bearing
-from afdsvc.record.model_file import read_model
-from afdsvc.record.tables import read_table
 from afdsvc.stats.ar_noise import fit
 
 PERIOD, PERIODS, DT = 1000, 5, 1e-3

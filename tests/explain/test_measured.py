@@ -16,10 +16,10 @@ from afdsvc.explain.explain import explain
 from afdsvc.explain.explanation import Explanation
 from afdsvc.explain.prediction import Player
 from afdsvc.explain.simulator import Simulator
+from afdsvc.files.model.model_file import read_model
+from afdsvc.files.tables.tables import read_table
 from afdsvc.lti.statespace import Array
 from afdsvc.plugins.physics import afdsvc_physics
-from afdsvc.record.model_file import read_model
-from afdsvc.record.tables import read_table
 
 
 def answered(folder: Path, model: str, recording: Trace, held: str) -> Explanation:

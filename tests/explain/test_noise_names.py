@@ -17,8 +17,8 @@ from afdsvc.explain.coloured import coloured, faintly_coloured
 from afdsvc.explain.explain import explain
 from afdsvc.explain.stationary import growth
 from afdsvc.explain.stepped import stepped
+from afdsvc.files.model.model_file import read_model
 from afdsvc.plugins.physics import afdsvc_physics
-from afdsvc.record.model_file import read_model
 from afdsvc.stats.periodic import repeated
 from afdsvc.trial import Options, generate
 from afdsvc.trial.model_text import model_text

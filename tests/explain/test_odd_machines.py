@@ -16,11 +16,11 @@ from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.baseline import Baseline, baseline
 from afdsvc.explain.explain import explain
 from afdsvc.explain.nominal import nominal
+from afdsvc.files.model.model_file import read_model
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import afdsvc_physics
-from afdsvc.record.model_file import read_model
 from afdsvc.trial.model_text import model_text
 from afdsvc.trial.plan import make_trial, plan
 

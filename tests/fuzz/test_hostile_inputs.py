@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from afdsvc.errors import AfdsvcError
-from afdsvc.record.model_file import parse_model
+from afdsvc.files.model.model_file import parse_model
+from afdsvc.files.site import parse_site
 from afdsvc.runtime import commands
-from afdsvc.runtime.site import parse_site
 from afdsvc.testing.hostile import TARGETS
 from afdsvc.testing.messages import EXAMPLES
 from afdsvc.wire import codec

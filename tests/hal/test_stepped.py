@@ -6,9 +6,9 @@ import pytest
 from afdsvc import commission
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.errors import BadInput
+from afdsvc.files.site import read_site
 from afdsvc.plugins.manager import load
 from afdsvc.runtime.clock import FastClock
-from afdsvc.runtime.site import read_site
 from afdsvc.testing.fmi_units import build_slide
 
 MODEL = """

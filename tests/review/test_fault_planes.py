@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from afdsvc.fault_planes import fault_planes
-from afdsvc.record.reader import Recording
+from afdsvc.files.recording.reader import Recording
 
 SHIPPED = Path(__file__).parents[2] / "recordings" / "shipped"
 FAULTS = ("horizontal_actuator", "vertical_actuator", "horizontal_sensor", "vertical_sensor")

@@ -9,8 +9,8 @@ import pytest
 
 from afdsvc.api.evidence import Severity
 from afdsvc.errors import BadInput
-from afdsvc.record.index import messages_on
-from afdsvc.record.recorder import Recorder, RecordingSettings
+from afdsvc.files.recording.index import messages_on
+from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.review.history import review_history, severities
 from afdsvc.wire.codec import encode_block, encode_finding
 

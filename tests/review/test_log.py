@@ -15,7 +15,7 @@ from rerun.error_utils import RerunWarning
 
 from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput
-from afdsvc.record.foxglove_log import Level
+from afdsvc.files.recording.foxglove_log import Level
 from afdsvc.review import paths
 from afdsvc.review.blueprint import blueprint
 from afdsvc.review.log import ReviewLog

@@ -7,9 +7,9 @@ import pytest
 
 from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput
-from afdsvc.record.import_table import import_table
-from afdsvc.record.recorder import Recorder, RecordingSettings
-from afdsvc.record.tables import read_table
+from afdsvc.files.recording.recorder import Recorder, RecordingSettings
+from afdsvc.files.tables.tables import read_table
+from afdsvc.files.tables.to_recording import import_table
 from afdsvc.review import open_viewer, review_recording, review_recordings
 from afdsvc.review.blueprint import blueprint
 from afdsvc.review.sink import ReviewSink

@@ -14,9 +14,9 @@ import pytest
 from afdsvc import commission
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.errors import Refused
+from afdsvc.files.site import Transport as Settings
 from afdsvc.runtime.agent import RigAgent
 from afdsvc.runtime.clock import RealClock
-from afdsvc.runtime.site import Transport as Settings
 from afdsvc.runtime.transport import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys

@@ -6,9 +6,9 @@ import socket
 import threading
 import time
 
+from afdsvc.files.site import Transport as Settings
 from afdsvc.runtime.clock import RealClock
 from afdsvc.runtime.hub import Hub
-from afdsvc.runtime.site import Transport as Settings
 from afdsvc.runtime.transport import Transport
 from afdsvc.wire.keys import Keys
 

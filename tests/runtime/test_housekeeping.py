@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from afdsvc.api.signals import Block, Channel
-from afdsvc.record.mcap_records import is_finished
-from afdsvc.record.reader import Recording
-from afdsvc.record.recorder import Recorder, RecordingSettings
-from afdsvc.record.retention import Keep
+from afdsvc.files.recording.mcap_records import is_finished
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.recording.recorder import Recorder, RecordingSettings
+from afdsvc.files.recording.retention import Keep
 from afdsvc.runtime.clock import RealClock
 from afdsvc.runtime.housekeeping import Housekeeper, unfinished
 from afdsvc.wire import codec

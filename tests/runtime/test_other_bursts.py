@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from afdsvc import commission, service
+from afdsvc.files.site import parse_site
 from afdsvc.plugins.manager import load
-from afdsvc.runtime.site import parse_site
 
 
 def test_an_identification_burst_is_not_judged_and_breaks_no_detector():

@@ -9,9 +9,9 @@ import numpy as np
 
 from afdsvc import commission
 from afdsvc.detect.statistics import active_cusum
+from afdsvc.files.site import parse_site
 from afdsvc.plugins.manager import load
 from afdsvc.runtime.rehearsal import Rehearsals, rehearse
-from afdsvc.runtime.site import parse_site
 from afdsvc.service import diagnosis_burst, pipeline_of
 
 

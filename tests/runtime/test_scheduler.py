@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from afdsvc.errors import Refused
+from afdsvc.files.site import Bursts
 from afdsvc.runtime.scheduler import Scheduler, Wanted
-from afdsvc.runtime.site import Bursts
 from afdsvc.runtime.verdict import Question
 
 NOON = datetime(2026, 11, 21, 12, 0)

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from afdsvc.api.signals import Block, Channel
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.site import Recording as Settings
+from afdsvc.files.site import parse_site
 from afdsvc.outlets import Outlets
-from afdsvc.record.reader import Recording
 from afdsvc.runtime import recording
 from afdsvc.runtime.clock import FastClock
 from afdsvc.runtime.posting import Post
 from afdsvc.runtime.recording import RecorderSink
 from afdsvc.runtime.sinks import ThreadedSink
-from afdsvc.runtime.site import Recording as Settings
-from afdsvc.runtime.site import parse_site
 from afdsvc.wire import codec
 
 

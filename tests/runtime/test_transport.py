@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from afdsvc.errors import AfdsvcError, BadInput
-from afdsvc.runtime.site import Transport as Settings
+from afdsvc.files.site import Transport as Settings
 from afdsvc.runtime.transport import PeerSilent, Transport
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from afdsvc import service
 from afdsvc.errors import AfdsvcError, BadInput
-from afdsvc.record.reader import Recording
-from afdsvc.runtime.site import Site, parse_site
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.site import Site, parse_site
 from afdsvc.runtime.transport import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys

@@ -23,14 +23,15 @@ from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block, Channel
 from afdsvc.errors import BadInput, Refused
+from afdsvc.files.recording.mcap_file import Header
+from afdsvc.files.recording.mcap_records import is_finished
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.recording.recorder import Recorder, RecordingSettings
+from afdsvc.files.recording.recover import recover_in_place
+from afdsvc.files.recording.retention import Keep, tidy
+from afdsvc.files.site import Alarms, Bursts, Driver, Machine
 from afdsvc.hal.loop import LoopSettings
 from afdsvc.hal.rig import DrivenRig
-from afdsvc.record.mcap_file import Header
-from afdsvc.record.mcap_records import is_finished
-from afdsvc.record.reader import Recording
-from afdsvc.record.recorder import Recorder, RecordingSettings
-from afdsvc.record.recover import recover_in_place
-from afdsvc.record.retention import Keep, tidy
 from afdsvc.runtime.clock import FastClock
 from afdsvc.runtime.desk import BurstDesk
 from afdsvc.runtime.hub import Hub
@@ -38,7 +39,6 @@ from afdsvc.runtime.intake import Finding as Trouble
 from afdsvc.runtime.pipeline import Outcome
 from afdsvc.runtime.publishing import Publisher
 from afdsvc.runtime.scheduler import Scheduler, Wanted
-from afdsvc.runtime.site import Alarms, Bursts, Driver, Machine
 from afdsvc.runtime.transport import PeerSilent
 from afdsvc.runtime.watch import MachineWatch
 from afdsvc.wire import codec

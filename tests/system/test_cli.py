@@ -118,7 +118,7 @@ def test_import_is_exact(tmp_path: Path):
     done = afdsvc("import", str(tmp_path / "run.csv"), "-o", str(out), "--map", "current=u_current", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["channels"] == ["u_current", "y_angle"]
-    from afdsvc.record.reader import Recording
+    from afdsvc.files.recording.reader import Recording
 
     (trace,) = Recording(out).traces()
     assert trace.values[:, 1].tolist() == [1 / (k + 1) for k in range(99)]

@@ -13,10 +13,10 @@ import pytest
 from afdsvc.api.model import Model, Variable
 from afdsvc.errors import BadInput
 from afdsvc.explaining import ExplainOptions, explain_files, means, model_of, traces
+from afdsvc.files.model.model_file import read_model, write_model
+from afdsvc.files.tables.tables import read_table
+from afdsvc.files.tables.to_recording import import_table
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.record.import_table import import_table
-from afdsvc.record.model_file import read_model, write_model
-from afdsvc.record.tables import read_table
 
 DT, PERIOD = 2e-3, 500
 

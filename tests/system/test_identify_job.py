@@ -10,10 +10,10 @@ import pytest
 from afdsvc import commission
 from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
+from afdsvc.files.model.model_file import parse_model, read_model, write_model
+from afdsvc.files.tables.to_recording import import_table
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.modelling import identify_files
-from afdsvc.record.import_table import import_table
-from afdsvc.record.model_file import parse_model, read_model, write_model
 from afdsvc.runtime.clock import FastClock
 
 

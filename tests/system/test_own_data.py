@@ -14,14 +14,14 @@ from afdsvc.api.signals import Channel, Trace
 from afdsvc.batch import Batch, run_batch
 from afdsvc.errors import BadInput
 from afdsvc.explaining import ExplainOptions, explain_files, from_rest
+from afdsvc.files.model.model_file import read_model
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.site import read_site
+from afdsvc.files.tables.foreign import prepared
+from afdsvc.files.tables.loading import Naming
 from afdsvc.modelling import identify_files
 from afdsvc.offline import diagnose_recordings, import_recording
-from afdsvc.record.foreign import prepared
-from afdsvc.record.loading import Naming
-from afdsvc.record.model_file import read_model
-from afdsvc.record.reader import Recording
 from afdsvc.report.diagnose_page import diagnose_page
-from afdsvc.runtime.site import read_site
 from afdsvc.service import run_rig
 
 MODEL = """

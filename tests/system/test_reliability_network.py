@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 from afdsvc import service
-from afdsvc.record.reader import Recording
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.site import Site, read_site
 from afdsvc.runtime.hub import Hub
-from afdsvc.runtime.site import Site, read_site
 from afdsvc.wire.messages import EventKind
 
 NAME = f"afd{os.getpid() % 10_000}"

@@ -12,12 +12,12 @@ from types import SimpleNamespace
 import pytest
 
 from afdsvc import service
-from afdsvc.record.reader import Recording
-from afdsvc.record.recorder import Recorder
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.recording.recorder import Recorder
+from afdsvc.files.site import Site, parse_site
 from afdsvc.runtime import clock
 from afdsvc.runtime.hub import Hub
 from afdsvc.runtime.scheduler import Wanted
-from afdsvc.runtime.site import Site, parse_site
 from afdsvc.runtime.transport import Transport
 from afdsvc.wire.keys import Keys
 

@@ -14,9 +14,9 @@ import pytest
 
 from afdsvc import service
 from afdsvc.errors import AfdsvcError
-from afdsvc.record.mcap_records import is_finished
-from afdsvc.record.reader import Recording
-from afdsvc.runtime.site import read_site
+from afdsvc.files.recording.mcap_records import is_finished
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.site import read_site
 from afdsvc.wire.messages import EventKind
 
 

@@ -14,10 +14,10 @@ import pytest
 from afdsvc import service
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.errors import AfdsvcError, BadInput
-from afdsvc.record.reader import Recording
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.site import Site, Transport, parse_site
 from afdsvc.runtime.access import rig_name
 from afdsvc.runtime.certificates import make_certificates
-from afdsvc.runtime.site import Site, Transport, parse_site
 from afdsvc.runtime.transport import Access, NoPeer
 from afdsvc.runtime.transport import Transport as Session
 from afdsvc.wire import codec

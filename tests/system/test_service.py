@@ -16,10 +16,10 @@ import pytest
 from afdsvc import offline, service
 from afdsvc.api.signals import Block
 from afdsvc.errors import AfdsvcError
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.site import Site, parse_site
 from afdsvc.plugins.manager import load
-from afdsvc.record.reader import Recording
 from afdsvc.runtime.hub import Hub
-from afdsvc.runtime.site import Site, parse_site
 from afdsvc.runtime.transport import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys

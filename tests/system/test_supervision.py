@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from afdsvc.runtime.site import read_site
+from afdsvc.files.site import read_site
 from afdsvc.service import ask_service
 
 SITE = """site = "t"

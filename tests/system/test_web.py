@@ -13,7 +13,7 @@ import pytest
 
 from afdsvc import service
 from afdsvc.errors import BadInput
-from afdsvc.runtime.site import Site, parse_site
+from afdsvc.files.site import Site, parse_site
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from afdsvc.errors import BadInput, Refused
-from afdsvc.record.model_file import read_model
-from afdsvc.record.table_formats import read_columns
+from afdsvc.files.model.model_file import read_model
+from afdsvc.files.tables.formats import read_columns
 from afdsvc.trial import Options, generate, open_seal, seal, write
 
 SHORT = Options(controller="lqg", periods=1)

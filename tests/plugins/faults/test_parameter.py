@@ -8,11 +8,11 @@ import pytest
 from afdsvc import commission
 from afdsvc.api.control_plugins import ParameterFaultKind
 from afdsvc.errors import BadInput
+from afdsvc.files.site import Machine
 from afdsvc.plants.registry import plant
 from afdsvc.plugins.fault_set import chosen_faults, usual_faults
 from afdsvc.plugins.faults.gain import ActuatorGain, SensorGain
 from afdsvc.plugins.faults.parameter import Parameter
-from afdsvc.runtime.site import Machine
 
 SOFT = {"parameter": "stiffness_b_y"}
 MIXED = [

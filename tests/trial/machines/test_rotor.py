@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from afdsvc.explain.explain import explain
+from afdsvc.files.model.model_file import parse_model
 from afdsvc.plugins.manager import load
 from afdsvc.record.model_file import parse_model
 from afdsvc.trial.generate import Trial, generate

@@ -1,0 +1,1 @@
+"""Model files: MODEL.toml read and written."""

@@ -1,0 +1,158 @@
+"""The improved model on disk: MODEL.toml alone where what was found is linear, with a Python simulator beside it where not."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from afdsvc.api.model import Model, Quantity, Variable
+from afdsvc.api.physics import Coefficient, Hypothesis
+from afdsvc.explain.explanation import Explanation
+from afdsvc.explain.simulator import Effect
+from afdsvc.files.model.model_file import DYNAMICS, write_model
+from afdsvc.lti.statespace import Array, StateSpace
+
+OBJECT = "model"
+
+
+def write_improved(explanation: Explanation, path: Path, aux: Mapping[str, float]) -> list[Path]:
+    """Write the improved model as ``path`` (and ``path`` with the suffix .py when it is not linear); return what was written.
+
+    ``aux`` holds the mean of every auxiliary signal of the recordings, sorted by name as the laws count them.
+    """
+    if explanation.improved is not None:
+        write_model(_linear(explanation, explanation.improved), path)
+        return [path]
+    code = path.with_suffix(".py")
+    model, text = dynamics(explanation, code.name, aux)
+    code.write_text(text, encoding="utf-8")
+    write_model(replace(model, origin=str(path)), path)
+    return [path, code]
+
+
+def _linear(explanation: Explanation, plant: StateSpace) -> Model:
+    """Return the refitted plant with what was added; what its owner says of known entries stays, new ones count as fitted."""
+    old = explanation.nominal.model
+    added = plant.order - len(old.states)
+    states = (*old.states, *(Variable(f"added_{i + 1}") for i in range(added)))
+    sds = {}
+    for name, sd in old.entry_sd.items():
+        grown = np.zeros(getattr(plant, name).shape)
+        grown[: sd.shape[0], : sd.shape[1]] = sd
+        sds[name] = grown
+    cov = old.process_cov
+    if cov is not None and added:
+        cov = np.pad(cov, (0, added))
+    return replace(old, states=states, plant=plant, entry_sd=sds, process_cov=cov, output_sd=_noise(explanation), extra={}, raw="")
+
+
+def _noise(explanation: Explanation) -> Array | None:
+    """Return the noise as measured, else as its owner states it."""
+    floor = explanation.noise_floor
+    if floor is None or not all(np.isfinite(v) and v > 0 for v in floor):
+        return explanation.nominal.model.output_sd
+    return np.array(floor, dtype=np.float64)
+
+
+def dynamics(explanation: Explanation, file: str, aux: Mapping[str, float]) -> tuple[Model, str]:
+    """Return the model whose dynamics are in ``file`` (beside it) and the text of that file."""
+    old, effects = explanation.nominal.model, explanation.point.effects
+    plant = explanation.nominal.at(explanation.point.theta)
+    remembers = plant.discrete or any(_goes_by_samples(e.hypothesis) for e in effects)
+    states = tuple(old.states)
+    if remembers:
+        count = sum(e.hypothesis.memory for e in effects)
+        held = [Variable(f"{v.name} before", v.unit) for v in old.inputs]
+        states = (*states, *(Variable(f"memory_{i + 1}") for i in range(count)), *held)
+    model = replace(
+        old, states=states, plant=None, sample_time=explanation.nominal.dt if remembers else 0.0,
+        parameters=_parameters(explanation, plant), entry_sd={}, process_cov=None, output_sd=_noise(explanation),
+        extra={DYNAMICS: f"{file}:{OBJECT}"}, raw="",
+    )
+    return model, _text(explanation, plant, "Sampled" if remembers else "Continuous", aux)
+
+
+def _goes_by_samples(hypothesis: Hypothesis) -> bool:
+    """Whether a law remembers, or follows time or a recorded signal, which the fit held over every sample."""
+    return bool(hypothesis.memory) or any(s.kind in ("t", "aux") for s in hypothesis.reads)
+
+
+def _parameters(explanation: Explanation, plant: StateSpace) -> dict[str, Quantity]:
+    """Return what was found, by name, in people's units, with its standard deviation relative to the value."""
+    sds = {(n.physics, n.site, name): e.sd for n in explanation.named for name, e in n.parameters.items()}
+    found = {}
+    for effect in explanation.point.effects:
+        h = effect.hypothesis
+        for name, c, value in zip(_names(effect), h.parameters, effect.values, strict=True):
+            if name:
+                shown = float(value) / _factor(c, plant)
+                sd = sds.get((h.physics, h.site, c.name))
+                found[name] = Quantity(shown, c.unit, 0.05 if sd is None or not shown else float(sd / abs(shown)))
+    return found
+
+
+def _names(effect: Effect) -> list[str]:
+    """Return the key of every parameter that is a finding, "" for the others."""
+    h = effect.hypothesis
+    return [f"{c.name} of {h.physics} at {h.site}" if c.free and not c.nuisance else "" for c in h.parameters]
+
+
+def _factor(c: Coefficient, plant: StateSpace) -> float:
+    """Return what a value in people's units is multiplied by to become the law's."""
+    return 1.0 if c.through is None or plant.B[c.through] == 0 else float(plant.B[c.through])
+
+
+def _text(explanation: Explanation, plant: StateSpace, kind: str, aux: Mapping[str, float]) -> str:
+    nominal, effects = explanation.nominal, explanation.point.effects
+    labels, sources = _sources(effects)
+    least = max([1, *(e.hypothesis.substeps for e in effects)])
+    what = ", ".join(f"{e.hypothesis.physics} at {e.hypothesis.site}" for e in effects)
+    head = [
+        f'"""{nominal.model.name} with what its model left out: {what}.',
+        "",
+        "Written by `afdsvc explain`. Parameters come from the MODEL.toml beside this file, by name; matrices are the refitted ones.",
+        '"""',
+        "", _runtime(), "", "import math", "", "", "\n\n\n".join(sources), "",
+    ]
+    laws = [_law(e, label, plant) for e, label in zip(effects, labels, strict=True)]
+    matrices = [f"{name} = np.array({getattr(plant, name).tolist()!r}).reshape{getattr(plant, name).shape!r}" for name in "ABCD"]
+    last = (
+        f"{OBJECT} = {kind}(A, B, C, D, LAWS, dt={nominal.dt!r}, substeps={nominal.steps(explanation.point.theta, least).nsub}, "
+        f"aux={dict(aux)!r}, plant_dt={plant.dt!r})"
+    )
+    return "\n".join([*head, "", *matrices, "LAWS = (", *laws, ")", last, ""])
+
+
+def _runtime() -> str:
+    """Return the source of the simulator without its docstring."""
+    return inspect.getsource(exported_dynamics).split('"""', 2)[2].strip() + "\n"
+
+
+def _sources(effects: Sequence[Effect]) -> tuple[list[str], list[str]]:
+    """Return the name of each effect's law in the file, and the sources, each law once."""
+    labels: dict[object, str] = {}
+    sources = []
+    for e in effects:
+        law = e.hypothesis.law
+        if law not in labels:
+            labels[law] = f"{e.hypothesis.physics}_{law.__name__}"
+            sources.append(re.sub(rf"^def {law.__name__}\(", f"def {labels[law]}(", inspect.getsource(law), count=1).rstrip())
+    return [labels[e.hypothesis.law] for e in effects], sources
+
+
+def _law(effect: Effect, label: str, plant: StateSpace) -> str:
+    h = effect.hypothesis
+    reads = tuple((s.kind, s.index) for s in h.reads)
+    writes = tuple(s.index for s in h.writes)
+    factors = tuple(_factor(c, plant) for c in h.parameters)
+    values = tuple(float(v) / f for v, f in zip(effect.values, factors, strict=True))
+    return (
+        f"    Law({h.stage!r}, {label}, {reads!r}, {writes!r}, {tuple(_names(effect))!r},\n"
+        f"        {values!r}, {factors!r}, {h.memory}),"
+    )
+

@@ -1,0 +1,1 @@
+"""Tables and recordings made by other tools."""

@@ -1,0 +1,212 @@
+"""Columns on times of their own brought to one even grid: order, doubles, gaps, jitter, rate, and every one of them told.
+
+Nothing is filled in. A gap ends a piece, and what was done to the samples of a piece is one sentence each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from afdsvc.errors import BadInput
+from afdsvc.files.tables.resampling import FLAT, STOP, reach, resampled
+from afdsvc.files.tables.time_base import JITTER, shortest_step
+from afdsvc.lti.statespace import Array
+
+SAME_STEP, SAME_PHASE = 1e-4, 1e-3  # relative differences of sample times, and of phases in samples, taken for rounding
+SHORTEST = 50  # samples; what is shorter tells nothing of a machine
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """Columns ``(n,)`` by signal that were sampled together, at times ``t (n,)`` s; ``name`` is where they come from."""
+
+    name: str
+    t: Array
+    columns: Mapping[str, Array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece:
+    """Samples ``values (n, c)`` at ``start + k dt`` s, columns in the order of the groups."""
+
+    start: float
+    dt: float
+    values: Array
+
+    @property
+    def end(self) -> float:
+        """Time of the last sample [s]."""
+        return self.start + (len(self.values) - 1) * self.dt
+
+
+def aligned(
+    groups: Sequence[Group], where: str, dt: float | None = None, gap: float = 1.5, regular: bool = False
+) -> tuple[list[Piece], list[str]]:
+    """Return pieces on one grid, columns of all groups side by side, and what was done to get there.
+
+    ``dt`` is the sample time wanted [s]; without it the slowest group's. ``gap`` is the step, in sample times, from which on
+    samples are missing; ``regular`` says that stamps jitter and the sampling did not. Raises `BadInput`, beginning with
+    ``where``, when nothing usable is left.
+    """
+    told: list[str] = []
+    evened = [_evened(_ordered(group, where, told), where, gap, regular, told) for group in groups]
+    slowest = max(found[0].dt for found in evened)
+    wanted = dt or slowest
+    if all(_same_grid(found, evened[0], wanted) for found in evened):
+        pieces = _side_by_side(evened)
+    else:
+        pieces = _resampled(groups, evened, wanted, told)
+    kept = [p for p in pieces if len(p.values) >= SHORTEST]
+    if not kept:
+        longest = max((len(p.values) for p in pieces), default=0)
+        raise BadInput(f"{where}: the longest stretch without a gap has {longest} samples; at least {SHORTEST} are wanted")
+    if len(kept) < len(pieces):
+        lost = sum(len(p.values) for p in pieces if len(p.values) < SHORTEST)
+        told.append(f"stretches shorter than {SHORTEST} samples are left out: {len(pieces) - len(kept)}, with {lost} samples in all")
+    return kept, told
+
+
+def _ordered(group: Group, where: str, told: list[str]) -> Group:
+    """Return the samples in the order of their times, each time once, with what was not in order told."""
+    t, columns = group.t, dict(group.columns)
+    bad = ~np.isfinite(t)
+    order = np.argsort(np.where(bad, np.inf, t), kind="stable")[: len(t) - int(bad.sum())]
+    late = int((np.diff(t[~bad]) < 0).sum())
+    first = np.ones(len(order), dtype=bool)
+    first[1:] = np.diff(t[order]) > 0
+    kept = order[first]
+    if bad.any():
+        told.append(f"{int(bad.sum())} samples of {group.name} have no time and are dropped")
+    if late:
+        told.append(f"{late} samples of {group.name} came out of order and were put in their place")
+    if len(kept) < len(order):
+        told.append(f"{len(order) - len(kept)} samples of {group.name} have the time of another and are dropped, the first is kept")
+    if len(kept) < 2:
+        raise BadInput(f"{where}: {group.name} has {len(kept)} samples; at least {SHORTEST} are wanted")
+    return Group(group.name, t[kept], {name: values[kept] for name, values in columns.items()})
+
+
+def _evened(group: Group, where: str, gap: float, regular: bool, told: list[str]) -> list[Piece]:
+    """Return the group's stretches without gap, each on its own even grid of the group's one step."""
+    steps = np.diff(group.t)
+    step = float(np.median(steps))
+    edges = [0, *(np.flatnonzero(steps > gap * step) + 1).tolist(), len(group.t)]
+    spans = [(a, b) for a, b in pairwise(edges) if b - a >= 2]
+    if len(edges) > 2:
+        missing = float(steps[steps > gap * step].sum())
+        told.append(
+            f"{group.name} has {_count(len(edges) - 2, 'gap')} longer than {gap:g} sample times, {missing:.4g} s in all: "
+            "they stay gaps, and each side is a piece of its own"
+        )
+    if not spans:
+        raise BadInput(f"{where}: {group.name} has a gap after every sample; even sampling is wanted")
+    longest = max(spans, key=lambda s: s[1] - s[0])
+    step = shortest_step(group.t[longest[0] : longest[1]])
+    values = np.column_stack(list(group.columns.values()))
+    worst, filled, pieces = 0.0, 0, []
+    for a, b in spans:
+        piece, miss = _on_grid(group.t[a:b], values[a:b], step, regular)
+        pieces.append(piece)
+        worst, filled = max(worst, miss), filled + len(piece.values) - (b - a)
+    if worst > JITTER:
+        told.append(_jitter(group.name, worst, step, regular))
+    if filled > 0:
+        told.append(f"missing samples of {group.name}, fewer at a time than the mapping calls a gap, were interpolated: {filled}")
+    return pieces
+
+
+def _jitter(name: str, worst: float, step: float, regular: bool) -> str:
+    said = f"the times of {name} miss an even grid of {step:.6g} s by up to {100 * worst:.0f} % of it"
+    if regular:
+        return f"{said}: the mapping says that only the stamps jitter, so the samples were put on the grid as they are"
+    return f"{said}: the samples were interpolated onto it, linearly"
+
+
+def _on_grid(t: Array, values: Array, step: float, regular: bool) -> tuple[Piece, float]:
+    """Return a stretch on an even grid, and by how much of a step its times miss it at worst."""
+    k = np.arange(len(t))
+    start = float(np.mean(t - step * k)) if regular else float(t[0])
+    miss = float(np.abs(t - start - step * k).max() / step)
+    if miss <= JITTER or regular:
+        return Piece(start, step, values), miss
+    grid = start + step * np.arange(int(np.floor((t[-1] - start) / step + 1e-9)) + 1)
+    moved = np.column_stack([np.interp(grid, t, column) for column in values.T])
+    phase = (t - start) / step
+    return Piece(start, step, moved), float(np.abs(phase - np.round(phase)).max())
+
+
+def _same_grid(found: list[Piece], first: list[Piece], wanted: float) -> bool:
+    """Whether a group lies on the wanted grid already, and on the same one as the first group."""
+    if abs(found[0].dt - wanted) > SAME_STEP * wanted:
+        return False
+    phases = [(p.start - first[0].start) / wanted for p in (*found, *first)] if found is not first else [0.0]
+    return bool(np.abs(np.array(phases) - np.round(phases)).max() < SAME_PHASE)
+
+
+def _side_by_side(evened: Sequence[list[Piece]]) -> list[Piece]:
+    """Return what all groups have in common; every value stays as it is."""
+    pieces = []
+    for start, end in _overlaps(evened):
+        dt = evened[0][0].dt
+        n = round((end - start) / dt) + 1
+        parts = [_covering(found, start, end) for found in evened]
+        firsts = [round((start - p.start) / dt) for p in parts]
+        pieces.append(Piece(start, dt, np.hstack([p.values[a : a + n] for p, a in zip(parts, firsts, strict=True)])))
+    return pieces
+
+
+def _resampled(groups: Sequence[Group], evened: Sequence[list[Piece]], dt: float, told: list[str]) -> list[Piece]:
+    """Return what all groups have in common on a grid of ``dt``, through one kernel for all."""
+    evened = [_without_nan(group.name, found, told) for group, found in zip(groups, evened, strict=True)]
+    period = max(dt, *(p.dt for found in evened for p in found))
+    margin, pieces = reach(period), []
+    for start, end in _overlaps(evened):
+        count = int(np.floor((end - start - 2 * margin) / dt + 1e-9)) + 1
+        times = np.asarray(start + margin + dt * np.arange(max(count, 0)), dtype=np.float64)
+        parts = [_covering(found, start, end) for found in evened]
+        columns = [resampled(p.values, p.start, p.dt, times, period) for p in parts]
+        pieces.append(Piece(start + margin, dt, np.hstack(columns)))
+    rates = ", ".join(f"{1 / found[0].dt:.6g} Hz ({g.name})" for g, found in zip(groups, evened, strict=True))
+    told.append(
+        f"resampled from {rates} to {1 / dt:.6g} Hz by one linear-phase low-pass filter for all columns: flat to {FLAT / period:.4g} Hz, "
+        f"80 dB down from {STOP / period:.4g} Hz on; {margin:.4g} s at both ends of each piece are dropped, where the filter lacks "
+        "neighbours, and inputs that were held between samples run smoothly now"
+    )
+    return pieces
+
+
+def _without_nan(name: str, pieces: list[Piece], told: list[str]) -> list[Piece]:
+    """Return the pieces cut where a sample is not a number: a filter would spread it."""
+    cut = []
+    for p in pieces:
+        good = np.isfinite(p.values).all(axis=1)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
+        cut += [Piece(p.start + a * p.dt, p.dt, p.values[a:b]) for a, b in edges.reshape(-1, 2).tolist()]
+    lost = sum(len(p.values) for p in pieces) - sum(len(p.values) for p in cut)
+    if lost:
+        told.append(f"{lost} samples of {name} are not numbers: they stay gaps")
+    if not cut:
+        raise BadInput(f"{name} holds no numbers; samples are wanted")
+    return cut
+
+
+def _overlaps(evened: Sequence[list[Piece]]) -> list[tuple[float, float]]:
+    """Return the spans that every group covers with one piece."""
+    spans = [(p.start, p.end) for p in evened[0]]
+    for found in evened[1:]:
+        both = [(max(a, p.start), min(b, p.end)) for a, b in spans for p in found]
+        spans = [(a, b) for a, b in both if b > a]
+    return spans
+
+
+def _covering(pieces: list[Piece], start: float, end: float) -> Piece:
+    slack = 1e-6 * (end - start) + 1e-9
+    return next(p for p in pieces if p.start <= start + slack and p.end >= end - slack)
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'s' if n != 1 else ''}"

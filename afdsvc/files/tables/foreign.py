@@ -1,0 +1,144 @@
+"""A recording of others as traces, by a mapping; what was done to the data goes with them, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from afdsvc.api.model import Model
+from afdsvc.api.signals import Channel, Trace
+from afdsvc.errors import BadInput
+from afdsvc.files.tables.alignment import Group, aligned
+from afdsvc.files.tables.foreign_mcap import read_topics
+from afdsvc.files.tables.formats import read_columns
+from afdsvc.files.tables.mapping import OWN_TIMES, DataMapping, Source, Time
+from afdsvc.files.tables.tables import TIME
+from afdsvc.files.tables.units import converted, product, same_unit
+from afdsvc.lti.statespace import Array
+
+PREPARED = "prepared"  # the note of a trace that holds the sentences, one a line
+_AUX_UNITS = {"aux_speed": "rad/s", "aux_angle": "rad"}
+
+
+def read_foreign(path: Path, mapping: DataMapping, model: Model | None = None) -> list[Trace]:
+    """Return the mapped signals of a table or MCAP file, one trace per stretch without a gap.
+
+    Units become the model's where it has any, the sample time the mapping's, else that of a discrete model, else the slowest
+    signal's. The note `PREPARED` of every trace says all that was done. Raises `BadInput` naming file, signal and place.
+    """
+    wanted = mapping.resample.dt or (model.plant.dt if model and model.plant and model.plant.discrete else None)
+    places = {signal: source.place for signal, source in mapping.signals.items()}
+    if path.suffix.lower() == ".mcap":
+        groups, told = read_topics(path, places, mapping.time)
+    else:
+        groups, told = _table(path, places, mapping.time)
+    units = model_units(model)
+    named, channels = [], []
+    for group in groups:
+        columns = {}
+        for signal, values in group.columns.items():
+            columns[signal], channel, sentence = _as_wanted(signal, values, mapping.signals[signal], units.get(signal, ""), path)
+            channels.append(channel)
+            told.append(sentence)
+        named.append(Group(group.name, group.t, columns))
+    pieces, done = aligned(named, str(path), wanted, mapping.resample.gap, mapping.time.regular)
+    notes = {"path": str(path), PREPARED: "\n".join([*told, *done])}
+    order = _order(channels)
+    sorted_channels = tuple(channels[i] for i in order)
+    return [Trace(path.name, p.dt, sorted_channels, np.ascontiguousarray(p.values[:, order]), p.start, notes) for p in pieces]
+
+
+def model_units(model: Model | None) -> dict[str, str]:
+    """Return the unit of every signal a model speaks of."""
+    if model is None:
+        return dict(_AUX_UNITS)
+    found = {f"{role}_{v.name}": v.unit for role in ("u", "alpha") for v in model.inputs}
+    return _AUX_UNITS | found | {f"{role}_{v.name}": v.unit for role in ("y", "beta", "ref") for v in model.outputs}
+
+
+def prepared(traces: Sequence[Trace]) -> list[str]:
+    """Return what was done to the data of traces, every sentence once, behind the name of its file."""
+    files: dict[str, str] = {}
+    for trace in traces:
+        if trace.notes.get(PREPARED):
+            files.setdefault(Path(trace.notes.get("path", trace.name)).name, trace.notes[PREPARED])
+    return [f"{name}: {sentence}" for name, text in files.items() for sentence in text.splitlines()]
+
+
+def in_model_units(trace: Trace, model: Model) -> Trace:
+    """Return the trace with the model's units: given where it has none, converted, and told, where it has others."""
+    units, told = model_units(model), []
+    values, channels = trace.values, []
+    for i, channel in enumerate(trace.channels):
+        wanted = units.get(channel.name, "")
+        if channel.unit and wanted and channel.unit != wanted:
+            where = f"{trace.name}: {channel.name}"
+            if not same_unit(channel.unit, wanted, where):
+                values = values.copy() if values is trace.values else values
+                values[:, i] = converted(values[:, i], channel.unit, wanted, where)
+                told.append(f"{channel.name} is recorded in {channel.unit} and converted to {wanted}")
+            channel = Channel(channel.name, wanted)
+        channels.append(Channel(channel.name, channel.unit or wanted))
+    before = trace.notes.get(PREPARED, "")
+    notes = {**trace.notes, PREPARED: "\n".join([*before.splitlines(), *told])} if told else trace.notes
+    return Trace(trace.name, trace.dt, tuple(channels), values, trace.t0, notes)
+
+
+def _as_wanted(signal: str, stored: Array, source: Source, unit: str, path: Path) -> tuple[Array, Channel, str]:
+    """Return a signal in the unit that is wanted, its channel, and the sentence on what was done to it."""
+    where, wanted = f"{path}: {signal} from '{source.place}'", source.to or unit
+    values = stored if source.offset == 0 else stored + source.offset
+    said = f"{signal} is {source.place}" + (f" [{source.unit}]" if source.unit else "")
+    if source.offset:
+        said += f" plus {source.offset:g}" + (f" {source.unit}" if source.unit else "")
+    given = source.unit
+    if source.factor != 1 or source.factor_unit:
+        values = values * source.factor
+        said += f", times {source.factor:g}" + (f" {source.factor_unit}" if source.factor_unit else "")
+        given = product(source.unit, source.factor_unit, where) if source.factor_unit else source.unit
+    if not given:
+        return values, Channel(signal, wanted), f"{said}, taken to be in {wanted}" if wanted else f"{said}, its unit unknown"
+    if not wanted or same_unit(given, wanted, where):
+        return values, Channel(signal, wanted or given), said if not wanted or given == source.unit else f"{said}, in {wanted}"
+    return converted(values, given, wanted, where), Channel(signal, wanted), f"{said}, converted to {wanted}"
+
+
+def _table(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group], list[str]]:
+    """Return the mapped columns of a table as one group, and what there is to say of its time and its other columns."""
+    columns = read_columns(path)
+    absent = next((place for place in places.values() if place not in columns), None)
+    if absent is not None:
+        raise BadInput(f"{path}: no column '{absent}' to be mapped; it has {', '.join(columns)}")
+    t, sentence, used = _table_time(columns, time, path)
+    told = [sentence]
+    left = [name for name in columns if name not in {*places.values(), used}]
+    if left:
+        told.append(f"not mapped and left out: {', '.join(left)}")
+    chosen = {signal: columns[place] for signal, place in places.items()}
+    lengths = {len(v) for v in (t if t is not None else next(iter(chosen.values())), *chosen.values())}
+    if len(lengths) > 1:
+        raise BadInput(f"{path}: columns of {', '.join(map(str, sorted(lengths)))} rows; equal lengths are wanted")
+    if t is None:
+        t = np.asarray((time.step or 0.0) * np.arange(max(lengths)), dtype=np.float64)
+    return [Group("the table", t, chosen)], told
+
+
+def _table_time(columns: Mapping[str, Array], time: Time, path: Path) -> tuple[Array | None, str, str]:
+    """Return the times [s] of a table (None: none are stored), how they are known, and the column they come from."""
+    column = TIME if time.place in OWN_TIMES else time.place
+    if column in columns:
+        t = converted(columns[column], time.unit, "s", f"{path}: time '{column}'")
+        return t, f"the time of a sample is column {column} [{time.unit}]", column
+    if time.place not in OWN_TIMES:
+        raise BadInput(f"{path}: no column '{column}' for the time; it has {', '.join(columns)}")
+    if time.step is None:
+        raise BadInput(f"{path}: has no column '{TIME}'; key 'time.from', a column, or 'time.step' [s] is wanted in the mapping")
+    return None, f"the table has no time; the mapping says that samples are {time.step:g} s apart", ""
+
+
+def _order(channels: Sequence[Channel]) -> list[int]:
+    """Return the order of roles that recordings have: inputs, outputs, then what else there is."""
+    rank = {"u": 0, "y": 1, "alpha": 2, "beta": 3, "ref": 4, "aux": 5}
+    return sorted(range(len(channels)), key=lambda i: rank[channels[i].role])

@@ -1,0 +1,160 @@
+"""The mapped topics of an MCAP file that is not ours, as columns on the time of each topic."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.records import Channel, Message, Schema
+
+from afdsvc.errors import BadInput
+from afdsvc.files.recording.mcap_records import Item, Loss, read_items
+from afdsvc.files.tables.alignment import Group
+from afdsvc.files.tables.foreign_messages import Decode, decoder, number, stamp_ns
+from afdsvc.files.tables.mapping import OWN_TIMES, Time
+from afdsvc.files.tables.units import converted
+from afdsvc.lti.statespace import Array
+
+
+@dataclass
+class _Topic:
+    """What is wanted of a topic (field path by signal) and what was found, one entry per message."""
+
+    name: str
+    fields: dict[str, str] = field(default_factory=dict)
+    values: list[list[float]] = field(default_factory=list)
+    times: dict[str, list[Any]] = field(default_factory=dict)
+
+    def take(self, message: Any, stored: Message, time: Time) -> None:
+        """Take one decoded message."""
+        self.values.append([number(message, path, f"{self.name}.{path}") for path in self.fields.values()])
+        kept = {"log": stored.log_time, "publish": stored.publish_time}
+        if time.place in ("header", "auto"):
+            kept["header"] = stamp_ns(message) or 0
+        for name, value in kept.items():
+            self.times.setdefault(name, []).append(value)
+        if time.place not in OWN_TIMES:
+            self.times.setdefault("field", []).append(number(message, time.place, f"{self.name}.{time.place}"))
+
+
+def read_topics(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group], list[str]]:
+    """Return one group of columns per topic (times in s, from the file's first), and sentences on time and damage.
+
+    ``places`` maps signals to ``topic.field``. Raises `BadInput` for a topic or field that is not there or no number, and for
+    messages without the time that was asked for.
+    """
+    topics, losses = _read(path, places, time)
+    chosen, sentence = _clock(list(topics.values()), time, path)
+    times = _seconds(topics, chosen, time, path)
+    groups = []
+    for topic in topics.values():
+        values = np.array(topic.values, dtype=np.float64)
+        groups.append(Group(topic.name, times[topic.name], dict(zip(topic.fields, values.T, strict=True))))
+    return groups, [sentence, *losses]
+
+
+def _read(path: Path, places: Mapping[str, str], time: Time) -> tuple[dict[str, _Topic], list[str]]:
+    """Return the mapped topics with their decoded samples, and sentences on damage."""
+    file = _File()
+    for item in read_items(path):
+        file.take(item, places)
+    topics = _wanted(places, {c.topic: file.kind(c) for c in file.channels.values()}, path)
+    for id, messages in file.stored.items():
+        channel = file.channels[id]
+        if channel.topic in topics:
+            decode = decoder(channel, file.schemas.get(channel.schema_id), f"{path}: topic '{channel.topic}'")
+            for message in messages:
+                _take(topics[channel.topic], decode, message, time, path)
+    empty = next((name for name, topic in topics.items() if not topic.values), None)
+    if empty is not None:
+        raise BadInput(f"{path}: topic '{empty}' has no messages; samples are wanted")
+    return topics, file.losses
+
+
+@dataclass
+class _File:
+    """What of an MCAP file matters: schemas, channels, and the messages of topics that may be mapped."""
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    stored: dict[int, list[Message]] = field(default_factory=dict)
+    losses: list[str] = field(default_factory=list)
+
+    def take(self, item: Item, places: Mapping[str, str]) -> None:
+        """Take one record; pictures and point clouds, which nobody maps, are not kept."""
+        if isinstance(item, Schema):
+            self.schemas[item.id] = item
+        elif isinstance(item, Channel):
+            self.channels[item.id] = item
+        elif isinstance(item, Loss):
+            self.losses.append(f"not all could be read: {item.sentence}")
+        elif isinstance(item, Message) and item.channel_id in self.channels:
+            topic = self.channels[item.channel_id].topic
+            if any(_fits(topic, place) for place in places.values()):
+                self.stored.setdefault(item.channel_id, []).append(item)
+
+    def kind(self, channel: Channel) -> str:
+        """Return the type of a channel's messages."""
+        schema = self.schemas.get(channel.schema_id)
+        return schema.name if schema else channel.message_encoding
+
+
+def _take(topic: _Topic, decode: Decode, message: Message, time: Time, path: Path) -> None:
+    try:
+        decoded = decode(message.data)
+    except Exception as error:
+        raise BadInput(f"{path}: a message of '{topic.name}' cannot be decoded: {type(error).__name__}: {error}") from None
+    try:
+        topic.take(decoded, message, time)
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from None
+
+
+def _wanted(places: Mapping[str, str], there: Mapping[str, str], path: Path) -> dict[str, _Topic]:
+    """Return the topics that are mapped; the longest topic that begins a place is meant."""
+    topics: dict[str, _Topic] = {}
+    for signal, place in places.items():
+        fitting = [name for name in there if _fits(name, place)]
+        if not fitting:
+            listed = ", ".join(f"{name} ({kind})" for name, kind in sorted(there.items())) or "no messages at all"
+            raise BadInput(f"{path}: no topic for '{place}', which is to be {signal}; TOPIC.FIELD is wanted, and it has {listed}")
+        name = max(fitting, key=len)
+        topics.setdefault(name, _Topic(name)).fields[signal] = place[len(name) :].lstrip(".")
+    return topics
+
+
+def _fits(topic: str, place: str) -> bool:
+    return place.startswith((f"{topic}.", f"{topic}["))
+
+
+def _clock(topics: list[_Topic], time: Time, path: Path) -> tuple[str, str]:
+    """Return which of the times counts, and the sentence that says so."""
+    if time.place == "log":
+        return "log", "the time of a sample is when its message was logged"
+    if time.place == "publish":
+        return "publish", "the time of a sample is when its message was published"
+    if time.place not in OWN_TIMES:
+        return "field", f"the time of a sample is field {time.place} [{time.unit}] of its message"
+    without = next((t.name for t in topics if not all(t.times["header"])), None)
+    if without is None:
+        return "header", "the time of a sample is the stamp in its message"
+    if time.place == "header":
+        raise BadInput(f"{path}: messages of '{without}' carry no stamp (header.stamp, timestamp or stamp); time 'log' is possible")
+    return "log", f"messages of '{without}' carry no stamp: the time of a sample is when its message was logged"
+
+
+def _seconds(topics: Mapping[str, _Topic], chosen: str, time: Time, path: Path) -> dict[str, Array]:
+    """Return the times of every topic [s] from the first of all; stamps are subtracted as whole ns, which no double holds."""
+    if chosen == "field":
+        found = {
+            n: converted(np.array(t.times["field"], dtype=np.float64), time.unit, "s", f"{path}: time '{time.place}'")
+            for n, t in topics.items()
+        }
+        first = min(float(np.nanmin(t)) for t in found.values())
+        return {name: t - first for name, t in found.items()}
+    stamps = {name: np.array(topic.times[chosen], dtype=np.int64) for name, topic in topics.items()}
+    zero = min(int(t.min()) for t in stamps.values())
+    return {name: (t - zero) / 1e9 for name, t in stamps.items()}

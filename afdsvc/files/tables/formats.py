@@ -1,0 +1,155 @@
+"""Foreign tables as columns of numbers: CSV, Parquet, MAT (5 and 7.3), NPZ."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+
+from afdsvc.errors import BadInput
+from afdsvc.files.tables.mat5 import read_mat5
+from afdsvc.lti.statespace import Array
+
+Columns = dict[str, Array]
+_LFS = b"version https://git-lfs"
+
+
+def read_columns(path: Path) -> Columns:
+    """Return columns by name, shape ``(n,)``, empty cells as NaN; raises `BadInput` naming file, column and row."""
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise BadInput(f"{path}: tables end in {', '.join(_READERS)}; this one ends in '{path.suffix}'")
+    refuse_pointer(path)
+    try:
+        return reader(path)
+    except BadInput:
+        raise
+    except Exception as error:  # four libraries, each with errors of its own for files that are not what they claim
+        raise BadInput(f"{path}: not a readable {path.suffix} file: {_first_line(error)}") from None
+
+
+def refuse_pointer(path: Path) -> None:
+    """Raise `BadInput` when the file cannot be opened, or when Git LFS has left its pointer in the file's place."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(_LFS))
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror or error}") from None
+    if start == _LFS:
+        raise BadInput(f"{path}: is a Git LFS pointer, not the file itself; run 'git lfs pull' to fetch it")
+
+
+def _csv(path: Path) -> Columns:
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        first, second = file.readline(), file.readline()
+    delimiter = next((d for d in ",;\t" if d in first), ",")
+    header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
+    _refuse_twice(path, header)
+    point = "," if delimiter != "," and "," in second else "."
+    try:
+        table = pyarrow.csv.read_csv(
+            path,
+            # The header was read above, in the one way that tolerates spaces around names.
+            read_options=pyarrow.csv.ReadOptions(column_names=header, skip_rows=1),
+            parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
+            convert_options=pyarrow.csv.ConvertOptions(
+                column_types=dict.fromkeys(header, pa.float64()), decimal_point=point
+            ),
+        )
+    except pa.ArrowInvalid:
+        _name_bad_cell(path, header, delimiter, point)
+        raise
+    return {name: _numbers(path, name, table[name].to_numpy()) for name in header}
+
+
+def _name_bad_cell(path: Path, header: list[str], delimiter: str, point: str) -> None:
+    """Raise `BadInput` naming row and column of the first cell that is not a number, or the row of another length."""
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        for row, cells in enumerate(csv.reader(file, delimiter=delimiter)):
+            if row == 0 or not cells:
+                continue
+            if len(cells) != len(header):
+                wanted = f"{len(header)} are wanted, as many as the header"
+                raise BadInput(f"{path}: row {row} has {len(cells)} cells; {wanted}")
+            for name, cell in zip(header, cells, strict=True):
+                if not _is_number(cell.replace(point, ".")):
+                    raise BadInput(f"{path}: column '{name}', row {row} holds '{cell}'; a number is wanted")
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell or "nan")
+    except ValueError:
+        return False
+    return True
+
+
+def _parquet(path: Path) -> Columns:
+    table = pyarrow.parquet.read_table(path)
+    _refuse_twice(path, table.column_names)
+    return {name: _numbers(path, name, table[name].to_numpy()) for name in table.column_names}
+
+
+def _npz(path: Path) -> Columns:
+    with path.open("rb") as file:
+        archive = np.load(file, allow_pickle=False)
+        if not isinstance(archive, np.lib.npyio.NpzFile):
+            raise BadInput(f"{path}: holds one array; an archive of named columns is wanted")
+        return _named(path, archive.items())
+
+
+def _mat(path: Path) -> Columns:
+    if h5py.is_hdf5(path):
+        with h5py.File(path) as file:
+            return _named(path, _datasets(path, file))
+    variables = read_mat5(path.read_bytes())
+    only = next(iter(variables.values())) if len(variables) == 1 else None
+    return _named(path, (only if isinstance(only, dict) else variables).items())
+
+
+def _datasets(path: Path, group: Any) -> Iterable[tuple[str, Any]]:
+    names = [name for name in group if not name.startswith("#")]
+    if len(names) == 1 and isinstance(group[names[0]], h5py.Group):
+        yield from _datasets(path, group[names[0]])
+        return
+    for name in names:
+        if isinstance(group[name], h5py.Group):
+            raise BadInput(f"{path}: variable '{name}' is a struct beside others; vectors of numbers are wanted")
+        yield name, group[name][()]
+
+
+def _named(path: Path, variables: Iterable[tuple[str, Any]]) -> Columns:
+    return {name: _numbers(path, name, np.asarray(value)) for name, value in variables}
+
+
+def _numbers(path: Path, name: str, values: Any) -> Array:
+    """Return a vector of doubles; raises `BadInput` for other shapes and types and integers no double can hold."""
+    if values.dtype.kind not in "fiub":
+        raise BadInput(f"{path}: column '{name}' holds {values.dtype} values; real numbers are wanted")
+    if values.size != max(values.shape, default=1):
+        raise BadInput(f"{path}: column '{name}' has shape {values.shape}; a vector is wanted")
+    flat = values.reshape(-1)
+    numbers: Array = flat.astype(np.float64)
+    if flat.dtype.kind in "iu" and not np.array_equal(numbers.astype(flat.dtype), flat):
+        raise BadInput(f"{path}: column '{name}' holds integers beyond 2**53, which a double cannot hold")
+    return numbers
+
+
+def _refuse_twice(path: Path, names: list[str]) -> None:
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise BadInput(f"{path}: column '{twice}' comes twice; once is wanted")
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0]
+
+
+_READERS: dict[str, Callable[[Path], Columns]] = {".csv": _csv, ".parquet": _parquet, ".mat": _mat, ".npz": _npz}

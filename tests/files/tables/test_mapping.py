@@ -1,0 +1,201 @@
+"""Mapping files: what may stand in them, and tables read through them with every change told."""
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import scipy.io
+
+from afdsvc.errors import BadInput
+from afdsvc.files.model.model_file import parse_model
+from afdsvc.files.tables.foreign import prepared, read_foreign
+from afdsvc.files.tables.loading import Naming, load_traces
+from afdsvc.files.tables.mapping import DataMapping, read_mapping
+
+MODEL = """
+name = "axis"
+time = "discrete"
+sample_time = 0.005
+inputs = [{name = "force", unit = "N"}]
+outputs = [{name = "position", unit = "mm"}]
+A = [[0.9]]
+B = [[1.0]]
+C = [[1.0]]
+D = [[0.0]]
+"""
+MAPPING = """
+[time]
+from = "Time_ms"
+unit = "ms"
+[signals]
+aux_temperature = {from = "Temp", unit = "degC", to = "K"}
+y_position = {from = "Pos", unit = "inch"}
+u_force = {from = "Current", unit = "mA", factor = 2.5, factor_unit = "N/A", offset = -100.0}
+"""
+N = 2000
+
+
+def columns() -> dict[str, np.ndarray]:
+    """Return a logger's columns: 1 kHz, current in mA with an offset of 100, position in inches, and a counter."""
+    t = np.arange(N) * 1e-3
+    return {
+        "Time_ms": 1e6 + 1e3 * t, "Current": 100 + 400 * np.sin(2 * np.pi * 7 * t), "Pos": 0.1 * np.cos(2 * np.pi * 7 * t),
+        "Temp": np.full(N, 20.0), "Counter": np.arange(N, dtype=float),
+    }  # fmt: skip
+
+
+def write_csv(path, data):
+    np.savetxt(path, np.column_stack(list(data.values())), delimiter=";", header=";".join(data), comments="", fmt="%.17g")
+
+
+def write_parquet(path, data):
+    pq.write_table(pa.table(data), path)
+
+
+def write_npz(path, data):
+    np.savez(path, **data)
+
+
+def write_mat5(path, data):
+    scipy.io.savemat(path, data)
+
+
+def write_mat73(path, data):
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in data.items():
+            file[name] = values[None, :]
+    with open(path, "r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+
+
+WRITERS = {"a.csv": write_csv, "a.parquet": write_parquet, "a.npz": write_npz, "a.mat": write_mat5, "b.mat": write_mat73}
+
+
+@pytest.fixture
+def mapping(tmp_path) -> DataMapping:
+    path = tmp_path / "mapping.toml"
+    path.write_text(MAPPING)
+    return read_mapping(path)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_table_of_any_kind_comes_in_the_models_units(name, mapping, tmp_path):
+    data = columns()
+    WRITERS[name](tmp_path / name, data)
+    model = parse_model(MODEL.replace("0.005", "0.001"), "axis.toml")
+    (trace,) = read_foreign(tmp_path / name, mapping, model)
+    assert [(c.name, c.unit) for c in trace.channels] == [("u_force", "N"), ("y_position", "mm"), ("aux_temperature", "K")]
+    np.testing.assert_allclose(trace.column("u_force"), (data["Current"] - 100) * 1e-3 * 2.5, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(trace.column("y_position"), 25.4 * data["Pos"], rtol=1e-12)
+    np.testing.assert_allclose(trace.column("aux_temperature"), 293.15)
+    assert trace.dt == pytest.approx(1e-3, rel=1e-12)
+    assert prepared([trace]) == [
+        f"{name}: the time of a sample is column Time_ms [ms]",
+        f"{name}: not mapped and left out: Counter",
+        f"{name}: aux_temperature is Temp [degC], converted to K",
+        f"{name}: y_position is Pos [inch], converted to mm",
+        f"{name}: u_force is Current [mA] plus -100 mA, times 2.5 N/A, converted to N",
+    ]
+
+
+def test_a_discrete_model_asks_for_its_own_rate(mapping, tmp_path):
+    write_csv(tmp_path / "a.csv", columns())
+    (trace,) = read_foreign(tmp_path / "a.csv", mapping, parse_model(MODEL, "axis.toml"))
+    assert trace.dt == 0.005
+    t = trace.t  # the table begins at 1000 s
+    assert np.abs(trace.column("u_force") - np.sin(2 * np.pi * 7 * (t - 1000))).max() < 5e-4
+    assert np.abs(trace.column("y_position") - 2.54 * np.cos(2 * np.pi * 7 * (t - 1000))).max() < 2e-3
+    assert "resampled from 1000 Hz (the table) to 200 Hz" in prepared([trace])[-1]
+    assert "flat to 80 Hz, 80 dB down from 100 Hz on" in prepared([trace])[-1]
+
+
+def test_without_a_model_units_stay_and_are_known(mapping, tmp_path):
+    write_csv(tmp_path / "a.csv", columns())
+    (trace,) = read_foreign(tmp_path / "a.csv", mapping)
+    assert {c.name: c.unit for c in trace.channels} == {"u_force": "mA * N / A", "y_position": "inch", "aux_temperature": "K"}
+
+
+def test_a_signal_without_a_unit_is_said_to_be_taken_as_it_is(tmp_path):
+    write_csv(tmp_path / "a.csv", columns())
+    mapping = DataMapping.model_validate({"signals": {"u_force": "Current", "aux_x": "Temp"}, "time": {"from": "Time_ms", "unit": "ms"}})
+    (trace,) = read_foreign(tmp_path / "a.csv", mapping, parse_model(MODEL.replace("0.005", "0.001"), "axis.toml"))
+    assert "a.csv: u_force is Current, taken to be in N" in prepared([trace])
+    assert "a.csv: aux_x is Temp, its unit unknown" in prepared([trace])
+
+
+def test_a_table_without_time_needs_a_step(tmp_path):
+    data = columns()
+    del data["Time_ms"]
+    write_csv(tmp_path / "a.csv", data)
+    signals = {"u_force": "Current"}
+    with pytest.raises(BadInput, match=r"has no column 't'; key 'time\.from', a column, or 'time\.step' \[s\] is wanted"):
+        read_foreign(tmp_path / "a.csv", DataMapping.model_validate({"signals": signals}))
+    (trace,) = read_foreign(tmp_path / "a.csv", DataMapping.model_validate({"signals": signals, "time": {"step": 0.001}}))
+    assert trace.dt == pytest.approx(0.001)
+    assert "samples are 0.001 s apart" in prepared([trace])[0]
+
+
+def test_gaps_of_a_table_become_pieces(mapping, tmp_path):
+    data = {name: np.concatenate([v[:700], v[900:]]) for name, v in columns().items()}
+    write_csv(tmp_path / "a.csv", data)
+    pieces = read_foreign(tmp_path / "a.csv", mapping)
+    assert [len(p) for p in pieces] == [700, 1100]
+    assert any("1 gap longer than 1.5 sample times" in s for s in prepared(pieces))
+    assert len(prepared(pieces)) == len(set(prepared(pieces)))
+
+
+def test_pairs_of_the_command_line_go_before_the_file(mapping, tmp_path):
+    write_csv(tmp_path / "a.csv", columns())
+    (trace,) = load_traces(tmp_path / "a.csv", Naming(mapping, {"Counter": "aux_counter"}))
+    np.testing.assert_array_equal(trace.column("aux_counter"), np.arange(N))
+
+
+def test_pairs_without_a_file_rename_and_are_told(tmp_path):
+    t = np.arange(100) * 1e-3
+    write_csv(tmp_path / "a.csv", {"t": t, "I": t, "y_x": t, "note": t})
+    (trace,) = load_traces(tmp_path / "a.csv", Naming(None, {"I": "u_x", "note": ""}))
+    assert prepared([trace]) == ["a.csv: u_x is I", "a.csv: note is left out"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "key 'signals' maps nothing"),
+        ("[signals]\nforce = 'I'", "signal 'force' has no role; a name like u_<name>"),
+        ("[signals]\nu_x = {unit = 'A'}", r"key 'signals\.u_x\.from' is missing"),
+        ("[signals]\nu_x = {from = 'I', unti = 'A'}", r"key 'signals\.u_x\.unti' is not known"),
+        ("[signals]\nu_x = {from = 'I', factor = 0}", "0 would leave nothing"),
+        ("[signals]\nu_x = {from = 'I', factor = 2, factor_unit = 'N/A'}", "'factor_unit' needs 'unit'"),
+        ("[signals]\nu_x = 'I'\n[resample]\ndt = -1", r"key 'resample\.dt' is -1"),
+        ("[signals]\nu_x = 'I'\n[resample]\ngap = 1", r"key 'resample\.gap' is 1"),
+        ("[signals]\nu_x = 3", r"signals\.u_x"),
+        ("signals = 3", "signals"),
+        ("[signals", "not a TOML file"),
+    ],
+)
+def test_a_mapping_that_is_wrong_is_refused_by_key(text, said, tmp_path):
+    path = tmp_path / "mapping.toml"
+    path.write_text(text)
+    with pytest.raises(BadInput, match=said) as refusal:
+        read_mapping(path)
+    assert str(path) in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("from = \"Current\"", "from = \"Strom\""), r"no column 'Strom' to be mapped; it has Time_ms, Current"),
+        (("from = \"Time_ms\"", "from = \"zeit\""), "no column 'zeit' for the time"),
+        (('unit = "ms"', 'unit = "mm"'), "time 'Time_ms': 'mm' cannot become 's'"),
+        (('unit = "inch"', 'unit = "A"'), "y_position from 'Pos': 'A' cannot become 'mm': they measure different things"),
+        (('unit = "inch"', 'unit = "inchs/("'), "unit 'inchs/\\(' is not known"),
+        (('factor_unit = "N/A"', 'factor_unit = "N"'), "u_force from 'Current'.*cannot become 'N'"),
+    ],
+)
+def test_a_mapping_that_does_not_fit_is_refused_by_place(change, said, tmp_path):
+    write_csv(tmp_path / "a.csv", columns())
+    path = tmp_path / "mapping.toml"
+    path.write_text(MAPPING.replace(*change))
+    with pytest.raises(BadInput, match=said):
+        read_foreign(tmp_path / "a.csv", read_mapping(path), parse_model(MODEL, "axis.toml"))

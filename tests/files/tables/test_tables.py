@@ -1,0 +1,232 @@
+"""Foreign tables: numbers bit for bit, and the row and column of whatever is wrong."""
+
+import os
+import struct
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import scipy.io
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from afdsvc.api.signals import Channel
+from afdsvc.errors import BadInput
+from afdsvc.files.model.model_file import parse_model
+from afdsvc.files.tables.tables import read_table, with_units
+
+RNG = np.random.default_rng(3)
+T = np.round(np.arange(200) * 0.004 + 1.0, 6)
+COLUMNS = {"t": T, "u_force": RNG.normal(size=200), "y_position": RNG.normal(size=200) * 1e-7}
+
+
+def write(path: Path, columns: dict) -> Path:
+    match path.suffix:
+        case ".csv":
+            rows = zip(*(c.tolist() for c in columns.values()), strict=True)
+            path.write_text(",".join(columns) + "\n" + "".join(",".join(map(repr, r)) + "\n" for r in rows))
+        case ".parquet":
+            pq.write_table(pa.table(columns), path)
+        case ".npz":
+            np.savez(path, **columns)
+        case ".mat":
+            scipy.io.savemat(path, columns)
+    return path
+
+
+def write_mat73(path: Path, columns: dict, group: str = "") -> Path:
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file.create_group("#refs#")
+        place = file.create_group(group) if group else file
+        for name, values in columns.items():
+            place[name] = values.reshape(1, -1)  # MATLAB keeps a column vector transposed
+    raw = bytearray(path.read_bytes())
+    raw[:24] = b"MATLAB 7.3 MAT-file, and"
+    path.write_bytes(raw)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz", ".mat", "7.3.mat"])
+def test_every_format_gives_the_same_trace(tmp_path, suffix):
+    path = tmp_path / f"run{suffix}"
+    trace = read_table((write_mat73 if suffix == "7.3.mat" else write)(path, COLUMNS))
+    assert [c.name for c in trace.channels] == ["u_force", "y_position"]
+    assert trace.column("u_force").tobytes() == COLUMNS["u_force"].tobytes()
+    assert trace.column("y_position").tobytes() == COLUMNS["y_position"].tobytes()
+    assert (trace.dt, trace.t0, trace.name) == (0.004, 1.0, path.name)
+
+
+def test_a_struct_of_vectors_is_a_table(tmp_path):
+    scipy.io.savemat(tmp_path / "a.mat", {"run": COLUMNS})
+    for path in (tmp_path / "a.mat", write_mat73(tmp_path / "b.mat", COLUMNS, "run")):
+        assert read_table(path).column("u_force").tobytes() == COLUMNS["u_force"].tobytes()
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.lists(st.integers(0, 2**64 - 1), min_size=3, max_size=30))
+def test_csv_is_exact_to_the_last_bit(bits):
+    values = np.array(
+        [b for b in bits if np.isfinite(struct.unpack("<d", struct.pack("<Q", b))[0])] + [0], dtype=np.uint64
+    )
+    values = values.view(np.float64)
+    path = Path(os.environ.get("TMPDIR", "/tmp")) / f"afdsvc-exact-{os.getpid()}.csv"
+    try:
+        write(path, {"u_x": values})
+        assert read_table(path, dt=0.1).column("u_x").tobytes() == values.tobytes()
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def text(path: Path, content: str) -> Path:
+    path.write_text(content)
+    return path
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["\ufefft, u_a ,y_b\n0, 1.5 ,2\n1,1.5,2\n", "t;u_a;y_b\n0;1,5;2\n1;1,5;2\n", "t\tu_a\ty_b\n0\t1.5\t2\n1\t1.5\t2\n"],
+)
+def test_other_people_write_csv_otherwise(tmp_path, content):
+    trace = read_table(text(tmp_path / "a.csv", content))
+    assert trace.values.tolist() == [[1.5, 2.0], [1.5, 2.0]]
+    assert [c.name for c in trace.channels] == ["u_a", "y_b"]
+
+
+def test_columns_are_renamed_and_left_out(tmp_path):
+    path = text(tmp_path / "a.csv", "time,Force [N],u_old,junk\n0,1,2,3\n0.5,1,2,3\n")
+    mapping = {"time": "t", "Force [N]": "u_force", "u_old": "u_new", "junk": ""}
+    trace = read_table(path, mapping)
+    assert [c.name for c in trace.channels] == ["u_force", "u_new"]
+    assert trace.dt == 0.5
+
+
+@pytest.mark.parametrize(
+    ("content", "options", "words"),
+    [
+        ("t,force\n0,1\n1,2\n", {}, ["'force' has no role", "u_<name>", "mapping"]),
+        ("t,u_a\n0,1\n1,2\n", {"mapping": {"x": "u_x"}}, ["no column 'x'", "t, u_a"]),
+        ("t,u_a,u_b\n0,1,1\n1,2,2\n", {"mapping": {"u_b": "u_a"}}, ["two columns", "'u_a'"]),
+        ("t,u_a,u_a\n0,1,1\n1,2,2\n", {}, ["'u_a' comes twice"]),
+        ("t,u_a\n0,1\n1,abc\n", {}, ["'u_a', row 2", "'abc'"]),
+        ("t,u_a\n0,1\n1\n", {}, ["row 2 has 1 cells", "2 are wanted"]),
+        ("t,u_a\n0,1\n1,\n2,3\n", {}, ["'u_a', row 2", "nan", "1 such"]),
+        ("t,u_a\n0,1\n1,inf\n2,inf\n", {}, ["'u_a', row 2", "inf", "2 such"]),
+        ("t,u_a\n0,1\n,1\n2,1\n", {}, ["'t', row 2 holds nan"]),
+        ("t,u_a\n0,1\n1,1\n1,1\n3,1\n", {}, ["'t', row 3 goes from", "1.0"]),
+        ("t,u_a\n0,1\n1,1\n0.5,1\n", {}, ["'t', row 3 goes from"]),
+        ("t,u_a\n0,1\n1,1\n2,1\n5,1\n6,1\n", {}, ["'t', row 4", "3 s after", "1 s is usual", "gap"]),
+        ("t,u_a\n0,1\n1,1\n2.3,1\n3,1\n4,1\n", {}, ["'t', row 3 misses", "0.3 s"]),
+        ("t,u_a\n0,1\n", {}, ["'t' holds 1 rows"]),
+        ("t,u_a\n", {}, ["no rows"]),
+        ("u_a\n1\n2\n", {}, ["no column 't'", "sample time"]),
+        ("t,u_a\n0,1\n1,2\n", {"dt": 0.5}, ["sample time of 1 s", "0.5 s is wanted"]),
+        ("t\n0\n1\n", {}, ["no signal"]),
+        ("", {}, ["Empty CSV file"]),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named(tmp_path, content, options, words):
+    path = text(tmp_path / "a.csv", content)
+    with pytest.raises(BadInput) as error:
+        read_table(path, **options)
+    assert all(word in str(error.value) for word in [str(path), *words]), str(error.value)
+
+
+def test_nan_is_data_when_asked_for(tmp_path):
+    path = text(tmp_path / "a.csv", "t,u_a\n0,1\n1,NaN\n2,\n")
+    assert np.array_equal(read_table(path, allow_nan=True).column("u_a"), [1, np.nan, np.nan], equal_nan=True)
+
+
+def test_a_sample_time_that_differs_by_rounding_is_the_given_one(tmp_path):
+    path = text(tmp_path / "a.csv", "t,u_a\n0,1\n0.333,1\n0.667,1\n1,1\n")
+    assert read_table(path, dt=1 / 3).dt == 1 / 3
+
+
+@pytest.mark.parametrize("dt", [1e-3, 2e-4, 0.0016384, 1 / 610.35, 0.05])
+@pytest.mark.parametrize("digits", [9, 17])
+def test_the_sample_time_is_the_number_meant(tmp_path, dt, digits):
+    t = np.array([float(f"{k * dt:.{digits}g}") for k in range(3000)])
+    found = read_table(write(tmp_path / "a.csv", {"t": t, "u_a": t})).dt
+    assert abs(found - dt) * 3000 < 1e-2 * dt
+    assert found == dt or len(repr(dt)) > 10
+
+
+@pytest.mark.parametrize(
+    ("name", "raw", "words"),
+    [
+        ("a.xlsx", b"", "end in .csv, .parquet, .mat, .npz; this one ends in '.xlsx'"),
+        ("a.csv", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "Git LFS pointer"),
+        ("a.csv", b"t,u_\xe6\n", "not a readable .csv"),
+        ("a.parquet", b"PAR1 but no more", "not a readable .parquet"),
+        ("a.npz", b"not a zip file at all", "not a readable .npz"),
+        ("a.npz", b"PK\x03\x04torn", "not a readable .npz"),
+        ("a.mat", b"\x00" * 300, "not a readable .mat"),
+        ("a.mat", b"", "not a readable .mat"),
+        ("a.mat", b"\x89HDF\r\n\x1a\n" + b"\x00" * 90, "not a readable .mat"),
+    ],
+)
+def test_files_that_are_something_else_are_named(tmp_path, name, raw, words):
+    (tmp_path / name).write_bytes(raw)
+    with pytest.raises(BadInput, match=words) as error:
+        read_table(tmp_path / name)
+    assert str(tmp_path / name) in str(error.value)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(BadInput, match=r"none\.csv: cannot be read: No such file"):
+        read_table(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"u_a": np.zeros((3, 2))}, r"'u_a' has shape \(3, 2\)"),
+        ({"u_a": np.array(["x", "y"])}, "'u_a' holds <U1"),
+        ({"u_a": np.array([1j])}, "'u_a' holds complex128"),
+        ({"u_a": np.array([2**60 + 1])}, "beyond 2\\*\\*53"),
+        ({"u_a": np.zeros(3), "y_a": np.zeros(4)}, "'u_a' 3, 'y_a' 4"),
+        ({"u_a": np.array([{}])}, "not a readable .npz"),
+    ],
+)
+def test_arrays_that_are_no_columns_are_named(tmp_path, columns, words):
+    np.savez(tmp_path / "a.npz", **columns)
+    with pytest.raises(BadInput, match=words):
+        read_table(tmp_path / "a.npz", dt=1.0)
+
+
+def test_one_bare_array_is_no_table(tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros(3))
+    (tmp_path / "a.npy").rename(tmp_path / "a.npz")
+    with pytest.raises(BadInput, match="holds one array"):
+        read_table(tmp_path / "a.npz")
+
+
+def test_a_struct_beside_other_variables_is_named(tmp_path):
+    with h5py.File(tmp_path / "a.mat", "w") as file:
+        file["u_a"] = np.zeros((1, 3))
+        file.create_group("s")["x"] = np.zeros(3)
+    with pytest.raises(BadInput, match="'s' is a struct beside others"):
+        read_table(tmp_path / "a.mat", dt=1.0)
+
+
+def test_units_come_from_the_model(tmp_path):
+    model = parse_model(
+        'name="m"\ntime="continuous"\ninputs=[{name="force", unit="N"}]\noutputs=[{name="position", unit="m"}]\n'
+        "A=[]\nB=[]\nC=[]\nD=[[1]]",
+        "m.toml",
+    )
+    path = text(tmp_path / "a.csv", "t,u_force,y_position,ref_position,aux_speed\n0,1,2,3,4\n1,1,2,3,4\n")
+    units = {c.name: c.unit for c in with_units(read_table(path), model).channels}
+    assert units == {"u_force": "N", "y_position": "m", "ref_position": "m", "aux_speed": ""}
+    assert with_units(read_table(path), model).channels[0] == Channel("u_force", "N")
+
+
+@pytest.mark.parametrize(
+    ("name", "dt", "rows"),
+    [("emps/estimation", 0.001, 24841), ("silverbox/arrow", 0.0016384, 40475), ("two_mass/multisine_A", 0.0004, 25000)],
+)
+def test_measured_benchmarks(measured, name, dt, rows):
+    trace = read_table(measured / f"{name}.csv")
+    assert (trace.dt, len(trace)) == (dt, rows)

@@ -1,0 +1,77 @@
+"""The site file: what is right is read, what is wrong is named by file, key, value found and value wanted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from afdsvc.errors import BadInput
+from afdsvc.files.site import parse_site, read_site
+
+GOOD = """
+site = "lab"
+[[machines]]
+id = "bearing-1"
+plant = "gas_bearing"
+"""
+
+
+def test_defaults_are_safe():
+    site = parse_site(GOOD, "site.toml")
+    assert site.transport.listen == ["tcp/127.0.0.1:7447"]
+    assert site.transport.connect == []
+    assert site.machines[0].bursts.every_seconds is None
+    assert site.text == GOOD
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("site = \n", ["site.toml", "not valid TOML", "line 1"]),
+        (GOOD + "block = 5\n", ["machines.0.block", "found 5", "greater than or equal to 10"]),
+        (GOOD + "blok = 500\n", ["machines.0.blok", "found 500", "unknown"]),
+        (GOOD.replace('id = "bearing-1"\n', ""), ["machines.0.id", "required"]),
+        (GOOD.replace("bearing-1", "a/b"), ["machines.0.id", "'a/b'", "letters, digits"]),
+        (GOOD + 'model = "m.toml"\n', ["exactly one of 'plant' and 'model'"]),
+        (GOOD.replace('plant = "gas_bearing"\n', ""), ["exactly one of 'plant' and 'model'"]),
+        (
+            GOOD + '[[machines]]\nid = "bearing-1"\nplant = "gas_bearing"\n',
+            ["ids must differ", "'bearing-1' stands 2 times"],
+        ),
+        (GOOD + 'driver = {kind = "replay"}\n', ["machines.0.driver", "needs 'recording'"]),
+        (GOOD + 'driver = {faults = [{name = "x", severity = -3}]}\n', ["severity", "found -3", "-1"]),
+        ('site = "lab"\nmachines = []\n', ["machines", "at least 1"]),
+        ('site = "lab"\ntext = "x"\n', ["unknown"]),
+        ("site = 3\n" + GOOD.replace('site = "lab"', ""), ["'site'", "found 3", "string"]),
+    ],
+)
+def test_wrong_files_are_named(text, words):
+    with pytest.raises(BadInput) as error:
+        parse_site(text, "site.toml")
+    message = str(error.value)
+    assert "\n" not in message
+    for word in words:
+        assert word in message
+
+
+def test_unreadable_files_are_named(tmp_path: Path):
+    with pytest.raises(BadInput, match=r"missing\.toml"):
+        read_site(tmp_path / "missing.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(BadInput, match=r"binary\.toml"):
+        read_site(tmp_path / "binary.toml")
+
+
+def test_paths_are_relative_to_the_file(tmp_path: Path):
+    (tmp_path / "site.toml").write_text(
+        'site = "lab"\n[[machines]]\nid = "axis"\nmodel = "model.toml"\ndriver = {kind = "replay", recording = "run.csv"}\n'
+    )
+    machine = read_site(tmp_path / "site.toml").machines[0]
+    assert machine.model == tmp_path / "model.toml"
+    assert machine.driver.recording == tmp_path / "run.csv"
+
+
+def test_an_unknown_machine_lists_those_there_are():
+    with pytest.raises(BadInput, match="no machine 'x'; it has bearing-1"):
+        parse_site(GOOD, "site.toml").machine("x")
