@@ -18,6 +18,7 @@ from afdsvc.api.model import Model, Variable
 from afdsvc.api.plant import PhysicalPlant
 from afdsvc.api.port import Port
 from afdsvc.api.signals import Channel
+from afdsvc.diagnosis.data_quality import Expectation
 from afdsvc.errors import BadInput, NotStabilising
 from afdsvc.excite.identification_bursts import Band, multisine_burst, random_binary_burst, sweep_burst
 from afdsvc.files import site as site_file
@@ -37,7 +38,6 @@ from afdsvc.plugins.controllers.lqg import gains
 from afdsvc.plugins.fault_set import FaultSet, chosen_faults, usual_faults
 from afdsvc.plugins.manager import Plugins
 from afdsvc.runtime.clock import FastClock
-from afdsvc.runtime.intake import Expectation
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,6 +13,7 @@ from afdsvc.api.evidence import Evidence
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Block
 from afdsvc.commission import Commissioned, Watched
+from afdsvc.diagnosis.verdict import conclude
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.recording.reader import Recording
@@ -23,7 +24,6 @@ from afdsvc.files.tables.to_recording import import_traces
 from afdsvc.hal.replay import blocks_of
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.runtime.commands import plain
-from afdsvc.runtime.verdict import conclude
 from afdsvc.service import pipeline_of
 
 

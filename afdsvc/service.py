@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 
 from afdsvc import __version__, commission
-from afdsvc.alarms.book import Policy
 from afdsvc.api.bursts import Burst
 from afdsvc.api.clock import Clock
 from afdsvc.api.detection import DetectionProblem, FalseAlarms
 from afdsvc.commission import Commissioned
+from afdsvc.diagnosis.alarm_book import Policy
+from afdsvc.diagnosis.pipeline import CalibratedPipeline, Judged, Pipeline, calibrated
+from afdsvc.diagnosis.speed_schedule import SpeedPipeline
 from afdsvc.errors import BadInput
 from afdsvc.excite.diagnosis_burst import Aim, default_burst, second_burst
 from afdsvc.files.site import Site
@@ -31,14 +33,12 @@ from afdsvc.runtime.clock import RealClock
 from afdsvc.runtime.desk import BurstDesk
 from afdsvc.runtime.hub import Hub
 from afdsvc.runtime.metrics import serve_metrics
-from afdsvc.runtime.pipeline import CalibratedPipeline, Judged, Pipeline, calibrated
 from afdsvc.runtime.posting import Post
 from afdsvc.runtime.publishing import Publisher
 from afdsvc.runtime.rehearsal import Rehearsals
 from afdsvc.runtime.requests import QUESTIONS
 from afdsvc.runtime.scheduler import Scheduler, Wanted
 from afdsvc.runtime.sinks import Fan
-from afdsvc.runtime.speed import SpeedPipeline
 from afdsvc.runtime.transport import Access, NoPeer, Transport
 from afdsvc.runtime.watch import MachineWatch
 from afdsvc.runtime.web import serve_page

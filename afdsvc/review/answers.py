@@ -9,9 +9,9 @@ import rerun as rr
 
 from afdsvc.api.evidence import Evidence
 from afdsvc.detect.isolation import NONE
+from afdsvc.diagnosis.verdict import Verdict, conclude
 from afdsvc.review import paths
 from afdsvc.review.columns import Columns, at
-from afdsvc.runtime.verdict import Verdict, conclude
 from afdsvc.wire.messages import Finding
 
 KEPT = 400

@@ -10,13 +10,13 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from afdsvc.api.evidence import Evidence
+from afdsvc.diagnosis.verdict import alarms, strongest
 from afdsvc.errors import BadInput
 from afdsvc.files.recording import topics
 from afdsvc.files.recording.index import messages_on
 from afdsvc.review import paths
 from afdsvc.review.blueprint import whole_range
 from afdsvc.review.columns import Columns
-from afdsvc.runtime.verdict import alarms, strongest
 from afdsvc.wire import codec
 from afdsvc.wire.messages import Finding
 

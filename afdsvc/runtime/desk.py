@@ -12,12 +12,12 @@ from datetime import datetime
 from afdsvc.api.bursts import Burst
 from afdsvc.api.clock import Clock
 from afdsvc.api.evidence import Evidence
+from afdsvc.diagnosis.pipeline import Judged
+from afdsvc.diagnosis.verdict import open_question
 from afdsvc.errors import AfdsvcError, Refused
-from afdsvc.runtime.pipeline import Judged
 from afdsvc.runtime.scheduler import Scheduler, Wanted
 from afdsvc.runtime.sinks import Sink
 from afdsvc.runtime.transport import Transport
-from afdsvc.runtime.verdict import open_question
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import BurstRequest, BurstStop, EventKind, Lease, RigEvent

@@ -11,14 +11,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from afdsvc.alarms.book import AlarmBook, Policy
 from afdsvc.alarms.history import History
 from afdsvc.alarms.outbox import Outbox
 from afdsvc.api.clock import Clock
+from afdsvc.diagnosis.alarm_book import AlarmBook, Policy
+from afdsvc.diagnosis.pipeline import Outcome
 from afdsvc.errors import BadInput
 from afdsvc.runtime.commands import answer
 from afdsvc.runtime.desk import BurstDesk
-from afdsvc.runtime.pipeline import Outcome
 from afdsvc.runtime.requests import Requests
 from afdsvc.runtime.transport import Transport
 from afdsvc.runtime.watch import MachineWatch

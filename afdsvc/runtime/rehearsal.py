@@ -16,7 +16,7 @@ import numpy as np
 from afdsvc.api.bursts import Burst
 from afdsvc.api.signals import Block, of_role
 from afdsvc.detect.features.innovations import ResidualFilter
-from afdsvc.runtime.pipeline import LONGEST_SETTLING, Pipeline
+from afdsvc.diagnosis.pipeline import LONGEST_SETTLING, Pipeline
 
 log = logging.getLogger(__name__)
 QUIET = 500  # samples besides those in which the filters settle

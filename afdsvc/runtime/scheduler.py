@@ -7,9 +7,9 @@ from datetime import datetime, time
 
 import numpy as np
 
+from afdsvc.diagnosis.verdict import Question
 from afdsvc.errors import Refused
 from afdsvc.files.site import Bursts
-from afdsvc.runtime.verdict import Question
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from afdsvc.api.clock import Clock
 from afdsvc.api.evidence import Evidence
+from afdsvc.diagnosis.pipeline import Outcome, Stream
+from afdsvc.diagnosis.verdict import Verdict, conclude, model_gap
 from afdsvc.errors import BadInput
-from afdsvc.runtime.pipeline import Outcome, Stream
 from afdsvc.runtime.sinks import Sink
-from afdsvc.runtime.verdict import Verdict, conclude, model_gap
 from afdsvc.wire import codec
 from afdsvc.wire.messages import Alarm, Finding, MachineStatus, RigEvent
 

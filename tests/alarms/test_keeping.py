@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from afdsvc.alarms.black_box import BlackBox
-from afdsvc.alarms.book import AlarmBook, Policy
 from afdsvc.alarms.history import History
 from afdsvc.alarms.outbox import Outbox
 from afdsvc.alarms.webhook import Webhook
 from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.api.signals import Block, Channel
+from afdsvc.diagnosis.alarm_book import AlarmBook, Policy
 from afdsvc.errors import BadInput
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.reader import Recording

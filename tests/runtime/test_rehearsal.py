@@ -51,7 +51,7 @@ def test_what_fails_is_told_and_the_others_are_rehearsed(caplog):
 
 def replace_expected(pipeline):
     """Return a pipeline that expects one channel, which no block of the machine has."""
-    from afdsvc.runtime.pipeline import Pipeline
+    from afdsvc.diagnosis.pipeline import Pipeline
 
     expected = replace(pipeline.expected, channels=pipeline.expected.channels[:1])
     return Pipeline(pipeline.problem, pipeline.detectors, expected)

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from afdsvc.diagnosis.verdict import Question
 from afdsvc.errors import Refused
 from afdsvc.files.site import Bursts
 from afdsvc.runtime.scheduler import Scheduler, Wanted
-from afdsvc.runtime.verdict import Question
 
 NOON = datetime(2026, 11, 21, 12, 0)
 

@@ -17,11 +17,13 @@ from pydantic import ValidationError
 
 from afdsvc import commission
 from afdsvc.alarms.black_box import BlackBox
-from afdsvc.alarms.book import AlarmBook, Policy
 from afdsvc.alarms.history import History
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block, Channel
+from afdsvc.diagnosis.alarm_book import AlarmBook, Policy
+from afdsvc.diagnosis.data_quality import Finding as Trouble
+from afdsvc.diagnosis.pipeline import Outcome
 from afdsvc.errors import BadInput, Refused
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.mcap_records import is_finished
@@ -35,8 +37,6 @@ from afdsvc.hal.rig import DrivenRig
 from afdsvc.runtime.clock import FastClock
 from afdsvc.runtime.desk import BurstDesk
 from afdsvc.runtime.hub import Hub
-from afdsvc.runtime.intake import Finding as Trouble
-from afdsvc.runtime.pipeline import Outcome
 from afdsvc.runtime.publishing import Publisher
 from afdsvc.runtime.scheduler import Scheduler, Wanted
 from afdsvc.runtime.transport import PeerSilent

@@ -11,9 +11,9 @@ import pytest
 from scipy import stats
 
 from afdsvc import commission, service
+from afdsvc.diagnosis.verdict import alarms, conclude
 from afdsvc.runtime.clock import FastClock
 from afdsvc.runtime.scheduler import Wanted
-from afdsvc.runtime.verdict import alarms, conclude
 
 FAULTS = ("horizontal_actuator", "vertical_actuator", "horizontal_sensor", "vertical_sensor")
 LOOPS = [(c, rpm) for c in ("proportional", "lqg") for rpm in (0, 1100)]

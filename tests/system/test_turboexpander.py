@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from afdsvc import commission, offline, service
+from afdsvc.diagnosis.verdict import conclude
 from afdsvc.errors import BadInput, NotStabilising, Refused
 from afdsvc.files.site import Machine, parse_site
 from afdsvc.runtime.clock import FastClock
 from afdsvc.runtime.recording import RecorderSink
 from afdsvc.runtime.scheduler import Wanted
-from afdsvc.runtime.verdict import conclude
 from afdsvc.wire import codec
 from afdsvc.wire.messages import BurstRequest
 

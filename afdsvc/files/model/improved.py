@@ -14,6 +14,7 @@ from afdsvc.api.model import Model, Quantity, Variable
 from afdsvc.api.physics import Coefficient, Hypothesis
 from afdsvc.explain.explanation import Explanation
 from afdsvc.explain.simulator import Effect
+from afdsvc.files.model import exported_dynamics
 from afdsvc.files.model.model_file import DYNAMICS, write_model
 from afdsvc.lti.statespace import Array, StateSpace
 

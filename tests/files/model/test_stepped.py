@@ -5,6 +5,7 @@ import pytest
 
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.errors import BadInput
+from afdsvc.files.model import stepped
 from afdsvc.files.model.linear import linear_model
 from afdsvc.files.model.model_file import model_text, parse_model, read_model
 from afdsvc.lti.frequency import frequency_response

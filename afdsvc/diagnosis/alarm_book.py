@@ -10,8 +10,8 @@ import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from afdsvc.alarms import states
 from afdsvc.api.evidence import Evidence
+from afdsvc.diagnosis import alarm_states
 from afdsvc.errors import BadInput, Refused
 from afdsvc.wire.messages import Alarm, AlarmChange, AlarmKind, Finding
 
@@ -58,7 +58,7 @@ class AlarmBook:
         with self._lock:
             self._alarms.update((a.id, a) for a in alarms)
             for alarm in [a for a in self._alarms.values() if a.active and a.kind is not AlarmKind.FAULT]:
-                self._set(states.ended(alarm, t_ns, False), "ended", t_ns, why="the service was started anew")
+                self._set(alarm_states.ended(alarm, t_ns, False), "ended", t_ns, why="the service was started anew")
 
     def take(self, finding: Finding, sentence: str = "") -> Alarm | None:
         """Return the alarm a decision raised or supported; None when it raised none."""
@@ -76,7 +76,7 @@ class AlarmBook:
         with self._lock:
             known = self._alarms.get(id)
             if holds and not (known and known.active):
-                self._raise(states.raised(machine, name, kind, sentence, t_ns))
+                self._raise(alarm_states.raised(machine, name, kind, sentence, t_ns))
             elif known and known.active and not holds:
                 self._end(known, t_ns, sentence)
 
@@ -96,7 +96,7 @@ class AlarmBook:
                 cause = cause if cause in holding else ""
                 if a.cause != cause:
                     told = f"follows from {cause}" if cause else "stands for itself"
-                    self._set(states.consequence(a, cause), "grouped", t_ns, why=told)
+                    self._set(alarm_states.consequence(a, cause), "grouped", t_ns, why=told)
 
     def acknowledge(self, id: str, who: str, comment: str = "", t_ns: int = 0, seen_ns: int | None = None) -> Alarm:
         """Note who has seen an alarm.
@@ -108,17 +108,17 @@ class AlarmBook:
             alarm = self._named(id)
             if seen_ns is not None and alarm.since_ns != seen_ns:
                 raise Refused(f"alarm '{id}' has come again since you looked; look at it before acknowledging")
-            return self._set(states.acknowledged(alarm, who, comment), "acknowledged", t_ns, who, comment)
+            return self._set(alarm_states.acknowledged(alarm, who, comment), "acknowledged", t_ns, who, comment)
 
     def confirm(self, id: str, who: str, comment: str, t_ns: int) -> Alarm:
         """Note who has dealt with an alarm; raises `Refused` before it is acknowledged."""
         with self._lock:
-            return self._set(states.confirmed(self._named(id), who, comment), "confirmed", t_ns, who, comment)
+            return self._set(alarm_states.confirmed(self._named(id), who, comment), "confirmed", t_ns, who, comment)
 
     def reset(self, id: str, who: str, comment: str, t_ns: int) -> Alarm:
         """Release a latched alarm; raises `Refused` while it holds or nobody has seen it."""
         with self._lock:
-            return self._set(states.unlatched(self._named(id)), "reset", t_ns, who, comment)
+            return self._set(alarm_states.unlatched(self._named(id)), "reset", t_ns, who, comment)
 
     def shelve(self, id: str, who: str, minutes: float, why: str, t_ns: int) -> Alarm:
         """Put an alarm aside for a time, with a reason; raises `BadInput` for a time that makes no sense."""
@@ -128,18 +128,18 @@ class AlarmBook:
             raise BadInput(f"alarm '{id}' is to be shelved without a reason; a reason is wanted")
         with self._lock:
             self._pending.pop(id, None)
-            return self._set(states.shelved(self._named(id), who, t_ns + round(minutes * MINUTE)), "shelved", t_ns, who, why)
+            return self._set(alarm_states.shelved(self._named(id), who, t_ns + round(minutes * MINUTE)), "shelved", t_ns, who, why)
 
     def unshelve(self, id: str, who: str, t_ns: int) -> Alarm:
         """Take an alarm from the shelf."""
         with self._lock:
-            return self._set(states.unshelved(self._named(id)), "unshelved", t_ns, who)
+            return self._set(alarm_states.unshelved(self._named(id)), "unshelved", t_ns, who)
 
     def tick(self, t_ns: int) -> None:
         """Take from the shelf what has lain there long enough; to be called now and then."""
         with self._lock:
             for alarm in [a for a in self._alarms.values() if 0 < a.shelved_until_ns <= t_ns]:
-                self._set(states.unshelved(alarm), "unshelved", t_ns, why="the time is over")
+                self._set(alarm_states.unshelved(alarm), "unshelved", t_ns, why="the time is over")
 
     def _support(self, id: str, e: Evidence, sentence: str, t_ns: int) -> Alarm | None:
         self._quiet[id, e.detector] = 0
@@ -149,8 +149,8 @@ class AlarmBook:
             if self._pending[id] < self._policy.raise_after:
                 return None
             fault = e.fault or UNNAMED
-            return self._raise(states.raised(e.machine, fault, AlarmKind.FAULT, sentence, t_ns, e.detector, e.severity))
-        more = states.supported(alarm, e.detector, e.severity, t_ns)
+            return self._raise(alarm_states.raised(e.machine, fault, AlarmKind.FAULT, sentence, t_ns, e.detector, e.severity))
+        more = alarm_states.supported(alarm, e.detector, e.severity, t_ns)
         if more.raised_by != alarm.raised_by:
             return self._set(more, "supported", t_ns, why=f"{e.detector} agrees")
         self._alarms[id] = more
@@ -169,7 +169,7 @@ class AlarmBook:
         self._quiet[key] = self._quiet.get(key, 0) + 1
         if self._quiet[key] < self._policy.clear_after:
             return
-        left = states.opposed(alarm, detector)
+        left = alarm_states.opposed(alarm, detector)
         self._alarms[alarm.id] = left
         if not left.raised_by:
             self._end(left, t_ns, "every detector that raised it has decided otherwise")
@@ -177,11 +177,11 @@ class AlarmBook:
     def _raise(self, alarm: Alarm) -> Alarm:
         self._pending.pop(alarm.id, None)
         known = self._alarms.get(alarm.id)
-        return self._set(states.returned(known, alarm) if known else alarm, "raised", alarm.since_ns, why=alarm.sentence)
+        return self._set(alarm_states.returned(known, alarm) if known else alarm, "raised", alarm.since_ns, why=alarm.sentence)
 
     def _end(self, alarm: Alarm, t_ns: int, why: str) -> None:
         latch = self._policy.latch and alarm.kind is AlarmKind.FAULT
-        self._set(states.ended(alarm, t_ns, latch), "ended", t_ns, why=why)
+        self._set(alarm_states.ended(alarm, t_ns, latch), "ended", t_ns, why=why)
 
     def _set(self, alarm: Alarm, event: str, t_ns: int, who: str = "", why: str = "") -> Alarm:
         self._alarms[alarm.id] = alarm

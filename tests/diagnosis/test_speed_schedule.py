@@ -10,9 +10,9 @@ import pytest
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.signals import Block, Channel
+from afdsvc.diagnosis.pipeline import Outcome
+from afdsvc.diagnosis.speed_schedule import SpeedPipeline
 from afdsvc.errors import BadInput, Refused
-from afdsvc.runtime.pipeline import Outcome
-from afdsvc.runtime.speed import SpeedPipeline
 
 CHANNELS = (Channel("u_a", "A"), Channel("y_a", "um"), Channel("aux_speed", "rad/s"))
 
@@ -150,7 +150,7 @@ def test_no_model_there_is_said_when_it_is_known() -> None:
 
 
 def test_too_many_blocks_make_the_worker_wait(monkeypatch) -> None:
-    monkeypatch.setattr("afdsvc.runtime.speed.WAITING", 5)
+    monkeypatch.setattr("afdsvc.diagnosis.speed_schedule.WAITING", 5)
     m = Machine(later=lambda make: SimpleNamespace(done=lambda: False, result=make))
     m.run(100, 139, *[140.0] * 20)
     assert [p.node for p in m.made] == [100.0, 140.0]

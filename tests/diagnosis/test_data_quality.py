@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from afdsvc.api.signals import Block, Channel
+from afdsvc.diagnosis.data_quality import Expectation, IntakeState, judge, longest_still
 from afdsvc.errors import BadInput
-from afdsvc.runtime.intake import Expectation, IntakeState, judge, longest_still
 
 CHANNELS = (Channel("u_a", "V"), Channel("y_b", "um"))
 EXPECTED = Expectation(CHANNELS, 1e-3, frozen_after=20)

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from afdsvc.alarms.book import AlarmBook, Policy
 from afdsvc.api.evidence import Evidence, Severity
+from afdsvc.diagnosis.alarm_book import AlarmBook, Policy
 from afdsvc.errors import BadInput, Refused
 from afdsvc.wire.messages import AlarmKind, Finding
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from afdsvc.api.evidence import Evidence, Severity
-from afdsvc.runtime.verdict import conclude, model_gap, open_question
+from afdsvc.diagnosis.verdict import conclude, model_gap, open_question
 
 
 def said(detector="regression", statistic=10.0, burst="b1", seconds=5.0, fault="a", detected=True, trustworthy=True, **more):

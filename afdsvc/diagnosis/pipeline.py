@@ -16,9 +16,9 @@ from afdsvc.api.signals import Block
 from afdsvc.detect.features.innovations import ResidualFilter
 from afdsvc.detect.features.noise_calibration import calibrate_noise
 from afdsvc.detect.features.whiteness_gate import Gate
+from afdsvc.diagnosis.data_quality import Expectation, Finding, IntakeState, judge, longest_still
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.lti.statespace import Array, StateSpace
-from afdsvc.runtime.intake import Expectation, Finding, IntakeState, judge, longest_still
 
 log = logging.getLogger(__name__)
 LONGEST_SETTLING = 20_000

@@ -21,10 +21,10 @@ import numpy as np
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.api.signals import Block
+from afdsvc.diagnosis.data_quality import Finding
+from afdsvc.diagnosis.pipeline import Outcome, Pipeline, remember
 from afdsvc.errors import AfdsvcError, BadInput, Refused
 from afdsvc.lti.statespace import Array
-from afdsvc.runtime.intake import Finding
-from afdsvc.runtime.pipeline import Outcome, Pipeline, remember
 
 RPM = 30 / np.pi  # rpm per rad/s
 SLACK = 0.6  # of the spacing: how far the speed may be from that of the model in use
