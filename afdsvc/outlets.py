@@ -19,9 +19,9 @@ from afdsvc.files.site import Site
 from afdsvc.plugins.manager import Plugins
 from afdsvc.runtime.commands import plain
 from afdsvc.runtime.housekeeping import Housekeeper
-from afdsvc.runtime.posting import Post
 from afdsvc.runtime.recording import RecorderSink
 from afdsvc.runtime.sinks import Sink, ThreadedSink
+from afdsvc.transport.outgoing_queue import Post
 from afdsvc.wire.messages import AlarmChange
 
 if TYPE_CHECKING:

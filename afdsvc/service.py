@@ -27,21 +27,21 @@ from afdsvc.files.site import Site
 from afdsvc.outlets import Outlets, open_outboxes
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.runtime import commands
-from afdsvc.runtime.access import SERVICE, access_control, rig_name
 from afdsvc.runtime.agent import RigAgent
 from afdsvc.runtime.clock import RealClock
 from afdsvc.runtime.desk import BurstDesk
 from afdsvc.runtime.hub import Hub
 from afdsvc.runtime.metrics import serve_metrics
-from afdsvc.runtime.posting import Post
 from afdsvc.runtime.publishing import Publisher
 from afdsvc.runtime.rehearsal import Rehearsals
 from afdsvc.runtime.requests import QUESTIONS
 from afdsvc.runtime.scheduler import Scheduler, Wanted
 from afdsvc.runtime.sinks import Fan
-from afdsvc.runtime.transport import Access, NoPeer, Transport
 from afdsvc.runtime.watch import MachineWatch
 from afdsvc.runtime.web import serve_page
+from afdsvc.transport.access_rules import SERVICE, access_control, rig_name
+from afdsvc.transport.outgoing_queue import Post
+from afdsvc.transport.zenoh_session import Access, NoPeer, Transport
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import RigDescription
 

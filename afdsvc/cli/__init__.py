@@ -144,7 +144,7 @@ def _leave() -> None:
 def certificates(site: SiteFile, as_json: Json = False) -> None:
     """Make the private authority and certificates of a secured site: service, rigs, operators, viewers; what is there is kept."""
     from afdsvc.files.site import read_site
-    from afdsvc.runtime.certificates import make_certificates
+    from afdsvc.transport.certificates import make_certificates
 
     made = [str(path) for path in make_certificates(read_site(site))]
     show(as_json, {"made": made}, lambda: print("\n".join(made) or "everything is there already"))

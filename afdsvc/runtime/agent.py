@@ -11,9 +11,9 @@ from afdsvc.api.clock import Clock
 from afdsvc.api.port import DrivablePort, Drive, Port
 from afdsvc.api.signals import Block
 from afdsvc.errors import AfdsvcError, Refused
-from afdsvc.runtime.posting import Post
-from afdsvc.runtime.transport import Transport
 from afdsvc.runtime.watchdog import Watchdog
+from afdsvc.transport.outgoing_queue import Post
+from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys, session_of
 from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, EventKind, Lease, RigDescription, RigEvent

@@ -17,7 +17,7 @@ from afdsvc.diagnosis.verdict import open_question
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.runtime.scheduler import Scheduler, Wanted
 from afdsvc.runtime.sinks import Sink
-from afdsvc.runtime.transport import Transport
+from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import BurstRequest, BurstStop, EventKind, Lease, RigEvent

@@ -20,8 +20,8 @@ from afdsvc.errors import BadInput
 from afdsvc.runtime.commands import answer
 from afdsvc.runtime.desk import BurstDesk
 from afdsvc.runtime.requests import Requests
-from afdsvc.runtime.transport import Transport
 from afdsvc.runtime.watch import MachineWatch
+from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys, machine_of, session_of
 from afdsvc.wire.messages import AlarmChange, AlarmKind, EventKind, Finding, MachineStatus, ServiceStatus

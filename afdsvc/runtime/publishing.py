@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from afdsvc.api.signals import Block, residual_block
 from afdsvc.lti.statespace import Array
-from afdsvc.runtime.posting import Post
+from afdsvc.transport.outgoing_queue import Post
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RigEvent

@@ -31,10 +31,10 @@ from afdsvc.alarms.history import History
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import read_site
-from afdsvc.runtime.transport import Transport
 from afdsvc.testing.messages import EXAMPLES
 from afdsvc.testing.mutation import mutate_bytes
 from afdsvc.testing.proxy import Proxy
+from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import AlarmKind
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from machine import LENGTH, Signals, Talker, commissioned
 
 from afdsvc.files.site import Site, read_site
-from afdsvc.runtime.transport import Transport
+from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import BurstReply, BurstRequest, EventKind, RigDescription, RigEvent

@@ -17,7 +17,7 @@ from afdsvc.errors import Refused
 from afdsvc.files.site import Transport as Settings
 from afdsvc.runtime.agent import RigAgent
 from afdsvc.runtime.clock import RealClock
-from afdsvc.runtime.transport import Transport
+from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import BurstRequest, BurstStop, EventKind, Lease, RigDescription

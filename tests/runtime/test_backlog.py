@@ -9,7 +9,7 @@ import time
 from afdsvc.files.site import Transport as Settings
 from afdsvc.runtime.clock import RealClock
 from afdsvc.runtime.hub import Hub
-from afdsvc.runtime.transport import Transport
+from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire.keys import Keys
 
 

@@ -15,9 +15,9 @@ from afdsvc.files.site import parse_site
 from afdsvc.outlets import Outlets
 from afdsvc.runtime import recording
 from afdsvc.runtime.clock import FastClock
-from afdsvc.runtime.posting import Post
 from afdsvc.runtime.recording import RecorderSink
 from afdsvc.runtime.sinks import ThreadedSink
+from afdsvc.transport.outgoing_queue import Post
 from afdsvc.wire import codec
 
 

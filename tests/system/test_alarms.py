@@ -12,7 +12,7 @@ from afdsvc import service
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, parse_site
-from afdsvc.runtime.transport import Transport
+from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import AlarmChange

@@ -39,8 +39,8 @@ from afdsvc.runtime.desk import BurstDesk
 from afdsvc.runtime.hub import Hub
 from afdsvc.runtime.publishing import Publisher
 from afdsvc.runtime.scheduler import Scheduler, Wanted
-from afdsvc.runtime.transport import PeerSilent
 from afdsvc.runtime.watch import MachineWatch
+from afdsvc.transport.zenoh_session import PeerSilent
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import AlarmKind, BurstReply, EventKind, Finding, RigDescription, RigEvent

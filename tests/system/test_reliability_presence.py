@@ -18,7 +18,7 @@ from afdsvc.files.site import Site, parse_site
 from afdsvc.runtime import clock
 from afdsvc.runtime.hub import Hub
 from afdsvc.runtime.scheduler import Wanted
-from afdsvc.runtime.transport import Transport
+from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire.keys import Keys
 
 

@@ -16,10 +16,10 @@ from afdsvc.api.bursts import Burst, Line
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, Transport, parse_site
-from afdsvc.runtime.access import rig_name
-from afdsvc.runtime.certificates import make_certificates
-from afdsvc.runtime.transport import Access, NoPeer
-from afdsvc.runtime.transport import Transport as Session
+from afdsvc.transport.access_rules import rig_name
+from afdsvc.transport.certificates import make_certificates
+from afdsvc.transport.zenoh_session import Access, NoPeer
+from afdsvc.transport.zenoh_session import Transport as Session
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import BurstRequest

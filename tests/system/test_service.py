@@ -20,7 +20,7 @@ from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, parse_site
 from afdsvc.plugins.manager import load
 from afdsvc.runtime.hub import Hub
-from afdsvc.runtime.transport import Transport
+from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 

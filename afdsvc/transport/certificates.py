@@ -12,7 +12,7 @@ from typing import Any
 
 from afdsvc.errors import BadInput
 from afdsvc.files.site import Security, Site
-from afdsvc.runtime.access import SERVICE, rig_name
+from afdsvc.transport.access_rules import SERVICE, rig_name
 
 AUTHORITY = "ca"
 DAYS = 3650

@@ -10,7 +10,7 @@ import pytest
 
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.site import Transport as Settings
-from afdsvc.runtime.transport import PeerSilent, Transport
+from afdsvc.transport.zenoh_session import PeerSilent, Transport
 
 
 def free_port() -> int:

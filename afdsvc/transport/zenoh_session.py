@@ -22,7 +22,7 @@ from zenoh import ext
 
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files import site as site_file
-from afdsvc.runtime.certificates import key_files
+from afdsvc.transport.certificates import key_files
 
 log = logging.getLogger(__name__)
 CLOSING_SECONDS = 2.0

@@ -1,0 +1,1 @@
+"""Zenoh sessions, outgoing queues, access rules and certificates."""
