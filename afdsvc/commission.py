@@ -24,7 +24,7 @@ from afdsvc.excite.identification_bursts import Band, multisine_burst, random_bi
 from afdsvc.files import site as site_file
 from afdsvc.files.model.model_file import model_text, read_model
 from afdsvc.files.tables.tables import read_table
-from afdsvc.hal.loop import LoopSettings, Prediction
+from afdsvc.hal.control_loop import LoopSettings, Prediction
 from afdsvc.hal.replay import Replay, blocks_of
 from afdsvc.hal.rotation import SpeedProfile
 from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, Simulator

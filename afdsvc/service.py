@@ -24,10 +24,10 @@ from afdsvc.diagnosis.speed_schedule import SpeedPipeline
 from afdsvc.errors import BadInput
 from afdsvc.excite.diagnosis_burst import Aim, default_burst, second_burst
 from afdsvc.files.site import Site
+from afdsvc.hal.agent import RigAgent
 from afdsvc.outlets import Outlets, open_outboxes
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.runtime import commands
-from afdsvc.runtime.agent import RigAgent
 from afdsvc.runtime.clock import RealClock
 from afdsvc.runtime.desk import BurstDesk
 from afdsvc.runtime.hub import Hub

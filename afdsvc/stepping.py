@@ -16,8 +16,8 @@ from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.model.user_code import load_code
 from afdsvc.files.site import STEPPED, Fault, Machine
-from afdsvc.hal.loop import LoopSettings, Prediction
-from afdsvc.hal.stepped import GainFault, SteppedSimulator
+from afdsvc.hal.control_loop import LoopSettings, Prediction
+from afdsvc.hal.stepped_simulator import GainFault, SteppedSimulator
 from afdsvc.lti.statespace import Array
 from afdsvc.plants.stepped.fmi_unit import FmiUnit
 from afdsvc.plants.stepped.function_plant import FunctionPlant

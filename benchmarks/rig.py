@@ -18,7 +18,7 @@ import numpy as np
 
 from afdsvc.demo import DemoOptions, free_port, rig_process, site_text
 from afdsvc.files.site import read_site
-from afdsvc.hal import kernel
+from afdsvc.hal import control_sample
 from afdsvc.plants.registry import plant
 from afdsvc.plugins.manager import load
 from afdsvc.service import serving
@@ -28,13 +28,13 @@ def control_cost(samples: int = 20_000) -> tuple[float, float]:
     """Return seconds per control sample: compiled, called once per sample as around real hardware; and numpy."""
     bearing = plant("gas_bearing")
     design = load().get("controllers", "lqg").design(bearing.discrete(), bearing.recommended["lqg"])
-    K = kernel.contiguous(design.interconnection)
-    kernel.warm_up()
+    K = control_sample.contiguous(design.interconnection)
+    control_sample.warm_up()
     xk, y, alpha, u, beta = np.zeros(K.order), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
     bounds = np.full(2, 10.0)
     start = time.perf_counter()
     for _ in range(samples):
-        kernel.control_sample(K.A, K.B, K.C, K.D, xk, y, alpha, True, bounds, bounds, u, beta)
+        control_sample.control_sample(K.A, K.B, K.C, K.D, xk, y, alpha, True, bounds, bounds, u, beta)
     compiled = (time.perf_counter() - start) / samples
     start = time.perf_counter()
     for _ in range(samples):

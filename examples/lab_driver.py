@@ -11,8 +11,8 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.signals import Channel
-from afdsvc.hal.loop import LoopSettings
-from afdsvc.hal.rig import DrivenRig
+from afdsvc.hal.control_loop import LoopSettings
+from afdsvc.hal.hardware import DrivenRig
 from afdsvc.plants.registry import plant
 from afdsvc.plugins.manager import load
 from afdsvc.runtime.clock import RealClock

@@ -13,8 +13,8 @@ from afdsvc.api.bursts import Limits
 from afdsvc.api.clock import Clock
 from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput
-from afdsvc.hal import kernel
-from afdsvc.hal.loop import ControlLoop, LoopSettings, Prediction, Samples
+from afdsvc.hal import control_sample
+from afdsvc.hal.control_loop import ControlLoop, LoopSettings, Prediction, Samples
 from afdsvc.hal.rotation import SpeedProfile
 from afdsvc.lti.statespace import Array, StateSpace
 
@@ -89,7 +89,7 @@ class Simulator(ControlLoop):
         system = self._plant.at(present) if turning is None else turning(present, float(self._profile.at(np.array([k]))[0]))
         if np.abs(system.D).max(initial=0.0) > 0:
             raise BadInput("the simulated plant has a direct term D; a sampled plant with D = 0 is wanted")
-        return kernel.contiguous(system)
+        return control_sample.contiguous(system)
 
     def _run(self, alpha: Array, limits: Limits | None) -> Samples:
         """Run the slice in pieces that end where a fault starts or the speed has moved on."""
@@ -99,7 +99,7 @@ class Simulator(ControlLoop):
         for a, b in pairwise(edges):
             if self._k + a in due:
                 self._G = self._plant_at(self._k + a)
-            if pieces and pieces[-1].cause != kernel.NO_CAUSE:
+            if pieces and pieces[-1].cause != control_sample.NO_CAUSE:
                 alpha[a:b] = 0.0
             pieces.append(self._piece(alpha[a:b], limits, self._k + a))
         return _join(pieces)
@@ -113,7 +113,7 @@ class Simulator(ControlLoop):
         u, y, beta = np.empty((n, self.m)), np.empty((n, self.p)), np.empty((n, self.p))
         bounds = limits or self._limits
         G, K = self._G, self._K
-        cause, at = kernel.closed_loop(
+        cause, at = control_sample.closed_loop(
             G.A,
             G.B,
             G.C,
@@ -153,9 +153,9 @@ class Simulator(ControlLoop):
 def _join(pieces: list[Samples]) -> Samples:
     if len(pieces) == 1:
         return pieces[0]
-    cause, at, before = kernel.NO_CAUSE, -1, 0
+    cause, at, before = control_sample.NO_CAUSE, -1, 0
     for piece in pieces:
-        if piece.cause != kernel.NO_CAUSE and cause == kernel.NO_CAUSE:
+        if piece.cause != control_sample.NO_CAUSE and cause == control_sample.NO_CAUSE:
             cause, at = piece.cause, before + piece.at
         before += len(piece.u)
 

@@ -16,7 +16,7 @@ from afdsvc.api.bursts import Burst
 from afdsvc.api.signals import Block
 from afdsvc.commission import Commissioned
 from afdsvc.files.site import Site
-from afdsvc.hal import kernel
+from afdsvc.hal import control_sample
 from afdsvc.plugins.manager import load
 from afdsvc.wire import afdsvc_pb2 as pb
 from afdsvc.wire.block_codec import encode_block
@@ -29,11 +29,11 @@ def loop(machine: Commissioned, alpha: np.ndarray, noise: np.ndarray) -> np.ndar
     """Return u, y, alpha, beta (n, 8) of the closed loop from rest."""
     assert machine.controller is not None
     assert machine.limits is not None
-    kernel.warm_up()
-    G, K = kernel.contiguous(machine.plant), kernel.contiguous(machine.controller.interconnection)
+    control_sample.warm_up()
+    G, K = control_sample.contiguous(machine.plant), control_sample.contiguous(machine.controller.interconnection)
     n, m, p = len(alpha), machine.plant.inputs, machine.plant.outputs
     u, y, beta, limits = np.empty((n, m)), np.empty((n, p)), np.empty((n, p)), machine.limits
-    kernel.closed_loop(
+    control_sample.closed_loop(
         G.A, G.B, G.C, np.zeros(G.order), K.A, K.B, K.C, K.D, np.zeros(K.order), np.ascontiguousarray(alpha), np.zeros((n, m)),
         np.ascontiguousarray(noise), False, limits.output, limits.input, np.zeros(m), u, y, beta,
     )  # fmt: skip

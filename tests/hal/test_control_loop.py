@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from afdsvc import commission
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.errors import Refused
-from afdsvc.hal.loop import LoopSettings
+from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, Simulator
 from afdsvc.runtime.clock import FastClock, RealClock
 

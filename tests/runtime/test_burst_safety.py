@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from afdsvc import commission
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.errors import AfdsvcError
-from afdsvc.hal.loop import LoopSettings
-from afdsvc.hal.rig import DrivenRig
-from afdsvc.runtime.agent import RigAgent
+from afdsvc.hal.agent import RigAgent
+from afdsvc.hal.control_loop import LoopSettings
+from afdsvc.hal.hardware import DrivenRig
 from afdsvc.runtime.clock import FastClock
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys

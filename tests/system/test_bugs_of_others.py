@@ -32,8 +32,8 @@ from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.files.recording.recover import recover_in_place
 from afdsvc.files.recording.retention import Keep, tidy
 from afdsvc.files.site import Alarms, Bursts, Driver, Machine
-from afdsvc.hal.loop import LoopSettings
-from afdsvc.hal.rig import DrivenRig
+from afdsvc.hal.control_loop import LoopSettings
+from afdsvc.hal.hardware import DrivenRig
 from afdsvc.runtime.clock import FastClock
 from afdsvc.runtime.desk import BurstDesk
 from afdsvc.runtime.hub import Hub

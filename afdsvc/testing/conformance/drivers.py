@@ -12,7 +12,7 @@ from afdsvc import commission
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.port import DrivablePort, Port
 from afdsvc.files.site import Driver, Machine
-from afdsvc.hal.loop import LoopSettings
+from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.plugins.manager import load
 from afdsvc.runtime.clock import RealClock
 from afdsvc.testing.conformance.controllers import settings_of

@@ -9,9 +9,9 @@ from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.port import DrivablePort, Port
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.errors import BadInput
-from afdsvc.hal.loop import LoopSettings
+from afdsvc.hal.control_loop import LoopSettings
+from afdsvc.hal.hardware import DrivenRig
 from afdsvc.hal.replay import Replay, blocks_of
-from afdsvc.hal.rig import DrivenRig
 from afdsvc.runtime.clock import FastClock
 
 

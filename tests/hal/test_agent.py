@@ -15,7 +15,7 @@ from afdsvc import commission
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.errors import Refused
 from afdsvc.files.site import Transport as Settings
-from afdsvc.runtime.agent import RigAgent
+from afdsvc.hal.agent import RigAgent
 from afdsvc.runtime.clock import RealClock
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec

@@ -11,8 +11,8 @@ from afdsvc.api.bursts import Limits
 from afdsvc.api.clock import Clock
 from afdsvc.api.model import SteppedPlant
 from afdsvc.api.signals import Channel
-from afdsvc.hal import kernel
-from afdsvc.hal.loop import ControlLoop, LoopSettings, Prediction, Samples
+from afdsvc.hal import control_sample
+from afdsvc.hal.control_loop import ControlLoop, LoopSettings, Prediction, Samples
 from afdsvc.lti.statespace import Array, StateSpace
 
 
@@ -62,19 +62,19 @@ class SteppedSimulator(ControlLoop):
         n, K = len(alpha), self._K
         u, y, beta = np.empty((n, self.m)), np.empty((n, self.p)), np.empty((n, self.p))
         noise = self._noise.standard_normal((n, self.p)) @ self._chol.T
-        bounds, cause, at = limits or self._limits, kernel.NO_CAUSE, -1
+        bounds, cause, at = limits or self._limits, control_sample.NO_CAUSE, -1
         for k in range(n):
             acting, sensing = self._gains(self._k + k)
             y[k] = sensing * self._answer + noise[k]
-            if cause != kernel.NO_CAUSE:
+            if cause != control_sample.NO_CAUSE:
                 alpha[k] = 0.0
-            armed = limits is not None and cause == kernel.NO_CAUSE
+            armed = limits is not None and cause == control_sample.NO_CAUSE
             found = int(
-                kernel.control_sample(
+                control_sample.control_sample(
                     K.A, K.B, K.C, K.D, self._xk, y[k], alpha[k], armed, bounds.output, bounds.input, self._u, beta[k]
                 )
             )
-            if armed and found != kernel.NO_CAUSE:
+            if armed and found != control_sample.NO_CAUSE:
                 cause, at = found, k
             u[k] = self._u
             self._answer = self._unit.advance(acting * self._u, self.dt)

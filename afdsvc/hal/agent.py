@@ -11,7 +11,7 @@ from afdsvc.api.clock import Clock
 from afdsvc.api.port import DrivablePort, Drive, Port
 from afdsvc.api.signals import Block
 from afdsvc.errors import AfdsvcError, Refused
-from afdsvc.runtime.watchdog import Watchdog
+from afdsvc.hal.lease import Watchdog
 from afdsvc.transport.outgoing_queue import Post
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec

@@ -15,15 +15,15 @@ from afdsvc.api.clock import Clock
 from afdsvc.api.port import PortStatus
 from afdsvc.api.signals import Block, Channel
 from afdsvc.errors import BadInput, Refused
-from afdsvc.hal import kernel
-from afdsvc.hal.excitation import Excitation, refuse_burst
+from afdsvc.hal import control_sample
+from afdsvc.hal.burst_player import Excitation, refuse_burst
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 
 CAUSES = {
-    kernel.OUTPUT_LIMIT: "an output reached its limit",
-    kernel.INPUT_LIMIT: "an actuator reached its limit",
-    kernel.BAD_SAMPLE: "a sensor returned NaN",
+    control_sample.OUTPUT_LIMIT: "an output reached its limit",
+    control_sample.INPUT_LIMIT: "an actuator reached its limit",
+    control_sample.BAD_SAMPLE: "a sensor returned NaN",
 }
 
 
@@ -83,8 +83,8 @@ class ControlLoop(ABC):
                 f"J_K is {interconnection.outputs} x {interconnection.inputs}; "
                 f"{self.m + self.p} x {self.p + self.m} is wanted for {self.m} inputs and {self.p} outputs"
             )
-        kernel.warm_up()
-        self._K = kernel.contiguous(interconnection)
+        control_sample.warm_up()
+        self._K = control_sample.contiguous(interconnection)
         self._xk = np.zeros(interconnection.order)
         self._u = np.zeros(self.m)
         self._channels, self._limits, self._settings, self._clock = channels, limits, settings, clock
@@ -161,7 +161,7 @@ class ControlLoop(ABC):
             step = min(self._settings.slice, n - done)
             alpha = self._excitation.take(step) if name and edge == n else np.zeros((step, self.m))
             part = self._paced(alpha)
-            if part.cause != kernel.NO_CAUSE and edge == n and name:
+            if part.cause != control_sample.NO_CAUSE and edge == n and name:
                 edge = done + part.at
                 self._excitation.cut(f"{CAUSES[part.cause]} at sample {self._k - step + part.at}")
             parts.append(part)

@@ -11,8 +11,8 @@ from afdsvc.api.bursts import Limits
 from afdsvc.api.clock import Clock
 from afdsvc.api.signals import Channel, of_role
 from afdsvc.errors import BadInput
-from afdsvc.hal import kernel
-from afdsvc.hal.loop import ControlLoop, LoopSettings, Prediction, Samples
+from afdsvc.hal import control_sample
+from afdsvc.hal.control_loop import ControlLoop, LoopSettings, Prediction, Samples
 from afdsvc.lti.statespace import Array, StateSpace
 
 
@@ -97,18 +97,18 @@ class DrivenRig(ControlLoop):
         n = len(alpha)
         u, y, beta = np.empty((n, self.m)), np.empty((n, self.p)), np.empty((n, self.p))
         aux = np.zeros((n, self._aux))
-        bounds, cause, at, worked = limits or self._limits, kernel.NO_CAUSE, -1, 0.0
+        bounds, cause, at, worked = limits or self._limits, control_sample.NO_CAUSE, -1, 0.0
         try:
             for k in range(n):
                 y[k] = self._driver.read()
                 began = self._clock.monotonic()
-                if cause != kernel.NO_CAUSE:
+                if cause != control_sample.NO_CAUSE:
                     alpha[k] = 0.0
-                armed = limits is not None and cause == kernel.NO_CAUSE
+                armed = limits is not None and cause == control_sample.NO_CAUSE
                 found = self._sample(y[k], alpha[k], armed, bounds, beta[k])
                 self._driver.write(self._u)
                 u[k] = self._u
-                if armed and found != kernel.NO_CAUSE:
+                if armed and found != control_sample.NO_CAUSE:
                     cause, at = found, k
                 if self._rotor is not None and self._aux:
                     aux[k] = self._rotor.rotation()
@@ -124,7 +124,7 @@ class DrivenRig(ControlLoop):
     def _sample(self, y: Array, alpha: Array, armed: bool, bounds: Limits, beta: Array) -> int:
         K = self._K
         return int(
-            kernel.control_sample(K.A, K.B, K.C, K.D, self._xk, y, alpha, armed, bounds.output, bounds.input, self._u, beta)
+            control_sample.control_sample(K.A, K.B, K.C, K.D, self._xk, y, alpha, armed, bounds.output, bounds.input, self._u, beta)
         )
 
     def _missed(self, began: float, ended: float) -> int:
