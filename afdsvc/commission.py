@@ -37,7 +37,7 @@ from afdsvc.plants.registry import plant as plant_by_name
 from afdsvc.plugins.controllers.lqg import gains
 from afdsvc.plugins.fault_set import FaultSet, chosen_faults, usual_faults
 from afdsvc.plugins.manager import Plugins
-from afdsvc.runtime.clock import FastClock
+from afdsvc.service.clock import FastClock
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from afdsvc.app.serve import serving
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.site import Site, read_site
 from afdsvc.offline import diagnose_recordings
 from afdsvc.plants.registry import plant as plant_by_name
-from afdsvc.runtime.hub import Hub
-from afdsvc.service import serving
+from afdsvc.service.hub import Hub
 
 _FAULT = re.compile(r"(?P<name>[a-z0-9_]+)=(?P<severity>[-+0-9.eE]+)(@(?P<at>[0-9.]+))?")
 

@@ -12,6 +12,7 @@ from afdsvc.api.bursts import Burst
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Block
+from afdsvc.app.serve import pipeline_of
 from afdsvc.commission import Commissioned, Watched
 from afdsvc.diagnosis.verdict import conclude
 from afdsvc.errors import BadInput
@@ -23,8 +24,7 @@ from afdsvc.files.tables.loading import TABLES, Naming, foreign_mapping, is_ours
 from afdsvc.files.tables.to_recording import import_traces
 from afdsvc.hal.replay import blocks_of
 from afdsvc.plugins.manager import Plugins, load
-from afdsvc.runtime.commands import plain
-from afdsvc.service import pipeline_of
+from afdsvc.service.operator_requests import plain
 
 
 def diagnose_recordings(

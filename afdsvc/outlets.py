@@ -8,19 +8,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from afdsvc.alarms.black_box import BlackBox
-from afdsvc.alarms.history import History
-from afdsvc.alarms.outbox import Outbox
 from afdsvc.api.clock import Clock
 from afdsvc.api.notify import Notify
 from afdsvc.commission import Commissioned
 from afdsvc.files.recording.retention import Keep
 from afdsvc.files.site import Site
 from afdsvc.plugins.manager import Plugins
-from afdsvc.runtime.commands import plain
-from afdsvc.runtime.housekeeping import Housekeeper
-from afdsvc.runtime.recording import RecorderSink
-from afdsvc.runtime.sinks import Sink, ThreadedSink
+from afdsvc.service.alarm_history import History
+from afdsvc.service.housekeeping import Housekeeper
+from afdsvc.service.notifications import Outbox
+from afdsvc.service.operator_requests import plain
+from afdsvc.service.sinks.fan_out import Sink, ThreadedSink
+from afdsvc.service.sinks.pre_alarm_buffer import BlackBox
+from afdsvc.service.sinks.recorder_sink import RecorderSink
 from afdsvc.transport.outgoing_queue import Post
 from afdsvc.wire.messages import AlarmChange
 

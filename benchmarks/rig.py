@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
+from afdsvc.app.serve import serving
 from afdsvc.demo import DemoOptions, free_port, rig_process, site_text
 from afdsvc.files.site import read_site
 from afdsvc.hal import control_sample
 from afdsvc.plants.registry import plant
 from afdsvc.plugins.manager import load
-from afdsvc.service import serving
 
 
 def control_cost(samples: int = 20_000) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.hal.hardware import DrivenRig
 from afdsvc.plants.registry import plant
 from afdsvc.plugins.manager import load
-from afdsvc.runtime.clock import RealClock
+from afdsvc.service.clock import RealClock
 
 
 class Converter:

@@ -9,10 +9,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from afdsvc import commission
+from afdsvc.app.serve import diagnosis_burst, pipeline_of
 from afdsvc.files.site import read_site
 from afdsvc.plugins.manager import load
-from afdsvc.runtime.clock import FastClock
-from afdsvc.service import diagnosis_burst, pipeline_of
+from afdsvc.service.clock import FastClock
 
 FUNCTION = '''
 """The slide. x is the state (None at the start), u the inputs held for dt seconds; returned are state and outputs at the end."""

@@ -13,7 +13,7 @@ from afdsvc import commission
 from afdsvc.api.port import DrivablePort
 from afdsvc.files.site import FaultInjection, Machine, Named
 from afdsvc.plugins.manager import Plugins, load
-from afdsvc.runtime.clock import FastClock
+from afdsvc.service.clock import FastClock
 
 
 @pytest.fixture(scope="session")

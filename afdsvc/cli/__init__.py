@@ -93,8 +93,8 @@ def serve(
     logs: Annotated[str, typer.Option("--log", metavar="text|json", help="How log lines are written on stderr.")] = "text",
 ) -> None:
     """Run the service of one site until SIGTERM or Ctrl-C."""
+    from afdsvc.app.serve import serving
     from afdsvc.files.site import read_site
-    from afdsvc.service import serving
     from afdsvc.supervision import collect_rarely, start_logging, supervised
 
     start_logging(_one_of("--log", logs, ("text", "json")))
@@ -122,8 +122,8 @@ def rig(
 
     SIGTERM and Ctrl-C end a burst smoothly and stop; SIGUSR1 is the emergency stop: no excitation until it is started again.
     """
+    from afdsvc.app.serve import run_rig
     from afdsvc.files.site import read_site
-    from afdsvc.service import run_rig
 
     emergency = threading.Event()
     if hasattr(signal, "SIGUSR1"):

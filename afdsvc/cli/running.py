@@ -16,8 +16,8 @@ app = typer.Typer()
 
 
 def _ask(site: Path, name: str, **arguments: Any) -> Any:
+    from afdsvc.app.serve import ask_service
     from afdsvc.files.site import read_site
-    from afdsvc.service import ask_service
 
     return ask_service(read_site(site), name, os.environ.get("AFDSVC_USER") or getpass.getuser(), **arguments)
 

@@ -30,7 +30,7 @@ from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.files.site import Driver, Machine, parse_site
 from afdsvc.files.tables.tables import read_table
 from afdsvc.plugins.manager import load
-from afdsvc.runtime.clock import FastClock
+from afdsvc.service.clock import FastClock
 from afdsvc.testing.messages import EXAMPLES
 from afdsvc.testing.mutation import mutate_bytes, mutate_text
 from afdsvc.wire import codec

@@ -28,11 +28,11 @@ import pyarrow.parquet as pq
 sys.path.insert(0, str(Path(__file__).parents[1] / "throughput"))
 from machine import Signals, Talker, commissioned, site_text
 
+from afdsvc.app.serve import diagnosis_burst, pipeline_of
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.files.site import parse_site
 from afdsvc.plugins.manager import load
-from afdsvc.service import diagnosis_burst, pipeline_of
 from afdsvc.wire import codec
 from afdsvc.wire.messages import BurstRequest
 

@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from afdsvc import commission, service
+from afdsvc import commission
 from afdsvc.api.bursts import Burst
 from afdsvc.api.evidence import Evidence
+from afdsvc.app import serve
 from afdsvc.commission import Commissioned
 from afdsvc.files.site import Machine
 from afdsvc.plugins.manager import Plugins, load
-from afdsvc.runtime.clock import FastClock
-from afdsvc.runtime.scheduler import Wanted
+from afdsvc.service.clock import FastClock
+from afdsvc.service.scheduler import Wanted
 
 
 def machine(plugins: Plugins, faults: dict[str, tuple[float, float]] | None = None, seed: int = 1, **more: Any) -> Commissioned:
@@ -38,8 +39,8 @@ class Run:
 
 def run(parts: Commissioned, plugins: Plugins, plan: Sequence[float | str], burst: Burst | None = None) -> Run:
     """Run the machine: a number is seconds of quiet, ``"burst"`` a diagnosis burst for the speed it has then."""
-    port, stream = commission.open_port(parts, "s", FastClock(), plugins), service.pipeline_of(parts, plugins)
-    design, out = (lambda _: burst) if burst else service.burst_design(parts, stream), Run()
+    port, stream = commission.open_port(parts, "s", FastClock(), plugins), serve.pipeline_of(parts, plugins)
+    design, out = (lambda _: burst) if burst else serve.burst_design(parts, stream), Run()
 
     def take() -> int:
         block = port.read()

@@ -23,16 +23,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 from loop import closed
 from machine import machine, plugins
 
-from afdsvc import service
 from afdsvc.api.bursts import Burst
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block
+from afdsvc.app import serve
 from afdsvc.commission import Commissioned
 from afdsvc.detect.statistics.matched_filter import window
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.whitening import innovations
-from afdsvc.runtime.scheduler import Wanted
+from afdsvc.service.scheduler import Wanted
 
 KINDS = ("matched_filter", "regression", "fault_curves")
 LEAD, START = 2500, 8000  # quiet samples before every burst, and before the first
@@ -124,8 +124,8 @@ def judged(
     detectors = [{"kind": k, "false_alarms_per_1000_bursts": 1000 * rate} for k in kinds]
     wanted = {"controller": {"kind": controller}, "detectors": detectors, "bursts": {"severity": -0.2, "seconds": seconds}}
     parts = machine(installed, **wanted)
-    stream = service.pipeline_of(parts, installed)
-    burst = service.burst_design(parts, stream)(Wanted("study"))
+    stream = serve.pipeline_of(parts, installed)
+    burst = serve.burst_design(parts, stream)(Wanted("study"))
     size = float(norm.isf(rate / len(parts.augmented.fault_names)))
     drawn = waves(parts, burst, size, severities) if severities else Waves(np.zeros((0, 0)), 0.0)
     found: dict[str, list[tuple[Evidence, float]]] = {kind: [] for kind in kinds}

@@ -7,8 +7,8 @@ import sys
 import threading
 from pathlib import Path
 
+from afdsvc.app.serve import run_rig
 from afdsvc.files.site import read_site
-from afdsvc.service import run_rig
 
 
 def main() -> None:

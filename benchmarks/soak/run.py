@@ -27,10 +27,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-from afdsvc.alarms.history import History
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import read_site
+from afdsvc.service.alarm_history import History
 from afdsvc.testing.messages import EXAMPLES
 from afdsvc.testing.mutation import mutate_bytes
 from afdsvc.testing.proxy import Proxy

@@ -28,9 +28,9 @@ from typing import Any
 from alone import mcap_alone, numpy_alone, zenoh_alone
 from machine import LENGTH, site_text
 
+from afdsvc.app.serve import ask_service
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.site import Site, read_site
-from afdsvc.service import ask_service
 
 HERE = Path(__file__).parent
 RATE = 5000 / LENGTH  # blocks a second from one machine

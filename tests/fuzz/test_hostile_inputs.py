@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.model.model_file import parse_model
 from afdsvc.files.site import parse_site
-from afdsvc.runtime import commands
+from afdsvc.service import operator_requests
 from afdsvc.testing.hostile import TARGETS
 from afdsvc.testing.messages import EXAMPLES
 from afdsvc.wire import codec
@@ -83,8 +83,8 @@ def test_any_toml_is_a_file_of_ours_or_bad_input(tables):
 def test_any_command_is_answered_with_a_reply(arguments, name):
     handlers = {"echo": lambda a, who: dict(a), "crash": lambda a, who: 1 / 0}
     try:
-        payload = codec.encode_command(codec.decode_command(codec.encode_command(commands.Command(name, arguments, "kim"))))
+        payload = codec.encode_command(codec.decode_command(codec.encode_command(operator_requests.Command(name, arguments, "kim"))))
     except AfdsvcError:
         payload = b"\xff"
-    reply = codec.decode_command_reply(commands.answer(handlers, payload))
+    reply = codec.decode_command_reply(operator_requests.answer(handlers, payload))
     assert reply.ok or reply.error

@@ -16,7 +16,7 @@ from afdsvc.api.bursts import Burst, Line
 from afdsvc.errors import Refused
 from afdsvc.files.site import Transport as Settings
 from afdsvc.hal.agent import RigAgent
-from afdsvc.runtime.clock import RealClock
+from afdsvc.service.clock import RealClock
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys

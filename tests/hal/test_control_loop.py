@@ -14,7 +14,7 @@ from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.errors import Refused
 from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, Simulator
-from afdsvc.runtime.clock import FastClock, RealClock
+from afdsvc.service.clock import FastClock, RealClock
 
 
 def burst(amplitude: float = 0.3, samples: int = 1000, inputs: int = 2) -> Burst:

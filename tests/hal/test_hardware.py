@@ -12,7 +12,7 @@ from afdsvc.errors import BadInput
 from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.hal.hardware import DrivenRig
 from afdsvc.hal.replay import Replay, blocks_of
-from afdsvc.runtime.clock import FastClock
+from afdsvc.service.clock import FastClock
 
 
 class PlantDriver:

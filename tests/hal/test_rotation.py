@@ -9,7 +9,7 @@ from afdsvc import commission
 from afdsvc.errors import BadInput
 from afdsvc.files.site import Machine
 from afdsvc.hal.rotation import REFRESH, SpeedProfile
-from afdsvc.runtime.clock import FastClock
+from afdsvc.service.clock import FastClock
 
 
 def test_angle_is_the_integral_of_the_speed() -> None:

@@ -8,7 +8,7 @@ from afdsvc.api.bursts import Burst, Line
 from afdsvc.errors import BadInput
 from afdsvc.files.site import read_site
 from afdsvc.plugins.manager import load
-from afdsvc.runtime.clock import FastClock
+from afdsvc.service.clock import FastClock
 from afdsvc.testing.fmi_units import build_slide
 
 MODEL = """

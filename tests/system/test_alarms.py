@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from afdsvc import service
+from afdsvc.app import serve
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, parse_site
@@ -47,7 +47,7 @@ def scrape(port: int) -> dict[str, float]:
 
 
 def run_rig(site: Site, seconds: float) -> None:
-    thread = threading.Thread(target=service.run_rig, args=(site, "bearing", seconds, threading.Event()), daemon=True)
+    thread = threading.Thread(target=serve.run_rig, args=(site, "bearing", seconds, threading.Event()), daemon=True)
     thread.start()
     thread.join(60)
     assert not thread.is_alive()
@@ -56,15 +56,15 @@ def run_rig(site: Site, seconds: float) -> None:
 def test_an_alarm_is_told_counted_kept_and_remembered(free_port, tmp_path):
     site = site_of(free_port, tmp_path, free_port + 1, FAULTY.replace("real_time = false, ", ""))
     heard: list[AlarmChange] = []
-    with service.serving(site) as hub:
+    with serve.serving(site) as hub:
         with Transport(site.transport, hub=False) as viewer:
             viewer.subscribe(Keys("t").alarms(), lambda key, payload: heard.append(codec.decode_alarm_change(payload)))
             run_rig(site, 5.0)
             hub.drain()
-            alarm = service.ask_service(site, "alarms", "kim")[0]
+            alarm = serve.ask_service(site, "alarms", "kim")[0]
             with pytest.raises(AfdsvcError, match="not acknowledged"):
-                service.ask_service(site, "confirm", "kim", alarm=alarm["id"])
-            service.ask_service(site, "ack", "kim", alarm=alarm["id"], comment="on my way", seen_ns=alarm["since_ns"])
+                serve.ask_service(site, "confirm", "kim", alarm=alarm["id"])
+            serve.ask_service(site, "ack", "kim", alarm=alarm["id"], comment="on my way", seen_ns=alarm["since_ns"])
         figures = scrape(free_port + 1)
     assert alarm["id"] == "bearing/vertical_actuator"
     assert [c.event for c in heard] == ["raised", "acknowledged"]
@@ -73,9 +73,9 @@ def test_an_alarm_is_told_counted_kept_and_remembered(free_port, tmp_path):
     (before,) = (tmp_path / "alarms").glob("*.mcap")
     assert len(list(Recording(before).findings("bearing"))) == 1
 
-    with service.serving(site) as hub:
-        (again,) = service.ask_service(site, "alarms", "lee")
-        told = service.ask_service(site, "history", "lee", alarm=again["id"])
+    with serve.serving(site) as hub:
+        (again,) = serve.ask_service(site, "alarms", "lee")
+        told = serve.ask_service(site, "history", "lee", alarm=again["id"])
     assert again["active"]
     assert (again["acknowledged_by"], again["comment"]) == ("kim", "on my way")
     assert [(c["event"], c["who"]) for c in told] == [("raised", ""), ("acknowledged", "kim")]
@@ -83,5 +83,5 @@ def test_an_alarm_is_told_counted_kept_and_remembered(free_port, tmp_path):
 
 def test_an_address_for_metrics_that_is_taken_stops_the_start_with_one_sentence(free_port, tmp_path):
     site = site_of(free_port, tmp_path, free_port, FAULTY)
-    with pytest.raises(BadInput, match=f"metrics.listen = '127.0.0.1:{free_port}'"), service.serving(site):
+    with pytest.raises(BadInput, match=f"metrics.listen = '127.0.0.1:{free_port}'"), serve.serving(site):
         pass

@@ -16,8 +16,6 @@ import pytest
 from pydantic import ValidationError
 
 from afdsvc import commission
-from afdsvc.alarms.black_box import BlackBox
-from afdsvc.alarms.history import History
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block, Channel
@@ -34,12 +32,14 @@ from afdsvc.files.recording.retention import Keep, tidy
 from afdsvc.files.site import Alarms, Bursts, Driver, Machine
 from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.hal.hardware import DrivenRig
-from afdsvc.runtime.clock import FastClock
-from afdsvc.runtime.desk import BurstDesk
-from afdsvc.runtime.hub import Hub
-from afdsvc.runtime.publishing import Publisher
-from afdsvc.runtime.scheduler import Scheduler, Wanted
-from afdsvc.runtime.watch import MachineWatch
+from afdsvc.service.alarm_history import History
+from afdsvc.service.burst_requests import BurstDesk
+from afdsvc.service.clock import FastClock
+from afdsvc.service.hub import Hub
+from afdsvc.service.machine import MachineWatch
+from afdsvc.service.scheduler import Scheduler, Wanted
+from afdsvc.service.sinks.pre_alarm_buffer import BlackBox
+from afdsvc.service.sinks.publisher_sink import Publisher
 from afdsvc.transport.zenoh_session import PeerSilent
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys

@@ -14,7 +14,7 @@ from afdsvc.files.model.model_file import parse_model, read_model, write_model
 from afdsvc.files.tables.to_recording import import_table
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.modelling import identify_files
-from afdsvc.runtime.clock import FastClock
+from afdsvc.service.clock import FastClock
 
 
 def recorded(bearing, plugins, purpose: str, seed: int, faults: dict) -> tuple[np.ndarray, object]:

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from afdsvc import commission, service
+from afdsvc import commission
+from afdsvc.app import serve
 from afdsvc.diagnosis.verdict import alarms, conclude
-from afdsvc.runtime.clock import FastClock
-from afdsvc.runtime.scheduler import Wanted
+from afdsvc.service.clock import FastClock
+from afdsvc.service.scheduler import Wanted
 
 FAULTS = ("horizontal_actuator", "vertical_actuator", "horizontal_sensor", "vertical_sensor")
 LOOPS = [(c, rpm) for c in ("proportional", "lqg") for rpm in (0, 1100)]
@@ -22,8 +23,8 @@ LOOPS = [(c, rpm) for c in ("proportional", "lqg") for rpm in (0, 1100)]
 def burst_run(machine, plugins, bursts: int = 1, quiet: int = 5000, burst=None):
     """Return the evidence of quiet running and bursts in turn; every burst must play to its end within the limits."""
     port = commission.open_port(machine, "s", FastClock(), plugins)
-    stream = service.pipeline_of(machine, plugins)
-    burst = burst or service.burst_design(machine, stream)(Wanted("test"))
+    stream = serve.pipeline_of(machine, plugins)
+    burst = burst or serve.burst_design(machine, stream)(Wanted("test"))
     stream.announce(burst)
     evidence, peak = [], 0.0
 

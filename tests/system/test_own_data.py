@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from afdsvc.api.signals import Channel, Trace
+from afdsvc.app.serve import run_rig
 from afdsvc.batch import Batch, run_batch
 from afdsvc.errors import BadInput
 from afdsvc.explaining import ExplainOptions, explain_files, from_rest
@@ -22,7 +23,6 @@ from afdsvc.files.tables.loading import Naming
 from afdsvc.modelling import identify_files
 from afdsvc.offline import diagnose_recordings, import_recording
 from afdsvc.report.diagnose_page import diagnose_page
-from afdsvc.service import run_rig
 
 MODEL = """
 name = "lag"

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from afdsvc import service
+from afdsvc.app import serve
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, read_site
-from afdsvc.runtime.hub import Hub
+from afdsvc.service.hub import Hub
 from afdsvc.wire.messages import EventKind
 
 NAME = f"afd{os.getpid() % 10_000}"
@@ -80,7 +80,7 @@ def eventually(condition: Callable[[], bool], seconds: float = 30.0) -> float:
 
 
 def burst(hub: Hub) -> str:
-    name = hub.desks["bearing"].ask(service.Wanted("test"))
+    name = hub.desks["bearing"].ask(serve.Wanted("test"))
     eventually(lambda: any(e.burst == name for e in list(hub.watches["bearing"].evidence)), 20)
     return name
 
@@ -89,7 +89,7 @@ def pull_the_cable(hub: Hub, cable: str, seconds: float, path: Path) -> None:
     watch, desk = hub.watches["bearing"], hub.desks["bearing"]
     eventually(lambda: watch.present and watch.blocks > 20, 60)
     burst(hub)
-    desk.ask(service.Wanted("mid-burst"))
+    desk.ask(serve.Wanted("mid-burst"))
     eventually(lambda: bool(desk.playing))
     time.sleep(0.3)
     session = watch.session
@@ -126,7 +126,7 @@ def check_the_recording(path: Path, lost: int) -> None:
 @pytest.mark.parametrize("seconds", [4.0, pytest.param(60.0, marks=pytest.mark.long)])
 def test_a_cable_that_is_pulled_and_put_back(cable, tmp_path, free_port, seconds):
     path, site = site_in(tmp_path, free_port)
-    with service.serving(site) as hub, far_rig(path):
+    with serve.serving(site) as hub, far_rig(path):
         pull_the_cable(hub, cable, seconds, path)
         lost = hub.watches["bearing"].lost_samples
         hub.drain()
@@ -136,7 +136,7 @@ def test_a_cable_that_is_pulled_and_put_back(cable, tmp_path, free_port, seconds
 
 def test_a_rig_cut_off_from_everybody_still_stops_in_time(cable, tmp_path, free_port):
     path, site = site_in(tmp_path, free_port)
-    with service.serving(site) as hub, far_rig(path) as rig:
+    with serve.serving(site) as hub, far_rig(path) as rig:
         eventually(lambda: hub.watches["bearing"].blocks > 20, 60)
         assert ip("link", "set", cable, "down")
         time.sleep(1.5)

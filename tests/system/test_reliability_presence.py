@@ -11,13 +11,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from afdsvc import service
+from afdsvc.app import serve
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.recording.recorder import Recorder
 from afdsvc.files.site import Site, parse_site
-from afdsvc.runtime import clock
-from afdsvc.runtime.hub import Hub
-from afdsvc.runtime.scheduler import Wanted
+from afdsvc.service import clock
+from afdsvc.service.hub import Hub
+from afdsvc.service.scheduler import Wanted
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire.keys import Keys
 
@@ -39,7 +39,7 @@ bursts = {{seconds = 1.0, rest_seconds = 0.0}}
 @contextmanager
 def rig(site: Site) -> Iterator[None]:
     stop = threading.Event()
-    thread = threading.Thread(target=service.run_rig, args=(site, "bearing", None, stop), daemon=True)
+    thread = threading.Thread(target=serve.run_rig, args=(site, "bearing", None, stop), daemon=True)
     thread.start()
     try:
         yield
@@ -72,7 +72,7 @@ def test_a_wall_clock_that_steps_changes_nothing(free_port, tmp_path, monkeypatc
     )
     monkeypatch.setattr(clock, "time", stepping)
     site = site_of(free_port, tmp_path)
-    with service.serving(site) as hub, rig(site):
+    with serve.serving(site) as hub, rig(site):
         watch = hub.watches["bearing"]
         eventually(lambda: watch.blocks > 15)
         hub.desks["bearing"].ask(Wanted("in the middle of a burst"))
@@ -95,7 +95,7 @@ def test_neither_a_slow_disk_nor_a_viewer_that_hangs_holds_up_detection(free_por
     monkeypatch.setattr(Recorder, "block", lambda self, *a: (time.sleep(0.3), block(self, *a))[1])
     site, released = site_of(free_port, tmp_path), threading.Event()
     try:
-        with service.serving(site) as hub, Transport(site.transport, False) as viewer, rig(site):
+        with serve.serving(site) as hub, Transport(site.transport, False) as viewer, rig(site):
             for pattern in (Keys("t").residuals(), Keys("t").evidences(), Keys("t").blocks()):
                 viewer.subscribe(pattern, lambda key, payload: released.wait(60))
             watch = hub.watches["bearing"]

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from afdsvc import service
 from afdsvc.api.bursts import Burst, Line
+from afdsvc.app import serve
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, Transport, parse_site
@@ -62,10 +62,10 @@ def certified(tmp_path_factory) -> Path:
 
 
 @contextmanager
-def running(site: Site) -> Iterator[service.Hub]:
+def running(site: Site) -> Iterator[serve.Hub]:
     stop = threading.Event()
-    rig = threading.Thread(target=service.run_rig, args=(site, "bearing", None, stop), daemon=True)
-    with service.serving(site) as hub:
+    rig = threading.Thread(target=serve.run_rig, args=(site, "bearing", None, stop), daemon=True)
+    with serve.serving(site) as hub:
         rig.start()
         try:
             deadline = time.monotonic() + 30
@@ -86,18 +86,18 @@ def request() -> bytes:
 def test_only_those_who_may_are_obeyed(free_port, certified, tmp_path):
     site = site_of(free_port, certified)
     with running(site) as hub:
-        assert service.ask_service(site, "status", "panel")["machines"][0]["state"] == "running"
-        assert service.ask_service(site, "status", "kim")["machines"][0]["state"] == "running"
+        assert serve.ask_service(site, "status", "panel")["machines"][0]["state"] == "running"
+        assert serve.ask_service(site, "status", "kim")["machines"][0]["state"] == "running"
         with pytest.raises(AfdsvcError, match=UNHEARD):
-            service.ask_service(site, "burst", "panel", machine="bearing")
+            serve.ask_service(site, "burst", "panel", machine="bearing")
         with pytest.raises(AfdsvcError, match=UNHEARD):
-            service.ask_service(site, "stop", "panel", machine="bearing")
+            serve.ask_service(site, "stop", "panel", machine="bearing")
         for name in ("panel", "kim", rig_name("other")):
             with Session(site.transport, False, Access(name)) as peer, pytest.raises(AfdsvcError, match=UNHEARD):
                 peer.ask(KEYS.burst("bearing"), request(), timeout=1.0)
         assert hub.refusals == []
         assert hub.desks["bearing"].playing == ""
-        assert service.ask_service(site, "burst", "kim", machine="bearing")["burst"]
+        assert serve.ask_service(site, "burst", "kim", machine="bearing")["burst"]
 
 
 def unreadable(folder: Path, machine: str) -> int:
@@ -143,9 +143,9 @@ def test_a_certificate_of_the_right_authority_but_of_nobody_listed_may_do_nothin
     make_certificates(more)
     with running(site):
         with pytest.raises(AfdsvcError, match=UNHEARD):
-            service.ask_service(site, "status", "mallory")
+            serve.ask_service(site, "status", "mallory")
         with pytest.raises(AfdsvcError, match=UNHEARD):
-            service.ask_service(site, "burst", "mallory", machine="bearing")
+            serve.ask_service(site, "burst", "mallory", machine="bearing")
 
 
 def test_what_is_there_is_kept_and_the_authority_key_is_needed_for_more(certified):

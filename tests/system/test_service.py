@@ -13,13 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from afdsvc import offline, service
+from afdsvc import offline
 from afdsvc.api.signals import Block
+from afdsvc.app import serve
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, parse_site
 from afdsvc.plugins.manager import load
-from afdsvc.runtime.hub import Hub
+from afdsvc.service.hub import Hub
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
@@ -45,7 +46,7 @@ id = "bearing"
 @contextmanager
 def rig(site: Site, seconds: float | None = None) -> Iterator[threading.Thread]:
     stop = threading.Event()
-    thread = threading.Thread(target=service.run_rig, args=(site, "bearing", seconds, stop), daemon=True)
+    thread = threading.Thread(target=serve.run_rig, args=(site, "bearing", seconds, stop), daemon=True)
     thread.start()
     try:
         yield thread
@@ -76,7 +77,7 @@ def test_live_and_offline_agree_to_the_last_bit(free_port, tmp_path):
 driver = {seed = 4, faults = [{name = "vertical_actuator", severity = -0.5, at_seconds = 2.5}]}
 bursts = {every_seconds = 3.5, first_after_seconds = 0.5, seconds = 2.0}"""
     site = site_of(free_port, tmp_path, machine=machine)
-    with service.serving(site) as hub, rig(site, 10.0) as thread:
+    with serve.serving(site) as hub, rig(site, 10.0) as thread:
         thread.join(40)
         hub.drain()
         live = list(hub.watches["bearing"].evidence)
@@ -105,7 +106,7 @@ driver = {seed = 4, faults = [{name = "vertical_actuator", severity = -0.5, at_s
 detectors = [{kind = "fault_curves"}]
 bursts = {every_seconds = 30.0, first_after_seconds = 0.5, seconds = 1.0, output_amplitude = 0.3}"""
     site = site_of(free_port, tmp_path, machine=machine)
-    with service.serving(site) as hub, rig(site, 6.0) as thread:
+    with serve.serving(site) as hub, rig(site, 6.0) as thread:
         thread.join(40)
         hub.drain()
         first, second = hub.watches["bearing"].evidence
@@ -123,10 +124,10 @@ bursts = {every_seconds = 30.0, first_after_seconds = 0.5, seconds = 1.0, output
 def test_a_burst_asked_for_in_the_first_moment_can_be_judged(free_port, tmp_path):
     machine = 'plant = "gas_bearing"\nbursts = {seconds = 1.0}'
     site = site_of(free_port, tmp_path, machine=machine)
-    with service.serving(site) as hub, rig(site):
+    with serve.serving(site) as hub, rig(site):
         desk = hub.desks["bearing"]
         eventually(lambda: desk.pipeline.ready_at is not None and bool(desk.session))
-        service.ask_service(site, "burst", "Ada")
+        serve.ask_service(site, "burst", "Ada")
         eventually(lambda: len(hub.watches["bearing"].evidence) > 0)
         assert [e.reason for e in hub.watches["bearing"].evidence if not e.trustworthy] == []
 
@@ -137,9 +138,9 @@ calibrate_seconds = 2.0
 driver = {seed = 4, faults = [{name = "vertical_actuator", severity = -0.5, at_seconds = 0.0}]}
 bursts = {every_seconds = 30.0, first_after_seconds = 0.5, seconds = 2.0}"""
     site = site_of(free_port, tmp_path, machine=machine)
-    with service.serving(site) as hub, rig(site, 8.0) as thread:
+    with serve.serving(site) as hub, rig(site, 8.0) as thread:
         with pytest.raises(AfdsvcError, match=r"nothing that can be judged yet|not there"):
-            service.ask_service(site, "burst", "Ada")
+            serve.ask_service(site, "burst", "Ada")
         thread.join(40)
         hub.drain()
         found = list(hub.watches["bearing"].evidence)
@@ -148,30 +149,30 @@ bursts = {every_seconds = 30.0, first_after_seconds = 0.5, seconds = 2.0}"""
 
 def test_people_can_ask_and_are_told_why_not(free_port, tmp_path):
     site = site_of(free_port, tmp_path)
-    with service.serving(site) as hub:
+    with serve.serving(site) as hub:
         with pytest.raises(AfdsvcError, match="machine 'bearing' is not there"):
-            service.ask_service(site, "burst", "Ada")
-        assert service.ask_service(site, "status", "Ada")["machines"][0]["state"] == "absent"
+            serve.ask_service(site, "burst", "Ada")
+        assert serve.ask_service(site, "status", "Ada")["machines"][0]["state"] == "absent"
         with rig(site):
-            eventually(lambda: service.ask_service(site, "status", "Ada")["machines"][0]["state"] == "running")
-            name = service.ask_service(site, "burst", "Ada")["burst"]
+            eventually(lambda: serve.ask_service(site, "status", "Ada")["machines"][0]["state"] == "running")
+            name = serve.ask_service(site, "burst", "Ada")["burst"]
             with pytest.raises(AfdsvcError, match="two at once"):
-                service.ask_service(site, "burst", "Ada")
+                serve.ask_service(site, "burst", "Ada")
             eventually(lambda: hub.watches["bearing"].pipeline._burst[0] == name)  # stopped before its first sample it leaves none
-            service.ask_service(site, "stop", "Ada", reason="enough")
+            serve.ask_service(site, "stop", "Ada", reason="enough")
             eventually(lambda: any("stopped by Ada: enough" in cause for cause in hub.refusals))
             with pytest.raises(AfdsvcError, match="nothing is stopped"):
-                service.ask_service(site, "stop", "Ada")
+                serve.ask_service(site, "stop", "Ada")
             eventually(lambda: any(e.burst == name for e in list(hub.watches["bearing"].evidence)))
-            service.ask_service(site, "pause", "Ada", reason="cleaning")
+            serve.ask_service(site, "pause", "Ada", reason="cleaning")
             with pytest.raises(AfdsvcError, match="paused: by Ada: cleaning"):
-                service.ask_service(site, "burst", "Ada")
+                serve.ask_service(site, "burst", "Ada")
             with pytest.raises(AfdsvcError, match="machine 'x' is unknown; this site has bearing"):
-                service.ask_service(site, "burst", "Ada", machine="x")
+                serve.ask_service(site, "burst", "Ada", machine="x")
             with pytest.raises(AfdsvcError, match="unknown command 'explode'; known are ack, alarms, burst"):
-                service.ask_service(site, "explode", "Ada")
+                serve.ask_service(site, "explode", "Ada")
             with pytest.raises(AfdsvcError, match="no alarm 'a'"):
-                service.ask_service(site, "ack", "Ada", alarm="a")
+                serve.ask_service(site, "ack", "Ada", alarm="a")
 
 
 def listening() -> list[str]:
@@ -186,7 +187,7 @@ def listening() -> list[str]:
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs Linux's /proc")
 def test_the_service_listens_on_loopback_only(free_port, tmp_path):
     site = site_of(free_port, tmp_path, more='[review]\nrerun = "file"')
-    with service.serving(site) as hub, rig(site):
+    with serve.serving(site) as hub, rig(site):
         eventually(lambda: hub.watches["bearing"].blocks > 5)
         assert listening() == ["0100007F"]
 
@@ -216,7 +217,7 @@ class Stranger:
 
 def test_wrong_blocks_are_named_and_survived(free_port, tmp_path):
     site = site_of(free_port, tmp_path)
-    with service.serving(site) as hub, Transport(site.transport, hub=False) as peer:
+    with serve.serving(site) as hub, Transport(site.transport, hub=False) as peer:
         stranger = Stranger(peer, site)
         good = stranger.block()
         stranger.say(good)
@@ -239,7 +240,7 @@ def test_wrong_blocks_are_named_and_survived(free_port, tmp_path):
         watch = hub.watches["bearing"]
         eventually(lambda: watch.seconds_seen >= stranger.k * 2e-4 - 1e-9)
         said = notices(hub, next(tmp_path.glob("*.mcap")))
-        status = service.ask_service(site, "status", "Ada")["machines"][0]
+        status = serve.ask_service(site, "status", "Ada")["machines"][0]
     assert missing.k0 == 500
     for words in (
         "could not be read",
@@ -257,7 +258,7 @@ def test_wrong_blocks_are_named_and_survived(free_port, tmp_path):
 def test_a_second_rig_is_named_and_not_listened_to(free_port, tmp_path):
     site = site_of(free_port, tmp_path)
     with (
-        service.serving(site) as hub,
+        serve.serving(site) as hub,
         Transport(site.transport, hub=False) as a,
         Transport(site.transport, hub=False) as b,
     ):
@@ -279,9 +280,9 @@ def test_a_second_rig_is_named_and_not_listened_to(free_port, tmp_path):
 def test_a_recording_that_cannot_be_written_stops_nothing(free_port, tmp_path):
     (tmp_path / "file").write_text("in the way")
     site = site_of(free_port, tmp_path / "file" / "recordings")
-    with service.serving(site) as hub, rig(site):
+    with serve.serving(site) as hub, rig(site):
         eventually(lambda: hub.watches["bearing"].blocks > 20)
-        status = service.ask_service(site, "status", "Ada")
+        status = serve.ask_service(site, "status", "Ada")
     assert "file" in status["recording_failure"]
     assert status["recording_dropped"] > 0
     assert status["machines"][0]["state"] == "running"
@@ -289,7 +290,7 @@ def test_a_recording_that_cannot_be_written_stops_nothing(free_port, tmp_path):
 
 def test_a_rig_that_goes_and_comes_back_raises_no_alarm(free_port, tmp_path):
     site = site_of(free_port, tmp_path)
-    with service.serving(site) as hub:
+    with serve.serving(site) as hub:
         watch = hub.watches["bearing"]
         with rig(site):
             eventually(lambda: watch.blocks > 20)
@@ -297,7 +298,7 @@ def test_a_rig_that_goes_and_comes_back_raises_no_alarm(free_port, tmp_path):
         before = watch.blocks
         with rig(site):
             eventually(lambda: watch.blocks > before + 40)
-            assert service.ask_service(site, "burst", "Ada")["burst"]
+            assert serve.ask_service(site, "burst", "Ada")["burst"]
             eventually(lambda: any(e.burst for e in list(watch.evidence)))
         assert hub.alarms.alarms == {}
         said = notices(hub, next(tmp_path.glob("*.mcap")))
@@ -310,14 +311,14 @@ def test_the_service_restarts_while_the_rig_runs(free_port, tmp_path):
     site = site_of(free_port, tmp_path / "a", machine=machine)
     again = site_of(free_port, tmp_path / "b", machine=machine)
     with rig(site):
-        with service.serving(site) as hub:
+        with serve.serving(site) as hub:
             eventually(lambda: hub.watches["bearing"].blocks > 20)
         time.sleep(1.0)
-        with service.serving(again) as hub:
+        with serve.serving(again) as hub:
             eventually(lambda: hub.watches["bearing"].blocks > 20, 30)
             eventually(lambda: hub.watches["bearing"].present)
             time.sleep(0.2)
-            assert service.ask_service(again, "burst", "Ada")["burst"]
+            assert serve.ask_service(again, "burst", "Ada")["burst"]
             eventually(lambda: any(e.burst for e in list(hub.watches["bearing"].evidence)))
             assert hub.alarms.alarms == {}
 
@@ -330,7 +331,7 @@ driver = {{kind = "replay", recording = "{emps / "estimation.csv"}", real_time =
 calibrate_seconds = 12.4
 detectors = [{{kind = "passive_cusum"}}]"""
     site = site_of(free_port, tmp_path, machine=machine)
-    with service.serving(site) as hub, rig(site) as thread:
+    with serve.serving(site) as hub, rig(site) as thread:
         thread.join(60)
         hub.drain()
         evidence = list(hub.watches["bearing"].evidence)

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from afdsvc.app.serve import ask_service
 from afdsvc.files.site import read_site
-from afdsvc.service import ask_service
 
 SITE = """site = "t"
 [transport]

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from afdsvc import commission, offline, service
+from afdsvc import commission, offline
+from afdsvc.app import serve
 from afdsvc.diagnosis.verdict import conclude
 from afdsvc.errors import BadInput, NotStabilising, Refused
 from afdsvc.files.site import Machine, parse_site
-from afdsvc.runtime.clock import FastClock
-from afdsvc.runtime.recording import RecorderSink
-from afdsvc.runtime.scheduler import Wanted
+from afdsvc.service.clock import FastClock
+from afdsvc.service.scheduler import Wanted
+from afdsvc.service.sinks.recorder_sink import RecorderSink
 from afdsvc.wire import codec
 from afdsvc.wire.messages import BurstRequest
 
@@ -40,8 +41,8 @@ class Bench:
     def __init__(self, machine, plugins, sink=None) -> None:
         self.machine, self.sink, self.bursts = machine, sink, 0
         self.port = commission.open_port(machine, "s", FastClock(), plugins)
-        self.stream = service.pipeline_of(machine, plugins)
-        self.design = service.burst_design(machine, self.stream)
+        self.stream = serve.pipeline_of(machine, plugins)
+        self.design = serve.burst_design(machine, self.stream)
         self.evidence, self.said, self.peak = [], [], 0.0
 
     def take(self) -> int:
@@ -145,7 +146,7 @@ def test_one_pid_per_axis_as_industry_has_it_goes_through_the_same_pipeline(plug
 
 def test_the_site_says_how_speed_is_followed(plugins) -> None:
     with pytest.raises(BadInput, match="machine 'expander' does not turn; 'speed_step_rpm' is for one that records aux_speed"):
-        service.pipeline_of(turboexpander(plugins, options={"rpm": 0}, speed_step_rpm=500), plugins)
+        serve.pipeline_of(turboexpander(plugins, options={"rpm": 0}, speed_step_rpm=500), plugins)
     text = 'site = "s"\n[[machines]]\nid = "m"\nplant = "gas_bearing"\nspeed_step_rpm = 50\ncalibrate_seconds = 2.0\n'
     with pytest.raises(BadInput, match="'speed_step_rpm' needs 'plant' and stated noise"):
         parse_site(text, "site.toml")
@@ -177,8 +178,8 @@ bursts = {{every_seconds = 6.0, first_after_seconds = 1.0, seconds = 2.0, severi
         "site.toml",
     )
     stop = threading.Event()
-    with service.serving(site) as hub:
-        rig = threading.Thread(target=service.run_rig, args=(site, "bearing", 24.0, stop), daemon=True)
+    with serve.serving(site) as hub:
+        rig = threading.Thread(target=serve.run_rig, args=(site, "bearing", 24.0, stop), daemon=True)
         rig.start()
         rig.join(120)
         hub.drain(60)
@@ -195,6 +196,6 @@ def test_the_design_says_what_cannot_be_isolated(plugins) -> None:
     twins = [{"name": "weak_magnet", "kind": "parameter", "settings": {"parameter": "current_gain_a_x"}},
              {"name": "amplifier", "kind": "actuator_gain", "settings": {"input": 0}}, FAULTS[0]]
     machine = turboexpander(plugins, faults=twins)
-    noted = service.burst_design(machine, service.pipeline_of(machine, plugins))(Wanted("design")).notes["not_separated"]
+    noted = serve.burst_design(machine, serve.pipeline_of(machine, plugins))(Wanted("design")).notes["not_separated"]
     assert "weak_magnet from amplifier" in noted
     assert "stiffness_a_x" not in noted

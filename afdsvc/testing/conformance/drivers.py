@@ -14,7 +14,7 @@ from afdsvc.api.port import DrivablePort, Port
 from afdsvc.files.site import Driver, Machine
 from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.plugins.manager import load
-from afdsvc.runtime.clock import RealClock
+from afdsvc.service.clock import RealClock
 from afdsvc.testing.conformance.controllers import settings_of
 
 BLOCKS = 4

@@ -16,7 +16,7 @@ from afdsvc.errors import AfdsvcError
 from afdsvc.hal.agent import RigAgent
 from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.hal.hardware import DrivenRig
-from afdsvc.runtime.clock import FastClock
+from afdsvc.service.clock import FastClock
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import BurstRequest, BurstStop, EventKind, Lease, RigDescription

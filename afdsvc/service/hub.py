@@ -11,16 +11,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from afdsvc.alarms.history import History
-from afdsvc.alarms.outbox import Outbox
 from afdsvc.api.clock import Clock
 from afdsvc.diagnosis.alarm_book import AlarmBook, Policy
 from afdsvc.diagnosis.pipeline import Outcome
 from afdsvc.errors import BadInput
-from afdsvc.runtime.commands import answer
-from afdsvc.runtime.desk import BurstDesk
-from afdsvc.runtime.requests import Requests
-from afdsvc.runtime.watch import MachineWatch
+from afdsvc.service.alarm_history import History
+from afdsvc.service.burst_requests import BurstDesk
+from afdsvc.service.machine import MachineWatch
+from afdsvc.service.notifications import Outbox
+from afdsvc.service.operator_requests import Requests, answer
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys, machine_of, session_of

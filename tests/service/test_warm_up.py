@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from afdsvc import commission
+from afdsvc.app.serve import diagnosis_burst, pipeline_of
 from afdsvc.detect.statistics import active_cusum
 from afdsvc.files.site import parse_site
 from afdsvc.plugins.manager import load
-from afdsvc.runtime.rehearsal import Rehearsals, rehearse
-from afdsvc.service import diagnosis_burst, pipeline_of
+from afdsvc.service.warm_up import Rehearsals, rehearse
 
 
 def machine():

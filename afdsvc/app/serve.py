@@ -27,18 +27,18 @@ from afdsvc.files.site import Site
 from afdsvc.hal.agent import RigAgent
 from afdsvc.outlets import Outlets, open_outboxes
 from afdsvc.plugins.manager import Plugins, load
-from afdsvc.runtime import commands
-from afdsvc.runtime.clock import RealClock
-from afdsvc.runtime.desk import BurstDesk
-from afdsvc.runtime.hub import Hub
-from afdsvc.runtime.metrics import serve_metrics
-from afdsvc.runtime.publishing import Publisher
-from afdsvc.runtime.rehearsal import Rehearsals
-from afdsvc.runtime.requests import QUESTIONS
-from afdsvc.runtime.scheduler import Scheduler, Wanted
-from afdsvc.runtime.sinks import Fan
-from afdsvc.runtime.watch import MachineWatch
-from afdsvc.runtime.web import serve_page
+from afdsvc.service import operator_requests
+from afdsvc.service.burst_requests import BurstDesk
+from afdsvc.service.clock import RealClock
+from afdsvc.service.hub import Hub
+from afdsvc.service.machine import MachineWatch
+from afdsvc.service.metrics import serve_metrics
+from afdsvc.service.operator_requests import QUESTIONS
+from afdsvc.service.scheduler import Scheduler, Wanted
+from afdsvc.service.sinks.fan_out import Fan
+from afdsvc.service.sinks.publisher_sink import Publisher
+from afdsvc.service.status_page import serve_page
+from afdsvc.service.warm_up import Rehearsals
 from afdsvc.transport.access_rules import SERVICE, access_control, rig_name
 from afdsvc.transport.outgoing_queue import Post
 from afdsvc.transport.zenoh_session import Access, NoPeer, Transport
@@ -245,7 +245,7 @@ def ask_service(site: Site, name: str, asked_by: str, **arguments: Any) -> Any:
     with Transport(site.transport, False, access_of(site, asked_by)) as transport:
         keys = Keys(site.site)
         key = keys.question() if name in QUESTIONS else keys.command()
-        return commands.ask(lambda payload: transport.ask(key, payload), name, asked_by, **arguments)
+        return operator_requests.ask(lambda payload: transport.ask(key, payload), name, asked_by, **arguments)
 
 
 def access_of(site: Site, identity: str) -> Access:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from afdsvc.diagnosis.verdict import Question
 from afdsvc.errors import Refused
 from afdsvc.files.site import Bursts
-from afdsvc.runtime.scheduler import Scheduler, Wanted
+from afdsvc.service.scheduler import Scheduler, Wanted
 
 NOON = datetime(2026, 11, 21, 12, 0)
 

@@ -10,17 +10,17 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import numpy as np
 import pytest
 
-from afdsvc.alarms.black_box import BlackBox
-from afdsvc.alarms.history import History
-from afdsvc.alarms.outbox import Outbox
-from afdsvc.alarms.webhook import Webhook
 from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.api.signals import Block, Channel
 from afdsvc.diagnosis.alarm_book import AlarmBook, Policy
 from afdsvc.errors import BadInput
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.reader import Recording
-from afdsvc.runtime.commands import plain
+from afdsvc.service.alarm_history import History
+from afdsvc.service.notifications import Outbox
+from afdsvc.service.operator_requests import plain
+from afdsvc.service.sinks.pre_alarm_buffer import BlackBox
+from afdsvc.service.webhook import Webhook
 from afdsvc.wire import codec
 from afdsvc.wire.messages import Alarm, AlarmChange, AlarmKind, Finding
 

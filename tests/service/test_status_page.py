@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from afdsvc import service
+from afdsvc.app import serve
 from afdsvc.errors import BadInput
 from afdsvc.files.site import Site, parse_site
 
@@ -46,7 +46,7 @@ def ask(url: str, method: str = "GET", **headers: str) -> tuple[int, bytes, str]
 
 def test_the_page_shows_and_nothing_else_is_answered(free_port, tmp_path):
     base = f"http://127.0.0.1:{free_port + 1}"
-    with service.serving(site_of(free_port, tmp_path, base.removeprefix("http://"))):
+    with serve.serving(site_of(free_port, tmp_path, base.removeprefix("http://"))):
         status, page, kind = ask(base + "/")
         assert (status, kind) == (200, "text/html; charset=utf-8")
         assert b"http://" not in page.replace(b"http://www.w3.org", b"")  # nothing is fetched from elsewhere
@@ -77,7 +77,7 @@ def test_an_address_that_is_open_or_none_is_refused(web, sentence, free_port, tm
 
 
 def test_a_taken_address_is_named(free_port, tmp_path):
-    with pytest.raises(BadInput, match=r"web\.listen = '127\.0\.0\.1"), service.serving(
+    with pytest.raises(BadInput, match=r"web\.listen = '127\.0\.0\.1"), serve.serving(
         site_of(free_port, tmp_path, f"127.0.0.1:{free_port}")
     ):
         pass

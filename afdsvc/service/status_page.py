@@ -12,8 +12,8 @@ from importlib.resources import files
 from typing import Any
 
 from afdsvc.errors import BadInput
-from afdsvc.runtime.commands import plain
-from afdsvc.runtime.hub import Hub
+from afdsvc.service.hub import Hub
+from afdsvc.service.operator_requests import plain
 
 log = logging.getLogger(__name__)
 DECISIONS = 60  # of each machine that the page is told
@@ -61,7 +61,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _content(self) -> tuple[str, bytes]:
         if self.path == "/":
-            return "text/html; charset=utf-8", files("afdsvc.runtime").joinpath("page.html").read_bytes()
+            return "text/html; charset=utf-8", files("afdsvc.service").joinpath("page.html").read_bytes()
         if self.path == "/now.json":
             return "application/json", json.dumps(type(self).show(), allow_nan=False).encode()
         return "", b""

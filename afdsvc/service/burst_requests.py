@@ -15,8 +15,8 @@ from afdsvc.api.evidence import Evidence
 from afdsvc.diagnosis.pipeline import Judged
 from afdsvc.diagnosis.verdict import open_question
 from afdsvc.errors import AfdsvcError, Refused
-from afdsvc.runtime.scheduler import Scheduler, Wanted
-from afdsvc.runtime.sinks import Sink
+from afdsvc.service.scheduler import Scheduler, Wanted
+from afdsvc.service.sinks.fan_out import Sink
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys

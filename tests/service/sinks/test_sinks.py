@@ -13,10 +13,10 @@ from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Recording as Settings
 from afdsvc.files.site import parse_site
 from afdsvc.outlets import Outlets
-from afdsvc.runtime import recording
-from afdsvc.runtime.clock import FastClock
-from afdsvc.runtime.recording import RecorderSink
-from afdsvc.runtime.sinks import ThreadedSink
+from afdsvc.service.clock import FastClock
+from afdsvc.service.sinks import recorder_sink
+from afdsvc.service.sinks.fan_out import ThreadedSink
+from afdsvc.service.sinks.recorder_sink import RecorderSink
 from afdsvc.transport.outgoing_queue import Post
 from afdsvc.wire import codec
 
@@ -72,13 +72,13 @@ def test_a_first_file_that_cannot_be_made_is_tried_as_rarely_as_any(tmp_path, mo
     """Not on every message: a full or missing disk would be asked twenty times a second by each machine."""
     (tmp_path / "file").write_text("")
     tries, now = [], [0.0]
-    monkeypatch.setattr(recording.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(recorder_sink.time, "monotonic", lambda: now[0])
     sink = RecorderSink(Settings(folder=tmp_path / "file" / "r"), "m1", "", "", 10**18, {})
     begin = sink._begin
     monkeypatch.setattr(sink, "_begin", lambda: (tries.append(now[0]), begin())[1])
     for n in range(500):
         now[0] = 0.05 * n
-        with pytest.raises(recording.RecordingFailed, match="cannot be made: Not a directory"):
+        with pytest.raises(recorder_sink.RecordingFailed, match="cannot be made: Not a directory"):
             sink.block(block(n), b"")
     assert tries == pytest.approx([0.0, 10.0, 20.0])
     assert sink.dropped == 500

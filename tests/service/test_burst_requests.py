@@ -10,9 +10,9 @@ import pytest
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.errors import Refused
 from afdsvc.files.site import Bursts
-from afdsvc.runtime.clock import RealClock
-from afdsvc.runtime.desk import BurstDesk
-from afdsvc.runtime.scheduler import Scheduler, Wanted
+from afdsvc.service.burst_requests import BurstDesk
+from afdsvc.service.clock import RealClock
+from afdsvc.service.scheduler import Scheduler, Wanted
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import BurstReply

@@ -12,7 +12,7 @@ from afdsvc.api.evidence import Evidence
 from afdsvc.diagnosis.pipeline import Outcome, Stream
 from afdsvc.diagnosis.verdict import Verdict, conclude, model_gap
 from afdsvc.errors import BadInput
-from afdsvc.runtime.sinks import Sink
+from afdsvc.service.sinks.fan_out import Sink
 from afdsvc.wire import codec
 from afdsvc.wire.messages import Alarm, Finding, MachineStatus, RigEvent
 

@@ -7,8 +7,8 @@ import threading
 import time
 
 from afdsvc.files.site import Transport as Settings
-from afdsvc.runtime.clock import RealClock
-from afdsvc.runtime.hub import Hub
+from afdsvc.service.clock import RealClock
+from afdsvc.service.hub import Hub
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire.keys import Keys
 

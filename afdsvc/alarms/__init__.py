@@ -1,1 +1,0 @@
-"""Alarms as operators expect them: one state per fault, a history that survives restarts, and somebody who is told."""

@@ -1,0 +1,1 @@
+"""Where the service sends what it finds: recorder, publisher, pre-alarm buffer."""
