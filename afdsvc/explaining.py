@@ -193,7 +193,7 @@ def _folder(model: Path, options: ExplainOptions) -> Path:
 def _written(
     found: Explanation, nominal: Model, folder: Path, aux: Mapping[str, float], options: ExplainOptions
 ) -> dict[str, Any]:
-    from afdsvc.report.explain_page import explain_page  # matplotlib is wanted only here
+    from afdsvc.present.html.explain_page import explain_page  # matplotlib is wanted only here
 
     target, page = folder / "MODEL.toml", folder / "report.html"
     if nominal.origin and Path(nominal.origin).resolve() == target.resolve():
@@ -203,7 +203,7 @@ def _written(
     document["files"] = [str(path) for path in written]
     page.write_text(explain_page(found, document), encoding="utf-8")
     if options.rerun:
-        from afdsvc.review.explained import log_explanation
+        from afdsvc.present.rerun.explained import log_explanation
 
         log_explanation(found, options.rerun)
         document["rerun"] = str(options.rerun)

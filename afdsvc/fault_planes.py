@@ -18,7 +18,7 @@ from afdsvc.errors import AfdsvcError
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import parse_site
 from afdsvc.plugins.manager import load
-from afdsvc.review.plane import Plane, Point
+from afdsvc.present.rerun.plane import Plane, Point
 
 SEVERITIES = 40
 MOST = 2  # planes of one machine: those where something shows, then those where the faults would show most

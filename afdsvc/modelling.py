@@ -23,7 +23,7 @@ from afdsvc.files.tables.loading import Naming, load_traces
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.pipeline import identify
 from afdsvc.plugins.manager import load
-from afdsvc.report.design_page import design_page
+from afdsvc.present.html.design_page import design_page
 
 
 def read_traces(
@@ -50,7 +50,7 @@ def identify_files(
         raise BadInput(f"--out {target}: the nominal model would be overwritten; another name is wanted")
     write_model(result.model, target)
     page = target.with_suffix(".html")
-    from afdsvc.report.identify_page import identify_page
+    from afdsvc.present.html.identify_page import identify_page
 
     data = [*nominal.extra.get(LINEARISED, ()), *prepared([*train, *test])]
     page.write_text(identify_page(result, data=data), encoding="utf-8")

@@ -25,7 +25,7 @@ from afdsvc.transport.outgoing_queue import Post
 from afdsvc.wire.messages import AlarmChange
 
 if TYPE_CHECKING:
-    from afdsvc.review.sink import ReviewSink
+    from afdsvc.present.rerun.sink import ReviewSink
 
 CLOSING_SECONDS = 1.5  # all files together: a service has 5 s to stop
 
@@ -48,7 +48,9 @@ class Outlets:
         recording = ThreadedSink(recorder, f"recorder of {id}", _teller("recording"))
         self._recorders.append((recorder, recording))
         if self._review is None and site.review.rerun != "off":
-            from afdsvc.review.sink import ReviewSink  # Rerun takes seconds to import; a restart does not wait for it unasked
+            from afdsvc.present.rerun.sink import (
+                ReviewSink,  # Rerun takes seconds to import; a restart does not wait for it unasked
+            )
 
             live = site.review.port if site.review.rerun == "live" else None
             review = ReviewSink(recorder.base.with_suffix(".rrd"), live)

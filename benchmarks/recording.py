@@ -16,7 +16,7 @@ import numpy as np
 from afdsvc.api.signals import Block, Channel
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
-from afdsvc.review.log import ReviewLog
+from afdsvc.present.rerun.log import ReviewLog
 from afdsvc.wire.codec import decode_block, encode_block
 
 SECONDS, RATE, LENGTH = 20, 5000, 250

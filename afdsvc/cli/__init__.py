@@ -77,7 +77,7 @@ def demo(
 ) -> None:
     """Watch a simulated machine from its first burst to a named fault, on this computer alone."""
     from afdsvc.demo import DemoOptions, first_fault, parse_fault, run_demo
-    from afdsvc.terminal import demo_table, progress
+    from afdsvc.present.terminal import demo_table, progress
 
     wanted = [] if healthy else fault or [f"{first_fault(plant)}=-0.5@12"]
     options = DemoOptions(plant, controller, rpm, tuple(parse_fault(f) for f in wanted), seconds, seed, out)
@@ -164,11 +164,11 @@ def diagnose(
     """Run the detectors over recordings: the same code and the same evidence as live."""
     from afdsvc.files.tables.loading import Naming
     from afdsvc.offline import diagnose_recordings
-    from afdsvc.terminal import diagnosis_table
+    from afdsvc.present.terminal import diagnosis_table
 
     document = diagnose_recordings(recordings, model, calibrate, calibrate_on, detector or [], Naming.of(mapping))
     if page:
-        from afdsvc.report.diagnose_page import write_diagnosis
+        from afdsvc.present.html.diagnose_page import write_diagnosis
 
         write_diagnosis(document, page)
     show(as_json, document, lambda: diagnosis_table(document))
@@ -183,7 +183,7 @@ def design(
 ) -> None:
     """Make the design sheet: burst, thresholds, detection probabilities, smallest faults, what cannot be told apart."""
     from afdsvc.modelling import design_files
-    from afdsvc.terminal import design_table
+    from afdsvc.present.terminal import design_table
 
     document = design_files(site, machine, out)
     show(as_json, document, lambda: design_table(document))
@@ -212,7 +212,7 @@ def identify(
     """Identify the plant from recordings made in closed loop, and judge it on data not used."""
     from afdsvc.files.tables.loading import Naming
     from afdsvc.modelling import identify_files
-    from afdsvc.terminal import identify_table
+    from afdsvc.present.terminal import identify_table
 
     options = {
         "method": method, "order": order, "reduce_to": reduce_to, "starts": starts, "weighting": weighting, "horizon": horizon,
@@ -238,7 +238,7 @@ def explain(
 ) -> None:
     """Say why simulation and recordings differ: where, what physics is missing, how well the improved model fits."""
     from afdsvc.explaining import ExplainOptions, explain_files
-    from afdsvc.terminal import explain_table, progress
+    from afdsvc.present.terminal import explain_table, progress
 
     options = ExplainOptions(out, _mapping(column or []), allow_code, rrd, machine, jobs, mapping)
     with progress("explaining", 1.0) as tell:
@@ -260,7 +260,7 @@ def trial(
 ) -> None:
     """Test `explain` blind: hide physics in recordings, seal the answer, let it look, break the seal, score."""
     from afdsvc.blind_trials import trial_files
-    from afdsvc.terminal import progress, trial_table
+    from afdsvc.present.terminal import progress, trial_table
 
     hidden, of_plan = ([word for text in texts or () for word in text.split(",") if word] for texts in (kinds, parts))
     with progress("trials", 1.0) as tell:
@@ -282,7 +282,7 @@ def batch(
 ) -> None:
     """Work through many recordings into one table; what an earlier run has done is not done again."""
     from afdsvc.batch import Batch, run_batch
-    from afdsvc.terminal import progress
+    from afdsvc.present.terminal import progress
 
     chosen = Batch(task, model, tuple(detector or ()), mapping=mapping)
     with progress(task, len(recordings)) as tell:
@@ -305,7 +305,7 @@ def review(
     import tempfile
 
     from afdsvc.fault_planes import fault_planes
-    from afdsvc.review import review_history, review_recordings
+    from afdsvc.present.rerun import review_history, review_recordings
 
     if history:
         made = review_history(recordings, save or Path(tempfile.mkdtemp(prefix="afdsvc-review-")) / "history.rrd")
@@ -315,7 +315,7 @@ def review(
 
 
 def _open(made: Path) -> None:
-    from afdsvc.review import open_viewer
+    from afdsvc.present.rerun import open_viewer
 
     open_viewer(made)
 
@@ -346,7 +346,7 @@ def import_(
 ) -> None:
     """Turn a foreign table into a recording, to the last bit; with a mapping, in its units and at its rate."""
     from afdsvc.offline import import_recording
-    from afdsvc.terminal import import_table
+    from afdsvc.present.terminal import import_table
 
     done = import_recording(table, out, model, _mapping(column or []), mapping)
     show(as_json, done, lambda: import_table(done))

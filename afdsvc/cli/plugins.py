@@ -17,7 +17,7 @@ app = typer.Typer(no_args_is_help=True, help="What is installed.")
 def plugins_list(as_json: Json = False) -> None:
     """Show what is installed, by family, and what could not be loaded and why."""
     from afdsvc.plugins.manager import load
-    from afdsvc.terminal import plugin_table
+    from afdsvc.present.terminal import plugin_table
 
     found = load()
     rows = [{"family": o.family, "name": o.name, "summary": o.summary, "plugin": o.plugin} for o in found.offers]
@@ -45,8 +45,8 @@ def plugins_check(
     as_json: Json = False,
 ) -> None:
     """Run the conformance suite on everything a plugin offers; exit 2 when something does not hold."""
+    from afdsvc.present.terminal import check_table
     from afdsvc.scaffold.examine import examine_package
-    from afdsvc.terminal import check_table
 
     rows = examine_package(package)
     show(as_json, {"checks": rows}, lambda: check_table(rows))

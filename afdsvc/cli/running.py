@@ -25,7 +25,7 @@ def _ask(site: Path, name: str, **arguments: Any) -> Any:
 @app.command()
 def status(site: SiteOption = HERE, as_json: Json = False) -> None:
     """Show how the service and its machines are."""
-    from afdsvc.terminal import status_table
+    from afdsvc.present.terminal import status_table
 
     found = _ask(site, "status")
     show(as_json, found, lambda: status_table(found))
@@ -39,7 +39,7 @@ def alarms(
     as_json: Json = False,
 ) -> None:
     """Show the alarms, or what happened to them."""
-    from afdsvc.terminal import alarm_table, history_table
+    from afdsvc.present.terminal import alarm_table, history_table
 
     if alarm.endswith(".toml"):
         raise BadInput(f"'{alarm}' is no alarm; the site file is given as --site {alarm}")

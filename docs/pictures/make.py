@@ -22,7 +22,7 @@ from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.demo import DemoOptions, free_port, rig_process, run_demo, site_text
 from afdsvc.fault_planes import fault_planes
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
-from afdsvc.review import review_history, review_recordings
+from afdsvc.present.rerun import review_history, review_recordings
 from afdsvc.wire.codec import encode_finding
 from afdsvc.wire.messages import Finding
 

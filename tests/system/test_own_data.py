@@ -22,7 +22,7 @@ from afdsvc.files.tables.foreign import prepared
 from afdsvc.files.tables.loading import Naming
 from afdsvc.modelling import identify_files
 from afdsvc.offline import diagnose_recordings, import_recording
-from afdsvc.report.diagnose_page import diagnose_page
+from afdsvc.present.html.diagnose_page import diagnose_page
 
 MODEL = """
 name = "lag"

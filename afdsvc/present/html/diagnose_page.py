@@ -1,0 +1,78 @@
+"""A diagnosis as one self-contained HTML page: the answers first, then every decision they rest on."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, select_autoescape
+from matplotlib.figure import Figure
+
+from afdsvc.errors import BadInput
+
+COLOURS = ("#1b6ca8", "#c8553d", "#588157", "#7b4b94", "#c29200", "#3a3a3a")
+NONE = "none_of_these"
+
+
+def diagnose_page(document: Mapping[str, Any]) -> str:
+    """Return the page for the document of ``diagnose --json``."""
+    page = Environment(loader=PackageLoader("afdsvc.present.html", "."), autoescape=select_autoescape(["j2"]))
+    shown = [{**recording, "answer": answer(recording["verdict"]), "severities": _severities(recording)} for recording in document["recordings"]]
+    return page.get_template("diagnose_page.html.j2").render(recordings=shown, percent=_percent, weights=_weights)
+
+
+def write_diagnosis(document: Mapping[str, Any], path: Path) -> None:
+    """Write the page; raises `BadInput` when that cannot be done."""
+    try:
+        path.write_text(diagnose_page(document), encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def answer(verdict: Mapping[str, Any]) -> str:
+    """Return what a verdict amounts to in a few words."""
+    if verdict["fault"]:
+        return f"Fault: {verdict['fault']}"
+    if verdict["first_detected_s"] is not None:
+        return "A fault, cause open"
+    return "Nothing is wrong" if verdict["trustworthy"] else "Cannot be told"
+
+
+def _percent(severity: Mapping[str, float] | None) -> str:
+    return "–" if severity is None else f"{100 * severity['value']:.1f} ± {100 * severity['sd']:.1f} %"
+
+
+def _weights(weights: Mapping[str, float]) -> str:
+    ranked = sorted(weights.items(), key=lambda item: -item[1])[:3]
+    return ", ".join(f"{'none of these' if name == NONE else name} {100 * w:.3g} %" for name, w in ranked if w >= 0.001) or "–"
+
+
+def _severities(recording: Mapping[str, Any]) -> str:
+    """Return the severity told by every decision against time, two standard errors wide; "" when none was told."""
+    told: dict[str, list[tuple[float, float, float]]] = {}
+    for burst in recording["bursts"]:
+        for d in burst["decisions"]:
+            if d["fault"] and d["severity"]:
+                told.setdefault(d["fault"], []).append((d["seconds"], 100 * d["severity"]["value"], 200 * d["severity"]["sd"]))
+    if not told:
+        return ""
+    figure = Figure(figsize=(8.5, 2.6), layout="constrained")
+    ax = figure.subplots()
+    for colour, (fault, rows) in zip(COLOURS * len(told), told.items(), strict=False):
+        t, value, error = _columns(rows)
+        ax.errorbar(t, value, yerr=error, fmt="o", ms=3.5, lw=1.0, color=colour, label=fault)
+    ax.axhline(0.0, color="0.6", lw=0.8)
+    ax.set_xlim(0.0, max(float(recording.get("watched_s") or 0.0), 1e-3))
+    ax.set_xlabel("time [s]", fontsize=8)
+    ax.set_ylabel("severity [% of gain or value]", fontsize=8)
+    ax.tick_params(labelsize=7)
+    ax.legend(fontsize=7, frameon=False)
+    out = io.StringIO()
+    figure.savefig(out, format="svg", metadata={"Date": None})
+    return out.getvalue()[out.getvalue().index("<svg") :]
+
+
+def _columns(rows: Sequence[tuple[float, float, float]]) -> tuple[list[float], list[float], list[float]]:
+    return [r[0] for r in rows], [r[1] for r in rows], [r[2] for r in rows]

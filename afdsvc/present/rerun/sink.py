@@ -1,0 +1,79 @@
+"""The review as a sink of the runtime: live, as files, or both."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from afdsvc.api.signals import Block, residual_block
+from afdsvc.files.recording.foxglove_log import Level
+from afdsvc.lti.statespace import Array
+from afdsvc.present.rerun.log import ReviewLog
+from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RigEvent
+
+_LEVELS = {"info": Level.INFO, "warning": Level.WARNING, "error": Level.ERROR}
+
+
+class ReviewSink:
+    """Logs into Rerun; begun with the first message, in the thread that brings it. Takes any number of machines.
+
+    A file holds ``max_seconds`` of machine time; ``name.0001.rrd`` and so on follow, never in the middle of a burst. A
+    live review is one for as long as it lasts, since viewers are connected to it.
+    """
+
+    def __init__(self, path: Path | None, live: int | None = None, max_seconds: float = 3600.0) -> None:
+        self.paths: list[Path] = []
+        self._first, self._live, self._max_ns = path, live, round(max_seconds * 1e9)
+        self._log: ReviewLog | None = None
+        self._begun_ns = 0
+
+    def block(self, block: Block, payload: bytes) -> None:
+        """Show samples."""
+        full = self._log is not None and block.t0_ns - self._begun_ns >= self._max_ns
+        if full and self._live is None and not block.burst:
+            self.close()
+        self._open(block.t0_ns).block(block)
+
+    def residual(self, block: Block, residual: Array) -> None:
+        """Show the whitened residual."""
+        self._open(block.t0_ns).residual(residual_block(block, residual))
+
+    def finding(self, finding: Finding) -> None:
+        """Show a decision."""
+        self._open(finding.t_ns).finding(finding)
+
+    def event(self, event: RigEvent, payload: bytes) -> None:
+        """Tell an event."""
+        self._open(event.t_ns).event(event)
+
+    def request(self, request: BurstRequest) -> None:
+        """Nothing: what was asked for is told when it is played or refused."""
+
+    def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
+        """Tell a sentence."""
+        self._open(t_ns).note(t_ns, _LEVELS[level], sentence, machine)
+
+    def alarm(self, change: AlarmChange) -> None:
+        """Show what happened to an alarm in the log."""
+        self.notice(change.alarm.machine, "info", f"alarm {change.alarm.id} {change.event}", change.t_ns)
+
+    def tick(self) -> None:
+        """Nothing: samples are sent as their own time goes on."""
+
+    def close(self) -> None:
+        """Finish the file; harmless when called twice."""
+        if self._log:
+            self._log.close()
+        self._log = None
+
+    def _open(self, t_ns: int) -> ReviewLog:
+        if self._log is None:
+            self._begun_ns = t_ns
+            path = self._next_path()
+            self._log = ReviewLog(path, self._live)
+            self.paths += [path] if path else []
+        return self._log
+
+    def _next_path(self) -> Path | None:
+        if self._first is None or not self.paths:
+            return self._first
+        return self._first.with_name(f"{self._first.stem}.{len(self.paths):04d}{self._first.suffix}")

@@ -1,8 +1,0 @@
-"""Rerun logging and blueprint."""
-
-from __future__ import annotations
-
-from afdsvc.review.history import review_history
-from afdsvc.review.recorded import open_viewer, review_recording, review_recordings
-
-__all__ = ["open_viewer", "review_history", "review_recording", "review_recordings"]

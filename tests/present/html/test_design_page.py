@@ -1,0 +1,37 @@
+"""The design sheet as a page."""
+
+from html.parser import HTMLParser
+
+from afdsvc.api.detection import FalseAlarms
+from afdsvc.excite.design_sheet import design_sheet
+from afdsvc.excite.diagnosis_burst import default_burst
+from afdsvc.present.html.design_page import design_page
+from afdsvc.testing.machines import bearing_problem
+
+
+class Counter(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.count, self.words, self.outside = {}, [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.count[tag] = self.count.get(tag, 0) + 1
+        self.outside += [v for k, v in attrs if k in ("src", "href") and v and v.startswith("http")]
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+def test_the_page_is_self_contained_and_says_what_the_sheet_says():
+    problem = bearing_problem("proportional")
+    burst = default_burst(problem, problem.limits, output_amplitude=0.2)
+    sheet = design_sheet(problem, [burst], {"matched_filter": FalseAlarms(1e-3)}, 60.0)
+    page = Counter()
+    page.feed(design_page(problem, burst, sheet))
+    assert page.count["svg"] == 5
+    assert not page.outside
+    text = " ".join(" ".join(page.words).split())
+    assert "This burst does not tell apart" in text
+    for fault in problem.fault_names:
+        assert text.count(fault) >= 4
+    assert f"{sheet['thresholds']['matched_filter']:.3f}" in text
