@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from afdsvc.app.demo import DemoOptions, free_port, rig_process, site_text
 from afdsvc.app.serve import serving
-from afdsvc.demo import DemoOptions, free_port, rig_process, site_text
 from afdsvc.files.site import read_site
 from afdsvc.hal import control_sample
 from afdsvc.plants.registry import plant

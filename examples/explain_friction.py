@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from afdsvc.explaining import ExplainOptions, explain_files
+from afdsvc.app.explain import ExplainOptions, explain_files
 
 SLIDE = """
 name = "slide"

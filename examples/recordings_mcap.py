@@ -17,7 +17,7 @@ from google.protobuf.wrappers_pb2 import DoubleValue
 from mcap.writer import Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
-from afdsvc.offline import import_recording
+from afdsvc.app.diagnose import import_recording
 
 T0, N = 1_763_000_000_000_000_000, 4000
 TIMES = T0 + np.arange(N) * 1_000_000

@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import scipy.io
 
-from afdsvc.offline import import_recording
+from afdsvc.app.diagnose import import_recording
 
 MODEL = """
 name = "axis"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from afdsvc.explaining import ExplainOptions, explain_files
+from afdsvc.app.explain import ExplainOptions, explain_files
 from afdsvc.testing.fmi_units import build_slide
 
 MODEL = """

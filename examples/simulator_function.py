@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from afdsvc import commission
-from afdsvc.app.serve import diagnosis_burst, pipeline_of
+from afdsvc.app import commissioning
+from afdsvc.app.pipelines import diagnosis_burst, pipeline_of
 from afdsvc.files.site import read_site
 from afdsvc.plugins.manager import load
 from afdsvc.service.clock import FastClock
@@ -63,10 +63,10 @@ def watch(weak: float) -> None:
     faults = f'[{{name = "force_actuator", severity = {weak}}}]' if weak else "[]"
     Path("site.toml").write_text(SITE.replace("FAULTS", faults))
     plugins = load()
-    machine = commission.commission(read_site(Path("site.toml")).machine("slide"), plugins)
+    machine = commissioning.commission(read_site(Path("site.toml")).machine("slide"), plugins)
     stream = pipeline_of(machine, plugins)
     burst = diagnosis_burst(machine)(stream.problem)
-    port = commission.open_port(machine, "first", FastClock(), plugins)
+    port = commissioning.open_port(machine, "first", FastClock(), plugins)
     stream.announce(burst)
     found = []
     for _ in range(12):  # six quiet seconds: without them no decision is to be trusted

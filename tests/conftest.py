@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from afdsvc import commission
 from afdsvc.api.port import DrivablePort
+from afdsvc.app import commissioning
 from afdsvc.files.site import FaultInjection, Machine, Named
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.clock import FastClock
@@ -51,9 +51,9 @@ def machine_config(controller: str = "lqg", rpm: int = 0, seed: int = 1, faults:
 
 
 @pytest.fixture(scope="session")
-def bearing(plugins: Plugins) -> Callable[..., commission.Commissioned]:
+def bearing(plugins: Plugins) -> Callable[..., commissioning.Commissioned]:
     """Return commissioned gas bearings by controller, speed, seed, faults."""
-    return lambda *args, **kwargs: commission.commission(machine_config(*args, **kwargs), plugins)
+    return lambda *args, **kwargs: commissioning.commission(machine_config(*args, **kwargs), plugins)
 
 
 @pytest.fixture(scope="session")
@@ -61,7 +61,7 @@ def simulated(bearing, plugins: Plugins) -> Callable[..., DrivablePort]:
     """Return simulators of gas bearings, as fast as they go."""
 
     def make(*args, session: str = "test", **kwargs) -> DrivablePort:
-        return commission.open_port(bearing(*args, **kwargs), session, FastClock(), plugins)
+        return commissioning.open_port(bearing(*args, **kwargs), session, FastClock(), plugins)
 
     return make
 

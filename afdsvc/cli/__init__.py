@@ -76,7 +76,7 @@ def demo(
     as_json: Json = False,
 ) -> None:
     """Watch a simulated machine from its first burst to a named fault, on this computer alone."""
-    from afdsvc.demo import DemoOptions, first_fault, parse_fault, run_demo
+    from afdsvc.app.demo import DemoOptions, first_fault, parse_fault, run_demo
     from afdsvc.present.terminal import demo_table, progress
 
     wanted = [] if healthy else fault or [f"{first_fault(plant)}=-0.5@12"]
@@ -94,8 +94,8 @@ def serve(
 ) -> None:
     """Run the service of one site until SIGTERM or Ctrl-C."""
     from afdsvc.app.serve import serving
+    from afdsvc.app.supervision import collect_rarely, start_logging, supervised
     from afdsvc.files.site import read_site
-    from afdsvc.supervision import collect_rarely, start_logging, supervised
 
     start_logging(_one_of("--log", logs, ("text", "json")))
     stop, log = _stop_on_signals(), logging.getLogger("afdsvc")
@@ -122,7 +122,7 @@ def rig(
 
     SIGTERM and Ctrl-C end a burst smoothly and stop; SIGUSR1 is the emergency stop: no excitation until it is started again.
     """
-    from afdsvc.app.serve import run_rig
+    from afdsvc.app.rig import run_rig
     from afdsvc.files.site import read_site
 
     emergency = threading.Event()
@@ -162,8 +162,8 @@ def diagnose(
     as_json: Json = False,
 ) -> None:
     """Run the detectors over recordings: the same code and the same evidence as live."""
+    from afdsvc.app.diagnose import diagnose_recordings
     from afdsvc.files.tables.loading import Naming
-    from afdsvc.offline import diagnose_recordings
     from afdsvc.present.terminal import diagnosis_table
 
     document = diagnose_recordings(recordings, model, calibrate, calibrate_on, detector or [], Naming.of(mapping))
@@ -182,7 +182,7 @@ def design(
     as_json: Json = False,
 ) -> None:
     """Make the design sheet: burst, thresholds, detection probabilities, smallest faults, what cannot be told apart."""
-    from afdsvc.modelling import design_files
+    from afdsvc.app.design import design_files
     from afdsvc.present.terminal import design_table
 
     document = design_files(site, machine, out)
@@ -210,8 +210,8 @@ def identify(
     as_json: Json = False,
 ) -> None:
     """Identify the plant from recordings made in closed loop, and judge it on data not used."""
+    from afdsvc.app.identify import identify_files
     from afdsvc.files.tables.loading import Naming
-    from afdsvc.modelling import identify_files
     from afdsvc.present.terminal import identify_table
 
     options = {
@@ -237,7 +237,7 @@ def explain(
     as_json: Json = False,
 ) -> None:
     """Say why simulation and recordings differ: where, what physics is missing, how well the improved model fits."""
-    from afdsvc.explaining import ExplainOptions, explain_files
+    from afdsvc.app.explain import ExplainOptions, explain_files
     from afdsvc.present.terminal import explain_table, progress
 
     options = ExplainOptions(out, _mapping(column or []), allow_code, rrd, machine, jobs, mapping)
@@ -259,7 +259,7 @@ def trial(
     as_json: Json = False,
 ) -> None:
     """Test `explain` blind: hide physics in recordings, seal the answer, let it look, break the seal, score."""
-    from afdsvc.blind_trials import trial_files
+    from afdsvc.app.trial import trial_files
     from afdsvc.present.terminal import progress, trial_table
 
     hidden, of_plan = ([word for text in texts or () for word in text.split(",") if word] for texts in (kinds, parts))
@@ -281,7 +281,7 @@ def batch(
     as_json: Json = False,
 ) -> None:
     """Work through many recordings into one table; what an earlier run has done is not done again."""
-    from afdsvc.batch import Batch, run_batch
+    from afdsvc.app.batch import Batch, run_batch
     from afdsvc.present.terminal import progress
 
     chosen = Batch(task, model, tuple(detector or ()), mapping=mapping)
@@ -304,7 +304,7 @@ def review(
     """Look at recordings in Rerun: is something wrong, since when, which part, how sure, and what the machine did."""
     import tempfile
 
-    from afdsvc.fault_planes import fault_planes
+    from afdsvc.app.review import fault_planes
     from afdsvc.present.rerun import review_history, review_recordings
 
     if history:
@@ -345,7 +345,7 @@ def import_(
     as_json: Json = False,
 ) -> None:
     """Turn a foreign table into a recording, to the last bit; with a mapping, in its units and at its rate."""
-    from afdsvc.offline import import_recording
+    from afdsvc.app.diagnose import import_recording
     from afdsvc.present.terminal import import_table
 
     done = import_recording(table, out, model, _mapping(column or []), mapping)

@@ -16,7 +16,7 @@ app = typer.Typer()
 
 
 def _ask(site: Path, name: str, **arguments: Any) -> Any:
-    from afdsvc.app.serve import ask_service
+    from afdsvc.app.ask import ask_service
     from afdsvc.files.site import read_site
 
     return ask_service(read_site(site), name, os.environ.get("AFDSVC_USER") or getpass.getuser(), **arguments)

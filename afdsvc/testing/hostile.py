@@ -19,9 +19,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import scipy.io
 
-from afdsvc import commission
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.signals import Block, Channel
+from afdsvc.app import commissioning
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.model.model_file import parse_model
 from afdsvc.files.recording.mcap_file import Header
@@ -210,8 +210,8 @@ def burst(_folder: Path) -> Target:
     """Requests to excite a simulated machine: refused, or played without any limit being exceeded."""
     plugins = load()
     config = Machine(id="m1", plant="gas_bearing", driver=Driver(real_time=False))
-    machine = commission.commission(config, plugins)
-    port: Any = commission.open_port(machine, "s", FastClock(), plugins)
+    machine = commissioning.commission(config, plugins)
+    port: Any = commissioning.open_port(machine, "s", FastClock(), plugins)
     if machine.limits is None:
         raise BadInput("the gas bearing has no limits; a machine that can be excited is wanted")
     return Target(_burst_request, partial(_play, port, machine.limits))

@@ -6,10 +6,11 @@ an operator may ask the service anything; a viewer may look. Whatever is not all
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
+from afdsvc.files.site import Site
 from afdsvc.wire.keys import ROOT, Keys
 
 SERVICE = "service"
@@ -17,6 +18,17 @@ SPEAK = ["put", "declare_queryable", "reply", "liveliness_token"]
 LISTEN = ["declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query"]
 EVERYTHING = f"{ROOT}/**"
 ADVANCED = "@adv/**"  # where zenoh's advanced publishers and subscribers find each other, below every key
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """Who this process is (the common name of its certificate) and, for the hub, zenoh's access rules."""
+
+    identity: str = ""
+    rules: Mapping[str, Any] = field(default_factory=dict)
+
+
+NOBODY = Access()
 
 
 def rig_name(machine: str) -> str:
@@ -78,3 +90,12 @@ def _rules(id: str, role: _Role) -> list[dict[str, Any]]:
 
 def _with_advanced(exprs: Sequence[str]) -> list[str]:
     return [e for expr in exprs for e in (expr, f"{expr}/{ADVANCED}")]
+
+
+def access_of(site: Site, identity: str) -> Access:
+    """Return who a process of the site is, and the rules by which its service lets others speak."""
+    security = site.transport.security
+    if security is None:
+        return Access(identity)
+    machines = [m.id for m in site.machines]
+    return Access(identity, access_control(Keys(site.site), machines, security.operators, security.viewers))

@@ -12,8 +12,7 @@ import json
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from zenoh import ext
 
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files import site as site_file
+from afdsvc.transport.access_rules import NOBODY, Access
 from afdsvc.transport.certificates import key_files
 
 log = logging.getLogger(__name__)
@@ -29,17 +29,6 @@ CLOSING_SECONDS = 2.0
 HEARD_SECONDS = 0.5
 Receive = Callable[[str, bytes], None]
 Answer = Callable[[bytes], bytes]
-
-
-@dataclass(frozen=True, slots=True)
-class Access:
-    """Who this process is (the common name of its certificate) and, for the hub, zenoh's access rules."""
-
-    identity: str = ""
-    rules: Mapping[str, Any] = field(default_factory=dict)
-
-
-NOBODY = Access()
 
 
 class NoPeer(BadInput):

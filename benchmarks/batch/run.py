@@ -28,7 +28,7 @@ import pyarrow.parquet as pq
 sys.path.insert(0, str(Path(__file__).parents[1] / "throughput"))
 from machine import Signals, Talker, commissioned, site_text
 
-from afdsvc.app.serve import diagnosis_burst, pipeline_of
+from afdsvc.app.pipelines import diagnosis_burst, pipeline_of
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.files.site import parse_site
@@ -101,7 +101,7 @@ def batch(recordings: list[Path], out: Path, jobs: int, kill_at: int = 0) -> Run
 
 def work(listed: Path, out: Path, jobs: int) -> None:
     """Do what ``afdsvc batch diagnose`` does; a thousand names do not fit on every command line."""
-    from afdsvc.batch import Batch, run_batch
+    from afdsvc.app.batch import Batch, run_batch
 
     done = run_batch(Batch("diagnose", detectors=("regression",)), [Path(p) for p in listed.read_text().split("\n")], out, jobs)
     print(f"    {done.rows} rows, {done.failed} failed, {done.kept} kept from before", flush=True)

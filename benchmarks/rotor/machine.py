@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from afdsvc import commission
 from afdsvc.api.bursts import Burst
 from afdsvc.api.evidence import Evidence
-from afdsvc.app import serve
-from afdsvc.commission import Commissioned
+from afdsvc.app import commissioning
+from afdsvc.app.commissioning import Commissioned
+from afdsvc.app.pipelines import burst_design, pipeline_of
 from afdsvc.files.site import Machine
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.clock import FastClock
@@ -24,7 +24,7 @@ def machine(plugins: Plugins, faults: dict[str, tuple[float, float]] | None = No
     injected = [{"name": n, "severity": s, "at_seconds": t} for n, (s, t) in (faults or {}).items()]
     driver = {"kind": "simulator", "real_time": False, "seed": seed, "faults": injected, **more.pop("driver", {})}
     settings = {"bursts": {"severity": -0.2}, "block": 1000, **more}
-    return commission.commission(Machine(id="expander", plant="amb_turboexpander", driver=driver, **settings), plugins)
+    return commissioning.commission(Machine(id="expander", plant="amb_turboexpander", driver=driver, **settings), plugins)
 
 
 @dataclass
@@ -39,8 +39,8 @@ class Run:
 
 def run(parts: Commissioned, plugins: Plugins, plan: Sequence[float | str], burst: Burst | None = None) -> Run:
     """Run the machine: a number is seconds of quiet, ``"burst"`` a diagnosis burst for the speed it has then."""
-    port, stream = commission.open_port(parts, "s", FastClock(), plugins), serve.pipeline_of(parts, plugins)
-    design, out = (lambda _: burst) if burst else serve.burst_design(parts, stream), Run()
+    port, stream = commissioning.open_port(parts, "s", FastClock(), plugins), pipeline_of(parts, plugins)
+    design, out = (lambda _: burst) if burst else burst_design(parts, stream), Run()
 
     def take() -> int:
         block = port.read()

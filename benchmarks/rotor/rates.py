@@ -26,8 +26,8 @@ from machine import machine, plugins
 from afdsvc.api.bursts import Burst
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block
-from afdsvc.app import serve
-from afdsvc.commission import Commissioned
+from afdsvc.app.commissioning import Commissioned
+from afdsvc.app.pipelines import burst_design, pipeline_of
 from afdsvc.detect.statistics.matched_filter import window
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
@@ -124,8 +124,8 @@ def judged(
     detectors = [{"kind": k, "false_alarms_per_1000_bursts": 1000 * rate} for k in kinds]
     wanted = {"controller": {"kind": controller}, "detectors": detectors, "bursts": {"severity": -0.2, "seconds": seconds}}
     parts = machine(installed, **wanted)
-    stream = serve.pipeline_of(parts, installed)
-    burst = serve.burst_design(parts, stream)(Wanted("study"))
+    stream = pipeline_of(parts, installed)
+    burst = burst_design(parts, stream)(Wanted("study"))
     size = float(norm.isf(rate / len(parts.augmented.fault_names)))
     drawn = waves(parts, burst, size, severities) if severities else Waves(np.zeros((0, 0)), 0.0)
     found: dict[str, list[tuple[Evidence, float]]] = {kind: [] for kind in kinds}

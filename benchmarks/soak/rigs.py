@@ -7,7 +7,7 @@ import sys
 import threading
 from pathlib import Path
 
-from afdsvc.app.serve import run_rig
+from afdsvc.app.rig import run_rig
 from afdsvc.files.site import read_site
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from machine import LENGTH, Signals, Talker, commissioned, site_text
 
 from afdsvc.api.signals import of_role, residual_block
-from afdsvc.app.serve import pipeline_of
+from afdsvc.app.pipelines import pipeline_of
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.files.site import parse_site
 from afdsvc.plugins.manager import load

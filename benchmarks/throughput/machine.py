@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from afdsvc import commission
 from afdsvc.api.bursts import Burst
 from afdsvc.api.signals import Block
-from afdsvc.commission import Commissioned
+from afdsvc.app import commissioning
+from afdsvc.app.commissioning import Commissioned
 from afdsvc.files.site import Site
 from afdsvc.hal import control_sample
 from afdsvc.plugins.manager import load
@@ -114,7 +114,7 @@ class Talker:
 
 def commissioned(site: Site) -> Commissioned:
     """Return the parts of the first machine of a site: all are alike."""
-    return commission.commission(site.machines[0], load())
+    return commissioning.commission(site.machines[0], load())
 
 
 def site_text(machines: int, port: int, folder: str, every: float = 60.0) -> str:

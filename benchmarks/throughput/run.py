@@ -28,7 +28,7 @@ from typing import Any
 from alone import mcap_alone, numpy_alone, zenoh_alone
 from machine import LENGTH, site_text
 
-from afdsvc.app.serve import ask_service
+from afdsvc.app.ask import ask_service
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.site import Site, read_site
 

@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from afdsvc.api.evidence import Evidence, Severity
-from afdsvc.demo import DemoOptions, free_port, rig_process, run_demo, site_text
-from afdsvc.fault_planes import fault_planes
+from afdsvc.app.demo import DemoOptions, free_port, rig_process, run_demo, site_text
+from afdsvc.app.review import fault_planes
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.present.rerun import review_history, review_recordings
 from afdsvc.wire.codec import encode_finding

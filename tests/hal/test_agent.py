@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from afdsvc import commission
 from afdsvc.api.bursts import Burst, Line
+from afdsvc.app import commissioning
 from afdsvc.errors import Refused
 from afdsvc.files.site import Transport as Settings
 from afdsvc.hal.agent import RigAgent
@@ -57,7 +57,7 @@ def rig(settings: Settings, machine, plugins, session: str = "s1") -> Iterator[R
     with Transport(settings, hub=False) as transport:
         clock = RealClock()
         config = machine.config.model_copy(update={"driver": machine.config.driver.model_copy(update={"real_time": True})})
-        port = commission.open_port(replace(machine, config=config), session, clock, plugins)
+        port = commissioning.open_port(replace(machine, config=config), session, clock, plugins)
         description = RigDescription("bearing", session, 0, port.dt, port.channels, machine.limits)
         agent = RigAgent(KEYS, description, port, transport, clock)
         thread = threading.Thread(target=agent.run, daemon=True)
@@ -160,7 +160,7 @@ def test_a_second_rig_with_the_same_id_refuses_to_start(settings, bearing, plugi
             ear.wait(EventKind.RIG_STARTED)
             machine = bearing()
             clock = RealClock()
-            port = commission.open_port(machine, "s2", clock, plugins)
+            port = commissioning.open_port(machine, "s2", clock, plugins)
             twin = RigAgent(
                 KEYS, RigDescription("bearing", "s2", 0, port.dt, port.channels, machine.limits), port, other, clock
             )

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from afdsvc import commission
 from afdsvc.api.bursts import Burst, Limits, Line
+from afdsvc.app import commissioning
 from afdsvc.errors import Refused
 from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, Simulator
@@ -226,4 +226,4 @@ def test_a_fault_starts_at_its_sample(bearing):
 def test_unknown_fault_is_named(plugins, bearing):
     machine = bearing(faults={"nonsense": (-0.5, 1.0)})
     with pytest.raises(Exception, match="fault 'nonsense' is unknown; this machine has horizontal_actuator"):
-        commission.open_port(machine, "s", FastClock(), plugins)
+        commissioning.open_port(machine, "s", FastClock(), plugins)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from afdsvc import commission
+from afdsvc.app import commissioning
 from afdsvc.errors import BadInput
 from afdsvc.files.site import Machine
 from afdsvc.hal.rotation import REFRESH, SpeedProfile
@@ -38,11 +38,11 @@ def turboexpander(plugins, **driver):
     config = Machine(
         id="expander", plant="amb_turboexpander", driver={"kind": "simulator", "real_time": False, **driver}, block=1000
     )
-    return commission.commission(config, plugins)
+    return commissioning.commission(config, plugins)
 
 
 def samples(machine, plugins, count):
-    port = commission.open_port(machine, "s", FastClock(), plugins)
+    port = commissioning.open_port(machine, "s", FastClock(), plugins)
     return np.vstack([port.read().values for _ in range(count // machine.config.block)])
 
 

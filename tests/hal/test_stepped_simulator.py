@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from afdsvc import commission
 from afdsvc.api.bursts import Burst, Line
+from afdsvc.app import commissioning
 from afdsvc.errors import BadInput
 from afdsvc.files.site import read_site
 from afdsvc.plugins.manager import load
@@ -65,11 +65,11 @@ def machine(folder, *changes):
         assert old in text
         text = text.replace(old, new)
     (folder / "site.toml").write_text(text)
-    return commission.commission(read_site(folder / "site.toml").machine("axis"), load())
+    return commissioning.commission(read_site(folder / "site.toml").machine("axis"), load())
 
 
 def port(folder, *changes):
-    return commission.open_port(machine(folder, *changes), "s", FastClock(), load())
+    return commissioning.open_port(machine(folder, *changes), "s", FastClock(), load())
 
 
 def samples(opened, blocks: int = 4) -> np.ndarray:

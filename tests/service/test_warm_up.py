@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from afdsvc import commission
-from afdsvc.app.serve import diagnosis_burst, pipeline_of
+from afdsvc.app import commissioning
+from afdsvc.app.pipelines import diagnosis_burst, pipeline_of
 from afdsvc.detect.statistics import active_cusum
 from afdsvc.files.site import parse_site
 from afdsvc.plugins.manager import load
@@ -17,7 +17,7 @@ from afdsvc.service.warm_up import Rehearsals, rehearse
 
 def machine():
     site = parse_site('site = "t"\n[[machines]]\nid = "m"\nplant = "gas_bearing"\nbursts = {seconds = 0.5}\n', "test")
-    made = commission.commission(site.machines[0], load())
+    made = commissioning.commission(site.machines[0], load())
     pipeline = pipeline_of(made, load())
     return pipeline, diagnosis_burst(made)(pipeline.problem)
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from afdsvc.app import serve
+from afdsvc.app import rig, serve
+from afdsvc.app.ask import ask_service
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, parse_site
@@ -47,7 +48,7 @@ def scrape(port: int) -> dict[str, float]:
 
 
 def run_rig(site: Site, seconds: float) -> None:
-    thread = threading.Thread(target=serve.run_rig, args=(site, "bearing", seconds, threading.Event()), daemon=True)
+    thread = threading.Thread(target=rig.run_rig, args=(site, "bearing", seconds, threading.Event()), daemon=True)
     thread.start()
     thread.join(60)
     assert not thread.is_alive()
@@ -61,10 +62,10 @@ def test_an_alarm_is_told_counted_kept_and_remembered(free_port, tmp_path):
             viewer.subscribe(Keys("t").alarms(), lambda key, payload: heard.append(codec.decode_alarm_change(payload)))
             run_rig(site, 5.0)
             hub.drain()
-            alarm = serve.ask_service(site, "alarms", "kim")[0]
+            alarm = ask_service(site, "alarms", "kim")[0]
             with pytest.raises(AfdsvcError, match="not acknowledged"):
-                serve.ask_service(site, "confirm", "kim", alarm=alarm["id"])
-            serve.ask_service(site, "ack", "kim", alarm=alarm["id"], comment="on my way", seen_ns=alarm["since_ns"])
+                ask_service(site, "confirm", "kim", alarm=alarm["id"])
+            ask_service(site, "ack", "kim", alarm=alarm["id"], comment="on my way", seen_ns=alarm["since_ns"])
         figures = scrape(free_port + 1)
     assert alarm["id"] == "bearing/vertical_actuator"
     assert [c.event for c in heard] == ["raised", "acknowledged"]
@@ -74,8 +75,8 @@ def test_an_alarm_is_told_counted_kept_and_remembered(free_port, tmp_path):
     assert len(list(Recording(before).findings("bearing"))) == 1
 
     with serve.serving(site) as hub:
-        (again,) = serve.ask_service(site, "alarms", "lee")
-        told = serve.ask_service(site, "history", "lee", alarm=again["id"])
+        (again,) = ask_service(site, "alarms", "lee")
+        told = ask_service(site, "history", "lee", alarm=again["id"])
     assert again["active"]
     assert (again["acknowledged_by"], again["comment"]) == ("kim", "on my way")
     assert [(c["event"], c["who"]) for c in told] == [("raised", ""), ("acknowledged", "kim")]

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from afdsvc import commission
-from afdsvc.app import serve
+from afdsvc.app import commissioning
+from afdsvc.app.pipelines import burst_design, pipeline_of
 from afdsvc.diagnosis.verdict import alarms, conclude
 from afdsvc.service.clock import FastClock
 from afdsvc.service.scheduler import Wanted
@@ -22,9 +22,9 @@ LOOPS = [(c, rpm) for c in ("proportional", "lqg") for rpm in (0, 1100)]
 
 def burst_run(machine, plugins, bursts: int = 1, quiet: int = 5000, burst=None):
     """Return the evidence of quiet running and bursts in turn; every burst must play to its end within the limits."""
-    port = commission.open_port(machine, "s", FastClock(), plugins)
-    stream = serve.pipeline_of(machine, plugins)
-    burst = burst or serve.burst_design(machine, stream)(Wanted("test"))
+    port = commissioning.open_port(machine, "s", FastClock(), plugins)
+    stream = pipeline_of(machine, plugins)
+    burst = burst or burst_design(machine, stream)(Wanted("test"))
     stream.announce(burst)
     evidence, peak = [], 0.0
 

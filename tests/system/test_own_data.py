@@ -11,17 +11,17 @@ import pyarrow.parquet as pq
 import pytest
 
 from afdsvc.api.signals import Channel, Trace
-from afdsvc.app.serve import run_rig
-from afdsvc.batch import Batch, run_batch
+from afdsvc.app.batch import Batch, run_batch
+from afdsvc.app.diagnose import diagnose_recordings, import_recording
+from afdsvc.app.explain import ExplainOptions, explain_files, from_rest
+from afdsvc.app.identify import identify_files
+from afdsvc.app.rig import run_rig
 from afdsvc.errors import BadInput
-from afdsvc.explaining import ExplainOptions, explain_files, from_rest
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import read_site
 from afdsvc.files.tables.foreign import prepared
 from afdsvc.files.tables.loading import Naming
-from afdsvc.modelling import identify_files
-from afdsvc.offline import diagnose_recordings, import_recording
 from afdsvc.present.html.diagnose_page import diagnose_page
 
 MODEL = """

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from afdsvc.app import serve
+from afdsvc.app.rig import run_rig
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.recording.recorder import Recorder
 from afdsvc.files.site import Site, parse_site
@@ -39,7 +40,7 @@ bursts = {{seconds = 1.0, rest_seconds = 0.0}}
 @contextmanager
 def rig(site: Site) -> Iterator[None]:
     stop = threading.Event()
-    thread = threading.Thread(target=serve.run_rig, args=(site, "bearing", None, stop), daemon=True)
+    thread = threading.Thread(target=run_rig, args=(site, "bearing", None, stop), daemon=True)
     thread.start()
     try:
         yield

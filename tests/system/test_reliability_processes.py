@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 import numpy as np
 import pytest
 
-from afdsvc.app import serve
+from afdsvc.app.ask import ask_service
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.recording.mcap_records import is_finished
 from afdsvc.files.recording.reader import Recording
@@ -63,10 +63,10 @@ bursts = {{seconds = 4.0, rest_seconds = 0.0}}
     site, folder = read_site(path), tmp_path / "recordings"
 
     def machine() -> dict:
-        return serve.ask_service(site, "status", "kim")["machines"][0]
+        return ask_service(site, "status", "kim")["machines"][0]
 
     def play() -> None:
-        eventually(lambda: machine()["state"] == "running" and serve.ask_service(site, "burst", "kim")["burst"])
+        eventually(lambda: machine()["state"] == "running" and ask_service(site, "burst", "kim")["burst"])
         time.sleep(1.0)
         assert machine()["burst"]
 
@@ -89,7 +89,7 @@ bursts = {{seconds = 4.0, rest_seconds = 0.0}}
         rig.send_signal(signal.SIGUSR1)
         eventually(lambda: not machine()["burst"], 10)
         try:
-            refused = serve.ask_service(site, "burst", "kim")["burst"]
+            refused = ask_service(site, "burst", "kim")["burst"]
         except AfdsvcError as error:
             refused = str(error)
         assert "emergency stop by signal; bursts are refused until the rig agent is started again" in refused

@@ -9,12 +9,12 @@ import pytest
 from scipy import stats
 
 from afdsvc.api.model import Model, Variable
-from afdsvc.explaining import ExplainOptions, explain_files
+from afdsvc.app.diagnose import diagnose_recordings
+from afdsvc.app.explain import ExplainOptions, explain_files
 from afdsvc.files.model.model_file import read_model, write_model
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.offline import diagnose_recordings
 
 DT, PERIOD, SD, WINDOW, RATE = 2e-3, 500, 0.02, 50, 0.01
 

@@ -13,12 +13,14 @@ import pytest
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.app import serve
+from afdsvc.app.ask import ask_service
+from afdsvc.app.rig import run_rig
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, Transport, parse_site
-from afdsvc.transport.access_rules import rig_name
+from afdsvc.transport.access_rules import Access, rig_name
 from afdsvc.transport.certificates import make_certificates
-from afdsvc.transport.zenoh_session import Access, NoPeer
+from afdsvc.transport.zenoh_session import NoPeer
 from afdsvc.transport.zenoh_session import Transport as Session
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
@@ -64,7 +66,7 @@ def certified(tmp_path_factory) -> Path:
 @contextmanager
 def running(site: Site) -> Iterator[serve.Hub]:
     stop = threading.Event()
-    rig = threading.Thread(target=serve.run_rig, args=(site, "bearing", None, stop), daemon=True)
+    rig = threading.Thread(target=run_rig, args=(site, "bearing", None, stop), daemon=True)
     with serve.serving(site) as hub:
         rig.start()
         try:
@@ -86,18 +88,18 @@ def request() -> bytes:
 def test_only_those_who_may_are_obeyed(free_port, certified, tmp_path):
     site = site_of(free_port, certified)
     with running(site) as hub:
-        assert serve.ask_service(site, "status", "panel")["machines"][0]["state"] == "running"
-        assert serve.ask_service(site, "status", "kim")["machines"][0]["state"] == "running"
+        assert ask_service(site, "status", "panel")["machines"][0]["state"] == "running"
+        assert ask_service(site, "status", "kim")["machines"][0]["state"] == "running"
         with pytest.raises(AfdsvcError, match=UNHEARD):
-            serve.ask_service(site, "burst", "panel", machine="bearing")
+            ask_service(site, "burst", "panel", machine="bearing")
         with pytest.raises(AfdsvcError, match=UNHEARD):
-            serve.ask_service(site, "stop", "panel", machine="bearing")
+            ask_service(site, "stop", "panel", machine="bearing")
         for name in ("panel", "kim", rig_name("other")):
             with Session(site.transport, False, Access(name)) as peer, pytest.raises(AfdsvcError, match=UNHEARD):
                 peer.ask(KEYS.burst("bearing"), request(), timeout=1.0)
         assert hub.refusals == []
         assert hub.desks["bearing"].playing == ""
-        assert serve.ask_service(site, "burst", "kim", machine="bearing")["burst"]
+        assert ask_service(site, "burst", "kim", machine="bearing")["burst"]
 
 
 def unreadable(folder: Path, machine: str) -> int:
@@ -143,9 +145,9 @@ def test_a_certificate_of_the_right_authority_but_of_nobody_listed_may_do_nothin
     make_certificates(more)
     with running(site):
         with pytest.raises(AfdsvcError, match=UNHEARD):
-            serve.ask_service(site, "status", "mallory")
+            ask_service(site, "status", "mallory")
         with pytest.raises(AfdsvcError, match=UNHEARD):
-            serve.ask_service(site, "burst", "mallory", machine="bearing")
+            ask_service(site, "burst", "mallory", machine="bearing")
 
 
 def test_what_is_there_is_kept_and_the_authority_key_is_needed_for_more(certified):

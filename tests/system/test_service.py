@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from afdsvc import offline
 from afdsvc.api.signals import Block
-from afdsvc.app import serve
+from afdsvc.app import diagnose, serve
+from afdsvc.app.ask import ask_service
+from afdsvc.app.rig import run_rig
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, parse_site
@@ -46,7 +47,7 @@ id = "bearing"
 @contextmanager
 def rig(site: Site, seconds: float | None = None) -> Iterator[threading.Thread]:
     stop = threading.Event()
-    thread = threading.Thread(target=serve.run_rig, args=(site, "bearing", seconds, stop), daemon=True)
+    thread = threading.Thread(target=run_rig, args=(site, "bearing", seconds, stop), daemon=True)
     thread.start()
     try:
         yield thread
@@ -88,11 +89,11 @@ bursts = {every_seconds = 3.5, first_after_seconds = 0.5, seconds = 2.0}"""
     assert recording.loss == ""
     bursts = [r.burst for r in recording.requests("bearing")]
     plugins = load()
-    machine_ = offline._machine_of(recording, "bearing", None, None, plugins)
-    again = offline.evidence_of(machine_, recording.blocks("bearing"), bursts, plugins)
+    machine_ = diagnose._machine_of(recording, "bearing", None, None, plugins)
+    again = diagnose.evidence_of(machine_, recording.blocks("bearing"), bursts, plugins)
     assert [f.evidence for f in recording.findings("bearing")] == live
     assert again.evidence == live
-    document = offline.diagnose_recordings([path])
+    document = diagnose.diagnose_recordings([path])
     verdict = document["recordings"][0]["verdict"]
     assert verdict["fault"] == "vertical_actuator"
     assert abs(verdict["severity"]["value"] + 0.5) < 4 * verdict["severity"]["sd"]
@@ -127,7 +128,7 @@ def test_a_burst_asked_for_in_the_first_moment_can_be_judged(free_port, tmp_path
     with serve.serving(site) as hub, rig(site):
         desk = hub.desks["bearing"]
         eventually(lambda: desk.pipeline.ready_at is not None and bool(desk.session))
-        serve.ask_service(site, "burst", "Ada")
+        ask_service(site, "burst", "Ada")
         eventually(lambda: len(hub.watches["bearing"].evidence) > 0)
         assert [e.reason for e in hub.watches["bearing"].evidence if not e.trustworthy] == []
 
@@ -140,7 +141,7 @@ bursts = {every_seconds = 30.0, first_after_seconds = 0.5, seconds = 2.0}"""
     site = site_of(free_port, tmp_path, machine=machine)
     with serve.serving(site) as hub, rig(site, 8.0) as thread:
         with pytest.raises(AfdsvcError, match=r"nothing that can be judged yet|not there"):
-            serve.ask_service(site, "burst", "Ada")
+            ask_service(site, "burst", "Ada")
         thread.join(40)
         hub.drain()
         found = list(hub.watches["bearing"].evidence)
@@ -151,28 +152,28 @@ def test_people_can_ask_and_are_told_why_not(free_port, tmp_path):
     site = site_of(free_port, tmp_path)
     with serve.serving(site) as hub:
         with pytest.raises(AfdsvcError, match="machine 'bearing' is not there"):
-            serve.ask_service(site, "burst", "Ada")
-        assert serve.ask_service(site, "status", "Ada")["machines"][0]["state"] == "absent"
+            ask_service(site, "burst", "Ada")
+        assert ask_service(site, "status", "Ada")["machines"][0]["state"] == "absent"
         with rig(site):
-            eventually(lambda: serve.ask_service(site, "status", "Ada")["machines"][0]["state"] == "running")
-            name = serve.ask_service(site, "burst", "Ada")["burst"]
+            eventually(lambda: ask_service(site, "status", "Ada")["machines"][0]["state"] == "running")
+            name = ask_service(site, "burst", "Ada")["burst"]
             with pytest.raises(AfdsvcError, match="two at once"):
-                serve.ask_service(site, "burst", "Ada")
+                ask_service(site, "burst", "Ada")
             eventually(lambda: hub.watches["bearing"].pipeline._burst[0] == name)  # stopped before its first sample it leaves none
-            serve.ask_service(site, "stop", "Ada", reason="enough")
+            ask_service(site, "stop", "Ada", reason="enough")
             eventually(lambda: any("stopped by Ada: enough" in cause for cause in hub.refusals))
             with pytest.raises(AfdsvcError, match="nothing is stopped"):
-                serve.ask_service(site, "stop", "Ada")
+                ask_service(site, "stop", "Ada")
             eventually(lambda: any(e.burst == name for e in list(hub.watches["bearing"].evidence)))
-            serve.ask_service(site, "pause", "Ada", reason="cleaning")
+            ask_service(site, "pause", "Ada", reason="cleaning")
             with pytest.raises(AfdsvcError, match="paused: by Ada: cleaning"):
-                serve.ask_service(site, "burst", "Ada")
+                ask_service(site, "burst", "Ada")
             with pytest.raises(AfdsvcError, match="machine 'x' is unknown; this site has bearing"):
-                serve.ask_service(site, "burst", "Ada", machine="x")
+                ask_service(site, "burst", "Ada", machine="x")
             with pytest.raises(AfdsvcError, match="unknown command 'explode'; known are ack, alarms, burst"):
-                serve.ask_service(site, "explode", "Ada")
+                ask_service(site, "explode", "Ada")
             with pytest.raises(AfdsvcError, match="no alarm 'a'"):
-                serve.ask_service(site, "ack", "Ada", alarm="a")
+                ask_service(site, "ack", "Ada", alarm="a")
 
 
 def listening() -> list[str]:
@@ -197,9 +198,9 @@ class Stranger:
 
     def __init__(self, transport: Transport, site: Site) -> None:
         machine = site.machines[0]
-        from afdsvc import commission
+        from afdsvc.app import commissioning
 
-        self.parts = commission.commission(machine, load())
+        self.parts = commissioning.commission(machine, load())
         self.transport, self.k, self.seq = transport, 0, 0
         self.rng = np.random.default_rng(0)
         transport.announce(KEYS.alive("bearing", "s1"))
@@ -240,7 +241,7 @@ def test_wrong_blocks_are_named_and_survived(free_port, tmp_path):
         watch = hub.watches["bearing"]
         eventually(lambda: watch.seconds_seen >= stranger.k * 2e-4 - 1e-9)
         said = notices(hub, next(tmp_path.glob("*.mcap")))
-        status = serve.ask_service(site, "status", "Ada")["machines"][0]
+        status = ask_service(site, "status", "Ada")["machines"][0]
     assert missing.k0 == 500
     for words in (
         "could not be read",
@@ -282,7 +283,7 @@ def test_a_recording_that_cannot_be_written_stops_nothing(free_port, tmp_path):
     site = site_of(free_port, tmp_path / "file" / "recordings")
     with serve.serving(site) as hub, rig(site):
         eventually(lambda: hub.watches["bearing"].blocks > 20)
-        status = serve.ask_service(site, "status", "Ada")
+        status = ask_service(site, "status", "Ada")
     assert "file" in status["recording_failure"]
     assert status["recording_dropped"] > 0
     assert status["machines"][0]["state"] == "running"
@@ -298,7 +299,7 @@ def test_a_rig_that_goes_and_comes_back_raises_no_alarm(free_port, tmp_path):
         before = watch.blocks
         with rig(site):
             eventually(lambda: watch.blocks > before + 40)
-            assert serve.ask_service(site, "burst", "Ada")["burst"]
+            assert ask_service(site, "burst", "Ada")["burst"]
             eventually(lambda: any(e.burst for e in list(watch.evidence)))
         assert hub.alarms.alarms == {}
         said = notices(hub, next(tmp_path.glob("*.mcap")))
@@ -318,7 +319,7 @@ def test_the_service_restarts_while_the_rig_runs(free_port, tmp_path):
             eventually(lambda: hub.watches["bearing"].blocks > 20, 30)
             eventually(lambda: hub.watches["bearing"].present)
             time.sleep(0.2)
-            assert serve.ask_service(again, "burst", "Ada")["burst"]
+            assert ask_service(again, "burst", "Ada")["burst"]
             eventually(lambda: any(e.burst for e in list(hub.watches["bearing"].evidence)))
             assert hub.alarms.alarms == {}
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from afdsvc.app.diagnose import diagnose_recordings
 from afdsvc.errors import BadInput
-from afdsvc.offline import diagnose_recordings
 
 FOLDER = Path(__file__).parents[2] / "recordings"
 ENTRIES = tomllib.loads((FOLDER / "MANIFEST.toml").read_text())["recordings"]

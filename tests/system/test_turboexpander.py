@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from afdsvc import commission, offline
-from afdsvc.app import serve
+from afdsvc.app import commissioning, diagnose, serve
+from afdsvc.app.pipelines import burst_design, pipeline_of
+from afdsvc.app.rig import run_rig
 from afdsvc.diagnosis.verdict import conclude
 from afdsvc.errors import BadInput, NotStabilising, Refused
 from afdsvc.files.site import Machine, parse_site
@@ -32,7 +33,7 @@ LEAVES, ARRIVED = "the speed leaves 31500 rpm: nothing is judged", "model, thres
 def turboexpander(plugins, driver=None, **more):
     settings = {"detectors": QUICK, "faults": FAULTS, "block": 1000, "bursts": {"severity": -0.2, "seconds": 1.5}, **more}
     config = Machine(id="expander", plant="amb_turboexpander", driver={"real_time": False, **(driver or {})}, **settings)
-    return commission.commission(config, plugins)
+    return commissioning.commission(config, plugins)
 
 
 class Bench:
@@ -40,9 +41,9 @@ class Bench:
 
     def __init__(self, machine, plugins, sink=None) -> None:
         self.machine, self.sink, self.bursts = machine, sink, 0
-        self.port = commission.open_port(machine, "s", FastClock(), plugins)
-        self.stream = serve.pipeline_of(machine, plugins)
-        self.design = serve.burst_design(machine, self.stream)
+        self.port = commissioning.open_port(machine, "s", FastClock(), plugins)
+        self.stream = pipeline_of(machine, plugins)
+        self.design = burst_design(machine, self.stream)
         self.evidence, self.said, self.peak = [], [], 0.0
 
     def take(self) -> int:
@@ -100,7 +101,7 @@ def test_parts_follow_a_change_of_speed_and_a_fault_during_rotation_is_named(plu
     The recording alone, speed and all, gives the same decisions again.
     """
     site = parse_site(SITE, "site.toml")
-    machine = commission.commission(site.machine("expander"), plugins)
+    machine = commissioning.commission(site.machine("expander"), plugins)
     sink = RecorderSink(site.recording.model_copy(update={"folder": tmp_path}), "expander", SITE, machine.model_text(), 10**18, {})
     bench = Bench(machine, plugins, sink)
     bench.quiet(0.6)
@@ -121,8 +122,8 @@ def test_parts_follow_a_change_of_speed_and_a_fault_during_rotation_is_named(plu
     assert len(bench.evidence) == 4
     assert bench.peak < 6.0
     sink.close()
-    again = offline.diagnose_recordings(sink.paths)["recordings"][0]
-    assert [d for b in again["bursts"] for d in b["decisions"]] == [offline.decision(e) for e in bench.evidence]
+    again = diagnose.diagnose_recordings(sink.paths)["recordings"][0]
+    assert [d for b in again["bursts"] for d in b["decisions"]] == [diagnose.decision(e) for e in bench.evidence]
     assert again["remarks"] == bench.said
 
 
@@ -146,13 +147,13 @@ def test_one_pid_per_axis_as_industry_has_it_goes_through_the_same_pipeline(plug
 
 def test_the_site_says_how_speed_is_followed(plugins) -> None:
     with pytest.raises(BadInput, match="machine 'expander' does not turn; 'speed_step_rpm' is for one that records aux_speed"):
-        serve.pipeline_of(turboexpander(plugins, options={"rpm": 0}, speed_step_rpm=500), plugins)
+        pipeline_of(turboexpander(plugins, options={"rpm": 0}, speed_step_rpm=500), plugins)
     text = 'site = "s"\n[[machines]]\nid = "m"\nplant = "gas_bearing"\nspeed_step_rpm = 50\ncalibrate_seconds = 2.0\n'
     with pytest.raises(BadInput, match="'speed_step_rpm' needs 'plant' and stated noise"):
         parse_site(text, "site.toml")
     known = turboexpander(plugins, options={"states": 8})
     with pytest.raises(NotStabilising, match=r"machine 'expander': the loop at \d+ rpm has a pole of modulus 1\.\d+"):
-        commission.at_speed(known, 1e6)
+        commissioning.at_speed(known, 1e6)
 
 
 @pytest.mark.long
@@ -179,13 +180,13 @@ bursts = {{every_seconds = 6.0, first_after_seconds = 1.0, seconds = 2.0, severi
     )
     stop = threading.Event()
     with serve.serving(site) as hub:
-        rig = threading.Thread(target=serve.run_rig, args=(site, "bearing", 24.0, stop), daemon=True)
+        rig = threading.Thread(target=run_rig, args=(site, "bearing", 24.0, stop), daemon=True)
         rig.start()
         rig.join(120)
         hub.drain(60)
         live = list(hub.watches["bearing"].evidence)
     (path,) = tmp_path.glob("*.mcap")
-    document = offline.diagnose_recordings([path])["recordings"][0]
+    document = diagnose.diagnose_recordings([path])["recordings"][0]
     assert len([d for b in document["bursts"] for d in b["decisions"]]) == len(live) > 0
     assert document["verdict"]["fault"] == "a_x_actuator"
     assert any("are those of 28000 rpm now" in remark for remark in document["remarks"])
@@ -196,6 +197,6 @@ def test_the_design_says_what_cannot_be_isolated(plugins) -> None:
     twins = [{"name": "weak_magnet", "kind": "parameter", "settings": {"parameter": "current_gain_a_x"}},
              {"name": "amplifier", "kind": "actuator_gain", "settings": {"input": 0}}, FAULTS[0]]
     machine = turboexpander(plugins, faults=twins)
-    noted = serve.burst_design(machine, serve.pipeline_of(machine, plugins))(Wanted("design")).notes["not_separated"]
+    noted = burst_design(machine, pipeline_of(machine, plugins))(Wanted("design")).notes["not_separated"]
     assert "weak_magnet from amplifier" in noted
     assert "stiffness_a_x" not in noted

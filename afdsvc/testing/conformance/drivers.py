@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from afdsvc import commission
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.port import DrivablePort, Port
+from afdsvc.app import commissioning
 from afdsvc.files.site import Driver, Machine
 from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.plugins.manager import load
@@ -24,7 +24,7 @@ BLOCKS = 4
 def opened(thing: Any) -> Iterator[Port]:
     """Open a driver as the rig agent does, and close it whatever happens."""
     config = Machine(id="example", plant="gas_bearing", driver=Driver(kind=thing.name, settings=dict(settings_of(thing))))
-    parts = commission.commission(config, load())
+    parts = commissioning.commission(config, load())
     port = thing.open(parts, LoopSettings("example", "session", 100), RealClock(), settings_of(thing))
     try:
         yield port

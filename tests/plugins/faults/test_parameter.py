@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from afdsvc import commission
 from afdsvc.api.control_plugins import ParameterFaultKind
+from afdsvc.app import commissioning
 from afdsvc.errors import BadInput
 from afdsvc.files.site import Machine
 from afdsvc.plants.registry import plant
@@ -45,10 +45,10 @@ def test_usual_faults_are_the_plants_own(name: str) -> None:
 
 def test_a_site_file_names_a_parameter(plugins) -> None:
     config = {"id": "b", "plant": "gas_bearing", "faults": [{"name": "soft", "kind": "parameter", "settings": {"parameter": "stiffness_hh"}}]}
-    assert commission.commission(Machine(**config), plugins).augmented.fault_names == ("soft",)
+    assert commissioning.commission(Machine(**config), plugins).augmented.fault_names == ("soft",)
     config["faults"][0]["settings"] = {"parameter": "stifness_hh"}
     with pytest.raises(BadInput, match=r"machine 'b': plant 'gas bearing.*' has no fault or parameter 'stifness_hh'; it has"):
-        commission.commission(Machine(**config), plugins)
+        commissioning.commission(Machine(**config), plugins)
 
 
 def test_refusals() -> None:

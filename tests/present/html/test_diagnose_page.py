@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from afdsvc.app.diagnose import diagnose_recordings
 from afdsvc.errors import BadInput
-from afdsvc.offline import diagnose_recordings
 from afdsvc.present.html.diagnose_page import answer, diagnose_page, write_diagnosis
 
 SHIPPED = Path(__file__).parents[3] / "recordings" / "shipped"

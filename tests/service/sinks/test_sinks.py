@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from afdsvc.api.signals import Block, Channel
+from afdsvc.app.serve import Outlets
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Recording as Settings
 from afdsvc.files.site import parse_site
-from afdsvc.outlets import Outlets
 from afdsvc.service.clock import FastClock
 from afdsvc.service.sinks import recorder_sink
 from afdsvc.service.sinks.fan_out import ThreadedSink

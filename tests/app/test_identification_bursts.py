@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from afdsvc import commission
-from afdsvc.app import serve
+from afdsvc.app import commissioning, serve
+from afdsvc.app.pipelines import pipeline_of
 from afdsvc.files.site import parse_site
 from afdsvc.plugins.manager import load
 
@@ -17,12 +17,12 @@ id = "m"
 plant = "gas_bearing"
 driver = {seed = 3, real_time = false}
 """
-    machine, plugins = commission.commission(parse_site(text, "site.toml").machines[0], load()), load()
-    pipeline = serve.pipeline_of(machine, plugins)
-    burst = commission.identification_burst(machine, "identify", np.random.default_rng(0))
+    machine, plugins = commissioning.commission(parse_site(text, "site.toml").machines[0], load()), load()
+    pipeline = pipeline_of(machine, plugins)
+    burst = commissioning.identification_burst(machine, "identify", np.random.default_rng(0))
     assert len(burst.lines) > 100
     pipeline.announce(burst)
-    port = commission.open_port(machine, "s", serve.RealClock(), plugins)
+    port = commissioning.open_port(machine, "s", serve.RealClock(), plugins)
     found, blocks = [], 0
     with port.arm(machine.limits) as drive:
         drive.play(burst)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from afdsvc import blind_trials
-from afdsvc.blind_trials import chosen, trial_files
+from afdsvc.app import trial
+from afdsvc.app.trial import chosen, trial_files
 from afdsvc.cli import app
 from afdsvc.errors import BadInput
 from afdsvc.trial.plan import plan
@@ -52,7 +52,7 @@ def test_parts_and_kinds_may_be_given_with_commas_or_again(tmp_path: Path, monke
         asked.append((kinds, parts))
         raise BadInput("enough is known")
 
-    monkeypatch.setattr(blind_trials, "trial_files", stopped)
+    monkeypatch.setattr(trial, "trial_files", stopped)
     for given in (["--parts", "axis,two", "--kinds", "backlash"], ["--parts", "axis", "--kinds", "backlash", "--parts", "two"], []):
         assert CliRunner().invoke(app, ["trial", "--folder", str(tmp_path), *given]).exit_code
     assert asked == [(["backlash"], ["axis", "two"])] * 2 + [([], [])]
@@ -66,7 +66,7 @@ def test_trials_are_made_sealed_explained_scored_and_reported(tmp_path: Path, mo
         assert sorted(p.name for p in model.parent.iterdir())[:2] == ["MODEL.toml", "SEAL.json"]
         return {"verdict": "consistent", "named": [], "located": []}
 
-    monkeypatch.setattr(blind_trials, "from_files", silent)
+    monkeypatch.setattr(trial, "from_files", silent)
     told: list[tuple[int, int]] = []
     made = trial_files(tmp_path, 1, 2, kinds=("nothing",), progress=lambda done, of: told.append((done, of)))
     assert made["trials"] == len(seen) == 1

@@ -7,13 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from afdsvc import commission
 from afdsvc.api.bursts import Burst
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Block
-from afdsvc.app.serve import pipeline_of
-from afdsvc.commission import Commissioned, Watched
+from afdsvc.app import commissioning
+from afdsvc.app.commissioning import Commissioned, Watched
+from afdsvc.app.pipelines import pipeline_of
 from afdsvc.diagnosis.verdict import conclude
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model
@@ -107,11 +107,11 @@ def _machine_of(recording: Recording, id: str, model: Path | None, calibrate: fl
         watched = Watched(inside, first.dt, first.channels)
     if recording.site and model is None:
         config = parse_site(recording.site, f"{recording.path}:site.toml").machine(id)
-        return commission.commission(config, plugins, watched)
+        return commissioning.commission(config, plugins, watched)
     if watched is None:
         raise BadInput(f"{recording.path}: carries neither site nor model; give one with --model MODEL.toml")
     samples = sum(len(b) for b in recording.blocks(id))
-    return commission.commission(_bare(id, calibrate or samples * first.dt / 2), plugins, watched)
+    return commissioning.commission(_bare(id, calibrate or samples * first.dt / 2), plugins, watched)
 
 
 def _diagnose_foreign(
@@ -124,7 +124,7 @@ def _diagnose_foreign(
     for number, trace in enumerate(traces, 1):
         config = _bare(path.stem.replace(" ", "_"), calibrate or len(trace) * trace.dt / 2, on)
         watched = Watched(nominal, trace.dt, trace.channels)
-        machine = _watched_by(detectors, commission.commission(config, plugins, watched))
+        machine = _watched_by(detectors, commissioning.commission(config, plugins, watched))
         replayed = evidence_of(machine, blocks_of(trace, config.id, "table", 0), [], plugins)
         name = str(path) if len(traces) == 1 else f"{path} ({number})"
         found.append(document(name, config.id, replayed, {}, machine, replayed.remarks, prepared([trace])))

@@ -7,21 +7,21 @@ import json
 import numpy as np
 import pytest
 
-from afdsvc import commission
 from afdsvc.api.signals import Trace
+from afdsvc.app import commissioning
+from afdsvc.app.identify import identify_files
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import parse_model, read_model, write_model
 from afdsvc.files.tables.to_recording import import_table
 from afdsvc.lti.frequency import frequency_response
-from afdsvc.modelling import identify_files
 from afdsvc.service.clock import FastClock
 
 
 def recorded(bearing, plugins, purpose: str, seed: int, faults: dict) -> tuple[np.ndarray, object]:
     """Return the samples of one identification burst on a machine with faults, and the machine."""
     machine = bearing("lqg", 0, seed, faults)
-    port = commission.open_port(machine, "s", FastClock(), plugins)
-    burst = commission.identification_burst(machine, purpose, np.random.default_rng(seed))
+    port = commissioning.open_port(machine, "s", FastClock(), plugins)
+    burst = commissioning.identification_burst(machine, purpose, np.random.default_rng(seed))
     port.check(burst, machine.limits)
     blocks = [port.read(), port.read()]
     with port.arm(machine.limits) as drive:
@@ -42,7 +42,7 @@ def test_bursts_fit_the_machine(bearing, plugins, purpose):
 
 def test_an_unknown_purpose_is_named(bearing):
     with pytest.raises(BadInput, match="burst purpose 'x'; one of diagnose, identify"):
-        commission.identification_burst(bearing(), "x", np.random.default_rng(0))
+        commissioning.identification_burst(bearing(), "x", np.random.default_rng(0))
 
 
 def test_a_changed_machine_is_identified_in_closed_loop(bearing, plugins, tmp_path):

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from afdsvc.api.model import Model, Variable
+from afdsvc.app.explain import ExplainOptions, explain_files, means, model_of, traces
 from afdsvc.errors import BadInput
-from afdsvc.explaining import ExplainOptions, explain_files, means, model_of, traces
 from afdsvc.files.model.model_file import read_model, write_model
 from afdsvc.files.tables.tables import read_table
 from afdsvc.files.tables.to_recording import import_table

@@ -13,7 +13,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from afdsvc.batch import Batch, run_batch
+from afdsvc.app.batch import Batch, run_batch
 from afdsvc.errors import BadInput
 
 SHIPPED = sorted((Path(__file__).parents[2] / "recordings" / "shipped").glob("*.mcap"))

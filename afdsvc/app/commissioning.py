@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from afdsvc import stepping
 from afdsvc.api.bursts import Burst, Limits
 from afdsvc.api.clock import Clock
 from afdsvc.api.control_plugins import DesignedController
@@ -18,6 +17,7 @@ from afdsvc.api.model import Model, Variable
 from afdsvc.api.plant import PhysicalPlant
 from afdsvc.api.port import Port
 from afdsvc.api.signals import Channel
+from afdsvc.app import stepped_machine
 from afdsvc.diagnosis.data_quality import Expectation
 from afdsvc.errors import BadInput, NotStabilising
 from afdsvc.excite.identification_bursts import Band, multisine_burst, random_binary_burst, sweep_burst
@@ -137,8 +137,8 @@ def at_speed(machine: Commissioned, speed: float) -> Commissioned:
 
 
 def _read_watched(config: site_file.Machine) -> Watched:
-    if stepping.is_driven(config):
-        model, dt = stepping.driven_model(config)
+    if stepped_machine.is_driven(config):
+        model, dt = stepped_machine.driven_model(config)
         return Watched(model, dt, _channels(model.inputs, model.outputs, True, False))
     trace = read_table(config.driver.recording or Path())
     return Watched(read_model(config.model or Path()), trace.dt, trace.channels)
@@ -157,8 +157,8 @@ def _from_model(config: site_file.Machine, plugins: Plugins, watched: Watched) -
     if missing:
         raise BadInput(f"{model.origin}: the samples have no column {', '.join(missing)}; the model's names are wanted")
     controller = limits = None
-    if stepping.is_driven(config):
-        limits = stepping.checked_limits(stepping.stated_limits(config), len(model.inputs), len(model.outputs))
+    if stepped_machine.is_driven(config):
+        limits = stepped_machine.checked_limits(stepped_machine.stated_limits(config), len(model.inputs), len(model.outputs))
         controller = plugins.get("controllers", config.controller.kind).design(discrete, config.controller.settings)
     return Commissioned(
         config, discrete, model.inputs, model.outputs, _model_cov(config, model), None, controller,
@@ -311,7 +311,7 @@ def _stepped(machine: Commissioned, settings: LoopSettings, clock: Clock) -> Por
     if machine.controller is None or machine.limits is None or machine.output_cov is None:
         raise BadInput(f"machine '{config.id}' has no controller, limits or noise; it can only be replayed")
     faults = default_faults(machine.inputs, machine.outputs) if config.faults is None else config.faults
-    return stepping.open_stepped(
+    return stepped_machine.open_stepped(
         config, (machine.inputs, machine.outputs), machine.controller, machine.output_cov, machine.channels, machine.limits, faults,
         settings, clock, told,
     )  # fmt: skip

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from afdsvc.app.explain import ExplainOptions, load_library, model_of, traces
 from afdsvc.errors import BadInput
 from afdsvc.explain.explain import explain
-from afdsvc.explaining import ExplainOptions, load_library, model_of, traces
 from afdsvc.trial.pages import markdown, page, summary
 from afdsvc.trial.plan import MIX, Request, plan
 from afdsvc.trial.study import Result, study

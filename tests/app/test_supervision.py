@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from afdsvc.app.serve import ask_service
+from afdsvc.app.ask import ask_service
 from afdsvc.files.site import read_site
 
 SITE = """site = "t"

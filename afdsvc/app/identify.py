@@ -8,22 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from afdsvc import commission
-from afdsvc.api.detection import FalseAlarms
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
-from afdsvc.excite.design_sheet import design_sheet
-from afdsvc.excite.diagnosis_burst import Aim, default_burst
 from afdsvc.files.model.model_file import read_model, write_model
 from afdsvc.files.model.stepped import LINEARISED
-from afdsvc.files.site import read_site
 from afdsvc.files.tables.foreign import prepared
 from afdsvc.files.tables.loading import Naming, load_traces
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.pipeline import identify
-from afdsvc.plugins.manager import load
-from afdsvc.present.html.design_page import design_page
 
 
 def read_traces(
@@ -58,21 +51,3 @@ def identify_files(
     return {**document, "notes": [*document["notes"], *data], "report": str(page)}
 
 
-def design_files(site_file: Path, machine: str | None, out: Path | None) -> dict[str, Any]:
-    """Return the design sheet of a machine (``design --json``) and write its page beside the site file."""
-    site, plugins = read_site(site_file), load()
-    config = site.machine(machine) if machine else site.machines[0]
-    parts = commission.commission(config, plugins)
-    if parts.limits is None or parts.output_cov is None:
-        raise BadInput(f"machine '{config.id}' can be watched, not excited; there is no burst to design")
-    alarms = {d.kind: FalseAlarms(d.false_alarms_per_1000_bursts / 1000, d.false_alarms_per_day / 24) for d in config.detectors}
-    first = next(iter(alarms.values()), FalseAlarms())
-    problem = commission.problem(parts, parts.output_cov, parts.process_cov, first)
-    wanted = config.bursts
-    burst = default_burst(problem, parts.limits, wanted.seconds, wanted.output_amplitude, Aim(severity=wanted.severity))
-    per_hour = 3600 / wanted.every_seconds if wanted.every_seconds else 0.0
-    sheet = design_sheet(problem, [burst], alarms, per_hour)
-    page = out or site_file.with_name(f"{site_file.stem}.{config.id}.design.html")
-    units = [v.unit for v in parts.inputs], [v.unit for v in parts.outputs]
-    page.write_text(design_page(problem, burst, sheet, units), encoding="utf-8")
-    return {**sheet, "machine": config.id, "report": str(page)}

@@ -56,15 +56,15 @@ class Batch:
     def document(self, recording: Path, folder: Path) -> Mapping[str, Any]:
         """Return the document of one recording; models and pages the task makes go into ``folder``."""
         if self.task == "diagnose":
-            from afdsvc.offline import diagnose_recordings
+            from afdsvc.app.diagnose import diagnose_recordings
 
             return diagnose_recordings([recording], self.model, detectors=self.detectors, naming=self.naming)
         if self.task == "identify":
-            from afdsvc.modelling import identify_files
+            from afdsvc.app.identify import identify_files
 
             folder.mkdir(parents=True, exist_ok=True)
             return identify_files(self.model or Path(), [recording], [], folder / "identified.toml", {}, 0, naming=self.naming)
-        from afdsvc.explaining import ExplainOptions, explain_files
+        from afdsvc.app.explain import ExplainOptions, explain_files
 
         options = ExplainOptions(out=folder, allow_code=self.allow_code, jobs=1, mapping_file=self.mapping)
         return explain_files(self.model or recording, [recording], (), options)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from afdsvc.fault_planes import fault_planes
+from afdsvc.app.review import fault_planes
 from afdsvc.files.recording.reader import Recording
 
 SHIPPED = Path(__file__).parents[2] / "recordings" / "shipped"

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from afdsvc import commission
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem, FalseAlarms
 from afdsvc.api.signals import Block
+from afdsvc.app import commissioning
 from afdsvc.detect.features.demodulation import Basis, BasisSums, project, window
 from afdsvc.detect.features.regressors import whitener
 from afdsvc.detect.stability_range import reachable
@@ -42,10 +42,10 @@ def fault_planes(recording: Recording, machine: str) -> list[Plane]:
 
 
 def _problem(recording: Recording, machine: str) -> DetectionProblem:
-    found = commission.commission(parse_site(recording.site, f"{recording.path}:site.toml").machine(machine), load())
+    found = commissioning.commission(parse_site(recording.site, f"{recording.path}:site.toml").machine(machine), load())
     if found.output_cov is None:
         raise AfdsvcError(f"machine '{machine}': the noise is unknown")
-    return commission.problem(found, found.output_cov, found.process_cov, FalseAlarms())
+    return commissioning.problem(found, found.output_cov, found.process_cov, FalseAlarms())
 
 
 def _ordered(burst: Burst) -> tuple[Line, ...]:

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from afdsvc.app.diagnose import diagnose_recordings
 from afdsvc.app.serve import serving
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.site import Site, read_site
-from afdsvc.offline import diagnose_recordings
 from afdsvc.plants.registry import plant as plant_by_name
 from afdsvc.service.hub import Hub
 

@@ -1,0 +1,35 @@
+"""`afdsvc design`: the diagnosis burst of a machine, its design sheet and page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from afdsvc.api.detection import FalseAlarms
+from afdsvc.app import commissioning
+from afdsvc.errors import BadInput
+from afdsvc.excite.design_sheet import design_sheet
+from afdsvc.excite.diagnosis_burst import Aim, default_burst
+from afdsvc.files.site import read_site
+from afdsvc.plugins.manager import load
+from afdsvc.present.html.design_page import design_page
+
+
+def design_files(site_file: Path, machine: str | None, out: Path | None) -> dict[str, Any]:
+    """Return the design sheet of a machine (``design --json``) and write its page beside the site file."""
+    site, plugins = read_site(site_file), load()
+    config = site.machine(machine) if machine else site.machines[0]
+    parts = commissioning.commission(config, plugins)
+    if parts.limits is None or parts.output_cov is None:
+        raise BadInput(f"machine '{config.id}' can be watched, not excited; there is no burst to design")
+    alarms = {d.kind: FalseAlarms(d.false_alarms_per_1000_bursts / 1000, d.false_alarms_per_day / 24) for d in config.detectors}
+    first = next(iter(alarms.values()), FalseAlarms())
+    problem = commissioning.problem(parts, parts.output_cov, parts.process_cov, first)
+    wanted = config.bursts
+    burst = default_burst(problem, parts.limits, wanted.seconds, wanted.output_amplitude, Aim(severity=wanted.severity))
+    per_hour = 3600 / wanted.every_seconds if wanted.every_seconds else 0.0
+    sheet = design_sheet(problem, [burst], alarms, per_hour)
+    page = out or site_file.with_name(f"{site_file.stem}.{config.id}.design.html")
+    units = [v.unit for v in parts.inputs], [v.unit for v in parts.outputs]
+    page.write_text(design_page(problem, burst, sheet, units), encoding="utf-8")
+    return {**sheet, "machine": config.id, "report": str(page)}

@@ -1,0 +1,72 @@
+"""`afdsvc rig`: the rig agent of one machine, control first, the network when it is there."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import uuid
+from contextlib import closing
+from functools import partial
+
+from afdsvc import __version__
+from afdsvc.api.clock import Clock
+from afdsvc.app import commissioning
+from afdsvc.app.serve import access_of
+from afdsvc.files.site import Site
+from afdsvc.hal.agent import RigAgent
+from afdsvc.plugins.manager import load
+from afdsvc.service.clock import RealClock
+from afdsvc.transport.access_rules import rig_name
+from afdsvc.transport.zenoh_session import NoPeer, Transport
+from afdsvc.wire.keys import Keys
+from afdsvc.wire.messages import RigDescription
+
+
+def rig_agent(site: Site, id: str, transport: Transport, clock: Clock) -> RigAgent:
+    """Return the rig agent of one machine, its port open, ready to run."""
+    plugins = load()
+    machine = commissioning.commission(site.machine(id), plugins)
+    session = uuid.uuid4().hex
+    port = commissioning.open_port(machine, session, clock, plugins)
+    description = RigDescription(
+        id, session, clock.now_ns(), port.dt, port.channels, machine.limits,
+        machine.controller.description if machine.controller else "unknown", site.text, machine.model_text(), __version__,
+        machine.config.driver.kind,
+    )  # fmt: skip
+    truth = [(round(f.at_seconds / port.dt), f"{f.name} {f.severity:g}") for f in machine.config.driver.faults]
+    return RigAgent(Keys(site.site), description, port, transport, clock, truth, patient=not machine.config.driver.real_time)
+
+
+def run_rig(
+    site: Site, id: str, seconds: float | None, stop: threading.Event, emergency: threading.Event | None = None
+) -> None:
+    """Run a rig agent. Control begins at once and the network joins when a service is there; a replay waits for it instead."""
+    config, clock = site.machine(id), RealClock()
+    commissioning.commission(config, load())
+    settings = site.transport.model_copy(update={"patience_seconds": min(site.transport.patience_seconds, 1.0)})
+    transport = Transport(settings, False, access_of(site, rig_name(id)))
+    connect = partial(_wait_for_service, transport)
+    waits = not config.driver.real_time or config.driver.kind == "replay"
+    with closing(transport):
+        if waits:
+            connect(stop)
+        if stop.is_set():
+            return
+        agent = rig_agent(site, id, transport, clock)
+        agent.stopping, agent.emergency = stop, emergency or threading.Event()
+        agent.connect = None if waits else connect
+        agent.run(seconds)
+
+
+def _wait_for_service(transport: Transport, stop: threading.Event) -> None:
+    """Open the transport as soon as a service is there; say once that it is not."""
+    told = False
+    while not stop.is_set():
+        try:
+            transport.open()
+            return
+        except NoPeer as absent:
+            if not told:
+                print(f"afdsvc: waiting: {absent}", file=sys.stderr, flush=True)
+            told = True
+            stop.wait(0.2)
