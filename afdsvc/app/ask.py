@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from afdsvc.app.serve import access_of
 from afdsvc.files.site import Site
 from afdsvc.service import operator_requests
 from afdsvc.service.operator_requests import QUESTIONS
+from afdsvc.transport.access_rules import access_of
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire.keys import Keys
 

@@ -11,12 +11,11 @@ from functools import partial
 from afdsvc import __version__
 from afdsvc.api.clock import Clock
 from afdsvc.app import commissioning
-from afdsvc.app.serve import access_of
 from afdsvc.files.site import Site
 from afdsvc.hal.agent import RigAgent
 from afdsvc.plugins.manager import load
 from afdsvc.service.clock import RealClock
-from afdsvc.transport.access_rules import rig_name
+from afdsvc.transport.access_rules import access_of, rig_name
 from afdsvc.transport.zenoh_session import NoPeer, Transport
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import RigDescription

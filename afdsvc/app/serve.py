@@ -1,7 +1,4 @@
-"""The background service of one site and the rig agent: the only place that joins concrete parts.
-
-Where a site's recordings, reviews and alarms go: files, viewers and people.
-"""
+"""`afdsvc serve`: the background service of one site, and where its recordings, reviews and alarms go."""
 
 from __future__ import annotations
 
@@ -52,6 +49,8 @@ from afdsvc.wire.messages import AlarmChange
 
 if TYPE_CHECKING:
     from afdsvc.present.rerun.sink import ReviewSink
+
+CLOSING_SECONDS = 1.5  # all files together: a service has 5 s to stop
 
 
 @contextmanager
@@ -105,9 +104,6 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         if site.web.listen:
             stack.callback(serve_page(site.web.listen, hub))
         yield hub
-
-
-CLOSING_SECONDS = 1.5  # all files together: a service has 5 s to stop
 
 
 class Outlets:

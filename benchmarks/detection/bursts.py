@@ -14,7 +14,7 @@ from afdsvc.detect.features.regressors import regressors
 from afdsvc.detect.statistics.matched_filter import window
 from afdsvc.excite.simulated_burst import rehearse
 from afdsvc.lti.statespace import Array
-from afdsvc.testing.trials import Trials, trials
+from benchmarks.support.trials import Trials, trials
 
 CHUNK = 50
 

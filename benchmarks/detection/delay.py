@@ -142,7 +142,7 @@ def active_delays(case: Case, fault: str, severities: tuple[float, ...], runs: i
 
 
 def _active_information(player: Player, fault: str, severity: float) -> Array:
-    from afdsvc.detect.templates import templates
+    from benchmarks.support.templates import templates
 
     K = len(player.problem.fault_names)
     found = templates(player.problem, player.burst.play(player.problem.plant.dt), np.full(K, severity))

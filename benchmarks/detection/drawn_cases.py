@@ -21,7 +21,7 @@ from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.plants.gas_bearing import gas_bearing
 from afdsvc.plants.unstable_second_order import unstable_second_order
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem
-from afdsvc.testing.trials import innovations_loop
+from benchmarks.support.trials import innovations_loop
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.thresholds.power import tail_point
 from afdsvc.detect.thresholds.regressor_information import noise_driven
 from afdsvc.lti.statespace import Array
-from afdsvc.testing.trials import Trials, trials
+from benchmarks.support.trials import Trials, trials
 
 COUNTED = 0.1  # rates from here on are counted on healthy bursts, smaller ones weighted
 AIMED = (1e-2, 5e-4, 1e-5)  # tails whose points the deflections of the faulty machines are

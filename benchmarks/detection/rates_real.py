@@ -21,7 +21,7 @@ from afdsvc.detect.features.demodulation import Basis, BasisSums, window
 from afdsvc.excite.simulated_burst import Rehearsal, rehearse
 from afdsvc.lti.statespace import Array
 from afdsvc.testing.machines import with_rate
-from afdsvc.testing.trials import trials
+from benchmarks.support.trials import trials
 
 QUIET = 1000  # samples between bursts
 

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks.support
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
@@ -30,7 +32,7 @@ from afdsvc.detect.stability_range import reachable  # noqa: E402
 from afdsvc.detect.statistics.iterated_regression import Iterated, iterated  # noqa: E402
 from afdsvc.excite.expected_detection import Prospect, prospect  # noqa: E402
 from afdsvc.lti.statespace import Array  # noqa: E402
-from afdsvc.testing.trials import trials  # noqa: E402
+from benchmarks.support.trials import trials  # noqa: E402
 
 SEED = 1
 ROOT = Path(__file__).resolve().parents[2]

@@ -14,7 +14,7 @@ from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array
 from afdsvc.plants.gas_bearing import gas_bearing
 from afdsvc.testing.machines import bearing_problem, unstable_problem
-from afdsvc.testing.trials import innovations_loop, trials
+from benchmarks.support.trials import innovations_loop, trials
 
 NUDGE = 1e-5
 RECORDS = 40  # from which the information is averaged: it hardly varies

@@ -24,6 +24,8 @@ import warnings
 from pathlib import Path
 from random import Random
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks.support
+
 SHARES = {
     "wire": 0.80, "burst": 0.01, "recording": 0.03, "csv": 0.04, "npz": 0.04, "parquet": 0.01, "mat": 0.02, "mat73": 0.01,
     "model": 0.02, "site": 0.02,
@@ -42,7 +44,7 @@ def late(*_: object) -> None:
 
 def work(name: str, seed: int, first: int, count: int, progress: Path) -> None:
     """Eat inputs in this process, telling where it stands in ``progress``; print what is found as JSON lines."""
-    from afdsvc.testing.hostile import TARGETS
+    from benchmarks.support.hostile import TARGETS
 
     warnings.simplefilter("ignore")
     scratch = "/dev/shm" if Path("/dev/shm").is_dir() else None

@@ -10,13 +10,13 @@ from bearing import TRUE, binary, run
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 from page import picture, table, write
+from spectral import direct_spectral, indirect_spectral
 
 from afdsvc.dataset.arrays import Recording
 from afdsvc.identify.methods.hansen import rebuilt_plant
 from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
 from afdsvc.identify.methods.subspace import decompose, realise
 from afdsvc.identify.reduction import compare_reductions, refine
-from afdsvc.identify.spectral import direct_spectral, indirect_spectral
 from afdsvc.identify.validation import relative_error
 from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response

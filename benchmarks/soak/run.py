@@ -27,16 +27,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks.support
+
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import read_site
 from afdsvc.service.alarm_history import History
-from afdsvc.testing.messages import EXAMPLES
-from afdsvc.testing.mutation import mutate_bytes
-from afdsvc.testing.proxy import Proxy
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import AlarmKind
+from benchmarks.support.messages import EXAMPLES
+from benchmarks.support.mutation import mutate_bytes
+from benchmarks.support.proxy import Proxy
 
 FAULTS = ("horizontal_actuator", "vertical_actuator", "horizontal_sensor", "vertical_sensor")
 HERE = Path(__file__).parent

@@ -22,7 +22,7 @@ from afdsvc.excite.multisine import Wish, multisine
 from afdsvc.excite.power_allocation import allocate, candidates
 from afdsvc.lti.lft import actuator_gain, augment
 from afdsvc.testing.machines import bearing_problem, with_rate
-from afdsvc.testing.trials import trials
+from benchmarks.support.trials import trials
 
 LINES = (Line(0, 1298.0, 2.0), Line(1, 1348.0, 2.0))
 DRAWS = 200_000

@@ -10,7 +10,7 @@ from afdsvc.detect.isolation import NONE
 from afdsvc.detect.statistics.matched_filter import MatchedFilter
 from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.testing.machines import unstable_problem
-from afdsvc.testing.trials import trials
+from benchmarks.support.trials import trials
 
 LOOSE = Limits(np.full(1, 1e6), np.full(1, 1e6), np.full(1, 1e6))
 

@@ -15,7 +15,7 @@ from afdsvc.detect.statistics.regression import regression
 from afdsvc.detect.thresholds.regressor_information import noise_driven
 from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem, with_rate
-from afdsvc.testing.trials import faulty, tilted, trials
+from benchmarks.support.trials import faulty, tilted, trials
 
 MACHINES = {
     "proportional 0": lambda: bearing_problem("proportional", 0),

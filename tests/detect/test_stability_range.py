@@ -6,11 +6,11 @@ import pytest
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.statistics.active_cusum import ActiveCusum
-from afdsvc.detect.templates import templates
 from afdsvc.errors import BadInput
 from afdsvc.plugins.detectors import afdsvc_detectors
 from afdsvc.testing.machines import unstable_problem
-from afdsvc.testing.trials import trials
+from benchmarks.support.templates import templates
+from benchmarks.support.trials import trials
 
 DESIGNS = {d.name: d for d in afdsvc_detectors()}
 BURST = Burst("sine", 1, 3000, 100, (Line(0, 125.0, 0.3),), settle=100)

@@ -10,7 +10,7 @@ from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.excite.simulated_burst import played, rehearse
 from afdsvc.plugins.detectors import afdsvc_detectors
 from afdsvc.testing.machines import bearing_problem
-from afdsvc.testing.streaming import many_faults, work
+from benchmarks.support.streaming import many_faults, work
 
 DESIGNS = {d.name: d for d in afdsvc_detectors()}
 QUIET, SIZE = 3000, 500

@@ -15,9 +15,9 @@ from afdsvc.errors import AfdsvcError
 from afdsvc.files.model.model_file import parse_model
 from afdsvc.files.site import parse_site
 from afdsvc.service import operator_requests
-from afdsvc.testing.hostile import TARGETS
-from afdsvc.testing.messages import EXAMPLES
 from afdsvc.wire import codec
+from benchmarks.support.hostile import TARGETS
+from benchmarks.support.messages import EXAMPLES
 
 COUNTS = {"wire": 3000, "burst": 60, "recording": 200, "csv": 300, "npz": 300, "parquet": 150, "mat": 300, "mat73": 100, "model": 300}
 

@@ -14,7 +14,7 @@ from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.excite.simulated_burst import played, rehearse
 from afdsvc.lti.lft import FaultDirection, augment
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem
-from afdsvc.testing.streaming import many_faults
+from benchmarks.support.streaming import many_faults
 
 
 def any_faults(problem, count, seed=0):

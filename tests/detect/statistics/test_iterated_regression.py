@@ -8,7 +8,7 @@ from afdsvc.detect.statistics.iterated_regression import iterated
 from afdsvc.detect.thresholds.regressor_information import noise_driven
 from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.testing.machines import bearing_problem
-from afdsvc.testing.trials import trials
+from benchmarks.support.trials import trials
 
 
 def test_bias_and_spread_of_the_signed_root_are_taken_out():

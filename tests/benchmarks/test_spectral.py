@@ -6,10 +6,10 @@ import pytest
 from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.identify.numerics.impulse_fit import approach
-from afdsvc.identify.spectral import direct_spectral, indirect_spectral
 from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
+from benchmarks.identify.spectral import direct_spectral, indirect_spectral
 
 GAIN = 0.2 * np.eye(2)
 

@@ -1,6 +1,6 @@
 """What locating costs: 10 s at 5 kHz, two inputs and two outputs, against the 3 s it may take, in processor time.
 
-    python benchmarks/gap/locate.py
+    python benchmarks/explain/locate.py
 """
 
 from __future__ import annotations

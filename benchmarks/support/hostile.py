@@ -31,10 +31,10 @@ from afdsvc.files.site import Driver, Machine, parse_site
 from afdsvc.files.tables.tables import read_table
 from afdsvc.plugins.manager import load
 from afdsvc.service.clock import FastClock
-from afdsvc.testing.messages import EXAMPLES
-from afdsvc.testing.mutation import mutate_bytes, mutate_text
 from afdsvc.wire import codec
 from afdsvc.wire.messages import BurstRequest
+from benchmarks.support.messages import EXAMPLES
+from benchmarks.support.mutation import mutate_bytes, mutate_text
 
 MODEL = """name = "axis"
 time = "discrete"

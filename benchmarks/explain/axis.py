@@ -1,6 +1,6 @@
 """How near `explain` comes to what any dry-friction model of the measured positioning axis can reach.
 
-    AFDSVC_DATA=DATA python benchmarks/gap/axis.py
+    AFDSVC_DATA=DATA python benchmarks/explain/axis.py
 
 The measure is the published one: the force of the drive in closed loop, its position and velocity loops closed around the
 model, against the measured force (A. Janot, M. Gautier, M. Brunot, "Data set and reference models of EMPS", 2019). Rows:

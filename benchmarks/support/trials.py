@@ -15,12 +15,12 @@ from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.burst_detector import BurstSamples
 from afdsvc.detect.features.regressors import Regressors, regressors
-from afdsvc.detect.templates import templates
 from afdsvc.excite.simulated_burst import Rehearsal, faulty_loop, played, rehearse
 from afdsvc.lti.lft import star
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import innovations
+from benchmarks.support.templates import templates
 
 
 @dataclass(frozen=True, slots=True, eq=False)
