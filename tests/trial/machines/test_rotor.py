@@ -8,7 +8,6 @@ import pytest
 from afdsvc.explain.explain import explain
 from afdsvc.files.model.model_file import parse_model
 from afdsvc.plugins.manager import load
-from afdsvc.record.model_file import parse_model
 from afdsvc.trial.generate import Trial, generate
 from afdsvc.trial.machines.controllers import held
 from afdsvc.trial.machines.rotor import RotorOptions, rotor
