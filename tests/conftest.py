@@ -11,6 +11,7 @@ import pytest
 
 from afdsvc.api.port import DrivablePort
 from afdsvc.app import commissioning
+from afdsvc.lti.statespace import StateSpace
 from afdsvc.files.site import FaultInjection, Machine, Named
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.clock import FastClock
@@ -62,6 +63,25 @@ def simulated(bearing, plugins: Plugins) -> Callable[..., DrivablePort]:
 
     def make(*args, session: str = "test", **kwargs) -> DrivablePort:
         return commissioning.open_port(bearing(*args, **kwargs), session, FastClock(), plugins)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def oscillators() -> Callable[[int, int, int, int], StateSpace]:
+    """A stable system of well separated modes, from a seed and (order, inputs, outputs)."""
+
+    def make(seed: int, order: int = 6, inputs: int = 2, outputs: int = 2) -> StateSpace:
+        rng = np.random.default_rng(seed)
+        A = np.zeros((order, order))
+        for i in range(0, order - 1, 2):
+            radius, angle = rng.uniform(0.75, 0.95), (i + 1 + rng.uniform(-0.4, 0.4)) * 2.6 / order
+            block = [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+            A[i : i + 2, i : i + 2] = radius * np.array(block)
+        if order % 2:
+            A[-1, -1] = rng.uniform(0.3, 0.8)
+        B, C = rng.standard_normal((order, inputs)), rng.standard_normal((outputs, order))
+        return StateSpace.of(A, B, C, np.zeros((outputs, inputs)), 1.0)
 
     return make
 
