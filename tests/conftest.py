@@ -11,8 +11,8 @@ import pytest
 
 from afdsvc.api.port import DrivablePort
 from afdsvc.app import commissioning
-from afdsvc.lti.statespace import StateSpace
 from afdsvc.files.site import FaultInjection, Machine, Named
+from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.clock import FastClock
 
