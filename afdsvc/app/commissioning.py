@@ -76,7 +76,7 @@ class Commissioned:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Watched:
+class RecordedMachine:
     """What is known of a machine that has no plant of ours: its model, and how its samples look."""
 
     model: Model
@@ -84,7 +84,7 @@ class Watched:
     channels: tuple[Channel, ...]
 
 
-def commission(config: site_file.Machine, plugins: Plugins, watched: Watched | None = None) -> Commissioned:
+def commission(config: site_file.Machine, plugins: Plugins, watched: RecordedMachine | None = None) -> Commissioned:
     """Return the machine's parts; raises `BadInput` that names the machine and what is wrong with it.
 
     ``watched`` replaces the files that a machine with ``model`` is otherwise read from.
@@ -136,15 +136,15 @@ def at_speed(machine: Commissioned, speed: float) -> Commissioned:
     return replace(machine, plant=augmented.plant, augmented=augmented, speed=speed, physical=physical)
 
 
-def _read_watched(config: site_file.Machine) -> Watched:
+def _read_watched(config: site_file.Machine) -> RecordedMachine:
     if stepped_machine.is_driven(config):
         model, dt = stepped_machine.driven_model(config)
-        return Watched(model, dt, _channels(model.inputs, model.outputs, True, False))
+        return RecordedMachine(model, dt, _channels(model.inputs, model.outputs, True, False))
     trace = read_table(config.driver.recording or Path())
-    return Watched(read_model(config.model or Path()), trace.dt, trace.channels)
+    return RecordedMachine(read_model(config.model or Path()), trace.dt, trace.channels)
 
 
-def _from_model(config: site_file.Machine, plugins: Plugins, watched: Watched) -> Commissioned:
+def _from_model(config: site_file.Machine, plugins: Plugins, watched: RecordedMachine) -> Commissioned:
     """A model file describes a machine that is watched, or driven in a loop of ours; the model's own controller only simulates."""
     model = watched.model
     if model.plant is None:

@@ -12,7 +12,7 @@ from afdsvc.api.evidence import Evidence
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Block
 from afdsvc.app import commissioning
-from afdsvc.app.commissioning import Commissioned, Watched
+from afdsvc.app.commissioning import Commissioned, RecordedMachine
 from afdsvc.app.pipelines import pipeline_of
 from afdsvc.diagnosis.verdict import conclude
 from afdsvc.errors import BadInput
@@ -104,7 +104,7 @@ def _machine_of(recording: Recording, id: str, model: Path | None, calibrate: fl
     watched = None
     inside = read_model(model) if model else recording.model(id)
     if inside is not None:
-        watched = Watched(inside, first.dt, first.channels)
+        watched = RecordedMachine(inside, first.dt, first.channels)
     if recording.site and model is None:
         config = parse_site(recording.site, f"{recording.path}:site.toml").machine(id)
         return commissioning.commission(config, plugins, watched)
@@ -123,7 +123,7 @@ def _diagnose_foreign(
     found = []
     for number, trace in enumerate(traces, 1):
         config = _bare(path.stem.replace(" ", "_"), calibrate or len(trace) * trace.dt / 2, on)
-        watched = Watched(nominal, trace.dt, trace.channels)
+        watched = RecordedMachine(nominal, trace.dt, trace.channels)
         machine = _watched_by(detectors, commissioning.commission(config, plugins, watched))
         replayed = evidence_of(machine, blocks_of(trace, config.id, "table", 0), [], plugins)
         name = str(path) if len(traces) == 1 else f"{path} ({number})"

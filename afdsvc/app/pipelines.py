@@ -12,17 +12,17 @@ from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, FalseAlarms
 from afdsvc.app import commissioning
 from afdsvc.app.commissioning import Commissioned
-from afdsvc.diagnosis.pipeline import CalibratedPipeline, Judged, Pipeline, calibrated
+from afdsvc.diagnosis.pipeline import CalibratedPipeline, ExcitableStream, Pipeline, calibrated
 from afdsvc.diagnosis.speed_schedule import SpeedPipeline
 from afdsvc.errors import BadInput
 from afdsvc.excite.diagnosis_burst import Aim, default_burst, second_burst
 from afdsvc.plugins.manager import Plugins
-from afdsvc.service.scheduler import Wanted
+from afdsvc.service.scheduler import BurstOrder
 
 
 def pipeline_of(
     machine: Commissioned, plugins: Plugins, ready: Callable[[DetectionProblem], object] | None = None, beside: Executor | None = None
-) -> Judged:
+) -> ExcitableStream:
     """Return the machine's way from blocks to evidence, calibrated on its first quiet data where the site wants that.
 
     A machine with ``speed_step_rpm`` has one way for every speed; ``ready`` is called with the problem of each, and those of
@@ -86,8 +86,8 @@ def diagnosis_burst(machine: Commissioned) -> Callable[[DetectionProblem], Burst
 
 
 def burst_design(
-    machine: Commissioned, stream: Judged, diagnosis: Callable[[DetectionProblem], Burst] | None = None
-) -> Callable[[Wanted], Burst]:
+    machine: Commissioned, stream: ExcitableStream, diagnosis: Callable[[DetectionProblem], Burst] | None = None
+) -> Callable[[BurstOrder], Burst]:
     """Return the design of the machine's bursts by purpose, for the speed the machine runs at."""
     settings, limits = machine.config.bursts, machine.limits
     if limits is None:
@@ -97,7 +97,7 @@ def burst_design(
         diagnosis(stream.problem)  # what is wrong with it shows before anything moves
     rng = np.random.default_rng(0)
 
-    def design(wanted: Wanted) -> Burst:
+    def design(wanted: BurstOrder) -> Burst:
         problem = stream.problem
         if wanted.purpose == "diagnose":
             return diagnosis(problem)

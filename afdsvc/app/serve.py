@@ -26,23 +26,23 @@ from afdsvc.files.recording.retention import Keep
 from afdsvc.files.site import Site
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.alarm_history import History
-from afdsvc.service.burst_requests import BurstDesk
+from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.service.clock import RealClock
 from afdsvc.service.housekeeping import Housekeeper
 from afdsvc.service.hub import Hub
-from afdsvc.service.machine import MachineWatch
+from afdsvc.service.machine import MachineMonitor
 from afdsvc.service.metrics import serve_metrics
-from afdsvc.service.notifications import Outbox
+from afdsvc.service.notifications import NotificationQueue
 from afdsvc.service.operator_requests import plain
 from afdsvc.service.scheduler import Scheduler
-from afdsvc.service.sinks.fan_out import Fan, Sink, ThreadedSink
-from afdsvc.service.sinks.pre_alarm_buffer import BlackBox
+from afdsvc.service.sinks.fan_out import FanOut, Sink, ThreadedSink
+from afdsvc.service.sinks.pre_alarm_buffer import PreAlarmBuffer
 from afdsvc.service.sinks.publisher_sink import Publisher
 from afdsvc.service.sinks.recorder_sink import RecorderSink
 from afdsvc.service.status_page import serve_page
-from afdsvc.service.warm_up import Rehearsals
+from afdsvc.service.warm_up import WarmUp
 from afdsvc.transport.access_rules import SERVICE, access_of
-from afdsvc.transport.outgoing_queue import Post
+from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import AlarmChange
@@ -58,29 +58,29 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
     """Run the service of a site while the block lasts; raises `BadInput` before anything moves when the site is wrong."""
     clock, plugins = clock or RealClock(), load()
     machines = [commissioning.commission(m, plugins) for m in site.machines]
-    keys, outlets = Keys(site.site), Outlets(site, clock)
+    keys, outlets = Keys(site.site), SiteSinks(site, clock)
     with ExitStack() as stack:
         transport = stack.enter_context(Transport(site.transport, True, access_of(site, SERVICE)))
-        post, news = Post(transport.publish, "post"), Post(partial(transport.publish, keep=False), "news", size=400)
+        post, news = OutgoingQueue(transport.publish, "post"), OutgoingQueue(partial(transport.publish, keep=False), "news", size=400)
         outlets.posts.append(post)
         for opened in (post, news):
             stack.callback(opened.close, 0.5)
         stack.callback(outlets.close)
         beside = ThreadPoolExecutor(1, "afdsvc-commission")
         stack.callback(beside.shutdown, wait=False, cancel_futures=True)
-        watches: dict[str, MachineWatch] = {}
-        desks: dict[str, BurstDesk] = {}
+        watches: dict[str, MachineMonitor] = {}
+        desks: dict[str, BurstRequests] = {}
         rehearsed: list[tuple[Pipeline, Burst]] = []
         for machine in machines:
             id, diagnosis = machine.config.id, diagnosis_burst(machine)
             stream = pipeline_of(machine, plugins, diagnosis, beside)
-            sink = Fan([*outlets.of(machine), Publisher(keys, post, news, transport.heard)])
-            watches[id] = MachineWatch(id, stream, sink, clock)
+            sink = FanOut([*outlets.of(machine), Publisher(keys, post, news, transport.heard)])
+            watches[id] = MachineMonitor(id, stream, sink, clock)
             if machine.limits is not None and isinstance(stream, Pipeline):
                 rehearsed.append((stream, diagnosis(stream.problem)))
             if machine.limits is not None:
                 scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(desks)), 0.0)
-                desks[id] = BurstDesk(id, burst_design(machine, stream, diagnosis), scheduler, stream, sink, keys, transport, clock)
+                desks[id] = BurstRequests(id, burst_design(machine, stream, diagnosis), scheduler, stream, sink, keys, transport, clock)
         history = outlets.history()
         outboxes = open_outboxes(site, history, plugins)
         for outbox in outboxes:
@@ -92,7 +92,7 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
             outboxes=outboxes,
         )  # fmt: skip
         housekeeper = outlets.housekeeper()
-        rehearsals = Rehearsals(rehearsed)
+        rehearsals = WarmUp(rehearsed)
         rehearsals.start()
         stack.callback(rehearsals.close)
         hub.start()
@@ -106,7 +106,7 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         yield hub
 
 
-class Outlets:
+class SiteSinks:
     """The recordings of all machines and the one review of the site, and what went wrong with them."""
 
     def __init__(self, site: Site, clock: Clock) -> None:
@@ -114,7 +114,7 @@ class Outlets:
         self._recorders: list[tuple[RecorderSink, ThreadedSink]] = []
         self._review: tuple[ReviewSink, ThreadedSink] | None = None
         self._boxes: list[ThreadedSink] = []
-        self.posts: list[Post] = []  # what is sent to viewers and must arrive, so that its drops are counted too
+        self.posts: list[OutgoingQueue] = []  # what is sent to viewers and must arrive, so that its drops are counted too
 
     def of(self, machine: Commissioned) -> list[Sink]:
         """Return the sinks of one machine; the review is shared, one tab per machine."""
@@ -138,7 +138,7 @@ class Outlets:
         seconds = self._site.alarms.before_seconds
         if not seconds:
             return []
-        box = BlackBox(recorder.base.parent / "alarms" / recorder.base.name, recorder.header, seconds)
+        box = PreAlarmBuffer(recorder.base.parent / "alarms" / recorder.base.name, recorder.header, seconds)
         self._boxes.append(ThreadedSink(box, f"black box of {id}", _teller("black box"), pause=0.5))
         return self._boxes[-1:]
 
@@ -189,10 +189,10 @@ def _teller(what: str) -> Callable[[str], None]:
     return lambda why: print(f"afdsvc: {what}: {why}", file=sys.stderr, flush=True)
 
 
-def open_outboxes(site: Site, history: History, plugins: Plugins) -> list[Outbox]:
+def open_outboxes(site: Site, history: History, plugins: Plugins) -> list[NotificationQueue]:
     """Return who hears of alarms: the history first, then every notifier of the site file."""
     opened = [(n.kind, plugins.get("notifiers", n.kind).open(n.settings)) for n in site.alarms.notify]
-    return [Outbox("the history", history.add)] + [Outbox(name, _as_values(notify)) for name, notify in opened]
+    return [NotificationQueue("the history", history.add)] + [NotificationQueue(name, _as_values(notify)) for name, notify in opened]
 
 
 def _as_values(notify: Notify) -> Callable[[AlarmChange], None]:

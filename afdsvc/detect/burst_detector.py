@@ -16,7 +16,7 @@ import numpy as np
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, ResidualBlock
 from afdsvc.api.evidence import Evidence, Severity
-from afdsvc.detect.features.data_checks import BurstChecks, Runs, Shown
+from afdsvc.detect.features.data_checks import BurstChecks, PlayedLines, Runs
 from afdsvc.detect.features.nuisances import NONE as NO_NUISANCES
 from afdsvc.detect.features.nuisances import Cleaning, Nuisances
 from afdsvc.detect.features.quiet_window import NOTHING, Recent
@@ -86,12 +86,12 @@ class Playing:
     asked: Array
     checks: BurstChecks
     sums: Any
-    shown: Shown
+    shown: PlayedLines
     decided: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WatchState:
+class BurstDetectorState:
     """State of a burst detector: filters, gate, runs of constant values, the burst in progress, nuisances of quiet data."""
 
     filters: Any
@@ -120,12 +120,12 @@ class BurstDetector:
     frozen: int = 100
     nuisances: Nuisances = NO_NUISANCES
 
-    def start(self) -> WatchState:
+    def start(self) -> BurstDetectorState:
         """Return the initial state."""
         p = self.problem.plant.outputs
-        return WatchState(at_rest(self.filters), self.gate.start(0, p), Runs.start(p))
+        return BurstDetectorState(at_rest(self.filters), self.gate.start(0, p), Runs.start(p))
 
-    def step(self, state: WatchState, block: ResidualBlock) -> tuple[WatchState, Sequence[Evidence]]:
+    def step(self, state: BurstDetectorState, block: ResidualBlock) -> tuple[BurstDetectorState, Sequence[Evidence]]:
         """Return the state after the block and the decisions that fell inside it."""
         found: list[Evidence] = []
         if block.gap:
@@ -136,7 +136,7 @@ class BurstDetector:
             found += evidence
         return state, found
 
-    def _broken(self, state: WatchState, block: ResidualBlock, because: str) -> tuple[WatchState, list[Evidence]]:
+    def _broken(self, state: BurstDetectorState, block: ResidualBlock, because: str) -> tuple[BurstDetectorState, list[Evidence]]:
         """Forget what was accumulated; a burst in progress can no longer be judged, but is followed to its end."""
         playing = state.playing
         if playing is not None:
@@ -144,7 +144,7 @@ class BurstDetector:
         gate = self.gate.restart(state.gate, because)
         return replace(state, filters=at_rest(self.filters), gate=gate, playing=playing, cleaning=None, recent=NOTHING), []
 
-    def _piece(self, state: WatchState, piece: ResidualBlock) -> tuple[WatchState, list[Evidence]]:
+    def _piece(self, state: BurstDetectorState, piece: ResidualBlock) -> tuple[BurstDetectorState, list[Evidence]]:
         found: list[Evidence] = []
         if state.playing is not None and not _same_burst(state.playing, piece):
             found += self._judge(state, state.playing, piece.k0 - 1, piece.dt)
@@ -159,15 +159,15 @@ class BurstDetector:
             cleaning, clean, kept = self.nuisances.clean(state.cleaning, piece, series[:, :1], self.gate.part)
             recent = recent.add(piece, self.gate.window + self.gate.settle)
             gate = self.gate.add(gate, clean if kept.all() else clean[kept])
-        state = WatchState(filters, gate, runs, state.playing, cleaning, recent)
+        state = BurstDetectorState(filters, gate, runs, state.playing, cleaning, recent)
         if piece.burst is not None:
             state, evidence = self._burst_piece(state, piece, piece.burst, series, longest)
             found += evidence
         return state, found
 
     def _burst_piece(
-        self, state: WatchState, piece: ResidualBlock, burst: Burst, series: Array, longest: Array
-    ) -> tuple[WatchState, list[Evidence]]:
+        self, state: BurstDetectorState, piece: ResidualBlock, burst: Burst, series: Array, longest: Array
+    ) -> tuple[BurstDetectorState, list[Evidence]]:
         found: list[Evidence] = []
         now = state.playing or self._begin(piece, burst)
         first = piece.k0 - now.start
@@ -192,10 +192,10 @@ class BurstDetector:
         limit = np.full(self.problem.plant.inputs, np.inf) if limits is None else np.asarray(limits.input, dtype=float)
         checks = BurstChecks(limit, gap=piece.k0 > piece.burst_start)
         sums = self.statistic.start(burst, piece.dt)
-        shown, name = Shown.start(self.problem.plant.inputs), piece.burst_name or burst.name
+        shown, name = PlayedLines.start(self.problem.plant.inputs), piece.burst_name or burst.name
         return Playing(burst, name, piece.burst_start, asked, checks, sums, shown)
 
-    def _early(self, state: WatchState, now: Playing, finding: Finding, piece: ResidualBlock) -> list[Evidence]:
+    def _early(self, state: BurstDetectorState, now: Playing, finding: Finding, piece: ResidualBlock) -> list[Evidence]:
         """Report a finding before the burst has ended, unless something speaks against it (then the end decides)."""
         complaint = now.checks.complaint(now.checks.n, self.frozen, self.problem.input_names, self.problem.output_names)
         complaint = complaint or now.shown.complaint(self.problem, now.burst)
@@ -205,7 +205,7 @@ class BurstDetector:
         k = now.start + int(finding.parts.get("sample", now.checks.n - 1))
         return [evidence(self.name, self.problem.machine, k, piece.dt, now.name, finding, judgement, "", self.sure)]
 
-    def _judge(self, state: WatchState, now: Playing, k: int, dt: float) -> list[Evidence]:
+    def _judge(self, state: BurstDetectorState, now: Playing, k: int, dt: float) -> list[Evidence]:
         if now.decided:
             return []
         problem = self.problem
@@ -220,7 +220,7 @@ class BurstDetector:
         about = (self.name, problem.machine, k, dt, now.name)
         return [evidence(*about, f, judgement, complaint, self.sure) for f in findings]
 
-    def _judgement(self, state: WatchState) -> Judgement:
+    def _judgement(self, state: BurstDetectorState) -> Judgement:
         """Return whether the quiet data can be trusted, as they are or with one fault's share taken out."""
         found = self.gate.judge(state.gate)
         if found.ok or found.found is None:

@@ -40,7 +40,7 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Judged:
+class CheckedBlock:
     """A block after the checks: ``usable`` for detectors or not, ``gap`` when the stream was interrupted before it."""
 
     usable: bool
@@ -49,22 +49,22 @@ class Judged:
     lost_samples: int = 0
 
 
-def judge(expected: Expectation, state: IntakeState, block: Block) -> tuple[IntakeState, Judged]:
+def judge(expected: Expectation, state: IntakeState, block: Block) -> tuple[IntakeState, CheckedBlock]:
     """Return the state after the block and what is to be made of it."""
     wrong = _wrong_kind(expected, block)
     if wrong:
-        return state, Judged(False, True, (Finding("bad_block", wrong),))
+        return state, CheckedBlock(False, True, (Finding("bad_block", wrong),))
     fresh = block.session != state.session
     if not fresh and block.k0 < state.k:
         what = f"block {block.seq} of '{block.machine}' starts at sample {block.k0}, expected {state.k}: out of order, left out"
-        return state, Judged(False, False, (Finding("bad_block", what),))
+        return state, CheckedBlock(False, False, (Finding("bad_block", what),))
     lost = 0 if fresh else block.k0 - state.k
     findings = [_gap(block, state, lost)] if lost else []
     bad, why = _bad_samples(block)
     findings += why
     run, last, frozen, told = _frozen(expected, state, block, fresh or lost > 0)
     new = IntakeState(block.session, block.k0 + len(block), block.seq + 1, run, last, frozen)
-    return new, Judged(not bad and not any(frozen), fresh or lost > 0 or bad, (*findings, *told), lost)
+    return new, CheckedBlock(not bad and not any(frozen), fresh or lost > 0 or bad, (*findings, *told), lost)
 
 
 def _wrong_kind(expected: Expectation, block: Block) -> str:

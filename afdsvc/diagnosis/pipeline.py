@@ -165,7 +165,7 @@ class Stream(Protocol):
         ...
 
 
-class Judged(Stream, Protocol):
+class ExcitableStream(Stream, Protocol):
     """A stream of a machine that can be excited."""
 
     bursts: dict[str, Burst]

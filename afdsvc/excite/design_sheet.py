@@ -15,7 +15,7 @@ from afdsvc.detect.statistics.fault_curves import loop_response
 from afdsvc.detect.thresholds.power import pair_confusion
 from afdsvc.excite.amplitude_budget import costs
 from afdsvc.excite.efficiency import efficiency
-from afdsvc.excite.expected_detection import Prospect, burst_prospect
+from afdsvc.excite.expected_detection import ExpectedDetection, burst_detection
 from afdsvc.excite.isolation import isolable_pairs
 from afdsvc.excite.observability import blind_pairs, unseen
 from afdsvc.excite.promised_rates import alarms_per_hour, thresholds
@@ -42,7 +42,7 @@ def design_sheet(
     why. ``isolation.pairs`` states for every two faults with which burst, or burst and second burst, they are told apart
     (see `isolation`); so does ``isolated_by`` of every fault.
     """
-    burst, seen = bursts[0], burst_prospect(problem, bursts[0])
+    burst, seen = bursts[0], burst_detection(problem, bursts[0])
     rate = next((a.per_burst for n, a in alarms.items() if not n.startswith("passive")), problem.false_alarms.per_burst)
     h = seen.threshold(rate)
     omega = np.geomspace(math.pi / problem.plant.dt / 1000, 0.6 * math.pi / problem.plant.dt, 200)
@@ -85,7 +85,7 @@ def _burst_entries(problem: DetectionProblem, burst: Burst) -> list[dict[str, An
 
 
 def _fault_entries(
-    problem: DetectionProblem, seen: Prospect, fault: str, severities: Sequence[float], h: float
+    problem: DetectionProblem, seen: ExpectedDetection, fault: str, severities: Sequence[float], h: float
 ) -> list[dict[str, Any]]:
     smallest, entries = smallest_detectable(seen, fault, h), []
     for severity in severities:
@@ -99,7 +99,7 @@ def _fault_entries(
     return entries
 
 
-def smallest_detectable(seen: Prospect, fault: str, threshold: float) -> float | None:
+def smallest_detectable(seen: ExpectedDetection, fault: str, threshold: float) -> float | None:
     """Return the severity found with probability 0.99, or None when even total loss is not."""
     low, high = seen.reach[fault]
     if seen.detection(fault, low, threshold) < DETECTED:
@@ -107,12 +107,12 @@ def smallest_detectable(seen: Prospect, fault: str, threshold: float) -> float |
     return float(brentq(lambda s: seen.detection(fault, s, threshold) - DETECTED, low, high - 1e-6 * (high - low)))
 
 
-def _confusions(seen: Prospect, fault: str, severity: float) -> dict[str, float]:
+def _confusions(seen: ExpectedDetection, fault: str, severity: float) -> dict[str, float]:
     others = {o: pair_confusion(seen.separation(fault, severity, o)) for o in seen.curves.names if o != fault}
     return {o: p for o, p in others.items() if p > RARE}
 
 
-def _strongest(problem: DetectionProblem, seen: Prospect, fault: str, severity: float) -> tuple[float, float, str]:
+def _strongest(problem: DetectionProblem, seen: ExpectedDetection, fault: str, severity: float) -> tuple[float, float, str]:
     """Return gain and phase [deg] of the whitened residual per unit alpha on the line and output that show the fault
     most, and their names."""
     r = seen.curves.response.paths(fault, [severity]).r[0]
@@ -124,7 +124,7 @@ def _strongest(problem: DetectionProblem, seen: Prospect, fault: str, severity: 
     return abs(value), float(np.degrees(np.angle(value)) % 360), channel
 
 
-def _isolation(seen: Prospect, severity: float, burst: Burst) -> dict[str, Any]:
+def _isolation(seen: ExpectedDetection, severity: float, burst: Burst) -> dict[str, Any]:
     table = seen.separations(severity)
     rows = {
         a: {b: _finite(float(table[i, j])) for j, b in enumerate(seen.curves.names) if j != i}

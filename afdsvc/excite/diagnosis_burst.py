@@ -23,7 +23,7 @@ from afdsvc.detect.isolation import NONE
 from afdsvc.detect.thresholds.power import deflection_wanted, separation_wanted
 from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.amplitude_budget import Costs, Room, costs, room
-from afdsvc.excite.expected_detection import Prospect, burst_prospect
+from afdsvc.excite.expected_detection import ExpectedDetection, burst_detection
 from afdsvc.excite.power_allocation import candidates
 from afdsvc.excite.simulated_burst import faulty_loop
 from afdsvc.lti.statespace import Array
@@ -111,12 +111,12 @@ def _best_plan(problem: DetectionProblem, frame: Burst, left: Room, aim: Aim) ->
     for price in (spent.output.max(axis=1), _share_of_room(spent, left)):
         unit = replace(frame, lines=_unit_lines(omega, spent, inputs, _choose(gains, price, omega, inputs)))
         largest = _largest(unit.lines, omega, spent, left)
-        plans.append(_Plan(unit, largest, _reach(burst_prospect(problem, _scaled(unit, largest)), aim)))
+        plans.append(_Plan(unit, largest, _reach(burst_detection(problem, _scaled(unit, largest)), aim)))
     goal = aim.goal(problem)
     return plans[0] if plans[0].reach >= min(goal, plans[1].reach) else plans[1]
 
 
-def _reach(seen: Prospect, aim: Aim) -> float:
+def _reach(seen: ExpectedDetection, aim: Aim) -> float:
     """Return the smallest separation the aim is about, or the deflection of a single fault."""
     names = seen.curves.names
     if len(names) < 2:
@@ -232,7 +232,7 @@ def _scaled(burst: Burst, factor: float) -> Burst:
 
 def _described(problem: DetectionProblem, burst: Burst, amplitude: float, aim: Aim) -> Burst:
     """Return the burst with notes on what it does and what it cannot do."""
-    seen, goal = burst_prospect(problem, burst), aim.goal(problem)
+    seen, goal = burst_detection(problem, burst), aim.goal(problem)
     notes = {"output_amplitude": f"{amplitude:.4g}"}
     names = aim.suspects or problem.fault_names
     if len(problem.fault_names) < 2:

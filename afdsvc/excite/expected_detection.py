@@ -23,7 +23,7 @@ from afdsvc.lti.statespace import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prospect:
+class ExpectedDetection:
     """The fault curves of a burst in standard deviations: ``R`` turns line coefficients into standard normal
     coordinates.
     """
@@ -101,16 +101,16 @@ class Prospect:
         return table
 
 
-def prospect(problem: DetectionProblem, lines: Sequence[Line], samples: int) -> Prospect:
+def expected_detection(problem: DetectionProblem, lines: Sequence[Line], samples: int) -> ExpectedDetection:
     """Return the prospect of lines played steadily for ``samples`` samples (whole periods of distinct frequencies)."""
     R = np.sqrt(samples / 2) * np.eye(2 * len(lines))
     doubt, found = model_doubt(problem, lines, R), models(problem, lines, R) if problem.uncertainty else None
-    return Prospect(fault_curves(problem, lines), R, reachable(problem), doubt, found, problem.severity_range)
+    return ExpectedDetection(fault_curves(problem, lines), R, reachable(problem), doubt, found, problem.severity_range)
 
 
-def burst_prospect(problem: DetectionProblem, burst: Burst) -> Prospect:
+def burst_detection(problem: DetectionProblem, burst: Burst) -> ExpectedDetection:
     """Return the prospect of a burst of lines: its samples between the ramps after settling."""
-    return prospect(problem, sorted(burst.lines, key=lambda line: line.omega), steady_samples(burst))
+    return expected_detection(problem, sorted(burst.lines, key=lambda line: line.omega), steady_samples(burst))
 
 
 def steady_samples(burst: Burst) -> int:

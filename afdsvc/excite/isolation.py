@@ -11,7 +11,7 @@ from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.thresholds.power import weight_reached
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.excite.diagnosis_burst import second_burst
-from afdsvc.excite.expected_detection import Prospect, burst_prospect
+from afdsvc.excite.expected_detection import ExpectedDetection, burst_detection
 
 WEIGHT = 0.99  # posterior weight that singles a fault out
 CERTAINTY = 0.99  # probability of that weight which counts as "isolated"
@@ -26,12 +26,12 @@ def isolable_pairs(problem: DetectionProblem, burst: Burst, severity: float) -> 
     the limits allow, does it with 0.99. ``separation`` is the smaller distance in standard deviations of the noise from
     one fault to the other's curve. ``second_burst`` describes the second burst where one is needed.
     """
-    seen = burst_prospect(problem, burst)
+    seen = burst_detection(problem, burst)
     return [_pair(problem, seen, burst, pair, severity) for pair in combinations(problem.fault_names, 2)]
 
 
 def _pair(
-    problem: DetectionProblem, seen: Prospect, burst: Burst, pair: tuple[str, str], severity: float
+    problem: DetectionProblem, seen: ExpectedDetection, burst: Burst, pair: tuple[str, str], severity: float
 ) -> dict[str, Any]:
     first = separation(seen, pair, severity)
     entry: dict[str, Any] = {"faults": list(pair), "severity": severity, "second_burst": None}
@@ -39,7 +39,7 @@ def _pair(
         return {**entry, **_told(first, burst.name)}
     try:
         second = _second(problem, burst, pair, severity)
-        reached = separation(burst_prospect(problem, second), pair, severity)
+        reached = separation(burst_detection(problem, second), pair, severity)
     except AfdsvcError as error:
         return {**entry, **_told(first, NOT_ISOLABLE), "why": str(error)}
     described = {
@@ -52,7 +52,7 @@ def _pair(
     return {**entry, **_told(reached, f"{burst.name}, then {second.name}"), "second_burst": described}
 
 
-def separation(seen: Prospect, pair: tuple[str, str], severity: float) -> float:
+def separation(seen: ExpectedDetection, pair: tuple[str, str], severity: float) -> float:
     """Return the smaller of the two distances from one fault of that severity to the other's curve.
 
     A fault that makes the loop unstable at that severity is taken at nine tenths of what the loop survives.
@@ -78,6 +78,6 @@ def _told(apart: float, isolated_by: str) -> dict[str, Any]:
     return {"separation": finite, "probability": weight_reached(apart, WEIGHT), "isolated_by": isolated_by}
 
 
-def _survived(seen: Prospect, fault: str, severity: float) -> float:
+def _survived(seen: ExpectedDetection, fault: str, severity: float) -> float:
     low, high = seen.reach[fault]
     return severity if low <= severity <= high else 0.9 * low

@@ -15,7 +15,7 @@ from afdsvc.detect.thresholds.power import deflection_wanted, separation_wanted
 from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.amplitude_budget import costs, room
 from afdsvc.excite.crest import low_crest
-from afdsvc.excite.expected_detection import prospect
+from afdsvc.excite.expected_detection import expected_detection
 from afdsvc.excite.power_allocation import Allocation, Candidates, allocate, candidates
 from afdsvc.excite.simulated_burst import faulty_loop
 from afdsvc.lti.statespace import Array
@@ -70,7 +70,7 @@ def _long_enough(problem: DetectionProblem, wish: Wish, allocation: Allocation) 
     """
     samples = max(math.ceil(allocation.samples), 16)
     for _ in range(12):
-        seen = prospect(problem, allocation.lines, samples)
+        seen = expected_detection(problem, allocation.lines, samples)
         h = seen.threshold(wish.false_alarm)
         if min(seen.detection(name, wish.severity, h) for name in problem.fault_names) >= wish.detection:
             return samples

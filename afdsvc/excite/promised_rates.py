@@ -14,7 +14,7 @@ from afdsvc.detect.statistics.active_cusum import ActiveCusum
 from afdsvc.detect.statistics.passive_cusum import passive_detector
 from afdsvc.detect.thresholds import maximum
 from afdsvc.detect.thresholds.regressor_information import noise_driven
-from afdsvc.excite.expected_detection import burst_prospect
+from afdsvc.excite.expected_detection import burst_detection
 
 
 def thresholds(problem: DetectionProblem, burst: Burst, alarms: Mapping[str, FalseAlarms]) -> dict[str, float]:
@@ -36,11 +36,11 @@ def alarms_per_hour(alarms: Mapping[str, FalseAlarms], bursts_per_hour: float) -
 
 
 def _largest(problem: DetectionProblem, burst: Burst) -> float:
-    return burst_prospect(problem, burst).threshold(problem.false_alarms.per_burst)
+    return burst_detection(problem, burst).threshold(problem.false_alarms.per_burst)
 
 
 def _ratio(problem: DetectionProblem, burst: Burst) -> float:
-    return burst_prospect(problem, burst).ratio_threshold(problem.false_alarms.per_burst)
+    return burst_detection(problem, burst).ratio_threshold(problem.false_alarms.per_burst)
 
 
 def _regression(problem: DetectionProblem, burst: Burst) -> float:

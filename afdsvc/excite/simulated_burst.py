@@ -17,7 +17,7 @@ from afdsvc.lti.statespace import Array, StateSpace
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rehearsal:
+class SimulatedBurst:
     """What the machine would have recorded: ``r, y (n, p)``, ``u, alpha (n, m)``, ``beta (n, p)``."""
 
     dt: float
@@ -59,10 +59,10 @@ def faulty_loop(problem: DetectionProblem, severities: Mapping[str, float]) -> S
     return loop
 
 
-def rehearse(
+def simulate_burst(
     problem: DetectionProblem, alpha: Array, noise: Array, severities: Mapping[str, float] | None = None,
     loop: StateSpace | None = None,
-) -> Rehearsal:
+) -> SimulatedBurst:
     """Return the record of a run from rest: ``alpha (n, m)``, output noise ``noise (n, p)``; ``loop`` saves
     rebuilding it.
     """
@@ -73,7 +73,7 @@ def rehearse(
     out, _ = simulate(loop, np.hstack([noise, alpha]))
     u, y, beta = out[:, :m], out[:, m : m + p] + noise, out[:, m + p :]
     r, _ = simulate(problem.innovations, np.hstack([y, u]))
-    return Rehearsal(problem.plant.dt, r, y, u, alpha, beta)
+    return SimulatedBurst(problem.plant.dt, r, y, u, alpha, beta)
 
 
 def played(burst: Burst, dt: float, before: int, after: int = 0) -> Array:

@@ -11,8 +11,8 @@ from afdsvc.api.clock import Clock
 from afdsvc.api.port import DrivablePort, Drive, Port
 from afdsvc.api.signals import Block
 from afdsvc.errors import AfdsvcError, Refused
-from afdsvc.hal.lease import Watchdog
-from afdsvc.transport.outgoing_queue import Post
+from afdsvc.hal.lease import LeaseTimer
+from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys, session_of
@@ -47,12 +47,12 @@ class RigAgent:
 
     def __post_init__(self) -> None:
         self._lock = threading.Lock()
-        self._post = Post(self.transport.publish, f"post of {self.description.machine}", patient=self.patient)
+        self._post = OutgoingQueue(self.transport.publish, f"post of {self.description.machine}", patient=self.patient)
         self._emergency_told = False
         self._twin: Refused | None = None
         self.truth = sorted(self.truth)
         self._pending: BurstRequest | None = None
-        self._watchdog = Watchdog(self.clock)
+        self._watchdog = LeaseTimer(self.clock)
         self._playing = self._halt = ""
         self._told_late = self._told_dropped = 0
         self._next_beat = float("-inf")

@@ -8,7 +8,7 @@ from afdsvc.api.clock import Clock
 
 
 @dataclass
-class Watchdog:
+class LeaseTimer:
     """The asker's word that it is still there; a burst fades out when that word has expired or the service is gone."""
 
     clock: Clock

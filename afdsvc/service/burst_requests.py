@@ -12,10 +12,10 @@ from datetime import datetime
 from afdsvc.api.bursts import Burst
 from afdsvc.api.clock import Clock
 from afdsvc.api.evidence import Evidence
-from afdsvc.diagnosis.pipeline import Judged
+from afdsvc.diagnosis.pipeline import ExcitableStream
 from afdsvc.diagnosis.verdict import open_question
 from afdsvc.errors import AfdsvcError, Refused
-from afdsvc.service.scheduler import Scheduler, Wanted
+from afdsvc.service.scheduler import BurstOrder, Scheduler
 from afdsvc.service.sinks.fan_out import Sink
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
@@ -30,13 +30,13 @@ ENDS = (EventKind.BURST_ENDED, EventKind.BURST_ABORTED, EventKind.BURST_REFUSED,
 
 
 @dataclass
-class BurstDesk:
+class BurstRequests:
     """Plays bursts on one machine. ``design(wanted)`` returns the burst for a purpose; its name is made unique here."""
 
     machine: str
-    design: Callable[[Wanted], Burst]
+    design: Callable[[BurstOrder], Burst]
     scheduler: Scheduler
-    pipeline: Judged
+    pipeline: ExcitableStream
     sink: Sink
     keys: Keys
     transport: Transport
@@ -75,7 +75,7 @@ class BurstDesk:
             self._asking = threading.Thread(target=self._try, args=(wanted,), name=f"burst of {self.machine}", daemon=True)
             self._asking.start()
 
-    def _try(self, wanted: Wanted) -> None:
+    def _try(self, wanted: BurstOrder) -> None:
         try:
             self.play(wanted)
         except AfdsvcError as refusal:
@@ -84,7 +84,7 @@ class BurstDesk:
             log.exception("machine '%s': a burst could not be asked for", self.machine)
             self._say("error", f"burst not played: {type(error).__name__}: {error}")
 
-    def ask(self, wanted: Wanted) -> str:
+    def ask(self, wanted: BurstOrder) -> str:
         """Play a burst a person asked for, at once; returns its name, raises `Refused` with the reason."""
         if not self.session:
             raise Refused(f"machine '{self.machine}' is not there")
@@ -94,7 +94,7 @@ class BurstDesk:
             raise Refused("the machine is not ready for a burst")
         return self.play(due)
 
-    def play(self, wanted: Wanted) -> str:
+    def play(self, wanted: BurstOrder) -> str:
         """Ask the rig for the burst; returns its name, raises `Refused` with the rig's reason."""
         with self._lock:
             if self.playing:
@@ -151,7 +151,7 @@ class BurstDesk:
         ready = self.pipeline.ready_at
         return float("inf") if ready is None else max(ready * self.pipeline.dt - self.seconds, 0.0)
 
-    def _first_sample(self, wanted: Wanted) -> int:
+    def _first_sample(self, wanted: BurstOrder) -> int:
         """Return the sample a burst starts at (0: at once): not before what comes back can be judged."""
         ready, wait = self.pipeline.ready_at, self._wait()
         if ready is None:

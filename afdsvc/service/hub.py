@@ -16,9 +16,9 @@ from afdsvc.diagnosis.alarm_book import AlarmBook, Policy
 from afdsvc.diagnosis.pipeline import Outcome
 from afdsvc.errors import BadInput
 from afdsvc.service.alarm_history import History
-from afdsvc.service.burst_requests import BurstDesk
-from afdsvc.service.machine import MachineWatch
-from afdsvc.service.notifications import Outbox
+from afdsvc.service.burst_requests import BurstRequests
+from afdsvc.service.machine import MachineMonitor
+from afdsvc.service.notifications import NotificationQueue
 from afdsvc.service.operator_requests import Requests, answer
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
@@ -44,8 +44,8 @@ class Hub:
 
     keys: Keys
     version: str
-    watches: Mapping[str, MachineWatch]
-    desks: Mapping[str, BurstDesk]
+    watches: Mapping[str, MachineMonitor]
+    desks: Mapping[str, BurstRequests]
     transport: Transport
     clock: Clock
     recording: Callable[[], tuple[str, int, str, int]]
@@ -53,7 +53,7 @@ class Hub:
     queue_size: int = 8_000  # blocks of 20 kB: at most 160 MB wait
     policy: Policy = field(default_factory=Policy)
     history: History | None = None
-    outboxes: Sequence[Outbox] = ()
+    outboxes: Sequence[NotificationQueue] = ()
 
     def __post_init__(self) -> None:
         self._queue: queue.Queue[tuple[str, str, Any] | None] = queue.Queue(self.queue_size)
@@ -191,7 +191,7 @@ class Hub:
             (watch.appeared if what else watch.gone)(session_of(key))
             self._tell_desk(watch)
 
-    def _block(self, watch: MachineWatch, payload: bytes) -> None:
+    def _block(self, watch: MachineMonitor, payload: bytes) -> None:
         outcome = watch.take_block(payload)
         desk = self._tell_desk(watch)
         if outcome is None:
@@ -211,7 +211,7 @@ class Hub:
             for burst in {f.evidence.burst for f in fresh if f.evidence.burst}:
                 desk.consider(burst, watch.decisions_on(burst))
 
-    def _note_conditions(self, watch: MachineWatch, outcome: Outcome) -> None:
+    def _note_conditions(self, watch: MachineMonitor, outcome: Outcome) -> None:
         """Trouble with the watching itself is an alarm of its own, over with the next samples that are as they should be."""
         now = self.clock.now_ns()
         for finding in outcome.findings:
@@ -221,7 +221,7 @@ class Hub:
             for kind in PASSING:
                 self.alarms.condition(watch.machine, kind, AlarmKind.SYSTEM, False, "the samples are as they should be again", now)
 
-    def _sum_up(self, watch: MachineWatch, t_ns: int) -> None:
+    def _sum_up(self, watch: MachineMonitor, t_ns: int) -> None:
         """Group alarms under what the evidence as a whole names; say when the model rather than a part is to be doubted."""
         watch.doubt_model([path for path in self.files() if path.suffix == ".mcap"])
         why = watch.doubt or "the residual fits the model or a fault again"
@@ -237,13 +237,13 @@ class Hub:
         for outbox in self.outboxes:
             outbox.put(change)
 
-    def _tell_desk(self, watch: MachineWatch) -> BurstDesk | None:
+    def _tell_desk(self, watch: MachineMonitor) -> BurstRequests | None:
         desk = self.desks.get(watch.machine)
         if desk:
             desk.present(watch.session if watch.present and watch.blocks else "", watch.seconds_seen)
         return desk
 
-    def _event(self, watch: MachineWatch, payload: bytes) -> None:
+    def _event(self, watch: MachineMonitor, payload: bytes) -> None:
         event = watch.take_event(payload)
         if event is None:
             return

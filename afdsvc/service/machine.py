@@ -27,7 +27,7 @@ LEVELS = {
 
 
 @dataclass
-class MachineWatch:
+class MachineMonitor:
     """Takes the messages of one machine in order, in one thread; other threads only read the status."""
 
     machine: str

@@ -13,7 +13,7 @@ log = logging.getLogger(__name__)
 PAUSES = (1.0, 5.0, 25.0)  # seconds between attempts; after the last the change is given up and counted
 
 
-class Outbox:
+class NotificationQueue:
     """Hands changes to ``receive`` in order; one that fails is tried again, then dropped, counted and logged."""
 
     def __init__(

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from afdsvc.errors import AfdsvcError, BadInput
-from afdsvc.service.burst_requests import BurstDesk
-from afdsvc.service.scheduler import Wanted
+from afdsvc.service.burst_requests import BurstRequests
+from afdsvc.service.scheduler import BurstOrder
 from afdsvc.wire import codec
 from afdsvc.wire.messages import Alarm, Command, CommandReply
 
@@ -67,10 +67,10 @@ class Requests:
         return alarm
 
     def _burst(self, a: Arguments, who: str) -> dict[str, str]:
-        wanted = Wanted(f"asked by {who}", purpose=str(a.get("purpose") or "diagnose"))
+        wanted = BurstOrder(f"asked by {who}", purpose=str(a.get("purpose") or "diagnose"))
         return {"burst": self._desk(a).ask(wanted)}
 
-    def _desk(self, a: Arguments) -> BurstDesk:
+    def _desk(self, a: Arguments) -> BurstRequests:
         watches, desks = self._hub.watches, self._hub.desks
         machine = a.get("machine") or (next(iter(watches)) if len(watches) == 1 else "")
         if machine not in watches:

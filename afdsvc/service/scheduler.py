@@ -13,7 +13,7 @@ from afdsvc.files.site import Bursts
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class BurstOrder:
     """A burst somebody wants: why, at which second of the machine's own time (at once when None), what for, and, for a burst
     that is to isolate a fault, the question it answers."""
 
@@ -30,7 +30,7 @@ class Scheduler:
         self._settings, self._rng = settings, rng
         self._next = None if settings.every_seconds is None else now + settings.first_after_seconds
         self._last_end = float("-inf")
-        self._queue: list[Wanted] = []
+        self._queue: list[BurstOrder] = []
         self.playing = False
         self.paused = ""
 
@@ -39,7 +39,7 @@ class Scheduler:
         if self._next is not None:
             self._next = now + self._settings.first_after_seconds
 
-    def request(self, wanted: Wanted, now: float, wall: datetime) -> None:
+    def request(self, wanted: BurstOrder, now: float, wall: datetime) -> None:
         """Queue a burst asked for by a person; raises `Refused` with the reason when it cannot be played now."""
         if self.paused:
             raise Refused(f"bursts are paused: {self.paused}")
@@ -55,19 +55,19 @@ class Scheduler:
     def after_event(self, reason: str) -> None:
         """Queue a burst because of an event, when the site wants that; it waits for rest and quiet hours."""
         if self._settings.after_event and not self._queue:
-            self._queue.append(Wanted(f"after event: {reason}"))
+            self._queue.append(BurstOrder(f"after event: {reason}"))
 
     def follow_up(self, question: Question) -> None:
         """Queue the burst that separates the two likeliest faults of a question, once per question (two-step isolation)."""
         self.settle(question.burst)
         if self._settings.isolate:
-            self._queue.append(Wanted(str(question), purpose="isolate", question=question))
+            self._queue.append(BurstOrder(str(question), purpose="isolate", question=question))
 
     def settle(self, burst: str) -> None:
         """Drop what was to follow a burst that has answered its own question after all."""
         self._queue = [w for w in self._queue if w.question is None or w.question.burst != burst]
 
-    def due(self, now: float, wall: datetime) -> Wanted | None:
+    def due(self, now: float, wall: datetime) -> BurstOrder | None:
         """Return the burst to play now, or None."""
         if self.paused or self.playing or self.quiet(wall) or now < self._last_end + self._settings.rest_seconds:
             return None
@@ -76,7 +76,7 @@ class Scheduler:
         if self._next is not None and now >= self._next:
             planned = self._next
             self._plan(planned, now)
-            return Wanted("periodic", at=planned)
+            return BurstOrder("periodic", at=planned)
         return None
 
     def seconds_to_next(self, now: float) -> float:

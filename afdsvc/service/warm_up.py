@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 QUIET = 500  # samples besides those in which the filters settle
 
 
-def rehearse(pipeline: Pipeline, burst: Burst) -> None:
+def warm_up(pipeline: Pipeline, burst: Burst) -> None:
     """Let a twin of the pipeline judge noise with a burst in it; the pipeline itself is not touched."""
     twin = Pipeline(pipeline.problem, pipeline.detectors, pipeline.expected)
     twin.announce(replace(burst, name="rehearsal"))
@@ -44,7 +44,7 @@ def _blocks(twin: Pipeline, burst: Burst) -> Iterator[Block]:
         k0 += samples
 
 
-class Rehearsals:
+class WarmUp:
     """Rehearses one machine after the other in a thread, beside the service that already runs; `close` ends it early."""
 
     def __init__(self, pairs: Iterable[tuple[Pipeline, Burst]]) -> None:
@@ -71,6 +71,6 @@ class Rehearsals:
 
     def _one(self, pipeline: Pipeline, burst: Burst) -> None:
         try:
-            rehearse(pipeline, burst)
+            warm_up(pipeline, burst)
         except Exception:
             log.exception("machine '%s': its burst could not be rehearsed", pipeline.problem.machine)

@@ -13,7 +13,7 @@ log = logging.getLogger(__name__)
 Publish = Callable[[str, bytes], None]
 
 
-class Post:
+class OutgoingQueue:
     """Hands messages to ``publish`` in order, from a thread of its own.
 
     When ``size`` messages wait, later ones are dropped and counted; a ``patient`` post makes the sender wait instead, which

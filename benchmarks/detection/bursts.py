@@ -12,7 +12,7 @@ from afdsvc.detect.burst_detector import BurstSamples
 from afdsvc.detect.features.demodulation import Basis
 from afdsvc.detect.features.regressors import regressors
 from afdsvc.detect.statistics.matched_filter import window
-from afdsvc.excite.simulated_burst import rehearse
+from afdsvc.excite.simulated_burst import simulate_burst
 from afdsvc.lti.statespace import Array
 from benchmarks.support.trials import Trials, trials
 
@@ -71,7 +71,7 @@ class Player:
         series = np.empty((size, n, 1 + K, p))
         for i in range(size):
             noise = rng.normal(size=(machine.before + n, p))
-            run = rehearse(self.problem, machine.alpha, noise @ machine.root.T, loop=machine.loop)
+            run = simulate_burst(self.problem, machine.alpha, noise @ machine.root.T, loop=machine.loop)
             _, whole = self.filters.step(self.filters.start(), run.r, run.y, run.u)
             series[i] = whole[machine.before :, : 1 + K]
             block = next(b for b in run.blocks(len(run), self.burst, machine.before) if b.burst is not None)

@@ -14,7 +14,7 @@ from rates_cases import RateCase, short_burst
 
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.features.regressors import regressors
-from afdsvc.excite.simulated_burst import Rehearsal, played, rehearse
+from afdsvc.excite.simulated_burst import SimulatedBurst, played, simulate_burst
 from afdsvc.lti.lft import AugmentedPlant, FaultDirection, actuator_gain, augment, sensor_gain
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
@@ -124,7 +124,7 @@ class Machine:
     root: Array
     own: StateSpace
 
-    def log_density(self, run: Rehearsal) -> float:
+    def log_density(self, run: SimulatedBurst) -> float:
         """Return the log density of a record, up to a constant all machines share."""
         e, _ = simulate(self.own, np.hstack([run.y, run.u]))
         white = np.linalg.solve(self.root, e.T)
@@ -145,9 +145,9 @@ class Playground:
         """Return a machine with these relative changes of parameters and faults."""
         return Machine(*innovations_loop(self.truth, severities))
 
-    def play(self, machine: Machine, rng: np.random.Generator) -> tuple[Array, Rehearsal]:
+    def play(self, machine: Machine, rng: np.random.Generator) -> tuple[Array, SimulatedBurst]:
         """Return normalised residual and regressors ``(n, 1 + K, p)`` of the burst, and the whole record."""
         noise = rng.normal(size=(len(self.alpha), len(machine.root))) @ machine.root.T
-        run = rehearse(self.problem, self.alpha, noise, loop=machine.loop)
+        run = simulate_burst(self.problem, self.alpha, noise, loop=machine.loop)
         _, series = self.filters.step(self.filters.start(), run.r, run.y, run.u)
         return series[self.before :], run

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.statistics.fault_curves import fault_curves
-from afdsvc.excite.expected_detection import Prospect, prospect
+from afdsvc.excite.expected_detection import ExpectedDetection, expected_detection
 
 RATE = 0.01  # false alarms per burst at which probabilities are compared
 WANTED = 0.9  # probability of detection of the severity looked at, were the model certain
@@ -45,16 +45,16 @@ def losses(doubtful: Doubtful, runs: int, seed: int) -> list[Loss]:
     return out
 
 
-def _prospect(problem: object, doubtful: Doubtful) -> Prospect:
+def _prospect(problem: object, doubtful: Doubtful) -> ExpectedDetection:
     lines = sorted(doubtful.case.burst.lines, key=lambda line: line.omega)
-    return prospect(problem, lines, doubtful.case.line_sums().n)  # type: ignore[arg-type]
+    return expected_detection(problem, lines, doubtful.case.line_sums().n)  # type: ignore[arg-type]
 
 
-def _stated(seen: Prospect, fault: str, severity: float) -> float:
+def _stated(seen: ExpectedDetection, fault: str, severity: float) -> float:
     return seen.detection(fault, severity, seen.ratio_threshold(RATE))
 
 
-def _severity(doubtful: Doubtful, sharp: Prospect, fault: str) -> float | None:
+def _severity(doubtful: Doubtful, sharp: ExpectedDetection, fault: str) -> float | None:
     h, low = sharp.ratio_threshold(RATE), 0.99 * reachable(doubtful.certain.problem)[fault][0]
 
     def excess(severity: float) -> float:

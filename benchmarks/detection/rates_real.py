@@ -18,7 +18,7 @@ from rates_sequential import cusum_alarms, passive_alarms, watch
 
 from afdsvc.api.detection import ResidualBlock
 from afdsvc.detect.features.demodulation import Basis, BasisSums, window
-from afdsvc.excite.simulated_burst import Rehearsal, rehearse
+from afdsvc.excite.simulated_burst import SimulatedBurst, simulate_burst
 from afdsvc.lti.statespace import Array
 from afdsvc.testing.machines import with_rate
 from benchmarks.support.trials import trials
@@ -43,7 +43,7 @@ class Record:
 
     case: RateCase
     noise: Array
-    run: Rehearsal
+    run: SimulatedBurst
     bursts: int
 
     @property
@@ -79,7 +79,7 @@ def record(case: RateCase, bursts: int, seed: int) -> Record:
     source = trials(case.problem, case.burst)
     alpha = np.tile(np.vstack([np.zeros((QUIET, case.burst.inputs)), case.burst.play(case.dt)]), (bursts, 1))
     noise = np.random.default_rng([seed, 8]).normal(size=(len(alpha), len(source.root)))
-    return Record(case, noise, rehearse(case.problem, alpha, noise @ source.root.T, loop=source.loop), bursts)
+    return Record(case, noise, simulate_burst(case.problem, alpha, noise @ source.root.T, loop=source.loop), bursts)
 
 
 def agreement(case: RateCase, name: str, rate: float, shown: Record) -> Agreement:
@@ -136,7 +136,7 @@ def passive_agreement(case: RateCase, rate: float, records: int, seed: int) -> A
     rng, alarms, short, differ = np.random.default_rng([seed, 9]), 0, 0, 0
     for _ in range(records):
         e = rng.normal(size=(n, p))
-        run = rehearse(case.problem, np.zeros((n, case.burst.inputs)), e @ source.root.T, loop=source.loop)
+        run = simulate_burst(case.problem, np.zeros((n, case.burst.inputs)), e @ source.root.T, loop=source.loop)
         state, first = detector.start(), -1
         for block in run.blocks(2000):
             state, found = detector.step(state, block)

@@ -30,7 +30,7 @@ from afdsvc.detect.features.regressors import regressors  # noqa: E402
 from afdsvc.detect.isolation import Fit, curve_fit, linear_fit  # noqa: E402
 from afdsvc.detect.stability_range import reachable  # noqa: E402
 from afdsvc.detect.statistics.iterated_regression import Iterated, iterated  # noqa: E402
-from afdsvc.excite.expected_detection import Prospect, prospect  # noqa: E402
+from afdsvc.excite.expected_detection import ExpectedDetection, expected_detection  # noqa: E402
 from afdsvc.lti.statespace import Array  # noqa: E402
 from benchmarks.support.trials import trials  # noqa: E402
 
@@ -76,17 +76,17 @@ class Estimators:
         self.basis, self.window = Basis(tuple(line.omega for line in self.lines)), window(self.burst)
         self.again: Iterated = iterated(problem, self.filters.settling(1e-3))
 
-    def prospect(self) -> Prospect:
+    def prospect(self) -> ExpectedDetection:
         """Return the burst's prospect with the very samples that are analysed."""
-        found = prospect(self.problem, self.lines, 1)
+        found = expected_detection(self.problem, self.lines, 1)
         first, last = self.window
         zero = np.zeros((last - first, self.problem.plant.outputs))
         R = np.linalg.cholesky(
             BasisSums.empty(self.basis, zero.shape[1]).add(self.basis, first, self.problem.plant.dt, zero).G
         ).T
-        return Prospect(found.curves, R, found.reach, np.zeros((zero.shape[1] * len(R),) * 2))
+        return ExpectedDetection(found.curves, R, found.reach, np.zeros((zero.shape[1] * len(R),) * 2))
 
-    def on_curve(self, seen: Prospect, shown: BurstSamples) -> Fit:
+    def on_curve(self, seen: ExpectedDetection, shown: BurstSamples) -> Fit:
         """Return the nearest point of the fault's curve."""
         first, last = self.window
         sums = BasisSums.empty(self.basis, self.problem.plant.outputs)
@@ -129,7 +129,7 @@ def _found(setting: Setting, name: str, fits: list[Fit], bound: float, meant: bo
     return Found(setting, name, theta - setting.severity, sd, bound, meant)
 
 
-def seen_bound(seen: Prospect, setting: Setting) -> float:
+def seen_bound(seen: ExpectedDetection, setting: Setting) -> float:
     """Return the Cramer-Rao bound of the excited lines, what their covariance tells about the fault included."""
     h, fault, theta = 1e-4, setting.fault, setting.severity
     low, here, high = seen.curves.coloured(fault, [theta - h, theta, theta + h])[1]

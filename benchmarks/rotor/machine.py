@@ -16,7 +16,7 @@ from afdsvc.app.pipelines import burst_design, pipeline_of
 from afdsvc.files.site import Machine
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.clock import FastClock
-from afdsvc.service.scheduler import Wanted
+from afdsvc.service.scheduler import BurstOrder
 
 
 def machine(plugins: Plugins, faults: dict[str, tuple[float, float]] | None = None, seed: int = 1, **more: Any) -> Commissioned:
@@ -52,7 +52,7 @@ def run(parts: Commissioned, plugins: Plugins, plan: Sequence[float | str], burs
 
     for item in plan:
         if item == "burst":
-            made = design(Wanted("study"))
+            made = design(BurstOrder("study"))
             stream.announce(made)
             out.bursts.append(made)
             with port.arm(parts.limits) as drive:

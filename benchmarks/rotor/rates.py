@@ -32,7 +32,7 @@ from afdsvc.detect.statistics.matched_filter import window
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.whitening import innovations
-from afdsvc.service.scheduler import Wanted
+from afdsvc.service.scheduler import BurstOrder
 
 KINDS = ("matched_filter", "regression", "fault_curves")
 LEAD, START = 2500, 8000  # quiet samples before every burst, and before the first
@@ -125,7 +125,7 @@ def judged(
     wanted = {"controller": {"kind": controller}, "detectors": detectors, "bursts": {"severity": -0.2, "seconds": seconds}}
     parts = machine(installed, **wanted)
     stream = pipeline_of(parts, installed)
-    burst = burst_design(parts, stream)(Wanted("study"))
+    burst = burst_design(parts, stream)(BurstOrder("study"))
     size = float(norm.isf(rate / len(parts.augmented.fault_names)))
     drawn = waves(parts, burst, size, severities) if severities else Waves(np.zeros((0, 0)), 0.0)
     found: dict[str, list[tuple[Evidence, float]]] = {kind: [] for kind in kinds}

@@ -15,7 +15,7 @@ from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.burst_detector import BurstSamples
 from afdsvc.detect.features.regressors import Regressors, regressors
-from afdsvc.excite.simulated_burst import Rehearsal, faulty_loop, played, rehearse
+from afdsvc.excite.simulated_burst import SimulatedBurst, faulty_loop, played, simulate_burst
 from afdsvc.lti.lft import star
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
@@ -49,14 +49,14 @@ class Trials:
         """Return what a burst statistic is shown when the normalised noise was this."""
         return self.whole(noise)[0]
 
-    def whole(self, noise: Array) -> tuple[BurstSamples, Array, Rehearsal]:
+    def whole(self, noise: Array) -> tuple[BurstSamples, Array, SimulatedBurst]:
         """Return the samples of the burst, then residual and regressors and the record with the quiet samples before."""
-        run = rehearse(self.problem, self.alpha, noise @ self.root.T, loop=self.loop)
+        run = simulate_burst(self.problem, self.alpha, noise @ self.root.T, loop=self.loop)
         _, series = self.filters.step(self.filters.start(), run.r, run.y, run.u)
         block = next(b for b in run.blocks(len(run), self.burst, self.before) if b.burst is not None)
         return BurstSamples(0, self.problem.plant.dt, series[self.before :], block), series, run
 
-    def log_density(self, run: Rehearsal) -> float:
+    def log_density(self, run: SimulatedBurst) -> float:
         """Return the log density of a record under this machine, up to a constant that all machines share."""
         e, _ = simulate(self.own, np.hstack([run.y, run.u]))
         white = np.linalg.solve(self.root, e.T)

@@ -17,7 +17,7 @@ from afdsvc.detect.statistics.regression import regression
 from afdsvc.detect.thresholds.power import deflection_wanted, pair_confusion
 from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.excite.efficiency import efficiency, samples_for
-from afdsvc.excite.expected_detection import burst_prospect, prospect
+from afdsvc.excite.expected_detection import burst_detection, expected_detection
 from afdsvc.excite.multisine import Wish, multisine
 from afdsvc.excite.power_allocation import allocate, candidates
 from afdsvc.lti.lft import actuator_gain, augment
@@ -49,8 +49,8 @@ def for_one_fault(controller, severity, deflection):
     """A machine whose only fault is the horizontal actuator, and a burst that shows it with about that deflection."""
     problem = bearing_problem(controller)
     alone = replace(problem, augmented=augment(problem.plant, [actuator_gain(problem.plant, "horizontal_actuator", 0)]))
-    short = prospect(alone, LINES, 1000).deflection("horizontal_actuator", severity)
-    return prospect(alone, LINES, int((deflection / short) ** 2 * 1000))
+    short = expected_detection(alone, LINES, 1000).deflection("horizontal_actuator", severity)
+    return expected_detection(alone, LINES, int((deflection / short) ** 2 * 1000))
 
 
 ONE = [("proportional", -0.06, 1e-3), ("lqg", -0.3, 1e-3)]
@@ -79,7 +79,7 @@ ALSO = [(c, s, n, r) for c in ("proportional", "lqg") for s, n in ((-0.1, 2000),
 )
 def test_power_with_four_faults_is_within_three_hundredths_of_the_average_test(controller, severity, samples, rate):
     problem = bearing_problem(controller)
-    seen = prospect(problem, LINES, samples)
+    seen = expected_detection(problem, LINES, samples)
     waves = np.stack([seen.wave(n, severity).ravel() for n in problem.fault_names])
 
     def average(z):
@@ -133,7 +133,7 @@ def test_regression_severity_is_unbiased_and_its_error_is_the_cramer_rao_one(run
 @pytest.mark.parametrize("runs", [150, pytest.param(3000, marks=pytest.mark.long)])
 def test_curve_severity_is_unbiased_and_its_error_is_the_cramer_rao_one(runs):
     problem = bearing_problem("lqg")
-    seen = prospect(problem, LINES, 3000)
+    seen = expected_detection(problem, LINES, 3000)
     fault, severity = "horizontal_actuator", -0.4
     fits = [
         curve_fit(seen.curves, fault, seen.data(z.reshape(4, 2)), (-1.0, 0.0)) for z in drawn(seen, fault, severity, runs, 3)
@@ -165,7 +165,7 @@ def template_at(problem, omega):
     """Deflection of one line of 0.1 um at the output, 5000 samples."""
     response = loop_response(problem, [omega]).healthy().y[0, 0, :, 0]
     line = Line(0, omega, 0.1 / np.linalg.norm(response))
-    return prospect(problem, (line,), 5000).deflection("horizontal_actuator", -0.1)
+    return expected_detection(problem, (line,), 5000).deflection("horizontal_actuator", -0.1)
 
 
 @pytest.mark.parametrize(
@@ -216,7 +216,7 @@ def test_the_computed_limits_are_reached_in_simulation(controller, design, secon
     problem = bearing_problem(controller)
     lines, samples = design(problem, amplitude)
     assert samples * problem.plant.dt == pytest.approx(seconds * (0.1 / amplitude) ** 2, rel=2e-3)
-    seen, power = prospect(problem, lines, round(samples)), []
+    seen, power = expected_detection(problem, lines, round(samples)), []
     for k, fault in enumerate(problem.fault_names):
         t = seen.wave(fault, -0.1).ravel()
         power.append(np.mean(drawn(seen, fault, -0.1, 20_000, 30 + k) @ t / np.linalg.norm(t) > norm.isf(1e-6)))
@@ -228,7 +228,7 @@ def test_the_computed_limits_are_reached_in_simulation(controller, design, secon
 def test_not_knowing_which_fault_costs_a_hundredth_of_the_power_at_the_computed_limit(controller):
     problem = bearing_problem(controller)
     lines, samples = mixture(problem, 1.0)
-    seen = prospect(problem, lines, round(samples))
+    seen = expected_detection(problem, lines, round(samples))
     alarmed = judged(seen, 1e-6)
     power = [np.mean(alarmed(drawn(seen, f, -0.1, 10_000, 40 + k))) for k, f in enumerate(problem.fault_names)]
     assert 0.975 < min(power) < 0.995
@@ -237,7 +237,7 @@ def test_not_knowing_which_fault_costs_a_hundredth_of_the_power_at_the_computed_
 def test_isolation_errors_are_those_the_design_states():
     problem = bearing_problem("proportional")
     burst = default_burst(problem, problem.limits, 2.5, 0.45)
-    seen = burst_prospect(problem, burst)
+    seen = burst_detection(problem, burst)
     truth, other = "horizontal_actuator", "horizontal_sensor"
     stated = pair_confusion(seen.separation(truth, -0.5, other))
     assert 0.05 < stated < 0.3

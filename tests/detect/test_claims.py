@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from afdsvc.excite.simulated_burst import rehearse
+from afdsvc.excite.simulated_burst import simulate_burst
 from afdsvc.plugins.detectors import PassiveCusumDesign
 from afdsvc.testing.machines import bearing_problem
 
@@ -32,7 +32,7 @@ def test_what_the_page_calls_long_has_long_settings():
 def test_between_bursts_noise_of_another_size_is_told_and_not_alarmed(scale):
     problem = bearing_problem("lqg")
     v = np.random.default_rng(6).normal(size=(12_000, 2)) @ np.linalg.cholesky(problem.covariance).T
-    record = rehearse(problem, np.zeros((len(v), 2)), v * np.array([scale, 1.0]))
+    record = simulate_burst(problem, np.zeros((len(v), 2)), v * np.array([scale, 1.0]))
     detector = PassiveCusumDesign().design(problem, {})
     state, found = detector.start(), []
     for block in record.blocks(1000):

@@ -18,8 +18,8 @@ from afdsvc.detect.statistics.regression import averaged_out, regression
 from afdsvc.detect.uncertain_parameters import uncertain_parameters
 from afdsvc.errors import BadInput
 from afdsvc.excite.diagnosis_burst import default_burst
-from afdsvc.excite.expected_detection import burst_prospect, prospect
-from afdsvc.excite.simulated_burst import faulty_loop, played, rehearse
+from afdsvc.excite.expected_detection import burst_detection, expected_detection
+from afdsvc.excite.simulated_burst import faulty_loop, played, simulate_burst
 from afdsvc.plants.gas_bearing import gas_bearing
 from afdsvc.plants.unstable_second_order import unstable_second_order
 from afdsvc.testing.machines import bearing_problem, unstable_problem, with_rate
@@ -45,7 +45,7 @@ def test_waves_and_coloured_noise_of_a_wrong_model_against_the_simulated_loop(de
     template = np.column_stack([np.sin(omega * t[:n]), np.cos(omega * t[:n])]) / np.sqrt(n / 2 * problem.covariance[0, 0])
 
     def coordinates(alpha, v):
-        r = rehearse(problem, alpha[:, None], v[:, None], loop=wrong).r[400:, 0]
+        r = simulate_burst(problem, alpha[:, None], v[:, None], loop=wrong).r[400:, 0]
         return r.reshape(windows, n) @ template
 
     quiet = np.zeros(total)
@@ -82,7 +82,7 @@ def rates(problem, burst, deviations, runs, statistics, seed=1):
     for run in range(runs):
         drawn = {n: rng.normal() * sd if run % 2 == 0 else -drawn[n] for n, sd in deviations[0].items()}
         v = rng.normal(size=(len(alpha), p)) @ root.T
-        record = rehearse(problem, alpha, v, loop=faulty_loop(truth, drawn))
+        record = simulate_burst(problem, alpha, v, loop=faulty_loop(truth, drawn))
         _, series = filters.step(filters.start(), record.r, record.y, record.u)
         block = next(b for b in record.blocks(10_000, burst, before) if b.burst)
         for k, statistic in enumerate(statistics):
@@ -119,7 +119,7 @@ def alarmed(problem, test, seen, rate):
 
 def line_rate(problem, burst, test, rate, machines, each, seed=1):
     """Alarm rate of a line detector over machines drawn, and its standard error; line coordinates with each machine's noise."""
-    seen, rng = burst_prospect(problem, burst), np.random.default_rng(seed)
+    seen, rng = burst_detection(problem, burst), np.random.default_rng(seed)
     lines = sorted(burst.lines, key=lambda line: line.omega)
     curves, alarms, found = fault_curves(as_faults(problem), lines), alarmed(problem, test, seen, rate), []
     for _ in range(machines):
@@ -163,7 +163,7 @@ def test_alarms_of_the_bearing_are_not_above_the_promise_when_models_are_drawn(c
 
 
 def test_the_lost_detectability_is_stated():
-    sharp, vague = (prospect(doubtful(sd), LINE, 200) for sd in (1e-9, 0.01))
+    sharp, vague = (expected_detection(doubtful(sd), LINE, 200) for sd in (1e-9, 0.01))
     assert sharp.deflection("b1", -0.1) == pytest.approx(7.543, abs=2e-3)
     assert vague.deflection("b1", -0.1) < 0.99 * sharp.deflection("b1", -0.1)
     # what is left of a wave t beside doubt sd^2 m m': t't - sd^2 (t'm)^2 / (1 + sd^2 m'm)

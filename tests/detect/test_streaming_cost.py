@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from afdsvc.excite.diagnosis_burst import default_burst
-from afdsvc.excite.simulated_burst import played, rehearse
+from afdsvc.excite.simulated_burst import played, simulate_burst
 from afdsvc.plugins.detectors import afdsvc_detectors
 from afdsvc.testing.machines import bearing_problem
 from benchmarks.support.streaming import many_faults, work
@@ -26,7 +26,7 @@ def streamed(problem, seconds):
     burst = default_burst(problem, problem.limits, seconds, 1.0)
     alpha = played(burst, problem.plant.dt, QUIET)
     v = np.random.default_rng(1).normal(size=alpha.shape) @ np.linalg.cholesky(problem.covariance).T
-    blocks = rehearse(problem, alpha, v).blocks(SIZE, burst, QUIET)
+    blocks = simulate_burst(problem, alpha, v).blocks(SIZE, burst, QUIET)
     return list(takewhile(lambda b: b.k0 + len(b) < len(alpha), blocks))
 
 

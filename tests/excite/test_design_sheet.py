@@ -13,7 +13,7 @@ from afdsvc.detect.features.regressors import whitener
 from afdsvc.detect.statistics.matched_filter import window
 from afdsvc.excite.design_sheet import design_sheet
 from afdsvc.excite.diagnosis_burst import default_burst
-from afdsvc.excite.simulated_burst import faulty_loop, rehearse
+from afdsvc.excite.simulated_burst import faulty_loop, simulate_burst
 from afdsvc.lti.lft import FaultDirection, augment
 from afdsvc.testing.machines import bearing_problem
 
@@ -56,7 +56,7 @@ def standard_scores(problem, burst, severities, runs, seed):
     alpha = burst.play(problem.plant.dt)
     for _ in range(runs):
         v = rng.normal(size=(burst.samples, 2)) @ np.linalg.cholesky(problem.covariance).T
-        r = rehearse(problem, alpha, v, loop=loop).r[first:last] @ Li.T
+        r = simulate_burst(problem, alpha, v, loop=loop).r[first:last] @ Li.T
         sums = BasisSums.empty(basis, 2).add(basis, first, problem.plant.dt, r)
         found.append(project(sums, basis).z.ravel())
     return np.array(found)
@@ -64,9 +64,9 @@ def standard_scores(problem, burst, severities, runs, seed):
 
 def test_simulation_agrees_with_the_probability_of_detection(small):
     problem, burst, sheet = small
-    from afdsvc.excite.expected_detection import burst_prospect
+    from afdsvc.excite.expected_detection import burst_detection
 
-    seen, h = burst_prospect(problem, burst), sheet["thresholds"]["matched_filter"]
+    seen, h = burst_detection(problem, burst), sheet["thresholds"]["matched_filter"]
     for fault, severity in (("horizontal_actuator", -0.1), ("vertical_sensor", -0.1)):
         entry = next(f for f in sheet["faults"] if f["fault"] == fault and f["severity"] == severity)
         assert 0.05 < entry["p_detect"] < 0.95
@@ -101,8 +101,8 @@ def test_what_the_burst_cannot_separate_is_said_beforehand(small):
 
 def test_the_smallest_detectable_loss_is_detected_with_99_per_cent(small):
     problem, burst, sheet = small
-    from afdsvc.excite.expected_detection import burst_prospect
+    from afdsvc.excite.expected_detection import burst_detection
 
-    seen = burst_prospect(problem, burst)
+    seen = burst_detection(problem, burst)
     for f in sheet["faults"]:
         assert seen.detection(f["fault"], f["smallest_detectable"], seen.threshold(1e-3)) == pytest.approx(0.99, abs=1e-6)

@@ -10,8 +10,8 @@ from afdsvc.detect.thresholds.power import separation_wanted
 from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.amplitude_budget import costs, noise_deviations
 from afdsvc.excite.diagnosis_burst import Aim, default_burst
-from afdsvc.excite.expected_detection import burst_prospect, steady_samples
-from afdsvc.excite.simulated_burst import faulty_loop, rehearse
+from afdsvc.excite.expected_detection import burst_detection, steady_samples
+from afdsvc.excite.simulated_burst import faulty_loop, simulate_burst
 from afdsvc.testing.machines import bearing_problem, unstable_problem
 
 CASES = [("proportional", 0), ("proportional", 1100), ("lqg", 0), ("lqg", 1100)]
@@ -23,13 +23,13 @@ def test_all_four_faults_can_be_told_apart_inside_the_limits(controller, rpm):
     burst = default_burst(problem, problem.limits)
     assert burst.samples * problem.plant.dt == pytest.approx(2.5)
     assert "not_separated" not in burst.notes
-    apart = burst_prospect(problem, burst).separations(-0.5)
+    apart = burst_detection(problem, burst).separations(-0.5)
     assert apart.min() > 0.99 * separation_wanted(0.99, 0.99999)
     _, noise = noise_deviations(problem)
     for fault in (None, *problem.fault_names):
         for severity in (-0.5, -1.0):
             faults = {fault: severity} if fault else {}
-            run = rehearse(problem, burst.play(problem.plant.dt), np.zeros((burst.samples, 2)), faults)
+            run = simulate_burst(problem, burst.play(problem.plant.dt), np.zeros((burst.samples, 2)), faults)
             assert (np.abs(run.y).max(axis=0) < 2.5).all()  # of 10 um
             assert (np.abs(run.u).max(axis=0) + 5 * noise < problem.limits.input).all()
 
@@ -63,7 +63,7 @@ def test_noise_deviations_against_a_long_run():
     problem = bearing_problem("lqg")
     y, u = noise_deviations(problem)
     v = np.random.default_rng(1).normal(size=(200_000, 2)) @ np.linalg.cholesky(problem.covariance).T
-    run = rehearse(problem, np.zeros_like(v), v, loop=faulty_loop(problem, {}))
+    run = simulate_burst(problem, np.zeros_like(v), v, loop=faulty_loop(problem, {}))
     assert run.y.std(axis=0) == pytest.approx(y, rel=0.02)
     assert run.u.std(axis=0) == pytest.approx(u, rel=0.02)
 

@@ -14,7 +14,7 @@ from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.crest import _waves, low_crest, peak
 from afdsvc.excite.diagnosis_burst import second_burst
 from afdsvc.excite.efficiency import efficiency, samples_for
-from afdsvc.excite.expected_detection import burst_prospect, prospect, steady_samples
+from afdsvc.excite.expected_detection import burst_detection, expected_detection, steady_samples
 from afdsvc.excite.multisine import Wish, multisine, shortest
 from afdsvc.excite.power_allocation import allocate, candidates
 from afdsvc.testing.machines import bearing_problem, unstable_problem
@@ -110,7 +110,7 @@ def test_shortest_burst_for_ten_per_cent_below_a_micrometre():
     problem = bearing_problem("lqg")
     burst = multisine(problem, problem.limits, Wish(-0.1, 0.9, 0.99, 1e-3))
     assert burst.samples * DT <= 2.5
-    seen = burst_prospect(problem, burst)
+    seen = burst_detection(problem, burst)
     threshold = seen.threshold(1e-3)
     for fault in problem.fault_names:
         assert seen.detection(fault, -0.1, threshold) > 0.989
@@ -143,10 +143,10 @@ def test_second_burst_separates_the_two_suspects_better_than_the_first():
     weights = {"horizontal_actuator": 0.6, "horizontal_sensor": 0.39, "vertical_actuator": 0.01, "none_of_these": 0.0}
     burst = second_burst(problem, limits, weights, -0.3)
     assert burst.purpose == "isolate"
-    first = prospect(problem, [Line(0, 62.0, 1.0)], steady_samples(burst))
+    first = expected_detection(problem, [Line(0, 62.0, 1.0)], steady_samples(burst))
     per_um = lambda seen, b: seen.separation("horizontal_actuator", -0.3, "horizontal_sensor") / b  # noqa: E731
-    assert per_um(burst_prospect(problem, burst), float(burst.notes["output_amplitude"])) > 2 * per_um(first, 2.9)
-    reached = burst_prospect(problem, burst).separation("horizontal_actuator", -0.3, "horizontal_sensor")
+    assert per_um(burst_detection(problem, burst), float(burst.notes["output_amplitude"])) > 2 * per_um(first, 2.9)
+    reached = burst_detection(problem, burst).separation("horizontal_actuator", -0.3, "horizontal_sensor")
     assert reached > 0.99 * separation_wanted(0.99, 0.99999)
     with pytest.raises(BadInput, match="two suspects"):
         second_burst(problem, limits, {"horizontal_actuator": 1.0}, -0.3)
@@ -155,7 +155,7 @@ def test_second_burst_separates_the_two_suspects_better_than_the_first():
 def test_published_detection_probabilities_of_the_unstable_plant():
     # publication P4: N = 200, alpha of amplitude 0.1 at 125 rad/s, 1e-4, theta = -0.1; Monte Carlo .9983 and .0082
     problem = unstable_problem()
-    seen = prospect(problem, [Line(0, 125.0, 0.1)], 200)
+    seen = expected_detection(problem, [Line(0, 125.0, 0.1)], 200)
     h = 3.7190165
     assert [seen.deflection(f, -0.1) for f in ("b1", "b2")] == pytest.approx([7.543, 1.5765], abs=2e-3)
     assert seen.detection("b1", -0.1, h) == pytest.approx(0.99825, abs=2e-4)

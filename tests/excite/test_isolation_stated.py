@@ -11,9 +11,9 @@ from afdsvc.detect.isolation import LineData, anything_log_evidence, curve_fit, 
 from afdsvc.detect.statistics.matched_filter import window
 from afdsvc.detect.thresholds.power import weight_reached
 from afdsvc.excite.diagnosis_burst import default_burst, second_burst
-from afdsvc.excite.expected_detection import burst_prospect
+from afdsvc.excite.expected_detection import burst_detection
 from afdsvc.excite.isolation import NOT_ISOLABLE, isolable_pairs, separation
-from afdsvc.excite.simulated_burst import faulty_loop, rehearse
+from afdsvc.excite.simulated_burst import faulty_loop, simulate_burst
 from afdsvc.testing.machines import bearing_problem
 
 PAIR = ("horizontal_actuator", "horizontal_sensor")
@@ -55,12 +55,12 @@ def test_what_no_burst_within_the_limits_separates_is_said_beforehand():
 def isolated(problem, burst, fault, severity, runs):
     """Share of simulated bursts after which the right fault has a weight of 0.99 among all four and 'none'."""
     lines = tuple(sorted(burst.lines, key=lambda line: line.omega))
-    curves, loop, Li = burst_prospect(problem, burst).curves, faulty_loop(problem, {fault: severity}), whitener(problem.covariance)
+    curves, loop, Li = burst_detection(problem, burst).curves, faulty_loop(problem, {fault: severity}), whitener(problem.covariance)
     basis, (first, last), alpha = Basis(tuple(line.omega for line in lines)), window(burst), burst.play(problem.plant.dt)
     root, count = np.linalg.cholesky(problem.output_cov), 0
     for seed in range(runs):
         v = np.random.default_rng(seed).normal(size=(burst.samples, 2)) @ root.T
-        r = rehearse(problem, alpha, v, loop=loop).r[first:last] @ Li.T
+        r = simulate_burst(problem, alpha, v, loop=loop).r[first:last] @ Li.T
         found = project(BasisSums.empty(basis, 2).add(basis, first, problem.plant.dt, r), basis)
         data = LineData(found.z, found.R, np.zeros((found.z.size, found.z.size)))
         fits = [curve_fit(curves, name, data, (-1.0, 0.0)) for name in curves.names]
@@ -79,7 +79,7 @@ def agrees(found, stated, runs):
 def test_simulation_agrees_with_the_isolation_stated_for_one_burst(controller, amplitude, runs):
     problem = bearing_problem(controller)
     burst = default_burst(problem, problem.limits, 1.0, amplitude)
-    apart = burst_prospect(problem, burst).separation(PAIR[0], -0.5, PAIR[1])
+    apart = burst_detection(problem, burst).separation(PAIR[0], -0.5, PAIR[1])
     stated = weight_reached(apart, 0.99)
     assert 0.02 < stated < 0.999
     assert agrees(isolated(problem, burst, PAIR[0], -0.5, runs), stated, runs)
@@ -93,5 +93,5 @@ def test_simulation_agrees_with_the_isolation_stated_for_a_second_burst(controll
     assert told["isolated_by"] == "diagnosis, then isolation"
     second = second_burst(problem, problem.limits, dict.fromkeys(PAIR, 0.5), -0.5, 1.0)
     assert [(line.input, line.omega) for line in second.lines] == [(x["input"], x["rad_s"]) for x in told["second_burst"]["lines"]]
-    assert told["separation"] == pytest.approx(separation(burst_prospect(problem, second), PAIR, -0.5))
+    assert told["separation"] == pytest.approx(separation(burst_detection(problem, second), PAIR, -0.5))
     assert agrees(isolated(problem, second, PAIR[0], -0.5, runs), told["probability"], runs)

@@ -8,7 +8,7 @@ import pytest
 from afdsvc.api.bursts import Limits
 from afdsvc.api.detection import DetectionProblem, FalseAlarms
 from afdsvc.excite.diagnosis_burst import Aim, default_burst
-from afdsvc.excite.simulated_burst import played, rehearse
+from afdsvc.excite.simulated_burst import played, simulate_burst
 from afdsvc.lti.whitening import innovations, whitening_filter
 from afdsvc.plants.amb_turboexpander import NOISE_SD, amb_turboexpander
 from afdsvc.plugins.controllers.lqg import Lqg
@@ -34,7 +34,7 @@ def test_every_fault_of_a_fifth_is_detected_in_one_burst() -> None:
     detector = MatchedFilterDesign().design(problem, {})
     for seed, name in enumerate((None, *problem.fault_names)):
         noise = NOISE_SD * np.random.default_rng(seed).standard_normal((len(alpha), 4))
-        run = rehearse(problem, alpha, noise, {} if name is None else {name: -0.2})
+        run = simulate_burst(problem, alpha, noise, {} if name is None else {name: -0.2})
         assert np.abs(run.y).max() < 5.0
         state, found = detector.start(), []
         for block in run.blocks(5000, burst, BEFORE):

@@ -17,9 +17,9 @@ from afdsvc.errors import BadInput
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.reader import Recording
 from afdsvc.service.alarm_history import History
-from afdsvc.service.notifications import Outbox
+from afdsvc.service.notifications import NotificationQueue
 from afdsvc.service.operator_requests import plain
-from afdsvc.service.sinks.pre_alarm_buffer import BlackBox
+from afdsvc.service.sinks.pre_alarm_buffer import PreAlarmBuffer
 from afdsvc.service.webhook import Webhook
 from afdsvc.wire import codec
 from afdsvc.wire.messages import Alarm, AlarmChange, AlarmKind, Finding
@@ -82,7 +82,7 @@ def block(k: int, n: int = 100) -> Block:
 
 
 def test_the_black_box_holds_the_minute_before_and_nothing_older(tmp_path):
-    box = BlackBox(tmp_path / "alarms" / "m", Header("site", {"m": "model"}, {"machine": "m"}), seconds=60.0)
+    box = PreAlarmBuffer(tmp_path / "alarms" / "m", Header("site", {"m": "model"}, {"machine": "m"}), seconds=60.0)
     for k in range(200):
         b = block(k)
         box.block(b, codec.encode_block(b))
@@ -100,7 +100,7 @@ def test_the_black_box_holds_the_minute_before_and_nothing_older(tmp_path):
 
 def test_the_black_box_does_not_grow_beyond_its_bytes(tmp_path):
     payload = codec.encode_block(block(0))
-    box = BlackBox(tmp_path / "m", Header(), seconds=1e6, most_bytes=10 * len(payload))
+    box = PreAlarmBuffer(tmp_path / "m", Header(), seconds=1e6, most_bytes=10 * len(payload))
     for k in range(1000):
         box.block(block(k), payload)
     assert len(box._said) == 10
@@ -115,7 +115,7 @@ def test_an_outbox_tries_again_and_then_gives_up_and_counts(caplog):
             raise OSError("no route")
         heard.append(change.event)
 
-    outbox = Outbox("test", receive, pauses=(0.0, 0.0))
+    outbox = NotificationQueue("test", receive, pauses=(0.0, 0.0))
     outbox.put(CHANGE)
     outbox.put(AlarmChange(CHANGE.alarm, "ended", 2))
     assert outbox.flush(5)
@@ -127,7 +127,7 @@ def test_an_outbox_tries_again_and_then_gives_up_and_counts(caplog):
 
 def test_a_receiver_that_hangs_holds_nobody_up(caplog):
     release = threading.Event()
-    outbox = Outbox("test", lambda change: release.wait(20), size=2)
+    outbox = NotificationQueue("test", lambda change: release.wait(20), size=2)
     for _ in range(10):
         outbox.put(CHANGE)
     assert outbox.dropped >= 7

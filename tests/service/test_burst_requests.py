@@ -10,9 +10,9 @@ import pytest
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.errors import Refused
 from afdsvc.files.site import Bursts
-from afdsvc.service.burst_requests import BurstDesk
+from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.service.clock import RealClock
-from afdsvc.service.scheduler import Scheduler, Wanted
+from afdsvc.service.scheduler import BurstOrder, Scheduler
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import BurstReply
@@ -20,7 +20,7 @@ from afdsvc.wire.messages import BurstReply
 DT = 1e-3
 
 
-def desk(ready_at: int | None, seconds: float = 10.0) -> tuple[BurstDesk, list]:
+def desk(ready_at: int | None, seconds: float = 10.0) -> tuple[BurstRequests, list]:
     requests: list = []
 
     def ask(_key: str, payload: bytes) -> bytes:
@@ -32,27 +32,27 @@ def desk(ready_at: int | None, seconds: float = 10.0) -> tuple[BurstDesk, list]:
     sink = SimpleNamespace(request=lambda r: None, notice=lambda *a: None)
     burst = Burst("b", 1, 1000, 100, (Line(0, 50.0, 1.0),))
     scheduler = Scheduler(Bursts(every_seconds=5.0, first_after_seconds=1.0), np.random.default_rng(0), 0.0)
-    made = BurstDesk("m1", lambda wanted: burst, scheduler, stream, sink, Keys("t"), transport, RealClock())
+    made = BurstRequests("m1", lambda wanted: burst, scheduler, stream, sink, Keys("t"), transport, RealClock())
     made.present("s1", seconds)
     return made, requests
 
 
 def test_a_burst_somebody_asks_for_at_once_waits_until_it_can_be_judged():
     made, requests = desk(ready_at=400, seconds=0.1)
-    made.ask(Wanted("asked"))
+    made.ask(BurstOrder("asked"))
     assert requests[0].start == 400
 
 
 def test_a_machine_that_has_long_been_judged_is_excited_at_once():
     made, requests = desk(ready_at=400, seconds=10.0)
-    made.ask(Wanted("asked"))
+    made.ask(BurstOrder("asked"))
     assert requests[0].start == 0
 
 
 def test_a_machine_that_sends_nothing_usable_is_not_excited():
     made, requests = desk(ready_at=None)
     with pytest.raises(Refused, match="nothing that can be judged yet"):
-        made.ask(Wanted("asked"))
+        made.ask(BurstOrder("asked"))
     made.tick()
     assert requests == []
     assert made._asking is None
@@ -61,7 +61,7 @@ def test_a_machine_that_sends_nothing_usable_is_not_excited():
 def test_a_machine_that_was_interrupted_long_before_its_window_is_full_is_refused_with_the_time_to_wait():
     made, requests = desk(ready_at=30_000, seconds=10.0)
     with pytest.raises(Refused, match="ask again in 20 s"):
-        made.ask(Wanted("asked"))
+        made.ask(BurstOrder("asked"))
     made.tick()
     assert made._asking is None
     assert requests == []
@@ -69,6 +69,6 @@ def test_a_machine_that_was_interrupted_long_before_its_window_is_full_is_refuse
 
 def test_the_wait_counts_before_a_burst_is_given_up():
     made, _ = desk(ready_at=4000, seconds=0.1)
-    made.ask(Wanted("asked"))
+    made.ask(BurstOrder("asked"))
     left = made._deadline - made.clock.monotonic()
     assert left == pytest.approx(3.9 + 1.0 + 0.4 + 5.0, abs=0.5)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from afdsvc.diagnosis.verdict import Question
 from afdsvc.errors import Refused
 from afdsvc.files.site import Bursts
-from afdsvc.service.scheduler import Scheduler, Wanted
+from afdsvc.service.scheduler import BurstOrder, Scheduler
 
 NOON = datetime(2026, 11, 21, 12, 0)
 
@@ -70,22 +70,22 @@ def test_quiet_hours_span_midnight():
         assert s.quiet(datetime(2026, 11, 21, hour, minute)) is quiet
     assert s.due(100.0, datetime(2026, 11, 21, 23)) is None
     with pytest.raises(Refused, match="quiet hours"):
-        s.request(Wanted("person"), 100.0, datetime(2026, 11, 21, 23))
+        s.request(BurstOrder("person"), 100.0, datetime(2026, 11, 21, 23))
 
 
 def test_requests_are_refused_with_their_reason():
     s = scheduler(rest_seconds=5.0)
-    s.request(Wanted("asked by Ada"), 0.0, NOON)
-    assert s.due(0.0, NOON) == Wanted("asked by Ada")
+    s.request(BurstOrder("asked by Ada"), 0.0, NOON)
+    assert s.due(0.0, NOON) == BurstOrder("asked by Ada")
     s.started()
     with pytest.raises(Refused, match="two at once"):
-        s.request(Wanted("again"), 1.0, NOON)
+        s.request(BurstOrder("again"), 1.0, NOON)
     s.ended(3.0)
     with pytest.raises(Refused, match=r"rests for another 4\.0 s"):
-        s.request(Wanted("again"), 4.0, NOON)
+        s.request(BurstOrder("again"), 4.0, NOON)
     s.paused = "by Ada: maintenance"
     with pytest.raises(Refused, match="paused: by Ada"):
-        s.request(Wanted("again"), 20.0, NOON)
+        s.request(BurstOrder("again"), 20.0, NOON)
 
 
 def test_an_event_asks_for_one_burst_only_where_the_site_wants_it():

@@ -12,7 +12,7 @@ from afdsvc.app.pipelines import diagnosis_burst, pipeline_of
 from afdsvc.detect.statistics import active_cusum
 from afdsvc.files.site import parse_site
 from afdsvc.plugins.manager import load
-from afdsvc.service.warm_up import Rehearsals, rehearse
+from afdsvc.service.warm_up import WarmUp, warm_up
 
 
 def machine():
@@ -24,7 +24,7 @@ def machine():
 
 def test_the_pipeline_is_not_touched_and_the_design_is_there():
     pipeline, burst = machine()
-    rehearse(pipeline, burst)
+    warm_up(pipeline, burst)
     assert pipeline.ready_at is None
     assert not pipeline.bursts
     detector = next(d for d in pipeline.detectors if d.name == "cusum")
@@ -40,7 +40,7 @@ def cusum_designs() -> int:
 def test_what_fails_is_told_and_the_others_are_rehearsed(caplog):
     pipeline, burst = machine()
     broken = replace(burst, waveform=np.zeros((burst.samples, burst.inputs)), lines=(), samples=burst.samples)
-    rehearsals = Rehearsals([(replace_expected(pipeline), broken), (pipeline, burst)])
+    rehearsals = WarmUp([(replace_expected(pipeline), broken), (pipeline, burst)])
     rehearsals.start()
     deadline = time.monotonic() + 30
     while rehearsals._thread.is_alive() and time.monotonic() < deadline:

@@ -33,12 +33,12 @@ from afdsvc.files.site import Alarms, Bursts, Driver, Machine
 from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.hal.hardware import DrivenRig
 from afdsvc.service.alarm_history import History
-from afdsvc.service.burst_requests import BurstDesk
+from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.service.clock import FastClock
 from afdsvc.service.hub import Hub
-from afdsvc.service.machine import MachineWatch
-from afdsvc.service.scheduler import Scheduler, Wanted
-from afdsvc.service.sinks.pre_alarm_buffer import BlackBox
+from afdsvc.service.machine import MachineMonitor
+from afdsvc.service.scheduler import BurstOrder, Scheduler
+from afdsvc.service.sinks.pre_alarm_buffer import PreAlarmBuffer
 from afdsvc.service.sinks.publisher_sink import Publisher
 from afdsvc.transport.zenoh_session import PeerSilent
 from afdsvc.wire import codec
@@ -85,17 +85,17 @@ class Says:
         return self.outcome
 
 
-def service(desk: BurstDesk | None = None) -> tuple[Hub, MachineWatch, Says]:
+def service(desk: BurstRequests | None = None) -> tuple[Hub, MachineMonitor, Says]:
     stream = Says()
-    watch = MachineWatch("m1", stream, Everything(), FastClock())
+    watch = MachineMonitor("m1", stream, Everything(), FastClock())
     hub = Hub(Keys("t"), "1", {"m1": watch}, {"m1": desk} if desk else {}, None, FastClock(), lambda: ("", 0, "", 0))
     return hub, watch, stream
 
 
-def desk(ask=None) -> BurstDesk:
+def desk(ask=None) -> BurstRequests:
     transport = SimpleNamespace(ask=ask, publish=lambda *a, **k: None)
     scheduler = Scheduler(Bursts(), np.random.default_rng(0), 0.0)
-    made = BurstDesk("m1", lambda wanted: SINE, scheduler, Says(), Everything(), Keys("t"), transport, FastClock())
+    made = BurstRequests("m1", lambda wanted: SINE, scheduler, Says(), Everything(), Keys("t"), transport, FastClock())
     made.present("s1", 10.0)
     return made
 
@@ -149,7 +149,7 @@ def test_medkit_105_consequences_stand_under_their_cause():
 @pytest.mark.parametrize("thread", ["medkit_120", "mowglinext_718", "rosbag2_1409", "rosbag2_837"])
 def test_what_came_before_the_trigger_is_in_a_file_of_its_own(tmp_path, thread):
     """All four ask for the time before the event: a ring buffer in memory, written when something happens."""
-    box, told = BlackBox(tmp_path / thread, Header(), seconds=2.0), []
+    box, told = PreAlarmBuffer(tmp_path / thread, Header(), seconds=2.0), []
     for seq in range(100):
         box.block(block(seq), codec.encode_block(block(seq)))
     book = AlarmBook(tell=told.append)
@@ -201,14 +201,14 @@ def test_ros2_control_712_a_command_to_dead_hardware_fails_and_says_so():
     nobody = desk()
     nobody.present("", 0.0)
     with pytest.raises(Refused, match="machine 'm1' is not there"):
-        nobody.ask(Wanted("kim"))
+        nobody.ask(BurstOrder("kim"))
 
     def silent(*_):
         raise PeerSilent("no answer")
 
     dead = desk(silent)
     with pytest.raises(PeerSilent):
-        dead.ask(Wanted("kim"))
+        dead.ask(BurstOrder("kim"))
     assert dead.playing == ""
     with pytest.raises(PeerSilent):
         dead.stop("enough", "kim")
@@ -436,7 +436,7 @@ def test_a_refused_second_agent_does_not_end_the_burst_of_the_first():
     """Its farewell ("the plant is at rest") once made the service forget the burst, whose lease then ran out."""
     accepted = codec.encode_burst_reply(codec.decode_burst_reply(b"\x08\x01"))
     playing = desk(lambda *a: accepted)
-    playing.ask(Wanted("kim"))
+    playing.ask(BurstOrder("kim"))
     playing.heard(RigEvent("m1", "s2", T, EventKind.RIG_STOPPED, 0, "", "the plant is at rest"))
     assert playing.playing
     playing.heard(RigEvent("m1", "s1", T, EventKind.RIG_STOPPED, 0, "", "the plant is at rest"))

@@ -14,7 +14,7 @@ from afdsvc.app import commissioning
 from afdsvc.app.pipelines import burst_design, pipeline_of
 from afdsvc.diagnosis.verdict import alarms, conclude
 from afdsvc.service.clock import FastClock
-from afdsvc.service.scheduler import Wanted
+from afdsvc.service.scheduler import BurstOrder
 
 FAULTS = ("horizontal_actuator", "vertical_actuator", "horizontal_sensor", "vertical_sensor")
 LOOPS = [(c, rpm) for c in ("proportional", "lqg") for rpm in (0, 1100)]
@@ -24,7 +24,7 @@ def burst_run(machine, plugins, bursts: int = 1, quiet: int = 5000, burst=None):
     """Return the evidence of quiet running and bursts in turn; every burst must play to its end within the limits."""
     port = commissioning.open_port(machine, "s", FastClock(), plugins)
     stream = pipeline_of(machine, plugins)
-    burst = burst or burst_design(machine, stream)(Wanted("test"))
+    burst = burst or burst_design(machine, stream)(BurstOrder("test"))
     stream.announce(burst)
     evidence, peak = [], 0.0
 

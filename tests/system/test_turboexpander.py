@@ -15,7 +15,7 @@ from afdsvc.diagnosis.verdict import conclude
 from afdsvc.errors import BadInput, NotStabilising, Refused
 from afdsvc.files.site import Machine, parse_site
 from afdsvc.service.clock import FastClock
-from afdsvc.service.scheduler import Wanted
+from afdsvc.service.scheduler import BurstOrder
 from afdsvc.service.sinks.recorder_sink import RecorderSink
 from afdsvc.wire import codec
 from afdsvc.wire.messages import BurstRequest
@@ -62,7 +62,7 @@ class Bench:
             done += self.take()
 
     def burst(self) -> None:
-        made = replace(self.design(Wanted("test")), name=f"burst {self.bursts}")
+        made = replace(self.design(BurstOrder("test")), name=f"burst {self.bursts}")
         self.bursts += 1
         self.stream.announce(made)
         if self.sink:
@@ -197,6 +197,6 @@ def test_the_design_says_what_cannot_be_isolated(plugins) -> None:
     twins = [{"name": "weak_magnet", "kind": "parameter", "settings": {"parameter": "current_gain_a_x"}},
              {"name": "amplifier", "kind": "actuator_gain", "settings": {"input": 0}}, FAULTS[0]]
     machine = turboexpander(plugins, faults=twins)
-    noted = burst_design(machine, pipeline_of(machine, plugins))(Wanted("design")).notes["not_separated"]
+    noted = burst_design(machine, pipeline_of(machine, plugins))(BurstOrder("design")).notes["not_separated"]
     assert "weak_magnet from amplifier" in noted
     assert "stiffness_a_x" not in noted

@@ -163,18 +163,18 @@ SURE = 6.0  # standard deviations of noise by which the weakest expected amplitu
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shown:
+class PlayedLines:
     """The measured input on the excited lines during the steady part of a burst: sums, and its energy per input."""
 
     sums: BasisSums
     energy: Array
 
     @classmethod
-    def start(cls, inputs: int) -> Shown:
+    def start(cls, inputs: int) -> PlayedLines:
         """Return sums over nothing."""
         return cls(BasisSums(0, np.zeros((0, 0)), np.zeros((0, inputs))), np.zeros(inputs))
 
-    def add(self, block: ResidualBlock, first: int, burst: Burst, nuisances: Nuisances) -> Shown:
+    def add(self, block: ResidualBlock, first: int, burst: Burst, nuisances: Nuisances) -> PlayedLines:
         """Return the sums with the samples of the block added; ``first`` counts from the beginning of the burst."""
         begin, end = window(burst)
         a, b = max(begin - first, 0), max(end - first, 0)

@@ -35,7 +35,7 @@ from afdsvc.stats.levenberg_marquardt import Local, descend
 _ROUNDS = 3
 
 
-def polish(model: InnovationsForm, recordings: Sequence[Recording]) -> InnovationsForm:
+def black_box_pem(model: InnovationsForm, recordings: Sequence[Recording]) -> InnovationsForm:
     """Return the innovations form of the same order that predicts the recordings best, near the one handed in."""
     u, y = scales(recordings)
     relative = scaled(recordings, u, y)

@@ -12,7 +12,7 @@ from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.identify.excitation import Excitation, require_excitation, supported_order
 from afdsvc.identify.fit import Fit
-from afdsvc.identify.methods.black_box_pem import polish
+from afdsvc.identify.methods.black_box_pem import black_box_pem
 from afdsvc.identify.methods.greybox import GreyboxOptions, fit_greybox, greybox_band
 from afdsvc.identify.methods.hansen import rebuilt_plant, youla_signals
 from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
@@ -208,9 +208,9 @@ def pem(problem: Prepared, options: IdentifyOptions) -> Outcome:
     past, order = int(fit.notes[0].rsplit(" ", 1)[1]), fit.order
 
     def estimate(recordings: Sequence[Recording]) -> StateSpace:
-        return polish(realise_predictor(decompose_predictor(recordings, past), order), recordings).system
+        return black_box_pem(realise_predictor(decompose_predictor(recordings, past), order), recordings).system
 
-    fit = replace(fit, method="pem", model=polish(fit.model, problem.training))
+    fit = replace(fit, method="pem", model=black_box_pem(fit.model, problem.training))
     return Outcome(_banded(fit, estimate, problem.training, options))
 
 

@@ -15,7 +15,7 @@ from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.thresholds.power import detection_probability, pair_confusion, tail
 from afdsvc.excite.efficiency import efficiency
-from afdsvc.excite.expected_detection import Prospect, burst_prospect, prospect, steady_samples
+from afdsvc.excite.expected_detection import ExpectedDetection, burst_detection, expected_detection, steady_samples
 
 COLOURS = ("#1b6ca8", "#c8553d", "#588157", "#7b4b94", "#c29200", "#3a3a3a", "#008b8b", "#a0522d")
 
@@ -28,7 +28,7 @@ def design_page(problem: DetectionProblem, burst: Burst, sheet: Mapping[str, Any
 
     ``units`` are those of inputs and outputs, in the order of the problem's names.
     """
-    seen = burst_prospect(problem, burst)
+    seen = burst_detection(problem, burst)
     h = seen.threshold(problem.false_alarms.per_burst)
     figures = [
         ("Efficiency of excitation", "Residual against output disturbance for every fault and input, all outputs together; "
@@ -67,7 +67,7 @@ def _efficiency_figure(problem: DetectionProblem, burst: Burst) -> str:
     return _svg(figure)
 
 
-def _curve_figure(problem: DetectionProblem, seen: Prospect) -> str:
+def _curve_figure(problem: DetectionProblem, seen: ExpectedDetection) -> str:
     lines, p = len(seen.curves.inputs), problem.plant.outputs
     figure, axes = _axes(p, lines, 2.9)
     for k, name in enumerate(seen.curves.names):
@@ -88,7 +88,7 @@ def _curve_figure(problem: DetectionProblem, seen: Prospect) -> str:
     return _svg(figure)
 
 
-def _severity_figure(seen: Prospect, h: float) -> str:
+def _severity_figure(seen: ExpectedDetection, h: float) -> str:
     figure, (ax,) = _axes(1, 1, 3.0)
     for k, name in enumerate(seen.curves.names):
         severities = -np.geomspace(1e-3, abs(seen.reach[name][0]), 80)
@@ -104,7 +104,7 @@ def _length_figure(problem: DetectionProblem, burst: Burst, h: float) -> str:
     steady = steady_samples(burst)
     lengths = np.geomspace(steady / 1000, 4 * steady, 60)
     for k, name in enumerate(problem.fault_names):
-        d = prospect(problem, ordered, steady).deflection(name, -0.1)
+        d = expected_detection(problem, ordered, steady).deflection(name, -0.1)
         ax.semilogx(lengths * problem.plant.dt, [detection_probability(tail(h), d * np.sqrt(n / steady)) for n in lengths],
                     color=_colour(k), label=name)  # fmt: skip
     ax.axvline(steady * problem.plant.dt, color="0.4", ls="--", lw=0.9)
@@ -113,7 +113,7 @@ def _length_figure(problem: DetectionProblem, burst: Burst, h: float) -> str:
     return _svg(figure)
 
 
-def _isolation_figure(seen: Prospect) -> str:
+def _isolation_figure(seen: ExpectedDetection) -> str:
     names = seen.curves.names
     table = seen.separations(-0.5)
     n = range(len(names))
@@ -142,7 +142,7 @@ def _circle() -> Any:
     return Circle((0, 0), 1.0, fill=False, color="0.3", lw=1.0)
 
 
-def _line_name(problem: DetectionProblem, seen: Prospect, k: int) -> str:
+def _line_name(problem: DetectionProblem, seen: ExpectedDetection, k: int) -> str:
     return _name(problem.input_names, seen.curves.inputs[k])
 
 

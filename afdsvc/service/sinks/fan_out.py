@@ -163,7 +163,7 @@ class ThreadedSink:
             self._lost += what not in ("tick", "close")
 
 
-class Fan:
+class FanOut:
     """Several sinks as one."""
 
     def __init__(self, sinks: Sequence[Sink]) -> None:

@@ -27,7 +27,7 @@ class _Said:
     write: Write
 
 
-class BlackBox:
+class PreAlarmBuffer:
     """A sink that keeps the last ``seconds`` of one machine in memory, at most ``most_bytes``, and writes them on an alarm.
 
     Every alarm that is raised and follows from no other gets one file beside ``base``; what is in it is a recording like any

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from afdsvc.api.signals import Block, residual_block
 from afdsvc.lti.statespace import Array
-from afdsvc.transport.outgoing_queue import Post
+from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RigEvent
@@ -21,8 +21,8 @@ class Publisher:
     """
 
     keys: Keys
-    post: Post
-    stream: Post
+    post: OutgoingQueue
+    stream: OutgoingQueue
     heard: Callable[[str], bool] = lambda key: True
 
     def block(self, block: Block, payload: bytes) -> None:

@@ -13,7 +13,7 @@ from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, Detector, ResidualBlock
 from afdsvc.api.evidence import Evidence
 from afdsvc.excite.diagnosis_burst import default_burst
-from afdsvc.excite.simulated_burst import Rehearsal, played, rehearse
+from afdsvc.excite.simulated_burst import SimulatedBurst, played, simulate_burst
 from afdsvc.testing.conformance.named import refuses_nonsense
 from afdsvc.testing.machines import bearing_problem
 
@@ -34,18 +34,18 @@ def _burst() -> Burst:
 
 
 @lru_cache(maxsize=64)
-def _record(seed: int, fault: str = "", severity: float = 0.0) -> Rehearsal:
+def _record(seed: int, fault: str = "", severity: float = 0.0) -> SimulatedBurst:
     problem, burst = _problem(), _burst()
     alpha = played(burst, problem.plant.dt, BEFORE, 500)
     noise = np.random.default_rng(seed).normal(size=(len(alpha), 2)) @ np.linalg.cholesky(problem.covariance).T
-    return rehearse(problem, alpha, noise, {fault: severity} if fault else {})
+    return simulate_burst(problem, alpha, noise, {fault: severity} if fault else {})
 
 
-def _blocks(record: Rehearsal, size: int = 250) -> Iterator[ResidualBlock]:
+def _blocks(record: SimulatedBurst, size: int = 250) -> Iterator[ResidualBlock]:
     return record.blocks(size, _burst(), BEFORE)
 
 
-def _said(detector: Detector, record: Rehearsal, size: int = 250) -> list[Evidence]:
+def _said(detector: Detector, record: SimulatedBurst, size: int = 250) -> list[Evidence]:
     state, said = detector.start(), []
     for block in _blocks(record, size):
         state, evidence = detector.step(state, block)

@@ -6,7 +6,7 @@ import pytest
 from afdsvc.detect.features.regressors import regressors, whitener
 from afdsvc.detect.thresholds.regressor_information import noise_driven
 from afdsvc.errors import BadInput
-from afdsvc.excite.simulated_burst import faulty_loop, rehearse
+from afdsvc.excite.simulated_burst import faulty_loop, simulate_burst
 from afdsvc.testing.machines import bearing_problem, unstable_problem
 
 
@@ -23,7 +23,7 @@ def test_residual_is_severity_times_regressor_plus_noise(controller, severity, f
     assert filters.exact == (True,) * 4
     v = noise(problem, 800, fault)
     alpha = np.random.default_rng(99).normal(size=(800, 2))
-    run = rehearse(problem, alpha, v, {name: severity})
+    run = simulate_burst(problem, alpha, v, {name: severity})
     _, series = filters.step(filters.start(), run.r, run.y, run.u)
     left = series[:, 0] - severity * series[:, 1 + fault]
     assert np.abs(left - v @ whitener(problem.covariance).T).max() < 1e-12
@@ -36,7 +36,7 @@ def test_regressors_are_first_order_for_an_unstable_plant():
     alpha = np.random.default_rng(1).normal(size=(600, 1))
     errors = []
     for severity in (-0.02, -0.01):
-        run = rehearse(problem, alpha, np.zeros((600, 1)), {"b1": severity})
+        run = simulate_burst(problem, alpha, np.zeros((600, 1)), {"b1": severity})
         _, series = filters.step(filters.start(), run.r, run.y, run.u)
         errors.append(np.abs(series[:, 0] - severity * series[:, 1]).max() / abs(severity))
     assert errors[0] < 0.2
@@ -46,7 +46,7 @@ def test_regressors_are_first_order_for_an_unstable_plant():
 def test_blocks_of_any_size_give_the_same_bits():
     problem = bearing_problem()
     filters = regressors(problem)
-    run = rehearse(problem, np.zeros((700, 2)), noise(problem, 700, 3))
+    run = simulate_burst(problem, np.zeros((700, 2)), noise(problem, 700, 3))
     _, whole = filters.step(filters.start(), run.r, run.y, run.u)
     state, parts = filters.start(), []
     for a in range(0, 700, 31):
@@ -69,7 +69,7 @@ def test_signed_root_is_standard_normal_after_correction():
     filters, cumulants = regressors(problem), noise_driven(problem)
     n, runs = 500, 4000
     v = noise(problem, n * runs + 2000, 21)
-    run = rehearse(problem, np.zeros_like(v), v, loop=faulty_loop(problem, {}))
+    run = simulate_burst(problem, np.zeros_like(v), v, loop=faulty_loop(problem, {}))
     _, series = filters.step(filters.start(), run.r, run.y, run.u)
     series = series[2000:].reshape(runs, n, 5, 2)
     b = np.einsum("rtfp,rtp->rf", series[:, :, 1:], series[:, :, 0])

@@ -11,7 +11,7 @@ from afdsvc.detect.features.shared_filter import SharedRegressors, shared
 from afdsvc.detect.features.sums import Products
 from afdsvc.detect.statistics.regression import regression
 from afdsvc.excite.diagnosis_burst import default_burst
-from afdsvc.excite.simulated_burst import played, rehearse
+from afdsvc.excite.simulated_burst import played, simulate_burst
 from afdsvc.lti.lft import FaultDirection, augment
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem
 from benchmarks.support.streaming import many_faults
@@ -98,7 +98,7 @@ def test_the_statistic_of_a_burst_is_that_of_every_fault_by_itself(machine):
     burst = default_burst(bearing_problem("lqg"), bearing_problem("lqg").limits, 0.3, 0.4)
     alpha = played(burst, problem.plant.dt, 1000)
     v = np.random.default_rng(3).normal(size=alpha.shape) @ np.linalg.cholesky(problem.covariance).T
-    run = rehearse(problem, alpha, v, {problem.fault_names[0]: -0.2})
+    run = simulate_burst(problem, alpha, v, {problem.fault_names[0]: -0.2})
     block = next(b for b in run.blocks(len(run), burst, 1000) if b.burst is not None)
     found = []
     for filters in (regressors(problem), shared(regressors(problem))):

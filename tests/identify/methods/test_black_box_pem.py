@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from afdsvc.dataset.arrays import Recording
-from afdsvc.identify.methods.black_box_pem import local_structure, polish
+from afdsvc.identify.methods.black_box_pem import black_box_pem, local_structure
 from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
 from afdsvc.identify.numerics.innovations_form import InnovationsForm
 from afdsvc.lti.frequency import frequency_response
@@ -35,7 +35,7 @@ def test_improves_on_its_start_in_closed_loop(oscillators):
         system = oscillators(40 + seed)
         records = [_feedback_record(system, seed, 3000), _feedback_record(system, 100 + seed, 1500)]
         start = realise_predictor(decompose_predictor(records, 40), 8)
-        ratios.append(_error(polish(start, records), system) / _error(start, system))
+        ratios.append(_error(black_box_pem(start, records), system) / _error(start, system))
     assert np.mean(ratios) < 1.0
     assert max(ratios) < 1.25
 
@@ -46,7 +46,7 @@ def test_a_spoiled_start_comes_back_to_the_same_minimum(oscillators):
     start = realise_predictor(decompose_predictor(records, 40), 8)
     s = start.system
     spoiled = InnovationsForm(StateSpace(0.99 * s.A, 1.1 * s.B, s.C, s.D, s.dt), 0.9 * start.gain, start.covariance)
-    found, again = polish(start, records), polish(spoiled, records)
+    found, again = black_box_pem(start, records), black_box_pem(spoiled, records)
     assert np.linalg.det(again.covariance) == pytest.approx(np.linalg.det(found.covariance), rel=1e-4)
     before = start.errors(records[0].u, records[0].y)
     assert np.linalg.det(found.covariance) < np.linalg.det(before.T @ before / len(before))

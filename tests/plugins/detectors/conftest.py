@@ -9,7 +9,7 @@ import pytest
 from afdsvc.api.detection import DetectionProblem, Detector
 from afdsvc.api.evidence import Evidence
 from afdsvc.excite.diagnosis_burst import default_burst
-from afdsvc.excite.simulated_burst import Rehearsal, played, rehearse
+from afdsvc.excite.simulated_burst import SimulatedBurst, played, simulate_burst
 from afdsvc.testing.machines import bearing_problem
 
 QUIET = 3000  # samples before the burst
@@ -34,10 +34,10 @@ def bursts() -> Callable:
 def run() -> Callable:
     """Return a recorded burst: ``run(problem, burst, severities, seed)``."""
 
-    def make(problem: DetectionProblem, burst, severities=None, seed=0, after=50) -> Rehearsal:
+    def make(problem: DetectionProblem, burst, severities=None, seed=0, after=50) -> SimulatedBurst:
         alpha = played(burst, problem.plant.dt, QUIET, after)
         v = np.random.default_rng(seed).normal(size=(len(alpha), problem.plant.outputs))
-        return rehearse(problem, alpha, v @ np.linalg.cholesky(problem.covariance).T, severities or {})
+        return simulate_burst(problem, alpha, v @ np.linalg.cholesky(problem.covariance).T, severities or {})
 
     return make
 
@@ -46,7 +46,7 @@ def run() -> Callable:
 def shown() -> Callable:
     """Return the evidence of a detector: ``shown(detector, rehearsal, burst, size)``; ``spoil`` changes blocks."""
 
-    def make(detector: Detector, record: Rehearsal, burst, size=500, spoil=lambda block: block) -> list[Evidence]:
+    def make(detector: Detector, record: SimulatedBurst, burst, size=500, spoil=lambda block: block) -> list[Evidence]:
         state, found = detector.start(), []
         for block in record.blocks(size, burst, QUIET):
             state, evidence = detector.step(state, spoil(block))

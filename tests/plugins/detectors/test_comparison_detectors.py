@@ -11,7 +11,7 @@ from afdsvc.detect.energy import Energy
 from afdsvc.detect.features.regressors import regressors
 from afdsvc.detect.published import PublishedFilter
 from afdsvc.detect.statistics.iterated_regression import iterated
-from afdsvc.excite.simulated_burst import faulty_loop, rehearse
+from afdsvc.excite.simulated_burst import faulty_loop, simulate_burst
 from afdsvc.plants.gas_bearing import gas_bearing
 from afdsvc.plugins.detectors import afdsvc_detectors
 from afdsvc.testing.machines import bearing_problem, unstable_problem, with_rate
@@ -26,7 +26,7 @@ def findings(problem, statistic, burst, severities, seeds, loop=None):
     alpha, L = burst.play(problem.plant.dt), np.linalg.cholesky(problem.covariance)
     for seed in seeds:
         v = np.random.default_rng(seed).normal(size=(burst.samples, problem.plant.outputs)) @ L.T
-        run = rehearse(problem, alpha, v, loop=loop)
+        run = simulate_burst(problem, alpha, v, loop=loop)
         _, series = filters.step(filters.start(), run.r, run.y, run.u)
         block = next(run.blocks(burst.samples, burst))
         sums, _ = statistic.step(statistic.start(burst, problem.plant.dt), BurstSamples(0, problem.plant.dt, series, block))

@@ -7,7 +7,7 @@ import pytest
 
 from afdsvc.detect.thresholds.average_run_length import run_length
 from afdsvc.detect.thresholds.regressor_information import excursion_steps, noise_driven
-from afdsvc.excite.simulated_burst import faulty_loop, rehearse
+from afdsvc.excite.simulated_burst import faulty_loop, simulate_burst
 from afdsvc.plugins.detectors.cusum import PassiveCusumDesign
 from afdsvc.testing.machines import bearing_problem, with_rate
 
@@ -16,7 +16,7 @@ DT = 2e-4
 
 def quiet(problem, n, seed, severities=None, loop=None):
     v = np.random.default_rng(seed).normal(size=(n, 2)) @ np.linalg.cholesky(problem.covariance).T
-    return rehearse(problem, np.zeros((n, 2)), v, severities or {}, loop)
+    return simulate_burst(problem, np.zeros((n, 2)), v, severities or {}, loop)
 
 
 def evidence(detector, record, size=1000, gap_at=None):

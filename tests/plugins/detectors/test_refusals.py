@@ -8,7 +8,7 @@ import pytest
 from afdsvc.detect.features.data_checks import weakest
 from afdsvc.errors import BadInput
 from afdsvc.excite.diagnosis_burst import default_burst
-from afdsvc.excite.simulated_burst import Rehearsal, faulty_loop, played, rehearse
+from afdsvc.excite.simulated_burst import SimulatedBurst, faulty_loop, played, simulate_burst
 from afdsvc.lti.simulate import simulate
 from afdsvc.plugins.detectors import afdsvc_detectors
 from afdsvc.testing.machines import bearing_problem
@@ -56,7 +56,7 @@ def test_a_missing_noise_model_is_refused(name, wrong, bearing):
 def test_one_sensor_noisier_than_stated(name, bearing):
     problem, burst = bearing
     alpha = played(burst, 2e-4, QUIET, 20)
-    record = rehearse(problem, alpha, white(problem, len(alpha)) * np.array([1.0, 1.3]))
+    record = simulate_burst(problem, alpha, white(problem, len(alpha)) * np.array([1.0, 1.3]))
     silent(told(name, problem, record, burst), "times the stated standard deviation")
 
 
@@ -65,7 +65,7 @@ def test_noise_of_another_colour_than_stated(name, bearing):
     problem, burst = bearing
     alpha = played(burst, 2e-4, QUIET, 20)
     v = white(problem, len(alpha) + 1)
-    record = rehearse(problem, alpha, (v[1:] + 0.4 * v[:-1]) / np.sqrt(1.16))
+    record = simulate_burst(problem, alpha, (v[1:] + 0.4 * v[:-1]) / np.sqrt(1.16))
     silent(told(name, problem, record, burst), "quiet residual")
 
 
@@ -74,7 +74,7 @@ def test_noise_of_another_colour_than_stated(name, bearing):
 def test_a_burst_that_was_recorded_as_played_but_never_reached_the_machine(name, fault, bearing):
     problem, burst = bearing
     alpha = played(burst, 2e-4, QUIET, 20)
-    record = rehearse(problem, np.zeros_like(alpha), white(problem, len(alpha)), {fault: -0.5} if fault else {})
+    record = simulate_burst(problem, np.zeros_like(alpha), white(problem, len(alpha)), {fault: -0.5} if fault else {})
     silent(told(name, problem, record, burst, alpha), "excitation is absent from the data")
 
 
@@ -82,7 +82,7 @@ def test_a_burst_that_was_recorded_as_played_but_never_reached_the_machine(name,
 def test_one_of_two_inputs_was_not_played(name, bearing):
     problem, burst = bearing
     alpha = played(burst, 2e-4, QUIET, 20)
-    record = rehearse(problem, alpha * np.array([1.0, 0.0]), white(problem, len(alpha)))
+    record = simulate_burst(problem, alpha * np.array([1.0, 0.0]), white(problem, len(alpha)))
     silent(told(name, problem, record, burst, alpha), "excitation is absent from the data")
 
 
@@ -90,7 +90,7 @@ def test_one_of_two_inputs_was_not_played(name, bearing):
 def test_total_loss_of_a_part_is_no_absent_excitation(fault, bearing):
     problem, burst = bearing
     alpha = played(burst, 2e-4, QUIET, 20)
-    record = rehearse(problem, alpha, white(problem, len(alpha)), {fault: -1.0})
+    record = simulate_burst(problem, alpha, white(problem, len(alpha)), {fault: -1.0})
     (found,) = told("regression", problem, record, burst)
     assert found.trustworthy, found.reason
     assert found.detected
@@ -104,7 +104,7 @@ def test_the_weakest_input_is_that_of_a_simulated_loop(bearing):
     alpha = np.zeros((n, 2))
     for line in lines:
         alpha[:, line.input] += line.amplitude * np.sin(line.omega * t)
-    u = rehearse(problem, alpha, np.zeros((n, 2)), fault, faulty_loop(problem, fault)).u[n // 2 :]
+    u = simulate_burst(problem, alpha, np.zeros((n, 2)), fault, faulty_loop(problem, fault)).u[n // 2 :]
     basis = np.column_stack([f(line.omega * t[n // 2 :]) for line in lines for f in (np.sin, np.cos)])
     c = np.linalg.lstsq(basis, u, rcond=None)[0]
     amplitudes = [np.linalg.norm(c[2 * k : 2 * k + 2]) for k in range(len(lines))]
@@ -124,7 +124,7 @@ def clipped(problem, alpha, v, limit):
         u[t] = np.clip((J.C @ xk + J.D @ ya)[: g.inputs], -limit, limit)
         x, xk = g.A @ x + g.B @ u[t], J.A @ xk + J.B @ ya
     r, _ = simulate(problem.innovations, np.hstack([y, u]))
-    return Rehearsal(g.dt, r, y, u, alpha, v)
+    return SimulatedBurst(g.dt, r, y, u, alpha, v)
 
 
 @pytest.mark.parametrize("name", BURST)
@@ -141,7 +141,7 @@ def saturated():
     burst = default_burst(problem, problem.limits, 0.8, 3.0)
     alpha = played(burst, 2e-4, QUIET, 20)
     v = white(problem, len(alpha))
-    free = rehearse(problem, alpha, v).u
+    free = simulate_burst(problem, alpha, v).u
     limit = np.quantile(np.abs(free[QUIET:]), 0.95, axis=0)
     assert (np.abs(free[:QUIET]) < limit).all()  # the loop alone never reaches it
     return problem, burst, clipped(problem, alpha, v, limit), limit

@@ -8,7 +8,7 @@ import pytest
 from afdsvc.api.bursts import Limits
 from afdsvc.api.detection import DetectionProblem, FalseAlarms
 from afdsvc.excite.diagnosis_burst import Aim, default_burst
-from afdsvc.excite.simulated_burst import Rehearsal, played
+from afdsvc.excite.simulated_burst import SimulatedBurst, played
 from afdsvc.lti.lft import star
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
@@ -43,7 +43,7 @@ def turning(problem, burst, force, speed, severities, seed, runout=0.0):
     out, _ = simulate(shaken_loop(problem, severities), np.hstack([v, shake, alpha]))
     u, y = out[:, :m], out[:, m : m + v.shape[1]] + v
     r, _ = simulate(problem.innovations, np.hstack([y, u]))
-    for block in Rehearsal(dt, r, y, u, alpha, v).blocks(2500, burst, QUIET):
+    for block in SimulatedBurst(dt, r, y, u, alpha, v).blocks(2500, burst, QUIET):
         yield replace(block, aux={"angle": angle[block.k0 : block.k0 + len(block)][:, None]})
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.signals import Block, Channel
-from afdsvc.app.serve import Outlets
+from afdsvc.app.serve import SiteSinks
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Recording as Settings
 from afdsvc.files.site import parse_site
@@ -17,7 +17,7 @@ from afdsvc.service.clock import FastClock
 from afdsvc.service.sinks import recorder_sink
 from afdsvc.service.sinks.fan_out import ThreadedSink
 from afdsvc.service.sinks.recorder_sink import RecorderSink
-from afdsvc.transport.outgoing_queue import Post
+from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.wire import codec
 
 
@@ -99,7 +99,7 @@ def test_two_starts_in_one_second_do_not_fight_over_a_name(tmp_path):
 
 def test_a_sender_never_waits_for_a_network_that_stands_still():
     gate = threading.Event()
-    post = Post(lambda key, payload: gate.wait(5), size=10)
+    post = OutgoingQueue(lambda key, payload: gate.wait(5), size=10)
     began = time.monotonic()
     for _ in range(100):
         post.publish("k", b"x")
@@ -119,7 +119,7 @@ def test_what_waits_is_sent_before_the_end_and_failures_are_counted():
             raise OSError("no route")
         sent.append(payload)
 
-    post = Post(publish)
+    post = OutgoingQueue(publish)
     for n in range(6):
         post.send("k", str(n).encode)
     post.close()
@@ -129,7 +129,7 @@ def test_what_waits_is_sent_before_the_end_and_failures_are_counted():
 
 def test_a_patient_post_loses_nothing():
     sent: list[bytes] = []
-    post = Post(lambda key, payload: (time.sleep(0.002), sent.append(payload)), size=3, patient=True)
+    post = OutgoingQueue(lambda key, payload: (time.sleep(0.002), sent.append(payload)), size=3, patient=True)
     for n in range(60):
         post.publish("k", bytes([n]))
     post.close()
@@ -140,7 +140,7 @@ def test_a_patient_post_loses_nothing():
 def test_memory_does_not_grow_while_nobody_takes():
     """A queue that is full stays as long as it is."""
     gate = threading.Event()
-    post = Post(lambda *_: gate.wait(5), size=50)
+    post = OutgoingQueue(lambda *_: gate.wait(5), size=50)
     for _ in range(10_000):
         post.publish("k", bytes(100))
     assert post.waiting == 50
@@ -150,8 +150,8 @@ def test_memory_does_not_grow_while_nobody_takes():
 
 def test_drops_anywhere_on_the_way_out_are_shown_in_the_status(tmp_path):
     """Recorder, black box, review, and what is sent to viewers: one figure, shown by `afdsvc status` and `/metrics`."""
-    outlets = Outlets(parse_site(f'site = "t"\nrecording.folder = "{tmp_path}"\n[[machines]]\nid = "m"\nplant = "gas_bearing"', "x"), FastClock())
-    post = Post(lambda key, payload: 1 / 0)
+    outlets = SiteSinks(parse_site(f'site = "t"\nrecording.folder = "{tmp_path}"\n[[machines]]\nid = "m"\nplant = "gas_bearing"', "x"), FastClock())
+    post = OutgoingQueue(lambda key, payload: 1 / 0)
     outlets.posts.append(post)
     hung = ThreadedSink(Slow(60.0), "hung", lambda s: None, size=1)
     outlets._boxes.append(hung)
