@@ -33,7 +33,7 @@ from afdsvc.service.hub import Hub
 from afdsvc.service.machine import MachineMonitor
 from afdsvc.service.metrics import serve_metrics
 from afdsvc.service.notifications import NotificationQueue
-from afdsvc.service.operator_requests import plain
+from afdsvc.service.operator_requests import Requests, plain
 from afdsvc.service.scheduler import Scheduler
 from afdsvc.service.sinks.fan_out import FanOut, Sink, ThreadedSink
 from afdsvc.service.sinks.pre_alarm_buffer import PreAlarmBuffer
@@ -96,6 +96,7 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         rehearsals.start()
         stack.callback(rehearsals.close)
         hub.start()
+        Requests(hub).serve()
         stack.callback(hub.stop)
         housekeeper.start()
         stack.callback(housekeeper.close)

@@ -1,1 +1,1 @@
-"""MCAP recordings, foreign tables, model files."""
+"""Recordings, tables, model files and the site file."""

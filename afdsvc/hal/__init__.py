@@ -1,1 +1,1 @@
-"""Simulator, replay and rig drivers under one contract."""
+"""The rig's side: agent, control loop, burst player, simulator, replay and hardware under one contract."""

@@ -1,1 +1,1 @@
-"""Clock, scheduler, bursts, safety, transport, recorder thread."""
+"""The background service of a site: hub, bursts, operator requests, notifications, sinks, status page."""

@@ -19,7 +19,6 @@ from afdsvc.service.alarm_history import History
 from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.service.machine import MachineMonitor
 from afdsvc.service.notifications import NotificationQueue
-from afdsvc.service.operator_requests import Requests, answer
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys, machine_of, session_of
@@ -67,7 +66,7 @@ class Hub:
         self.refusals: list[str] = []
 
     def start(self) -> None:
-        """Take up the alarms of the last run, then listen, watch for rigs, answer people."""
+        """Take up the alarms of the last run, then listen and watch for rigs."""
         self._remember()
         t, keys = self.transport, self.keys
         self._threads = [
@@ -80,9 +79,6 @@ class Hub:
         t.subscribe(keys.events(), lambda key, payload: self._put("event", key, payload))
         t.subscribe(keys.descriptions(), lambda key, payload: self._put("description", key, payload))
         t.watch(keys.all_alive(), lambda key, alive: self._put("alive", key, alive))
-        requests = Requests(self)
-        t.serve(keys.command(), lambda payload: answer(requests.handlers(), payload))
-        t.serve(keys.question(), lambda payload: answer(requests.questions(), payload))
         t.announce(keys.service_alive())
 
     def _remember(self) -> None:

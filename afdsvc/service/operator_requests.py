@@ -1,23 +1,18 @@
-"""What people ask of the running service, carried out: bursts, pauses, and everything one can do to an alarm.
-
-What people may ask of a running service, and the answers as JSON values.
-"""
+"""Requests of operators to the running service and their answers as JSON values: bursts, pauses, alarms."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.service.burst_requests import BurstRequests
+from afdsvc.service.hub import Hub
 from afdsvc.service.scheduler import BurstOrder
 from afdsvc.wire import codec
 from afdsvc.wire.messages import Alarm, Command, CommandReply
-
-if TYPE_CHECKING:
-    from afdsvc.service.hub import Hub
 
 Arguments = Mapping[str, Any]
 QUESTIONS = ("status", "alarms", "history")  # requests that change nothing
@@ -25,10 +20,16 @@ PATIENCE = 2.0  # seconds a person waits for the disk to keep what they did
 
 
 class Requests:
-    """The requests one hub answers; each takes arguments and who asks, and returns something `commands.plain` can tell."""
+    """The requests one hub answers; each takes arguments and who asks, and returns something `plain` turns into JSON."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
+
+    def serve(self) -> None:
+        """Answer requests from the network."""
+        transport, keys = self._hub.transport, self._hub.keys
+        transport.serve(keys.command(), lambda payload: answer(self.handlers(), payload))
+        transport.serve(keys.question(), lambda payload: answer(self.questions(), payload))
 
     def handlers(self) -> dict[str, Callable[[Arguments, str], Any]]:
         """Return them by name."""
