@@ -10,19 +10,19 @@ from numba.core.errors import NumbaError
 
 from afdsvc.api.physics import Law
 from afdsvc.errors import BadInput
-from afdsvc.explain.simulate.laws import LAW
+from afdsvc.explain.simulate.kernel import LAW
 
 
 @lru_cache(maxsize=1024)
 def compiled(law: Law) -> Any:
     """Return the law as a compiled callback; raises `BadInput` with the compiler's first complaint when it cannot be."""
     try:
-        return cfunc(LAW, cache=True)(law)
+        return cfunc(LAW, cache=True, error_model="numpy")(law)
     except NumbaError as error:
         why = str(error).strip().splitlines()[0]
         raise BadInput(f"law '{law.__qualname__}' does not compile: {why}") from error
     except RuntimeError:  # a function without a file has nowhere to keep its compiled form
-        return cfunc(LAW)(law)
+        return cfunc(LAW, error_model="numpy")(law)
 
 
 def idle() -> Any:

@@ -15,7 +15,7 @@ from numba.core.errors import NumbaError
 
 from afdsvc.api.model import Model
 from afdsvc.errors import BadInput
-from afdsvc.explain.simulate.calls import DYNAMICS
+from afdsvc.explain.simulate.kernel import DYNAMICS
 from afdsvc.explain.simulate.translate import Untranslatable, translated
 from afdsvc.lti.statespace import Array
 
@@ -67,7 +67,7 @@ def _plain(model: Model, which: str, size: int) -> Function:
         try:
             with np.errstate(all="ignore"), warnings.catch_warnings():
                 warnings.simplefilter("ignore", RuntimeWarning)
-                result = np.asarray(function(t, x.copy(), u.copy(), Values(zip(names, values.tolist(), strict=True))), dtype=np.float64)
+                result: Array = np.asarray(function(t, x.copy(), u.copy(), Values(zip(names, values.tolist(), strict=True))), dtype=np.float64)
         except (ArithmeticError, ValueError) as error:
             if isinstance(error, ValueError) and "math domain" not in str(error):
                 raise _failed(model, which, error) from error
@@ -149,9 +149,10 @@ def linearised(function: Function, x: Array, u: Array, values: Array) -> tuple[A
         step = np.zeros(len(z))
         step[k] = 1e-6 * max(1.0, abs(z[k]))
         ahead, behind = z + step, z - step
-        return (function(0.0, ahead[:n], ahead[n:], values) - function(0.0, behind[:n], behind[n:], values)) / (2 * step[k])
+        rise: Array = function(0.0, ahead[:n], ahead[n:], values) - function(0.0, behind[:n], behind[n:], values)
+        slope: Array = np.nan_to_num(rise / (2 * step[k]), posinf=0.0, neginf=0.0)
+        return slope
 
     size = len(function(0.0, x, u, values))
     slopes: Array = np.column_stack([np.zeros((size, 0)), *(column(k) for k in range(len(z)))])
-    slopes = np.nan_to_num(slopes, posinf=0.0, neginf=0.0)
     return slopes[:, :n], slopes[:, n:]

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from afdsvc.api.physics import Hypothesis, Signal
 from afdsvc.errors import BadInput
-from afdsvc.explain.simulate import laws
+from afdsvc.explain.simulate import kernel
 from afdsvc.explain.simulate.compiled import compiled, idle
 from afdsvc.lti.statespace import Array
 
-_STAGE = {"input": laws.INPUT, "force": laws.FORCE, "output": laws.OUTPUT}
+_STAGE = {"input": kernel.INPUT, "force": kernel.FORCE, "output": kernel.OUTPUT}
 IntArray = NDArray[np.int64]
 
 
@@ -50,21 +50,21 @@ class Table:
 def table(effects: Sequence[Effect], m: int, n: int, p: int, a: int) -> Table:
     """Return the effects on a machine of ``m`` inputs, ``n`` states, ``p`` outputs and ``a`` auxiliary signals."""
     k = len(effects)
-    if k > laws.MOST_EFFECTS:
-        raise BadInput(f"{k} effects at once; at most {laws.MOST_EFFECTS} can be simulated")
-    calls = [compiled(e.hypothesis.law) for e in effects] + [idle()] * (laws.MOST_EFFECTS - k)
-    plan = np.zeros((k, laws.READS + 2 * laws.MOST_SIGNALS), np.int64)
+    if k > kernel.MOST_EFFECTS:
+        raise BadInput(f"{k} effects at once; at most {kernel.MOST_EFFECTS} can be simulated")
+    calls = [compiled(e.hypothesis.law) for e in effects] + [idle()] * (kernel.MOST_EFFECTS - k)
+    plan = np.zeros((k, kernel.READS + 2 * kernel.MOST_SIGNALS), np.int64)
     par = np.zeros((k, max([len(e.values) for e in effects], default=0) + 3))
-    start, first = 0, laws.READS + laws.MOST_SIGNALS
+    start, first = 0, kernel.READS + kernel.MOST_SIGNALS
     for i, e in enumerate(effects):
         h = e.hypothesis
-        plan[i, : laws.READS] = _stage(h), len(h.reads), len(h.writes), len(e.values), start, start + h.memory, e.bend is not None
-        plan[i, laws.READS : laws.READS + len(h.reads)] = [_address(s, m, n, p, a) for s in h.reads]
+        plan[i, : kernel.READS] = _stage(h), len(h.reads), len(h.writes), len(e.values), start, start + h.memory, e.bend is not None
+        plan[i, kernel.READS : kernel.READS + len(h.reads)] = [_address(s, m, n, p, a) for s in h.reads]
         plan[i, first : first + len(h.writes)] = [s.index for s in h.writes]
         par[i, : len(e.values)] = e.values
         par[i, -3:] = e.bend or (0.0, 0.0, 1.0)
         start += h.memory
-    forces = [e.hypothesis for e in effects if _stage(e.hypothesis) == laws.FORCE]
+    forces = [e.hypothesis for e in effects if _stage(e.hypothesis) == kernel.FORCE]
     forced = np.unique(np.array([s.index for h in forces for s in h.writes], dtype=np.int64))
     middle = np.unique(np.array([s.index for h in forces for s in h.reads if s.kind == "x"], dtype=np.int64))
     return Table(tuple(calls), plan, par, forced, middle)
@@ -74,7 +74,7 @@ def _stage(h: Hypothesis) -> int:
     """Return when the kernel evaluates a law: friction without memory is implicit in the state it acts on."""
     read = {s.index for s in h.reads if s.kind == "x"}
     rubs = h.stage == "force" and h.family == "friction" and not h.memory and any(s.index in read for s in h.writes)
-    return laws.FRICTION if rubs else _STAGE[h.stage]
+    return kernel.FRICTION if rubs else _STAGE[h.stage]
 
 
 def _address(signal: Signal, m: int, n: int, p: int, a: int) -> int:

@@ -2,24 +2,164 @@
 
 A linear plant is advanced exactly (matrix exponentials), Python code by the classical Runge-Kutta method of order four. Forces
 of effects are evaluated at the predicted middle of the sub-step and held over it, an error of second order; friction, which
-is nearly a jump, is implicit (`friction`). Inputs are held between samples; what effects make of them is worked out in
+is nearly a jump, is implicit (`_friction`). Inputs are held between samples; what effects make of them is worked out in
 every sub-step. With a gain ``Kp`` the states are corrected by ``y - yhat`` at every sample, which makes the residual that
 of a one-step predictor; in the loop (``closed``) the simulated output feeds the controller and nothing is corrected.
+
+All compiled code is in this file because numba keeps what it compiled until the text of the file of the outermost function
+changes; a change elsewhere would go unnoticed.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, types
+from llvmlite import ir
+from numba import carray, njit, types  # type: ignore[attr-defined]
+from numba.core import cgutils
 from numba.core.types import FunctionType
-
-from afdsvc.explain.simulate.calls import call_dynamics
-from afdsvc.explain.simulate.laws import FORCE, FRICTION, INPUT, LAW, MOST_EFFECTS, MOST_SIGNALS, OUTPUT, apply_laws, friction
+from numba.extending import intrinsic
 
 _V, _M = types.float64[::1], types.float64[:, ::1]
 _I, _IV, _IM = types.int64, types.int64[::1], types.int64[:, ::1]
 LINEAR, CONTINUOUS, DISCRETE = 0, 1, 2  # kinds of plant: matrices, Python code for dx/dt, Python code for the next state
 LIMIT = 1e150  # a state beyond it has diverged
+
+NUMBERS = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
+DYNAMICS = types.void(types.float64, NUMBERS, NUMBERS, NUMBERS, NUMBERS)  # t, x, u, p, out
+LAW = types.void(types.float64[::1], types.float64[::1], types.float64[::1], types.float64, types.float64[::1])
+MOST_EFFECTS = 8
+MOST_SIGNALS = 16
+READS = 7  # columns of a plan: stage, reads, writes, parameters, memory from, memory to, bent, then addresses
+INPUT, FORCE, OUTPUT, FRICTION = 0, 1, 2, 3
+IMPLICIT = 0.75  # point of the sub-step where friction is evaluated: 0.5 would chatter at rest, 1 switches late at reversals
+SHARP = 0.001  # share of the sub-step that an implicit law gets as dt: it need not be smooth over the whole
+CLOSE = 1e-8  # error of an implicit force, over the force
+PASSES = 40  # most evaluations of a friction law in one sub-step
+
+
+@intrinsic
+def _pointer(typingctx, address):  # type: ignore[no-untyped-def]
+    """Return an address as a pointer, so that views of memory can be made without counting references."""
+
+    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
+
+    return types.voidptr(address), build
+
+
+@intrinsic
+def _call_dynamics(typingctx, function, t, x, u, p, out):  # type: ignore[no-untyped-def]
+    """Call a function of signature `DYNAMICS` by its address; the arrays are given by theirs."""
+
+    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        numbers = ir.DoubleType().as_pointer()
+        kind = ir.FunctionType(ir.VoidType(), [ir.DoubleType(), *[numbers] * 4])
+        target = builder.inttoptr(arguments[0], kind.as_pointer())
+        builder.call(target, [arguments[1], *(builder.inttoptr(a, numbers) for a in arguments[2:])])
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.float64, *[types.uintp] * 4), build
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _evaluate(i, laws, plan, par, mem, work, dt):  # type: ignore[no-untyped-def]
+    """Call law ``i`` on the signals at the start of ``work``; what it adds is left from `MOST_SIGNALS` on.
+
+    A bent law is multiplied by ``1 + c1 w + c2 w^2``, ``w`` the size of its first signal over a reference (the last parameters).
+    """
+    nwrite = plan[i, 2]
+    z = carray(_pointer(work.ctypes.data), plan[i, 1], np.float64)  # type: ignore[call-arg]
+    out = carray(_pointer(work.ctypes.data + 8 * MOST_SIGNALS), nwrite, np.float64)
+    values = carray(_pointer(par.ctypes.data + 8 * i * par.shape[1]), plan[i, 3], np.float64)
+    memory = carray(_pointer(mem.ctypes.data + 8 * plan[i, 4]), plan[i, 5] - plan[i, 4], np.float64)
+    for k in range(nwrite):
+        out[k] = 0.0
+    first = z[0]
+    laws[i](values, z, memory, dt, out)
+    if plan[i, 6]:
+        w = abs(first) / par[i, par.shape[1] - 1]
+        for k in range(nwrite):
+            out[k] *= 1.0 + par[i, par.shape[1] - 3] * w + par[i, par.shape[1] - 2] * w * w
+
+
+@njit(cache=True, nogil=True)
+def _apply(stage, laws, plan, par, mem, s, work, dt, target, base):  # type: ignore[no-untyped-def]
+    """Add to ``target`` what every effect of this stage contributes, given the signals ``s``.
+
+    With ``base >= 0`` the signals from there on are kept equal to the target, so later effects see earlier ones.
+    """
+    for i in range(plan.shape[0]):
+        if plan[i, 0] != stage:
+            continue
+        for k in range(plan[i, 1]):
+            work[k] = s[plan[i, READS + k]]
+        _evaluate(i, laws, plan, par, mem, work, dt)
+        for k in range(plan[i, 2]):
+            j = plan[i, READS + MOST_SIGNALS + k]
+            target[j] += work[MOST_SIGNALS + k]
+            if base >= 0:
+                s[base + j] = target[j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _friction(laws, plan, par, mem, s, work, dt, base, x, new, gxt, first, last):  # type: ignore[no-untyped-def]  # noqa: C901
+    """Add friction to ``new``, the states at the end of the sub-step without it.
+
+    The force ``f = law(x + 0.75 (x+ - x))`` acts over the sub-step and depends on the state ``x+`` it leads to. It is ``r`` times
+    the force ``first`` that would act without it, ``r`` in [0, 1] found by secants inside a bracket, beginning at the ``last``
+    force of the law. At rest it balances the other forces, so an axis sticks; a third of what remains of the motion is left
+    after every sub-step. A law that drives motion is evaluated twice.
+    """
+    for i in range(plan.shape[0]):
+        if plan[i, 0] != FRICTION:
+            continue
+        r, low, high, size = 0.0, 0.0, 1.0, 0.0
+        before, excess_before, following = 1.0, 0.0, 1.0
+        for k in range(plan[i, 2]):
+            first[k] = 0.0
+        for turn in range(PASSES):
+            for k in range(plan[i, 1]):
+                work[k] = s[plan[i, READS + k]]
+                j = plan[i, READS + k] - base
+                if 0 <= j < x.size:
+                    end = new[j]
+                    for q in range(plan[i, 2]):
+                        end += r * first[q] * gxt[plan[i, READS + MOST_SIGNALS + q], j]
+                    work[k] = x[j] + IMPLICIT * (end - x[j])
+            _evaluate(i, laws, plan, par, mem, work, SHARP * dt)
+            if turn == 0:
+                for q in range(plan[i, 2]):
+                    first[q] = work[MOST_SIGNALS + q]
+                    size += first[q] * first[q]
+                if size == 0.0:
+                    break
+                r = 1.0
+                continue
+            excess = -r
+            for q in range(plan[i, 2]):
+                excess += first[q] * work[MOST_SIGNALS + q] / size
+            if turn == 1 and excess > -CLOSE:
+                r = min(1.0 + excess, 1.5)
+                break
+            if abs(excess) < CLOSE:
+                break
+            if excess > 0.0:
+                low = r
+            else:
+                high = r
+            if turn == 1:
+                following = last[i] / first[0] if first[0] != 0.0 else 0.0
+            elif turn == 2:
+                following = r + 2 * SHARP * excess
+            else:
+                following = r - excess * (r - before) / (excess - excess_before)
+            if turn % 4 == 0 or not low < following < high:
+                following = 0.5 * (low + high)
+            before, excess_before, r = r, excess, following
+        last[i] = r * first[0]
+        for q in range(plan[i, 2]):
+            for j in range(x.size):
+                new[j] += r * first[q] * gxt[plan[i, READS + MOST_SIGNALS + q], j]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -64,7 +204,7 @@ def _between(U, k, w, out):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _call(function, t, x, u, values, out):  # type: ignore[no-untyped-def]
     """Call Python code by its address."""
-    call_dynamics(function, t, x.ctypes.data, u.ctypes.data, values.ctypes.data, out.ctypes.data)  # type: ignore[call-arg]
+    _call_dynamics(function, t, x.ctypes.data, u.ctypes.data, values.ctypes.data, out.ctypes.data)  # type: ignore[call-arg]
 
 
 @njit(cache=True, nogil=True)
@@ -92,7 +232,7 @@ def _runge_kutta(rate, t, h, x, u, values, f, k1, ks, xs, new):  # type: ignore[
         _IM, _M, _V,
         _M, _M, _M,
     ),
-    cache=True, nogil=True,
+    cache=True, nogil=True, error_model="numpy",
 )
 def simulate(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compiled loop over samples
     closed, ramped, direct, nsub, dt, t0, phi, gam, gx, phih, gamh, C, D, Kp, forced, middle,
@@ -117,6 +257,7 @@ def simulate(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compi
     u, ue, held, y = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(p)
     mean = np.zeros(m)
     s, work, first = np.zeros(m + n + p + na + 1), np.zeros(2 * MOST_SIGNALS), np.zeros(MOST_SIGNALS)
+    last = np.zeros(MOST_EFFECTS)
     it = m + n + p + na
     phit, gamt, gxt, ct, dtr, kt = phi.T.copy(), gam.T.copy(), gx.T.copy(), C.T.copy(), D.T.copy(), Kp.T.copy()
     KAt, KBt, KCt, KDt = KA.T.copy(), KB.T.copy(), KC.T.copy(), KD.T.copy()
@@ -134,7 +275,7 @@ def simulate(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compi
                 s[m + n + p + j] = AUX[k, j]
             for j in range(m):
                 s[j] = smooth[k, j]
-            apply_laws(INPUT, laws, plan, par, mem, s, work, dt, smooth[k], 0)
+            _apply(INPUT, laws, plan, par, mem, s, work, dt, smooth[k], 0)
     for k in range(N):
         s[it] = t0 + k * dt
         for j in range(na):
@@ -150,7 +291,7 @@ def simulate(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compi
                 ue[j] = u[j]
                 s[j] = u[j]
             if shaped:
-                apply_laws(INPUT, laws, plan, par, mem, s, work, h, ue, 0)
+                _apply(INPUT, laws, plan, par, mem, s, work, h, ue, 0)
         if kind == LINEAR:
             _affine(ct, x, dtr, ue, y)
         else:
@@ -162,7 +303,7 @@ def simulate(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compi
         if observed:
             for j in range(m):
                 s[j] = held[j]
-            apply_laws(OUTPUT, laws, plan, par, mem, s, work, dt, y, m + n)
+            _apply(OUTPUT, laws, plan, par, mem, s, work, dt, y, m + n)
         if closed:
             for j in range(p):
                 e[j] = y[j] - R[k, j]
@@ -175,7 +316,7 @@ def simulate(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compi
                 ue[j] = u[j]
                 s[j] = u[j]
             if shaped:
-                apply_laws(INPUT, laws, plan, par, mem, s, work, h, ue, 0)
+                _apply(INPUT, laws, plan, par, mem, s, work, h, ue, 0)
         for j in range(p):
             yhat[k, j] = y[j]
         for j in range(m):
@@ -193,7 +334,7 @@ def simulate(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compi
                 for j in range(m):
                     mean[j] = u[j]
                     s[j] = u[j]
-                apply_laws(INPUT, laws, plan, par, mem, s, work, h, mean, 0)
+                _apply(INPUT, laws, plan, par, mem, s, work, h, mean, 0)
             for j in forced:
                 f[j] = 0.0
             if kind == LINEAR:
@@ -212,7 +353,7 @@ def simulate(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compi
                 for i in range(n):
                     s[m + i] = x[i] + h / 2 * k1[i]
             if forced.size:
-                apply_laws(FORCE, laws, plan, par, mem, s, work, h, f, -1)
+                _apply(FORCE, laws, plan, par, mem, s, work, h, f, -1)
             if kind == CONTINUOUS:
                 _runge_kutta(rate, s[it], h, x, mean, values, f, k1, ks, xs, new)
             else:
@@ -220,7 +361,7 @@ def simulate(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compi
                     for i in range(n):
                         new[i] += gxt[j, i] * f[j]
             if rubbed:
-                friction(laws, plan, par, mem, s, work, h, m, x, new, gxt, first)
+                _friction(laws, plan, par, mem, s, work, h, m, x, new, gxt, first, last)
             for j in range(n):
                 x[j] = new[j]
             s[it] += h

@@ -1,0 +1,263 @@
+"""The simulation against scipy's, with and without effects."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from afdsvc.errors import BadInput
+from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.explain.simulate.predictor import predictor_gain
+from afdsvc.explain.simulate.simulator import Simulator
+from afdsvc.lti.statespace import StateSpace
+
+AXIS = StateSpace.of([[0, 1], [-30, -0.8]], [[0], [20]], [[1, 0]])
+
+
+def cubic(p, z, m, dt, out):
+    out[0] -= p[0] * z[0] ** 3
+
+
+def dead_zone(p, z, m, dt, out):
+    out[0] -= min(max(z[0], -p[0]), p[0])
+
+
+def square(p, z, m, dt, out):
+    out[0] += p[0] * z[0] ** 2
+
+
+def clock(p, z, m, dt, out):
+    out[0] += p[0] * math.sin(p[1] * z[0])
+
+
+class Pendulum:
+    """A pendulum with a motor: angle, speed."""
+
+    @staticmethod
+    def f(t, x, u, p):
+        q, w = x
+        return [w, -p["stiffness"] * math.sin(q) - p["damping"] * w + p["gain"] * u[0]]
+
+    @staticmethod
+    def h(t, x, u, p):
+        return [x[0]]
+
+
+PENDULUM = {"stiffness": 30.0, "damping": 0.8, "gain": 20.0}
+
+
+def reference(rate, x0, U, dt):
+    """Integrate ``rate(t, x, u)`` with held inputs, sample by sample, to nearly full precision."""
+    states = [np.asarray(x0, dtype=float)]
+    for k, u in enumerate(U[:-1]):
+        span = (k * dt, (k + 1) * dt)
+        states.append(solve_ivp(lambda t, x, u=u: rate(t, x, u), span, states[-1], rtol=1e-10, atol=1e-12).y[:, -1])
+    return np.array(states)
+
+
+def play(model, run, x0, effects=(), theta=None, gain=None, **rest):
+    found = nominal(model, run.dt)
+    n, p = found.plant.order, found.plant.outputs
+    theta = np.zeros(len(found.entries)) if theta is None else theta
+    return Simulator(found, np.zeros((n, p)) if gain is None else gain).run(run, theta, np.array(x0, dtype=float), effects, **rest)
+
+
+def test_linear_plant_is_exact(model, recording, excitation):
+    x = reference(lambda t, x, u: AXIS.A @ x + AXIS.B @ u, [0.3, -1.0], excitation, 0.01)
+    y = play(model(AXIS), recording(excitation), [0.3, -1.0])
+    assert np.abs(y.x - x).max() < 1e-8
+    assert np.array_equal(y.y[:, 0], y.x[:, 0])
+
+
+def test_linear_plant_with_three_effects(model, recording, excitation, effect):
+    effects = [
+        effect(dead_zone, "input", [("u", 0)], [("u", 0)], [0.3]),
+        effect(cubic, "force", [("x", 0)], [("x", 1)], [40.0]),
+        effect(square, "output", [("y", 0)], [("y", 0)], [0.1]),
+    ]
+    shaped = excitation - np.clip(excitation, -0.3, 0.3)
+    x = reference(lambda t, x, u: AXIS.A @ x + AXIS.B @ u - [0, 40 * x[0] ** 3], [0.0, 0.0], shaped, 0.01)
+    expected = x[:, 0] + 0.1 * x[:, 0] ** 2
+    error = [np.abs(play(model(AXIS), recording(excitation), [0, 0], e).y[:, 0] - expected).max() for e in (effects, finer(effects))]
+    assert error[0] < 3e-3 * np.ptp(expected)
+    assert error[1] < error[0] / 10  # second order: four sub-steps
+
+
+def finer(effects):
+    """The same effects in four sub-steps."""
+    from dataclasses import replace
+
+    return [replace(e, hypothesis=replace(e.hypothesis, substeps=4)) for e in effects]
+
+
+def test_python_code_matches_scipy(model, recording, excitation):
+    def rate(t, x, u):
+        return [x[1], -30 * math.sin(x[0]) - 0.8 * x[1] + 20 * u[0]]
+
+    x = reference(rate, [2.0, 0.0], excitation, 0.01)
+    y = play(model(code=Pendulum, parameters=PENDULUM), recording(excitation), [2.0, 0.0])
+    assert np.abs(y.x - x).max() < 3e-6 * np.abs(x).max()
+
+
+def test_python_code_with_effects(model, recording, excitation, effect):
+    effects = [
+        effect(dead_zone, "input", [("u", 0)], [("u", 0)], [0.3]),
+        effect(cubic, "force", [("x", 0)], [("x", 1)], [3.0]),
+        effect(clock, "force", [("t", 0)], [("x", 1)], [2.0, 5.0]),
+        effect(square, "output", [("y", 0)], [("y", 0)], [0.1]),
+    ]
+
+    def rate(t, x, u):
+        return [x[1], -30 * math.sin(x[0]) - 0.8 * x[1] + 20 * u[0] - 3 * x[0] ** 3 + 2 * math.sin(5 * t)]
+
+    x = reference(rate, [0.0, 0.0], excitation - np.clip(excitation, -0.3, 0.3), 0.01)
+    expected = x[:, 0] + 0.1 * x[:, 0] ** 2
+    y = play(model(code=Pendulum, parameters=PENDULUM), recording(excitation), [0, 0], finer(effects)).y[:, 0]
+    assert np.abs(y - expected).max() < 1e-3 * np.ptp(expected)
+
+
+def test_linear_code_equals_matrices_with_the_same_effects(model, recording, excitation, effect):
+    class Axis:
+        @staticmethod
+        def f(t, x, u, p):
+            return [x[1], -30 * x[0] - 0.8 * x[1] + 20 * u[0]]
+
+        @staticmethod
+        def h(t, x, u, p):
+            return x[0] + 0.01 * u[0]
+
+    plant = StateSpace.of(AXIS.A, AXIS.B, AXIS.C, [[0.01]])
+    effects = finer([effect(dead_zone, "input", [("u", 0)], [("u", 0)], [0.3]), effect(cubic, "force", [("x", 0)], [("x", 1)], [40.0])])
+    run = recording(excitation)
+    a, b = (play(m, run, [0.1, 0.0], effects) for m in (model(plant), model(code=Axis)))
+    assert np.abs(a.y - b.y).max() < 1e-4 * np.ptp(a.y)
+
+
+def test_models_without_inputs(model, recording):
+    free = StateSpace.of(AXIS.A, np.zeros((2, 0)), AXIS.C, np.zeros((1, 0)))
+
+    class Swing:
+        @staticmethod
+        def f(t, x, u, p):
+            q, w = x
+            return w, -p["stiffness"] * math.sin(q) - p["damping"] * w
+
+        @staticmethod
+        def h(t, x, u, p):
+            return [x[0]]
+
+    run = recording(np.zeros((400, 0)))
+    linear = play(model(free), run, [1.0, 0.0])
+    expected = reference(lambda t, x, u: AXIS.A @ x, [1.0, 0.0], run.U, 0.01)
+    assert np.abs(linear.x - expected).max() < 1e-8
+    assert linear.u.shape == (400, 0)
+    swing = play(model(code=Swing, sizes=(2, 0, 1), parameters={"stiffness": 30.0, "damping": 0.8}), run, [1.0, 0.0])
+    expected = reference(lambda t, x, u: [x[1], -30 * math.sin(x[0]) - 0.8 * x[1]], [1.0, 0.0], run.U, 0.01)
+    assert np.abs(swing.x - expected).max() < 1e-6 * np.abs(expected).max()
+
+
+def test_discrete_code(model, recording, excitation, effect):
+    class Map:
+        def f(self, t, x, u, p):
+            return [x[1], p.a * x[0] - 0.5 * x[1] ** 3 + u[0]]
+
+        def h(self, t, x, u, p):
+            return [x[0]]
+
+    x, expected = np.zeros(2), []
+    for u in excitation[:, 0]:
+        expected.append(x[0])
+        x = np.array([x[1], 0.3 * x[0] - 0.5 * x[1] ** 3 + 0.2 * u + 0.5 * 0.01])
+    made = model(code=Map(), sample_time=0.01, parameters={"a": 0.3})
+    load = effect(constant, "force", [], [("x", 1)], [0.5])
+    assert np.allclose(play(made, recording(0.2 * excitation), [0, 0], [load]).y[:, 0], expected, atol=2e-2)
+    exact = play(made, recording(0.2 * excitation), [0, 0]).y[:, 0]
+    x, expected = np.zeros(2), []
+    for u in excitation[:, 0]:
+        expected.append(x[0])
+        x = np.array([x[1], 0.3 * x[0] - 0.5 * x[1] ** 3 + 0.2 * u])
+    assert np.allclose(exact, expected, atol=1e-12)
+    with pytest.raises(BadInput, match=r"step of 0\.01 s and the recording is sampled every 0\.02 s"):
+        nominal(made, 0.02)
+
+
+def constant(p, z, m, dt, out):
+    out[0] += p[0]
+
+
+def test_gain_follows_the_recording_of_an_unstable_plant(model, recording, excitation):
+    class Inverted:
+        @staticmethod
+        def f(t, x, u, p):
+            return [x[1], 30 * math.sin(x[0]) - 0.8 * x[1] + 20 * u[0]]
+
+        @staticmethod
+        def h(t, x, u, p):
+            return [x[0]]
+
+    law = np.array([[-8.0, -1.0]])
+    x, y, U = np.array([0.1, 0.0]), [], []
+    for k in range(400):
+        u = law @ x + 0.02 * excitation[k]
+        y.append(x[0])
+        U.append(u)
+        x = solve_ivp(lambda t, x, u=u: [x[1], 30 * math.sin(x[0]) - 0.8 * x[1] + 20 * u[0]], (0, 0.01), x, rtol=1e-10, atol=1e-12).y[:, -1]
+    run = recording(np.array(U), Y=np.array(y)[:, None])
+    made = model(code=Inverted)
+    gain = predictor_gain(nominal(made, 0.01), np.zeros(0), (np.array([1.0, 1.0]), np.std(run.Y, axis=0)), 0.1)
+    wrong = [0.11, 0.0]
+    simulated, predicted = play(made, run, wrong).y, play(made, run, wrong, gain=gain).y
+    assert np.abs(simulated - run.Y)[-100:].max() > 1  # leaves the upright position
+    assert np.abs(predicted - run.Y)[-100:].max() < 1e-4
+    assert np.array_equal(play(made, run, wrong, gain=gain, free=True).y, simulated)
+
+
+def test_loop_closed_through_the_controller(model, recording, excitation):
+    controller = StateSpace.gain([[-0.5]])
+    made = model(AXIS, controller=controller)
+    direct = play(made, recording(excitation), [0, 0], closed=False)
+    closed = play(made, recording(excitation, W=excitation + 0.5 * direct.y), [0, 0], closed=True)
+    assert np.abs(closed.y - direct.y).max() < 1e-9
+    with pytest.raises(BadInput, match="loop cannot be closed"):
+        play(made, recording(excitation), [0, 0], closed=True)
+
+
+def test_diverging_code_gives_nan_and_no_exception(model, recording):
+    class Burst:
+        @staticmethod
+        def f(t, x, u, p):
+            return [x[0] ** 2]
+
+        @staticmethod
+        def h(t, x, u, p):
+            return [x[0]]
+
+    y = play(model(code=Burst, sizes=(1, 0, 1)), recording(np.zeros((300, 0))), [1.0]).y[:, 0]
+    assert np.isfinite(y[:90]).all()
+    assert np.isnan(y[-1])
+
+
+def test_contact_beyond_the_start_gets_the_substeps_it_needs(model, recording, excitation):
+    class Stop:
+        @staticmethod
+        def f(t, x, u, p):
+            over = max(abs(x[0]) - 0.05, 0.0)
+            return [x[1], -40000.0 * math.copysign(over, x[0]) - 100.0 * (over > 0) * x[1] + 20 * u[0]]
+
+        @staticmethod
+        def h(t, x, u, p):
+            return [x[0]]
+
+    y = play(model(code=Stop), recording(excitation), [0.0, 0.0]).y[:, 0]
+    assert np.abs(y).max() < 0.08
+
+
+def test_parameters_move_with_theta(model, recording, excitation):
+    made = model(code=Pendulum, parameters=PENDULUM)
+    moved = {"stiffness": 36.0, "damping": 0.8, "gain": 16.0}
+    run = recording(excitation)
+    a = play(made, run, [0, 0], theta=np.array([2.0, 0.0, -2.0]))
+    assert np.allclose(a.y, play(model(code=Pendulum, parameters=moved), run, [0, 0]).y, atol=1e-12)
