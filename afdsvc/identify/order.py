@@ -1,13 +1,9 @@
-"""How many states the data support, decided on windows that were not used for the estimate.
+"""Model order and horizon of subspace methods, by cross-validation over windows and an F test of the response.
 
 The recordings are cut into groups. For every group the reduced-rank predictor of all the others is tried on it: each
 further state lowers (or raises) the error of the outputs to come, weighted by their covariance. The order is the
 smallest whose mean loss is within one standard error of the best (the one-standard-error rule of cross-validation).
 Nothing is assumed about the noise; disturbance modes count, as they must (they are part of the predictor).
-
-How far subspace methods look back and ahead.
-
-Is there anything to identify, although windows left out do not call for a state?
 
 Leaving windows out weighs what the past tells of future outputs once the future inputs are known. A deviation that
 answers a broad input at once and is buried in noise then goes unseen. The regression of the outputs on the inputs of

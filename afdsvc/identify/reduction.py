@@ -1,4 +1,4 @@
-"""From G(S), of inconveniently high order, to the order wanted, keeping what the closed loop does.
+"""From G(S), of inconveniently high order, to a lower one, keeping what the closed loop does.
 
 Four ways, tried side by side and judged by the loop they leave:
 
@@ -8,9 +8,7 @@ Four ways, tried side by side and judged by the loop they leave:
 - ``coprime``: balanced truncation of ``[M + U S; N + V S]``, which is the loop itself from alpha to ``[u; y]``; the
   plant is the quotient of what is left. Serves unstable plants as well (Meyer, IEEE Trans. Automatic Control 35, 1990).
 
-The plant of a wanted order that explains the residuals best: reduction judged by the recordings themselves.
-
-A truncation throws away what is small in some norm; here the distance that counts is ``|beta - S(G) alpha|`` on the
+Refinement against the recordings: a truncation throws away what is small in some norm; here the distance that counts is ``|beta - S(G) alpha|`` on the
 recordings, over all plants G of the order, started from a truncation. The excitation alpha is free of noise, so the
 estimate is consistent whatever the colour of the noise, and a plant that the controller does not stabilise cannot come
 out.

@@ -1,8 +1,4 @@
-"""Judging a model on recordings it has not seen.
-
-Do two independent routes to the same plant agree?
-
-Modes that look like a periodic disturbance taken for dynamics.
+"""Validation on held-out recordings: fit measures, agreement of two independent estimates, undamped modes.
 
 The orbit of an unbalanced rotor, or mains hum, is predictable without any input. An order chosen from the data then
 makes room for an undamped mode, which draws the disturbance from its initial state and is no property of the plant.

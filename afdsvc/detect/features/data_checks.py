@@ -1,8 +1,6 @@
 """Is a burst fit to be judged: played as asked, complete, finite, no actuator at its limit, no sensor frozen?
 
-Did the excitation really reach the machine? Its lines must show in the measured input.
-
-The input u contains what was played, whatever is broken: an actuator that lost its gain still receives it, and a dead sensor
+The lines of the excitation must show in the measured input. The input u contains what was played, whatever is broken: an actuator that lost its gain still receives it, and a dead sensor
 only opens the loop. A burst whose lines are much weaker in u than under the healthy machine and every fault was not played,
 even when the recorded alpha says so.
 """

@@ -5,9 +5,7 @@ stable system from ``[r, alpha]`` to all psi_i. H_i is its part from normalised 
 noise brings the information ``int tr(H_i* H_i) dw / 2 pi`` about theta_i, a burst adds ``sum |s|^2 / 2`` over its
 lines.
 
-Steps of CUSUMs whose regressors are driven by noise: how large they are where an excursion begins and where it alarms.
-
-A boundary is overshot by about half a step, and zero undershot by as much (D. Siegmund, *Sequential Analysis*, 1985). Steps
+Steps of CUSUMs with noise-driven regressors, where an excursion begins and where it alarms: a boundary is overshot by about half a step, and zero undershot by as much (D. Siegmund, *Sequential Analysis*, 1985). Steps
 come in where information comes in, so the mean step there is ``E |s|^3 / E |s|^2``, s being theta psi over one look. An
 excursion begins with the healthy loop's psi. Those that alarm look as if the fault were there: at their end psi is that of
 the loop in which ``e + theta psi`` stands for e, which the likelihood ratio weights them to. A weakened loop is a quieter one,

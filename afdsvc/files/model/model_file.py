@@ -1,6 +1,4 @@
-"""MODEL.toml: what the simulation believes, read into a value and written back.
-
-Matrices of a MODEL.toml: their shapes checked against the names, and how well their entries are known.
+"""MODEL.toml read and written: variables, matrices with their shapes checked, and the uncertainty of their entries.
 """
 
 from __future__ import annotations

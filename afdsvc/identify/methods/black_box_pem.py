@@ -5,9 +5,7 @@ are its local coordinates, and the determinant of the errors' covariance is mini
 Gaussian noise; Ljung, System Identification, 1999, section 7.4). Plant and noise model move together, so feedback does
 no harm when the noise model is rich enough and u answers to y with a delay (D zero).
 
-A black box with just as many parameters as matter: local coordinates around a realisation.
-
-Of the entries of (A, B, C) only the directions that change the transfer function count; those along a change of state
+Local coordinates: of the entries of (A, B, C) only the directions that change the transfer function count; those along a change of state
 coordinates, ``(T A - A T, T B, -C T)``, are projected out (data-driven local coordinates; McKelvey, Helmersson and
 Ribarits, Automatica 40, 2004). What remains, n (m + p) numbers (and D where it is not zero), is well conditioned around
 a balanced realisation.
