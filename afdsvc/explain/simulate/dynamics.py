@@ -149,7 +149,8 @@ def linearised(function: Function, x: Array, u: Array, values: Array) -> tuple[A
         step = np.zeros(len(z))
         step[k] = 1e-6 * max(1.0, abs(z[k]))
         ahead, behind = z + step, z - step
-        rise: Array = function(0.0, ahead[:n], ahead[n:], values) - function(0.0, behind[:n], behind[n:], values)
+        with np.errstate(invalid="ignore"):
+            rise = function(0.0, ahead[:n], ahead[n:], values) - function(0.0, behind[:n], behind[n:], values)
         slope: Array = np.nan_to_num(rise / (2 * step[k]), posinf=0.0, neginf=0.0)
         return slope
 

@@ -4,43 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
+from afdsvc.dataset.experiment import Run, sampled
 from afdsvc.errors import BadInput
 from afdsvc.explain.simulate import kernel
 from afdsvc.explain.simulate.dynamics import linearised, program
 from afdsvc.explain.simulate.effects import Effect, table
 from afdsvc.explain.simulate.nominal import PYTHON_ANGLE, PYTHON_SUBSTEPS, Nominal
 from afdsvc.explain.simulate.steps import Steps, contiguous
-from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.statespace import Array, StateSpace
-
-__all__ = ["Effect", "Recorded", "Simulated", "Simulator", "controller_of", "sampled"]
-
-
-class Recorded(Protocol):
-    """What is simulated of a recording: ``U (n, m)``, ``Y (n, p)``, ``AUX (n, a)``, ``REF (n, p)``; see `Run`."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def dt(self) -> float: ...
-    @property
-    def t0(self) -> float: ...
-    @property
-    def clock(self) -> float | None: ...
-    @property
-    def U(self) -> Array: ...
-    @property
-    def Y(self) -> Array: ...
-    @property
-    def AUX(self) -> Array: ...
-    @property
-    def REF(self) -> Array: ...
-    @property
-    def W(self) -> Array | None: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +43,7 @@ class Simulator:
         return program(self.nominal.model).notes if self.nominal.python else ()
 
     def run(
-        self, run: Recorded, theta: Array, x0: Array, effects: Sequence[Effect] = (), closed: bool = False, free: bool = False
+        self, run: Run, theta: Array, x0: Array, effects: Sequence[Effect] = (), closed: bool = False, free: bool = False
     ) -> Simulated:
         """Simulate one recording from the state ``x0``.
 
@@ -86,10 +60,10 @@ class Simulator:
         return simulated
 
     def _play(
-        self, run: Recorded, theta: Array, steps: Steps, x0: Array, effects: Sequence[Effect], closed: bool, free: bool
+        self, run: Run, theta: Array, steps: Steps, x0: Array, effects: Sequence[Effect], closed: bool, free: bool
     ) -> Simulated:
         plant = self.nominal.at(theta)
-        n, p, m = len(run.U), plant.outputs, plant.inputs
+        n, p, m = len(run), plant.outputs, plant.inputs
         K, U = self._loop(run, closed)
         placed = table(effects, m, plant.order, p, run.AUX.shape[1])
         y, u, x = np.empty((n, p)), np.empty((n, m)), np.empty((n, plant.order))
@@ -123,7 +97,7 @@ class Simulator:
         needed = int(np.ceil(fastest * self.nominal.dt / PYTHON_ANGLE))
         return min(needed, PYTHON_SUBSTEPS) if needed > 2 * nsub else nsub
 
-    def _loop(self, run: Recorded, closed: bool) -> tuple[tuple[Array, Array, Array, Array], Array]:
+    def _loop(self, run: Run, closed: bool) -> tuple[tuple[Array, Array, Array, Array], Array]:
         m, p = run.U.shape[1], run.Y.shape[1]
         if not closed:
             return (np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), np.zeros((m, p))), run.U
@@ -136,12 +110,3 @@ class Simulator:
 def controller_of(nominal: Nominal, dt: float) -> StateSpace | None:
     """Return the model's controller at the sample time, if there is one."""
     return None if nominal.model.controller is None else sampled(nominal.model.controller, dt)
-
-
-def sampled(controller: StateSpace, dt: float) -> StateSpace | None:
-    """Return the controller at the sample time; a continuous one is held; None when its own sample time differs."""
-    if not controller.order:
-        return StateSpace(controller.A, controller.B, controller.C, controller.D, dt)
-    if controller.discrete:
-        return controller if abs(controller.dt / dt - 1) < 1e-6 else None
-    return sample_zoh(controller, dt)

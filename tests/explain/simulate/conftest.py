@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,30 +10,16 @@ import pytest
 
 from afdsvc.api.model import Model, Quantity, Variable
 from afdsvc.api.physics import Coefficient, Hypothesis, Signal
+from afdsvc.dataset.experiment import Run
 from afdsvc.explain.simulate.simulator import Effect
 from afdsvc.lti.statespace import Array, StateSpace
 
 
-@dataclass(frozen=True)
-class Recording:
-    """A recording of inputs (and outputs, zero when not given) as the simulator takes it."""
-
-    name: str
-    dt: float
-    U: Array
-    Y: Array
-    AUX: Array
-    REF: Array
-    W: Array | None = None
-    t0: float = 0.0
-    clock: float | None = None
-
-
 @pytest.fixture
-def recording() -> Callable[..., Recording]:
-    def make(U: Array, outputs: int = 1, dt: float = 0.01, Y: Array | None = None, W: Array | None = None) -> Recording:
+def recording() -> Callable[..., Run]:
+    def make(U: Array, outputs: int = 1, dt: float = 0.01, Y: Array | None = None, W: Array | None = None) -> Run:
         y = np.zeros((len(U), outputs)) if Y is None else Y
-        return Recording("made", dt, np.ascontiguousarray(U), y, np.zeros((len(U), 0)), np.zeros_like(y), W)
+        return Run("made", dt, 0.0, np.ascontiguousarray(U), y, np.zeros((len(U), 0)), np.zeros_like(y), (), W)
 
     return make
 

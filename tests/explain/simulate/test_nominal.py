@@ -1,0 +1,87 @@
+"""Free numbers of a model, and where Python code is linearised."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from afdsvc.errors import BadInput
+from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.lti.statespace import StateSpace
+
+
+class Pendulum:
+    @staticmethod
+    def f(t, x, u, p):
+        return [x[1], -p["k"] * math.sin(x[0]) - p["d"] * x[1] + p["b"] * u[0]]
+
+    @staticmethod
+    def h(t, x, u, p):
+        return [x[0]]
+
+
+PARAMETERS = {"k": 30.0, "d": 0.8, "b": 20.0}
+
+
+def test_entries_of_matrices(model):
+    plant = StateSpace.of([[0, 1], [-30, -0.8]], [[0], [20]], [[1, 0]])
+    found = nominal(model(plant), 0.01)
+    assert [e.name for e in found.entries] == ["A[2,1]", "A[2,2]", "B[2,1]"]
+    moved = found.at(np.array([1.0, 0.0, -2.0]))
+    assert moved.A[1, 0] == pytest.approx(-30 + 1.5)
+    assert moved.B[1, 0] == pytest.approx(20 - 2.0)
+    assert found.values(np.array([1.0, 0.0, -2.0])) == pytest.approx({"A[2,1]": -28.5, "A[2,2]": -0.8, "B[2,1]": 18.0})
+    assert found.moved(np.array([1.0, 0.0, -2.0])).plant.A[1, 0] == moved.A[1, 0]
+
+
+def test_stated_deviations_choose_the_entries(model):
+    plant = StateSpace.of([[0, 1], [0, 0]], [[0], [20]], [[1, 0]])
+    zero = {k: np.zeros(getattr(plant, k).shape) for k in "ABCD"}
+    found = nominal(model(plant, entry_sd={**zero, "A": np.array([[0, 0], [0, 0.16]])}), 0.01)
+    assert [(e.name, e.sd) for e in found.entries] == [("A[2,2]", 0.16)]
+
+
+def test_large_black_box_moves_by_its_gains(model):
+    rng = np.random.default_rng(3)
+    plant = StateSpace.of(0.1 * rng.standard_normal((8, 8)), rng.standard_normal((8, 2)), rng.standard_normal((2, 8)), dt=0.01)
+    found = nominal(model(plant, entry_sd={k: 0.2 * np.abs(getattr(plant, k)) for k in "ABCD"}), 0.01)
+    assert [(e.name, e.sd) for e in found.entries] == [(n, pytest.approx(0.2)) for n in ("gain of u0", "gain of u1", "gain of y0", "gain of y1")]
+    moved = found.at(np.array([1.0, 0.0, 0.0, -1.0]))
+    assert np.allclose(moved.B, plant.B * [1.2, 1.0])
+    assert np.allclose(moved.C, plant.C * [[1.0], [0.8]])
+    assert found.values(np.zeros(4)) == {"gain of u0": 1.0, "gain of u1": 1.0, "gain of y0": 1.0, "gain of y1": 1.0}
+
+
+def test_parameters_of_code(model):
+    made = model(code=Pendulum, parameters=PARAMETERS)
+    found = nominal(made, 0.01)
+    assert [(e.matrix, e.row, e.name) for e in found.entries] == [("parameter", 0, "k"), ("parameter", 1, "d"), ("parameter", 2, "b")]
+    theta = np.array([1.0, 0.0, -1.0])
+    assert found.values(theta) == pytest.approx({"k": 33.0, "d": 0.8, "b": 18.0})
+    assert np.allclose(found.at(theta).A, [[0, 1], [-33, -0.8]], atol=1e-6)
+    assert {n: q.value for n, q in found.moved(theta).parameters.items()} == pytest.approx(found.values(theta))
+
+
+def test_code_is_linearised_where_the_inputs_balance(model):
+    made = model(code=Pendulum, parameters=PARAMETERS)
+    found = nominal(made, 0.01, np.array([0.75]))
+    assert found.point is not None
+    assert found.point[0] == pytest.approx([math.asin(0.5), 0.0], abs=1e-9)
+    assert found.plant.A[1, 0] == pytest.approx(-30 * math.cos(math.asin(0.5)), rel=1e-6)
+    unbalanced = nominal(made, 0.01, np.array([3.0]))
+    assert unbalanced.point is not None
+    assert np.array_equal(unbalanced.point[0], [0, 0])
+
+
+def test_no_input(model):
+    plant = StateSpace.of([[0, 1], [-30, -0.8]], np.zeros((2, 0)), [[1, 0]], np.zeros((1, 0)))
+    found = nominal(model(plant), 0.01)
+    assert found.at(np.zeros(2)).B.shape == (2, 0)
+    assert found.steps(np.zeros(2)).gam.shape == (2, 0)
+
+
+def test_model_without_anything_is_refused(model):
+    with pytest.raises(BadInput, match="neither matrices nor a simulator"):
+        nominal(model(), 0.01)
