@@ -37,13 +37,15 @@ class Values(dict[str, float]):
 class Program:
     """The functions f and h of a model: plain, as ``rate(t, x, u, values) -> (n,)`` and ``output(...) -> (p,)``, and by address.
 
-    ``notes`` says what could not be compiled and therefore runs in the interpreter. ``keep`` holds what the addresses need.
+    ``direct``: the outputs depend on the inputs at once. ``notes`` says what could not be compiled and therefore runs in the
+    interpreter. ``keep`` holds what the addresses need.
     """
 
     rate: Function
     output: Function
     rate_address: int
     output_address: int
+    direct: bool
     notes: tuple[str, ...]
     keep: tuple[Any, ...]
 
@@ -56,7 +58,14 @@ def program(model: Model) -> Program:
     output = _plain(model, "h", sizes[2])
     found = [_reachable(model, which, function, size, sizes) for which, function, size in (("f", rate, sizes[0]), ("h", output, sizes[2]))]
     notes = tuple(note for _, note, _ in found if note)
-    return Program(rate, output, found[0][0], found[1][0], notes, tuple(kept for _, _, kept in found))
+    return Program(rate, output, found[0][0], found[1][0], _direct(model, output), notes, tuple(kept for _, _, kept in found))
+
+
+def _direct(model: Model, output: Function) -> bool:
+    rng = np.random.default_rng(0)
+    x, u = rng.standard_normal(len(model.states)), rng.standard_normal(len(model.inputs))
+    values = np.array([q.value for q in model.parameters.values()])
+    return not np.array_equal(output(0.0, x, u, values), output(0.0, x, 0.0 * u, values), equal_nan=True)
 
 
 def _plain(model: Model, which: str, size: int) -> Function:

@@ -62,19 +62,23 @@ class Simulator:
     def _play(
         self, run: Run, theta: Array, steps: Steps, x0: Array, effects: Sequence[Effect], closed: bool, free: bool
     ) -> Simulated:
-        plant = self.nominal.at(theta)
+        plant = self.nominal.plant if self.nominal.python else self.nominal.at(theta)
         n, p, m = len(run), plant.outputs, plant.inputs
         K, U = self._loop(run, closed)
         placed = table(effects, m, plant.order, p, run.AUX.shape[1])
         y, u, x = np.empty((n, p)), np.empty((n, m)), np.empty((n, plant.order))
         gain = np.zeros_like(self.gain) if free or closed else self.gain
         kernel.simulate(  # type: ignore[call-arg]
-            closed, self.ramped and not closed, bool(np.any(plant.D)), steps.nsub, run.dt, run.t0 if run.clock is None else run.clock,
+            closed, self.ramped and not closed, self._direct(plant), steps.nsub, run.dt, run.t0 if run.clock is None else run.clock,
             steps.phi, steps.gam, steps.gx, steps.phih, steps.gamh, contiguous(plant.C), contiguous(plant.D), contiguous(gain),
             placed.forced, placed.middle, *self._code(theta), *K, U, run.Y, run.REF, run.AUX,
             np.array(x0, dtype=np.float64), *placed.arguments(), y, u, x,
         )
         return Simulated(y, u, x)
+
+    def _direct(self, plant: StateSpace) -> bool:
+        """Whether the inputs reach the outputs at once."""
+        return program(self.nominal.model).direct if self.nominal.python else bool(plant.D.any())
 
     def _code(self, theta: Array) -> tuple[int, int, int, Array]:
         """Return the kind of plant, the addresses of its functions, and its parameter values."""

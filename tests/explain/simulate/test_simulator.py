@@ -136,6 +136,20 @@ def test_linear_code_equals_matrices_with_the_same_effects(model, recording, exc
     assert np.abs(a.y - b.y).max() < 1e-4 * np.ptp(a.y)
 
 
+def test_output_that_multiplies_state_and_input(model, recording, excitation):
+    class Power:
+        @staticmethod
+        def f(t, x, u, p):
+            return [-2.0 * x[0] + u[0]]
+
+        @staticmethod
+        def h(t, x, u, p):
+            return [x[0] * u[0]]
+
+    y = play(model(code=Power, sizes=(1, 1, 1)), recording(excitation), [1.0])
+    assert np.array_equal(y.y[:, 0], y.x[:, 0] * excitation[:, 0])
+
+
 def test_models_without_inputs(model, recording):
     free = StateSpace.of(AXIS.A, np.zeros((2, 0)), AXIS.C, np.zeros((1, 0)))
 
