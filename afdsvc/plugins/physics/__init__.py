@@ -7,19 +7,26 @@ from collections.abc import Iterable
 from afdsvc.api.physics import Physics
 from afdsvc.plugins.hookspecs import hookimpl
 from afdsvc.plugins.physics.actuator_lag import ActuatorLag
+from afdsvc.plugins.physics.asymmetric_damping import AsymmetricDamping
+from afdsvc.plugins.physics.back_emf import BackEmf
 from afdsvc.plugins.physics.backlash import Backlash
 from afdsvc.plugins.physics.clearance import Clearance
+from afdsvc.plugins.physics.cogging import Cogging
 from afdsvc.plugins.physics.coloured_noise import ColouredNoise
 from afdsvc.plugins.physics.constant_load import ConstantLoad
 from afdsvc.plugins.physics.coulomb_friction import CoulombFriction
 from afdsvc.plugins.physics.creep import Creep
 from afdsvc.plugins.physics.cross_coupled_stiffness import CrossCoupledStiffness
+from afdsvc.plugins.physics.cubic_damping import CubicDamping
 from afdsvc.plugins.physics.cubic_stiffness import CubicStiffness
 from afdsvc.plugins.physics.dead_zone import DeadZone
 from afdsvc.plugins.physics.flexible_mode import FlexibleMode
 from afdsvc.plugins.physics.gain_follows_aux import GainFollowsAux
+from afdsvc.plugins.physics.gain_follows_position import GainFollowsPosition
+from afdsvc.plugins.physics.gravity import Gravity
 from afdsvc.plugins.physics.gyroscopic_coupling import GyroscopicCoupling
 from afdsvc.plugins.physics.hysteresis import Hysteresis
+from afdsvc.plugins.physics.magnetic_force import MagneticForce
 from afdsvc.plugins.physics.parameter_change import ParameterChange
 from afdsvc.plugins.physics.periodic_disturbance import PeriodicDisturbance
 from afdsvc.plugins.physics.quadratic_damping import QuadraticDamping
@@ -37,19 +44,22 @@ from afdsvc.plugins.physics.sensor_offset import SensorOffset
 from afdsvc.plugins.physics.sensor_rectification import SensorRectification
 from afdsvc.plugins.physics.sensor_saturation import SensorSaturation
 from afdsvc.plugins.physics.slew_limit import SlewLimit
+from afdsvc.plugins.physics.slow_mode import SlowMode
 from afdsvc.plugins.physics.static_nonlinearity import StaticNonlinearity
 from afdsvc.plugins.physics.stiffness_follows_aux import StiffnessFollowsAux
 from afdsvc.plugins.physics.stribeck_friction import StribeckFriction
+from afdsvc.plugins.physics.supply_droop import SupplyDroop
 from afdsvc.plugins.physics.transport_delay import TransportDelay
 from afdsvc.plugins.physics.unbalance import Unbalance
 
 BUILT_IN = (
-    ActuatorLag, Backlash, Clearance, ColouredNoise, ConstantLoad, CoulombFriction, Creep,
-    CrossCoupledStiffness, CubicStiffness, DeadZone, FlexibleMode, GainFollowsAux, GyroscopicCoupling,
-    Hysteresis, ParameterChange, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
+    ActuatorLag, AsymmetricDamping, BackEmf, Backlash, Clearance, Cogging, ColouredNoise, ConstantLoad,
+    CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, FlexibleMode,
+    GainFollowsAux, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, MagneticForce,
+    ParameterChange, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
     ResonantActuator, Runout, Saturation, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,
-    SensorNonlinearity, SensorOffset, SensorRectification, SensorSaturation, SlewLimit, StaticNonlinearity,
-    StiffnessFollowsAux, StribeckFriction, TransportDelay, Unbalance,
+    SensorNonlinearity, SensorOffset, SensorRectification, SensorSaturation, SlewLimit, SlowMode,
+    StaticNonlinearity, StiffnessFollowsAux, StribeckFriction, SupplyDroop, TransportDelay, Unbalance,
 )
 
 

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from itertools import product
 from typing import Any
 
+import numpy as np
+
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Law, Machine, Signal, Size
+from afdsvc.lti.statespace import StateSpace
 
 MOST_TERMS = 14  # of a force balance read by one law; the simulation carries 16 signals per law
+_QUANTITIES = (
+    ("length", "m"), ("angle", "radian"), ("velocity", "m/s"), ("velocity", "radian/s"), ("force", "N"), ("force", "N*m"), ("current", "A"), ("voltage", "V"),
+)
 
 
 def at_input(port: Size, law: Law, reads: Sequence[Signal] = (), **rest: Any) -> Hypothesis:
@@ -21,15 +29,20 @@ def at_force(axis: Axis, law: Law, reads: Sequence[Signal], **rest: Any) -> Hypo
     return _hypothesis(f"state:{axis.rate.name}", "force", law, tuple(reads), (velocity(axis),), rest)
 
 
+def at_drive(axis: Axis, machine: Machine, law: Law, reads: Sequence[Signal], **rest: Any) -> Hypothesis:
+    """Return a law about the input that drives an axis, added to the acceleration it causes there; for laws that also read states."""
+    return _hypothesis(f"input:{machine.inputs[axis.input or 0].name}", "force", law, tuple(reads), (velocity(axis),), rest)
+
+
 def at_output(port: Size, law: Law, reads: Sequence[Signal] = (), **rest: Any) -> Hypothesis:
     """Return a law that changes what a sensor says; it reads the output as earlier effects left it, then ``reads``."""
     own = Signal("y", port.index)
     return _hypothesis(f"output:{port.name}", "output", law, (own, *reads), (own,), rest)
 
 
-def at_state(state: Size, law: Law, reads: Sequence[Signal], **rest: Any) -> Hypothesis:
-    """Return a law that adds to the rate of change of a state that is no velocity."""
-    return _hypothesis(f"state:{state.name}", "force", law, tuple(reads), (Signal("x", state.index),), rest)
+def at_state(where: Size, law: Law, reads: Sequence[Signal], writes: Sequence[Signal] = (), **rest: Any) -> Hypothesis:
+    """Return a law that adds to the rate of change of a state that is no velocity, or of those in ``writes``."""
+    return _hypothesis(f"state:{where.name}", "force", law, tuple(reads), tuple(writes) or (state(where),), rest)
 
 
 def on_machine(stage: str, law: Law, reads: Sequence[Signal], writes: Sequence[Signal], **rest: Any) -> Hypothesis:
@@ -42,6 +55,26 @@ def placed(machine: Machine) -> Iterator[tuple[Axis, Size]]:
     for axis in machine.axes:
         if axis.position is not None:
             yield axis, axis.position
+
+
+def stores(machine: Machine) -> list[Size]:
+    """Return the states that store something: they belong to no axis, run empty by themselves, and what leaves one arrives in others.
+
+    In the matrices: a diagonal entry below zero, no other entry of the row and the column below zero.
+    """
+    if machine.plant is None:
+        return []
+    moving = {s.index for a in machine.axes for s in (a.rate, a.position) if s is not None}
+    A = machine.plant.A
+    return [s for i, s in enumerate(machine.states) if i not in moving and A[i, i] < 0 and min(np.delete([*A[i], *A[:, i]], [i, i + len(A)]), default=0.0) >= 0]
+
+
+def downstream(machine: Machine, store: Size) -> list[tuple[int, float]]:
+    """Return the states in which arrives what leaves a store, and how much per unit lost."""
+    if machine.plant is None:
+        return []
+    column = machine.plant.A[:, store.index]
+    return [(int(i), float(-column[i] / column[store.index])) for i in np.flatnonzero(column) if i != store.index]
 
 
 def state(size: Size) -> Signal:
@@ -68,6 +101,59 @@ def balance(machine: Machine, axis: Axis) -> tuple[list[Signal], list[Coefficien
 def constant(name: str, unit: str, value: float) -> Coefficient:
     """Return a number of a law that no fit moves."""
     return Coefficient(name, unit, value, value, abs(value) or 1.0, nuisance=True)
+
+
+def motion(axis: Axis) -> str:
+    """Return the unit of what the velocity of an axis sums up to."""
+    if axis.position is not None:
+        return axis.position.unit
+    return summed(axis.rate.unit)
+
+
+def summed(unit: str) -> str:
+    """Return the unit of what a signal sums up to over time."""
+    return unit.removesuffix("/s") if unit.endswith("/s") else f"({unit}) s" if unit else "s"
+
+
+def imposed(machine: Machine, kind: str) -> Iterator[tuple[Size, Size, float, float]]:
+    """Yield every output that is a force with every input of a kind of motion, and the range -1 to 1 of the sign the model gives it."""
+    for y, u in product(machine.outputs, machine.inputs):
+        if quantity(y.unit) == "force" and quantity(u.unit) == kind:
+            static = _static(machine.plant, y.index, u.index)
+            yield y, u, -1.0 if static <= 0 else 0.0, 1.0 if static >= 0 else 0.0
+
+
+def _static(plant: StateSpace | None, i: int, j: int) -> float:
+    """Return the gain at frequency zero, 0 where there is none."""
+    if plant is None or np.linalg.matrix_rank(plant.A) < plant.order:
+        return 0.0
+    return float(plant.D[i, j] - plant.C[i] @ np.linalg.solve(plant.A, plant.B[:, j]))
+
+
+@lru_cache(maxsize=256)
+def quantity(unit: str) -> str:
+    """Return what a unit measures: "length", "angle", "velocity" (of either), "force" (or torque), "current", "voltage", else ""."""
+    try:
+        known = _registry().Unit(unit)
+    except Exception:  # pint has a class of its own for every way of misspelling a unit
+        return ""
+    turning = any(word in str(known) for word in ("radian", "degree", "turn", "revolution"))
+    for kind, example in _QUANTITIES:
+        if known.dimensionality == _registry().Unit(example).dimensionality and turning == ("radian" in example):
+            return kind
+    return ""
+
+
+def radians(unit: str) -> float:
+    """Return how many radians one unit of an angle is."""
+    return float(_registry().Quantity(1.0, unit).to("radian").magnitude)
+
+
+@lru_cache(maxsize=1)
+def _registry() -> Any:
+    from pint import UnitRegistry  # a third of a second
+
+    return UnitRegistry()
 
 
 def force(axis: Axis, name: str, low: float, high: float, scale: float, per: str = "", **rest: Any) -> Coefficient:

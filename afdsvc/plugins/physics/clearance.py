@@ -8,6 +8,7 @@ from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_force, force, placed, state
+from afdsvc.plugins.physics.joint import at_joint, joints
 
 
 def stop(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -17,14 +18,25 @@ def stop(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
         out[0] -= p[0] * math.copysign(over, z[0])
 
 
+def joint(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """`stop` of a deflection ``q_1 + s_2 q_2 + ...``; axis k takes ``s_k`` times ``r_k`` of it, ``p[2:] = s_2, ..., r_2, ...``."""
+    n, deflection = len(out), z[0]
+    for k in range(1, n):
+        deflection += p[1 + k] * z[k]
+    push = p[0] * math.copysign(max(abs(deflection) - p[1], 0.0), deflection)
+    out[0] -= push
+    for k in range(1, n):
+        out[k] -= p[1 + k] * p[n + k] * push
+
+
 class Clearance:
-    """A spring behind a gap on every axis of motion."""
+    """A spring behind a gap on every axis of motion, and in joints between axes."""
 
     name = "clearance"
     summary = "a spring force that begins only beyond a gap"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per axis, started at gaps between a third and nearly all of the travel."""
+        """Return one hypothesis per axis and per joint, started at gaps between a third and nearly all of the travel."""
         for axis, q in placed(machine):
             peak = q.peak
             scale = 0.1 * axis.push / q.rms
@@ -37,4 +49,15 @@ class Clearance:
                 starts=[(0.0, share * peak) for share in (0.15, 0.35, 0.6, 0.8)],
                 predicts="nothing below a level, and above it a stiffness that sets in at the same deflection everywhere",
                 refuted_by="distortion at levels that never reach the gap",
+            )
+        for k in joints(machine):
+            a, q = k.axes[0], k.positions[0]
+            scale = 0.1 * a.push / q.rms
+            yield at_joint(
+                k, joint, [
+                    force(a, "stiffness", -200 * scale, 1e3 * scale, scale, q.unit, linear=True),
+                    Coefficient("gap", q.unit, 0.02 * q.peak, 2 * q.peak, 0.02 * q.peak),
+                ],
+                [(0.0, share * q.peak) for share in (0.1, 0.3, 0.6)], physics=self.name, family="stiffness",
+                predicts="modes that change their frequency together beyond a level", refuted_by="modes that stay where they are at every level",
             )

@@ -1,4 +1,4 @@
-"""Constant load: a force or an input offset that is always there."""
+"""Constant load: a force or an input offset that is always there, or that changes steadily."""
 
 from __future__ import annotations
 
@@ -14,27 +14,41 @@ def load(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] += p[0]
 
 
+def drifting(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``F + rate t``, ``t`` since the recording began."""
+    out[0] += p[0] + p[1] * m[0]
+    m[0] += dt
+
+
+_STEADY: dict[str, Any] = {
+    "predicts": "a shift of the mean that is the same at every level", "refuted_by": "a mean that follows the level or the direction of motion",
+}
+_DRIFT: dict[str, Any] = {
+    "memory": 1, "notes": {"variant": "drifting", "of": ""},
+    "predicts": "a shift of the mean that grows steadily with time", "refuted_by": "a mean that is the same at the beginning and at the end",
+}
+
+
 class ConstantLoad:
-    """Weight, preload or offset: on every axis, or on every input of a machine without axes."""
+    """Weight, preload or offset, constant or drifting: on every axis, and on every input that drives no axis at once."""
 
     name = "constant_load"
     summary = "a constant force, such as weight, preload or an amplifier offset"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per axis, or per input when no axis is known."""
-        words: dict[str, Any] = {
-            "predicts": "a shift of the mean that is the same at every level",
-            "refuted_by": "a mean that follows the level or the direction of motion",
-        }
+        """Return two hypotheses per axis, and two per input whose offset is no force on an axis."""
+        words: dict[str, Any] = {"physics": self.name, "family": "offset"}
         for axis in machine.axes:
-            scale = 0.05 * axis.push
-            yield at_force(
-                axis, load, [], physics=self.name, family="offset", starts=[(0.0,)],
-                parameters=[force(axis, "force", -400 * scale, 400 * scale, scale, linear=True)], **words,
-            )
-        for port in machine.inputs if not machine.axes else ():
-            scale = 0.05 * port.rms
-            yield at_input(
-                port, load, physics=self.name, family="offset", starts=[(0.0,)],
-                parameters=[Coefficient("offset", port.unit, -400 * scale, 400 * scale, scale, linear=True)], **words,
-            )
+            f = 0.05 * axis.push
+            size = force(axis, "force", -400 * f, 400 * f, f, linear=True)
+            rate = force(axis, "rate", -400 * f / machine.duration, 400 * f / machine.duration, f / machine.duration, "s", linear=True)
+            yield at_force(axis, load, [], parameters=[size], starts=[(0.0,)], **words, **_STEADY)
+            yield at_force(axis, drifting, [], parameters=[size, rate], starts=[(0.0, 0.0)], **words, **_DRIFT)
+        driven = {axis.input for axis in machine.axes}
+        for port in machine.inputs:
+            if port.index not in driven:
+                f = 0.05 * port.rms
+                size = Coefficient("offset", port.unit, -400 * f, 400 * f, f, linear=True)
+                rate = Coefficient("rate", f"{port.unit}/s", -400 * f / machine.duration, 400 * f / machine.duration, f / machine.duration, linear=True)
+                yield at_input(port, load, parameters=[size], starts=[(0.0,)], **words, **_STEADY)
+                yield at_input(port, drifting, parameters=[size, rate], starts=[(0.0, 0.0)], **words, **_DRIFT)

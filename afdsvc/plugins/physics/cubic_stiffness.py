@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
-from afdsvc.plugins.physics.attach import at_force, at_input, force, placed, state
+from afdsvc.plugins.physics.attach import at_force, at_input, constant, force, placed, state
+from afdsvc.plugins.physics.joint import at_joint, joints, spring
 
 
 def cubic(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -20,24 +21,29 @@ def fed_back(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 class CubicStiffness:
-    """A hardening spring on every axis; fed back from the output to the input where no axis is known."""
+    """A hardening spring on every axis and in joints between axes; fed back from the output to the input where no axis is known."""
 
     name = "cubic_stiffness"
     summary = "a spring force with a part proportional to the cube of the deflection"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per axis, or one for a machine of one input and one output without axes."""
-        words = {
-            "physics": self.name, "family": "stiffness", "starts": [(0.0,)],
+        """Return one hypothesis per axis and per joint, or one for a machine of one input and one output without axes."""
+        words: dict[str, Any] = {
+            "physics": self.name, "family": "stiffness",
             "predicts": "odd distortion that grows with the cube of the amplitude; a resonance that moves with the level",
             "refuted_by": "distortion at even lines, or a resonance that stays where it is",
         }
         for axis, q in placed(machine):
             scale = 0.05 * axis.push / q.rms**3
             k3 = force(axis, "stiffness", -200 * scale, 200 * scale, scale, f"({q.unit})^3", linear=True)
-            yield at_force(axis, cubic, [state(q)], parameters=[k3], **words)
+            yield at_force(axis, cubic, [state(q)], parameters=[k3], starts=[(0.0,)], **words)
+        for joint in joints(machine):
+            a, q = joint.axes[0], joint.positions[0]
+            scale = 0.05 * a.push / q.rms**3
+            k3 = force(a, "stiffness", -200 * scale, 200 * scale, scale, f"({q.unit})^3", linear=True)
+            yield at_joint(joint, spring, [k3, constant("power", "", 3.0)], [(0.0, 3.0)], **words)
         if not machine.axes and len(machine.inputs) == len(machine.outputs) == 1:
             u, y = machine.inputs[0], machine.outputs[0]
             scale = 0.05 * u.rms / y.rms**3
             k3 = Coefficient("stiffness", f"{u.unit}/({y.unit})^3", -200 * scale, 200 * scale, scale, linear=True)
-            yield at_input(u, fed_back, [Signal("y", y.index)], parameters=[k3], **words)
+            yield at_input(u, fed_back, [Signal("y", y.index)], parameters=[k3], starts=[(0.0,)], **words)

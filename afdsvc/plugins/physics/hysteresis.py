@@ -6,16 +6,17 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from afdsvc.api.physics import Coefficient, Hypothesis, Law, Machine, Size
-from afdsvc.plugins.physics.attach import at_force, at_input, force, placed, state
+from afdsvc.api.physics import Coefficient, Hypothesis, Law, Machine, Signal, Size
+from afdsvc.plugins.physics.attach import at_force, at_input, at_output, force, imposed, placed, quantity, state, summed
 
 
 def bouc_wen(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``a s`` with ``ds = dw (1 - (1 + sgn(dw s)) / 2 |s|^n) / width``: a rate-independent loop between -a and a."""
+    w = z[len(z) - 1]
     if m[2] == 0.0:
-        m[1], m[2] = z[0], 1.0
-    step = (z[0] - m[1]) / p[1]
-    m[1] = z[0]
+        m[1], m[2] = w, 1.0
+    step = (w - m[1]) / p[1]
+    m[1] = w
     pieces = min(int(abs(step) / 0.2) + 1, 20)
     d = step / pieces
     for _ in range(pieces):
@@ -29,10 +30,11 @@ def bouc_wen_turned(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
     Angle 0 is the loop above; between 90 and 135 degrees it stiffens the further it goes and dissipates all the same.
     """
+    w = z[len(z) - 1]
     if m[2] == 0.0:
-        m[1], m[2] = z[0], 1.0
-    step = (z[0] - m[1]) / p[1]
-    m[1] = z[0]
+        m[1], m[2] = w, 1.0
+    step = (w - m[1]) / p[1]
+    m[1] = w
     pieces = min(int(abs(step) / 0.1) + 1, 40)
     d = step / pieces
     for _ in range(pieces):
@@ -42,6 +44,17 @@ def bouc_wen_turned(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
             slope = 1.0 - math.cos(p[3]) * full if d * s > 0 else 1.0 + math.sin(p[3]) * full
             s = m[0] + d * slope * 0.5 * part
         m[0] = min(max(s, -1e3), 1e3)
+    out[0] += p[0] * m[0]
+
+
+def over_integral(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """`bouc_wen` over the way a velocity makes."""
+    step = z[len(z) - 1] * dt / p[1]
+    pieces = min(int(abs(step) / 0.2) + 1, 20)
+    d = step / pieces
+    for _ in range(pieces):
+        full = abs(m[0]) ** p[2] if d * m[0] > 0 else 0.0
+        m[0] = min(max(m[0] + d * (1 - full), -1.0), 1.0)
     out[0] += p[0] * m[0]
 
 
@@ -59,6 +72,11 @@ Form = tuple[Law, list[Coefficient], dict[str, Any]]
 def _forms(machine: Machine, size: Size, widths: tuple[float, ...]) -> Iterable[Form]:
     """Yield law, shape and words of the loop with one shape; where the noise leaves more to be seen, also of one that may turn."""
     r = size.rms
+    if quantity(size.unit) == "velocity":
+        way = r / machine.bandwidth
+        width = Coefficient("width", summed(size.unit), 1e-3 * way, 1e3 * way, 0.1 * way)
+        yield over_integral, [width, _shape(size)[1]], {"starts": [(0.0, w * way, 1.0) for w in (0.3, 3.0, 30.0)]}
+        return
     yield bouc_wen, _shape(size), {"starts": [(0.0, w * r, 1.0) for w in widths]}
     if machine.limited == "model":
         turn = Coefficient("turn", "rad", -math.pi / 4, 3 * math.pi / 4, 0.1, nuisance=True)
@@ -67,13 +85,16 @@ def _forms(machine: Machine, size: Size, widths: tuple[float, ...]) -> Iterable[
 
 
 class Hysteresis:
-    """A rate-independent loop at every input, and between position and force on every axis."""
+    """A rate-independent loop at every input, between position and force on every axis, and in a force that answers an imposed motion.
+
+    Where the input is a velocity, the loop goes over the way.
+    """
 
     name = "hysteresis"
     summary = "a rate-independent loop: the effect depends on the way taken"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per input and per axis, with loops narrow and wide against the motion."""
+        """Return one hypothesis per input, axis and imposed motion, with loops narrow and wide against the motion."""
         words: dict[str, Any] = {
             "physics": self.name, "family": "memory", "memory": 3,
             "predicts": "odd distortion with a lag that does not depend on frequency, and a loop that depends on the level",
@@ -88,3 +109,8 @@ class Hysteresis:
             loop = force(axis, "force", -20 * axis.push, 20 * axis.push, -0.1 * axis.push, linear=True)
             for law, shape, form in _forms(machine, q, (0.1, 0.5, 2.0)):
                 yield at_force(axis, law, [state(q)], parameters=[loop, *shape], **form, **words)
+        for port, u, low, high in (*imposed(machine, "velocity"), *imposed(machine, "length"), *imposed(machine, "angle")):
+            f = port.rms
+            loop = Coefficient("force", port.unit, 20 * low * f, 20 * high * f, 0.1 * f, linear=True)
+            law, shape, form = next(iter(_forms(machine, u, (0.1, 0.5, 2.0))))
+            yield at_output(port, law, [Signal("u", u.index)], parameters=[loop, *shape], notes={"variant": u.name}, **form, **words)

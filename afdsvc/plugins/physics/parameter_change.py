@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.plugins.physics.attach import at_force, at_input, at_output, balance, placed
+from afdsvc.plugins.physics.attach import at_force, at_input, at_output, balance, constant, placed
 
 IntArray = NDArray[np.int64]
 LOWEST = {"stiffness": -0.99, "damping": -3.0}  # a machine may be driven by what should damp it
+GAINS = "product of actuator gain and sensor gain"
 _REFUTED = "a residual at unexcited lines, or one whose share changes with the level"
 
 
@@ -90,9 +91,10 @@ class ParameterChange:
         )
 
     def _parts(self, what: str, fixed: Sequence[float], low: float = -0.999, variant: str = "") -> dict[str, Any]:
-        constants = [Coefficient("nominal", "", v, v, 1.0, nuisance=True) for v in fixed]
+        constants = [constant("nominal", "", v) for v in fixed]
         return {
-            "physics": self.name, "family": "gain", "notes": {"variant": variant or what, "of": what},
+            "physics": self.name, "family": "gain",
+            "notes": {"variant": variant or what, "of": what} | ({"gauge": GAINS} if what.endswith("gain") else {}),
             "parameters": [Coefficient(what, "", low, 30.0, 0.02, linear=what != "mass"), *constants],
             "starts": [(0.0 if what != "mass" else s, *fixed) for s in ((0.0,) if what != "mass" else (0.05, -0.05))],
             "predicts": "a linear residual in fixed proportion to what the model says at every level",

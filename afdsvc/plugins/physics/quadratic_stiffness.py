@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
-from afdsvc.plugins.physics.attach import at_force, at_input, force, placed, state
+from afdsvc.plugins.physics.attach import at_force, at_input, constant, force, placed, state
+from afdsvc.plugins.physics.joint import at_joint, joints, spring
 
 
 def quadratic(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -20,24 +21,29 @@ def fed_back(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 class QuadraticStiffness:
-    """An asymmetric spring on every axis; fed back from the output to the input where no axis is known."""
+    """An asymmetric spring on every axis and in joints between axes; fed back from the output to the input where no axis is known."""
 
     name = "quadratic_stiffness"
     summary = "a spring force with a part proportional to the square of the deflection"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per axis, or one for a machine of one input and one output without axes."""
-        words = {
-            "physics": self.name, "family": "stiffness", "starts": [(0.0,)],
+        """Return one hypothesis per axis and per joint, or one for a machine of one input and one output without axes."""
+        words: dict[str, Any] = {
+            "physics": self.name, "family": "stiffness",
             "predicts": "even distortion and a mean that shifts with the square of the amplitude",
             "refuted_by": "distortion at odd lines only",
         }
         for axis, q in placed(machine):
             scale = 0.05 * axis.push / q.rms**2
             k2 = force(axis, "stiffness", -200 * scale, 200 * scale, scale, f"({q.unit})^2", linear=True)
-            yield at_force(axis, quadratic, [state(q)], parameters=[k2], **words)
+            yield at_force(axis, quadratic, [state(q)], parameters=[k2], starts=[(0.0,)], **words)
+        for joint in joints(machine):
+            a, q = joint.axes[0], joint.positions[0]
+            scale = 0.05 * a.push / q.rms**2
+            k2 = force(a, "stiffness", -200 * scale, 200 * scale, scale, f"({q.unit})^2", linear=True)
+            yield at_joint(joint, spring, [k2, constant("power", "", 2.0)], [(0.0, 2.0)], **words)
         if not machine.axes and len(machine.inputs) == len(machine.outputs) == 1:
             u, y = machine.inputs[0], machine.outputs[0]
             scale = 0.05 * u.rms / y.rms**2
             k2 = Coefficient("stiffness", f"{u.unit}/({y.unit})^2", -200 * scale, 200 * scale, scale, linear=True)
-            yield at_input(u, fed_back, [Signal("y", y.index)], parameters=[k2], **words)
+            yield at_input(u, fed_back, [Signal("y", y.index)], parameters=[k2], starts=[(0.0,)], **words)

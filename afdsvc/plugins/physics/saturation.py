@@ -1,4 +1,4 @@
-"""Saturation: commands beyond a limit are cut."""
+"""Saturation: a signal, or a state, that is held within a limit."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from afdsvc.api.physics import Coefficient, Hypothesis, Machine
-from afdsvc.plugins.physics.attach import at_input
+from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal, Size
+from afdsvc.plugins.physics.attach import at_force, at_input, at_state, constant, downstream, quantity, state, stores, velocity
 
 SHARP, SOFT = 1e-3, 0.4  # shares of the limit over which the corner may be rounded
 
@@ -21,23 +21,81 @@ def saturation(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
         out[0] -= math.copysign(lost, z[0])
 
 
+def two_limits(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """The input is held between ``p[1]`` and ``p[0]``."""
+    out[0] += min(max(z[0], p[1]), p[0]) - z[0]
+
+
+def held(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """A state beyond ``+-limit`` is brought back within one step."""
+    out[0] -= math.copysign(max(abs(z[0]) - p[0], 0.0), z[0]) / dt
+
+
+def overflow(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """What is above ``limit`` leaves within one step; a share ``p[1]`` of it goes the way of the outflow, ``p[2:]`` per unit lost."""
+    lost = max(z[0] - p[0], 0.0) / dt
+    out[0] -= lost
+    for k in range(1, len(out)):
+        out[k] += p[1] * p[1 + k] * lost
+
+
 class Saturation:
-    """A limit at every input, inside the range the recordings use."""
+    """A limit at every input, of every velocity, of every force that is a state, and of every store, inside the range the recordings use."""
 
     name = "saturation"
-    summary = "commands beyond a limit have no further effect"
+    summary = "commands, speeds or levels beyond a limit are cut"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per input, started at limits between a third and nearly all of the largest command."""
+        """Return hypotheses started at limits between a third of the largest value and a little above it."""
         for port in machine.inputs:
-            peak = port.peak
-            yield at_input(
-                port, saturation, physics=self.name, family="input curve",
-                parameters=[
-                    Coefficient("limit", port.unit, 0.02 * peak, 1.4 * peak, 0.02 * peak),
-                    Coefficient("knee", "", SHARP, SOFT, 0.05, nuisance=True),
-                ],
-                starts=[(share * peak, 0.1) for share in (0.35, 0.6, 0.85, 0.95)],
-                predicts="nothing below a level; above it missing peaks of the input",
-                refuted_by="distortion in recordings whose input never reaches the limit",
-            )
+            yield from self._of_input(port)
+        for axis in machine.axes:
+            yield at_force(axis, held, [velocity(axis)], **self._of_state(axis.rate))
+        for store in stores(machine):
+            if quantity(store.unit) == "force":
+                yield at_state(store, held, [state(store)], **self._of_state(store))
+            else:
+                yield self._of_store(store, machine)
+
+    def _of_state(self, size: Size) -> dict[str, Any]:
+        return {
+            "physics": self.name, "family": "limit", "parameters": [_limit(size)], "starts": [(s * size.peak,) for s in (0.4, 0.6, 0.8, 0.95)],
+            "predicts": "a value that stays the same whatever drives it", "refuted_by": "values beyond the limit",
+        }
+
+    def _of_input(self, port: Size) -> Iterable[Hypothesis]:
+        words: dict[str, Any] = {
+            "physics": self.name, "family": "input curve", "predicts": "nothing below a level; above it missing peaks of the input",
+            "refuted_by": "distortion in recordings whose input never reaches the limit",
+        }
+        peak, step = port.peak, 0.02 * port.peak
+        yield at_input(
+            port, saturation, parameters=[_limit(port), Coefficient("knee", "", SHARP, SOFT, 0.05, nuisance=True)],
+            starts=[(share * peak, 0.1) for share in (0.35, 0.6, 0.85, 0.95)], **words,
+        )
+        top, low = port.mean - port.rms, port.mean + port.rms
+        yield at_input(
+            port, two_limits, parameters=[
+                Coefficient("upper limit", port.unit, top, max(1.4 * peak, top + port.rms), step),
+                Coefficient("lower limit", port.unit, min(-1.4 * peak, low - port.rms), low, step),
+            ],
+            starts=[(port.mean + a * port.rms, port.mean - b * port.rms) for a, b in ((0.9, 0.9), (0.5, 0.95), (0.95, 0.5))],
+            notes={"variant": "asymmetric", "of": ""}, **words,
+        )
+
+    def _of_store(self, store: Size, machine: Machine) -> Hypothesis:
+        ways = downstream(machine, store)
+        return at_state(
+            store, overflow, [state(store)], [state(store), *(Signal("x", i) for i, _ in ways)], physics=self.name, family="limit",
+            parameters=[
+                Coefficient("limit", store.unit, store.mean - store.rms, 1.4 * store.peak, 0.02 * store.peak),
+                Coefficient("share passed on", "", 0.0, 1.0, 0.1, nuisance=True) if ways else constant("share passed on", "", 0.0),
+                *(constant("per unit lost", "", v) for _, v in ways),
+            ],
+            starts=[(min(store.mean + s * store.rms, 1.35 * store.peak), 0.5 if ways else 0.0, *(v for _, v in ways)) for s in (0.3, 0.8, 1.3, 2.0)],
+            predicts="a level that stays at the same value whatever flows in", refuted_by="levels above the limit",
+        )
+
+
+def _limit(size: Size) -> Coefficient:
+    return Coefficient("limit", size.unit, 0.02 * size.peak, 1.4 * size.peak, 0.02 * size.peak)

@@ -54,6 +54,57 @@ def test_a_mass_on_an_axis_moves_as_the_matrices_say():
     assert np.abs(np.array(seen) - y).max() < 2e-3 * np.abs(y).max()
 
 
+def chain(masses_: list[float], springs: list[float], dampers: list[float]) -> np.ndarray:
+    """Matrix of masses in a row, states ``v_1, e_1, v_2, e_2, v_3``: e is how far the next mass is ahead."""
+    A = np.zeros((2 * len(masses_) - 1,) * 2)
+    for k, (stiff, damp) in enumerate(zip(springs, dampers, strict=True)):
+        pull = np.zeros(len(A))
+        pull[[2 * k, 2 * k + 1, 2 * k + 2]] = -damp, stiff, damp
+        A[2 * k] += pull / masses_[k]
+        A[2 * k + 2] -= pull / masses_[k + 1]
+        A[2 * k + 1, [2 * k, 2 * k + 2]] = -1.0, 1.0
+    return A
+
+
+@pytest.mark.parametrize(("given", "springs"), [([0.3], [800.0]), ([0.3, 0.2], [800.0, 2000.0])])
+def test_a_mass_divided_in_a_chain_answers_as_the_chain(given, springs):
+    """Oracle: the equations of masses in a row whose sum the model takes for one; in front of the force they are masses side by side
+    with the antiresonances for frequencies (Foster's theorem), found by fitting residues."""
+    weights, n = [1 - sum(given), *given], len(given)
+    A, drive = chain(weights, springs, [0.0] * n), np.eye(2 * n + 1)[:, 0] / weights[0]
+    held = A[1:, 1:]  # the first mass held: its frequencies are the antiresonances
+    found = np.sort(np.abs(np.linalg.eigvals(held).imag))[:: -2][:n]
+    s = 1j * np.geomspace(3, 300, 50)
+    answer = np.array([np.linalg.solve(w * np.eye(len(A)) - A, drive)[0] for w in s])
+    springing = weights[0] * s - 1 / answer  # minus the force of what hangs on the first mass, per velocity
+    columns = np.array([-s * w * w / (s * s + w * w) for w in found]).T
+    parts, rest, *_ = np.linalg.lstsq(np.vstack([columns.real, columns.imag]), np.concatenate([springing.real, springing.imag]), rcond=None)
+    assert parts.sum() == pytest.approx(sum(given))
+    rigid = StateSpace(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
+    values = [v for w, part in zip(found, parts, strict=True) for v in (w, 0.0, part / weights[0])]
+    whole = _attach(rigid, values, 0, n, divided=True)
+    ours = np.array([(whole.C @ np.linalg.solve(w * np.eye(whole.order) - whole.A, whole.B))[0, 0] for w in s])
+    assert ours == pytest.approx(answer, rel=1e-6)
+
+
+def test_a_divided_mass_moves_as_the_matrices_say():
+    """The law inside a motor of which only the speed is a state, against scipy on the extended plant."""
+    h, values = 1e-4, (60.0, 0.05, 0.8, 150.0, 0.02, 0.3)
+    rigid = StateSpace(np.array([[-3.0]]), np.array([[30.0]]), np.ones((1, 1)), np.zeros((1, 1)))
+    t = np.arange(10000) * h
+    u = np.sin(40 * t) + np.sin(130 * t)
+    whole = _attach(rigid, values, 0, 2, divided=True)
+    _, y, _ = lsim((whole.A, whole.B, whole.C, whole.D), u, t)
+    p, m, v, seen = np.array([*values, -3.0, 30.0]), np.zeros(5), 0.0, []
+    for now in u:
+        seen.append(v)
+        pull, middle = np.zeros(1), v + 0.5 * h * (30 * now - 3 * v)
+        masses(p, np.array([middle, middle, now]), m, h, pull)
+        slope = -3 * v + 30 * now + pull[0]
+        v += h * slope - 0.5 * h * h * 3 * slope
+    assert np.abs(np.array(seen) - y).max() < 5e-3 * np.abs(y).max()
+
+
 def test_a_mass_on_a_bent_spring_is_the_duffing_oscillator_on_a_moving_base():
     """Oracle: scipy's DOP853 on ``s'' = -w^2 d (1 + k d^2) - 2 zeta w d'``, ``d = s - q``; the pull is ``-p2 s''``."""
     w, zeta, ratio, bend, h = 90.0, 0.03, 0.15, 0.4, 1e-4

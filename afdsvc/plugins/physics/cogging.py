@@ -1,0 +1,47 @@
+"""Cogging: a force that repeats along the way, from poles, teeth or balls."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal
+from afdsvc.plugins.physics.attach import at_force, force, placed, quantity, radians, state
+
+ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 36, 48)  # periods per turn that a search begins from
+
+
+def ripple(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``a cos(k q) + b sin(k q)``."""
+    out[0] += p[1] * math.cos(p[0] * z[0]) + p[2] * math.sin(p[0] * z[0])
+
+
+class Cogging:
+    """A periodic force along every axis whose position is a state, or whose angle is recorded."""
+
+    name = "cogging"
+    summary = "a force that repeats along the way"
+
+    def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
+        """Return one hypothesis per axis, with periods from twice the way travelled to a tenth of it, or whole ones per turn."""
+        for axis, q in placed(machine):
+            turn, top = quantity(q.unit) == "angle", q.peak + abs(q.mean)
+            numbers = [n * radians(q.unit) for n in ORDERS] if turn else np.geomspace(0.5, 10, 9) * math.pi / top
+            yield self._on(axis, state(q), q.unit, [float(k) for k in numbers], math.pi / top)
+        angle = machine.aux.get("angle")
+        for axis in machine.axes if angle else ():
+            if axis.position is None and angle:
+                yield self._on(axis, Signal("aux", angle.index), "rad", [float(k) for k in ORDERS], 1.0)
+
+    def _on(self, axis: Axis, where: Signal, unit: str, numbers: list[float], width: float) -> Hypothesis:
+        scale = 0.05 * axis.push
+        pair = [force(axis, f"{part} force", -1e3 * scale, 1e3 * scale, scale, linear=True) for part in ("cosine", "sine")]
+        return at_force(
+            axis, ripple, [where], physics=self.name, family="ripple",
+            parameters=[Coefficient("wave number", f"rad/{unit}", 0.2 * min(numbers), 5 * max(numbers), 0.02 * width), *pair],
+            starts=[(k, 0.0, 0.0) for k in numbers],
+            predicts="a force of the same period along the way at every speed", refuted_by="a frequency that does not follow the speed",
+        )

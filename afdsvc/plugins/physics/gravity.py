@@ -1,0 +1,48 @@
+"""Gravity on a part that turns: a force that goes with the sine of the angle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from afdsvc.api.physics import Axis, Hypothesis, Machine, Size
+from afdsvc.plugins.physics.attach import at_force, constant, force, placed, quantity, radians, state
+
+
+def weight(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``-a sin(q) - b cos(q)``: the vertical need not be where the angle is zero; ``p[2]`` is a radian per unit of q."""
+    out[0] -= p[0] * math.sin(p[2] * z[0]) + p[1] * math.cos(p[2] * z[0])
+
+
+def sine(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``-(a (sin(q) - q) + b (cos(q) - 1))``: what the model has as a straight line, with its slope and value at zero, is a sine."""
+    angle = p[2] * z[0]
+    out[0] -= p[0] * (math.sin(angle) - angle) + p[1] * (math.cos(angle) - 1.0)
+
+
+class Gravity:
+    """Weight on every axis that turns, missing or there as a straight line."""
+
+    name = "gravity"
+    summary = "a weight that turns: a force that goes with the sine of the angle"
+
+    def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
+        """Return two hypotheses per axis whose position is an angle."""
+        for axis, q in placed(machine):
+            if quantity(q.unit) == "angle":
+                yield self._on(axis, q, weight, {})
+                yield self._on(axis, q, sine, {"variant": "sine for a line", "of": ""})
+
+    def _on(self, axis: Axis, q: Size, law: Any, notes: dict[str, str]) -> Hypothesis:
+        push, radian = axis.push, radians(q.unit)
+        most = 100 * push * max(1.0, 1 / (radian * q.rms))
+        return at_force(
+            axis, law, [state(q)], physics=self.name, family="stiffness", starts=[(0.0, 0.0, radian)], notes=notes,
+            parameters=[
+                *(force(axis, f"{part} force", -most, most, 0.1 * push, linear=True) for part in ("sine", "cosine")),
+                constant("radian", f"rad/{q.unit}", radian),
+            ],
+            predicts="a stiffness that falls with the angle from hanging and changes sign at a quarter turn",
+            refuted_by="a stiffness that is the same at every angle",
+        )

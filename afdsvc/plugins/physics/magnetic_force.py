@@ -1,0 +1,52 @@
+"""Magnetic force: a pull that goes with the square of current over gap, linear in the model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal, Size
+from afdsvc.plugins.physics.attach import at_force, constant, placed, quantity, state
+
+
+def single(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """One magnet, ``b i0 / 2 (1 + i / i0)^2 / (1 - s q / g)^2`` less its straight part; ``p = (i0, g, b, s)``, s the side it pulls to."""
+    current, gap = 1.0 + z[0] / p[0], max(1.0 - p[3] * z[1] / p[1], 0.05)
+    straight = 1.0 + 2.0 * z[0] / p[0] + 2.0 * p[3] * z[1] / p[1]
+    out[0] += 0.5 * p[2] * p[0] * (current * current / (gap * gap) - straight)
+
+
+def pair(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """Two magnets that pull against each other, the current added to one and taken from the other; as `single`."""
+    to, away = max(1.0 - p[3] * z[1] / p[1], 0.05), max(1.0 + p[3] * z[1] / p[1], 0.05)
+    more, less = (1.0 + z[0] / p[0]) / to, (1.0 - z[0] / p[0]) / away
+    straight = 4.0 * z[0] / p[0] + 4.0 * p[3] * z[1] / p[1]
+    out[0] += 0.25 * p[2] * p[0] * (more * more - less * less - straight)
+
+
+class MagneticForce:
+    """One magnet, or two against each other, about an operating point; on every axis driven by a current or a voltage."""
+
+    name = "magnetic_force"
+    summary = "a pull that goes with the square of current over gap"
+
+    def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
+        """Return two hypotheses per axis with a position and an electrical input."""
+        for axis, q in placed(machine):
+            if axis.input is not None and quantity(machine.inputs[axis.input].unit) in ("current", "voltage"):
+                for law, notes in ((single, {}), (pair, {"variant": "pair", "of": ""})):
+                    yield self._on(axis, q, machine.inputs[axis.input], law, notes)
+
+    def _on(self, axis: Axis, q: Size, port: Size, law: Any, notes: dict[str, str]) -> Hypothesis:
+        side = 1.0 if axis.gain >= 0 else -1.0
+        return at_force(
+            axis, law, [Signal("u", port.index), state(q)], physics=self.name, family="stiffness", notes=notes,
+            parameters=[
+                Coefficient("bias", port.unit, 0.5 * port.rms, 100 * port.peak, 0.1 * port.rms),
+                Coefficient("gap", q.unit, 1.05 * q.peak, 1e3 * q.peak, 0.1 * q.peak),
+                constant("gain", "", axis.gain), constant("side", "", side),
+            ],
+            starts=[(b * port.peak, g * q.peak, axis.gain, side) for b in (1.0, 4.0) for g in (1.5, 5.0)],
+            predicts="a gain and a stiffness that change with the current and the gap together",
+            refuted_by="a gain that is the same at every position and level",
+        )

@@ -1,0 +1,121 @@
+"""Where laws are offered, and that their ranges follow the sizes in the data."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from afdsvc.api.physics import Machine
+from afdsvc.lti.statespace import StateSpace
+from afdsvc.plugins.physics import BUILT_IN
+from afdsvc.plugins.physics.attach import quantity, radians, summed
+from afdsvc.testing.conformance.physics import machines
+
+ROTOR, BLACK_BOX, MOTOR, ARM, MAGNET, TANKS, STRUCTURE, DAMPER = range(8)
+
+
+def offered(machine: Machine) -> dict:
+    return {h.key: h for physics in BUILT_IN for h in physics().hypotheses(machine)}
+
+
+@pytest.mark.parametrize(("machine", "keys"), [
+    (MOTOR, "actuator_lag@input:voltage asymmetric_damping@state:w back_emf@state:w back_emf@state:w#the model's damping"),
+    (MOTOR, "coulomb_friction@state:w coulomb_friction@state:w#asymmetric coulomb_friction@state:w#presliding"),
+    (MOTOR, "coulomb_friction@state:w#grows with the input stribeck_friction@state:w stribeck_friction@state:w#presliding"),
+    (MOTOR, "quadratic_damping@state:w cubic_damping@state:w constant_load@state:w constant_load@state:w#drifting"),
+    (MOTOR, "flexible_mode@state:w#attached mass flexible_mode@state:w#divided in 2 flexible_mode@state:w#divided in 3"),
+    (MOTOR, "saturation@state:w saturation@input:voltage#asymmetric dead_zone@input:voltage#asymmetric supply_droop@input:voltage"),
+    (MOTOR, "quantisation@input:voltage parameter_change@state:w#mass parameter_change@state:w#damping sensor_drift@output:w"),
+    (ARM, "gravity@state:w gravity@state:w#sine for a line cogging@state:w gain_follows_position@input:torque#w"),
+    (ARM, "coulomb_friction@state:w#along the way coulomb_friction@state:w#grows with the transmitted force"),
+    (MAGNET, "magnetic_force@state:v magnetic_force@state:v#pair"),
+    (TANKS, "saturation@state:h1 saturation@state:h2 slow_mode@state:h1 static_nonlinearity@state:h1#outflow"),
+    (TANKS, "static_nonlinearity@state:h2#outflow about a level constant_load@input:pump static_nonlinearity@input:pump#thrust"),
+    (STRUCTURE, "clearance@machine#between v1,v2 clearance@machine#between v1,v2,v3 coulomb_friction@machine#between v1,v3"),
+    (STRUCTURE, "coulomb_friction@machine#slip between v2,v3 cubic_stiffness@machine#between v1,v2 quadratic_stiffness@machine#between v1,v2,v3"),
+    (DAMPER, "hysteresis@input:speed hysteresis@output:force#speed coulomb_friction@output:force#speed saturation@state:force"),
+])
+def test_a_machine_is_offered_what_it_may_have(machine, keys):
+    known = offered(machines()[machine])
+    names = [" ".join(w) for w in _split(keys)]
+    assert [k for k in names if k not in known] == []
+
+
+def _split(text: str) -> list[list[str]]:
+    """Cut at words that hold an @: variants may hold blanks."""
+    words: list[list[str]] = []
+    for word in text.split():
+        if "@" in word:
+            words.append([])
+        words[-1].append(word)
+    return words
+
+
+def test_a_speed_alone_has_no_law_of_the_position():
+    positions = {"clearance", "cubic_stiffness", "quadratic_stiffness", "gravity", "cogging", "magnetic_force", "gain_follows_position", "cross_coupled_stiffness"}
+    assert not positions & {h.physics for h in offered(machines()[MOTOR]).values()}
+
+
+def test_a_motor_whose_angle_is_recorded_may_cog():
+    motor = machines()[MOTOR]
+    angle = replace(machines()[ROTOR].aux["angle"], index=0)
+    cogging = offered(replace(motor, aux={"angle": angle}))["cogging@state:w"]
+    assert cogging.reads[0].kind == "aux"
+
+
+def test_curves_without_a_mechanism_are_marked():
+    marked = {h.physics for m in machines() for h in offered(m).values() if h.description}
+    assert marked == {"static_nonlinearity", "sensor_nonlinearity", "cubic_damping"}
+    arm = offered(machines()[ARM])
+    assert [arm[f"static_nonlinearity@input:torque#{v}"].description for v in ("cube", "power", "thrust", "thrust of a rotor")] == [True, True, False, False]
+
+
+def test_gains_share_a_gauge():
+    motor = offered(machines()[MOTOR])
+    gauges = {k: h.notes.get("gauge") for k, h in motor.items() if h.physics == "parameter_change"}
+    assert gauges["parameter_change@input:voltage#actuator gain"] == gauges["parameter_change@output:w#sensor gain"] is not None
+    assert gauges["parameter_change@state:w#damping"] is None
+
+
+@pytest.mark.parametrize("number", [ROTOR, BLACK_BOX, MOTOR, MAGNET, TANKS, STRUCTURE, DAMPER])
+def test_ranges_follow_the_sizes_in_the_data(number):
+    """In other units of input, states and output every parameter is the same multiple of its scale."""
+    machine = machines()[number]
+    plain, scaled = offered(machine), offered(in_other_units(machine, 7.0, 1e-3, 300.0))
+    assert plain.keys() == scaled.keys()
+    for key, h in plain.items():
+        for j, (a, b) in enumerate(zip(h.parameters, scaled[key].parameters, strict=True)):
+            before = np.array([a.low, a.high, *(s[j] for s in h.starts)]) / a.scale
+            after = np.array([b.low, b.high, *(s[j] for s in scaled[key].starts)]) / b.scale
+            assert after == pytest.approx(before, rel=1e-9, abs=1e-12), f"{key}: {a.name}"
+
+
+def in_other_units(machine: Machine, u: float, x: float, y: float) -> Machine:
+    def times(size, by):
+        return replace(size, mean=size.mean * by, rms=size.rms * by, peak=size.peak * by, step=size.step * by)
+
+    states = tuple(times(s, x) for s in machine.states)
+    axes = tuple(
+        replace(a, position=a.position and states[a.position.index], rate=states[a.rate.index], push=a.push * x, gain=a.gain * x / u)
+        for a in machine.axes
+    )
+    plant = StateSpace(machine.plant.A, machine.plant.B * x / u, machine.plant.C * y / x, machine.plant.D * y / u)
+    return replace(
+        machine, inputs=tuple(times(s, u) for s in machine.inputs), outputs=tuple(times(s, y) for s in machine.outputs), states=states,
+        axes=axes, plant=plant, residual=machine.residual * y,
+    )
+
+
+@pytest.mark.parametrize(("unit", "kind"), [
+    ("m", "length"), ("um", "length"), ("deg", "angle"), ("rad", "angle"), ("cm/s", "velocity"), ("rpm", "velocity"), ("deg/s", "velocity"),
+    ("N m", "force"), ("kN", "force"), ("mA", "current"), ("V", "voltage"), ("Hz", ""), ("1/s", ""), ("", ""), ("parrots", ""), ("K", ""),
+])
+def test_units_say_what_is_measured(unit, kind):
+    assert quantity(unit) == kind
+
+
+def test_units_of_what_a_velocity_sums_up_to():
+    assert (summed("rad/s"), summed("rpm"), summed("")) == ("rad", "(rpm) s", "s")
+    assert radians("deg") == pytest.approx(np.pi / 180)

@@ -1,0 +1,210 @@
+"""Laws in motion: a machine stepped with the law against scipy's integration of the physics as textbooks write it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from afdsvc.plugins.physics.asymmetric_damping import damper
+from afdsvc.plugins.physics.back_emf import coil
+from afdsvc.plugins.physics.clearance import joint as gap
+from afdsvc.plugins.physics.cogging import ripple
+from afdsvc.plugins.physics.constant_load import drifting
+from afdsvc.plugins.physics.coulomb_friction import along, asymmetric, joint, loaded, reaction
+from afdsvc.plugins.physics.cubic_damping import cubic
+from afdsvc.plugins.physics.gain_follows_position import geared
+from afdsvc.plugins.physics.gravity import sine, weight
+from afdsvc.plugins.physics.hysteresis import over_integral
+from afdsvc.plugins.physics.joint import spring
+from afdsvc.plugins.physics.magnetic_force import pair, single
+from afdsvc.plugins.physics.saturation import overflow, two_limits
+from afdsvc.plugins.physics.slow_mode import exchange
+from afdsvc.plugins.physics.static_nonlinearity import outflow, outflow_about, power, signed_square, thrust
+from afdsvc.plugins.physics.stribeck_friction import presliding
+from afdsvc.plugins.physics.supply_droop import droop
+
+H, N, HOLD = 1e-3, 1500, 10  # step in s, steps, steps over which the input is held
+
+
+@dataclass
+class Case:
+    """A linear machine ``A, B`` with a law, and what the whole is: ``rates(x, u)`` of its states and then those of the physics left out."""
+
+    name: str
+    law: Callable
+    p: tuple
+    rates: Callable
+    A: list
+    B: list
+    reads: tuple = (("x", 1),)
+    writes: tuple = (1,)
+    stage: str = "force"
+    memory: int = 0
+    hidden: tuple = ()
+    level: float = 1.0
+    mean: float = 0.0
+    start: tuple | None = None
+    tolerance: float = 3e-3
+
+
+def inputs(case: Case) -> np.ndarray:
+    steps = np.random.default_rng(4).standard_normal(N // HOLD)
+    return case.mean + case.level * np.repeat(np.convolve(steps, np.ones(8) / 4, "same"), HOLD)
+
+
+def stepped(case: Case) -> np.ndarray:
+    """The machine by exact steps, forces taken at the predicted middle of the step and held over it."""
+    A, B = np.array(case.A, float), np.array(case.B, float)
+    n = len(A)
+    whole = np.zeros((2 * n + 1, 2 * n + 1))
+    whole[:n] = np.hstack([A, B[:, None], np.eye(n)])
+    full, half = expm(whole * H), expm(whole * H / 2)
+    p, m, x = np.array(case.p, float), np.zeros(case.memory), np.array(case.start or np.zeros(n), float)
+    seen = []
+    for u in inputs(case):
+        seen.append(x)
+        middle, out = half[:n, :n] @ x + half[:n, n] * u, np.zeros(len(case.writes))
+        case.law(p, np.array([{"x": middle, "u": [u]}[kind][i] for kind, i in case.reads]), m, H, out)
+        acting, push = u, np.zeros(n)
+        if case.stage == "input":
+            acting = u + out[0]
+        else:
+            push[list(case.writes)] = out
+        x = full[:n, :n] @ x + full[:n, n] * acting + full[:n, n + 1 :] @ push
+    return np.array(seen)
+
+
+def true(case: Case) -> np.ndarray:
+    u, n = inputs(case), len(case.A)
+    x, rows = np.array([*(case.start or np.zeros(n)), *case.hidden], float), []
+    for k in range(0, N, HOLD):
+        t = np.arange(HOLD + 1) * H
+        part = solve_ivp(lambda _, s, now=u[k]: case.rates(s, now), (0, t[-1]), x, t_eval=t, rtol=1e-7, atol=1e-9).y.T
+        rows.append(part[:-1])
+        x = part[-1]
+    return np.vstack(rows)[:, :n]
+
+
+K, D, G = 40.0, 1.5, 30.0  # stiffness, damping and input gain of an axis
+AXIS = {"A": [[0, 1], [-K, -D]], "B": [0, G]}
+SPEED = {"A": [[-D]], "B": [G], "writes": (0,)}
+TANK = {"A": [[-0.8, 0], [0.5, -0.4]], "B": [1.0, 0.0], "reads": (("x", 0),), "writes": (0, 1), "mean": 1.5, "level": 0.3, "start": (1.0, 1.0)}
+MODES = {"A": [[0, 1, 0, 0], [-K, -D, 0, 0], [0, 0, 0, 1], [0, 0, -3 * K, -D]], "B": [0, G, 0, G], "writes": (1, 3)}
+
+
+def axis(force: Callable) -> Callable:
+    """Rates of an axis with a further acceleration of position, velocity and input."""
+    return lambda x, u: [x[1], -K * x[0] - D * x[1] + G * u + force(x[0], x[1], u)]
+
+
+def smooth(v: float) -> float:
+    return float(np.tanh(v / 0.1))
+
+
+def magnet(x: np.ndarray, i: float, bias: float = 2.0, gap: float = 1.3) -> list[float]:
+    """One magnet that pulls to positive q against a constant weight; its gain at rest is G."""
+    k = G * gap**2 / (2 * bias)
+    return [x[1], -3 * K * x[0] - D * x[1] + k * ((bias + i) / (gap - x[0])) ** 2 - k * (bias / gap) ** 2]
+
+
+def magnets(x: np.ndarray, i: float, bias: float = 2.0, gap: float = 1.3) -> list[float]:
+    k = G * gap**2 / (4 * bias)
+    return [x[1], -3 * K * x[0] - D * x[1] + k * ((bias + i) / (gap - x[0])) ** 2 - k * ((bias - i) / (gap + x[0])) ** 2]
+
+
+BENT = {"A": [[0, 1], [-3 * K + G * 2.0 / 1.3, -D]], "B": [0, G], "reads": (("u", 0), ("x", 0)), "level": 0.4}  # the magnet's straight part is in A
+
+
+def motor(x: np.ndarray, u: float) -> list[float]:
+    """Speed and current: inertia 0.2, friction 0.3, torque constant 0.5, 2 ohm, 0.06 H."""
+    return [(0.5 * x[1] - 0.3 * x[0]) / 0.2, (u - 2 * x[1] - 0.5 * x[0]) / 0.06]
+
+
+MOTOR_GAIN = 0.5 / 2 / 0.2
+
+
+def lugre(x: np.ndarray, u: float) -> list[float]:
+    size = 4.0 + 3.0 * np.exp(-((x[1] / 0.5) ** 2))
+    stiff = 7.0 / (0.02 + 4 * 7.0 * H * H)
+    rate = x[1] - stiff * abs(x[1]) * x[2] / size
+    return [x[1], -K * x[0] - D * x[1] + G * u - stiff * x[2] - 2 * 0.6 * np.sqrt(stiff) * rate, rate]
+
+
+def two(x: np.ndarray, u: float, push: Callable) -> list[float]:
+    """Two modes with a joint that deflects by the first less 0.7 of the second."""
+    f = push(x[0] - 0.7 * x[2], x[1] - 0.7 * x[3])
+    return [x[1], -K * x[0] - D * x[1] + G * u - f, x[3], -3 * K * x[2] - D * x[3] + G * u + 0.7 * f]
+
+
+def tank(out: Callable, share: float = 0.5 / 0.8) -> Callable:
+    return lambda x, u: [u - out(x[0]), share * out(x[0]) - 0.4 * x[1]]
+
+
+def bouc(x: np.ndarray, u: float) -> list[float]:
+    """A lag whose input u is a velocity with a Bouc-Wen loop of exponent 1 over its way beside it."""
+    return [-D * x[0] + G * (u + 0.4 * x[1]), u / 0.05 * (1 - (abs(x[1]) if u * x[1] > 0 else 0.0))]
+
+
+CASES = [
+    Case("asymmetric friction", asymmetric, (6.0, 2.0, 0.1 - 6e-3), axis(lambda q, v, u: -(6.0 if v > 0 else 2.0) * smooth(v)), **AXIS, tolerance=5e-3),
+    Case("friction under the input", loaded, (2.0, 0.3, 0.1, G), axis(lambda q, v, u: -(2 + 0.3 * abs(G * u)) * np.tanh(v / (0.1 + (2 + 0.3 * abs(G * u)) * H))), **AXIS, reads=(("x", 1), ("u", 0))),
+    Case("friction under what is passed on", loaded, (2.0, 0.3, 0.1, G, K), axis(lambda q, v, u: -(2 + 0.3 * abs(G * u + K * q)) * np.tanh(v / (0.1 + (2 + 0.3 * abs(G * u + K * q)) * H))), **AXIS, reads=(("x", 1), ("u", 0), ("x", 0))),
+    Case("friction along the way", along, (3.0, 1.0, 2.0, 0.1, 0.2, 0.5), axis(lambda q, v, u: -(f := 3 + 2 * (q - 0.2) + 8 * (q - 0.2) ** 2) * np.tanh(v / (0.1 + f * H))), **AXIS, reads=(("x", 1), ("x", 0))),
+    Case("asymmetric damping", damper, (3.0, -1.0), axis(lambda q, v, u: -(3.0 if v > 0 else -1.0) * v), **AXIS),
+    Case("cubic damping", cubic, (0.2,), axis(lambda q, v, u: -0.2 * v**3), **AXIS),
+    Case("weight in degrees", weight, (1500.0, 400.0, np.pi / 180), axis(lambda q, v, u: -1500 * np.sin(np.deg2rad(q)) - 400 * np.cos(np.deg2rad(q))), **AXIS, reads=(("x", 0),), level=60.0),
+    Case("pendulum for a spring", sine, (K, 0.0, 1.0), lambda x, u: [x[1], -K * np.sin(x[0]) - D * x[1] + G * u], **AXIS, reads=(("x", 0),)),
+    Case("one magnet", single, (2.0, 1.3, G, 1.0), magnet, **BENT),
+    Case("two magnets", pair, (2.0, 1.3, G, 1.0), magnets, A=[[0, 1], [-3 * K + G * 2.0 / 1.3, -D]], B=[0, G], reads=(("u", 0), ("x", 0)), level=0.6),
+    Case("coil", coil, (0.03, 0.5, MOTOR_GAIN, 0.0), motor, A=[[-1.5]], B=[MOTOR_GAIN], reads=(("u", 0), ("x", 0)), writes=(0,), memory=1, hidden=(0.0,), level=5.0),
+    Case("coil of a motor with its damping", coil, (0.03, 0.5, MOTOR_GAIN, 0.5), motor, A=[[-1.5 - 0.5 * MOTOR_GAIN]], B=[MOTOR_GAIN], reads=(("u", 0), ("x", 0)), writes=(0,), memory=1, hidden=(0.0,), level=5.0),
+    Case("cogging", ripple, (7.0, 3.0, -2.0), axis(lambda q, v, u: 3 * np.cos(7 * q) - 2 * np.sin(7 * q)), **AXIS, reads=(("x", 0),)),
+    Case("gain along the way", geared, (0.3, 0.1, 0.2, 0.5, G), axis(lambda q, v, u: G * u * (0.3 * (q - 0.2) / 0.5 + 0.1 * ((q - 0.2) / 0.5) ** 2)), **AXIS, reads=(("u", 0), ("x", 0))),
+    Case("bristles", presliding, (4.0, 3.0, 0.5, 0.02, 0.6), lugre, **AXIS, memory=1, hidden=(0.0,), tolerance=5e-3),
+    Case("load that grows", drifting, (5.0, 2.0), lambda x, u: [-D * x[0] + G * u + 5 + 2 * x[1], 1.0], **SPEED, reads=(), memory=1, hidden=(0.0,)),
+    Case("droop", droop, (0.3, 0.4, 0.8), lambda x, u: [-D * x[0] + G * u * (1 - 0.3 * x[1] / 0.8), (abs(u) - x[1]) / 0.4], **SPEED, reads=(("u", 0),), stage="input", memory=1, hidden=(0.0,), tolerance=5e-3),
+    Case("rotor with a thrust", thrust, (1.2, 0.05), lambda x, u: [-D * x[0] + G * x[1] * abs(x[1]) / 1.2, (u - x[1]) / 0.05], **SPEED, reads=(("u", 0),), stage="input", memory=1, hidden=(0.0,)),
+    Case("thrust", power, (1.2, 2.0), lambda x, u: [-D * x[0] + G * u * abs(u) / 1.2], **SPEED, reads=(("u", 0),), stage="input"),
+    Case("signed square", signed_square, (0.3, 1.2), lambda x, u: [-D * x[0] + G * (u + 0.3 * u * abs(u) / 1.2)], **SPEED, reads=(("u", 0),), stage="input"),
+    Case("two limits", two_limits, (0.5, -0.3), lambda x, u: [-D * x[0] + G * np.clip(u, -0.3, 0.5)], **SPEED, reads=(("u", 0),), stage="input"),
+    Case("loop over a way", over_integral, (0.4, 0.05, 1.0), bouc, **SPEED, reads=(("u", 0),), stage="input", hidden=(0.0,), memory=3, tolerance=2e-2),
+    Case("second store", exchange, (0.9, 0.6), lambda x, u: [u - 0.8 * x[0] - 0.9 * (x[0] - x[2]), 0.5 * x[0] - 0.4 * x[1], (x[0] - x[2]) / 0.6], **(TANK | {"writes": (0,)}), hidden=(1.0,), memory=2),
+    Case("Torricelli", outflow, (0.5, 2.0, 0.8, 0.625), tank(lambda x: 0.8 * np.sqrt(2.0 * x)), **TANK),
+    Case("Torricelli about a level", outflow_about, (0.5, 2.0, 0.8, 0.625), tank(lambda x: 0.8 * 4 * (np.sqrt(1 + x / 2) - 1)), **TANK),
+    Case("joint with a cubic spring", spring, (300.0, 3.0, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 300 * d**3), **MODES, reads=(("x", 0), ("x", 2))),
+    Case("joint with a gap", gap, (200.0, 0.1, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 200 * (d - np.clip(d, -0.1, 0.1))), **MODES, reads=(("x", 0), ("x", 2)), tolerance=5e-3),
+    Case("joint that rubs", joint, (3.0, 0.1, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 3 * np.tanh(v / (0.1 + 3 * 1.49 * H))), **MODES, reads=(("x", 1), ("x", 3))),
+]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda c: c.name.replace(" ", "-"))
+def test_the_law_makes_of_the_machine_what_the_physics_says(case):
+    whole, plain = true(case), stepped(Case(**(vars(case) | {"law": lambda p, z, m, dt, out: None})))
+    size = np.abs(whole).max(0)
+    assert (np.abs(plain - whole).max(0) > 0.02 * size).any()  # the physics matters in this test
+    assert (np.abs(stepped(case) - whole).max(0) < case.tolerance * size).all()
+
+
+def test_a_tank_that_overflows_stays_full_and_the_rest_goes_on():
+    case = Case("", overflow, (1.3, 0.25, 0.625), lambda x, u: [], **TANK)
+    levels, u = stepped(case), inputs(case)
+    full = levels[:, 0] > 1.299
+    assert 0.2 < full.mean() < 0.9
+    assert levels[:, 0].max() < 1.3 + 0.5 * H * u.max()
+    lost = np.where(full, np.maximum(u - 0.8 * 1.3, 0), 0.0)
+    second = solve_ivp(
+        lambda t, x: 0.5 * np.interp(t, np.arange(N) * H, levels[:, 0]) + 0.25 * 0.625 * np.interp(t, np.arange(N) * H, lost) - 0.4 * x,
+        (0, (N - 1) * H), [1.0], t_eval=np.arange(N) * H, rtol=1e-8, max_step=H,
+    ).y[0]
+    assert levels[:, 1] == pytest.approx(second, abs=5e-3)
+
+
+def test_the_force_of_a_friction_element_follows_the_velocity_that_is_imposed():
+    out = np.zeros(1)
+    reaction(np.array([250.0, 0.02]), np.array([0.0, -0.05]), np.zeros(0), H, out)
+    assert out[0] == pytest.approx(-250 * np.tanh(2.5))
