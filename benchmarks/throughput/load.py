@@ -118,10 +118,13 @@ def main() -> None:
     load.run(seconds)
     print("sent", flush=True)
     sys.stdin.readline()  # the service's counters are read before the machines vanish
-    for session in load.sessions:
-        threading.Thread(target=session.close, daemon=True).start()
     told = {"sent": load.sent, "worst_late_s": load.worst, "bursts": load.bursts, "latencies_s": sorted(load.latencies)}
     print(json.dumps(told), flush=True)
+    closing = [threading.Thread(target=session.close) for session in load.sessions]
+    for thread in closing:
+        thread.start()
+    for thread in closing:  # a session that closes while the interpreter ends would abort it
+        thread.join()
 
 
 if __name__ == "__main__":

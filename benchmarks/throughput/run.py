@@ -5,7 +5,9 @@
 Two inputs, two outputs, alpha and beta: eight channels, blocks of 250, recording on, four detectors, a burst a minute on each
 machine. The service is `afdsvc serve` in a process of its own, the machines are another. A number of machines is held when
 every block that was sent has been judged and recorded: nothing dropped, nothing missing, the queue no longer than a second.
-In the same run: zenoh alone (received and counted), the same MCAP alone, numpy on the same arrays. ``--json FILE`` keeps it.
+In the same run, each in a process of its own: zenoh alone (received and counted), the same MCAP alone, the detectors alone, and numpy on the
+same arrays, before and after every number of machines. Rates are blocks for each second of processor time, so that other work on the computer
+hardly counts; linear algebra has one thread everywhere. ``--json FILE`` keeps it all.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from alone import mcap_alone, numpy_alone, zenoh_alone
+from alone import PARTS
 from machine import LENGTH, site_text
 
 from afdsvc.app.ask import ask_service
@@ -34,6 +36,7 @@ from afdsvc.files.site import Site, read_site
 
 HERE = Path(__file__).parent
 RATE = 5000 / LENGTH  # blocks a second from one machine
+ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL", "NUMBA")}  # set before a process imports numpy
 
 
 def free_port() -> int:
@@ -41,6 +44,12 @@ def free_port() -> int:
     with socket.socket() as s:
         s.bind(("127.0.0.1", 0))
         return int(s.getsockname()[1])
+
+
+def alone(part: str) -> float:
+    """Return blocks a second of processor time of one part, measured in a process of its own."""
+    done = subprocess.run([sys.executable, str(HERE / "alone.py"), part], stdout=subprocess.PIPE, check=True)
+    return float(done.stdout)
 
 
 def used(pid: int) -> tuple[float, float]:
@@ -75,13 +84,13 @@ def wait_for(site: Site, service: subprocess.Popen[bytes]) -> tuple[float, float
     return answers, time.monotonic() - began
 
 
-def hold(machines: int, seconds: float, profile: str = "") -> dict[str, Any]:
+def hold(machines: int, seconds: float) -> dict[str, Any]:
     """Return how a service got on with so many machines."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "site.toml"
         path.write_text(site_text(machines, free_port(), f"{folder}/recordings"))
         site = read_site(path)
-        command = [sys.executable, *(["-m", "afdsvc"] if not profile else [str(HERE / "profiled.py"), profile]), "serve", str(path)]
+        command = [sys.executable, "-m", "afdsvc", "serve", str(path)]
         with (Path(folder) / "log").open("wb") as log:
             service = subprocess.Popen(command, stdout=log, stderr=log)
         answers, idle = wait_for(site, service)
@@ -94,7 +103,7 @@ def hold(machines: int, seconds: float, profile: str = "") -> dict[str, Any]:
         (cpu0, _), t0, (judged0, *_) = used(service.pid), time.monotonic(), blocks(site)
         load.stdout.readline()
         seen, lost, dropped = blocks(site)
-        (cpu1, memory), t1 = used(service.pid), time.monotonic()
+        (cpu1, memory), t1, judged1 = used(service.pid), time.monotonic(), seen
         deadline = time.monotonic() + 10
         load.stdin.write(b"\n")
         load.stdin.flush()
@@ -110,8 +119,8 @@ def hold(machines: int, seconds: float, profile: str = "") -> dict[str, Any]:
         delays = told.pop("latencies_s")
         return {
             "machines": machines, "seconds": seconds, "answers_s": answers, "idle_s": idle, "load": os.getloadavg()[0], **told, "judged": seen, "lost_samples": lost,
-            "dropped": dropped, "waiting_at_end": waiting, "blocks_per_s": (seen - judged0) / (time.monotonic() - t0),
-            "cpu": (cpu1 - cpu0) / (t1 - t0), "memory_mb": memory, "recorded_mb": size, "decisions": len(delays),
+            "dropped": dropped, "waiting_at_end": waiting, "blocks_per_s": (judged1 - judged0) / (t1 - t0),
+            "cpu": (cpu1 - cpu0) / (t1 - t0), "per_core": (judged1 - judged0) / (cpu1 - cpu0), "memory_mb": memory, "recorded_mb": size, "decisions": len(delays),
             "latency_median_s": delays[len(delays) // 2] if delays else None,
             "latency_worst_s": delays[-1] if delays else None,
             "held": waiting <= machines * RATE and not lost and not dropped and seen == told["sent"],
@@ -119,12 +128,13 @@ def hold(machines: int, seconds: float, profile: str = "") -> dict[str, Any]:
 
 
 def tell(row: dict[str, Any]) -> None:
-    """Print one line of the table."""
+    """Print one line of the table; numpy is measured before and after the service."""
     latency = f"{1e3 * row['latency_median_s']:.0f} / {1e3 * row['latency_worst_s']:.0f} ms" if row["decisions"] else "-"
     print(
         f"{row['machines']:4d} machines: {'held' if row['held'] else 'NOT held'}; {100 * row['cpu']:.0f} % of a core, "
         f"{row['waiting_at_end']} of {row['sent']} blocks waiting, {row['lost_samples']} samples lost, {row['dropped']} dropped; "
         f"decision {latency} after a burst ({row['bursts']} bursts); {row['memory_mb']:.0f} MB; "
+        f"{row['per_core']:.0f} blocks for a second of processor time, {2 * row['per_core'] / (row['numpy_before'] + row['numpy_after']):.3f} of numpy; "
         f"listens after {row['answers_s']:.0f} s, ready after {row['idle_s']:.0f} s; load {row['load']:.1f}",
         flush=True,
     )
@@ -136,26 +146,26 @@ def main() -> int:
     parser.add_argument("--machines", type=int, nargs="+", default=[10, 20, 40, 60])
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--profile", default="")
     asked = parser.parse_args()
     print(f"{datetime.date.today()}, {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, load {os.getloadavg()[0]:.1f}")
-    alone = {"zenoh": zenoh_alone(), "mcap": mcap_alone(), "numpy": numpy_alone()}
-    for name, rate in alone.items():
+    os.environ.update(ONE_THREAD)
+    parts = {name: alone(name) for name in PARTS}
+    for name, rate in parts.items():
         print(f"{name} alone: {rate:.0f} blocks/s, {rate / RATE:.0f} machines", flush=True)
     rows = []
     for machines in asked.machines:
-        rows.append(hold(machines, asked.seconds, asked.profile))
+        numpy = parts["numpy"] if not rows else rows[-1]["numpy_after"]
+        rows.append({"numpy_before": numpy, **hold(machines, asked.seconds), "numpy_after": alone("numpy")})
         tell(rows[-1])
     best = max((row["machines"] for row in rows if row["held"]), default=0)
-    each = max((row["machines"] / row["cpu"] for row in rows if row["held"]), default=0.0)
-    print(f"held: {best} machines in one process; {each:.0f} machines per core of processor time")
-    for name, rate in alone.items():
-        print(f"  as a ratio to {name} alone (one core): {best * RATE / rate:.3f}")
+    print(f"held: {best} machines in one process")
+    for name in ("zenoh", "mcap", "judge"):
+        print(f"  {name} alone as a ratio to numpy alone: {parts[name] / parts['numpy']:.3f}")
     if len(rows) > 1:
         slope = (rows[-1]["memory_mb"] - rows[0]["memory_mb"]) / (rows[-1]["machines"] - rows[0]["machines"])
         print(f"  memory per machine: {slope:.1f} MB")
     if asked.json:
-        asked.json.write_text(json.dumps({"alone": alone, "rows": rows}, indent=1) + "\n")
+        asked.json.write_text(json.dumps({"alone": parts, "rows": rows}, indent=1) + "\n")
     return 0 if best >= 40 else 1
 
 
