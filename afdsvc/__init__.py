@@ -27,4 +27,10 @@ The rooms, from mathematics to the command line; each imports only from those ab
 - `cli`: arguments, nothing else
 """
 
+import os
+
+# One thread for linear algebra: the matrices are small, processes run side by side. Read by numpy once, when it is imported.
+for _library in ("OPENBLAS", "OMP", "MKL"):
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
 __version__ = "0.1.0"

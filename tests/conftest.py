@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import afdsvc  # noqa: F401  # isort: skip  # before numpy: one thread for linear algebra
 import numpy as np
 import pytest
 

@@ -28,7 +28,6 @@ app.add_typer(plugins.app, name="plugins")
 
 def main() -> None:
     """Run the command line: exit 0 done, 2 bad input or usage (one sentence), 1 unexpected failure."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         app()
     except AfdsvcError as error:
