@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from afdsvc.api.evidence import Evidence
+from afdsvc.api.physics import Coefficient
 from afdsvc.errors import BadInput
 from afdsvc.plugins.manager import load
+from afdsvc.plugins.physics.attach import at_input
 from afdsvc.testing.conformance import checks, examine
 
 EXAMPLES = {
@@ -74,6 +76,31 @@ def test_a_careless_detector_fails_where_it_should():
         "refuses_unknown_settings", "is_quiet_on_a_healthy_machine", "decides_the_same_however_the_samples_are_cut",
         "steps_are_functions", "keeps_its_memory_bounded", "throws_away_a_burst_with_a_gap", "says_all_of_what_it_decides",
     }
+
+
+FACTOR = 2.0
+
+
+def leaning(p, z, m, dt, out):
+    """A law that needs its module."""
+    out[0] -= FACTOR * p[0] * z[0]
+
+
+@dataclass
+class Leaning:
+    """A physics with two hypotheses of one key, a start outside its range, no word of what refutes it, and a law that needs its module."""
+
+    name: str = "leaning"
+    summary: str = "leans on its module"
+
+    def hypotheses(self, machine):
+        for port in machine.inputs[:1] * 2:
+            yield at_input(port, leaning, physics=self.name, family="gain", parameters=[Coefficient("share", "", 0.0, 1.0, 0.1)], starts=[(2.0,)], predicts="x")
+
+
+def test_a_careless_physics_fails_where_it_should():
+    failed = {r.check for r in examine("physics", Leaning()) if r.failure}
+    assert failed == {"makes_sense_somewhere", "tells_what_it_predicts", "laws_stand_alone"}
 
 
 def test_an_unknown_family_is_named():

@@ -139,4 +139,12 @@ def laws_compile_and_stay_finite(thing: Any) -> None:
                 assert np.isfinite([*out, *memory]).all(), f"{h.key}: not finite at {start}, {z}"
 
 
-CHECKS = (makes_sense_somewhere, tells_what_it_predicts, laws_compile_and_stay_finite)
+def laws_stand_alone(thing: Any) -> None:
+    """Every law can be copied into a file of its own: it uses nothing of its module but ``math``."""
+    for h in _offered(thing):
+        code = h.law.__code__
+        foreign = {*code.co_freevars, *(n for n in code.co_names if n in h.law.__globals__ and n != "math")}
+        assert not foreign, f"{h.key}: the law uses {', '.join(sorted(foreign))} from outside itself"
+
+
+CHECKS = (makes_sense_somewhere, tells_what_it_predicts, laws_compile_and_stay_finite, laws_stand_alone)
