@@ -24,7 +24,7 @@ def coulomb(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 def asymmetric(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`coulomb` with a force of its own for each direction."""
+    """`coulomb` with a force of its own for each direction: while it moves, even friction of their mean and a load of half their difference."""
     size = p[0] if z[0] > 0 else p[1]
     out[0] -= size * math.tanh(z[0] / (p[2] + size * dt))
 
@@ -109,7 +109,7 @@ def _on(axis: Axis, machine: Machine) -> Iterable[Hypothesis]:
     both = [force(axis, n, 0.0, 20 * axis.push, 0.1 * axis.push, linear=True) for n in ("force forwards", "force backwards")]
     yield at_force(
         axis, asymmetric, [velocity(axis)], parameters=[*both, rounding], starts=[(0.0, 0.0, 0.02 * v), (0.0, 0.0, 0.2 * v)],
-        notes={"variant": "asymmetric", "of": ""}, **_WORDS, predicts="jumps of the force where the velocity changes sign, and a mean force",
+        notes={"variant": "asymmetric", "of": ""}, **_WORDS, predicts="jumps of the force where the velocity changes sign, and a mean force; moving, it is even friction beside a constant load",
         refuted_by="a residual that does not depend on the sign of the velocity",
     )
     way = bristle(axis, machine)
