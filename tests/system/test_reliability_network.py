@@ -18,6 +18,7 @@ from afdsvc.app import serve
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, read_site
 from afdsvc.service.hub import Hub
+from afdsvc.service.scheduler import BurstOrder
 from afdsvc.wire.messages import EventKind
 
 NAME = f"afd{os.getpid() % 10_000}"
@@ -80,7 +81,7 @@ def eventually(condition: Callable[[], bool], seconds: float = 30.0) -> float:
 
 
 def burst(hub: Hub) -> str:
-    name = hub.desks["bearing"].ask(serve.Wanted("test"))
+    name = hub.desks["bearing"].ask(BurstOrder("test"))
     eventually(lambda: any(e.burst == name for e in list(hub.watches["bearing"].evidence)), 20)
     return name
 
@@ -89,7 +90,7 @@ def pull_the_cable(hub: Hub, cable: str, seconds: float, path: Path) -> None:
     watch, desk = hub.watches["bearing"], hub.desks["bearing"]
     eventually(lambda: watch.present and watch.blocks > 20, 60)
     burst(hub)
-    desk.ask(serve.Wanted("mid-burst"))
+    desk.ask(BurstOrder("mid-burst"))
     eventually(lambda: bool(desk.playing))
     time.sleep(0.3)
     session = watch.session
