@@ -1,6 +1,6 @@
 """Every deliberate error of afdsvc.
 
-A user reads one sentence that says what was found, where, and what was wanted. `BadInput` is the caller's to mend (the
+A user reads one sentence that says what was found, where, and what was expected. `BadInput` is the caller's to mend (the
 command line exits with 2), `Refused` is a request that would break a limit or a rule, everything else is unexpected.
 """
 
@@ -12,7 +12,7 @@ class AfdsvcError(Exception):
 
 
 class BadInput(AfdsvcError):
-    """Something handed in cannot be used; the message names file or argument, value found and value wanted."""
+    """Something handed in cannot be used; the message names file or argument, value found and value expected."""
 
 
 class Refused(AfdsvcError):

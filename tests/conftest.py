@@ -94,7 +94,7 @@ def stack(blocks: list) -> np.ndarray:
 
 @pytest.fixture
 def free_port() -> int:
-    """Return a loopback port nobody listens at."""
+    """Return a free loopback port."""
     import socket
 
     with socket.socket() as s:

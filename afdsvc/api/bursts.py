@@ -44,7 +44,7 @@ class Burst:
         if self.samples < 1 or 2 * self.ramp > self.samples:
             raise BadInput(f"burst '{self.name}': {self.samples} samples cannot hold two ramps of {self.ramp}")
         if self.waveform is not None and self.waveform.shape != (self.samples, self.inputs):
-            raise BadInput(f"burst '{self.name}': waveform {self.waveform.shape}; {(self.samples, self.inputs)} wanted")
+            raise BadInput(f"burst '{self.name}': waveform {self.waveform.shape}; expected {(self.samples, self.inputs)}")
         for line in self.lines:
             if not 0 <= line.input < self.inputs:
                 raise BadInput(f"burst '{self.name}': line on input {line.input}; the machine has {self.inputs} inputs")

@@ -30,7 +30,7 @@ class DetectionProblem:
     ``interconnection`` the controller as J_K (inputs ``[y, alpha]``, outputs ``[u, beta]``), ``innovations`` the filter
     from ``[y; u]`` to the white residual r, ``covariance`` that of r, shape ``(p, p)``. ``residual_gain`` is the system
     from beta to r. ``output_names`` has length p, ``severity_range`` the bounds of every fault. ``limits`` are those of the
-    rig (None when nobody stated them): an actuator at its limit spoils a burst. ``uncertain`` is the same plant with its
+    rig (None when not stated): an actuator at its limit spoils a burst. ``uncertain`` is the same plant with its
     uncertain parameters pulled out, ``uncertainty`` their relative standard deviations by name; None and empty for a model
     that is taken as certain. ``output_cov (p, p)`` and ``process_cov (n, n)`` are the noises the innovations were made
     from, where known: a parameter of A or C also moves the predictor's gain. ``speed`` [rad/s] is that of a machine that turns,
@@ -63,7 +63,7 @@ class DetectionProblem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualBlock:
-    """Consecutive samples seen by a detector: whitened residual ``r (n, p)``, ``beta (n, p)`` (empty when the machine has
+    """Consecutive samples for a detector: whitened residual ``r (n, p)``, ``beta (n, p)`` (empty when the machine has
     none), ``u (n, m)``, ``y (n, p)``, ``alpha (n, m)``, ``aux`` by label. ``burst`` is the burst playing (None when
     quiet), ``burst_start`` the index of its first sample. ``gap`` is True when samples are missing before this block:
     whatever was being accumulated must be thrown away.

@@ -11,7 +11,7 @@ from afdsvc.lti.statespace import Array, StateSpace
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A physical parameter: value, unit, and how well its owner knows it (relative standard deviation)."""
+    """A physical parameter: value, unit and relative standard deviation."""
 
     value: float
     unit: str = ""
@@ -65,8 +65,8 @@ class Model:
     """A nominal model: linear matrices or a Python simulator, with names, uncertainty, noise and controller.
 
     ``plant`` is the linear system (``dt`` 0 when continuous); for a model with ``dynamics`` it is None.
-    ``entry_sd`` holds absolute standard deviations of the entries of A, B, C, D (same shapes), as the owner states them.
-    ``output_sd`` is the standard deviation of the output noise, shape ``(p,)``, or None when nobody stated it.
+    ``entry_sd`` holds absolute standard deviations of the entries of A, B, C, D (same shapes), as stated in the model file.
+    ``output_sd`` is the standard deviation of the output noise, shape ``(p,)``, or None when not stated.
     ``controller`` closes the loop in positive feedback ``u = K (y - ref)``; None when unknown.
     ``origin`` is the path the model came from ("" when made in memory) and ``raw`` the text it was read from.
     ``opened`` opens the simulator behind a model that only steps; ``plant`` is then what was found of it by small pushes.

@@ -80,7 +80,7 @@ class Hypothesis:
 
     Keys of ``notes``: ``variant`` distinguishes hypotheses of one physics at one site; where one is only another shape of a
     second, ``of`` is the second's variant, and both are reported under one name. ``gauge`` names what the parameter cannot be
-    told apart from by any recording: hypotheses with the same ``gauge`` change the same product.
+    distinguished from by any recording: hypotheses with the same ``gauge`` change the same product.
     """
 
     physics: str
@@ -130,7 +130,7 @@ class Axis:
     ``position`` is None where the model has the velocity only (a motor whose speed is measured). ``push`` is the rms of the
     rate of change of the velocity caused by the largest of the model's terms: the scale of a force that matters.
     ``input`` is the input that acts on the velocity at once, with gain ``gain`` (None when there is none), so that
-    ``force = acceleration / gain`` can be told in the unit of the input.
+    ``force = acceleration / gain`` can be given in the unit of the input.
     """
 
     name: str

@@ -30,7 +30,7 @@ class PhysicalPlant:
 
     A rotating machine has a ``speed`` [rad/s] and may have ``unbalance (m,)``: complex amplitudes per input of the force
     that turns with the rotor at that speed, in the unit of the input. ``at_speed(rad/s)`` returns the same machine, with
-    the same states, at another speed; None when nobody knows it there.
+    the same states, at another speed; None where it is unknown.
     """
 
     name: str

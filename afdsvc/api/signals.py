@@ -24,7 +24,7 @@ class Channel:
     def __post_init__(self) -> None:
         if self.name.split("_", 1)[0] not in ROLES or "_" not in self.name:
             wanted = ", ".join(f"{r}_<name>" for r in ROLES)
-            raise BadInput(f"column '{self.name}' has no role; a name like {wanted} is wanted")
+            raise BadInput(f"column '{self.name}' has no role; expected a name like {wanted}")
 
     @property
     def role(self) -> str:
@@ -73,7 +73,7 @@ class Block:
         if self.values.ndim != 2 or self.values.shape[1] != len(self.channels):
             raise BadInput(
                 f"block {self.seq} of machine '{self.machine}' holds an array of shape {self.values.shape}; "
-                f"(samples, {len(self.channels)} channels) is wanted"
+                f"expected (samples, {len(self.channels)} channels)"
             )
 
     def __len__(self) -> int:

@@ -44,7 +44,7 @@ class Batch:
 
     def __post_init__(self) -> None:
         if self.task not in TASKS:
-            raise BadInput(f"task '{self.task}'; one of {', '.join(TASKS)} is wanted")
+            raise BadInput(f"task '{self.task}'; expected one of {', '.join(TASKS)}")
         if self.task == "identify" and self.model is None:
             raise BadInput("task 'identify' needs --model MODEL.toml")
 
@@ -89,7 +89,7 @@ def run_batch(
     ``cluster`` is the address of a Dask scheduler whose workers see the same files; without it ``jobs`` processes work here.
     """
     if not recordings:
-        raise BadInput("no recording is given; at least one is wanted")
+        raise BadInput("no recording is given; expected at least one")
     parts = out.with_name(out.name + ".parts")
     parts.mkdir(parents=True, exist_ok=True)
     paths = {recording: parts / f"{_key(batch, recording)}.json" for recording in recordings}

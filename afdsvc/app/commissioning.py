@@ -148,14 +148,14 @@ def _from_model(config: site_file.Machine, plugins: Plugins, watched: RecordedMa
     """A model file describes a machine that is watched, or driven in a loop of ours; the model's own controller only simulates."""
     model = watched.model
     if model.plant is None:
-        raise BadInput(f"{model.origin}: a linear model (A, B, C, D) is wanted to watch a machine")
+        raise BadInput(f"{model.origin}: expected a linear model (A, B, C, D) to watch a machine")
     discrete = model.plant if model.plant.discrete else sample_zoh(model.plant, watched.dt)
     if abs(discrete.dt - watched.dt) > 1e-6 * watched.dt:
         raise BadInput(f"{model.origin}: sample_time {discrete.dt:g} s; the recording is sampled at {watched.dt:g} s")
     names = [*(f"u_{v.name}" for v in model.inputs), *(f"y_{v.name}" for v in model.outputs)]
     missing = sorted(set(names) - {c.name for c in watched.channels})
     if missing:
-        raise BadInput(f"{model.origin}: the samples have no column {', '.join(missing)}; the model's names are wanted")
+        raise BadInput(f"{model.origin}: the samples have no column {', '.join(missing)}; expected the model's names")
     controller = limits = None
     if stepped_machine.is_driven(config):
         limits = stepped_machine.checked_limits(stepped_machine.stated_limits(config), len(model.inputs), len(model.outputs))
@@ -203,7 +203,7 @@ def _limits(settings: site_file.LimitSettings, output: Array, input: Array) -> L
     def bound(name: str, value: list[float] | None, default: Array) -> Array:
         chosen = default if value is None else np.asarray(value, dtype=float)
         if chosen.shape != default.shape:
-            raise BadInput(f"key 'limits.{name}' has {chosen.size} values; {default.size} are wanted")
+            raise BadInput(f"key 'limits.{name}' has {chosen.size} values; expected {default.size}")
         if (chosen > default).any() and name != "alpha":
             raise BadInput(f"key 'limits.{name}' is {chosen.tolist()}; at most {default.tolist()}, the plant's own limit")
         return np.asarray(chosen, dtype=float)
@@ -249,7 +249,7 @@ def problem(machine: Commissioned, output_cov: Array, process_cov: Array | None,
 def _loop(machine: Commissioned, output_cov: Array, process_cov: Array | None) -> tuple[StateSpace, StateSpace]:
     """Return J_K and the filter from beta to r.
 
-    For a controller nobody stated, the LQ controller of the nominal model stands in: the passive detectors need some loop to
+    Where no controller is stated, the LQ controller of the nominal model stands in: the passive detectors need some loop to
     reckon what its noise gives away. Such a machine has no beta, and bursts are not available on it.
     """
     if machine.controller is None:
@@ -286,7 +286,7 @@ def quiet_samples(machine: Commissioned, samples: int) -> tuple[Array, Array]:
     """Return u and y of the first samples of the recording the noise is calibrated on."""
     trace = read_table(machine.config.calibrate_on or Path())
     if len(trace) < samples:
-        raise BadInput(f"{trace.name}: {len(trace)} samples; {samples} are wanted for calibration")
+        raise BadInput(f"{trace.name}: {len(trace)} samples; expected {samples} for calibration")
     return trace.span(0, samples).role("u"), trace.span(0, samples).role("y")
 
 
@@ -307,13 +307,13 @@ def open_port(machine: Commissioned, session: str, clock: Clock, plugins: Plugin
 
 
 def _stepped(machine: Commissioned, settings: LoopSettings, clock: Clock) -> Port:
-    told, config = prediction(machine), machine.config
+    expected, config = prediction(machine), machine.config
     if machine.controller is None or machine.limits is None or machine.output_cov is None:
         raise BadInput(f"machine '{config.id}' has no controller, limits or noise; it can only be replayed")
     faults = default_faults(machine.inputs, machine.outputs) if config.faults is None else config.faults
     return stepped_machine.open_stepped(
         config, (machine.inputs, machine.outputs), machine.controller, machine.output_cov, machine.channels, machine.limits, faults,
-        settings, clock, told,
+        settings, clock, expected,
     )  # fmt: skip
 
 
@@ -336,12 +336,12 @@ def identification_burst(machine: Commissioned, purpose: str, rng: np.random.Gen
     """
     limits, dt = machine.limits, machine.plant.dt
     if purpose not in IDENTIFICATION or limits is None:
-        raise BadInput(f"burst purpose '{purpose}'; one of diagnose, {', '.join(IDENTIFICATION)} is wanted")
+        raise BadInput(f"burst purpose '{purpose}'; expected one of diagnose, {', '.join(IDENTIFICATION)}")
     seconds = min(limits.seconds, 10.0)
     unit = _broad(purpose, Band(4 / seconds, 0.12 / dt, np.ones(machine.plant.inputs), dt), seconds, rng)
-    told = prediction(machine)
-    answer = np.abs(simulate(told.system, unit.play(dt))[0]).max(axis=0)
-    room = np.concatenate([limits.input, limits.output - told.noise])
+    expected = prediction(machine)
+    answer = np.abs(simulate(expected.system, unit.play(dt))[0]).max(axis=0)
+    room = np.concatenate([limits.input, limits.output - expected.noise])
     size = 0.5 * float(np.min(room / np.maximum(answer, 1e-12)))
     size = min(size, float(np.min(limits.alpha / np.maximum(np.abs(unit.play(dt)).max(axis=0), 1e-12))))
     lines = tuple(replace(line, amplitude=size * line.amplitude) for line in unit.lines)

@@ -39,22 +39,22 @@ class DemoOptions:
 
 
 def first_fault(plant: str) -> str:
-    """Return the fault a demonstration of this plant shows when nobody asks for one; raises `BadInput` without such a plant."""
+    """Return the default fault of a demonstration of this plant; raises `BadInput` without such a plant."""
     known = plant_by_name(plant)
     return next(iter((*known.usual_faults, *known.fault_sites)))
 
 
 def parse_fault(text: str) -> tuple[str, float, float]:
-    """Return (name, severity, second) of ``NAME=-0.5@12``; raises `BadInput` saying what was found and wanted."""
+    """Return (name, severity, second) of ``NAME=-0.5@12``; raises `BadInput` saying what was found and what was expected."""
     match = _FAULT.fullmatch(text.strip())
     if match is None:
-        raise BadInput(f"--fault '{text}': NAME=SEVERITY@SECONDS is wanted, for example horizontal_actuator=-0.5@12")
+        raise BadInput(f"--fault '{text}': expected NAME=SEVERITY@SECONDS, for example horizontal_actuator=-0.5@12")
     try:
         severity, at = float(match["severity"]), float(match["at"] or 0)
     except ValueError:
-        raise BadInput(f"--fault '{text}': '{match['severity']}' is no number; a severity like -0.5 is wanted") from None
+        raise BadInput(f"--fault '{text}': '{match['severity']}' is no number; expected a severity like -0.5") from None
     if not -1 <= severity <= 0:
-        raise BadInput(f"--fault '{text}': severity {severity:g}; a number from 0 (healthy) to -1 (total loss) is wanted")
+        raise BadInput(f"--fault '{text}': severity {severity:g}; expected a number from 0 (healthy) to -1 (total loss)")
     return match["name"], severity, at
 
 
@@ -143,7 +143,7 @@ def _document(options: DemoOptions, site: Site, files: list[Path]) -> dict[str, 
 
 
 def free_port() -> int:
-    """Return a loopback port nobody listens at."""
+    """Return a free loopback port."""
     with socket.socket() as s:
         s.bind(("127.0.0.1", 0))
         return int(s.getsockname()[1])

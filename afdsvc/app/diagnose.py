@@ -99,7 +99,7 @@ def _diagnose_mcap(
 
 
 def _machine_of(recording: Recording, id: str, model: Path | None, calibrate: float | None, plugins: Plugins) -> Commissioned:
-    """Return the machine as its recording describes it; a model given by hand goes before the one inside."""
+    """Return the machine as its recording describes it; a model named by the caller takes precedence over the embedded one."""
     first = next(recording.blocks(id))
     watched = None
     inside = read_model(model) if model else recording.model(id)

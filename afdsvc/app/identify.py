@@ -40,7 +40,7 @@ def identify_files(
     result = identify(nominal, train, test, chosen, np.random.default_rng(seed))
     target = out or model.with_name(f"{model.stem}.identified.toml")
     if target.resolve() == model.resolve():
-        raise BadInput(f"--out {target}: the nominal model would be overwritten; another name is wanted")
+        raise BadInput(f"--out {target}: the nominal model would be overwritten; expected another name")
     write_model(result.model, target)
     page = target.with_suffix(".html")
     from afdsvc.present.html.identify_page import identify_page

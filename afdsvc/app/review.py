@@ -94,7 +94,7 @@ def _planes(
             seen = [Point(p.t_ns, p.burst, (scale * float(a[2 * k, j]), scale * float(a[2 * k + 1, j]))) for p, a in played]
             title = f"fault curves: {output}, {line.omega / 2 / np.pi:.3g} Hz [sd]"
             ends = {name: float(severity[-1]) for name, severity in severities.items()}
-            told = max(max(map(abs, p.value)) for p in seen)
+            severity = max(max(map(abs, p.value)) for p in seen)
             size = max(float(np.abs(c).max()) for c in shape.values())
-            made.append(((told > LOUD) * told, size, Plane(title, shape, ends, seen)))
+            made.append(((severity > LOUD) * severity, size, Plane(title, shape, ends, seen)))
     return [plane for *_, plane in sorted(made, key=lambda row: row[:2], reverse=True)[:MOST]]

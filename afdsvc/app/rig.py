@@ -59,13 +59,13 @@ def run_rig(
 
 def _wait_for_service(transport: Transport, stop: threading.Event) -> None:
     """Open the transport as soon as a service is there; say once that it is not."""
-    told = False
+    reported = False
     while not stop.is_set():
         try:
             transport.open()
             return
         except NoPeer as absent:
-            if not told:
+            if not reported:
                 print(f"afdsvc: waiting: {absent}", file=sys.stderr, flush=True)
-            told = True
+            reported = True
             stop.wait(0.2)

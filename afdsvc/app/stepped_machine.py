@@ -39,7 +39,7 @@ def driven_model(config: Machine) -> tuple[Model, float]:
     stated = config.options.get("sample_time", 0.0)
     dt = model.sample_time or (model.plant.dt if model.plant else 0.0) or stated
     if not (isinstance(dt, (int, float)) and dt > 0):
-        raise BadInput(f"{model.origin}: states no sample time; key 'options.sample_time' [s] is wanted in the site file")
+        raise BadInput(f"{model.origin}: states no sample time; expected key 'options.sample_time' [s] in the site file")
     return model, float(dt)
 
 
@@ -57,7 +57,7 @@ def checked_limits(limits: Limits, inputs: int, outputs: int) -> Limits:
     """Return the limits where there is one per channel; raises `BadInput` otherwise."""
     for name, found, wanted in (("output", limits.output, outputs), ("input", limits.input, inputs), ("alpha", limits.alpha, inputs)):
         if len(found) != wanted:
-            raise BadInput(f"key 'limits.{name}' has {len(found)} values; {wanted} are wanted")
+            raise BadInput(f"key 'limits.{name}' has {len(found)} values; expected {wanted}")
     return limits
 
 
@@ -96,14 +96,14 @@ def stepped_plant(config: Machine, inputs: tuple[Variable, ...], outputs: tuple[
     folder, reference = (Path(place).parent, f"{Path(place).name}{unit[len(place):]}") if place.endswith(".py") else (Path(), unit)
     function = load_code(reference, folder, "key 'driver.unit'")
     if not callable(function):
-        raise BadInput(f"key 'driver.unit' names {unit}, which is no function; function(x, u, dt) -> (x, y) is wanted")
+        raise BadInput(f"key 'driver.unit' names {unit}, which is no function; expected function(x, u, dt) -> (x, y)")
     return FunctionPlant(function, unit, len(inputs), len(outputs), driver.options)
 
 
 def _numbers(options: dict[str, Any]) -> dict[str, float]:
     for name, value in options.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise BadInput(f"key 'driver.options.{name}' is {value!r}; a number is wanted for a parameter of an FMI unit")
+            raise BadInput(f"key 'driver.options.{name}' is {value!r}; expected a number for a parameter of an FMI unit")
     return {name: float(value) for name, value in options.items()}
 
 
@@ -112,7 +112,7 @@ def _refuse_unrest(unit: SteppedPlant, limits: Limits, name: str) -> None:
     far = np.abs(y) > AT_REST * limits.output
     if far.any():
         at = int(np.flatnonzero(far)[0])
-        raise BadInput(f"simulator {name} starts with output {at} at {y[at]:g}; deviations from an operating point at 0 are wanted")
+        raise BadInput(f"simulator {name} starts with output {at} at {y[at]:g}; expected deviations from an operating point at 0")
 
 
 def _gain_faults(config: Machine, faults: list[Fault], dt: float) -> list[GainFault]:

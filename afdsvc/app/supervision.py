@@ -38,7 +38,7 @@ def start_logging(form: str) -> None:
 
 
 def notify(state: str) -> None:
-    """Tell systemd (``NOTIFY_SOCKET``) about this process; does nothing where nobody asked for it."""
+    """Tell systemd (``NOTIFY_SOCKET``) about this process; does nothing without a supervisor."""
     address = os.environ.get("NOTIFY_SOCKET")
     if not address:
         return
@@ -47,7 +47,7 @@ def notify(state: str) -> None:
             s.connect("\0" + address[1:] if address.startswith("@") else address)
             s.sendall(state.encode())
         except OSError as error:
-            logging.getLogger(__name__).warning("the supervisor could not be told '%s': %s", state, error)
+            logging.getLogger(__name__).warning("cannot notify the supervisor of '%s': %s", state, error)
 
 
 @contextmanager

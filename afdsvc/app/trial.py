@@ -36,15 +36,15 @@ def trial_files(
 
 
 def chosen(count: int, seed: int, rho: float | None, kinds: Sequence[str], parts: Sequence[str]) -> list[Request]:
-    """Return the requests of a study; raises `BadInput` naming the kind or part nobody asks for.
+    """Return the requests of a study; raises `BadInput` naming the kind or part that no trial contains.
 
     With ``kinds`` or ``parts``, ``count`` trials of those are picked evenly from a larger plan.
     """
     if count < 1:
-        raise BadInput(f"--n {count}: a number above 0 is wanted")
+        raise BadInput(f"--n {count}: expected a number above 0")
     for part in parts:
         if part not in MIX:
-            raise BadInput(f"--parts {part}: one of {', '.join(MIX)} is wanted")
+            raise BadInput(f"--parts {part}: expected one of {', '.join(MIX)}")
     wanted = plan(count, seed)
     if kinds or parts:
         large = plan(max(LARGE, count), seed)
@@ -52,11 +52,11 @@ def chosen(count: int, seed: int, rho: float | None, kinds: Sequence[str], parts
         fitting = [r for r in large if (not parts or r.part in parts) and (not kinds or set(_names(r)) & set(kinds))]
         wanted = [fitting[k * len(fitting) // count] for k in range(count)] if count < len(fitting) else fitting
     if not wanted:
-        raise BadInput("no trial of these --parts hides one of these --kinds; others are wanted")
+        raise BadInput("no trial of these --parts hides one of these --kinds; expected others")
     if rho is None:
         return wanted
     if not rho > 0:
-        raise BadInput(f"--rho {rho:g}: a number above 0 is wanted")
+        raise BadInput(f"--rho {rho:g}: expected a number above 0")
     return [replace(r, wishes=tuple(replace(w, rho=rho) for w in r.wishes)) for r in wanted]
 
 
@@ -64,7 +64,7 @@ def _check_kinds(kinds: Sequence[str], requests: Sequence[Request]) -> None:
     names = {name for r in requests for name in _names(r)}
     for kind in kinds:
         if kind not in names:
-            raise BadInput(f"--kinds {kind}: one of {', '.join(sorted(names))} is wanted")
+            raise BadInput(f"--kinds {kind}: expected one of {', '.join(sorted(names))}")
 
 
 def _names(request: Request) -> list[str]:

@@ -107,7 +107,7 @@ def serve(
 
 def _one_of(option: str, value: str, allowed: tuple[str, ...]) -> str:
     if value not in allowed:
-        raise BadInput(f"{option} {value}: {' or '.join(allowed)} is wanted")
+        raise BadInput(f"{option} {value}: expected {' or '.join(allowed)}")
     return value
 
 
@@ -180,7 +180,7 @@ def design(
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE.html", help="Where the page goes.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Make the design sheet: burst, thresholds, detection probabilities, smallest faults, what cannot be told apart."""
+    """Make the design sheet: burst, thresholds, detection probabilities, smallest faults, faults that cannot be distinguished."""
     from afdsvc.app.design import design_files
     from afdsvc.present.terminal import design_table
 
@@ -354,5 +354,5 @@ def import_(
 def _mapping(pairs: list[str]) -> dict[str, str]:
     for pair in pairs:
         if pair.count("=") != 1:
-            raise BadInput(f"--map '{pair}': COLUMN=name is wanted, for example current=u_current")
+            raise BadInput(f"--map '{pair}': expected COLUMN=name, for example current=u_current")
     return dict(pair.split("=") for pair in pairs)

@@ -30,10 +30,10 @@ class Recording:
         inputs, outputs = _columns(u, "input", name), _columns(y, "output", name)
         if inputs.shape[0] != outputs.shape[0]:
             raise BadInput(
-                f"{name}: {inputs.shape[0]} input samples and {outputs.shape[0]} output samples; equal counts wanted"
+                f"{name}: {inputs.shape[0]} input samples and {outputs.shape[0]} output samples; expected equal counts"
             )
         if not (np.isfinite(dt) and dt > 0):
-            raise BadInput(f"{name}: sample time {dt} s; a positive number is wanted")
+            raise BadInput(f"{name}: sample time {dt} s; expected a positive number")
         return cls(inputs, outputs, float(dt), name)
 
     def __len__(self) -> int:
@@ -53,18 +53,17 @@ def together(recordings: Recording | Iterable[Recording]) -> list[Recording]:
     together."""
     several = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if not several:
-        raise BadInput("no recording was handed in; at least one is wanted")
+        raise BadInput("no recording was handed in; expected at least one")
     first = several[0]
     for other in several[1:]:
         if other.u.shape[1] != first.u.shape[1] or other.y.shape[1] != first.y.shape[1]:
             raise BadInput(
                 f"{other.name} has {other.u.shape[1]} inputs and {other.y.shape[1]} outputs, "
-                f"{first.name} has {first.u.shape[1]} and {first.y.shape[1]}; equal counts are wanted"
+                f"{first.name} has {first.u.shape[1]} and {first.y.shape[1]}; expected equal counts"
             )
         if not np.isclose(other.dt, first.dt, rtol=1e-6):
             raise BadInput(
-                f"{other.name} is sampled every {other.dt} s, {first.name} every {first.dt} s; one sample time "
-                "is wanted"
+                f"{other.name} is sampled every {other.dt} s, {first.name} every {first.dt} s; expected one sample time"
             )
     return several
 
@@ -90,7 +89,7 @@ def _columns(signal: ArrayLike, side: str, name: str) -> Array:
     array = np.asarray(signal, dtype=np.float64)
     array = array[:, None] if array.ndim == 1 else array
     if array.ndim != 2 or array.shape[1] == 0:
-        raise BadInput(f"{name}: {side} has shape {array.shape}; (samples, channels) is wanted")
+        raise BadInput(f"{name}: {side} has shape {array.shape}; expected (samples, channels)")
     if not np.isfinite(array).all():
         row, column = np.argwhere(~np.isfinite(array))[0]
         raise BadInput(

@@ -45,7 +45,7 @@ def excitation(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
     for i, v in enumerate(model.inputs):
         p = played(runs, i)
         if not any(p.rms):
-            yield Finding("warning", "inputs", f"input {v.name} is not excited: what acts on it cannot be told from noise")
+            yield Finding("warning", "inputs", f"input {v.name} is not excited: its effect cannot be distinguished from noise")
         elif p.lines <= 2 and p.periods > 1:
             yield Finding(
                 "warning", SINE,

@@ -59,12 +59,12 @@ class Run:
 def prepare(model: Model, traces: Sequence[Trace]) -> list[Run]:
     """Return the traces as runs; raises `BadInput` naming the recording and column that are missing or do not fit."""
     if not traces:
-        raise BadInput("no recording was given; at least one is wanted")
+        raise BadInput("no recording was given; expected at least one")
     rates = {round(t.dt / traces[0].dt, 6) for t in traces}
     if len(rates) > 1:
         raise BadInput(
             f"recordings '{traces[0].name}' and others differ in sample time ({sorted({t.dt for t in traces})} s); "
-            "one sample time is wanted"
+            "expected one sample time"
         )
     labels = tuple(sorted({c.label for t in traces for c in t.channels if c.role == "aux"}))
     return [_run(model, trace, labels) for trace in traces]
@@ -75,10 +75,10 @@ def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:
     Y = np.column_stack([_column(trace, f"y_{v.name}") for v in model.outputs])
     n = len(trace)
     if n < 50:
-        raise BadInput(f"{trace.name}: {n} samples; at least 50 are wanted")
+        raise BadInput(f"{trace.name}: {n} samples; expected at least 50")
     if not np.isfinite(U).all():
         at = int(np.argwhere(~np.isfinite(U).all(1))[0, 0])
-        raise BadInput(f"{trace.name}: an input is missing at sample {at}; inputs without gaps are wanted (cut the recording there)")
+        raise BadInput(f"{trace.name}: an input is missing at sample {at}; expected inputs without gaps (cut the recording there)")
     _check_readings(trace, model, Y)
     REF = np.column_stack([_optional(trace, f"ref_{v.name}", n) for v in model.outputs])
     AUX = np.column_stack([np.zeros((n, 0)), *(_optional(trace, f"aux_{a}", n) for a in labels)])
@@ -96,9 +96,9 @@ def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:
 def _check_readings(trace: Trace, model: Model, Y: Array) -> None:
     for v, y in zip(model.outputs, Y.T, strict=True):
         if np.isinf(y).any():
-            raise BadInput(f"{trace.name}: y_{v.name} is infinite at sample {int(np.argmax(np.isinf(y)))}; a number, or nan for a gap, is wanted")
+            raise BadInput(f"{trace.name}: y_{v.name} is infinite at sample {int(np.argmax(np.isinf(y)))}; expected a number, or nan for a gap")
         if not np.isfinite(y).any():
-            raise BadInput(f"{trace.name}: y_{v.name} has no reading at all; recordings with readings of every output are wanted")
+            raise BadInput(f"{trace.name}: y_{v.name} has no reading at all; expected recordings with readings of every output")
 
 
 def _column(trace: Trace, name: str) -> Array:
@@ -197,7 +197,7 @@ def _settled(x: Array, period: int, tolerance: float) -> int:
 
 
 def _added(model: Model, dt: float, U: Array, Y: Array, REF: Array) -> Array | None:
-    """Return what was added to the output of the known controller, u - K (y - ref); None when it cannot be told."""
+    """Return what was added to the output of the known controller, u - K (y - ref); None when it is unknown."""
     if model.controller is None or not np.isfinite(Y).all():
         return None
     K = sampled(model.controller, dt)

@@ -7,7 +7,7 @@ import numpy as np
 from afdsvc.dataset.experiment import Run
 from afdsvc.lti.statespace import Array
 
-FEW = 0.01  # share of missing samples up to which periods are told by the others
+FEW = 0.01  # largest share of missing samples for which periods are estimated from the others
 
 
 def fold(run: Run, e: Array) -> Array | None:

@@ -17,7 +17,7 @@ from afdsvc.lti.statespace import Array
 
 STUCK = 0.002  # share of the samples at one extreme from which a signal counts as clipped
 CROWDED = 3.0  # how many times as many samples lie at the extreme as on the next step inwards
-COARSE = 0.3  # step over the signal's sample-to-sample noise from which it is worth saying
+COARSE = 0.3  # ratio of resolution step to the standard deviation of sample-to-sample differences above which quantisation is reported
 DRIFT_P = 1e-6
 
 
@@ -44,8 +44,8 @@ def _dead(name: str, unit: str, x: Array) -> Iterator[Finding]:
     if len(x) and np.ptp(x) == 0:
         yield Finding(
             "stop", "dead",
-            f"{name} reads {x[0] + 0.0:.6g} {unit} in every sample: the sensor is dead or not connected; recordings in which it moves, or a "
-            "model without it, are wanted",
+            f"{name} reads {x[0] + 0.0:.6g} {unit} in every sample: the sensor is dead or not connected; "
+            "use recordings in which it moves, or a model without it",
         )
 
 
@@ -56,7 +56,7 @@ def _gaps(run: Run, name: str, x: Array, alone: Sequence[Glitch]) -> Iterator[Fi
         at = float(run.t0 + run.dt * int(np.argmax(missing)))
         yield Finding(
             "warning", "gaps",
-            f"{run.name}: {name} lacks {int(missing.sum())} of {len(x)} samples, the first at {at:.6g} s; they count for nothing",
+            f"{run.name}: {name} lacks {int(missing.sum())} of {len(x)} samples, the first at {at:.6g} s; they are left out",
         )
 
 
@@ -65,8 +65,8 @@ def _glitches(run: Run, name: str, unit: str, found: Sequence[Glitch]) -> Iterat
         worst = max(found, key=lambda g: abs(g.height))
         yield Finding(
             "warning", "glitches",
-            f"{run.name}: {len(found)} of {run.Y.shape[0]} samples of {name} stand alone, the farthest at {run.t0 + run.dt * worst.sample:.6g} s "
-            f"{abs(worst.height):.3g} {unit} from where its neighbours lie: they are taken for glitches and count for nothing",
+            f"{run.name}: {len(found)} of {run.Y.shape[0]} samples of {name} are isolated outliers, the largest at {run.t0 + run.dt * worst.sample:.6g} s "
+            f"{abs(worst.height):.3g} {unit} from its neighbours: they are treated as glitches and left out",
         )
 
 

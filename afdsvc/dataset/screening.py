@@ -20,15 +20,15 @@ FROZEN_SAMPLES = 8
 
 
 def screen(trace: Trace, needed: int) -> None:
-    """Raise `BadInput` naming recording, channel and cure when the trace cannot be fitted; ``needed`` samples are
-    wanted.
+    """Raise `BadInput` naming recording, channel and cure when the trace cannot be fitted or has
+    fewer than ``needed`` samples.
 
     Looks at the roles u, y and alpha.
     """
     if len(trace) < needed:
         raise BadInput(
             f"{trace.name}: {len(trace)} samples ({len(trace) * trace.dt:.3g} s) are too short; "
-            f"at least {needed} ({needed * trace.dt:.3g} s) are wanted for this order and horizon"
+            f"expected at least {needed} ({needed * trace.dt:.3g} s) for this order and horizon"
         )
     columns = of_role(trace.channels, "u") + of_role(trace.channels, "y") + of_role(trace.channels, "alpha")
     _gaps(trace, columns)
@@ -100,8 +100,8 @@ def _drift(trace: Trace, column: int) -> None:
         name = trace.channels[column]
         raise BadInput(
             f"{trace.name}: '{name.name}' drifts by {2 * slope:.3g} {name.unit} over the recording "
-            f"({100 * share:.3g} % of its power, "
-            f"at most {100 * DRIFT_SHARE:.3g} % is wanted); wait until the machine is warm, or remove the trend first"
+            f"({100 * share:.3g} % of its power, expected at most {100 * DRIFT_SHARE:.3g} %); "
+            "wait until the machine is warm, or remove the trend first"
         )
 
 

@@ -35,7 +35,7 @@ BOUND = 2.0  # standard errors beyond an early estimate where the severity hardl
 class Finding:
     """What a statistic says about one burst: ``statistic`` against ``threshold``, one fit per fault, their weights.
 
-    ``early``: the data chose when to stop, so the severities are too severe on average; only a bound is told of them.
+    ``early``: the data chose when to stop, so severities are biased away from zero; they are reported as bounds.
     """
 
     statistic: float

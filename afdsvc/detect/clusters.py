@@ -36,7 +36,7 @@ def siegmund(x: float) -> float:
 def alarm_rate(h: float, window: int, directions: Array = SINGLE) -> float:
     """Return alarms per sample of ``max_k`` over a sliding window of ``window`` samples against the threshold h > 0."""
     if window < 1 or not h > 0:
-        raise BadInput(f"threshold {h} over {window} samples; a positive threshold and at least one sample are wanted")
+        raise BadInput(f"threshold {h} over {window} samples; expected a positive threshold and at least one sample")
     phi = math.exp(-(h**2) / 2) / math.sqrt(2 * math.pi)
     return (h / window) * phi * siegmund(h * math.sqrt(2 / window)) * tests_counted(directions, h)
 
@@ -44,6 +44,6 @@ def alarm_rate(h: float, window: int, directions: Array = SINGLE) -> float:
 def threshold(alarms_per_sample: float, window: int, directions: Array = SINGLE) -> float:
     """Return h at which a sliding window raises ``alarms_per_sample`` (alarms per hour times sample time / 3600)."""
     if not 0 < alarms_per_sample < alarm_rate(1.0, window, directions):
-        raise BadInput(f"alarm rate {alarms_per_sample} per sample; below one alarm per window and above 0 is wanted")
+        raise BadInput(f"alarm rate {alarms_per_sample} per sample; expected below one alarm per window and above 0")
     goal = math.log(alarms_per_sample)
     return float(brentq(lambda h: math.log(alarm_rate(h, window, directions)) - goal, 1.0, 37.0, xtol=1e-9))

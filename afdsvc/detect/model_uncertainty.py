@@ -1,6 +1,6 @@
 """A model that is only roughly known: what its uncertain parameters send into the residual of a healthy machine.
 
-An uncertain parameter is a fault nobody should be told of. Its wave on the excited lines is linear in its deviation
+An uncertain parameter acts like a fault that must not be reported. Its wave on the excited lines is linear in its deviation
 to first order, so deviations of stated standard deviation add ``sum sd_j^2 t_j t_j'`` to the covariance of the lines:
 what lies along such a wave is discounted, thresholds keep their promise averaged over the models, and the deflection
 lost is what the larger covariance takes away. (The thesis' section 5.5 instead adds a bias to the threshold; its
@@ -36,7 +36,7 @@ WIDER = 2.5  # variance added to that of the parameters when several are drawn, 
 def as_faults(problem: DetectionProblem) -> DetectionProblem:
     """Return the problem whose faults are the uncertain parameters."""
     if problem.uncertain is None:
-        raise BadInput(f"machine '{problem.machine}' states no uncertain plant; its parameters pulled out are wanted")
+        raise BadInput(f"machine '{problem.machine}' states no uncertain plant; expected its parameters pulled out")
     return replace(problem, augmented=problem.uncertain, uncertain=None, uncertainty={}, severity_range=(-1.0, 1.0))
 
 

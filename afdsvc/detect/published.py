@@ -58,8 +58,7 @@ class PublishedFilter:
         for name, (low, high) in reachable(self.problem).items():
             if not low <= self.severity <= high:
                 raise BadInput(
-                    f"severity {self.severity:g} of fault '{name}' makes the loop unstable; one from {low:.3g} to {high:.3g} "
-                    "is wanted"
+                    f"severity {self.severity:g} of fault '{name}' makes the loop unstable; expected one from {low:.3g} to {high:.3g}"
                 )
 
     def start(self, burst: Burst, dt: float) -> PublishedSums:
@@ -83,7 +82,7 @@ class PublishedFilter:
         """Return one finding for every output; raises `Refused` for a burst without a steady sample."""
         if not sums.lines.n:
             raise Refused(
-                f"burst '{burst.name}' of {burst.samples} samples is all ramp and settling; a steady part is wanted for the "
+                f"burst '{burst.name}' of {burst.samples} samples is all ramp and settling; expected a steady part for the "
                 "published statistic"
             )
         waves = self._amplitudes(burst)

@@ -32,7 +32,7 @@ COMMON: Mapping[str, Range] = {
 
 NUISANCES: Mapping[str, Range] = {
     "drift": Range(0, 0, 1, whole=True),  # 1: constant and slope are taken out
-    "mains_hz": Range(0.0, 0.0, 1000.0),  # 0: no mains hum
+    "mains_hz": Range(0.0, 0.0, 1000.0),  # 0: no interference at mains frequency
     "mains_harmonics": Range(3, 1, 20, whole=True),
     "rotor_orders": Range(-1, -1, 20, whole=True),  # multiples of the rotor angle; -1: two when it is recorded
 }
@@ -64,5 +64,5 @@ def _checked(detector: str, key: str, value: Any, r: Range) -> float:
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not number or not r.low <= value <= r.high or (r.whole and value != int(value)):
         kind = "whole number" if r.whole else "number"
-        raise BadInput(f"detector '{detector}': {key} = {value!r}; a {kind} between {r.low:g} and {r.high:g} is wanted")
+        raise BadInput(f"detector '{detector}': {key} = {value!r}; expected a {kind} between {r.low:g} and {r.high:g}")
     return float(value)

@@ -1,4 +1,4 @@
-"""What the owner of a model states about its uncertainty, checked."""
+"""Stated uncertainty of a model's parameters, checked."""
 
 from __future__ import annotations
 
@@ -15,5 +15,5 @@ def uncertain_parameters(problem: DetectionProblem) -> dict[str, float]:
         if name not in known:
             raise BadInput(f"uncertain parameter '{name}' is not one of {', '.join(known) or 'none'}")
         if not (math.isfinite(sd) and sd >= 0):
-            raise BadInput(f"uncertain parameter '{name}': relative standard deviation {sd}; 0 or more is wanted")
+            raise BadInput(f"uncertain parameter '{name}': relative standard deviation {sd}; expected 0 or more")
     return {name: sd for name, sd in problem.uncertainty.items() if sd > 0}

@@ -1,4 +1,4 @@
-"""The alarms of a site: raised and ended by evidence with bounded debounce and hysteresis, handled by people, told on change.
+"""The alarms of a site: raised and ended by evidence with bounded debounce and hysteresis, handled by operators, published on change.
 
 An alarm's id is ``<machine>/<fault>``; a fault that could not be singled out is ``unnamed``. What is not heard of (a machine
 that is gone, a stream that is stale) raises nothing and ends nothing: silence is not evidence.
@@ -116,16 +116,16 @@ class AlarmBook:
             return self._set(alarm_states.confirmed(self._named(id), who, comment), "confirmed", t_ns, who, comment)
 
     def reset(self, id: str, who: str, comment: str, t_ns: int) -> Alarm:
-        """Release a latched alarm; raises `Refused` while it holds or nobody has seen it."""
+        """Release a latched alarm; raises `Refused` while it is active or unacknowledged."""
         with self._lock:
             return self._set(alarm_states.unlatched(self._named(id)), "reset", t_ns, who, comment)
 
     def shelve(self, id: str, who: str, minutes: float, why: str, t_ns: int) -> Alarm:
         """Put an alarm aside for a time, with a reason; raises `BadInput` for a time that makes no sense."""
         if not 0 < minutes <= self._policy.shelve_minutes:
-            raise BadInput(f"shelving for {minutes:g} minutes; more than 0 and at most {self._policy.shelve_minutes:g} are wanted")
+            raise BadInput(f"shelving for {minutes:g} minutes; expected more than 0 and at most {self._policy.shelve_minutes:g}")
         if not why.strip():
-            raise BadInput(f"alarm '{id}' is to be shelved without a reason; a reason is wanted")
+            raise BadInput(f"alarm '{id}' cannot be shelved without a reason")
         with self._lock:
             self._pending.pop(id, None)
             return self._set(alarm_states.shelved(self._named(id), who, t_ns + round(minutes * MINUTE)), "shelved", t_ns, who, why)

@@ -12,13 +12,13 @@ from afdsvc.wire.messages import Alarm, AlarmKind
 def raised(
     machine: str, fault: str, kind: AlarmKind, sentence: str, t_ns: int, detector: str = "", severity: Severity | None = None
 ) -> Alarm:
-    """Return a new alarm, raised by a detector or, about the watching itself, by nobody."""
+    """Return a new alarm, raised by a detector, or by the monitoring itself (no detector)."""
     by = (detector,) if detector else ()
     return Alarm(f"{machine}/{fault}", machine, fault, t_ns, t_ns, severity=severity, kind=kind, sentence=sentence, raised_by=by)
 
 
 def returned(alarm: Alarm, again: Alarm) -> Alarm:
-    """Return an ended alarm that is raised again: nobody has seen or dealt with this occurrence; on the shelf it stays."""
+    """Return an ended alarm that is raised again: this occurrence is unacknowledged and unconfirmed; a shelved alarm stays shelved."""
     return replace(again, shelved_until_ns=alarm.shelved_until_ns, shelved_by=alarm.shelved_by)
 
 
@@ -39,19 +39,19 @@ def ended(alarm: Alarm, t_ns: int, latch: bool) -> Alarm:
 
 
 def acknowledged(alarm: Alarm, who: str, comment: str) -> Alarm:
-    """Return the alarm as seen by somebody."""
+    """Return the alarm as acknowledged."""
     return replace(alarm, acknowledged=True, acknowledged_by=who, comment=comment)
 
 
 def confirmed(alarm: Alarm, who: str, comment: str) -> Alarm:
-    """Return the alarm as dealt with; raises `Refused` while nobody has acknowledged it."""
+    """Return the alarm as confirmed; raises `Refused` while it is unacknowledged."""
     if not alarm.acknowledged:
         raise Refused(f"alarm '{alarm.id}' is not acknowledged; acknowledge it before confirming")
     return replace(alarm, confirmed=True, confirmed_by=who, comment=comment or alarm.comment)
 
 
 def unlatched(alarm: Alarm) -> Alarm:
-    """Return the alarm without its latch; raises `Refused` while it still holds or nobody has seen it."""
+    """Return the alarm without its latch; raises `Refused` while it is active or unacknowledged."""
     if alarm.active:
         raise Refused(f"alarm '{alarm.id}' still holds; it can be reset when its condition is over")
     if not alarm.acknowledged:

@@ -62,17 +62,17 @@ def judge(expected: Expectation, state: IntakeState, block: Block) -> tuple[Inta
     findings = [_gap(block, state, lost)] if lost else []
     bad, why = _bad_samples(block)
     findings += why
-    run, last, frozen, told = _frozen(expected, state, block, fresh or lost > 0)
+    run, last, frozen, frozen_findings = _frozen(expected, state, block, fresh or lost > 0)
     new = IntakeState(block.session, block.k0 + len(block), block.seq + 1, run, last, frozen)
-    return new, CheckedBlock(not bad and not any(frozen), fresh or lost > 0 or bad, (*findings, *told), lost)
+    return new, CheckedBlock(not bad and not any(frozen), fresh or lost > 0 or bad, (*findings, *frozen_findings), lost)
 
 
 def _wrong_kind(expected: Expectation, block: Block) -> str:
     if block.channels != expected.channels:
         found, wanted = (", ".join(c.name for c in cs) for cs in (block.channels, expected.channels))
-        return f"block {block.seq} of '{block.machine}' has channels {found}; wanted are {wanted}"
+        return f"block {block.seq} of '{block.machine}' has channels {found}; expected {wanted}"
     if abs(block.dt - expected.dt) > 1e-9 * expected.dt:
-        return f"block {block.seq} of '{block.machine}' is sampled at {block.dt:g} s; {expected.dt:g} s is wanted"
+        return f"block {block.seq} of '{block.machine}' is sampled at {block.dt:g} s; expected {expected.dt:g} s"
     return "" if len(block) else f"block {block.seq} of '{block.machine}' holds no samples"
 
 
@@ -113,12 +113,12 @@ def _frozen(
     frozen = tuple(bool(expected.frozen_after and n >= expected.frozen_after) for n in longest)
     was = state.frozen if not fresh and state.frozen else (False,) * p
     names = [c.name for c in block.channels if c.role == "y"]
-    told = [
+    frozen_findings = [
         Finding("frozen_sensor", f"'{names[i]}' has not changed for {int(longest[i])} samples; the sensor looks frozen")
         for i in range(p)
         if frozen[i] and not was[i]
     ]
-    return run, y[-1].copy(), frozen, told
+    return run, y[-1].copy(), frozen, frozen_findings
 
 
 def _longest(same: Array, carried: int) -> int:

@@ -54,9 +54,9 @@ def conclude(evidence: Sequence[Evidence]) -> Verdict:
     """Return the verdict of decisions in the order they were made.
 
     The alarm is the first trustworthy detection. The fault is the one the newest burst names with certainty (its strongest
-    decision: the largest margin over its threshold); its severity, the surest estimate of each burst, is pooled over the bursts before that named the same fault,
-    as long as they agree. Else the newest weights are told. A passive detection, which excites nothing, never overrides what a
-    burst has told.
+    decision: the largest margin over its threshold); its severity, the estimate of smallest standard error in each burst, is pooled over the bursts before that named the same fault,
+    as long as they agree. Else the newest weights are reported. A passive detection never overrides the result of a
+    burst.
     """
     found = alarms(evidence)
     untrusted = [e for e in evidence if not e.trustworthy]
@@ -104,7 +104,7 @@ def pooled(newest_first: Sequence[Severity]) -> Severity:
     """Return the weighted mean of independent estimates, newest first, leaving out older ones that do not agree.
 
     An older estimate joins while all of them together pass the chi-square test of one common value at 1 %: a fault that
-    grows is told as it is now.
+    grows is reported at its present value.
     """
     kept = list(newest_first[:1])
     for s in newest_first[1:]:

@@ -1,4 +1,4 @@
-"""The diagnosis burst: one line on every input, where the faults that resemble each other most can be told apart.
+"""The diagnosis burst: one line on every input, where the faults that resemble each other most are best separated.
 
 With one input and one output a line brings back two numbers only, and nearly any two numbers lie near some point of some
 fault's curve: that none of the known faults is there can then hardly be excluded. Such a machine gets two lines of together the
@@ -20,7 +20,7 @@ from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.features.innovations import decay
 from afdsvc.detect.isolation import NONE
-from afdsvc.detect.thresholds.power import deflection_wanted, separation_wanted
+from afdsvc.detect.thresholds.power import required_deflection, required_separation
 from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.amplitude_budget import Costs, Room, costs, room
 from afdsvc.excite.expected_detection import ExpectedDetection, burst_detection
@@ -50,10 +50,10 @@ class Aim:
     suspects: tuple[str, ...] = ()
 
     def goal(self, problem: DetectionProblem) -> float:
-        """Return the separation wanted or, for a machine with a single fault, the deflection wanted."""
+        """Return the required separation or, for a machine with a single fault, the required deflection."""
         if len(problem.fault_names) < 2:
-            return deflection_wanted(problem.false_alarms.per_burst, self.certainty)
-        return separation_wanted(self.weight, self.certainty)
+            return required_deflection(problem.false_alarms.per_burst, self.certainty)
+        return required_separation(self.weight, self.certainty)
 
 
 def default_burst(
@@ -72,7 +72,7 @@ def default_burst(
     `BadInput` for a length or amplitude that makes no sense.
     """
     if not seconds > 0 or (output_amplitude is not None and not output_amplitude > 0):
-        raise BadInput(f"burst of {seconds} s and amplitude {output_amplitude}; positive numbers are wanted")
+        raise BadInput(f"burst of {seconds} s and amplitude {output_amplitude}; expected positive numbers")
     left = room(problem, limits)
     if not left.output.min() > 0 or not left.input.min() > 0:
         raise Refused(f"burst '{name}': noise alone fills the limits of machine '{problem.machine}'; no room is left")
@@ -89,7 +89,7 @@ def second_burst(
     second test at a frequency chosen for the difference of the two). ``severity`` is the one estimated."""
     suspects = sorted((n for n in weights if n != NONE), key=lambda n: -weights[n])[:2]
     if len(suspects) < 2:
-        raise BadInput(f"weights of {', '.join(weights) or 'no fault'}; two suspects are wanted for a second burst")
+        raise BadInput(f"weights of {', '.join(weights) or 'no fault'}; expected two faults to tell apart by a second burst")
     aim = Aim(severity=severity, suspects=tuple(suspects))
     return replace(default_burst(problem, limits, seconds, None, aim, "isolation"), purpose="isolate")
 
@@ -146,7 +146,7 @@ def _frequencies(frame: Burst, problem: DetectionProblem) -> Array:
     far = np.abs(periods[:, None] - orders) > np.maximum(APART, CLOSEST * orders)
     usable = periods[far.all(axis=1)] if problem.speed > 0 else periods
     if not len(usable):
-        raise BadInput(f"a burst of {frame.samples * problem.plant.dt:g} s leaves no line away from the rotor's orders; a longer one is wanted")
+        raise BadInput(f"a burst of {frame.samples * problem.plant.dt:g} s leaves no line away from the rotor's orders; expected a longer one")
     return np.asarray(2 * np.pi * usable / (steady * problem.plant.dt))
 
 

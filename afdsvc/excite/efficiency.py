@@ -16,7 +16,7 @@ import numpy as np
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.features.regressors import whitener
 from afdsvc.detect.statistics.fault_curves import LoopResponse, loop_response
-from afdsvc.detect.thresholds.power import deflection_wanted
+from afdsvc.detect.thresholds.power import required_deflection
 from afdsvc.lti.statespace import Array
 
 
@@ -60,5 +60,5 @@ def efficiency(
 
 def samples_for(efficiency_: float, output_amplitude: float, false_alarm: float, detection: float) -> float:
     """Return the samples after which a sine of that efficiency and output amplitude is detected with ``detection``."""
-    d = deflection_wanted(false_alarm, detection)
+    d = required_deflection(false_alarm, detection)
     return 2 * d**2 / (efficiency_ * output_amplitude) ** 2 if efficiency_ > 0 else float("inf")

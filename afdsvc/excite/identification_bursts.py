@@ -1,8 +1,8 @@
 """Bursts for identification: they must excite many frequencies at once, not one.
 
 - random binary: flat up to its switching rate, crest factor one, the most power an amplitude limit allows;
-- multisine: exactly the wanted lines; with odd lines only, and some of those left out, what comes back at the even and
-  at the left-out lines is the machine's nonlinearity, told apart from noise (Pintelon and Schoukens, System
+- multisine: exactly the chosen lines; with odd lines only, and some of those left out, what comes back at the even and
+  at the left-out lines is the machine's nonlinearity, separated from noise (Pintelon and Schoukens, System
   Identification, 2012, chapter 4); several inputs get lines of their own (zippered), so one burst tells their effects
   apart;
 - sweep: one frequency at a time, for people who want to listen.
@@ -37,11 +37,11 @@ class Band:
     def __post_init__(self) -> None:
         if not 0 < self.low < self.high <= 0.5 / self.dt:
             raise BadInput(
-                f"band {self.low:.6g} to {self.high:.6g} Hz; 0 < low < high <= {0.5 / self.dt:.6g} Hz (half the "
-                "rate) is wanted"
+                f"band {self.low:.6g} to {self.high:.6g} Hz; expected 0 < low < high <= {0.5 / self.dt:.6g} Hz (half the "
+                "rate)"
             )
         if not (np.asarray(self.amplitude) > 0).any():
-            raise BadInput("every amplitude is zero or negative; a positive one is wanted for at least one input")
+            raise BadInput("every amplitude is zero or negative; expected a positive one for at least one input")
 
 
 def random_binary_burst(band: Band, seconds: float, rng: np.random.Generator, name: str = "identify_binary") -> Burst:
@@ -74,7 +74,7 @@ def multisine_burst(
     input is its amplitude of the band. Raises `BadInput` when the band holds too few lines for the inputs.
     """
     if grid not in ("full", "odd", "odd_random"):
-        raise BadInput(f"grid '{grid}'; full, odd or odd_random is wanted")
+        raise BadInput(f"grid '{grid}'; expected full, odd or odd_random")
     period = _samples(seconds / periods, band)
     excited, _ = grid_lines(band, period, grid, rng)
     amplitudes = np.asarray(band.amplitude, dtype=np.float64)
@@ -82,8 +82,8 @@ def multisine_burst(
     if len(excited) < 2 * len(active):
         raise BadInput(
             f"a period of {period * band.dt:.4g} s puts {len(excited)} lines between {band.low:.6g} and "
-            f"{band.high:.6g} Hz; at least "
-            f"{2 * len(active)} are wanted: play longer or widen the band"
+            f"{band.high:.6g} Hz; expected at least "
+            f"{2 * len(active)}: play longer or widen the band"
         )
     lines = []
     for turn, column in enumerate(active):
@@ -170,7 +170,7 @@ def distortion(y: Array, burst: Burst, excited: Sequence[int]) -> dict[str, floa
 def _samples(seconds: float, band: Band) -> int:
     samples = round(seconds / band.dt)
     if samples < 16:
-        raise BadInput(f"{seconds:.4g} s are {samples} samples; at least 16 are wanted")
+        raise BadInput(f"{seconds:.4g} s are {samples} samples; expected at least 16")
     return samples
 
 

@@ -68,7 +68,7 @@ def sure(apart: float) -> bool:
 
 def _second(problem: DetectionProblem, burst: Burst, pair: tuple[str, str], severity: float) -> Burst:
     if problem.limits is None:
-        raise Refused(f"machine '{problem.machine}' states no limits; they are wanted to plan a second burst")
+        raise Refused(f"machine '{problem.machine}' states no limits; a second burst is planned within them")
     seconds = burst.samples * problem.plant.dt
     return second_burst(problem, problem.limits, dict.fromkeys(pair, 0.5), severity, seconds)
 

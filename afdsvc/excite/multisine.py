@@ -11,7 +11,7 @@ from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.features.innovations import decay
 from afdsvc.detect.statistics.fault_curves import loop_response
-from afdsvc.detect.thresholds.power import deflection_wanted, separation_wanted
+from afdsvc.detect.thresholds.power import required_deflection, required_separation
 from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.amplitude_budget import costs, room
 from afdsvc.excite.crest import low_crest
@@ -81,7 +81,7 @@ def _long_enough(problem: DetectionProblem, wish: Wish, allocation: Allocation) 
 def shortest(problem: DetectionProblem, wish: Wish, band: tuple[float, float] | None = None) -> Allocation:
     """Return the split of the output budget that needs the fewest samples."""
     if not (wish.output_amplitude > 0 and wish.severity != 0):
-        raise BadInput(f"output amplitude {wish.output_amplitude} and severity {wish.severity}; both are wanted nonzero")
+        raise BadInput(f"output amplitude {wish.output_amplitude} and severity {wish.severity}; expected both nonzero")
     nyquist = math.pi / problem.plant.dt
     low, high = band or (nyquist / 100, nyquist / 2)
     found = candidates(problem, np.linspace(low, high, FREQUENCIES), wish.severity)
@@ -89,8 +89,8 @@ def shortest(problem: DetectionProblem, wish: Wish, band: tuple[float, float] | 
 
 
 def _wanted(found: Candidates, wish: Wish) -> Array:
-    faults = np.full(len(found.deflection), deflection_wanted(wish.false_alarm, wish.detection))
-    apart = separation_wanted(wish.weight, wish.certainty) if wish.tell_apart else 0.0
+    faults = np.full(len(found.deflection), required_deflection(wish.false_alarm, wish.detection))
+    apart = required_separation(wish.weight, wish.certainty) if wish.tell_apart else 0.0
     return np.concatenate([faults, np.full(len(found.pairs), apart)])
 
 

@@ -3,9 +3,9 @@
 Squared deflections and (at least) squared separations add up over lines, and so do mean squares at outputs and
 actuators. With ``x_c >= 0`` the squared amplitude of candidate c,
 
-    maximise t   subject to   sum_c gain[i, c] x_c / wanted_i^2 >= t,   sum_c price[b, c] x_c <= budget_b
+    maximise t   subject to   sum_c gain[i, c] x_c / required_i^2 >= t,   sum_c price[b, c] x_c <= budget_b
 
-gives the burst of ``1 / t`` samples in which every fault reaches its wanted deflection and every pair its wanted
+gives the burst of ``1 / t`` samples in which every fault reaches its required deflection and every pair its required
 separation. A vertex of the programme uses no more lines than there are active constraints.
 """
 
@@ -73,7 +73,7 @@ def beside(a: Array, b: Array) -> Array:
 class Allocation:
     """Lines that use the budget best, the samples the burst then needs, and how tight each wish is.
 
-    ``slack`` holds, for every fault and pair, its squared deflection or separation over the wanted one after
+    ``slack`` holds, for every fault and pair, its squared deflection or separation over the required one after
     ``samples``: 1 for those that decide the length.
     """
 
@@ -82,16 +82,16 @@ class Allocation:
     slack: Array
 
 
-def allocate(found: Candidates, wanted: Array, budgets: Sequence[tuple[Array, float]]) -> Allocation:
+def allocate(found: Candidates, required: Array, budgets: Sequence[tuple[Array, float]]) -> Allocation:
     """Return the best split of the budgets.
 
-    ``wanted (K + pairs,)`` are deflections and separations (0: not asked for), ``budgets`` pairs of prices ``(C,)``
+    ``required (K + pairs,)`` are deflections and separations (0: not asked for), ``budgets`` pairs of prices ``(C,)``
     and their bound, for example mean square output and actuator voltage. Raises `Refused` naming a wish that no line
     serves.
     """
     gains = np.vstack([found.deflection, found.separation])
-    asked = np.flatnonzero(np.asarray(wanted) > 0)
-    gains, goals = gains[asked], np.asarray(wanted, dtype=float)[asked] ** 2
+    asked = np.flatnonzero(np.asarray(required) > 0)
+    gains, goals = gains[asked], np.asarray(required, dtype=float)[asked] ** 2
     scale = np.max(gains, axis=1)
     if not len(asked) or (scale <= 0).any():
         dead = asked[np.flatnonzero(scale <= 0)].tolist()

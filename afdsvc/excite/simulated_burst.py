@@ -69,7 +69,7 @@ def simulate_burst(
     loop = faulty_loop(problem, severities or {}) if loop is None else loop
     m, p = problem.plant.inputs, problem.plant.outputs
     if alpha.shape != (len(noise), m) or noise.shape != (len(alpha), p):
-        raise BadInput(f"alpha {alpha.shape} and noise {noise.shape}; (n, {m}) and (n, {p}) are wanted")
+        raise BadInput(f"alpha {alpha.shape} and noise {noise.shape}; expected (n, {m}) and (n, {p})")
     out, _ = simulate(loop, np.hstack([noise, alpha]))
     u, y, beta = out[:, :m], out[:, m : m + p] + noise, out[:, m + p :]
     r, _ = simulate(problem.innovations, np.hstack([y, u]))

@@ -17,9 +17,9 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 def plain_id(value: str) -> str:
-    """Return an id that can be part of keys and file names; raises ValueError saying what is wanted."""
+    """Return an id that can be part of keys and file names; raises `ValueError` naming the signs expected."""
     if not _ID.fullmatch(value):
-        raise ValueError("letters, digits, '-', '_' and '.' are wanted")
+        raise ValueError("expected letters, digits, '-', '_' and '.'")
     return value
 
 
@@ -46,12 +46,12 @@ class Security(_Strict):
     def _distinct(self) -> Security:
         both = sorted(set(self.operators) & set(self.viewers))
         if both:
-            raise ValueError(f"'{both[0]}' is operator and viewer; one of both is wanted")
+            raise ValueError(f"'{both[0]}' is operator and viewer; expected one of both")
         return self
 
 
 class Transport(_Strict):
-    """Where the service listens and how the others find it; loopback only unless told otherwise."""
+    """Where the service listens and how the others find it; by default on the loopback interface only."""
 
     listen: list[str] = ["tcp/127.0.0.1:7447"]
     connect: list[str] = []
@@ -85,7 +85,7 @@ def _loopback(address: str) -> bool:
 
 
 class Recording(_Strict):
-    """Where recordings go, when a new file is begun, and how much is kept (everything unless told)."""
+    """Where recordings go, when a new file is begun, and how much is kept (default: everything)."""
 
     folder: Path = Path("recordings")
     max_megabytes: Positive = 512.0
@@ -103,7 +103,7 @@ class Named(_Strict):
 
 
 class Alarms(_Strict):
-    """How eager alarms are, how long their history is kept, and who is told (notifier plugins)."""
+    """Debounce of alarms, how long their history is kept, and who is notified (notifier plugins)."""
 
     raise_after: Annotated[int, Field(ge=1, le=20)] = 1
     clear_after: Annotated[int, Field(ge=1, le=100)] = 2
@@ -116,7 +116,7 @@ class Alarms(_Strict):
 
 
 class Web(_Strict):
-    """Where something is served over HTTP, read-only; nowhere unless told, and on this computer only unless trusted."""
+    """Where something is served over HTTP, read-only; off by default, and on other computers' request only where that is allowed."""
 
     listen: str | None = None
     trusted_network: bool = False
@@ -125,7 +125,7 @@ class Web(_Strict):
     @classmethod
     def _host_and_port(cls, value: str | None) -> str | None:
         if value is not None and not re.fullmatch(r"[^:/\s]+:\d{1,5}", value):
-            raise ValueError("host:port, like 127.0.0.1:9464, is wanted")
+            raise ValueError("expected host:port, like 127.0.0.1:9464")
         return value
 
     @model_validator(mode="after")
@@ -199,7 +199,7 @@ class Detector(_Strict):
 
 
 class LimitSettings(_Strict):
-    """Bounds per channel in the machine's units; what is left out comes from the plant."""
+    """Bounds per channel in the machine's units; defaults are those of the plant."""
 
     output: list[Positive] | None = None
     input: list[Positive] | None = None
@@ -249,7 +249,7 @@ class Machine(_Strict):
     @model_validator(mode="after")
     def _one_source(self) -> Machine:
         if (self.plant is None) == (self.model is None):
-            raise ValueError("exactly one of 'plant' and 'model' is wanted")
+            raise ValueError("expected exactly one of 'plant' and 'model'")
         if self.speed_step_rpm and (self.model or self.calibrate_seconds):
             raise ValueError("'speed_step_rpm' needs 'plant' and stated noise: noise learnt at one speed is not that at another")
         if self.calibrate_on and not self.calibrate_seconds:
@@ -293,7 +293,7 @@ class Site(_Strict):
 
 
 def read_site(path: Path) -> Site:
-    """Read and validate a site file; raises `BadInput` naming file, key, value found and value wanted.
+    """Read and validate a site file; raises `BadInput` naming file, key, value found and value expected.
 
     Paths inside the file are relative to its folder.
     """
@@ -349,7 +349,7 @@ def _placed(unit: str | None, folder: Path) -> str | None:
 
 
 def _sentence(origin: str, error: ValidationError) -> str:
-    """Return one sentence: file, key, value found, value wanted; further faults are counted."""
+    """Return one sentence: file, key, value found, value expected; further faults are counted."""
     first, more = error.errors()[0], error.error_count() - 1
     key = ".".join(str(part) for part in first["loc"]) or "the file"
     wanted = first["msg"].removeprefix("Value error, ")

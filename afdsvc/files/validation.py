@@ -1,4 +1,4 @@
-"""Files checked against a pydantic model, with errors that name file, key, value found and value wanted."""
+"""Files checked against a pydantic model, with errors that name file, key, value found and value expected."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def read_text(path: Path) -> str:
     except OSError as error:
         raise BadInput(f"{path}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: byte {error.start} is not UTF-8; a text file is wanted") from None
+        raise BadInput(f"{path}: byte {error.start} is not UTF-8; expected a text file") from None
 
 
 def toml_table(text: str, source: str) -> dict[str, Any]:
@@ -57,7 +57,7 @@ def _sentence(schema: type[BaseModel], error: Any) -> str:
     if kind == "value_error":
         detail = message.removeprefix("Value error, ")
         return f"key '{key}': {detail}" if key else detail
-    return f"key '{key}' is {found}; {message[0].lower()}{message[1:]}".replace("input should be", "wanted is")
+    return f"key '{key}' is {found}; {message[0].lower()}{message[1:]}".replace("input should be", "expected")
 
 
 def dotted(location: tuple[int | str, ...]) -> str:
@@ -76,7 +76,7 @@ def shortened(value: object, longest: int = 60) -> str:
 
 def _wanted_keys(schema: type[BaseModel], location: tuple[int | str, ...]) -> str:
     known = _fields_at(schema, location[:-1])
-    return f"known here are {', '.join(known)}" if known else "no key of this name is wanted"
+    return f"known here are {', '.join(known)}" if known else "no key is expected here"
 
 
 def _fields_at(schema: Any, location: tuple[int | str, ...]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The rig agent: runs a port, publishes its blocks, plays bursts within its limits, and obeys nobody else."""
+"""The rig agent: runs a port, publishes its blocks, and plays bursts within its limits."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class RigAgent:
         finally:
             self.port.close()
             self._post.close()
-            if self.connect is not None:  # also when the machine has failed: nobody is to wait for the network then
+            if self.connect is not None:  # also after a failure of the machine, which must not wait for the network
                 self.stopping.set()
                 joining.join(3)
         if self._twin is not None:
@@ -172,7 +172,7 @@ class RigAgent:
             self._told_dropped = dropped
 
     def _play(self, request: BurstRequest) -> None:
-        """Play one burst; whatever happens, the port is disarmed afterwards and the end is told."""
+        """Play one burst; the port is always disarmed afterwards and the end reported."""
         name = request.burst.name
         kind, cause = EventKind.BURST_ABORTED, "the rig agent failed"
         try:
@@ -262,7 +262,7 @@ class RigAgent:
         if request.machine != self.machine:
             raise Refused(f"the request is for machine '{request.machine}'; this is '{self.machine}'")
         if self._watchdog.service_gone:
-            raise Refused("the service is not there; nobody would watch the burst")
+            raise Refused("the service is not connected; a burst would not be supervised")
         if request.lease > LONGEST_LEASE_SECONDS:
             raise Refused(f"the lease is {request.lease:g} s; at most {LONGEST_LEASE_SECONDS:g} s are trusted without renewal")
         if (request.start - self._k) * self.port.dt > LONGEST_LEAD_SECONDS:

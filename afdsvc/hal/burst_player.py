@@ -46,7 +46,7 @@ class Excitation:
         return taken
 
     def cut(self, reason: str) -> None:
-        """Drop what is left at once (a limit was met: alpha is already zero)."""
+        """Drop the remaining samples at once (a limit was met: alpha is already zero)."""
         self._rest = self._rest[:0]
         self.ended_because = reason
 
@@ -71,7 +71,7 @@ def refuse_burst(burst: Burst, dt: float, limits: Limits) -> None:
     with np.errstate(over="ignore", invalid="ignore"):
         alpha = burst.play(dt)
     if not np.isfinite(alpha).all():
-        raise Refused(f"burst '{burst.name}' contains NaN or infinity; finite samples are wanted")
+        raise Refused(f"burst '{burst.name}' contains NaN or infinity; expected finite samples")
     for i, (peak, bound) in enumerate(zip(np.abs(alpha).max(axis=0), limits.alpha, strict=True)):
         if peak > bound:
             raise Refused(f"burst '{burst.name}' reaches {peak:.3g} on alpha {i}; at most {bound:.3g} is allowed")

@@ -81,7 +81,7 @@ class ControlLoop(ABC):
         if (interconnection.inputs, interconnection.outputs) != (self.p + self.m, self.m + self.p):
             raise BadInput(
                 f"J_K is {interconnection.outputs} x {interconnection.inputs}; "
-                f"{self.m + self.p} x {self.p + self.m} is wanted for {self.m} inputs and {self.p} outputs"
+                f"expected {self.m + self.p} x {self.p + self.m} for {self.m} inputs and {self.p} outputs"
             )
         control_sample.warm_up()
         self._K = control_sample.contiguous(interconnection)

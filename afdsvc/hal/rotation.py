@@ -31,7 +31,7 @@ class SpeedProfile:
         """Return the profile through ``(second, rad/s)``, at ``start`` until the first; raises `BadInput` unless times rise."""
         seconds = [p[0] for p in points]
         if any(b <= a for a, b in pairwise(seconds)) or (seconds and seconds[0] < 0):
-            raise BadInput(f"speed profile at {seconds} s; rising times from 0 s are wanted")
+            raise BadInput(f"speed profile at {seconds} s; expected rising times from 0 s")
         whole = [(0.0, points[0][1] if points else start), *(p for p in points if p[0] > 0)]
         return cls(dt, np.array([round(p[0] / dt) for p in whole], dtype=np.int64), np.array([float(p[1]) for p in whole]))
 

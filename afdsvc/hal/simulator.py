@@ -88,7 +88,7 @@ class Simulator(ControlLoop):
         turning = self._plant.turning
         system = self._plant.at(present) if turning is None else turning(present, float(self._profile.at(np.array([k]))[0]))
         if np.abs(system.D).max(initial=0.0) > 0:
-            raise BadInput("the simulated plant has a direct term D; a sampled plant with D = 0 is wanted")
+            raise BadInput("the simulated plant has a direct term D; expected a sampled plant with D = 0")
         return control_sample.contiguous(system)
 
     def _run(self, alpha: Array, limits: Limits | None) -> Samples:

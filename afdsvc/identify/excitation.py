@@ -89,7 +89,7 @@ def require_excitation(
         if 2 * lines < wanted:
             raise BadInput(
                 f"input '{name}' holds {lines} spectral line{'s' if lines != 1 else ''}: persistent excitation of order "
-                f"{2 * lines} was found where {wanted} is wanted for a model of order {order}; "
+                f"{2 * lines}, expected {wanted} for a model of order {order}; "
                 f"{advice(order, outputs, band_hz)}"
             )
     for name, share in zip(names, found.dependence, strict=True):
@@ -97,7 +97,7 @@ def require_excitation(
             raise BadInput(
                 f"the other inputs explain {100 * share:.3g} % of input '{name}' (at most "
                 f"{100 * DEPENDENCE_LIMIT:.3g} %), so their "
-                f"effects cannot be told apart; excite one input after the other, or {advice(order, outputs, band_hz)}"
+                f"effects cannot be separated; excite one input after the other, or {advice(order, outputs, band_hz)}"
             )
     return found
 

@@ -48,11 +48,11 @@ class IdentifyOptions:
             ("reduction", ("refined", "best", *TRUNCATIONS)),
         ):
             if getattr(self, name) not in known:
-                raise BadInput(f"option {name} = '{getattr(self, name)}'; one of {', '.join(known)} is wanted")
+                raise BadInput(f"option {name} = '{getattr(self, name)}'; expected one of {', '.join(known)}")
         if self.norm not in (1, 2):
-            raise BadInput(f"option norm = {self.norm}; 1 or 2 is wanted")
+            raise BadInput(f"option norm = {self.norm}; expected 1 or 2")
         if self.groups != 0 and self.groups < 3:
-            raise BadInput(f"option groups = {self.groups}; 0 (no uncertainty) or at least 3 is wanted")
+            raise BadInput(f"option groups = {self.groups}; expected 0 (no uncertainty) or at least 3")
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> IdentifyOptions:

@@ -122,7 +122,7 @@ def _one_standard_error(loss: Array) -> OrderChoice:
 
 
 SHORTEST, LONGEST = 15, 60
-#: Windows wanted for every entry of a window.
+#: Windows required per entry of a window.
 _WINDOWS_PER_ENTRY = 4
 
 

@@ -102,7 +102,7 @@ def _method(problem: Prepared, options: IdentifyOptions) -> str:
 
 def _open_or_closed(problem: Prepared, options: IdentifyOptions) -> Outcome:
     """Identify without a controller: PBSIDopt, which feedback does not bias; the better conditioned open-loop method
-    when the prediction errors show no trace of feedback, or when PBSIDopt finds a plant nobody could have run in open
+    when the prediction errors show no trace of feedback, or when PBSIDopt finds a plant that cannot have run in open
     loop.
     """
     first = registry.pbsid(problem, replace(options, groups=0))

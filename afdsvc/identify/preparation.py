@@ -55,7 +55,7 @@ def prepare(model: Model, traces: Sequence[Trace], heldout: Sequence[Trace], nee
     Where the rotor angle was recorded, what turns with it is taken out of every signal.
     """
     if not traces:
-        raise BadInput("no recording was handed in; at least one is wanted")
+        raise BadInput("no recording was handed in; expected at least one")
     for trace in (*traces, *heldout):
         screen(trace, needed)
     traces, heldout = ([without_rotation(t) for t in several] for several in (traces, heldout))
@@ -83,7 +83,7 @@ def nominal_plant(model: Model, dt: float) -> StateSpace:
         return sample_zoh(plant, dt)
     if not np.isclose(plant.dt, dt, rtol=1e-6):
         raise BadInput(
-            f"model '{model.name}' has sample_time {plant.dt} s, the recordings {dt} s; equal ones are wanted"
+            f"model '{model.name}' has sample_time {plant.dt} s, the recordings {dt} s; expected equal ones"
         )
     return plant
 
@@ -97,7 +97,7 @@ def controller_at(controller: StateSpace, dt: float) -> StateSpace:
         raise BadInput('the controller is given in continuous time; give the discrete one that ran (time = "discrete")')
     if not np.isclose(controller.dt, dt, rtol=1e-6):
         raise BadInput(
-            f"the controller has sample_time {controller.dt} s, the recordings {dt} s; equal ones are wanted"
+            f"the controller has sample_time {controller.dt} s, the recordings {dt} s; expected equal ones"
         )
     return controller
 
@@ -105,7 +105,7 @@ def controller_at(controller: StateSpace, dt: float) -> StateSpace:
 def require_controller(fact: Factorisation, model: Model, trace: Trace, recording: Recording) -> None:
     """Raise `BadInput` when the recorded excitation shows that another controller ran than the model names.
 
-    ``Vt u - Ut y`` must be alpha (seen through a fixed filter) minus ``Ut ref``; what is left over is compared with
+    ``Vt u - Ut y`` must be alpha (through a fixed filter) minus ``Ut ref``; the remainder is compared with
     ``Ut y``. Without recorded excitation nothing can be checked.
     """
     alpha = _columns(trace, "alpha", [v.name for v in model.inputs], optional=True)
@@ -134,8 +134,7 @@ def require_controller(fact: Factorisation, model: Model, trace: Trace, recordin
         raise BadInput(
             f"{trace.name}: the recorded input is not what the model's controller makes of the recorded output "
             "and excitation "
-            f"({100 * share:.3g} % of its action unexplained, at most {100 * CONTROLLER_MISMATCH:.2g} % is "
-            "wanted): another controller "
+            f"({100 * share:.3g} % of its action unexplained, expected at most {100 * CONTROLLER_MISMATCH:.2g} %): another controller "
             f"ran, or the actuator saturated; correct [controller]"
         )
 

@@ -6,7 +6,7 @@ Four ways, tried side by side and judged by the loop they leave:
 - ``frequency_weighted``: weighted with the spectrum of the plant's recorded input;
 - ``closed_loop``: weighted with the loop's sensitivities (Enns), where the loop looks;
 - ``coprime``: balanced truncation of ``[M + U S; N + V S]``, which is the loop itself from alpha to ``[u; y]``; the
-  plant is the quotient of what is left. Serves unstable plants as well (Meyer, IEEE Trans. Automatic Control 35, 1990).
+  plant is the quotient of the remaining factors. Serves unstable plants as well (Meyer, IEEE Trans. Automatic Control 35, 1990).
 
 Refinement against the recordings: a truncation throws away what is small in some norm; here the distance that counts is ``|beta - S(G) alpha|`` on the
 recordings, over all plants G of the order, started from a truncation. The excitation alpha is free of noise, so the
@@ -70,10 +70,10 @@ def compare_reductions(
     """
     unknown = [method for method in methods if method not in TRUNCATIONS]
     if unknown:
-        raise BadInput(f"reduction method '{unknown[0]}'; one of {', '.join(TRUNCATIONS)} is wanted")
+        raise BadInput(f"reduction method '{unknown[0]}'; expected one of {', '.join(TRUNCATIONS)}")
     if order > plant.order:
         raise BadInput(
-            f"a plant of order {plant.order} cannot be reduced to order {order}; at most {plant.order} is wanted"
+            f"a plant of order {plant.order} cannot be reduced to order {order}; expected at most {plant.order}"
         )
     u_scale, y_scale = _scales(recordings, plant)
     ways: dict[str, Callable[[], StateSpace]] = {

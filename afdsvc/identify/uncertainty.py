@@ -32,7 +32,7 @@ def jackknife_band(
     Raises `BadInput` for fewer than three groups, or when more than a tenth of the repetitions fail.
     """
     if groups < 3:
-        raise BadInput(f"{groups} groups; at least 3 are wanted")
+        raise BadInput(f"{groups} groups; expected at least 3")
     value = frequency_response(estimate(recordings) if whole is None else whole, omega)
     repeated, failures = [], []
     for left_out in range(groups):

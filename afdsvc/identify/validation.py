@@ -1,6 +1,6 @@
 """Validation on held-out recordings: fit measures, agreement of two independent estimates, undamped modes.
 
-The orbit of an unbalanced rotor, or mains hum, is predictable without any input. An order chosen from the data then
+The orbit of an unbalanced rotor, or interference at mains frequency, is predictable without any input. An order chosen from the data then
 makes room for an undamped mode, which draws the disturbance from its initial state and is no property of the plant.
 """
 

@@ -18,8 +18,8 @@ def solve_loop(matrix: Array) -> Array:
     condition = loop_condition(matrix)
     if not condition < LIMIT:
         raise IllConditioned(
-            f"the feedthrough around a loop is singular (condition number {condition:.2g}, below {LIMIT:.0g} is "
-            "wanted): the loop is not well posed; change a feedthrough or add a delay"
+            f"the feedthrough around a loop is singular (condition number {condition:.2g}, expected below {LIMIT:.0g}): "
+            "the loop is not well posed; change a feedthrough or add a delay"
         )
     return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 

@@ -19,7 +19,7 @@ def require_identity(R: StateSpace, Lf: StateSpace) -> None:
     if residual <= LIMIT:
         return
     raise IllConditioned(
-        f"the double Bezout identity holds only to {residual:.1e} (below {LIMIT:.0e} is wanted): rounding "
+        f"the double Bezout identity holds only to {residual:.1e} (expected below {LIMIT:.0e}): rounding "
         f"is amplified {amplification(R, Lf):.1e} times; choose gains that move the poles less, or reduce the model"
     )
 

@@ -174,15 +174,15 @@ def observer_form(plant: StateSpace, K: StateSpace) -> Factorisation:
     """
     require_stabilising(plant, K)
     if K.order != plant.order:
-        raise BadInput(f"the controller has order {K.order}; the plant's order {plant.order} is wanted for an observer")
+        raise BadInput(f"the controller has order {K.order}; expected the plant's order {plant.order} for an observer")
     dt, p = common_dt(plant, K), plant.outputs
     proper = star(_subtract_feedthrough(plant, dt), K, p, plant.inputs)  # y - D u -> u
     strict = StateSpace(plant.A, plant.B, plant.C, np.zeros_like(plant.D), dt)
     T, condition = invariant_half(star(strict, proper, p, plant.inputs).A, plant.order)
     if not condition < OBSERVER_LIMIT:
         raise IllConditioned(
-            f"the controller has no well-conditioned observer form (condition number {condition:.2g}, below "
-            f"{OBSERVER_LIMIT:.0g} is wanted); use controller_factorisation, of order n + n_K"
+            f"the controller has no well-conditioned observer form (condition number {condition:.2g}, expected below "
+            f"{OBSERVER_LIMIT:.0g}); use controller_factorisation, of order n + n_K"
         )
     Q = proper.D
     F, L = Q @ plant.C + proper.C @ T, plant.B @ Q - np.linalg.solve(T, proper.B)
@@ -291,7 +291,7 @@ def _checked(plant: StateSpace, K: StateSpace, R: StateSpace, Lf: StateSpace) ->
 def _gain(name: str, value: ArrayLike, shape: tuple[int, int]) -> Array:
     array = np.asarray(value, dtype=np.float64)
     if array.shape != shape or not np.isfinite(array).all():
-        raise BadInput(f"gain {name} has shape {array.shape}; a finite matrix of shape {shape} is wanted")
+        raise BadInput(f"gain {name} has shape {array.shape}; expected a finite matrix of shape {shape}")
     return array
 
 

@@ -1,4 +1,4 @@
-"""The one deterministic choice of coprime factors for a plant and a controller nobody said more about."""
+"""The default choice of coprime factors for a plant and a controller."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def factorise(plant: StateSpace, controller: StateSpace) -> Factorisation:
         raise BadInput(
             f"the controller has {controller.outputs} outputs and {controller.inputs} inputs; a plant with "
             f"{plant.inputs} "
-            f"inputs and {plant.outputs} outputs wants {wanted[0]} and {wanted[1]}"
+            f"inputs and {plant.outputs} outputs needs {wanted[0]} and {wanted[1]}"
         )
     if not controller.order:
         return proportional_factorisation(plant, controller.D)

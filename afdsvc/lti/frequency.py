@@ -19,7 +19,7 @@ def frequency_response(system: StateSpace, omega_rad_s: ArrayLike) -> ComplexArr
     """
     omega = np.atleast_1d(np.asarray(omega_rad_s, dtype=np.float64))
     if omega.ndim != 1 or not np.isfinite(omega).all():
-        raise BadInput(f"frequencies of shape {omega.shape}: a vector of finite numbers in rad/s is wanted")
+        raise BadInput(f"frequencies of shape {omega.shape}: expected a vector of finite numbers in rad/s")
     points = np.exp(1j * omega * system.dt) if system.discrete else 1j * omega
     return transfer(system, np.asarray(points, dtype=np.complex128))
 

@@ -159,7 +159,7 @@ class AugmentedPlant:
         values = np.asarray(theta, dtype=np.float64)
         if values.shape != (len(self.fault_names),) or not np.isfinite(values).all():
             raise BadInput(
-                f"severities {values.tolist()}: {len(self.fault_names)} finite numbers are wanted, one for each fault"
+                f"severities {values.tolist()}: expected {len(self.fault_names)} finite numbers, one for each fault"
             )
         return np.repeat(values, self.widths)
 
@@ -203,7 +203,7 @@ class AugmentedPlant:
 def augment(plant: StateSpace, directions: Sequence[FaultDirection]) -> AugmentedPlant:
     """Return the plant with all the faults pulled out at once.
 
-    Faults on inputs and outputs compose with all others (an actuator fault is seen by a sensor fault through D, and by
+    Faults on inputs and outputs compose with all others (an actuator fault acts on a sensor fault through D, and by
     a parameter that multiplies u). Products of parameters do not follow from separate directions: build those plants
     with `afdsvc.lti.parametric.parametric_plant`. Raises `BadInput` for repeated names or sites and for wrong shapes.
     """
@@ -259,7 +259,7 @@ def _fits(plant: StateSpace, d: FaultDirection) -> None:
     }
     for field, shape in wanted.items():
         if getattr(d, field).shape != shape:
-            raise BadInput(f"fault '{d.name}': {field} has shape {getattr(d, field).shape}; {shape} is wanted for this plant")
+            raise BadInput(f"fault '{d.name}': {field} has shape {getattr(d, field).shape}; expected {shape} for this plant")
 
 
 def signature_interconnection(augmented: AugmentedPlant, J_K: StateSpace) -> StateSpace:

@@ -2,7 +2,7 @@
 
 The matrices ``[A B; C D]`` are sampled at changed parameter values, fitted exactly as polynomials in the relative
 changes ``theta`` (or in ``theta / (1 + theta)`` for a parameter that divides, like a mass), products of parameters
-included, and realised as a linear fractional transformation. Nobody writes a fault matrix by hand, and the result is
+included, and realised as a linear fractional transformation. No fault matrix has to be written, and the result is
 checked against the function itself before it is handed out.
 """
 
@@ -203,7 +203,7 @@ def _assemble(polynomial: Polynomial, dependences: list[Dependence], nominal: St
 
 
 def _verify(family: _Family, augmented: AugmentedPlant) -> None:
-    """Raise `BadInput` unless the LFT reproduces the function at severities nobody fitted."""
+    """Raise `BadInput` unless the LFT reproduces the function at severities not used in the fit."""
     base = np.abs(family({}))
     for k in range(3 if family.names else 0):
         theta = 0.45 * np.sin(1.0 + k + 2.3 * np.arange(len(family.names)))

@@ -86,7 +86,7 @@ def from_control(system: Any, name: str = "system") -> tuple[StateSpace, Any]:
         system = _realise(system, name)
     if not isinstance(system, control.StateSpace):
         raise BadInput(
-            f"the {name} is a {type(system).__name__}; a control.StateSpace (or transfer function, or gain) is wanted"
+            f"the {name} is a {type(system).__name__}; expected a control.StateSpace (or transfer function, or gain)"
         )
     dt = system.dt
     return StateSpace.of(system.A, system.B, system.C, system.D, _seconds(dt)), dt
@@ -134,11 +134,11 @@ def _joint_dt(a: Any, b: Any, name: str) -> Any:
     if (a is True and _seconds(b) > 0) or (b is True and _seconds(a) > 0):
         return b if a is True else a
     if _seconds(a) != _seconds(b):
-        raise BadInput(f"the {name} has dt {a} and the controller dt {b}; one time base is wanted")
+        raise BadInput(f"the {name} has dt {a} and the controller dt {b}; expected one time base")
     return a
 
 
 def _same_time(true: StateSpace, nominal: StateSpace) -> StateSpace:
     if true.dt != nominal.dt and true.order:
-        raise BadInput(f"the true plant has sample time {true.dt} s and the nominal one {nominal.dt} s; one is wanted")
+        raise BadInput(f"the true plant has sample time {true.dt} s and the nominal one {nominal.dt} s; expected one")
     return StateSpace(true.A, true.B, true.C, true.D, nominal.dt)

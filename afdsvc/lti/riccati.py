@@ -77,7 +77,7 @@ def kalman_predictor_gain(
 def _sized(name: str, value: ArrayLike, shape: tuple[int, int]) -> Array:
     array = np.asarray(value, dtype=np.float64)
     if array.shape != shape or not np.isfinite(array).all():
-        raise BadInput(f"{name} has shape {array.shape}; a finite matrix of shape {shape} is wanted")
+        raise BadInput(f"{name} has shape {array.shape}; expected a finite matrix of shape {shape}")
     return array
 
 
@@ -99,11 +99,11 @@ def _weight(name: str, value: ArrayLike, n: int) -> Array:
     array = float(array) * np.eye(n) if array.ndim == 0 else _sized(name, array, (n, n))
     if not np.allclose(array, array.T, rtol=1e-9, atol=0):
         raise BadInput(
-            f"{name} is not symmetric (largest difference {np.abs(array - array.T).max():.2g}); a symmetric matrix is wanted"
+            f"{name} is not symmetric (largest difference {np.abs(array - array.T).max():.2g}); expected a symmetric matrix"
         )
     smallest, largest = (np.linalg.eigvalsh(array)[[0, -1]]) if n else (0.0, 0.0)
     if smallest < -1e-10 * max(largest, 0.0) or largest < 0:
-        raise BadInput(f"{name} has the eigenvalue {smallest:.3g}; a positive semidefinite matrix is wanted")
+        raise BadInput(f"{name} has the eigenvalue {smallest:.3g}; expected a positive semidefinite matrix")
     return array
 
 
@@ -112,5 +112,5 @@ def _positive(name: str, value: ArrayLike, n: int) -> Array:
     array = _weight(name, value, n)
     smallest, largest = (np.linalg.eigvalsh(array)[[0, -1]]) if n else (1.0, 1.0)
     if not smallest > 1e-14 * largest:
-        raise BadInput(f"{name} is singular (smallest eigenvalue {smallest:.3g}); a positive definite matrix is wanted")
+        raise BadInput(f"{name} is singular (smallest eigenvalue {smallest:.3g}); expected a positive definite matrix")
     return array

@@ -50,7 +50,7 @@ def sample_augmented(augmented: AugmentedPlant, dt: float) -> AugmentedPlant:
     if not error <= LIMIT:
         raise IllConditioned(
             f"the faults act too fast for the sample time {dt} s (relative error {error:.1e} with {POINTS[-1]} points "
-            f"inside a sample, {LIMIT:.0e} is wanted); sample faster or leave out the fastest parameter"
+            f"inside a sample, expected at most {LIMIT:.0e}); sample faster or leave out the fastest parameter"
         )
     return AugmentedPlant(rescale(best.system, 1 / t), best.fault_names, best.widths)
 

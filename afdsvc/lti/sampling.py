@@ -16,9 +16,9 @@ def sample_zoh(system: StateSpace, dt: float) -> StateSpace:
     The input is held over each sample period (zero-order hold); exact, also for a singular A.
     """
     if system.discrete:
-        raise BadInput(f"the system is discrete already (sample time {system.dt} s); a continuous one is wanted")
+        raise BadInput(f"the system is discrete already (sample time {system.dt} s); expected a continuous one")
     if not (np.isfinite(dt) and dt > 0):
-        raise BadInput(f"sample time {dt} s; a positive number is wanted")
+        raise BadInput(f"sample time {dt} s; expected a positive number")
     scaled, t = balanced(system)
     n, m = system.B.shape
     step = expm(np.block([[scaled.A, scaled.B], [np.zeros((m, n + m))]]) * dt)

@@ -47,10 +47,10 @@ def _checked(system: StateSpace, u: Array, x0: Array | None) -> tuple[Array, Arr
         raise BadInput("a continuous system cannot run over samples; sample it with afdsvc.lti.sampling.sample_zoh")
     u = np.ascontiguousarray(u, dtype=np.float64)
     if u.ndim != 2 or u.shape[1] != system.inputs:
-        raise BadInput(f"inputs of shape {u.shape}; (samples, {system.inputs}) is wanted")
+        raise BadInput(f"inputs of shape {u.shape}; expected (samples, {system.inputs})")
     x = np.zeros(system.order) if x0 is None else np.array(x0, dtype=np.float64)
     if x.shape != (system.order,):
-        raise BadInput(f"initial state of shape {x.shape}; ({system.order},) is wanted")
+        raise BadInput(f"initial state of shape {x.shape}; expected ({system.order},)")
     return u, x
 
 

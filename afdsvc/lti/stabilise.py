@@ -1,6 +1,6 @@
 """Gains that stabilise with the least effort, chosen without any weights to tune.
 
-Only the modes that lack the wanted margin are moved: they are mirrored at the margin (the minimum-energy solution of
+Only the modes that lack the required margin are moved: they are mirrored at the margin (the minimum-energy solution of
 the regulator problem with no state weight). A plant that already has the margin gets the gain zero.
 """
 
@@ -27,7 +27,7 @@ def half_margin(plant: StateSpace, controller: StateSpace) -> float:
 
 
 def gain_with_margin(A: Array, B: Array, dt: float, margin: float) -> Array:
-    """Return F, shape ``(m, n)``, such that A + B F has the stability margin wanted.
+    """Return F, shape ``(m, n)``, such that A + B F has the required stability margin.
 
     Raises `IllConditioned` with the pole when a mode that lacks the margin cannot be reached from the inputs.
     """
@@ -61,7 +61,7 @@ def mirror(A: Array, B: Array, discrete: bool) -> tuple[Array, Array]:
         pole = complex(np.linalg.eigvals(A2)[0])
         raise IllConditioned(
             f"the mode near {describe_pole(pole, float(discrete))} cannot be reached (relative controllability "
-            f"{smallest / max(largest, 1e-300):.1e}, above {CONTROLLABILITY_LIMIT:.0e} is wanted): give the gain "
+            f"{smallest / max(largest, 1e-300):.1e}, expected above {CONTROLLABILITY_LIMIT:.0e}): give the gain "
             "yourself, move the input or output, or reduce the model"
         )
     P = np.linalg.inv(Y)

@@ -42,7 +42,7 @@ def is_stable(A: Array, dt: float) -> bool:
 def describe_pole(pole: complex, dt: float) -> str:
     """Return a pole in words: value and, in discrete time, its modulus."""
     value = f"{pole.real:.6g}" if abs(pole.imag) < 1e-12 * max(abs(pole), 1e-300) else f"{pole:.6g}"
-    return f"{value} (modulus {abs(pole):.6g}, below 1 is wanted)" if dt > 0 else f"{value} (a negative real part is wanted)"
+    return f"{value} (modulus {abs(pole):.6g}, expected below 1)" if dt > 0 else f"{value} (expected a negative real part)"
 
 
 def require_stable(A: Array, dt: float, what: str, cure: str) -> None:

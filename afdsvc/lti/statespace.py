@@ -32,13 +32,13 @@ class StateSpace:
 
     @classmethod
     def of(cls, A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None = None, dt: float = 0.0) -> StateSpace:
-        """Return a checked system; raises `BadInput` naming the matrix, the shape found and the shape wanted."""
+        """Return a checked system; raises `BadInput` naming the matrix, the shape found and the shape expected."""
         a, b, c = _matrix("A", A), _matrix("B", B), _matrix("C", C)
         if a.size == 0:
             a = np.zeros((0, 0))
         n = a.shape[0]
         if a.shape != (n, n):
-            raise BadInput(f"matrix A has shape {a.shape}; a square matrix is wanted")
+            raise BadInput(f"matrix A has shape {a.shape}; expected a square matrix")
         if n == 0:
             d = _matrix("D", D if D is not None else np.zeros((c.shape[0], b.shape[1])))
             return cls(a, np.zeros((0, d.shape[1])), np.zeros((d.shape[0], 0)), d, _sample_time(dt))
@@ -129,7 +129,7 @@ def common_dt(*systems: StateSpace) -> float:
     """Return the sample time the systems share (static gains of dt 0 fit any); raises `BadInput` when they differ."""
     times = {s.dt for s in systems if s.order or s.dt}
     if len(times) > 1:
-        raise BadInput(f"systems with sample times {sorted(times)} s cannot be joined; one sample time is wanted")
+        raise BadInput(f"systems with sample times {sorted(times)} s cannot be joined; expected one sample time")
     return times.pop() if times else 0.0
 
 
@@ -157,19 +157,19 @@ def block_diagonal(*systems: StateSpace) -> StateSpace:
 def _matrix(name: str, value: Any) -> Array:
     array = np.array(value, dtype=np.float64)
     if array.ndim > 2:
-        raise BadInput(f"matrix {name} has {array.ndim} dimensions; two are wanted")
+        raise BadInput(f"matrix {name} has {array.ndim} dimensions; expected two")
     array = np.atleast_2d(array) if array.size else array.reshape(array.shape if array.ndim == 2 else (0, 0))
     if not np.isfinite(array).all():
-        raise BadInput(f"matrix {name} contains NaN or infinity; finite numbers are wanted")
+        raise BadInput(f"matrix {name} contains NaN or infinity; expected finite numbers")
     return array
 
 
 def _expect(name: str, value: Array, shape: tuple[int, int]) -> None:
     if value.shape != shape:
-        raise BadInput(f"matrix {name} has shape {value.shape}; {shape} is wanted to fit A and D")
+        raise BadInput(f"matrix {name} has shape {value.shape}; expected {shape} to fit A and D")
 
 
 def _sample_time(dt: float) -> float:
     if not (np.isfinite(dt) and dt >= 0):
-        raise BadInput(f"sample time {dt} s; a positive number, or 0 for continuous time, is wanted")
+        raise BadInput(f"sample time {dt} s; expected a positive number, or 0 for continuous time")
     return float(dt)

@@ -149,4 +149,4 @@ def _signal(name: str, widths: dict[str, int], kind: str) -> slice:
 
 def _shape(name: str, system: StateSpace, outputs: int, inputs: int) -> None:
     if system.D.shape != (outputs, inputs):
-        raise BadInput(f"{name} has {system.outputs} outputs and {system.inputs} inputs; {outputs} and {inputs} are wanted")
+        raise BadInput(f"{name} has {system.outputs} outputs and {system.inputs} inputs; expected {outputs} and {inputs}")

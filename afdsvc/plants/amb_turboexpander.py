@@ -88,7 +88,7 @@ def amb_turboexpander(
     for a number of states that splits a pair of modes.
     """
     if not np.isfinite(rpm):
-        raise BadInput(f"rpm {rpm}; a finite speed is wanted")
+        raise BadInput(f"rpm {rpm}; expected a finite speed")
     return rotor_plant(
         turboexpander_rotor(float(rpm), shear),
         Instrumentation(sample_time, NOISE_SD, DISPLACEMENT_LIMIT, BIAS_CURRENT),

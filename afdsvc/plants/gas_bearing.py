@@ -83,7 +83,7 @@ def gas_bearing(
     rpm: float = 0, parameters: str | None = None, form: str = "first_order_actuators", sample_time: float = SAMPLE_TIME
 ) -> PhysicalPlant:
     """Return the gas bearing at 0 or 1100 rpm (P5 tables 0.1 and 0.2 corrected), or with another published parameter
-    set. Between the two speeds every parameter is interpolated linearly, which nobody has measured.
+    set. Between the two speeds every parameter is interpolated linearly; there are no measurements between them.
 
     ``form`` is the way the actuators are modelled:
 

@@ -24,7 +24,7 @@ def random_stable(
     """
     if min(order, inputs, outputs) < 1:
         raise BadInput(
-            f"a plant of order {order} with {inputs} inputs and {outputs} outputs; at least one each is wanted"
+            f"a plant of order {order} with {inputs} inputs and {outputs} outputs; expected at least one each"
         )
     basis = np.linalg.qr(generator.standard_normal((order, order)))[0]
     A = basis @ _modes(generator, order, dt) @ basis.T

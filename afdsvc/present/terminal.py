@@ -175,7 +175,7 @@ def status_table(status: dict[str, Any]) -> None:
 
 
 def _briefly(alarm: dict[str, Any]) -> str:
-    seen = "" if not alarm["acknowledged"] else f" (seen by {alarm['acknowledged_by']})"
+    seen = "" if not alarm["acknowledged"] else f" (acknowledged by {alarm['acknowledged_by']})"
     return f"{alarm['fault']} {percent(alarm['severity'])}{seen}"
 
 

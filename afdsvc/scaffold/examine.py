@@ -19,7 +19,7 @@ def examine_package(package: str) -> list[dict[str, Any]]:
     if name in found.broken:
         raise BadInput(f"plugin '{name}' did not load: {found.broken[name]}")
     if not offers:
-        raise BadInput(f"plugin '{name}' offers nothing; a function marked with @hookimpl is wanted, such as afdsvc_detectors")
+        raise BadInput(f"plugin '{name}' offers nothing; expected a function marked with @hookimpl, such as afdsvc_detectors")
     return [
         {"family": o.family, "name": o.name, "check": r.check, "asked": r.asked, "failure": r.failure}
         for o in offers

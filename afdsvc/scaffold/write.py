@@ -19,9 +19,9 @@ KINDS = {
 def write_plugin(kind: str, name: str, folder: Path) -> list[Path]:
     """Write ``folder/name`` and return its files; raises `BadInput` for a kind or name that cannot be, or a folder that is there."""
     if kind not in KINDS:
-        raise BadInput(f"kind of plugin '{kind}'; one of {', '.join(KINDS)} is wanted")
+        raise BadInput(f"kind of plugin '{kind}'; expected one of {', '.join(KINDS)}")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
-        raise BadInput(f"plugin name '{name}'; small letters, digits and _ are wanted, a letter first, and no word of Python")
+        raise BadInput(f"plugin name '{name}'; expected small letters, digits and _, a letter first, and no word of Python")
     root = folder / name
     if root.exists():
         raise BadInput(f"{root}: is there already; nothing is overwritten")

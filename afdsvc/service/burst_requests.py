@@ -1,4 +1,4 @@
-"""The burst desk of one machine: asks the rig when the scheduler says so, keeps the lease alive, and never guesses."""
+"""Burst requests of one machine: sent to the rig when the scheduler decides, with the lease renewed while one is played."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ENDS = (EventKind.BURST_ENDED, EventKind.BURST_ABORTED, EventKind.BURST_REFUSED,
 
 @dataclass
 class BurstRequests:
-    """Plays bursts on one machine. ``design(wanted)`` returns the burst for a purpose; its name is made unique here."""
+    """Plays bursts on one machine. ``design(order)`` returns the burst for an order; its name is made unique here."""
 
     machine: str
     design: Callable[[BurstOrder], Burst]
@@ -119,7 +119,7 @@ class BurstRequests:
 
     def stop(self, reason: str, asked_by: str) -> None:
         """End whatever plays, smoothly; raises `Refused` with the rig's reason when nothing does."""
-        stop = BurstStop(self.machine, reason or "no reason given", asked_by or "nobody")
+        stop = BurstStop(self.machine, reason or "no reason given", asked_by or "unknown")
         answer = self.transport.ask(self.keys.stop(self.machine), codec.encode_burst_stop(stop))
         reply = codec.decode_burst_reply(answer)
         if not reply.accepted:

@@ -33,7 +33,7 @@ class Housekeeper:
     """Works in a thread of its own while the service runs; ``files()`` returns what the service itself writes.
 
     ``alarms`` is what the files of alarms, in their own folder, are kept for; ``chores`` are done with every round.
-    What it does is told by ``say(sentence)`` as well as in the log.
+    What it does is reported by ``say(sentence)`` and in the log.
     """
 
     def __init__(

@@ -96,7 +96,7 @@ class Hub:
             time.sleep(0.02)
 
     def stop(self) -> None:
-        """Stop listening, work off the queue as far as `STOPPING_SECONDS` go, join the threads; what is left is counted."""
+        """Stop listening, work off the queue as far as `STOPPING_SECONDS` go, join the threads; what remains is counted."""
         self._stop.set()
         deadline = time.monotonic() + STOPPING_SECONDS
         self._put_last()

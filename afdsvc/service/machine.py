@@ -124,7 +124,7 @@ class MachineMonitor:
     def doubt_model(self, kept: Sequence[Path] = ()) -> None:
         """Say once, until it is over, that the model seems to miss something: a notice, not an alarm.
 
-        ``kept`` are the files of the machine's samples, which the command to run next is told with.
+        ``kept`` are the files of the machine's samples, which the suggested command names.
         """
         doubt = model_gap(self.evidence, kept=[str(path) for path in kept])
         if doubt and not self.doubt:
@@ -133,11 +133,11 @@ class MachineMonitor:
 
     def verdict(self) -> Verdict:
         """Return what the kept decisions amount to, concluded anew when there are new ones."""
-        told, verdict = self._concluded
-        if told != self._decisions:
-            told = self._decisions
+        previous, verdict = self._concluded
+        if previous != self._decisions:
+            previous = self._decisions
             verdict = conclude(list(self.evidence))
-            self._concluded = told, verdict
+            self._concluded = previous, verdict
         return verdict
 
     def status(self, burst: str, next_burst: float, alarms: tuple[Alarm, ...]) -> MachineStatus:

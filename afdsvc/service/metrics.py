@@ -1,4 +1,4 @@
-"""Figures for Prometheus: read from the service's status when somebody asks, so that nobody asking costs nothing."""
+"""Metrics for Prometheus, read from the service's status on request."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def serve_metrics(listen: str, status: Callable[[], ServiceStatus]) -> Callable[
     try:
         server, thread = start_http_server(int(port), host, registry)
     except (OSError, OverflowError) as error:
-        raise BadInput(f"metrics.listen = '{listen}': {error}; a free address of this computer is wanted") from None
+        raise BadInput(f"metrics.listen = '{listen}': {error}; expected a free address of this computer") from None
 
     def stop() -> None:
         server.shutdown()

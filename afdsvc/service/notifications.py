@@ -1,4 +1,4 @@
-"""One receiver of alarm changes behind a bounded queue and a thread of its own: slow, failing or gone, it holds nobody up."""
+"""One receiver of alarm changes behind a bounded queue and a thread of its own: it never blocks the service."""
 
 from __future__ import annotations
 

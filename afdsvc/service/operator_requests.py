@@ -98,7 +98,7 @@ def _minutes(a: Arguments) -> float:
     try:
         return float(a.get("minutes") or 0)
     except (TypeError, ValueError):
-        raise BadInput(f"minutes {a.get('minutes')!r}; a number is wanted") from None
+        raise BadInput(f"minutes {a.get('minutes')!r}; expected a number") from None
 
 
 Handler = Callable[[Mapping[str, Any], str], Any]

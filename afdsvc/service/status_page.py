@@ -16,7 +16,7 @@ from afdsvc.service.hub import Hub
 from afdsvc.service.operator_requests import plain
 
 log = logging.getLogger(__name__)
-DECISIONS = 60  # of each machine that the page is told
+DECISIONS = 60  # of each machine shown on the page
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; base-uri 'none'"
 
 
@@ -67,7 +67,7 @@ class _Handler(BaseHTTPRequestHandler):
         return "", b""
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Requests are not worth a line each."""
+        """Requests are not logged."""
         log.debug(format, *args)
 
 
@@ -82,7 +82,7 @@ def serve_page(listen: str, hub: Hub) -> Callable[[], None]:
     try:
         server = ThreadingHTTPServer((host, int(port)), handler)
     except (OSError, OverflowError) as error:
-        raise BadInput(f"web.listen = '{listen}': {error}; a free address of this computer is wanted") from None
+        raise BadInput(f"web.listen = '{listen}': {error}; expected a free address of this computer") from None
     server.daemon_threads = True
     thread = threading.Thread(target=server.serve_forever, name="web", daemon=True)
     thread.start()

@@ -1,4 +1,4 @@
-"""A burst judged that nobody played: what is designed once for each burst is there before the first real one is judged.
+"""Rehearsal: a simulated burst is judged, so that everything designed once per burst exists before the first real one.
 
 Designing what a detector looks for takes tenths of a second for each machine, loading compiled code seconds for the first. The
 worker that judges all machines would stand still meanwhile.

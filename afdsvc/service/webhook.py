@@ -49,7 +49,7 @@ class Webhook:
 def _checked_url(url: str) -> str:
     parts = urllib.parse.urlsplit(url)
     if parts.scheme not in ("http", "https") or not parts.hostname:
-        raise BadInput(f"webhook: url '{url}'; an address that begins with http:// or https:// is wanted")
+        raise BadInput(f"webhook: url '{url}'; expected an address that begins with http:// or https://")
     if parts.password or parts.username:
         raise BadInput("webhook: url holds a user or password; put it into an environment variable (headers_from_environment)")
     return url

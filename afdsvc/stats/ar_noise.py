@@ -65,7 +65,7 @@ def fit(pieces: Sequence[Array], order: int = ORDER) -> Whitener:
         total += now.T @ now
         count += len(now)
     if count <= order * p:
-        raise BadInput(f"{count} samples of noise; more than {order * p} are wanted to whiten with order {order}")
+        raise BadInput(f"{count} samples of noise; expected more than {order * p} to whiten with order {order}")
     ridge = 1e-9 * np.trace(gram) / max(order * p, 1) * np.eye(order * p)
     coefficients = np.linalg.solve(gram + ridge, cross)
     cov = (total - coefficients.T @ cross) / count

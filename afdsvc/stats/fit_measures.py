@@ -29,12 +29,12 @@ def measures(measured: Array, predicted: Array) -> list[Measures]:
     all."""
     if measured.shape != predicted.shape:
         raise BadInput(
-            f"measured outputs have shape {measured.shape}, predicted ones {predicted.shape}; equal shapes are wanted"
+            f"measured outputs have shape {measured.shape}, predicted ones {predicted.shape}; expected equal shapes"
         )
     spread = np.linalg.norm(measured - measured.mean(axis=0), axis=0)
     if not (spread > 0).all():
         raise BadInput(
-            f"output {int(np.argmin(spread))} is constant over {len(measured)} samples; a moving output is wanted"
+            f"output {int(np.argmin(spread))} is constant over {len(measured)} samples; expected a moving output"
         )
     ratio = np.linalg.norm(measured - predicted, axis=0) / spread
     return [Measures(float(1 - r), float(r), float(1 - r * r)) for r in ratio]

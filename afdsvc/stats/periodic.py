@@ -65,9 +65,9 @@ def repeated(run: Run, w: Array, beside: Array) -> Array:
     ours, other = fold(run, w), fold(run, beside)
     if ours is None or other is None:
         return w
-    told = beside.copy()
-    told[len(w) - ours.shape[0] * ours.shape[1] :] += np.tile(ours.mean(0) - other.mean(0), (len(ours), 1))
-    return told
+    shifted = beside.copy()
+    shifted[len(w) - ours.shape[0] * ours.shape[1] :] += np.tile(ours.mean(0) - other.mean(0), (len(ours), 1))
+    return shifted
 
 
 def _lines(run: Run, w: Array, top: float) -> tuple[Array, Array, dict[str, BoolArray], int] | None:

@@ -40,7 +40,7 @@ def residual_tests(errors: Array, inputs: Array, lags: int = 25) -> ResidualTest
     """Test residuals ``(N, p)`` against the inputs ``(N, m)``; raises `BadInput` when fewer than ``4 lags`` samples."""
     e, u = errors - errors.mean(axis=0), inputs - inputs.mean(axis=0)
     if len(e) < 4 * lags:
-        raise BadInput(f"{len(e)} residuals for {lags} lags; at least {4 * lags} are wanted")
+        raise BadInput(f"{len(e)} residuals for {lags} lags; expected at least {4 * lags}")
     p, m, count = e.shape[1], u.shape[1], len(e)
     auto = np.stack([_covariances(e[:, i], e[:, i], lags)[lags:] for i in range(p)], axis=1)
     cross = np.empty((2 * lags + 1, p, m))

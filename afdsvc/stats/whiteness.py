@@ -47,7 +47,7 @@ class LagSums:
     def empty(cls, lags: int, faults: int, outputs: int) -> LagSums:
         """Return sums over nothing."""
         if lags < 1 or outputs < 1:
-            raise BadInput(f"{lags} lags of {outputs} outputs; at least one of each is wanted")
+            raise BadInput(f"{lags} lags of {outputs} outputs; expected at least one of each")
         shape = (lags + 1, faults, outputs, outputs)
         residual, mean = np.zeros((lags + 1, outputs, outputs)), np.zeros((1 + faults, outputs))
         past = np.zeros((lags, 1 + faults, outputs))
@@ -145,7 +145,7 @@ def whiteness_without(sums: LagSums, fault: int, theta: float) -> Whiteness:
 def _tests(n: int, products: Array, total: Array) -> Whiteness:
     lags, p = products.shape[0] - 1, products.shape[1]
     if n < 10 * lags:
-        raise BadInput(f"{n} quiet samples for {lags} lags; at least {10 * lags} are wanted")
+        raise BadInput(f"{n} quiet samples for {lags} lags; expected at least {10 * lags}")
     C0 = products[0] / n
     sd = tuple(float(v) for v in np.sqrt(np.diag(C0)))
     if not np.isfinite(products).all() or np.linalg.cond(C0) > 1e12:

@@ -32,11 +32,11 @@ Answer = Callable[[bytes], bytes]
 
 
 class NoPeer(BadInput):
-    """The session could not be opened: nobody listens there, or somebody does already."""
+    """The session could not be opened: no listener there, or the address is in use."""
 
 
 class PeerSilent(AfdsvcError):
-    """Nobody answered a query in time."""
+    """No answer to a query in time."""
 
 
 def configuration(settings: site_file.Transport, hub: bool, access: Access = NOBODY) -> zenoh.Config:
@@ -61,7 +61,7 @@ def configuration(settings: site_file.Transport, hub: bool, access: Access = NOB
 
 
 def _secure(put: Callable[[str, Any], None], settings: site_file.Transport, hub: bool, access: Access) -> None:
-    """Mutual TLS with the certificate of one's own name; the hub lets nobody say what is not theirs to say."""
+    """Mutual TLS with the certificate of the own name; the hub enforces which keys each name may publish."""
     if settings.security is None:
         return
     files = key_files(settings.security, access.identity)
@@ -229,9 +229,9 @@ class Transport:
 
     def _why_silent(self, key: str) -> str:
         if self._settings.security is None:
-            return f"nobody answers at {key}; is it running?"
+            return f"no answer at {key}; is it running?"
         who = self._access.identity
-        return f"nobody answers at {key}: it does not run, or '{who}' is not listed as one who may ask that at this secured site"
+        return f"no answer at {key}: it does not run, or '{who}' is not listed as one who may ask that at this secured site"
 
     def _why_not(self, error: str) -> str:
         where = ", ".join(self._settings.listen if self._hub else self._settings.endpoints())

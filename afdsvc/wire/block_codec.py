@@ -1,7 +1,7 @@
 """Blocks to bytes and back.
 
 Protobuf's Python runtime takes about 0.5 us per sample to fill packed doubles, and blocks are the bulk of all traffic.
-Their signals are therefore appended to a serialised header by hand: tag, length, raw little-endian doubles. The bytes
+Their signals are therefore appended to a serialised header byte by byte: tag, length, raw little-endian doubles. The bytes
 are the ones protobuf itself writes.
 """
 
@@ -23,7 +23,7 @@ _SIGNALS, _NAME, _UNIT, _VALUES = (n << 3 | 2 for n in (10, 1, 2, 3))  # length-
 def encode_block(block: Block) -> bytes:
     """Return the message, doubles bit for bit; raises `BadInput` for a block without samples or an invalid field."""
     if not len(block):
-        raise BadInput(f"block {block.seq} of machine '{block.machine}' holds no samples; at least one is wanted")
+        raise BadInput(f"block {block.seq} of machine '{block.machine}' holds no samples; expected at least one")
     header = build(
         pb.Block, timestamp=stamp(block.t0_ns), machine=block.machine, session=block.session, seq=block.seq,
         k0=block.k0, dt=block.dt, burst=block.burst, late=block.late,
@@ -53,8 +53,8 @@ def _values_of(message: pb.Block) -> np.ndarray:
     for i, signal in enumerate(message.signals):
         if len(signal.values) != samples or not samples:
             found = f"channel '{signal.name}' holds {len(signal.values)} samples"
-            wanted = f"{samples}, as many as '{message.signals[0].name}'," if samples else "at least one"
-            raise BadInput(f"block {message.seq} of machine '{message.machine}': {found}; {wanted} wanted")
+            wanted = f"{samples}, as many as '{message.signals[0].name}'" if samples else "at least one"
+            raise BadInput(f"block {message.seq} of machine '{message.machine}': {found}; expected {wanted}")
         values[:, i] = signal.values
     return values
 

@@ -96,7 +96,7 @@ def _waveform(message: pb.Burst) -> Array | None:
     lengths = [len(column.values) for column in message.waveform]
     if lengths != [message.samples] * message.inputs:
         wanted = f"{message.inputs} of {message.samples} samples"
-        raise BadInput(f"burst '{message.name}': waveform columns of {lengths} samples; {wanted} are wanted")
+        raise BadInput(f"burst '{message.name}': waveform columns of {lengths} samples; expected {wanted}")
     waveform = np.array([column.values for column in message.waveform]).T.copy()
     _finite(message.name, *waveform.ravel().tolist())
     return waveform
@@ -104,5 +104,5 @@ def _waveform(message: pb.Burst) -> Array | None:
 
 def _finite(name: str, *values: float) -> tuple[float, ...]:
     if not all(map(math.isfinite, values)):
-        raise BadInput(f"burst '{name}' contains NaN or infinity; finite numbers are wanted")
+        raise BadInput(f"burst '{name}' contains NaN or infinity; expected finite numbers")
     return values

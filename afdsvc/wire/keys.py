@@ -1,4 +1,4 @@
-"""Every zenoh key of afdsvc, and why each exists. Nobody else writes a key expression.
+"""Every zenoh key of afdsvc, and why each exists. Key expressions are written nowhere else.
 
 A key is ``afdsvc/{site}/{machine}/{what}`` for what belongs to one machine, so that one access rule on
 ``afdsvc/{site}/{machine}/**`` grants or refuses it as a whole, and ``afdsvc/{site}/service/{what}`` for the service.
@@ -22,22 +22,22 @@ _LONGEST = 64
 def checked_id(what: str, value: str) -> str:
     """Return a site or machine id that can be a chunk of a key; raises `BadInput` naming the character that cannot."""
     if not value:
-        raise BadInput(f"{what} id is empty; a short name like 'bearing-1' is wanted")
+        raise BadInput(f"{what} id is empty; expected a short name like 'bearing-1'")
     if len(value) > _LONGEST:
-        raise BadInput(f"{what} id '{value[:_LONGEST]}...' has {len(value)} characters; at most {_LONGEST} are wanted")
+        raise BadInput(f"{what} id '{value[:_LONGEST]}...' has {len(value)} characters; expected at most {_LONGEST}")
     found = _FORBIDDEN.search(value)
     if found:
-        wanted = "letters, digits and the signs - _ . are wanted"
+        wanted = "expected letters, digits and the signs - _ ."
         raise BadInput(f"{what} id {value!r} contains {found.group()!r}; {wanted}")
     if value[0] in ".-":
-        raise BadInput(f"{what} id {value!r} begins with '{value[0]}'; a letter, a digit or _ is wanted first")
+        raise BadInput(f"{what} id {value!r} begins with '{value[0]}'; expected a letter, a digit or _ first")
     return value
 
 
 def checked_machine(value: str) -> str:
     """Return a machine id; raises `BadInput` as `checked_id`, and for the word the service itself is found under."""
     if value == SERVICE:
-        raise BadInput(f"machine id '{SERVICE}' is taken by the service itself; another name is wanted")
+        raise BadInput(f"machine id '{SERVICE}' is taken by the service itself; expected another name")
     return checked_id("machine", value)
 
 
@@ -71,7 +71,7 @@ class Keys:
         return self._of(machine, "stop")
 
     def lease(self, machine: str) -> str:
-        """Renewals from whoever asked for a burst; without them the rig ends it, so a dead service excites nobody."""
+        """Renewals from whoever asked for a burst; without them the rig ends it, so no machine is excited after the service has died."""
         return self._of(machine, "lease")
 
     def alive(self, machine: str, session: str) -> str:
@@ -91,7 +91,7 @@ class Keys:
         return self._of(machine, "evidence")
 
     def alarm(self, machine: str) -> str:
-        """What happens to the machine's alarms, published by the service for displays and whoever must be told."""
+        """What happens to the machine's alarms, published by the service for displays and notifications."""
         return self._of(machine, "alarm")
 
     def service_alive(self) -> str:

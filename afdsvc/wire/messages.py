@@ -83,7 +83,7 @@ class Lease:
 class RigDescription:
     """What a rig says of itself; ``limits`` is None for a machine that can only be watched.
 
-    ``samples``, ``late`` and ``head_room`` (share of the sample period the loop did not use) are told as a heartbeat.
+    ``samples``, ``late`` and ``head_room`` (share of the sample period the loop did not use) are sent as a heartbeat.
     """
 
     machine: str
@@ -112,7 +112,7 @@ class Finding:
 
 
 class AlarmKind(StrEnum):
-    """What an alarm is about: a fault of the machine, the watching itself (a dead sensor), or something merely worth saying."""
+    """What an alarm is about: a fault of the machine, a fault of the monitoring (a dead sensor), or a notice."""
 
     FAULT = "fault"
     SYSTEM = "system"
@@ -154,7 +154,7 @@ class Alarm:
 
     @property
     def retained(self) -> bool:
-        """Whether it stays on the list: it still holds, is latched, or nobody has seen it (a notice ends by itself)."""
+        """Whether it stays on the list: it is active, latched or unacknowledged (a notice ends by itself)."""
         return self.active or self.latched or (not self.acknowledged and self.kind is not AlarmKind.NOTICE)
 
     @property
@@ -176,7 +176,7 @@ class AlarmChange:
 
 @dataclass(frozen=True, slots=True)
 class MachineStatus:
-    """How one machine is seen by the service; ``reason`` explains any state but running."""
+    """State of one machine in the service; ``reason`` explains any state but running."""
 
     machine: str
     state: str

@@ -49,7 +49,7 @@ def count(message: Any, name: str) -> int:
     value = int(getattr(message, name))
     if value >= _END:
         found = f"{name} = {value}"
-        raise BadInput(f"{message.DESCRIPTOR.name} message with {found}; below 2**63 is wanted: {_where(message)}")
+        raise BadInput(f"{message.DESCRIPTOR.name} message with {found}; expected below 2**63: {_where(message)}")
     return value
 
 
@@ -58,7 +58,7 @@ def positive(message: Any, name: str) -> float:
     value = float(getattr(message, name))
     if not (math.isfinite(value) and value > 0):
         found = f"{name} = {value}"
-        wanted = f"a positive number is wanted: {_where(message)}"
+        wanted = f"expected a positive number: {_where(message)}"
         raise BadInput(f"{message.DESCRIPTOR.name} message with {found}; {wanted}")
     return value
 
@@ -66,7 +66,7 @@ def positive(message: Any, name: str) -> float:
 def stamp(t_ns: int) -> Timestamp:
     """Return Unix nanoseconds as a timestamp; raises `BadInput` outside 1970 to 2262."""
     if not 0 <= t_ns < _END:
-        raise BadInput(f"time stamp {t_ns} ns; Unix nanoseconds from 0 to 2**63 are wanted")
+        raise BadInput(f"time stamp {t_ns} ns; expected Unix nanoseconds from 0 to 2**63")
     return Timestamp(seconds=t_ns // 10**9, nanos=t_ns % 10**9)
 
 
@@ -74,7 +74,7 @@ def nanoseconds(timestamp: Timestamp) -> int:
     """Return a timestamp as Unix nanoseconds; raises `BadInput` as `stamp`."""
     t_ns = timestamp.seconds * 10**9 + timestamp.nanos
     if not (0 <= timestamp.nanos < 10**9 and 0 <= t_ns < _END):
-        raise BadInput(f"time stamp of {timestamp.seconds} s and {timestamp.nanos} ns; a Unix time is wanted")
+        raise BadInput(f"time stamp of {timestamp.seconds} s and {timestamp.nanos} ns; expected a Unix time")
     return t_ns
 
 
@@ -88,7 +88,7 @@ def by_name(values: Iterable[pb.NamedValue]) -> dict[str, float]:
     found: dict[str, float] = {}
     for item in values:
         if item.name in found:
-            raise BadInput(f"value '{item.name}' is given twice; once is wanted")
+            raise BadInput(f"value '{item.name}' is given twice; expected once")
         found[item.name] = item.value
     return found
 

@@ -24,13 +24,13 @@ def encode_event(event: RigEvent) -> bytes:
 
 
 def decode_event(data: bytes) -> RigEvent:
-    """Return the event; raises `BadInput` for a kind nobody knows or a field that is missing."""
+    """Return the event; raises `BadInput` for an unknown kind or a missing field."""
     message = parse(pb.RigEvent, data)
     required(message, "machine", "session", "timestamp")
     names = {number: name for name, number in pb.RigEvent.Kind.items()}
     name = names.get(message.kind, "")
     if name not in EventKind.__members__:
-        wanted = f"one of {', '.join(EventKind)} is wanted"
+        wanted = f"expected one of {', '.join(EventKind)}"
         raise BadInput(f"event of machine '{message.machine}' has kind {message.kind}; {wanted}")
     return RigEvent(
         checked_machine(message.machine), message.session, nanoseconds(message.timestamp), EventKind[name],
@@ -74,5 +74,5 @@ def _limits(message: pb.RigDescription) -> Limits | None:
     found = message.limits
     output, input_, alpha = (np.array(x, dtype=float) for x in (found.output, found.input, found.alpha))
     if not (np.concatenate([output, input_, alpha]) >= 0).all():
-        raise BadInput(f"limits of machine '{message.machine}' are negative or NaN; bounds of 0 or more are wanted")
+        raise BadInput(f"limits of machine '{message.machine}' are negative or NaN; expected bounds of 0 or more")
     return Limits(output, input_, alpha, positive(found, "seconds"))

@@ -53,7 +53,7 @@ def decode_command(data: bytes) -> Command:
     required(message, "name")
     arguments = json_value(f"arguments of command '{message.name}'", message.arguments or "{}")
     if not isinstance(arguments, dict):
-        raise BadInput(f"arguments of command '{message.name}' are {message.arguments[:40]}; a JSON object is wanted")
+        raise BadInput(f"arguments of command '{message.name}' are {message.arguments[:40]}; expected a JSON object")
     return Command(message.name, arguments, message.asked_by)
 
 
@@ -129,4 +129,4 @@ def _kind(value: str) -> AlarmKind:
     try:
         return AlarmKind(value or "fault")
     except ValueError:
-        raise BadInput(f"an alarm of kind '{value[:40]}'; fault, system or notice is wanted") from None
+        raise BadInput(f"an alarm of kind '{value[:40]}'; expected fault, system or notice") from None

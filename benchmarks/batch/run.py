@@ -4,7 +4,7 @@
 
 Twenty different recordings of a gas bearing (4.5 s each, a burst of 2 s; every other one has a fault) stand under a thousand
 names. One worker does a share of them, two workers do all; both rates are counted from the first finished recording, so that
-the start of the workers is told apart. The second run is killed in the middle and started again: what was done must not be done
+the start of the workers is timed separately. The second run is killed in the middle and started again: what was done must not be done
 again. Prints the ratio of the rates, and processor time per recording, which other work on the computer does not change much.
 """
 

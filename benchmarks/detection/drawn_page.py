@@ -27,7 +27,7 @@ Rates of 1/10 and 1/100 are counted on played bursts. Rarer ones are found by im
 of which is wider: for the line detectors and the CUSUM only the coordinates of the lines are drawn, with mean and covariance of each
 machine; for the others whole bursts are played, with faults of two severities, and weighted by their likelihood without a fault over
 that of the mixture. Those few hundred bursts are too few for the rare cells, which are refused. Intervals are 99 %. *Taken as certain*
-is the same detector on the same machines, had its owner stated no uncertainty.
+is the same detector on the same machines with no uncertainty stated.
 
 """
 BLIND = """\

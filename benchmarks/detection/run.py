@@ -29,7 +29,7 @@ from page import Results, html_page, markdown  # noqa: E402
 ROOT = Path(__file__).resolve().parents[2]
 INTRO = """\
 Every machine plays its diagnosis burst; sensor noise is the only noise. Every detector is shown the same bursts. Thresholds \
-are put where each of them alarms on the stated share of the same healthy bursts, so nobody gains by alarming more often. \
+are put where each of them alarms on the stated share of the same healthy bursts, so that no detector gains by alarming more often. \
 Intervals are 95 % and count the error of the calibration as well as that of the counted bursts.
 
 "Clairvoyant" knows which fault it is and how severe: by the lemma of Neyman and Pearson nothing beats it on the same samples. \

@@ -135,7 +135,7 @@ def page() -> None:
             text,
             f"{skipped[kind]} models left out: their controller does not stabilise the true plant, or none exists. Smallest "
             f"median of the refined Hansen estimate in the tenths of theta from 0.1 to 0.5, relative to 0 to 0.1 (whose middle is 0.05): "
-            f"**{100 * holds[0]:.1f} % horizontal, {100 * holds[1]:.1f} % vertical** (at least 90 % wanted).",
+            f"**{100 * holds[0]:.1f} % horizontal, {100 * holds[1]:.1f} % vertical** (target: at least 90 %).",
             "Models with less than 90 % of the truth's own R2 in either output: " + "; ".join(f"{k} {v}" for k, v in lost.items()) + ".",
         ]
     counts = " ".join(str(n) for k in KINDS if (n := len(rows[k]) + skipped[k]))

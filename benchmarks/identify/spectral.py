@@ -25,7 +25,7 @@ def direct_spectral(recording: Recording, segment: int) -> tuple[Array, ComplexA
 def indirect_spectral(recording: Recording, external: Array, segment: int) -> tuple[Array, ComplexArray]:
     """Return frequencies [rad/s] and ``S_yr S_ur^-1`` with an external signal ``r (N, m)`` free of the noise."""
     if external.shape != recording.u.shape:
-        raise BadInput(f"external signal of shape {external.shape}; that of the input, {recording.u.shape}, is wanted")
+        raise BadInput(f"external signal of shape {external.shape}; expected that of the input, {recording.u.shape},")
     both = np.hstack([recording.y, recording.u])
     omega, S, _ = _cross_spectra(both, external, external, recording.dt, segment)
     p = recording.y.shape[1]
@@ -35,7 +35,7 @@ def indirect_spectral(recording: Recording, external: Array, segment: int) -> tu
 def _cross_spectra(a: Array, b: Array, c: Array, dt: float, segment: int) -> tuple[Array, ComplexArray, ComplexArray]:
     """Return frequencies, ``S_ab (k, na, nb)`` and ``S_bc``."""
     if len(a) < 4 * segment:
-        raise BadInput(f"{len(a)} samples for segments of {segment}; at least {4 * segment} are wanted")
+        raise BadInput(f"{len(a)} samples for segments of {segment}; expected at least {4 * segment}")
 
     def spectrum(x: Array, z: Array) -> tuple[Array, ComplexArray]:
         # scipy's csd conjugates its first argument

@@ -70,7 +70,7 @@ def study(runs: int) -> None:
         parts += [
             f"## {words}",
             table(["parameter", "truth", "standard error (median)", "intervals that hold the truth", "mean of (estimate - truth)/se", "its sd"], rows),
-            f"Between {inside.min():.1f} and {inside.max():.1f} % (92 to 98 % wanted).",
+            f"Between {inside.min():.1f} and {inside.max():.1f} % (target: 92 to 98 %).",
         ]
     write("identification-coverage", "Do the standard errors cover?", f"python benchmarks/identify/standard_errors.py {runs}", parts)
 

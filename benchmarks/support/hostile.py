@@ -213,7 +213,7 @@ def burst(_folder: Path) -> Target:
     machine = commissioning.commission(config, plugins)
     port: Any = commissioning.open_port(machine, "s", FastClock(), plugins)
     if machine.limits is None:
-        raise BadInput("the gas bearing has no limits; a machine that can be excited is wanted")
+        raise BadInput("the gas bearing has no limits; expected a machine that can be excited")
     return Target(_burst_request, partial(_play, port, machine.limits))
 
 

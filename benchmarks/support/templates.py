@@ -45,7 +45,7 @@ class Templates:
 def _wave(problem: DetectionProblem, fault: str, severity: float, alpha: Array) -> Array:
     path = residual_path(problem, {fault: severity})
     if not path.is_stable():
-        raise BadInput(f"fault '{fault}' of severity {severity:g} makes the loop unstable; a severity it survives is wanted")
+        raise BadInput(f"fault '{fault}' of severity {severity:g} makes the loop unstable; expected a severity it survives")
     return simulate(path, alpha)[0]
 
 

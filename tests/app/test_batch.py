@@ -74,7 +74,7 @@ def test_a_batch_that_is_killed_goes_on(tmp_path):
 
 
 def test_wrong_wishes_are_named(tmp_path):
-    with pytest.raises(BadInput, match="task 'paint'; one of diagnose, identify, explain"):
+    with pytest.raises(BadInput, match="task 'paint'; expected one of diagnose, identify, explain"):
         Batch("paint")
     with pytest.raises(BadInput, match="task 'identify' needs --model"):
         Batch("identify")

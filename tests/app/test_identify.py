@@ -41,7 +41,7 @@ def test_bursts_fit_the_machine(bearing, plugins, purpose):
 
 
 def test_an_unknown_purpose_is_named(bearing):
-    with pytest.raises(BadInput, match="burst purpose 'x'; one of diagnose, identify"):
+    with pytest.raises(BadInput, match="burst purpose 'x'; expected one of diagnose, identify"):
         commissioning.identification_burst(bearing(), "x", np.random.default_rng(0))
 
 

@@ -116,7 +116,7 @@ def test_they_count_for_nothing_and_it_is_said():
     assert np.isfinite(traces[0].values).all()  # the recording itself is not touched
     told = [f for f in check(MODEL, traces) if f.topic in ("glitches", "gaps")]
     assert [f.topic for f in told] == ["glitches", "glitches"]
-    assert "r0: 1 of 2000 samples of y_position stand alone, the farthest at 1.207 s 4.93 mm" in told[0].sentence
+    assert "r0: 1 of 2000 samples of y_position are isolated outliers, the largest at 1.207 s 4.93 mm" in told[0].sentence
 
 
 def test_what_recurs_is_kept_in_what_is_prepared():

@@ -33,7 +33,7 @@ def test_healthy_recordings_pass(healthy):
 
 
 def test_too_short(healthy):
-    with pytest.raises(BadInput, match=r"run.mcap: 300 samples \(0.3 s\) are too short; at least 1000 \(1 s\)"):
+    with pytest.raises(BadInput, match=r"run.mcap: 300 samples \(0.3 s\) are too short; expected at least 1000 \(1 s\)"):
         screen(healthy.span(0, 300), 1000)
 
 

@@ -14,7 +14,7 @@ from afdsvc.detect.statistics import likelihood_ratio
 from afdsvc.detect.statistics.fault_curves import loop_response
 from afdsvc.detect.statistics.line_tests import LikelihoodRatio
 from afdsvc.detect.statistics.regression import regression
-from afdsvc.detect.thresholds.power import deflection_wanted, pair_confusion
+from afdsvc.detect.thresholds.power import pair_confusion, required_deflection
 from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.excite.efficiency import efficiency, samples_for
 from afdsvc.excite.expected_detection import burst_detection, expected_detection
@@ -201,7 +201,7 @@ def one_sine(problem, amplitude):
 
 def mixture(problem, amplitude):
     found = candidates(problem, GRID, -0.1)
-    wanted = np.concatenate([np.full(4, deflection_wanted(1e-6, 0.99)), np.zeros(len(found.pairs))])
+    wanted = np.concatenate([np.full(4, required_deflection(1e-6, 0.99)), np.zeros(len(found.pairs))])
     split = allocate(found, wanted, [(found.output.sum(axis=0), amplitude**2 / 2)])
     return sorted(split.lines, key=lambda line: line.omega), split.samples
 

@@ -71,8 +71,8 @@ def test_nan_names_channel_and_sample():
 def test_wrong_channels_or_rate_are_named():
     other = (Channel("u_a", "V"), Channel("y_c", "um"))
     out = run([block(0, 0, channels=other), block(0, 0, dt=2e-3)])
-    assert "channels u_a, y_c; wanted are u_a, y_b" in out[0].findings[0].message
-    assert "0.002 s; 0.001 s is wanted" in out[1].findings[0].message
+    assert "channels u_a, y_c; expected u_a, y_b" in out[0].findings[0].message
+    assert "0.002 s; expected 0.001 s" in out[1].findings[0].message
 
 
 def test_a_wrong_shape_cannot_become_a_block():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Limits
-from afdsvc.detect.thresholds.power import separation_wanted
+from afdsvc.detect.thresholds.power import required_separation
 from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.amplitude_budget import costs, noise_deviations
 from afdsvc.excite.diagnosis_burst import Aim, default_burst
@@ -24,7 +24,7 @@ def test_all_four_faults_can_be_told_apart_inside_the_limits(controller, rpm):
     assert burst.samples * problem.plant.dt == pytest.approx(2.5)
     assert "not_separated" not in burst.notes
     apart = burst_detection(problem, burst).separations(-0.5)
-    assert apart.min() > 0.99 * separation_wanted(0.99, 0.99999)
+    assert apart.min() > 0.99 * required_separation(0.99, 0.99999)
     _, noise = noise_deviations(problem)
     for fault in (None, *problem.fault_names):
         for severity in (-0.5, -1.0):

@@ -9,7 +9,7 @@ import pytest
 
 from afdsvc.api.bursts import Limits, Line
 from afdsvc.detect.statistics.fault_curves import loop_response
-from afdsvc.detect.thresholds.power import deflection_wanted, separation_wanted
+from afdsvc.detect.thresholds.power import required_deflection, required_separation
 from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.crest import _waves, low_crest, peak
 from afdsvc.excite.diagnosis_burst import second_burst
@@ -56,7 +56,7 @@ def test_two_lines_reach_the_computed_limit_where_one_needs_hours(controller, si
     alone = efficiency(problem, GRID, -0.1).best_single()[2]
     assert samples_for(alone, 0.1, 1e-6, 0.99) * DT == pytest.approx(single, rel=2e-3)
     found = candidates(problem, GRID, -0.1)
-    wanted = np.concatenate([np.full(4, deflection_wanted(1e-6, 0.99)), np.zeros(len(found.pairs))])
+    wanted = np.concatenate([np.full(4, required_deflection(1e-6, 0.99)), np.zeros(len(found.pairs))])
     split = allocate(found, wanted, [(found.output.sum(axis=0), 0.1**2 / 2)])
     assert split.samples * DT == pytest.approx(mixture, rel=1e-3)
     assert {line.input for line in split.lines} == {0, 1}
@@ -147,7 +147,7 @@ def test_second_burst_separates_the_two_suspects_better_than_the_first():
     per_um = lambda seen, b: seen.separation("horizontal_actuator", -0.3, "horizontal_sensor") / b  # noqa: E731
     assert per_um(burst_detection(problem, burst), float(burst.notes["output_amplitude"])) > 2 * per_um(first, 2.9)
     reached = burst_detection(problem, burst).separation("horizontal_actuator", -0.3, "horizontal_sensor")
-    assert reached > 0.99 * separation_wanted(0.99, 0.99999)
+    assert reached > 0.99 * required_separation(0.99, 0.99999)
     with pytest.raises(BadInput, match="two suspects"):
         second_burst(problem, limits, {"horizontal_actuator": 1.0}, -0.3)
 

@@ -113,7 +113,7 @@ def test_silent_inputs_stay_silent():
 
 
 def test_impossible_wishes_are_named():
-    with pytest.raises(BadInput, match=r"band 5 to 4000 Hz; 0 < low < high <= 2500 Hz"):
+    with pytest.raises(BadInput, match=r"band 5 to 4000 Hz; expected 0 < low < high <= 2500 Hz"):
         Band(5.0, 4000.0, np.ones(2), DT)
     with pytest.raises(BadInput, match="every amplitude is zero"):
         Band(5.0, 400.0, np.zeros(2), DT)

@@ -1,4 +1,4 @@
-"""The site file: what is right is read, what is wrong is named by file, key, value found and value wanted."""
+"""The site file: what is right is read, what is wrong is named by file, key, value found and value expected."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ def test_a_burst_never_outlives_who_asked_for_it(settings, bearing, plugins, how
             if how == "vanish":
                 hub._keep[-1].undeclare()
                 time.sleep(0.1)
-                assert "nobody would watch" in ear.ask(sine(5.0)).reason
+                assert "would not be supervised" in ear.ask(sine(5.0)).reason
                 hub.announce(KEYS.service_alive())
                 time.sleep(0.1)
             assert ear.ask(sine(5.0), lease=0.6 if how == "lease" else 5.0).accepted

@@ -152,11 +152,11 @@ def test_a_simulator_that_answers_nan_ends_with_its_name(folder):
         ([("axis.py:axis", "axis.py:nothing")], "key 'driver.unit' names .*axis.py, which defines no 'nothing'"),
         ([("axis.py:axis", "axis.py:three")], "names .*axis.py:three, which is no function"),
         ([("axis.py:axis", "no.such.module:f")], "names the module no.such.module, which cannot be imported: ModuleNotFoundError"),
-        ([("axis.py:axis", "axis")], "key 'driver.unit' is 'axis'; file.py:name or package.module:name is wanted"),
+        ([("axis.py:axis", "axis")], "key 'driver.unit' is 'axis'; expected file.py:name or package.module:name"),
         ([("limits = {output = [6.0], ", "limits = {")], "key 'limits.output' is missing; a machine with 'model' that is driven wants"),
-        ([("input = [3.0]", "input = [3.0, 4.0]")], "key 'limits.input' has 2 values; 1 are wanted"),
+        ([("input = [3.0]", "input = [3.0, 4.0]")], "key 'limits.input' has 2 values; expected 1"),
         ([("output_sd = [0.01]\n", "")], "has no controller or no noise"),
-        ([("real_time = false", "real_time = false\noptions = {start = 1.0}")], "starts with output 0 at 1; deviations from an operating point at 0"),
+        ([("real_time = false", "real_time = false\noptions = {start = 1.0}")], "starts with output 0 at 1; expected deviations from an operating point at 0"),
         ([("real_time = false", 'real_time = false\nvariables = {speed = "v"}')], "maps 'speed'; the model has force, position"),
         ([("real_time = false", 'real_time = false\nfaults = [{name = "mass", severity = -0.1}]')], "fault 'mass' cannot be injected .*: force_actuator, position_sensor"),
     ],
@@ -168,7 +168,7 @@ def test_what_does_not_fit_is_refused_before_anything_moves(folder, changes, sai
 
 def test_a_continuous_model_needs_a_sample_time(folder):
     (folder / "axis.toml").write_text(MODEL.replace('time = "discrete"\nsample_time = 0.002', 'time = "continuous"').replace("0.9, 0.1", "-9, 1").replace("-0.1, 0.8", "-1, -8"))
-    with pytest.raises(BadInput, match=r"states no sample time; key 'options\.sample_time' \[s\] is wanted"):
+    with pytest.raises(BadInput, match=r"states no sample time; expected key 'options\.sample_time' \[s\]"):
         machine(folder)
     found = machine(folder, ('id = "axis"', 'id = "axis"\noptions = {sample_time = 0.004}'))
     assert found.plant.dt == 0.004
@@ -186,7 +186,7 @@ def test_a_unit_is_a_machine_by_its_own_names_and_parameters(folder, fmi):
     opened.close()
     for change, said in [
         (("stiffness = 9000.0", "mass = 1.0"), "has no parameter 'mass'; it has force, stiffness"),
-        (("stiffness = 9000.0", 'stiffness = "high"'), "'driver.options.stiffness' is 'high'; a number is wanted"),
+        (("stiffness = 9000.0", 'stiffness = "high"'), "'driver.options.stiffness' is 'high'; expected a number"),
         (("options = {", 'variables = {position = "angle"}\noptions = {'), "has no output 'angle'; it has position"),
     ]:
         with pytest.raises(BadInput, match=said):

@@ -11,9 +11,9 @@ from afdsvc.identify.options import IdentifyOptions
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
-        ({"norm": 3}, "option norm = 3; 1 or 2 is wanted"),
+        ({"norm": 3}, "option norm = 3; expected 1 or 2"),
         ({"groups": 2}, "option groups = 2; 0"),
-        ({"method": "magic"}, "option method = 'magic'; one of auto"),
+        ({"method": "magic"}, "option method = 'magic'; expected one of auto"),
         ({"weighting": "heavy"}, "option weighting = 'heavy'; one of"),
     ],
 )

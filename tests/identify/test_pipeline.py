@@ -240,7 +240,7 @@ def test_not_exciting(model, diagnosis_burst):
         identify(model, [diagnosis_burst])
     text = str(told.value)
     assert "input 'horizontal' holds 1 spectral line: persistent excitation of order 2 was found" in text
-    assert "where 10 is wanted for a model of order 6" in text
+    assert ", expected 10 for a model of order 6" in text
     assert "afdsvc burst --purpose identify" in text
     assert "\n" not in text
 
@@ -250,7 +250,7 @@ def test_noise_that_comes_back_through_the_controller_is_no_excitation(model, di
 
     bare = replace(model, controller=None)
     for method in ("pbsid", "pem"):
-        with pytest.raises(BadInput, match=r"persistent excitation of order [24] was found where 10 is wanted"):
+        with pytest.raises(BadInput, match=r"persistent excitation of order [24], expected 10"):
             identify(bare, [diagnosis_burst], options=IdentifyOptions(method=method))
 
 

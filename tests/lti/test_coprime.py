@@ -161,7 +161,7 @@ def test_unstable_gains_are_refused_with_their_pole() -> None:
         observer_factorisation(G, 0 * F, L)
     with pytest.raises(BadInput, match=r"A \+ L C has the pole 1\.15"):
         observer_factorisation(G, F, 0 * L)
-    with pytest.raises(BadInput, match=r"gain F has shape \(2, 1\); a finite matrix of shape \(1, 2\)"):
+    with pytest.raises(BadInput, match=r"gain F has shape \(2, 1\); expected a finite matrix of shape \(1, 2\)"):
         observer_factorisation(G, F.T, L)
 
 
@@ -193,7 +193,7 @@ def test_only_stable_q_and_s_are_taken() -> None:
     unstable = StateSpace.of([[1.5]], np.ones((1, 3)), np.ones((2, 1)), None, 1.0)
     with pytest.raises(BadInput, match=r"Q has the pole 1\.5"):
         controller_from(f, unstable)
-    with pytest.raises(BadInput, match="S has 2 outputs and 3 inputs; 3 and 2 are wanted"):
+    with pytest.raises(BadInput, match="S has 2 outputs and 3 inputs; expected 3 and 2"):
         plant_from(f, unstable)
 
 
@@ -201,7 +201,7 @@ def test_ill_conditioned_factors_are_refused_with_both_numbers() -> None:
     """Eight unstable poles held by one input: rounding would reach the third digit of the identity."""
     G = StateSpace.of(np.diag(np.arange(1.0, 9.0)), np.ones((8, 1)), np.ones((1, 8)))
     F = lqr(G, np.eye(8), 1.0)
-    with pytest.raises(IllConditioned, match=r"holds only to .*\(below 1e-10 is wanted\): rounding is amplified .* times"):
+    with pytest.raises(IllConditioned, match=r"holds only to .*\(expected below 1e-10\): rounding is amplified .* times"):
         observer_factorisation(G, F, F.T)
 
 

@@ -101,7 +101,7 @@ def test_severities_by_name_and_their_refusals() -> None:
     assert np.array_equal(by_name.C, by_order.C)
     with pytest.raises(BadInput, match="'brake' is not known; the plant has pump, parameter, gauge, valve"):
         augmented.close({"brake": -0.5})
-    with pytest.raises(BadInput, match="4 finite numbers are wanted"):
+    with pytest.raises(BadInput, match="expected 4 finite numbers"):
         augmented.close([-0.5])
     part = augmented.reordered(["valve", "gauge"])
     wanted = augmented.close({"valve": -0.3, "gauge": -0.1})

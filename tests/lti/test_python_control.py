@@ -154,7 +154,7 @@ def test_shapes_times_and_types_are_named() -> None:
         lti.coprime(plant, control.ss([[0.1]], [[1.0]], [[1.0]], 0, 0.2))
     with pytest.raises(BadInput, match="the plant is a str"):
         lti.coprime("plant", plant)
-    with pytest.raises(BadInput, match="the true plant has 2 outputs and 1 inputs; 1 and 1 are wanted"):
+    with pytest.raises(BadInput, match="the true plant has 2 outputs and 1 inputs; expected 1 and 1"):
         lti.deviation(control.ss([[0.5]], [[1.0]], [[1.0], [1.0]], [[0], [0]], 0.1), plant, 0.1)
     with pytest.raises(BadInput, match="NaN or infinity"):
         lti.coprime(control.ss([[np.nan]], [[1.0]], [[1.0]], 0, 0.1), 0.1)

@@ -66,7 +66,7 @@ def test_unreachable_unstable_mode_is_refused() -> None:
 
 def test_bad_weights_are_named() -> None:
     G = plant(0.1)
-    with pytest.raises(BadInput, match=r"Q has shape \(2, 2\); a finite matrix of shape \(5, 5\)"):
+    with pytest.raises(BadInput, match=r"Q has shape \(2, 2\); expected a finite matrix of shape \(5, 5\)"):
         lqr(G, np.eye(2), np.eye(2))
     with pytest.raises(BadInput, match="R is singular"):
         lqr(G, np.eye(5), np.zeros((2, 2)))

@@ -58,9 +58,9 @@ def test_start_is_not_modified_and_static_gains_run() -> None:
 
 
 def test_wrong_shapes_and_continuous_systems_are_refused() -> None:
-    with pytest.raises(BadInput, match=r"inputs of shape \(5, 3\); \(samples, 2\) is wanted"):
+    with pytest.raises(BadInput, match=r"inputs of shape \(5, 3\); expected \(samples, 2\)"):
         simulate(system(1), np.zeros((5, 3)))
-    with pytest.raises(BadInput, match=r"initial state of shape \(2,\); \(6,\) is wanted"):
+    with pytest.raises(BadInput, match=r"initial state of shape \(2,\); expected \(6,\)"):
         simulate(system(1), np.zeros((5, 2)), np.zeros(2))
     with pytest.raises(BadInput, match="sample it with"):
         simulate(StateSpace.of([[-1.0]], [[1.0]], [[1.0]]), np.zeros((5, 1)))

@@ -92,9 +92,9 @@ def test_zero_order_hold_against_scipy_and_against_steps() -> None:
 
 
 def test_shapes_and_numbers_are_named() -> None:
-    with pytest.raises(BadInput, match=r"matrix A has shape \(2, 3\); a square matrix is wanted"):
+    with pytest.raises(BadInput, match=r"matrix A has shape \(2, 3\); expected a square matrix"):
         StateSpace.of(np.zeros((2, 3)), np.zeros((2, 1)), np.zeros((1, 2)))
-    with pytest.raises(BadInput, match=r"matrix B has shape \(3, 1\); \(2, 1\) is wanted"):
+    with pytest.raises(BadInput, match=r"matrix B has shape \(3, 1\); expected \(2, 1\)"):
         StateSpace.of(np.zeros((2, 2)), np.zeros((3, 1)), np.zeros((1, 2)))
     with pytest.raises(BadInput, match="matrix C contains NaN"):
         StateSpace.of([[0.0]], [[1.0]], [[np.nan]])

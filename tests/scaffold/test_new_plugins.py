@@ -43,7 +43,7 @@ def test_a_plugin_that_fails_is_told_check_by_check(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("kind", "name", "sentence"),
     [
-        ("colour", "a", "kind of plugin 'colour'; one of controller, detector"),
+        ("colour", "a", "kind of plugin 'colour'; expected one of controller, detector"),
         ("detector", "My-Detector", "plugin name 'My-Detector'; small letters"),
         ("detector", "class", "plugin name 'class'"),
         ("detector", "there", "there: is there already; nothing is overwritten"),

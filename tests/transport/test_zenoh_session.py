@@ -78,7 +78,7 @@ def test_queries_get_an_answer_or_the_reason(settings):
         assert hub.ask("afdsvc/t/m/burst", b"hello") == b"HELLO"
         with pytest.raises(AfdsvcError, match="no such burst"):
             hub.ask("afdsvc/t/m/burst", b"boom")
-        with pytest.raises(PeerSilent, match="nobody answers at afdsvc/t/other/burst"):
+        with pytest.raises(PeerSilent, match="no answer at afdsvc/t/other/burst"):
             hub.ask("afdsvc/t/other/burst", b"")
 
 

@@ -205,7 +205,7 @@ def message_of(kind, **changes):
         ("status", lambda m: m.machines[0].ClearField("state"), "without state"),
         ("status", lambda m: m.machines[0].alarms[0].ClearField("since"), "without since"),
         ("command", lambda m: m.ClearField("name"), "without name"),
-        ("command", lambda m: setattr(m, "arguments", "[1]"), "a JSON object is wanted"),
+        ("command", lambda m: setattr(m, "arguments", "[1]"), "expected a JSON object"),
         ("command", lambda m: setattr(m, "arguments", "{"), "is not JSON"),
         ("command", lambda m: setattr(m, "arguments", "[" * 100_000), "is not JSON"),
         ("command_reply", lambda m: setattr(m, "ok", False), "without error"),

@@ -186,7 +186,7 @@ class PlayedLines:
         return replace(self, sums=sums, energy=self.energy + np.sum(u**2, axis=0))
 
     def complaint(self, problem: DetectionProblem, burst: Burst) -> str:
-        """Return which line is missing from the measured input, in one sentence; "" when none is or nobody can tell."""
+        """Return which line is missing from the measured input, in one sentence; "" when none is missing or it cannot be decided."""
         if not self.sums.n:
             return ""
         omega = omegas(burst)
@@ -199,7 +199,7 @@ class PlayedLines:
             if expected[k] > SURE * noise and amplitude < WEAK * expected[k]:
                 return (
                     f"the excitation is absent from the data: the input shows an amplitude of {amplitude:.3g} at {w:.5g} rad/s, "
-                    f"at least {expected[k]:.3g} is wanted whatever is broken"
+                    f"expected at least {expected[k]:.3g}, whatever part has failed"
                 )
         return ""
 

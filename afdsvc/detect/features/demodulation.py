@@ -1,7 +1,7 @@
 """A burst reduced to a few numbers: least squares of the normalised residual on the excited lines.
 
 While the samples of a burst stream by, only ``sum phi phi'`` and ``sum phi e'`` are kept, phi being sine and cosine
-of every excited line followed by directions nobody wants to see in the answer: constant and slope, mains hum,
+of every excited line followed by nuisance directions: constant and slope, mains frequency,
 rotor-synchronous waves (from the rotor angle). What is left of the lines after those nuisances are projected out is
 
     z = R^-T (B_l - G_ln G_nn^-1 B_n),   R'R = G_ll - G_ln G_nn^-1 G_nl
@@ -63,7 +63,7 @@ class BasisSums:
         """Return the sums with the normalised residual ``e (n, p)`` added; ``first`` counts samples since the burst
         began.
 
-        ``angle (n,)`` is the rotor angle [rad], wanted when the basis has ``orders``.
+        ``angle (n,)`` is the rotor angle [rad], required when the basis has ``orders``.
         """
         G, B = self.G.copy(), self.B.copy()
         turned = np.zeros(0) if angle is None else np.ascontiguousarray(angle, dtype=float)
@@ -94,7 +94,7 @@ def project(sums: BasisSums, basis: Basis) -> Lines:
     if not left[0] > _COLLINEAR:
         raise IllConditioned(
             f"an excited line coincides with another or with a nuisance: {max(left[0], 0) * 2:.2g} of its energy is "
-            f"left, more than {2 * _COLLINEAR:.0e} is wanted"
+            f"left, expected more than {2 * _COLLINEAR:.0e}"
         )
     R = np.asarray(np.linalg.cholesky(G)).T
     return Lines(np.asarray(np.linalg.solve(R.T, B)), R)
@@ -106,7 +106,7 @@ def line_frequencies(burst: Burst) -> tuple[float, ...]:
         raise BadInput(f"burst '{burst.name}' is not a sum of sines; this detector needs one")
     omega = tuple(sorted({line.omega for line in burst.lines}))
     if len(omega) != len(burst.lines):
-        raise BadInput(f"burst '{burst.name}' uses a frequency on two inputs; one for each input is wanted")
+        raise BadInput(f"burst '{burst.name}' uses a frequency on two inputs; expected one for each input")
     return omega
 
 

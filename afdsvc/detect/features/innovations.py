@@ -23,7 +23,7 @@ class StreamingFilter:
 
     def __post_init__(self) -> None:
         if self.system.order and not self.system.discrete:
-            raise BadInput("a continuous-time system cannot filter samples; a discrete one (dt > 0) is wanted")
+            raise BadInput("a continuous-time system cannot filter samples; expected a discrete one (dt > 0)")
 
     def start(self) -> Array:
         """Return the state at rest, shape ``(order,)``."""
@@ -74,5 +74,5 @@ def decay(system: StateSpace, to: float = 1e-4) -> int:
         return 0
     slowest = float(np.abs(system.poles()).max())
     if slowest >= 1:
-        raise BadInput(f"the system has a pole of modulus {slowest:.6g}; a stable one is wanted")
+        raise BadInput(f"the system has a pole of modulus {slowest:.6g}; expected a stable one")
     return 1 if slowest < 1e-12 else int(np.ceil(np.log(to) / np.log(slowest)))

@@ -33,7 +33,7 @@ def calibrate_noise(plant: StateSpace, u: Array, y: Array, shortest: int = 500) 
     searched (profile likelihood). Raises `BadInput` when there are too few samples.
     """
     if len(y) < shortest:
-        raise BadInput(f"{len(y)} quiet samples are too few to calibrate the noise; at least {shortest} are wanted")
+        raise BadInput(f"{len(y)} quiet samples are too few to calibrate the noise; expected at least {shortest}")
     scale = np.maximum(_step_variance(y), 1e-30)
     drive = plant.B @ np.diag(_input_scale(u)) @ plant.B.T
 

@@ -1,7 +1,7 @@
-"""What nobody wants to see in a residual, taken out as it streams by: drift, mains hum, rotor-synchronous waves.
+"""Nuisances, removed from a residual recursively: drift, mains frequency, rotor-synchronous waves.
 
 Unbalance and runout turn with the rotor: sines and cosines of multiples of its angle. Together with constant and slope and
-with mains hum they span a space N; every series (residual, regressors, expected waves) is replaced by its recursive
+with sines at mains frequency they span a space N; every series (residual, regressors, expected waves) is replaced by its recursive
 residuals with respect to N,
 
     s*[t] = (s[t] - N[t] C[t-1]) / sqrt(1 + N[t] P[t-1] N[t]'),     P, C by recursive least squares from a diffuse start.
@@ -54,12 +54,12 @@ class Nuisances:
     angle: str = "angle"
 
     def turning(self, block: ResidualBlock) -> bool:
-        """Whether orders are taken out of this block; raises `BadInput` when the rotor angle is missing but wanted."""
+        """Whether orders are taken out of this block; raises `BadInput` when the rotor angle is required but missing."""
         if not self.orders or self.angle in block.aux:
             return bool(self.orders)
         if self.if_recorded:
             return False
-        raise BadInput(f"the block has no aux '{self.angle}'; the rotor angle is wanted to remove its waves")
+        raise BadInput(f"the block has no aux '{self.angle}'; expected the rotor angle to remove its waves")
 
     def angles(self, block: ResidualBlock) -> Array | None:
         """Return the rotor angle ``(n,)`` [rad] of a block, None when no orders are taken out of it."""

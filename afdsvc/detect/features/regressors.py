@@ -180,7 +180,7 @@ def whitener(covariance: Array) -> Array:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(Xi)))
     except np.linalg.LinAlgError:
         raise BadInput(
-            f"residual covariance {Xi.tolist()} is no covariance; a symmetric, positive definite matrix is wanted "
+            f"residual covariance {Xi.tolist()} is no covariance; expected a symmetric, positive definite matrix "
             "(state the noise of every output)"
         ) from None
 
@@ -189,7 +189,7 @@ def predictor_gain(problem: DetectionProblem, plant: StateSpace) -> Array:
     """Return Kp, shape ``(n, p)``, read from the innovations filter."""
     f, p = problem.innovations, plant.outputs
     if f.inputs != p + plant.inputs or f.outputs != p:
-        raise BadInput(f"the residual filter is {f.outputs} x {f.inputs}; {p} x {p + plant.inputs} is wanted")
+        raise BadInput(f"the residual filter is {f.outputs} x {f.inputs}; expected {p} x {p + plant.inputs}")
     if f.order == 0 and plant.order == 0:
         return np.zeros((0, p))
     Kp = f.B[:, :p] if f.order == plant.order else np.full((plant.order, p), np.nan)

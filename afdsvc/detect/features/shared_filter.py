@@ -148,7 +148,7 @@ def _reachable(A: Array, B: Array) -> tuple[Array, Array]:
     """Return scales ``(N,)`` and an orthonormal basis ``(N, d)`` of what white inputs move, in states divided by those.
 
     The factor S of the stationary covariance ``S S'`` is found by doubling (R. A. Smith, *SIAM J. Appl. Math.* 16, 1968)
-    and never squared, so that directions are told from rounding over the whole precision.
+    and never squared, so that directions are separated from rounding at full precision.
     """
     S, power = B, A
     for _ in range(DOUBLINGS):

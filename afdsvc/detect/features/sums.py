@@ -37,7 +37,7 @@ class Products:
         cross, square = self.cross.copy(), self.square.copy()
         flat = np.ascontiguousarray(series).reshape(len(series), -1)
         if flat.shape[1] != sum(cross.shape):
-            raise BadInput(f"series of {flat.shape[1]} columns; {cross.shape[0]} of the residual and {cross.shape[1]} features are wanted")
+            raise BadInput(f"series of {flat.shape[1]} columns; expected {cross.shape[0]} of the residual and {cross.shape[1]} features")
         _accumulate(flat, cross, square)
         return Products(self.n + len(series), cross, square)
 

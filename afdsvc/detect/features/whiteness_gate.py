@@ -71,7 +71,7 @@ class Gate:
         if sums.n < self.needed:
             return Judgement(
                 False,
-                f"only {sums.n} quiet samples since {state.because}; {self.needed} are wanted to trust a decision",
+                f"only {sums.n} quiet samples since {state.because}; expected {self.needed} to trust a decision",
             )
         plain = whiteness(sums)
         return Judgement(plain.p >= self.level, plain.reason(self.level), plain)

@@ -1,4 +1,4 @@
-"""CUSUM during a burst, against the waves the faults would cause: a large fault is told before the burst ends.
+"""CUSUM during a burst, against the waves the faults would cause: a large fault is detected before the burst ends.
 
 In the steady part of a burst every wave is a combination of the sines and cosines of its lines, so a block of samples says
 all it has to say by its products with those (`products`). Small and large faults want different severities in the ratio: the
@@ -27,7 +27,7 @@ from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.statistics.cusum import Cusum, CusumState, cusum
 from afdsvc.detect.statistics.fault_curves import FaultCurves, fault_curves
 from afdsvc.detect.thresholds.burst_crossing import Noise, paths
-from afdsvc.detect.thresholds.power import deflection_wanted
+from afdsvc.detect.thresholds.power import required_deflection
 from afdsvc.lti.statespace import Array
 from afdsvc.stats.memo import Played
 
@@ -125,7 +125,7 @@ class ActiveCusum:
 
     def _severities(self, curves: FaultCurves, roots: Array) -> tuple[Array, NDArray[np.intp]]:
         """Return the severities of all hypotheses and the fault of each: smallest deflection first."""
-        smallest = self.deflection or deflection_wanted(self.problem.false_alarms.per_burst, SURE)
+        smallest = self.deflection or required_deflection(self.problem.false_alarms.per_burst, SURE)
         reach, found = reachable(self.problem), []
         for i, name in enumerate(curves.names):
             low = 0.999 * reach[name][0]
@@ -168,11 +168,11 @@ def _deflection(curves: FaultCurves, name: str, severity: float, roots: Array) -
     return float(np.linalg.norm(roots @ curves.at(name, [severity])[0]))
 
 
-def _severity(curves: FaultCurves, name: str, low: float, wanted: float, roots: Array) -> float:
-    """Return the loss with the deflection wanted, ``low`` where the fault cannot cause that much."""
+def _severity(curves: FaultCurves, name: str, low: float, deflection: float, roots: Array) -> float:
+    """Return the loss with the required deflection, ``low`` where the fault cannot cause that much."""
     theta = 0.05 * low
     for _ in range(6):  # the deflection is not quite proportional to the severity
-        theta = max(low, theta * wanted / _deflection(curves, name, theta, roots))
+        theta = max(low, theta * deflection / _deflection(curves, name, theta, roots))
     return theta
 
 

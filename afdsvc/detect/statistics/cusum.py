@@ -74,7 +74,7 @@ class Cusum:
         ``flat (n, p + F)`` is the normalised residual, then the features. Stops at the crossing.
         """
         if flat.shape[1] != sum(state.cross.shape):
-            raise BadInput(f"series of {flat.shape[1]} columns; {' and '.join(map(str, state.cross.shape))} of residual and features are wanted")
+            raise BadInput(f"series of {flat.shape[1]} columns; expected {' and '.join(map(str, state.cross.shape))} of residual and features")
         g, n, total, began = state.g.copy(), state.n.copy(), state.total.copy(), state.began.copy()
         cross, square = state.cross.copy(), state.square.copy()
         at, who, peak, begun = _cusum(

@@ -33,7 +33,7 @@ SHORTEST = 1e-3  # standard deviations below which the whole curve of a fault co
 
 
 def waves_along(curves: FaultCurves, fault: str, data: LineData, end: float) -> Array:
-    """Return whitened waves ``(T, D)`` on one curve from small severities to ``end``, as close as they can be told apart.
+    """Return whitened waves ``(T, D)`` on one curve from small severities to ``end``, as close as they can be distinguished.
 
     Empty when the burst cannot see the fault.
     """

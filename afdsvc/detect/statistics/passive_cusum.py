@@ -81,7 +81,7 @@ class PassiveDetector:
         """
         shown = [self.problem.fault_names[i] for i in self.which]
         if fault not in shown:
-            raise BadInput(f"the loop's own noise does not show fault '{fault}'; one of {', '.join(shown)} is wanted")
+            raise BadInput(f"the loop's own noise does not show fault '{fault}'; expected one of {', '.join(shown)}")
         k, block = shown.index(fault), self.test.block
         theta, noise = float(self.test.severity[k]), noise_driven(self.problem)
         G = faulty_information(noise, int(self.which[k]), severity) * block
@@ -201,7 +201,7 @@ def passive_detector(
     passive = noise.passive[: filters.faults]
     which = np.flatnonzero(passive > 1e-12 * max(passive.max(initial=0.0), 1e-300))
     if not len(which):
-        raise BadInput(f"detector '{name}': the loop's own noise shows none of the faults; a burst is wanted for them")
+        raise BadInput(f"detector '{name}': the loop's own noise shows none of the faults; expected a burst for them")
     theta, block = np.full(len(which), severity), max(1, round(BLOCK / problem.plant.dt))
     boundary = _boundary(problem, noise, filters, which, theta, block)
     gate = replace(gate, settle=filters.settling())

@@ -47,7 +47,7 @@ class Regression:
     """Statistic of the regression detector. ``false_alarm`` is per burst, ``bounds`` those of the severities, ``sd``
     the standard deviations of the model's uncertain parameters, which are averaged out, ``nuisances`` what is projected
     out of residual and regressors, ``theta (K, p, F)`` makes the regressors from the features in the series. Severities of
-    the faults of ``first_order`` are told with twice their square beside the standard error.
+    the standard errors of the faults of ``first_order`` include twice the square of the severity.
     """
 
     names: tuple[str, ...]
@@ -81,8 +81,8 @@ class Regression:
         both = zip(self.names, b, np.diag(G), strict=True)
         fits = tuple(linear_fit(name, float(v), float(g), self.bounds) for name, v, g in both)
         parts = {"samples": float(sums.products.n)}
-        told = tuple(replace(f, sd=float(np.hypot(f.sd, CURVATURE * f.severity**2))) if f.fault in self.first_order else f for f in fits)
-        return [Finding(statistic, h, told, weights(fits, self._anything(sums, burst)), parts)]
+        adjusted = tuple(replace(f, sd=float(np.hypot(f.sd, CURVATURE * f.severity**2))) if f.fault in self.first_order else f for f in fits)
+        return [Finding(statistic, h, adjusted, weights(fits, self._anything(sums, burst)), parts)]
 
     def test(self, sums: RegressionSums, burst: Burst) -> tuple[float, float]:
         """Return statistic and threshold only."""

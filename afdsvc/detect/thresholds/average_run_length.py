@@ -51,7 +51,7 @@ def boundary(mu: float, samples: float) -> float:
     _check(mu, 1.0)
     shortest = 2 * run_length(mu, 1e-9)
     if not samples > shortest:
-        raise BadInput(f"run length of {samples:.3g} samples; one above {shortest:.3g} is wanted")
+        raise BadInput(f"run length of {samples:.3g} samples; expected one above {shortest:.3g}")
     goal = math.log(samples)
     return float(brentq(lambda b: math.log(run_length(mu, b)) - goal, 1e-9, goal + 1, xtol=1e-7))  # ARL >= e^b
 
@@ -76,7 +76,7 @@ def alarm_probability(mu: float, b: float, samples: int, changed: bool = False, 
 def burst_boundary(mu: float, samples: int, false_alarm: float) -> float:
     """Return b at which a CUSUM started at 0 alarms within ``samples`` samples with probability ``false_alarm``."""
     if not 0 < false_alarm < 0.5:
-        raise BadInput(f"false-alarm probability {false_alarm}; a number between 0 and 0.5 is wanted")
+        raise BadInput(f"false-alarm probability {false_alarm}; expected a number between 0 and 0.5")
     high, low = math.log(samples / false_alarm) + 1e-3, 1e-3 * mu  # P(alarm) <= samples e^-b
     if alarm_probability(mu, low, samples) <= false_alarm:
         return low
@@ -122,4 +122,4 @@ def _diffusion(mu: float, b: float, drift: float) -> float:
 
 def _check(mu: float, b: float) -> None:
     if not (mu > 0 and b > 0 and math.isfinite(mu) and math.isfinite(b)):
-        raise BadInput(f"deflection per sample {mu} and boundary {b}; two positive numbers are wanted")
+        raise BadInput(f"deflection per sample {mu} and boundary {b}; expected two positive numbers")

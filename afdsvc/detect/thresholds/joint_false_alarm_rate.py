@@ -29,7 +29,7 @@ from afdsvc.lti.statespace import Array, StateSpace
 
 LARGEST = 8  # faults simulated together
 WORK = 1.2e9  # multiplications spent: about half a second
-FEWEST = 60  # paths per fault below which no rate is told
+FEWEST = 60  # fewest simulated paths per fault for which a rate is given
 MOST = 10_000
 DRAW = 20  # multiplications that a normal number costs, or an exponential
 MEMORY = 16.0  # times 1 / mu^2: after so many blocks a CUSUM has forgotten where it began (it relaxes in 8 of them)

@@ -121,7 +121,7 @@ def reduced(directions: Array) -> Array:
     e = np.atleast_2d(np.asarray(directions, dtype=float))
     lengths = np.linalg.norm(e, axis=1)
     if e.size == 0 or not np.isfinite(lengths).all() or (lengths == 0).any():
-        raise BadInput(f"directions of lengths {np.round(lengths, 6).tolist()}; at least one, none 0, is wanted")
+        raise BadInput(f"directions of lengths {np.round(lengths, 6).tolist()}; expected at least one direction, none of length 0")
     e = e / lengths[:, None]
     _, s, vt = np.linalg.svd(e, full_matrices=False)
     return np.asarray(e @ vt[s > _SAME * s[0]].T)

@@ -32,14 +32,14 @@ def detection_probability(false_alarm: float, deflection: float) -> float:
     return tail(tail_point(false_alarm) - deflection)
 
 
-def deflection_wanted(false_alarm: float, detection: float) -> float:
+def required_deflection(false_alarm: float, detection: float) -> float:
     """Return the deflection at which a known wave is detected with probability ``detection``."""
     return tail_point(false_alarm) - tail_point(detection)
 
 
-def samples_wanted(false_alarm: float, detection: float, deflection_per_root_sample: float) -> float:
+def required_samples(false_alarm: float, detection: float, deflection_per_root_sample: float) -> float:
     """Return the number of samples a burst needs when its deflection grows as ``rate * sqrt(n)`` (inf at 0)."""
-    d = deflection_wanted(false_alarm, detection)
+    d = required_deflection(false_alarm, detection)
     return (d / deflection_per_root_sample) ** 2 if deflection_per_root_sample > 0 else math.inf
 
 
@@ -76,18 +76,18 @@ def falsely_sure(separation: float, weight: float) -> float:
     return tail((_log_odds(weight) + separation**2 / 2) / separation)
 
 
-def separation_wanted(weight: float, probability: float) -> float:
+def required_separation(weight: float, probability: float) -> float:
     """Return the separation at which the right hypothesis gets ``weight`` with the given probability."""
     return float(brentq(lambda s: weight_reached(s, weight) - _probability(probability), 1e-6, 100.0))
 
 
 def _log_odds(weight: float) -> float:
     if not 0.5 < weight < 1:
-        raise BadInput(f"weight {weight}; a number between 0.5 and 1 is wanted")
+        raise BadInput(f"weight {weight}; expected a number between 0.5 and 1")
     return math.log(weight / (1 - weight))
 
 
 def _probability(value: float) -> float:
     if not (0 < value < 1 and np.isfinite(value)):
-        raise BadInput(f"probability {value}; a number between 0 and 1 is wanted")
+        raise BadInput(f"probability {value}; expected a number between 0 and 1")
     return value

@@ -157,7 +157,7 @@ def faulty_information(noise: NoiseDriven, fault: int, severity: float) -> float
     A, B, C = _driven(noise, fault)
     tilted = A + severity * B @ C
     if np.abs(np.linalg.eigvals(tilted)).max(initial=0.0) >= 1:
-        raise BadInput(f"severity {severity:g} makes the loop unstable; one it survives is wanted")
+        raise BadInput(f"severity {severity:g} makes the loop unstable; expected one it survives")
     return float(np.trace(C @ solve_discrete_lyapunov(tilted, B @ B.T) @ C.T))
 
 

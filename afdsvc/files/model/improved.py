@@ -37,7 +37,7 @@ def write_improved(explanation: Explanation, path: Path, aux: Mapping[str, float
 
 
 def _linear(explanation: Explanation, plant: StateSpace) -> Model:
-    """Return the refitted plant with what was added; what its owner says of known entries stays, new ones count as fitted."""
+    """Return the refitted plant with what was added; the stated uncertainty of known entries stays, new ones count as fitted."""
     old = explanation.nominal.model
     added = plant.order - len(old.states)
     states = (*old.states, *(Variable(f"added_{i + 1}") for i in range(added)))
@@ -53,7 +53,7 @@ def _linear(explanation: Explanation, plant: StateSpace) -> Model:
 
 
 def _noise(explanation: Explanation) -> Array | None:
-    """Return the noise as measured, else as its owner states it."""
+    """Return the noise as measured, else as stated in the model."""
     floor = explanation.noise_floor
     if floor is None or not all(np.isfinite(v) and v > 0 for v in floor):
         return explanation.nominal.model.output_sd

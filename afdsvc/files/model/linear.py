@@ -39,7 +39,7 @@ def _around_rest(model: Model) -> tuple[StateSpace, dict[str, Array]]:
     for name, shape in (("A", (n, n)), ("B", (n, m)), ("C", (p, n)), ("D", (p, m))):
         found = getattr(plant, name).shape
         if found != shape or not np.isfinite(getattr(plant, name)).all():
-            raise BadInput(f"{model.origin or model.name}: linearised, the simulator's {name} has shape {found}; finite {shape} is wanted")
+            raise BadInput(f"{model.origin or model.name}: linearised, the simulator's {name} has shape {found}; expected finite {shape}")
     sds = {name: np.zeros(getattr(plant, name).shape) for name in "ABCD"}
     for i, parameter in enumerate(structure.parameters):
         moved = values.copy()

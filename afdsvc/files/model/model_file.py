@@ -17,12 +17,12 @@ from afdsvc.files.model.user_code import linear_part, load_dynamics
 from afdsvc.files.validation import read_text, toml_table, validated
 from afdsvc.lti.statespace import Array, StateSpace
 
-# Keys of Model.extra, so that what was written comes back in the form its owner chose.
+# Keys of Model.extra, so that a file is written back in the form in which it was read.
 RELATIVE, DYNAMICS = "uncertainty.relative", "dynamics"
 
 
 def read_model(path: str | Path, allow_code: bool = False) -> Model:
-    """Return the model in a file; raises `BadInput` naming file, key, value found and value wanted.
+    """Return the model in a file; raises `BadInput` naming file, key, value found and value expected.
 
     A model whose dynamics are Python code is refused unless ``allow_code`` is True or the file lies in a trusted folder; its
     ``plant`` is the linear part the code offers (None when it offers none). An FMI unit (``.fmu``) may stand for a whole file:
@@ -99,7 +99,7 @@ def _states(table: ModelTable, plant: StateSpace | None, source: str) -> tuple[V
         return tuple(Variable(f"x{i + 1}") for i in range(plant.order))
     if plant is not None and len(table.states) != plant.order:
         found, wanted = len(table.states), plant.order
-        raise BadInput(f"{source}: key 'states' names {found} states; {wanted} are wanted, as many as A has")
+        raise BadInput(f"{source}: key 'states' names {found} states; expected {wanted}, as many as A has")
     return tuple(Variable(s.name, s.unit, s.rate_of) for s in table.states)
 
 
@@ -111,8 +111,8 @@ def _entry_sd(table: ModelTable, plant: StateSpace | None, source: str) -> dict[
     if plant is not None:
         return entry_deviations(plant, table.uncertainty, source)
     if table.uncertainty is not None:
-        wanted = "with dynamics, relative_sd of each parameter is wanted"
-        raise BadInput(f"{source}: key 'uncertainty' speaks of matrices; {wanted}")
+        wanted = "expected relative_sd of each parameter where the model states dynamics"
+        raise BadInput(f"{source}: key 'uncertainty' is about matrices; {wanted}")
     return {}
 
 
@@ -121,7 +121,7 @@ def _output_sd(table: ModelTable, source: str) -> Array | None:
         return None
     found, wanted = len(table.noise.output_sd), len(table.outputs)
     if found != wanted:
-        raise BadInput(f"{source}: key 'noise.output_sd' holds {found} values; {wanted} are wanted, one per output")
+        raise BadInput(f"{source}: key 'noise.output_sd' holds {found} values; expected {wanted}, one per output")
     return np.array(table.noise.output_sd)
 
 
@@ -187,7 +187,7 @@ DEFAULT_RELATIVE_SD = 0.05
 
 
 def linear_system(table: LinearTable, inputs: int, outputs: int, source: str, prefix: str = "") -> StateSpace:
-    """Return the system of four matrices; raises `BadInput` naming file, key, shape found and shape wanted."""
+    """Return the system of four matrices; raises `BadInput` naming file, key, shape found and shape expected."""
     order = len(table.A or [])
     shapes = {"A": (order, order), "B": (order, inputs), "C": (outputs, order), "D": (outputs, inputs)}
     matrices = {}
@@ -201,12 +201,12 @@ def checked_matrix(rows: Matrix, shape: tuple[int, int], where: str, why: str) -
     """Return rows as an array; raises `BadInput` for ragged rows or another shape (``[]`` is any empty matrix)."""
     widths = sorted({len(row) for row in rows})
     if len(widths) > 1:
-        raise BadInput(f"{where} has rows of {widths} entries; rows of equal length are wanted")
+        raise BadInput(f"{where} has rows of {widths} entries; expected rows of equal length")
     found = (len(rows), widths[0] if widths else 0)
     if 0 in shape and 0 in found:
         return np.zeros(shape)
     if found != shape:
-        raise BadInput(f"{where} has shape {found}; {shape} is wanted for {why}")
+        raise BadInput(f"{where} has shape {found}; expected {shape} for {why}")
     return np.array(rows, dtype=np.float64)
 
 
@@ -220,7 +220,7 @@ def entry_deviations(plant: StateSpace, table: UncertaintyTable | None, source: 
             where = f"{source}: key 'uncertainty.{name}'"
             given = checked_matrix(rows, deviations[name].shape, where, f"the entries of {name}")
             if (given < 0).any():
-                raise BadInput(f"{where} holds {given.min()}; standard deviations of 0 or more are wanted")
+                raise BadInput(f"{where} holds {given.min()}; expected standard deviations of 0 or more")
             deviations[name] = given
     return deviations
 
@@ -237,7 +237,7 @@ def covariance(rows: Matrix | None, order: int, source: str) -> Array | None:
     where = f"{source}: key 'noise.process_cov'"
     cov = checked_matrix(rows, (order, order), where, f"{order} states")
     if not np.array_equal(cov, cov.T):
-        raise BadInput(f"{where} is not symmetric; a covariance is wanted")
+        raise BadInput(f"{where} is not symmetric; expected a covariance")
     if order and np.linalg.eigvalsh(cov)[0] < -1e-12 * max(np.abs(cov).max(), 1e-300):
-        raise BadInput(f"{where} has the eigenvalue {np.linalg.eigvalsh(cov)[0]:.3g}; none below 0 is wanted")
+        raise BadInput(f"{where} has the eigenvalue {np.linalg.eigvalsh(cov)[0]:.3g}; expected none below 0")
     return cov

@@ -64,9 +64,9 @@ class LinearTable(Strict):
     @model_validator(mode="after")
     def _one_time_base(self) -> LinearTable:
         if self.time == "discrete" and self.sample_time is None:
-            raise ValueError('time is "discrete" and sample_time is missing; seconds are wanted')
+            raise ValueError('time is "discrete" and sample_time is missing; expected seconds')
         if self.time == "continuous" and self.sample_time is not None:
-            raise ValueError(f'time is "continuous" and sample_time is {self.sample_time}; one of the two is wanted')
+            raise ValueError(f'time is "continuous" and sample_time is {self.sample_time}; expected one of the two')
         return self
 
     @property
@@ -85,7 +85,7 @@ class ControllerTable(LinearTable):
     @model_validator(mode="after")
     def _complete(self) -> ControllerTable:
         if self.missing():
-            raise ValueError(f"matrix {', '.join(self.missing())} is missing; A, B, C and D are wanted")
+            raise ValueError(f"matrix {', '.join(self.missing())} is missing; expected A, B, C and D")
         return self
 
 
@@ -115,9 +115,9 @@ class ModelTable(LinearTable):
     def _matrices_or_dynamics(self) -> ModelTable:
         absent = self.missing()
         if self.dynamics is None and absent:
-            raise ValueError(f"matrix {', '.join(absent)} is missing; A, B, C and D, or dynamics, are wanted")
+            raise ValueError(f"matrix {', '.join(absent)} is missing; expected A, B, C and D, or dynamics")
         if self.dynamics is not None and len(absent) < 4:
-            raise ValueError("both matrices and dynamics are given; one of the two is wanted")
+            raise ValueError("both matrices and dynamics are given; expected one of the two")
         return self
 
     @model_validator(mode="after")
@@ -126,11 +126,11 @@ class ModelTable(LinearTable):
             names = [v.name for v in getattr(self, what)]
             twice = next((n for n in names if names.count(n) > 1), None)
             if twice:
-                raise ValueError(f"{what} name '{twice}' twice; once is wanted")
+                raise ValueError(f"{what} name '{twice}' twice; expected once")
         states = [s.name for s in self.states]
         for state in self.states:
             if state.rate_of is not None and (state.rate_of not in states or state.rate_of == state.name):
                 others = ", ".join(n for n in states if n != state.name) or "none"
                 found = f"rate_of of '{state.name}' is '{state.rate_of}'"
-                raise ValueError(f"states: {found}; another state ({others}) is wanted")
+                raise ValueError(f"states: {found}; expected another state ({others})")
         return self

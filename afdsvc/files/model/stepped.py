@@ -39,12 +39,12 @@ def unit_text(path: Path) -> str:
     """Return the MODEL.toml text an FMI unit stands for; raises `BadInput` when it does not say enough."""
     unit = describe(path)
     if unit.step is None:
-        wanted = f'a MODEL.toml with dynamics = "{path.name}" and sample_time is wanted'
+        wanted = f'expected a MODEL.toml with dynamics = "{path.name}" and sample_time'
         raise BadInput(f"{path}: states no step size in its default experiment; {wanted}")
     sides = {"inputs": unit.inputs, "outputs": unit.outputs}
     for side, names in sides.items():
         if not names:
-            raise BadInput(f"{path}: has no real {side}; at least one is wanted")
+            raise BadInput(f"{path}: has no real {side}; expected at least one")
     variables = {side: [Inline(name=n, unit=u) for n, u in names.items()] for side, names in sides.items()}
     return toml_text({"name": unit.name, "time": "discrete", "sample_time": unit.step, **variables, "dynamics": path.name})
 
@@ -61,7 +61,7 @@ def stepped_model(table: ModelTable, source: str, allow_code: bool) -> SteppedMo
     asked = table.perturbation or PerturbationTable()
     push = np.array(asked.amplitude or [1.0] * len(table.inputs))
     if len(push) != len(table.inputs):
-        raise BadInput(f"{source}: key 'perturbation.amplitude' holds {len(push)} values; {len(table.inputs)} are wanted, one per input")
+        raise BadInput(f"{source}: key 'perturbation.amplitude' holds {len(push)} values; expected {len(table.inputs)}, one per input")
     unit = opened()
     try:
         part = linear_part(unit, push, table.dt, asked.samples, np.random.default_rng(0), asked.order, table.dynamics or source)

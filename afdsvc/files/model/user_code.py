@@ -25,18 +25,18 @@ def load_dynamics(reference: str, source: str, allow_code: bool) -> Dynamics:
     found = load_code(reference, Path(source).parent, f"{source}: key 'dynamics'")
     missing = [method for method in "fh" if not callable(getattr(found, method, None))]
     if missing:
-        wanted = "f(t, x, u, p) and h(t, x, u, p) are wanted"
+        wanted = "expected f(t, x, u, p) and h(t, x, u, p)"
         raise BadInput(f"{source}: key 'dynamics' names {Path(source).parent / file}, where '{name}' has no {' and no '.join(missing)}; {wanted}")
     return cast(Dynamics, found)
 
 
 def refuse_code(reference: str, source: str, allow_code: bool) -> None:
-    """Raise `BadInput` when code would run that nobody allowed."""
+    """Raise `BadInput` when code would run without permission."""
     if not allow_code and not trusted(Path(source)):
         kind = "compiled code" if reference.endswith(".fmu") else "Python code"
         raise BadInput(
             f"{source}: key 'dynamics' is '{reference}', {kind} that would run on this computer; "
-            f"permission to run code is wanted: --allow-code (allow_code=True), or a folder named in {TRUSTED}"
+            f"expected permission to run code: --allow-code (allow_code=True), or a folder named in {TRUSTED}"
         )
 
 
@@ -47,7 +47,7 @@ def load_code(reference: str, folder: Path, key: str) -> Any:
     """
     place, _, name = reference.rpartition(":")
     if not place or not name.isidentifier():
-        raise BadInput(f"{key} is '{reference}'; file.py:name or package.module:name is wanted")
+        raise BadInput(f"{key} is '{reference}'; expected file.py:name or package.module:name")
     if place.endswith(".py"):
         where = f"{key} names {folder / place}"
         module = _run(folder / place, where)
@@ -76,7 +76,7 @@ def trusted(path: Path) -> bool:
 def linear_part(dynamics: Dynamics) -> StateSpace | None:
     """Return the plant a simulator offers as ``linear`` (A, B, C, D, sample time): itself without what is not linear.
 
-    What it leaves out acts as if absent, not as if linearised: friction or play have no slope at rest worth the name.
+    Terms left out are set to zero, not linearised: friction and backlash have no useful slope at rest.
     """
     offered = getattr(dynamics, "linear", None)
     if offered is None:

@@ -34,7 +34,7 @@ class Header:
 
 
 def claim(stream: BinaryIO) -> bool:
-    """Mark a file as being written until it is closed; returns whether nobody else holds it (True where locks are unknown)."""
+    """Mark a file as being written until it is closed; returns whether it was free (True where locks are not supported)."""
     if fcntl is None:
         return True
     try:

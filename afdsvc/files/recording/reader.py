@@ -133,7 +133,7 @@ class Recording:
         if not found:
             held = ", ".join(self.counts) or "no messages at all"
             wanted = f"blocks of machine '{machine}'" if machine else "blocks (afdsvc.v1.Block)"
-            raise BadInput(f"{self.path}: holds no samples; {wanted} are wanted, and it has {held}")
+            raise BadInput(f"{self.path}: holds no samples; expected {wanted}, and it has {held}")
         return found
 
     def _decoded(self, machine: str | None, what: str, decode: Callable[[bytes], T]) -> Iterator[T]:

@@ -92,7 +92,7 @@ class Recorder:
         self._write(lambda file: self._event(file, data, event))
 
     def request(self, data: bytes, request: BurstRequest) -> None:
-        """Record a burst that was asked for: without its lines nobody could judge the answer later."""
+        """Record a requested burst: its lines are needed to evaluate the response later."""
         name = topics.topic(request.machine, topics.REQUEST)
         self._write(lambda file: file.wire(name, "BurstRequest", request.t_ns, data))
 

@@ -35,7 +35,7 @@ def recover(source: str | Path, target: str | Path) -> Recovered:
             stream.flush()
             os.fsync(stream.fileno())
     except FileExistsError:
-        raise BadInput(f"{target}: exists already; a new file is wanted") from None
+        raise BadInput(f"{target}: exists already; expected a new file") from None
     except OSError as error:
         raise BadInput(f"{target}: cannot be written: {error.strerror or error}") from None
     return Recovered(target, recording.counts, recording.loss)

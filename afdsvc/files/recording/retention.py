@@ -27,7 +27,7 @@ class Removed:
 
 
 def recordings(folder: Path) -> list[Path]:
-    """Return the recordings the service made in a folder (by their names), oldest first; other files are nobody's business."""
+    """Return the recordings the service made in a folder (by their names), oldest first; other files are ignored."""
     found = [(p.stat().st_mtime, p) for p in folder.glob("*") if _OURS.fullmatch(p.name) and p.is_file()] if folder.is_dir() else []
     return [path for _, path in sorted(found)]
 

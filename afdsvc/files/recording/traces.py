@@ -46,7 +46,7 @@ def _refuse_overlap(one: Block, other: Block) -> None:
     if one.k0 != other.k0 or one.values.tobytes() != other.values.tobytes():
         raise BadInput(
             f"machine '{one.machine}', session '{one.session}': blocks {one.seq} and {other.seq} both hold sample "
-            f"{other.k0}, with different contents; one rig per machine id is wanted"
+            f"{other.k0}, with different contents; expected one rig per machine id"
         )
 
 

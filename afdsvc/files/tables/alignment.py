@@ -1,4 +1,4 @@
-"""Columns on times of their own brought to one even grid: order, doubles, gaps, jitter, rate, and every one of them told.
+"""Columns on times of their own brought to one even grid: order, duplicates, gaps, jitter and rate, with a note on every change.
 
 Nothing is filled in. A gap ends a piece, and what was done to the samples of a piece is one sentence each.
 """
@@ -48,30 +48,30 @@ def aligned(
 ) -> tuple[list[Piece], list[str]]:
     """Return pieces on one grid, columns of all groups side by side, and what was done to get there.
 
-    ``dt`` is the sample time wanted [s]; without it the slowest group's. ``gap`` is the step, in sample times, from which on
+    ``dt`` is the sample time [s]; without it the slowest group's. ``gap`` is the step, in sample times, from which on
     samples are missing; ``regular`` says that stamps jitter and the sampling did not. Raises `BadInput`, beginning with
     ``where``, when nothing usable is left.
     """
-    told: list[str] = []
-    evened = [_evened(_ordered(group, where, told), where, gap, regular, told) for group in groups]
+    remarks: list[str] = []
+    evened = [_evened(_ordered(group, where, remarks), where, gap, regular, remarks) for group in groups]
     slowest = max(found[0].dt for found in evened)
     wanted = dt or slowest
     if all(_same_grid(found, evened[0], wanted) for found in evened):
         pieces = _side_by_side(evened)
     else:
-        pieces = _resampled(groups, evened, wanted, told)
+        pieces = _resampled(groups, evened, wanted, remarks)
     kept = [p for p in pieces if len(p.values) >= SHORTEST]
     if not kept:
         longest = max((len(p.values) for p in pieces), default=0)
-        raise BadInput(f"{where}: the longest stretch without a gap has {longest} samples; at least {SHORTEST} are wanted")
+        raise BadInput(f"{where}: the longest stretch without a gap has {longest} samples; expected at least {SHORTEST}")
     if len(kept) < len(pieces):
         lost = sum(len(p.values) for p in pieces if len(p.values) < SHORTEST)
-        told.append(f"stretches shorter than {SHORTEST} samples are left out: {len(pieces) - len(kept)}, with {lost} samples in all")
-    return kept, told
+        remarks.append(f"stretches shorter than {SHORTEST} samples are left out: {len(pieces) - len(kept)}, with {lost} samples in all")
+    return kept, remarks
 
 
-def _ordered(group: Group, where: str, told: list[str]) -> Group:
-    """Return the samples in the order of their times, each time once, with what was not in order told."""
+def _ordered(group: Group, where: str, remarks: list[str]) -> Group:
+    """Return the samples in the order of their times, each time once; duplicates and disorder are noted."""
     t, columns = group.t, dict(group.columns)
     bad = ~np.isfinite(t)
     order = np.argsort(np.where(bad, np.inf, t), kind="stable")[: len(t) - int(bad.sum())]
@@ -80,17 +80,17 @@ def _ordered(group: Group, where: str, told: list[str]) -> Group:
     first[1:] = np.diff(t[order]) > 0
     kept = order[first]
     if bad.any():
-        told.append(f"{int(bad.sum())} samples of {group.name} have no time and are dropped")
+        remarks.append(f"{int(bad.sum())} samples of {group.name} have no time and are dropped")
     if late:
-        told.append(f"{late} samples of {group.name} came out of order and were put in their place")
+        remarks.append(f"{late} samples of {group.name} came out of order and were sorted by time")
     if len(kept) < len(order):
-        told.append(f"{len(order) - len(kept)} samples of {group.name} have the time of another and are dropped, the first is kept")
+        remarks.append(f"{len(order) - len(kept)} samples of {group.name} have the time stamp of another and are dropped; the first is kept")
     if len(kept) < 2:
-        raise BadInput(f"{where}: {group.name} has {len(kept)} samples; at least {SHORTEST} are wanted")
+        raise BadInput(f"{where}: {group.name} has {len(kept)} samples; expected at least {SHORTEST}")
     return Group(group.name, t[kept], {name: values[kept] for name, values in columns.items()})
 
 
-def _evened(group: Group, where: str, gap: float, regular: bool, told: list[str]) -> list[Piece]:
+def _evened(group: Group, where: str, gap: float, regular: bool, remarks: list[str]) -> list[Piece]:
     """Return the group's stretches without gap, each on its own even grid of the group's one step."""
     steps = np.diff(group.t)
     step = float(np.median(steps))
@@ -98,12 +98,12 @@ def _evened(group: Group, where: str, gap: float, regular: bool, told: list[str]
     spans = [(a, b) for a, b in pairwise(edges) if b - a >= 2]
     if len(edges) > 2:
         missing = float(steps[steps > gap * step].sum())
-        told.append(
+        remarks.append(
             f"{group.name} has {_count(len(edges) - 2, 'gap')} longer than {gap:g} sample times, {missing:.4g} s in all: "
             "they stay gaps, and each side is a piece of its own"
         )
     if not spans:
-        raise BadInput(f"{where}: {group.name} has a gap after every sample; even sampling is wanted")
+        raise BadInput(f"{where}: {group.name} has a gap after every sample; expected even sampling")
     longest = max(spans, key=lambda s: s[1] - s[0])
     step = shortest_step(group.t[longest[0] : longest[1]])
     values = np.column_stack(list(group.columns.values()))
@@ -113,9 +113,9 @@ def _evened(group: Group, where: str, gap: float, regular: bool, told: list[str]
         pieces.append(piece)
         worst, filled = max(worst, miss), filled + len(piece.values) - (b - a)
     if worst > JITTER:
-        told.append(_jitter(group.name, worst, step, regular))
+        remarks.append(_jitter(group.name, worst, step, regular))
     if filled > 0:
-        told.append(f"missing samples of {group.name}, fewer at a time than the mapping calls a gap, were interpolated: {filled}")
+        remarks.append(f"{filled} missing samples of {group.name} were interpolated (each run shorter than a gap of the mapping)")
     return pieces
 
 
@@ -140,7 +140,7 @@ def _on_grid(t: Array, values: Array, step: float, regular: bool) -> tuple[Piece
 
 
 def _same_grid(found: list[Piece], first: list[Piece], wanted: float) -> bool:
-    """Whether a group lies on the wanted grid already, and on the same one as the first group."""
+    """Whether a group lies on the requested grid already, and on the same one as the first group."""
     if abs(found[0].dt - wanted) > SAME_STEP * wanted:
         return False
     phases = [(p.start - first[0].start) / wanted for p in (*found, *first)] if found is not first else [0.0]
@@ -159,9 +159,9 @@ def _side_by_side(evened: Sequence[list[Piece]]) -> list[Piece]:
     return pieces
 
 
-def _resampled(groups: Sequence[Group], evened: Sequence[list[Piece]], dt: float, told: list[str]) -> list[Piece]:
+def _resampled(groups: Sequence[Group], evened: Sequence[list[Piece]], dt: float, remarks: list[str]) -> list[Piece]:
     """Return what all groups have in common on a grid of ``dt``, through one kernel for all."""
-    evened = [_without_nan(group.name, found, told) for group, found in zip(groups, evened, strict=True)]
+    evened = [_without_nan(group.name, found, remarks) for group, found in zip(groups, evened, strict=True)]
     period = max(dt, *(p.dt for found in evened for p in found))
     margin, pieces = reach(period), []
     for start, end in _overlaps(evened):
@@ -171,7 +171,7 @@ def _resampled(groups: Sequence[Group], evened: Sequence[list[Piece]], dt: float
         columns = [resampled(p.values, p.start, p.dt, times, period) for p in parts]
         pieces.append(Piece(start + margin, dt, np.hstack(columns)))
     rates = ", ".join(f"{1 / found[0].dt:.6g} Hz ({g.name})" for g, found in zip(groups, evened, strict=True))
-    told.append(
+    remarks.append(
         f"resampled from {rates} to {1 / dt:.6g} Hz by one linear-phase low-pass filter for all columns: flat to {FLAT / period:.4g} Hz, "
         f"80 dB down from {STOP / period:.4g} Hz on; {margin:.4g} s at both ends of each piece are dropped, where the filter lacks "
         "neighbours, and inputs that were held between samples run smoothly now"
@@ -179,7 +179,7 @@ def _resampled(groups: Sequence[Group], evened: Sequence[list[Piece]], dt: float
     return pieces
 
 
-def _without_nan(name: str, pieces: list[Piece], told: list[str]) -> list[Piece]:
+def _without_nan(name: str, pieces: list[Piece], remarks: list[str]) -> list[Piece]:
     """Return the pieces cut where a sample is not a number: a filter would spread it."""
     cut = []
     for p in pieces:
@@ -188,9 +188,9 @@ def _without_nan(name: str, pieces: list[Piece], told: list[str]) -> list[Piece]
         cut += [Piece(p.start + a * p.dt, p.dt, p.values[a:b]) for a, b in edges.reshape(-1, 2).tolist()]
     lost = sum(len(p.values) for p in pieces) - sum(len(p.values) for p in cut)
     if lost:
-        told.append(f"{lost} samples of {name} are not numbers: they stay gaps")
+        remarks.append(f"{lost} samples of {name} are NaN and stay gaps")
     if not cut:
-        raise BadInput(f"{name} holds no numbers; samples are wanted")
+        raise BadInput(f"{name} holds no numbers; expected samples")
     return cut
 
 

@@ -31,9 +31,9 @@ def read_foreign(path: Path, mapping: DataMapping, model: Model | None = None) -
     wanted = mapping.resample.dt or (model.plant.dt if model and model.plant and model.plant.discrete else None)
     places = {signal: source.place for signal, source in mapping.signals.items()}
     if path.suffix.lower() == ".mcap":
-        groups, told = read_topics(path, places, mapping.time)
+        groups, remarks = read_topics(path, places, mapping.time)
     else:
-        groups, told = _table(path, places, mapping.time)
+        groups, remarks = _table(path, places, mapping.time)
     units = model_units(model)
     named, channels = [], []
     for group in groups:
@@ -41,10 +41,10 @@ def read_foreign(path: Path, mapping: DataMapping, model: Model | None = None) -
         for signal, values in group.columns.items():
             columns[signal], channel, sentence = _as_wanted(signal, values, mapping.signals[signal], units.get(signal, ""), path)
             channels.append(channel)
-            told.append(sentence)
+            remarks.append(sentence)
         named.append(Group(group.name, group.t, columns))
     pieces, done = aligned(named, str(path), wanted, mapping.resample.gap, mapping.time.regular)
-    notes = {"path": str(path), PREPARED: "\n".join([*told, *done])}
+    notes = {"path": str(path), PREPARED: "\n".join([*remarks, *done])}
     order = _order(channels)
     sorted_channels = tuple(channels[i] for i in order)
     return [Trace(path.name, p.dt, sorted_channels, np.ascontiguousarray(p.values[:, order]), p.start, notes) for p in pieces]
@@ -68,8 +68,8 @@ def prepared(traces: Sequence[Trace]) -> list[str]:
 
 
 def in_model_units(trace: Trace, model: Model) -> Trace:
-    """Return the trace with the model's units: given where it has none, converted, and told, where it has others."""
-    units, told = model_units(model), []
+    """Return the trace with the model's units: given where it has none, converted, with a note, where it has others."""
+    units, remarks = model_units(model), []
     values, channels = trace.values, []
     for i, channel in enumerate(trace.channels):
         wanted = units.get(channel.name, "")
@@ -78,16 +78,16 @@ def in_model_units(trace: Trace, model: Model) -> Trace:
             if not same_unit(channel.unit, wanted, where):
                 values = values.copy() if values is trace.values else values
                 values[:, i] = converted(values[:, i], channel.unit, wanted, where)
-                told.append(f"{channel.name} is recorded in {channel.unit} and converted to {wanted}")
+                remarks.append(f"{channel.name} is recorded in {channel.unit} and converted to {wanted}")
             channel = Channel(channel.name, wanted)
         channels.append(Channel(channel.name, channel.unit or wanted))
     before = trace.notes.get(PREPARED, "")
-    notes = {**trace.notes, PREPARED: "\n".join([*before.splitlines(), *told])} if told else trace.notes
+    notes = {**trace.notes, PREPARED: "\n".join([*before.splitlines(), *remarks])} if remarks else trace.notes
     return Trace(trace.name, trace.dt, tuple(channels), values, trace.t0, notes)
 
 
 def _as_wanted(signal: str, stored: Array, source: Source, unit: str, path: Path) -> tuple[Array, Channel, str]:
-    """Return a signal in the unit that is wanted, its channel, and the sentence on what was done to it."""
+    """Return a signal in the requested unit, its channel, and the sentence on what was done to it."""
     where, wanted = f"{path}: {signal} from '{source.place}'", source.to or unit
     values = stored if source.offset == 0 else stored + source.offset
     said = f"{signal} is {source.place}" + (f" [{source.unit}]" if source.unit else "")
@@ -112,17 +112,17 @@ def _table(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Grou
     if absent is not None:
         raise BadInput(f"{path}: no column '{absent}' to be mapped; it has {', '.join(columns)}")
     t, sentence, used = _table_time(columns, time, path)
-    told = [sentence]
+    remarks = [sentence]
     left = [name for name in columns if name not in {*places.values(), used}]
     if left:
-        told.append(f"not mapped and left out: {', '.join(left)}")
+        remarks.append(f"not mapped and left out: {', '.join(left)}")
     chosen = {signal: columns[place] for signal, place in places.items()}
     lengths = {len(v) for v in (t if t is not None else next(iter(chosen.values())), *chosen.values())}
     if len(lengths) > 1:
-        raise BadInput(f"{path}: columns of {', '.join(map(str, sorted(lengths)))} rows; equal lengths are wanted")
+        raise BadInput(f"{path}: columns of {', '.join(map(str, sorted(lengths)))} rows; expected equal lengths")
     if t is None:
         t = np.asarray((time.step or 0.0) * np.arange(max(lengths)), dtype=np.float64)
-    return [Group("the table", t, chosen)], told
+    return [Group("the table", t, chosen)], remarks
 
 
 def _table_time(columns: Mapping[str, Array], time: Time, path: Path) -> tuple[Array | None, str, str]:
@@ -134,7 +134,7 @@ def _table_time(columns: Mapping[str, Array], time: Time, path: Path) -> tuple[A
     if time.place not in OWN_TIMES:
         raise BadInput(f"{path}: no column '{column}' for the time; it has {', '.join(columns)}")
     if time.step is None:
-        raise BadInput(f"{path}: has no column '{TIME}'; key 'time.from', a column, or 'time.step' [s] is wanted in the mapping")
+        raise BadInput(f"{path}: has no column '{TIME}'; expected key 'time.from', a column, or 'time.step' [s] in the mapping")
     return None, f"the table has no time; the mapping says that samples are {time.step:g} s apart", ""
 
 

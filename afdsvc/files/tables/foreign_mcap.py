@@ -21,7 +21,7 @@ from afdsvc.lti.statespace import Array
 
 @dataclass
 class _Topic:
-    """What is wanted of a topic (field path by signal) and what was found, one entry per message."""
+    """The fields read from a topic (field path by signal) and what was found, one entry per message."""
 
     name: str
     fields: dict[str, str] = field(default_factory=dict)
@@ -70,7 +70,7 @@ def _read(path: Path, places: Mapping[str, str], time: Time) -> tuple[dict[str, 
                 _take(topics[channel.topic], decode, message, time, path)
     empty = next((name for name, topic in topics.items() if not topic.values), None)
     if empty is not None:
-        raise BadInput(f"{path}: topic '{empty}' has no messages; samples are wanted")
+        raise BadInput(f"{path}: topic '{empty}' has no messages; expected samples")
     return topics, file.losses
 
 
@@ -84,7 +84,7 @@ class _File:
     losses: list[str] = field(default_factory=list)
 
     def take(self, item: Item, places: Mapping[str, str]) -> None:
-        """Take one record; pictures and point clouds, which nobody maps, are not kept."""
+        """Take one record; unmapped topics (images, point clouds) are not kept."""
         if isinstance(item, Schema):
             self.schemas[item.id] = item
         elif isinstance(item, Channel):
@@ -120,7 +120,7 @@ def _wanted(places: Mapping[str, str], there: Mapping[str, str], path: Path) -> 
         fitting = [name for name in there if _fits(name, place)]
         if not fitting:
             listed = ", ".join(f"{name} ({kind})" for name, kind in sorted(there.items())) or "no messages at all"
-            raise BadInput(f"{path}: no topic for '{place}', which is to be {signal}; TOPIC.FIELD is wanted, and it has {listed}")
+            raise BadInput(f"{path}: no topic for '{place}', which is to be {signal}; expected TOPIC.FIELD, and it has {listed}")
         name = max(fitting, key=len)
         topics.setdefault(name, _Topic(name)).fields[signal] = place[len(name) :].lstrip(".")
     return topics

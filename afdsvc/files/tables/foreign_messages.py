@@ -31,7 +31,7 @@ def decoder(channel: Channel, schema: Schema | None, where: str) -> Decode:
         return _of(DecoderFactory(), "protobuf", schema, where)
     if encoding == "cdr":
         return _ros2(schema, where)
-    raise BadInput(f"{where}: messages are encoded as '{encoding}'; protobuf, json or cdr (ROS 2) is wanted")
+    raise BadInput(f"{where}: messages are encoded as '{encoding}'; expected protobuf, json or cdr (ROS 2)")
 
 
 def _ros2(schema: Schema | None, where: str) -> Decode:
@@ -60,11 +60,11 @@ def number(message: Any, path: str, where: str) -> float:
         try:
             return float(value)
         except OverflowError:
-            raise BadInput(f"{where}: holds a whole number of {len(str(value))} digits; one a double can hold is wanted") from None
+            raise BadInput(f"{where}: holds a whole number of {len(str(value))} digits; expected one a double can hold") from None
     found = "has no such field" if value is None else f"holds {type(value).__name__} there"
     there = [name for _, name in zip(range(_SHOWN + 1), numeric_paths(message), strict=False)]
     listed = ", ".join(there[:_SHOWN]) + (", ..." if len(there) > _SHOWN else "")
-    raise BadInput(f"{where}: {found}; a number is wanted, and it has {listed or 'none'}")
+    raise BadInput(f"{where}: {found}; expected a number, and it has {listed or 'none'}")
 
 
 def at(message: Any, path: str) -> Any:

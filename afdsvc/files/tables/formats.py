@@ -76,11 +76,11 @@ def _name_bad_cell(path: Path, header: list[str], delimiter: str, point: str) ->
             if row == 0 or not cells:
                 continue
             if len(cells) != len(header):
-                wanted = f"{len(header)} are wanted, as many as the header"
+                wanted = f"expected {len(header)}, as many as the header"
                 raise BadInput(f"{path}: row {row} has {len(cells)} cells; {wanted}")
             for name, cell in zip(header, cells, strict=True):
                 if not _is_number(cell.replace(point, ".")):
-                    raise BadInput(f"{path}: column '{name}', row {row} holds '{cell}'; a number is wanted")
+                    raise BadInput(f"{path}: column '{name}', row {row} holds '{cell}'; expected a number")
 
 
 def _is_number(cell: str) -> bool:
@@ -101,7 +101,7 @@ def _npz(path: Path) -> Columns:
     with path.open("rb") as file:
         archive = np.load(file, allow_pickle=False)
         if not isinstance(archive, np.lib.npyio.NpzFile):
-            raise BadInput(f"{path}: holds one array; an archive of named columns is wanted")
+            raise BadInput(f"{path}: holds one array; expected an archive of named columns")
         return _named(path, archive.items())
 
 
@@ -121,7 +121,7 @@ def _datasets(path: Path, group: Any) -> Iterable[tuple[str, Any]]:
         return
     for name in names:
         if isinstance(group[name], h5py.Group):
-            raise BadInput(f"{path}: variable '{name}' is a struct beside others; vectors of numbers are wanted")
+            raise BadInput(f"{path}: variable '{name}' is a struct beside others; expected vectors of numbers")
         yield name, group[name][()]
 
 
@@ -132,9 +132,9 @@ def _named(path: Path, variables: Iterable[tuple[str, Any]]) -> Columns:
 def _numbers(path: Path, name: str, values: Any) -> Array:
     """Return a vector of doubles; raises `BadInput` for other shapes and types and integers no double can hold."""
     if values.dtype.kind not in "fiub":
-        raise BadInput(f"{path}: column '{name}' holds {values.dtype} values; real numbers are wanted")
+        raise BadInput(f"{path}: column '{name}' holds {values.dtype} values; expected real numbers")
     if values.size != max(values.shape, default=1):
-        raise BadInput(f"{path}: column '{name}' has shape {values.shape}; a vector is wanted")
+        raise BadInput(f"{path}: column '{name}' has shape {values.shape}; expected a vector")
     flat = values.reshape(-1)
     numbers: Array = flat.astype(np.float64)
     if flat.dtype.kind in "iu" and not np.array_equal(numbers.astype(flat.dtype), flat):
@@ -145,7 +145,7 @@ def _numbers(path: Path, name: str, values: Any) -> Array:
 def _refuse_twice(path: Path, names: list[str]) -> None:
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise BadInput(f"{path}: column '{twice}' comes twice; once is wanted")
+        raise BadInput(f"{path}: column '{twice}' comes twice; expected once")
 
 
 def _first_line(error: Exception) -> str:

@@ -80,5 +80,5 @@ def foreign_mapping(recording: Recording, naming: Naming) -> DataMapping:
     mapping = naming.for_others() or (DataMapping().extended(naming.pairs) if naming.pairs else None)
     if mapping is None or not mapping.signals:
         held = ", ".join(recording.counts) or "no messages"
-        raise BadInput(f"{recording.path}: holds no samples of afdsvc; a mapping of its topics is wanted (--mapping FILE.toml): it has {held}")
+        raise BadInput(f"{recording.path}: holds no samples of afdsvc; expected a mapping of its topics (--mapping FILE.toml): it has {held}")
     return mapping

@@ -30,7 +30,7 @@ class Source(Strict):
     @classmethod
     def _not_zero(cls, value: float) -> float:
         if value == 0:
-            raise ValueError("0 would leave nothing of the signal; another factor is wanted")
+            raise ValueError("0 would leave nothing of the signal; expected another factor")
         return value
 
     @model_validator(mode="after")
@@ -55,7 +55,7 @@ class Time(Strict):
 
 
 class Resample(Strict):
-    """The sample time wanted [s] (the model's, or that of the slowest signal, without), and what counts as a gap, in samples."""
+    """The sample time [s] (default: the model's, or that of the slowest signal, without), and what counts as a gap, in samples."""
 
     dt: Positive | None = None
     gap: Annotated[float, Field(gt=1.05)] = 1.5
@@ -93,8 +93,8 @@ class DataMapping(Strict):
 
 
 def read_mapping(path: str | Path) -> DataMapping:
-    """Return the mapping in a TOML file; raises `BadInput` naming file, key, value found and value wanted."""
+    """Return the mapping in a TOML file; raises `BadInput` naming file, key, value found and value expected."""
     found = validated(DataMapping, toml_table(read_text(Path(path)), str(path)), str(path))
     if not found.signals:
-        raise BadInput(f"{path}: key 'signals' maps nothing; at least one signal such as u_force is wanted")
+        raise BadInput(f"{path}: key 'signals' maps nothing; expected at least one signal such as u_force")
     return found

@@ -32,7 +32,7 @@ class _Element:
         """Return the content as stored; raises `ValueError` for what are no numbers."""
         code = _STORED.get(self.kind)
         if code is None or len(self.content) % int(code[1]):
-            raise ValueError(f"an element of type {self.kind} with {len(self.content)} bytes; numbers are wanted")
+            raise ValueError(f"an element of type {self.kind} with {len(self.content)} bytes; expected numbers")
         return np.frombuffer(self.content, order + code)
 
 
@@ -98,14 +98,14 @@ def _matrix(content: bytes, order: str) -> tuple[str, Any]:
 def _numbers(name: str, kind: int, dimensions: tuple[int, ...], parts: list[_Element], order: str) -> np.ndarray:
     stored = parts[0].numbers(order) if parts else np.zeros(0)
     if stored.size != math.prod(dimensions):
-        raise ValueError(f"variable '{name}' holds {stored.size} numbers; {' x '.join(map(str, dimensions))} are wanted")
+        raise ValueError(f"variable '{name}' holds {stored.size} numbers; expected {' x '.join(map(str, dimensions))}")
     with np.errstate(invalid="ignore", over="ignore"):
         return stored.astype(_NUMBERS[kind]).reshape(dimensions, order="F")
 
 
 def _struct(name: str, dimensions: tuple[int, ...], parts: list[_Element], order: str) -> dict[str, Any]:
     if math.prod(dimensions) != 1 or len(parts) < 2:
-        raise ValueError(f"variable '{name}' is an array of {math.prod(dimensions)} structs; one is wanted")
+        raise ValueError(f"variable '{name}' is an array of {math.prod(dimensions)} structs; expected one")
     length = int(parts[0].numbers(order)[0]) if parts[0].content else 0
     text = parts[1].content
     if length < 1 or len(text) % length:

@@ -33,7 +33,7 @@ def read_table(
     t0, step = _time(columns.pop(TIME, None), dt, path)
     channels = tuple(_channel(name, path) for name in columns)
     if not channels:
-        raise BadInput(f"{path}: has no signal; columns such as u_<input> and y_<output> are wanted")
+        raise BadInput(f"{path}: has no signal; expected columns such as u_<input> and y_<output>")
     values = np.column_stack(list(columns.values()))
     if not allow_nan:
         _refuse_nan(values, channels, path)
@@ -57,7 +57,7 @@ def renamed(columns: Columns, mapping: Mapping[str, str], where: str) -> Columns
     for name, values in columns.items():
         new = mapping.get(name, name)
         if new in found:
-            raise BadInput(f"{where}: two columns would be called '{new}'; one is wanted")
+            raise BadInput(f"{where}: two columns would be called '{new}'; expected one")
         if new:
             found[new] = values
     return found
@@ -74,21 +74,21 @@ def _refuse_unequal(columns: Columns, path: Path) -> None:
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"'{name}' {n}" for name, n in lengths.items())
-        raise BadInput(f"{path}: columns of different lengths ({listed}); equal lengths are wanted")
+        raise BadInput(f"{path}: columns of different lengths ({listed}); expected equal lengths")
     if not any(lengths.values()):
-        raise BadInput(f"{path}: has no rows; samples are wanted")
+        raise BadInput(f"{path}: has no rows; expected samples")
 
 
 def _time(t: Array | None, dt: float | None, path: Path) -> tuple[float, float]:
     if t is None:
         if dt is None or not dt > 0:
-            raise BadInput(f"{path}: has no column 't', and no sample time is known; one of the two is wanted")
+            raise BadInput(f"{path}: has no column 't', and no sample time is known; expected one of the two")
         return 0.0, dt
     t0, step = time_base(t, f"{path}: column 't'")
     if not dt:
         return t0, step
     if abs(step - dt) > SAME_STEP * dt:
-        raise BadInput(f"{path}: column 't' has a sample time of {step:.6g} s; {dt:.6g} s is wanted")
+        raise BadInput(f"{path}: column 't' has a sample time of {step:.6g} s; expected {dt:.6g} s")
     return t0, dt
 
 
@@ -96,4 +96,4 @@ def _refuse_nan(values: Array, channels: tuple[Channel, ...], path: Path) -> Non
     rows, columns = np.nonzero(~np.isfinite(values))
     if rows.size:
         found = f"column '{channels[columns[0]].name}', row {rows[0] + 1} holds {values[rows[0], columns[0]]}"
-        raise BadInput(f"{path}: {found} ({rows.size} such cells in all); finite numbers are wanted")
+        raise BadInput(f"{path}: {found} ({rows.size} such cells in all); expected finite numbers")

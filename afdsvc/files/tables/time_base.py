@@ -17,21 +17,21 @@ def time_base(t: Array, where: str) -> tuple[float, float]:
     place in a uniform grid by more than `JITTER` of the sample time.
     """
     if len(t) < 2:
-        raise BadInput(f"{where} holds {len(t)} rows; at least 2 are wanted to tell the sample time")
-    _refuse(np.isnan(t) | np.isinf(t), where, lambda i: f"holds {t[i]}; a time is wanted")
+        raise BadInput(f"{where} holds {len(t)} rows; expected at least 2 to tell the sample time")
+    _refuse(np.isnan(t) | np.isinf(t), where, lambda i: f"holds {t[i]}; expected a time")
     steps = np.diff(t, prepend=np.nan)
-    _refuse(steps <= 0, where, lambda i: f"goes from {t[i - 1]!r} to {t[i]!r}; times that increase are wanted")
+    _refuse(steps <= 0, where, lambda i: f"goes from {t[i - 1]!r} to {t[i]!r}; expected times that increase")
     step = float(np.median(steps[1:]))
     _refuse(
         steps > 1.5 * step, where,
         lambda i: f"comes {steps[i]:.6g} s after the one before it, where {step:.6g} s is usual: samples are missing; "
-        "one recording for each side of the gap is wanted",
+        "expected one recording for each side of the gap",
     )  # fmt: skip
     dt = shortest_step(t)
     miss = np.abs(t - t[0] - dt * np.arange(len(t)))
     _refuse(
         miss > JITTER * dt, where,
-        lambda i: f"misses its place in a grid of {dt:.6g} s by {miss[i]:.3g} s; uniform sampling is wanted",
+        lambda i: f"misses its place in a grid of {dt:.6g} s by {miss[i]:.3g} s; expected uniform sampling",
     )  # fmt: skip
     return float(t[0]), dt
 

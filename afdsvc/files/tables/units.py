@@ -14,7 +14,7 @@ from afdsvc.lti.statespace import Array
 def converted(values: Array, source: str, target: str, where: str) -> Array:
     """Return the values in the unit ``target``; the same array where the two are one unit.
 
-    Raises `BadInput`, beginning with ``where``, for a unit nobody knows, for two that measure different things, and for Hz on
+    Raises `BadInput`, beginning with ``where``, for an unknown unit, for two units of different dimension, and for Hz on
     one side and an angle on the other: a frequency is no angular speed, and which of the two was meant is not in the numbers.
     """
     if same_unit(source, target, where):
@@ -27,7 +27,7 @@ def converted(values: Array, source: str, target: str, where: str) -> Array:
 
 
 def same_unit(one: str, other: str, where: str) -> bool:
-    """Whether two units are the same one, however spelt; raises `BadInput` for one nobody knows."""
+    """Whether two units are the same one, however spelt; raises `BadInput` for an unknown one."""
     return one == other or bool(_unit(one, where) == _unit(other, where))
 
 
@@ -44,7 +44,7 @@ def _refuse_unlike(source: str, target: str, where: str) -> None:
     if frequency[0] != frequency[1]:
         raise BadInput(
             f"{where}: '{source}' and '{target}' differ by 2 pi or not, depending on who wrote it; "
-            "'cycle/s' for turns per second or 'rad/s' is wanted instead of Hz"
+            "expected 'cycle/s' for turns per second or 'rad/s' instead of Hz"
         )
 
 
@@ -52,7 +52,7 @@ def _unit(text: str, where: str) -> Any:
     try:
         return _registry().Unit(text)
     except Exception as error:  # pint has a class of its own for every way of misspelling a unit
-        raise BadInput(f"{where}: unit '{text}' is not known ({type(error).__name__}); one such as 'mm', 'N' or 'rad/s' is wanted") from None
+        raise BadInput(f"{where}: unit '{text}' is not known ({type(error).__name__}); expected one such as 'mm', 'N' or 'rad/s'") from None
 
 
 @lru_cache(maxsize=1)

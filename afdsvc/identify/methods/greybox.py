@@ -33,7 +33,7 @@ INDEPENDENT_SHARE = 1e-10
 @dataclass(frozen=True, slots=True)
 class GreyboxOptions:
     """``starts`` counts the starting points (the first is nominal, the others are drawn from the prior, widened by
-    ``spread``); ``prior`` adds the owner's belief to the likelihood; ``steps`` bounds the iterations.
+    ``spread``); ``prior`` adds the stated prior to the likelihood; ``steps`` bounds the iterations.
     """
 
     starts: int = 1
@@ -51,7 +51,7 @@ def fit_greybox(
 ) -> Fit:
     """Return the maximum-likelihood fit; ``start`` replaces the nominal values, ``rng`` is needed for several starts.
 
-    Raises `BadInput` when a parameter has no influence on the recordings or cannot be told from the others.
+    Raises `BadInput` when a parameter has no influence on the recordings or cannot be separated from the others.
     """
     objective = Likelihood(structure, recordings, options.prior)
     minima, failures = [], []
@@ -72,7 +72,7 @@ def _starts(
 ) -> list[Array]:
     first = structure.values if start is None else np.asarray(start, dtype=np.float64)
     if first.shape != structure.values.shape:
-        raise BadInput(f"start values of shape {first.shape}; {structure.values.shape} is wanted")
+        raise BadInput(f"start values of shape {first.shape}; expected {structure.values.shape}")
     if options.starts > 1 and rng is None:
         raise BadInput(f"{options.starts} starting points need a random generator; pass rng")
     lower, upper = _bounds(structure)
@@ -229,7 +229,7 @@ def _standard_errors(objective: Likelihood, best: Minimum) -> Array:
         strongest = np.argsort(-np.abs(vectors[:count, 0]))[:3]
         involved = ", ".join(names[i] for i in strongest if abs(vectors[i, 0]) > 0.1)
         raise BadInput(
-            f"parameters {involved} cannot be told apart by these recordings; fix one of them or give prior ranges"
+            f"parameters {involved} cannot be separated by these recordings; fix one of them or give prior ranges"
         )
     inverse = (vectors / values) @ vectors.T / np.outer(size[kept], size[kept])
     return np.asarray(inverse[:count, :count] * np.outer(objective.scales, objective.scales))

@@ -42,7 +42,7 @@ def youla_signals(fact: Factorisation, recording: Recording) -> Recording:
     if len(recording) < 2 * start:
         raise BadInput(
             f"{recording.name}: {len(recording)} samples, but the controller's filter needs {start} to settle; "
-            f"at least {2 * start} samples are wanted, or a recording that holds beta"
+            f"expected at least {2 * start} samples, or a recording that holds beta"
         )
     return Recording(out[start:, :m], out[start:, m:], recording.dt, recording.name)
 

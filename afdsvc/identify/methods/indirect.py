@@ -52,7 +52,7 @@ def fit_indirect(
     Raises `BadInput` for a norm that is neither 1 nor 2, or for parameters without influence.
     """
     if norm not in (1, 2):
-        raise BadInput(f"norm {norm}; 1 or 2 is wanted")
+        raise BadInput(f"norm {norm}; expected 1 or 2")
     objective = Mismatch(structure, fact, recordings, norm, whitener)
     theta = structure.values if start is None else start
     lower = np.asarray([p.lower for p in structure.parameters]) / structure.scales

@@ -50,7 +50,7 @@ def decompose_predictor(
     """
     future = max(2, past // 3) if future is None else future
     if not 2 <= future <= past:
-        raise BadInput(f"past window {past} and future window {future}; 2 <= future <= past is wanted")
+        raise BadInput(f"past window {past} and future window {future}; expected 2 <= future <= past")
     u_scale, y_scale = scales(recordings)
     relative = scaled(recordings, u_scale, y_scale)
     factor = compress(relative, past + 1, route)

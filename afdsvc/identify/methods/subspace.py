@@ -91,7 +91,7 @@ def realise(subspace: Subspace, order: int, stable: bool = False, feedthrough: b
     """
     s, p = subspace.horizon, len(subspace.y_scale)
     if not 1 <= order <= (s - 1) * p:
-        raise BadInput(f"order {order} with horizon {s} and {p} outputs; an order from 1 to {(s - 1) * p} is wanted")
+        raise BadInput(f"order {order} with horizon {s} and {p} outputs; expected an order from 1 to {(s - 1) * p}")
     Gamma = subspace.basis[:, :order]
     C = Gamma[:p]
     A = stable_transition(Gamma, p) if stable else linalg.lstsq(Gamma[:-p], Gamma[p:])[0]
@@ -104,9 +104,9 @@ def realise(subspace: Subspace, order: int, stable: bool = False, feedthrough: b
 
 def _check(weighting: str, horizon: int) -> None:
     if weighting not in WEIGHTINGS:
-        raise BadInput(f"subspace weighting '{weighting}'; one of {', '.join(WEIGHTINGS)} is wanted")
+        raise BadInput(f"subspace weighting '{weighting}'; expected one of {', '.join(WEIGHTINGS)}")
     if horizon < 2:
-        raise BadInput(f"horizon {horizon}; at least 2 block rows are wanted")
+        raise BadInput(f"horizon {horizon}; expected at least 2 block rows")
 
 
 def _project(factor: Array, m: int, p: int, s: int, weighting: Weighting) -> tuple[Array, Array, Array]:

@@ -35,7 +35,7 @@ def compress(recordings: Sequence[Recording], length: int, route: Route = "auto"
     hold fewer windows than a window has entries.
     """
     if route not in ("auto", "qr", "gram"):
-        raise BadInput(f"compression route '{route}'; auto, qr or gram is wanted")
+        raise BadInput(f"compression route '{route}'; expected auto, qr or gram")
     compress_size(recordings, length)
     return _factor([np.hstack([r.u, r.y]) for r in recordings], length, route)
 

@@ -38,7 +38,7 @@ FORGOTTEN = 1e-3
 LONGEST, LARGEST_SHARE = 800, 0.2
 
 _REWEIGHTINGS = 2
-#: Relative decrease of what remains unexplained for which starting again is worth while.
+#: Relative decrease of the unexplained power that makes another start necessary.
 _GAIN = 1e-3
 #: Decrease of half the weighted sum of squares that is good enough for an approach.
 _TOLERANCE = 1e-2

@@ -88,7 +88,7 @@ def noise_model(A: Array, C: Array, state_errors: Array, output_errors: Array) -
     radius = float(np.abs(np.linalg.eigvals(A - gain @ C)).max())
     if not radius < 1:
         raise IllConditioned(
-            f"the predictor A - K C has spectral radius {radius:.6g}; below 1 is wanted: lower the order"
+            f"the predictor A - K C has spectral radius {radius:.6g}; expected below 1: lower the order"
         )
     return np.asarray(gain), np.asarray((covariance + covariance.T) * (level / 2))
 

@@ -32,7 +32,7 @@ def regress_input_matrices(
     recording."""
     n, p, m = A.shape[0], C.shape[0], recordings[0].u.shape[1]
     gain = np.zeros((n, p)) if K is None else K
-    # The first n columns are the free response; what is left below them has the initial state projected out.
+    # The first n columns are the free response; the rows below have the initial state projected out.
     factors = [factor_of(partial(_blocks, A - gain @ C, C, gain, r, feedthrough))[n:, n:] for r in recordings]
     factor = factors[0] if len(factors) == 1 else join(factors)
     solution = linalg.lstsq(factor[:, :-1], factor[:, -1])[0]

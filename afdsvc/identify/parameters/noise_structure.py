@@ -127,7 +127,7 @@ def require_samplable(system: StateSpace, dt: float) -> None:
     """Raise `IllConditioned` for a continuous system that grows or turns beyond all measure within one sample."""
     rate = float(np.abs(eigenvalues(system.A)).max(initial=0.0)) * dt if np.isfinite(system.A).all() else float("inf")
     if not rate < LARGEST_RATE:
-        raise IllConditioned(f"the plant has a pole of size {rate:.2g} per sample, below {LARGEST_RATE:.2g} is wanted")
+        raise IllConditioned(f"the plant has a pole of size {rate:.2g} per sample; expected below {LARGEST_RATE:.2g}")
 
 
 def _with_noise(slopes: Slopes, count: int) -> Slopes:

@@ -80,7 +80,7 @@ def physical_structure(
 def model_structure(model: Model, process_states: Sequence[str] = ()) -> Structure:
     """Return the structure of a MODEL: its physical parameters when a Python simulator uses them, else matrix entries.
 
-    Entries move inside the owner's standard deviations (entries without one stay). A simulator is linearised around
+    Entries move within their stated standard deviations (entries without one stay). A simulator is linearised around
     rest. Raises `BadInput` when nothing may move.
     """
     process = _process(process_states, [s.name for s in model.states])

@@ -41,7 +41,7 @@ class Element:
 
     def __post_init__(self) -> None:
         if not (self.length > 0 and self.diameter > 0):
-            raise BadInput(f"shaft element of length {self.length} m and diameter {self.diameter} m; positive is wanted")
+            raise BadInput(f"shaft element of length {self.length} m and diameter {self.diameter} m; expected positive")
 
     @property
     def area(self) -> float:

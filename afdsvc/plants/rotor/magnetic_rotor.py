@@ -131,7 +131,7 @@ def magnetic_rotor(rotor: RotorMatrices, bearings: Sequence[MagneticBearing], rp
     """Return a rotor in its bearings; raises `BadInput` for repeated names, and nodes or gains that cannot be."""
     names = [b.name for b in bearings]
     if not names or len(set(names)) < len(names):
-        raise BadInput(f"bearings are named {', '.join(names) or 'not at all'}; different names are wanted")
+        raise BadInput(f"bearings are named {', '.join(names) or 'not at all'}; expected different names")
     for b in bearings:
         rotor.direction(b.node, 0), rotor.direction(b.sensor, 0)
         if not b.current_gain:

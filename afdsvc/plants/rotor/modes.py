@@ -56,7 +56,7 @@ def full_rotor(rotor: RotorMatrices, speed: float, stiffness: Array) -> FullRoto
     """
     square, shapes = eigh(rotor.K, rotor.M)
     if not np.abs(square[:RIGID]).max() < RIGID_SHARE * square[RIGID]:
-        raise IllConditioned(f"the free shaft bends with {square[:RIGID]} (rad/s)^2; four zeros are wanted")
+        raise IllConditioned(f"the free shaft bends with {square[:RIGID]} (rad/s)^2; expected four zeros")
     square[:RIGID] = 0.0
     # a mode of the free shaft is bent by the bearings and coupled to the others by rotation
     K = np.diag(square) + shapes.T @ stiffness @ shapes

@@ -48,7 +48,7 @@ def rotor_plant(
     splits a pair of modes.
     """
     if not 0 <= balance_grade < float("inf"):
-        raise BadInput(f"balance_grade {balance_grade} mm/s; 0 or more is wanted")
+        raise BadInput(f"balance_grade {balance_grade} mm/s; expected 0 or more")
     build, _ = rotor.family(states)
     axes = rotor.channels
     sites = {f"{n}_actuator": ("input", i) for i, n in enumerate(axes)}

@@ -31,7 +31,7 @@ def rotor_from_ross(rotor: Any) -> RotorMatrices:
 def from_six(M: Array, C: Array, G: Array, K: Array) -> RotorMatrices:
     """Return matrices in ROSS's six degrees of freedom per node as those of lateral motion; raises `BadInput` for sizes."""
     if len(M) % ROSS_DOFS:
-        raise BadInput(f"the rotor has {len(M)} degrees of freedom; six for each node are wanted")
+        raise BadInput(f"the rotor has {len(M)} degrees of freedom; expected six for each node")
     nodes = len(M) // ROSS_DOFS
     keep = (ROSS_DOFS * np.arange(nodes)[:, None] + np.array(ORDER)).ravel()
     sign = np.tile(SIGNS, nodes)

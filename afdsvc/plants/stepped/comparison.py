@@ -19,7 +19,7 @@ MOST_SAMPLES = 20_000
 def compared(model: Model, traces: Sequence[Trace]) -> list[str]:
     """Return a sentence per recording on what the simulator behind a model makes of its inputs; [] where there is none.
 
-    Both start from rest; errors are ``|y - yhat| / |y - mean|``, like everywhere. A simulator that fails is told, not raised.
+    Both start from rest; errors are ``|y - yhat| / |y - mean|``, like everywhere. A failure of the simulator is reported, not raised.
     """
     if model.opened is None or model.plant is None:
         return []

@@ -144,12 +144,12 @@ class FmiUnit:
         return int(variable.valueReference)
 
     def _log(self, *arguments: Any) -> None:
-        """Keep what the unit said last; it is told when the unit fails, and goes nowhere else."""
+        """Keep the unit's last message, which is reported when the unit fails."""
         last = arguments[-1]
         self._said = last.decode(errors="replace") if isinstance(last, bytes) else str(last)
 
     def _failure(self, what: str, error: Exception) -> BadInput:
-        """Return the sentence on a failure. The standard forbids every further call, freeing included, so what is left is let lie."""
+        """Return the sentence on a failure. The standard forbids every further call, freeing included, so its resources are not released."""
         if self._unit is not None:
             _ABANDONED.append(self._unit)
             self._unit = None
@@ -169,9 +169,9 @@ def _description(path: Path) -> Any:
     except Exception as error:
         raise BadInput(f"{path}: is not a readable FMI unit: {(str(error) or type(error).__name__).splitlines()[0]}") from None
     if not found.fmiVersion.startswith(("2", "3")):
-        raise BadInput(f"{path}: is a unit of FMI {found.fmiVersion}; FMI 2 or 3 is wanted")
+        raise BadInput(f"{path}: is a unit of FMI {found.fmiVersion}; expected FMI 2 or 3")
     if found.coSimulation is None:
-        raise BadInput(f"{path}: offers no co-simulation, only an integrator could run it; a co-simulation unit is wanted")
+        raise BadInput(f"{path}: offers no co-simulation, only an integrator could run it; expected a co-simulation unit")
     return found
 
 

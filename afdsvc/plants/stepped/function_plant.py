@@ -39,7 +39,7 @@ class FunctionPlant:
         except Exception as error:
             raise BadInput(f"simulator {self._name} fails: {type(error).__name__}: {error}") from error
         if found.shape != (self._p,):
-            raise BadInput(f"simulator {self._name} returns outputs of shape {found.shape}; ({self._p},) is wanted")
+            raise BadInput(f"simulator {self._name} returns outputs of shape {found.shape}; expected ({self._p},)")
         return finite(found, self._name)
 
     def states(self) -> Array:
@@ -59,5 +59,5 @@ def finite(y: Array, name: str) -> Array:
     """Return outputs that are all finite; raises `BadInput` naming the simulator and the output that is not."""
     if not np.isfinite(y).all():
         at = int(np.flatnonzero(~np.isfinite(y))[0])
-        raise BadInput(f"simulator {name} returns {y[at]} for output {at}; finite numbers are wanted")
+        raise BadInput(f"simulator {name} returns {y[at]} for output {at}; expected finite numbers")
     return y

@@ -52,7 +52,7 @@ def linear_part(
     pulses = [_pulse(unit, i, push, dt, samples, still) for i in range(m)]
     size = max(float(np.abs(y).max()) for y, _ in pulses)
     if not size > 0:
-        raise BadInput(f"simulator {name} answers to no input pushed by {push.tolist()}; larger pushes or other inputs are wanted")
+        raise BadInput(f"simulator {name} answers to no input pushed by {push.tolist()}; expected larger pushes or other inputs")
     fit, judge = (rng.choice([-1.0, 1.0], size=(samples, m)) * push for _ in range(2))
     if still[1].shape[1]:
         y, x = _run(unit, fit, dt)
@@ -113,7 +113,7 @@ def _missed(plant: StateSpace, u: Array, y: Array, name: str) -> float:
     if not missed <= WORST:
         raise BadInput(
             f"simulator {name}: a linear part of order {plant.order} misses {100 * min(missed, 99.0):.0f} % of its answer to a random push; "
-            "other states, a smaller push or more samples are wanted (section 'perturbation')"
+            "expected other states, a smaller push or more samples (section 'perturbation')"
         )
     return missed
 

@@ -33,9 +33,9 @@ class Pid:
         """Return the controller; J_K has the order of the plant plus one state per integrator and derivative."""
         known(settings, self.name, *SETTINGS)
         if plant.inputs != plant.outputs:
-            raise BadInput(f"pid: the plant has {plant.inputs} inputs and {plant.outputs} outputs; one for each axis is wanted")
+            raise BadInput(f"pid: the plant has {plant.inputs} inputs and {plant.outputs} outputs; expected one for each axis")
         if "proportional" not in settings:
-            raise BadInput("pid: setting 'proportional' is missing; a number, or one for each axis, is wanted")
+            raise BadInput("pid: setting 'proportional' is missing; expected a number, or one for each axis")
         table = np.column_stack([_per_axis(settings.get(key, 0.0), key, plant.inputs) for key in SETTINGS])
         K = block_diagonal(*(pid(k, ti, td, tf, plant.dt) for k, ti, td, tf in table.tolist()))
         fact = controller_factorisation(plant, K)
@@ -51,7 +51,7 @@ def pid(
     for negative times.
     """
     if min(integral_seconds, derivative_seconds, filter_seconds) < 0:
-        raise BadInput("pid: a time is negative; zero or positive seconds are wanted")
+        raise BadInput("pid: a time is negative; expected zero or positive seconds")
     poles, into, gains, direct = [], [], [], 1.0
     if integral_seconds:
         poles, into, gains = [1.0], [dt], [1 / integral_seconds]
@@ -70,5 +70,5 @@ def _per_axis(value: Any, key: str, axes: int) -> Array:
     if array.ndim == 0:
         return np.full(axes, float(array))
     if array.shape != (axes,):
-        raise BadInput(f"pid: setting '{key}' has shape {array.shape}; a number or {axes} numbers are wanted")
+        raise BadInput(f"pid: setting '{key}' has shape {array.shape}; expected a number or {axes} numbers")
     return array

@@ -37,11 +37,11 @@ class Proportional:
 
 def _gain(value: Any, plant: StateSpace) -> Array:
     if value is None:
-        raise BadInput("proportional: setting 'gain' is missing; a number or a matrix is wanted")
+        raise BadInput("proportional: setting 'gain' is missing; expected a number or a matrix")
     gain = np.asarray(value, dtype=float)
     shape = (plant.inputs, plant.outputs)
     if gain.ndim == 0 and shape[0] == shape[1]:
         return float(gain) * np.eye(shape[0])
     if gain.shape != shape:
-        raise BadInput(f"proportional: setting 'gain' has shape {gain.shape}; a number or shape {shape} is wanted")
+        raise BadInput(f"proportional: setting 'gain' has shape {gain.shape}; expected a number or shape {shape}")
     return gain

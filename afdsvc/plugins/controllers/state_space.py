@@ -23,7 +23,7 @@ class Linear:
         """Return the controller; J_K has the order of plant plus controller."""
         known(settings, self.name, "A", "B", "C", "D")
         if "D" not in settings:
-            raise BadInput("state_space: setting 'D' is missing; the matrices A, B, C, D of the controller are wanted")
+            raise BadInput("state_space: setting 'D' is missing; expected the matrices A, B, C, D of the controller")
         if settings.get("A"):
             K = StateSpace.of(settings["A"], settings["B"], settings["C"], settings["D"], plant.dt)
         else:

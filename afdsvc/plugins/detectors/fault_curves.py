@@ -1,4 +1,4 @@
-"""Maximum likelihood on fault curves, with what nobody wants to see projected out first."""
+"""Maximum likelihood on fault curves, after projecting out nuisance directions."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ def _index(settings: Mapping[str, Any], key: str, size: int, owner: str) -> int:
         raise BadInput(f"{owner}: unknown setting '{unknown}'; known is {key}")
     index = settings.get(key)
     if not isinstance(index, int) or not 0 <= index < size:
-        raise BadInput(f"{owner}: setting '{key}' is {index!r}; a whole number from 0 to {size - 1} is wanted")
+        raise BadInput(f"{owner}: setting '{key}' is {index!r}; expected a whole number from 0 to {size - 1}")
     return index
 
 

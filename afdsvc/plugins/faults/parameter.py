@@ -25,7 +25,7 @@ class Parameter:
             raise BadInput(f"{self.name}: unknown setting '{unknown}'; known is parameter")
         chosen = settings.get("parameter", name)
         if not isinstance(chosen, str):
-            raise BadInput(f"{self.name}: setting 'parameter' is {chosen!r}; the name of a parameter is wanted")
+            raise BadInput(f"{self.name}: setting 'parameter' is {chosen!r}; expected the name of a parameter")
         return chosen
 
     def direction(self, plant: StateSpace, name: str, settings: Mapping[str, Any]) -> FaultDirection:

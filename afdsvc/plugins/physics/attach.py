@@ -157,7 +157,7 @@ def _registry() -> Any:
 
 
 def force(axis: Axis, name: str, low: float, high: float, scale: float, per: str = "", **rest: Any) -> Coefficient:
-    """Return a force-like coefficient (``per`` is what it is divided by, such as "m^3"), told in the input's unit if one acts here."""
+    """Return a force-like coefficient (``per`` is its denominator, such as "m^3"), in the unit of the input where one acts here."""
     through = None if axis.input is None else (axis.rate.index, axis.input)
     unit = axis.unit or f"{axis.rate.unit}/s"
     return Coefficient(name, f"{unit}/{per}" if per else unit, low, high, scale, through=through, **rest)

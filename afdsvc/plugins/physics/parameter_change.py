@@ -1,4 +1,4 @@
-"""Parameter change: no new physics, but a number of the model that is off by more than its owner thinks."""
+"""Parameter change: no new physics, but a parameter of the model that differs by more than its stated uncertainty."""
 
 from __future__ import annotations
 

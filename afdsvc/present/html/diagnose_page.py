@@ -37,7 +37,7 @@ def answer(verdict: Mapping[str, Any]) -> str:
         return f"Fault: {verdict['fault']}"
     if verdict["first_detected_s"] is not None:
         return "A fault, cause open"
-    return "Nothing is wrong" if verdict["trustworthy"] else "Cannot be told"
+    return "Nothing is wrong" if verdict["trustworthy"] else "No answer"
 
 
 def _percent(severity: Mapping[str, float] | None) -> str:
@@ -50,17 +50,17 @@ def _weights(weights: Mapping[str, float]) -> str:
 
 
 def _severities(recording: Mapping[str, Any]) -> str:
-    """Return the severity told by every decision against time, two standard errors wide; "" when none was told."""
-    told: dict[str, list[tuple[float, float, float]]] = {}
+    """Return the severity of every decision against time, with bars of two standard errors; "" when there is none."""
+    estimates: dict[str, list[tuple[float, float, float]]] = {}
     for burst in recording["bursts"]:
         for d in burst["decisions"]:
             if d["fault"] and d["severity"]:
-                told.setdefault(d["fault"], []).append((d["seconds"], 100 * d["severity"]["value"], 200 * d["severity"]["sd"]))
-    if not told:
+                estimates.setdefault(d["fault"], []).append((d["seconds"], 100 * d["severity"]["value"], 200 * d["severity"]["sd"]))
+    if not estimates:
         return ""
     figure = Figure(figsize=(8.5, 2.6), layout="constrained")
     ax = figure.subplots()
-    for colour, (fault, rows) in zip(COLOURS * len(told), told.items(), strict=False):
+    for colour, (fault, rows) in zip(COLOURS * len(estimates), estimates.items(), strict=False):
         t, value, error = _columns(rows)
         ax.errorbar(t, value, yerr=error, fmt="o", ms=3.5, lw=1.0, color=colour, label=fault)
     ax.axhline(0.0, color="0.6", lw=0.8)

@@ -30,7 +30,7 @@ class Answers:
 
     @property
     def severities(self) -> bool:
-        """Whether a severity was told yet."""
+        """Whether a severity has been estimated."""
         return any(kind == "severity" for kind, _ in self._lines)
 
     def say_nothing_yet(self, recording: rr.RecordingStream, t_ns: int, start_ns: int) -> None:
@@ -39,7 +39,7 @@ class Answers:
             self._tell(recording, "## No decision yet\n\nDetectors have not judged anything so far.", t_ns, start_ns)
 
     def take(self, recording: rr.RecordingStream, finding: Finding, start_ns: int) -> None:
-        """Take a decision; the answer is told again when it has changed."""
+        """Take a decision; a changed answer is shown again."""
         self._evidence.append(finding.evidence)
         verdict = conclude(list(self._evidence))
         if verdict.detected and self._begun_ns is None:
@@ -88,7 +88,7 @@ def words(verdict: Verdict, evidence: list[Evidence], begun_ns: int | None, star
     """Return the answers as Markdown."""
     if not verdict.detected:
         if not verdict.trustworthy:
-            return f"## Cannot be told\n\n{verdict.reason}"
+            return f"## No answer\n\n{verdict.reason}"
         return f"## Nothing is wrong\n\n{_looked(evidence)}"
     since = f"{(begun_ns - start_ns) / 1e9:.1f} s, {_clock(begun_ns)}" if begun_ns is not None else "unknown"
     lines = [f"## {'Fault: ' + verdict.fault if verdict.fault else 'A fault, cause open'}", f"**Since** {since}"]
@@ -106,8 +106,8 @@ def _likely(verdict: Verdict) -> list[str]:
 
 def _sure(verdict: Verdict) -> str:
     ranked = sorted(verdict.weights.items(), key=lambda item: -item[1])[:3]
-    told = [f"{'none of these' if name == NONE else name} {100 * w:.3g} %" for name, w in ranked if w >= 0.005]
-    return ", ".join(told) or "detected, not weighed"
+    shares = [f"{'none of these' if name == NONE else name} {100 * w:.3g} %" for name, w in ranked if w >= 0.005]
+    return ", ".join(shares) or "detected, without weights"
 
 
 def _looked(evidence: list[Evidence]) -> str:

@@ -26,7 +26,7 @@ class GroupLayout:
 @dataclass(frozen=True, slots=True)
 class MachineLayout:
     """What there is to show of one machine: groups of signals, outputs judged by each detector, lanes, any event, whether a
-    severity was told, and its complex planes by title and half width."""
+    severity was estimated, and its complex planes by title and half width."""
 
     groups: Mapping[str, GroupLayout]
     detectors: Mapping[str, int]

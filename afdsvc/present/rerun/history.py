@@ -24,9 +24,9 @@ Told = tuple[int, str, float, float]  # Unix time [ns], fault, severity, its sta
 
 
 def severities(recordings: Iterable[Path]) -> dict[str, list[Told]]:
-    """Return for every machine what each burst told, in order of time; an unreadable recording is named in `BadInput`.
+    """Return the decision on each burst of every machine, in order of time; an unreadable recording is named in `BadInput`.
 
-    Only the chunks that hold decisions are read, found by the recordings' index. A burst that told no fault has an empty name
+    Only the chunks that hold decisions are read, found by the recordings' index. A burst without a detected fault has an empty name
     and severity 0: it is part of the history too.
     """
     bursts: dict[tuple[str, str], list[Finding]] = {}

@@ -32,7 +32,7 @@ class ReviewLog:
     ``live`` is a port on loopback viewers connect to (``rerun+http://127.0.0.1:PORT/proxy``). Samples are sent every
     ``batch_seconds`` of machine time. Between bursts signals are thinned to ``quiet_hertz`` points per second that keep
     every extreme (0: never); during bursts every sample is there. ``tell`` puts events and news of detectors into the
-    event log (not wanted where the sentences come by themselves). Raises `BadInput` when the file cannot be written.
+    event log (off where the messages themselves are logged). Raises `BadInput` when the file cannot be written.
     """
 
     def __init__(
@@ -145,7 +145,7 @@ class ReviewLog:
 
 
 def warm_up() -> None:
-    """Do what the first logging call would do (it takes up to a second), on a recording nobody sees."""
+    """Do what the first logging call would do (it takes up to a second), on a recording that is thrown away."""
     aside = rr.RecordingStream(f"{paths.APPLICATION} warm-up")
     memory = aside.memory_recording()
     aside.send_columns("/x", indexes=[rr.TimeColumn("t", sequence=[0])], columns=rr.Scalars.columns(scalars=[0.0]))
@@ -175,4 +175,4 @@ def _refuse_taken(port: int) -> None:
         try:
             probe.bind((LOOPBACK, port))
         except (OSError, OverflowError) as error:
-            raise BadInput(f"live review on port {port} of {LOOPBACK}: {error}; a free port is wanted") from None
+            raise BadInput(f"live review on port {port} of {LOOPBACK}: {error}; expected a free port") from None

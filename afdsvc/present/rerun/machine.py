@@ -18,7 +18,7 @@ from afdsvc.wire.messages import Finding
 
 
 class MachineReview:
-    """Collects what belongs to one machine and sends it when told to."""
+    """Collects what belongs to one machine and sends it on request."""
 
     def __init__(self, id: str, quiet_hertz: float) -> None:
         self.id, self._quiet = id, quiet_hertz

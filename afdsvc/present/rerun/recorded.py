@@ -94,7 +94,7 @@ def _extremes(recording: Recording, machine: str) -> dict[str, tuple[float, floa
 
 
 def _show(log: ReviewLog, entry: Entry) -> None:
-    """Pass a message on; one that cannot be decoded is told in the event log of its machine."""
+    """Pass a message on; one that cannot be decoded is noted in the event log of its machine."""
     machine, what = topics.parts(entry.topic)
     try:
         match what:

@@ -105,7 +105,7 @@ def as_residual(block: Block) -> Block:
 def _line(role: str, channel: Channel, color: tuple[int, int, int]) -> rr.SeriesLines:
     symbol = "" if role == "aux" else f"{role} "
     name = f"{symbol}{channel.label}" + (f" [{channel.unit}]" if channel.unit else "")
-    # Zoomed out, the viewer averages unless told otherwise, and peaks vanish.
+    # Zoomed out, the viewer averages by default, which hides peaks.
     policy = rr.components.AggregationPolicy.MinMax
     return rr.SeriesLines(names=name, colors=[color], widths=[1.0], aggregation_policy=policy)
 

@@ -46,7 +46,7 @@ class ReviewSink:
         self._open(event.t_ns).event(event)
 
     def request(self, request: BurstRequest) -> None:
-        """Nothing: what was asked for is told when it is played or refused."""
+        """Nothing: a request is shown when it is played or refused."""
 
     def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
         """Tell a sentence."""

@@ -56,10 +56,10 @@ class Sink(Protocol):
 
 
 class ThreadedSink:
-    """A sink behind a bounded queue and a thread of its own: slow or failing, it holds nobody up, and drops are counted.
+    """A sink behind a bounded queue and a thread of its own: it never blocks its caller, and drops are counted.
 
     With ``pause`` the thread lets messages gather for so many seconds: a hundred threads that wake for every block hold
-    detection up by waking. A failure (a full disk, say, or a queue that is full) is told once by ``failed(sentence)``; the sink is tried again with
+    detection up by waking. A failure (a full disk or a full queue, say) is reported once by ``failed(sentence)``; the sink is tried again with
     every later message.
     """
 
@@ -135,7 +135,7 @@ class ThreadedSink:
                 self._failed(f"{waiting} messages wait; later ones are dropped until there is room")
             return
         self._queue.put((what, arguments))
-        self._full = self._full and waiting >= self._size // 2  # told once, not at every gap
+        self._full = self._full and waiting >= self._size // 2  # reported once, not at every gap
 
     def _work(self) -> None:
         while True:

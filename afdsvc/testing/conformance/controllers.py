@@ -53,8 +53,8 @@ def has_the_shape_of_jk(thing: Any) -> None:
     """J_K takes [y, alpha] and gives [u, beta], at the plant's sample time."""
     plant, made = _designed(thing)
     jk, ports = made.interconnection, plant.inputs + plant.outputs
-    assert (jk.inputs, jk.outputs) == (ports, ports), f"J_K is {jk.outputs} x {jk.inputs}; {ports} x {ports} is wanted"
-    assert jk.dt == plant.dt, f"J_K has sample time {jk.dt}; {plant.dt} is wanted"
+    assert (jk.inputs, jk.outputs) == (ports, ports), f"J_K is {jk.outputs} x {jk.inputs}; expected {ports} x {ports}"
+    assert jk.dt == plant.dt, f"J_K has sample time {jk.dt}; expected {plant.dt}"
 
 
 def alpha_does_not_reach_beta(thing: Any) -> None:

@@ -93,7 +93,7 @@ def steps_are_functions(thing: Any) -> None:
             array.setflags(write=False)
         before = pickle.dumps(state)
         once, first = detector.step(state, block)
-        assert pickle.dumps(state) == before, "the step changed the state it was given; a new one is wanted"
+        assert pickle.dumps(state) == before, "the step changed the state it was given; expected a new one"
         _, second = detector.step(state, block)
         assert [e.statistic for e in first] == [e.statistic for e in second], "the same step gave two different results"
         state = once
@@ -130,8 +130,8 @@ def says_all_of_what_it_decides(thing: Any) -> None:
     """Evidence has a finite threshold, weights that add up to one, a reason where it cannot be trusted."""
     detector = thing.design(_problem(), {})
     for e in _said(detector, _record(6, _problem().fault_names[1], -0.5)):
-        assert e.detector == detector.name, f"evidence says detector '{e.detector}'; '{detector.name}' is wanted"
-        assert np.isfinite(e.threshold), f"threshold {e.threshold}; a number is wanted"
+        assert e.detector == detector.name, f"evidence says detector '{e.detector}'; expected '{detector.name}'"
+        assert np.isfinite(e.threshold), f"threshold {e.threshold}; expected a number"
         assert e.trustworthy or e.reason, "evidence that cannot be trusted gives no reason"
         assert not e.weights or abs(sum(e.weights.values()) - 1) < 1e-6, f"weights add up to {sum(e.weights.values())}"
         assert e.fault is None or e.fault in _problem().fault_names, f"fault '{e.fault}' is not one of the machine's"

@@ -41,7 +41,7 @@ def blocks_are_whole(thing: Any) -> None:
             assert block is not None, "no block came; a driver waits for its next sample"
             assert block.channels == port.channels, "a block has other channels than its port"
             assert block.dt == port.dt, f"a block has sample time {block.dt}, its port {port.dt}"
-            assert k is None or block.k0 == k, f"a block begins at sample {block.k0}; {k} is wanted"
+            assert k is None or block.k0 == k, f"a block begins at sample {block.k0}; expected {k}"
             assert np.isfinite(block.role("u")).all(), "an input is not finite"
             k = block.k0 + len(block)
 

@@ -14,8 +14,8 @@ NONSENSE = "no_such_setting_ever"
 def is_named(thing: Any) -> None:
     """Has a name of small letters, digits and _, and a summary of one line."""
     name, summary = getattr(thing, "name", None), getattr(thing, "summary", None)
-    assert re.fullmatch(r"[a-z][a-z0-9_]*", str(name)), f"name is {name!r}; small letters, digits, _ are wanted"
-    assert len(str(summary or "").splitlines()) == 1, f"summary is {summary!r}; one line is wanted"
+    assert re.fullmatch(r"[a-z][a-z0-9_]*", str(name)), f"name is {name!r}; expected small letters, digits, _"
+    assert len(str(summary or "").splitlines()) == 1, f"summary is {summary!r}; expected one line"
 
 
 def refuses_nonsense(design: Callable[[dict[str, Any]], Any], settings: dict[str, Any] | None = None) -> None:
@@ -25,5 +25,5 @@ def refuses_nonsense(design: Callable[[dict[str, Any]], Any], settings: dict[str
     except BadInput as refusal:
         said = str(refusal)
     else:
-        raise AssertionError("an unknown setting was ignored; BadInput that names it is wanted")
+        raise AssertionError("an unknown setting was ignored; expected BadInput that names it")
     assert NONSENSE in said, f"the refusal of an unknown setting does not name it: {said}"

@@ -23,7 +23,7 @@ def test_sums_of_products_are_those_of_numpy():
 
 
 def test_series_with_other_features_are_refused():
-    with pytest.raises(BadInput, match="series of 10 columns; 2 of the residual and 4 features"):
+    with pytest.raises(BadInput, match="series of 10 columns; expected 2 of the residual and 4 features"):
         Products.empty(2, 4).add(np.zeros((5, 5, 2)))
     test = cusum(np.ones((3, 2, 4)), np.full(3, -0.5), [0, 1, 2], 5, 10.0)
     with pytest.raises(BadInput, match="series of 7 columns"):

@@ -71,5 +71,5 @@ def test_burst_boundary_keeps_the_rate(rate):
 def test_nonsense_is_named():
     with pytest.raises(BadInput, match="positive"):
         average_run_length.run_length(-1.0, 3.0)
-    with pytest.raises(BadInput, match="is wanted"):
+    with pytest.raises(BadInput, match="expected"):
         average_run_length.boundary(1.0, 1.0)

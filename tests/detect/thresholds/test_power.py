@@ -9,7 +9,7 @@ from afdsvc.errors import BadInput
 
 def test_published_deflection_for_99_percent_at_one_in_a_million():
     # Q^-1(1e-6) - Q^-1(0.99) from normal tables: 4.7534 + 2.3263
-    assert power.deflection_wanted(1e-6, 0.99) == pytest.approx(7.07977, abs=1e-4)
+    assert power.required_deflection(1e-6, 0.99) == pytest.approx(7.07977, abs=1e-4)
 
 
 @pytest.mark.parametrize(("energy", "printed"), [(2.70, 0.801), (3.02, 0.871)])
@@ -45,14 +45,14 @@ def test_falsely_sure_is_never_above_its_stated_maximum():
     assert worst < 0.0013
 
 
-def test_separation_wanted_inverts_weight_reached():
-    s = power.separation_wanted(0.99, 0.999)
+def test_required_separation_inverts_weight_reached():
+    s = power.required_separation(0.99, 0.999)
     assert power.weight_reached(s, 0.99) == pytest.approx(0.999, abs=1e-9)
 
 
-def test_samples_grow_with_the_square_of_the_deflection_wanted():
-    assert power.samples_wanted(1e-6, 0.99, 0.1) == pytest.approx((7.079772 / 0.1) ** 2, rel=1e-6)
-    assert power.samples_wanted(1e-6, 0.99, 0.0) == np.inf
+def test_samples_grow_with_the_square_of_the_required_deflection():
+    assert power.required_samples(1e-6, 0.99, 0.1) == pytest.approx((7.079772 / 0.1) ** 2, rel=1e-6)
+    assert power.required_samples(1e-6, 0.99, 0.0) == np.inf
 
 
 @pytest.mark.parametrize("probability", [0.0, 1.0, -0.1, float("nan")])

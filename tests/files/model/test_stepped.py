@@ -83,7 +83,7 @@ def test_a_unit_alone_stands_for_a_model_in_its_modes(tmp_path):
     assert A[0, 0] == pytest.approx(A[1, 1])
     assert A[0, 1] == pytest.approx(-A[1, 0])
     assert np.sqrt(np.linalg.det(A)) == pytest.approx(np.sqrt(4000), rel=0.02)
-    with pytest.raises(BadInput, match=r"compiled code that would run on this computer; permission to run code is wanted: --allow-code"):
+    with pytest.raises(BadInput, match=r"compiled code that would run on this computer; expected permission to run code: --allow-code"):
         read_model(tmp_path / "Slide2.fmu")
 
 
@@ -93,7 +93,7 @@ def test_a_unit_alone_must_say_enough(tmp_path, monkeypatch):
     with pytest.raises(BadInput, match=r"states no step size in its default experiment; a MODEL\.toml with dynamics = \"Slide3\.fmu\""):
         read_model(tmp_path / "Slide3.fmu", allow_code=True)
     told.update(step=0.002, inputs={})
-    with pytest.raises(BadInput, match=r"Slide3\.fmu: has no real inputs; at least one is wanted"):
+    with pytest.raises(BadInput, match=r"Slide3\.fmu: has no real inputs; expected at least one"):
         read_model(tmp_path / "Slide3.fmu", allow_code=True)
 
 
@@ -140,10 +140,10 @@ def test_a_simulator_that_fails_on_a_recording_is_told(tmp_path):
         (("axis.py:axis", "axis.py:number"), "'number' has no f and no h"),
         (("axis.py:axis", "axis.py:other"), "which defines no 'other'"),
         (("axis.py:axis", "axis.fmi"), "key 'dynamics' is 'axis.fmi'"),
-        (("[parameters]", "[perturbation]\namplitude = [1.0, 2.0]\n[parameters]"), "'perturbation.amplitude' holds 2 values; 1 are wanted"),
+        (("[parameters]", "[perturbation]\namplitude = [1.0, 2.0]\n[parameters]"), "'perturbation.amplitude' holds 2 values; expected 1"),
         (("[parameters]", "[perturbation]\nsamples = 3\n[parameters]"), "key 'perturbation.samples' is 3"),
         (("stiffness =", "mass ="), "unexpected keyword argument 'mass'"),
-        ((", {name = \"velocity\", unit = \"mm/s\", rate_of = \"position\"}", ""), "key 'states' names 1 states; 2 are wanted"),
+        ((", {name = \"velocity\", unit = \"mm/s\", rate_of = \"position\"}", ""), "key 'states' names 1 states; expected 2"),
     ],
 )
 def test_what_does_not_fit_is_refused_by_key(change, said, tmp_path):

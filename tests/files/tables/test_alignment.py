@@ -37,7 +37,7 @@ def test_order_and_doubles_are_put_right_and_counted(order, doubles):
     np.testing.assert_array_equal(pieces[0].values[:, 0], np.arange(60))
     late = sum(b < a for a, b in pairwise(places))
     assert any(f"{late} samples of bus came out of order" in s for s in told) == (late > 0)
-    assert any(f"{len(doubles)} samples of bus have the time of another" in s for s in told) == bool(doubles)
+    assert any(f"{len(doubles)} samples of bus have the time stamp of another" in s for s in told) == bool(doubles)
 
 
 def test_a_gap_makes_two_pieces_and_nothing_in_between():
@@ -53,7 +53,7 @@ def test_pieces_too_short_to_tell_anything_are_left_out_and_counted():
     pieces, told = aligned([group(t)], "here")
     assert [len(p.values) for p in pieces] == [100, 100]
     assert "stretches shorter than 50 samples are left out: 1, with 3 samples in all" in told
-    with pytest.raises(BadInput, match="here: the longest stretch without a gap has 30 samples; at least 50 are wanted"):
+    with pytest.raises(BadInput, match="here: the longest stretch without a gap has 30 samples; expected at least 50"):
         aligned([group(DT * np.arange(30))], "here")
 
 
@@ -117,7 +117,7 @@ def test_what_is_no_number_stays_a_gap_when_resampled():
     pieces, told = aligned([g], "here", dt=4e-3)
     assert len(pieces) == 2
     assert all(np.isfinite(p.values).all() for p in pieces)
-    assert "3 samples of drive are not numbers: they stay gaps" in told
+    assert "3 samples of drive are NaN and stay gaps" in told
 
 
 def test_samples_without_a_time_are_dropped_and_counted():
@@ -126,7 +126,7 @@ def test_samples_without_a_time_are_dropped_and_counted():
     _, told = aligned([Group("drive", np.append(t, np.nan), {"u_x": np.ones(101)})], "here", gap=2.5)
     assert told == [
         "2 samples of drive have no time and are dropped",
-        "missing samples of drive, fewer at a time than the mapping calls a gap, were interpolated: 1",
+        "1 missing samples of drive were interpolated (each run shorter than a gap of the mapping)",
     ]
 
 

@@ -209,13 +209,13 @@ def test_two_topics_meet_on_one_grid(tmp_path):
 @pytest.mark.parametrize(
     ("place", "said"),
     [
-        ("/motor.v", r"no topic for '/motor\.v', which is to be y_x; TOPIC\.FIELD is wanted, and it has camera\.front \(json\), encoder \(Encoder\)"),
+        ("/motor.v", r"no topic for '/motor\.v', which is to be y_x; expected TOPIC\.FIELD, and it has camera\.front \(json\), encoder \(Encoder\)"),
         ("encoder", "no topic for 'encoder'"),
-        ("encoder.angle.rad", r"encoder\.angle\.rad: has no such field; a number is wanted, and it has angle\.deg\[0\], us"),
-        ("encoder.name", r"encoder\.name: holds str there; a number is wanted"),
+        ("encoder.angle.rad", r"encoder\.angle\.rad: has no such field; expected a number, and it has angle\.deg\[0\], us"),
+        ("encoder.name", r"encoder\.name: holds str there; expected a number"),
         ("encoder.angle", r"encoder\.angle: holds dict there"),
         ("encoder.angle.deg[4]", r"deg\[4\]: has no such field"),
-        ("camera.front.x", r"camera\.front\.x: has no such field; a number is wanted, and it has none"),
+        ("camera.front.x", r"camera\.front\.x: has no such field; expected a number, and it has none"),
     ],
 )
 def test_what_is_not_there_is_refused_with_what_is(place, said, tmp_path):
@@ -234,7 +234,7 @@ def test_messages_nobody_can_decode_are_refused(tmp_path):
         writer.add_message(writer.register_channel("/e", "protobuf", broken), T0, b"{", T0)
         writer.register_channel("/f", "json", 0)
         writer.finish()
-    with pytest.raises(BadInput, match="topic '/a': messages are encoded as 'cbor'; protobuf, json or cdr"):
+    with pytest.raises(BadInput, match="topic '/a': messages are encoded as 'cbor'; expected protobuf, json or cdr"):
         read_foreign(path, mapping(y_x="/a.v"))
     with pytest.raises(BadInput, match="topic '/b': its schema is none"):
         read_foreign(path, mapping(y_x="/b.v"))
@@ -271,7 +271,7 @@ def test_a_torn_file_gives_what_is_complete_and_says_so(tmp_path):
 
 def test_a_recording_that_is_not_ours_asks_for_a_mapping(tmp_path):
     path = write_json(tmp_path / "e.mcap", True)
-    with pytest.raises(BadInput, match=r"holds no samples of afdsvc; a mapping of its topics is wanted \(--mapping FILE\.toml\): it has .*encoder"):
+    with pytest.raises(BadInput, match=r"holds no samples of afdsvc; expected a mapping of its topics \(--mapping FILE\.toml\): it has .*encoder"):
         load_traces(path, Naming())
     (trace,) = load_traces(path, Naming(None, {"encoder.angle.deg[0]": "y_angle"}))
     assert len(trace) == N

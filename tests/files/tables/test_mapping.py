@@ -129,7 +129,7 @@ def test_a_table_without_time_needs_a_step(tmp_path):
     del data["Time_ms"]
     write_csv(tmp_path / "a.csv", data)
     signals = {"u_force": "Current"}
-    with pytest.raises(BadInput, match=r"has no column 't'; key 'time\.from', a column, or 'time\.step' \[s\] is wanted"):
+    with pytest.raises(BadInput, match=r"has no column 't'; expected key 'time\.from', a column, or 'time\.step' \[s\]"):
         read_foreign(tmp_path / "a.csv", DataMapping.model_validate({"signals": signals}))
     (trace,) = read_foreign(tmp_path / "a.csv", DataMapping.model_validate({"signals": signals, "time": {"step": 0.001}}))
     assert trace.dt == pytest.approx(0.001)
@@ -162,7 +162,7 @@ def test_pairs_without_a_file_rename_and_are_told(tmp_path):
     ("text", "said"),
     [
         ("", "key 'signals' maps nothing"),
-        ("[signals]\nforce = 'I'", "signal 'force' has no role; a name like u_<name>"),
+        ("[signals]\nforce = 'I'", "signal 'force' has no role; expected a name like u_<name>"),
         ("[signals]\nu_x = {unit = 'A'}", r"key 'signals\.u_x\.from' is missing"),
         ("[signals]\nu_x = {from = 'I', unti = 'A'}", r"key 'signals\.u_x\.unti' is not known"),
         ("[signals]\nu_x = {from = 'I', factor = 0}", "0 would leave nothing"),

@@ -109,7 +109,7 @@ def test_deviation_and_plant_belong_together(bearing_case):
 def test_bad_norm_dead_parameter_and_unstable_start_are_named(bearing_case):
     fact, make = bearing_case
     signals = [make(6, 2000)[1]]
-    with pytest.raises(BadInput, match="norm 3; 1 or 2 is wanted"):
+    with pytest.raises(BadInput, match="norm 3; expected 1 or 2"):
         fit_indirect(physical_structure(PLANT, list(CHANGED)), fact, signals, 3)
     dead = Structure((Parameter("nothing", 1.0),), lambda th: PLANT.continuous())
     with pytest.raises(BadInput, match="parameter 'nothing' has no influence"):

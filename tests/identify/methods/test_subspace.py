@@ -141,7 +141,7 @@ def test_unstable_plant_in_a_stable_loop_is_fitted_through_its_predictor():
 
 def test_bad_choices_are_named(oscillators):
     recording = _record(oscillators(1), 1, 2000)
-    with pytest.raises(BadInput, match="weighting 'mosep'; one of po-moesp, pi-moesp, n4sid, cva"):
+    with pytest.raises(BadInput, match="weighting 'mosep'; expected one of po-moesp, pi-moesp, n4sid, cva"):
         decompose([recording], 10, "mosep")  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="order 40 with horizon 10"):
         realise(decompose([recording], 10), 40)

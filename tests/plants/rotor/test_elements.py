@@ -55,5 +55,5 @@ def test_rigid_motion_stores_nothing_and_weighs_right(shear: bool) -> None:
 
 
 def test_an_element_has_a_size() -> None:
-    with pytest.raises(BadInput, match="positive is wanted"):
+    with pytest.raises(BadInput, match="expected positive"):
         Element(0.0, 0.1)

@@ -36,5 +36,5 @@ def test_a_spindle_gets_named_faults_limits_and_speeds() -> None:
 
 
 def test_a_balance_grade_below_nothing_is_refused() -> None:
-    with pytest.raises(BadInput, match="balance_grade -1 mm/s; 0 or more is wanted"):
+    with pytest.raises(BadInput, match="balance_grade -1 mm/s; expected 0 or more"):
         rotor_plant(spindle(), INSTRUMENTS, balance_grade=-1)

@@ -111,7 +111,7 @@ def test_what_is_no_unit_is_refused(slide, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('fmiVersion="2.0"', 'fmiVersion="1.0"', "is a unit of FMI 1.0; FMI 2 or 3 is wanted|is not a readable FMI unit"),
+        ('fmiVersion="2.0"', 'fmiVersion="1.0"', "is a unit of FMI 1.0; expected FMI 2 or 3|is not a readable FMI unit"),
         ("<CoSimulation", "<ModelExchange", "offers no co-simulation|is not a readable FMI unit"),
     ],
 )

@@ -31,8 +31,8 @@ def test_it_steps_as_its_formula_and_begins_anew():
     [
         (lambda x, u, dt: 1 / 0, "simulator mine fails: ZeroDivisionError"),
         (lambda x, u, dt: 3, "simulator mine fails: TypeError"),
-        (lambda x, u, dt: (None, [1.0, 2.0]), r"simulator mine returns outputs of shape \(2,\); \(1,\) is wanted"),
-        (lambda x, u, dt: (None, [float("nan")]), "simulator mine returns nan for output 0; finite numbers are wanted"),
+        (lambda x, u, dt: (None, [1.0, 2.0]), r"simulator mine returns outputs of shape \(2,\); expected \(1,\)"),
+        (lambda x, u, dt: (None, [float("nan")]), "simulator mine returns nan for output 0; expected finite numbers"),
         (lambda x, u, dt: (None, float("inf")), "returns inf for output 0"),
         (lambda x, u, dt: (None, ["a"]), "simulator mine fails: ValueError"),
     ],

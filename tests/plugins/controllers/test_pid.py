@@ -69,7 +69,7 @@ def test_refusals_name_the_setting() -> None:
         Pid().design(cart(), {})
     with pytest.raises(BadInput, match="unknown setting 'gain'"):
         Pid().design(cart(), {**SETTINGS, "gain": 1})
-    with pytest.raises(BadInput, match=r"'proportional' has shape \(2,\); a number or 1 numbers"):
+    with pytest.raises(BadInput, match=r"'proportional' has shape \(2,\); expected a number or 1 numbers"):
         Pid().design(cart(), {**SETTINGS, "proportional": [1, 2]})
     with pytest.raises(BadInput, match="negative"):
         Pid().design(cart(), {**SETTINGS, "integral_seconds": -1.0})

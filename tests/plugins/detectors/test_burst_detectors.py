@@ -187,7 +187,7 @@ def test_unknown_and_impossible_settings_are_named(name):
     problem = bearing_problem()
     with pytest.raises(BadInput, match=r"no setting 'sevrities'; it has"):
         DESIGNS[name].design(problem, {"sevrities": 3})
-    with pytest.raises(BadInput, match=r"sure = 2; a number between 0.5 and 1 is wanted"):
+    with pytest.raises(BadInput, match=r"sure = 2; expected a number between 0.5 and 1"):
         DESIGNS[name].design(problem, {"sure": 2})
 
 

@@ -55,7 +55,7 @@ def test_refusals() -> None:
     assert isinstance(Parameter(), ParameterFaultKind)
     with pytest.raises(BadInput, match="parameter: unknown setting 'param'; known is parameter"):
         Parameter().parameter("soft", {"param": 1})
-    with pytest.raises(BadInput, match="setting 'parameter' is 3; the name of a parameter is wanted"):
+    with pytest.raises(BadInput, match="setting 'parameter' is 3; expected the name of a parameter"):
         Parameter().parameter("soft", {"parameter": 3})
     with pytest.raises(BadInput, match="'soft' of kind 'parameter' needs a machine with 'plant'"):
         Parameter().direction(plant("gas_bearing").discrete(), "soft", SOFT)

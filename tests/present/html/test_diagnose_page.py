@@ -66,7 +66,7 @@ def test_a_page_that_cannot_be_written_is_named(document, tmp_path):
     ("verdict", "words"),
     [
         ({"fault": None, "first_detected_s": 3.0, "trustworthy": True}, "A fault, cause open"),
-        ({"fault": None, "first_detected_s": None, "trustworthy": False}, "Cannot be told"),
+        ({"fault": None, "first_detected_s": None, "trustworthy": False}, "No answer"),
         ({"fault": None, "first_detected_s": None, "trustworthy": True}, "Nothing is wrong"),
     ],
 )

@@ -61,7 +61,7 @@ def test_a_cause_left_open_names_the_suspects(answers, finding):
 def test_what_cannot_be_trusted_is_not_called_healthy(answers, finding):
     file = answers(finding(2.0, 3.0, burst="b1", trustworthy=False, reason="the quiet residual is not white"))
     told = [v for _, v in file.rows("/m1/answer", "TextDocument:text")][-1]
-    assert told == "## Cannot be told\n\nthe quiet residual is not white"
+    assert told == "## No answer\n\nthe quiet residual is not white"
 
 
 def test_an_early_decision_without_a_name_does_not_shake_the_certainty(answers, finding):

@@ -200,7 +200,7 @@ def test_live_listens_on_loopback_only():
         while not (listening := listeners(port)) and time.monotonic() < deadline:
             time.sleep(0.02)
         assert listening == {"0100007F"}
-        with pytest.raises(BadInput, match=f"port {port} of 127.0.0.1.*a free port is wanted"):
+        with pytest.raises(BadInput, match=f"port {port} of 127.0.0.1.*expected a free port"):
             ReviewLog(None, live=port)
     finally:
         log.close()
