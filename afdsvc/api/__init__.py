@@ -1,1 +1,1 @@
-"""The nouns and protocols everybody agrees on."""
+"""Types and protocols shared by all packages."""

@@ -1,4 +1,4 @@
-"""What is played into alpha, and what a machine allows."""
+"""Bursts played into alpha, and the limits of a machine."""
 
 from __future__ import annotations
 

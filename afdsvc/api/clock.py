@@ -1,4 +1,4 @@
-"""Time comes in as an argument."""
+"""The clock protocol: time is passed in as an argument."""
 
 from __future__ import annotations
 

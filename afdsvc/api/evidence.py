@@ -1,4 +1,4 @@
-"""What detectors say: evidence, never a bare verdict."""
+"""Evidence: statistic, threshold, estimates and weights of one decision."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the simulation believes: the content of a MODEL.toml as a value."""
+"""The nominal model: the content of a MODEL.toml as a value."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The contract of those who tell people about alarms."""
+"""The contract of notifiers, which send alarm changes to people."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What machines say: channels with roles and units, blocks of samples, and whole traces."""
+"""Signals: channels with roles and units, blocks of samples, and whole traces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Questions and commands to the running service of a site."""
+"""Requests to the running service of a site."""
 
 from __future__ import annotations
 

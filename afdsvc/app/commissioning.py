@@ -126,7 +126,7 @@ def at_speed(machine: Commissioned, speed: float) -> Commissioned:
     Raises `BadInput` for a machine that has no model there, `NotStabilising` when the controller does not hold it there.
     """
     if machine.physical is None or machine.faults is None or machine.controller is None:
-        raise BadInput(f"machine '{machine.config.id}' has no plant of ours; its model belongs to one speed")
+        raise BadInput(f"machine '{machine.config.id}' has no built-in plant; its model is valid at one speed only")
     physical = _turned(machine.physical, speed)
     K = machine.controller.factorisation.K
     worst = float(np.abs(star(physical.discrete(), K, K.inputs, K.outputs).poles()).max())

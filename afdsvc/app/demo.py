@@ -1,4 +1,4 @@
-"""The main job on one command: a simulated gas bearing in a second process, bursts, a fault, and what was found."""
+"""`afdsvc demo`: a simulated machine in a second process, bursts, a fault, and a comparison of truth and result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Diagnosis of recordings: the very pipeline of the service over the very bytes it recorded."""
+"""`afdsvc diagnose`: the pipeline of the service, run over recordings."""
 
 from __future__ import annotations
 

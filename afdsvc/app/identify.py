@@ -1,4 +1,4 @@
-"""Files of those who design and model: site, models and recordings in; pages and better models out."""
+"""`afdsvc identify` and `afdsvc design`: files in, reports and improved models out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the bursts of a recording put the residual in the complex plane, beside the curves of all faults the site names."""
+"""`afdsvc review`: the residual phasors of all bursts of a recording beside the fault curves of the site."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`afdsvc rig`: the rig agent of one machine, control first, the network when it is there."""
+"""`afdsvc rig`: the rig agent of one machine; control starts first and does not depend on the network."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ def stated_limits(config: Machine) -> Limits:
     """Return the limits of the site file; a model knows none, so all that can do harm must be stated."""
     for name in ("output", "input"):
         if getattr(config.limits, name) is None:
-            raise BadInput(f"key 'limits.{name}' is missing; a machine with 'model' that is driven wants bounds for every {name}")
+            raise BadInput(f"key 'limits.{name}' is missing; a driven machine with 'model' needs bounds for every {name}")
     u = np.array(config.limits.input, dtype=float)
     alpha = 10 * u if config.limits.alpha is None else np.array(config.limits.alpha, dtype=float)
     return Limits(np.array(config.limits.output, dtype=float), u, alpha, config.limits.seconds)
@@ -122,7 +122,7 @@ def _gain_faults(config: Machine, faults: list[Fault], dt: float) -> list[GainFa
     made = []
     for f in config.driver.faults:
         if f.name not in possible:
-            raise BadInput(f"fault '{f.name}' cannot be injected into a simulator that only steps; gains can: {', '.join(possible) or 'none'}")
+            raise BadInput(f"fault '{f.name}' cannot be injected into a stepped simulator; gain faults can: {', '.join(possible) or 'none'}")
         side, index = possible[f.name]
         made.append(GainFault(side, index, f.severity, round(f.at_seconds / dt)))
     return made

@@ -1,4 +1,4 @@
-"""What a supervisor of processes wants to know: ready, alive, stopping (systemd's notify protocol), and logs a machine can read."""
+"""Supervision by systemd (notify protocol: ready, alive, stopping) and JSON logs."""
 
 from __future__ import annotations
 

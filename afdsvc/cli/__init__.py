@@ -153,10 +153,10 @@ def certificates(site: SiteFile, as_json: Json = False) -> None:
 def diagnose(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="MCAP recordings, or tables with --model.")],
     model: Annotated[Path | None, typer.Option(metavar="MODEL.toml", help="The model, for recordings that carry none.")] = None,
-    calibrate: Annotated[float | None, typer.Option(metavar="SECONDS", help="Quiet data to learn the noise from.")] = None,
-    calibrate_on: Annotated[Path | None, typer.Option(metavar="TABLE", help="Learn the noise from another table.")] = None,
-    detector: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Instead of the site's own; may be repeated.")] = None,
-    page: Annotated[Path | None, typer.Option("--page", metavar="FILE.html", help="Write the diagnosis as a page, too.")] = None,
+    calibrate: Annotated[float | None, typer.Option(metavar="SECONDS", help="Seconds of data without bursts from which the noise is estimated.")] = None,
+    calibrate_on: Annotated[Path | None, typer.Option(metavar="TABLE", help="Table from which the noise is estimated.")] = None,
+    detector: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Detector to use instead of the site's; may be repeated.")] = None,
+    page: Annotated[Path | None, typer.Option("--page", metavar="FILE.html", help="Also write the diagnosis as an HTML page.")] = None,
     mapping: MappingOption = None,
     as_json: Json = False,
 ) -> None:
@@ -190,22 +190,22 @@ def design(
 
 @app.command()
 def identify(
-    model: Annotated[Path, typer.Argument(metavar="MODEL.toml", help="What the simulation believes now.")],
+    model: Annotated[Path, typer.Argument(metavar="MODEL.toml", help="The nominal model (MODEL.toml).")],
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="MCAP recordings or tables.")],
     holdout: Annotated[list[Path] | None, typer.Option(help="Recordings never used in fitting; may be repeated.")] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="MODEL.toml", help="Where the new model goes.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="MODEL.toml", help="File of the identified model.")] = None,
     method: Annotated[str, typer.Option(help="auto, hansen, subspace, pbsid, pem, greybox or indirect")] = "auto",
-    order: Annotated[int | None, typer.Option(help="Order to identify; chosen from the data otherwise.")] = None,
-    reduce_to: Annotated[int | None, typer.Option(help="Order of the plant; the nominal model's otherwise.")] = None,
+    order: Annotated[int | None, typer.Option(help="Order to identify (default: chosen from the data).")] = None,
+    reduce_to: Annotated[int | None, typer.Option(help="Order of the plant (default: that of the nominal model).")] = None,
     weighting: Annotated[str | None, typer.Option(help="po-moesp, pi-moesp, n4sid or cva (subspace)")] = None,
-    horizon: Annotated[int | None, typer.Option(help="Horizon of the subspace; chosen from the data otherwise.")] = None,
-    reduction: Annotated[str | None, typer.Option(help="How the plant is brought to its order; refined on the data otherwise.")] = None,
+    horizon: Annotated[int | None, typer.Option(help="Horizon of the subspace method (default: chosen from the data).")] = None,
+    reduction: Annotated[str | None, typer.Option(help="Method of order reduction (default: the best of all, refined on the data).")] = None,
     norm: Annotated[int | None, typer.Option(help="1 or 2: the cost of the indirect method")] = None,
-    free: Annotated[list[str] | None, typer.Option(metavar="PARAMETER", help="Only these parameters move; may be repeated.")] = None,
-    starts: Annotated[int | None, typer.Option(help="Starting points of the grey-box search.")] = None,
+    free: Annotated[list[str] | None, typer.Option(metavar="PARAMETER", help="Parameter to estimate (default: all); may be repeated.")] = None,
+    starts: Annotated[int | None, typer.Option(help="Number of starting points of the grey-box search.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the starting points.")] = 0,
     mapping: MappingOption = None,
-    allow_code: Annotated[bool, typer.Option("--allow-code", help="Let a model's Python simulator run.")] = False,
+    allow_code: Annotated[bool, typer.Option("--allow-code", help="Permit the model's Python simulator to run.")] = False,
     as_json: Json = False,
 ) -> None:
     """Identify the plant from recordings made in closed loop, and judge it on data not used."""
@@ -223,15 +223,15 @@ def identify(
 
 @app.command()
 def explain(
-    model: Annotated[Path, typer.Argument(metavar="MODEL.toml", help="What the simulation believes; or a recording that carries it.")],
+    model: Annotated[Path, typer.Argument(metavar="MODEL.toml", help="The nominal model (MODEL.toml), or a recording that carries it.")],
     recordings: Annotated[list[Path] | None, typer.Argument(metavar="RECORDING...", help="MCAP recordings or tables.")] = None,
     holdout: Annotated[list[Path] | None, typer.Option(help="Recordings never used in fitting; may be repeated.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder of the improved model and the report.")] = None,
     column: Annotated[list[str] | None, typer.Option("--map", metavar="COLUMN=u_name", help="Name a foreign column.")] = None,
     mapping: MappingOption = None,
-    rrd: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Write before and after for Rerun.")] = None,
+    rrd: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Write simulations before and after for Rerun.")] = None,
     machine: MachineOption = None,
-    allow_code: Annotated[bool, typer.Option("--allow-code", help="Let a model's Python simulator run.")] = False,
+    allow_code: Annotated[bool, typer.Option("--allow-code", help="Permit the model's Python simulator to run.")] = False,
     jobs: Annotated[int, typer.Option(help="Cores to use.")] = 2,
     as_json: Json = False,
 ) -> None:
@@ -248,9 +248,9 @@ def explain(
 @app.command()
 def trial(
     folder: Annotated[Path, typer.Option(metavar="DIR", help="Where trials, sealed answers, results and reports are kept.")] = Path("trials"),
-    n: Annotated[int, typer.Option("--n", help="How many trials the whole plan has.")] = 20,
-    rho: Annotated[float | None, typer.Option(help="Severity of what is hidden, its rms in the outputs over the noise's.")] = None,
-    kinds: Annotated[list[str] | None, typer.Option(metavar="NAME,NAME", help="Only trials that hide one of these; 'nothing' is one.")] = None,
+    n: Annotated[int, typer.Option("--n", help="Number of trials in the plan.")] = 20,
+    rho: Annotated[float | None, typer.Option(help="Size of the hidden effect: its rms in the outputs relative to the noise.")] = None,
+    kinds: Annotated[list[str] | None, typer.Option(metavar="NAME,NAME", help="Only trials with one of these hidden effects; 'nothing' is one.")] = None,
     parts: Annotated[list[str] | None, typer.Option(metavar="PART,PART", help="Only these parts of the plan.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the plan.")] = 1,
     jobs: Annotated[int, typer.Option(help="Trials at a time.")] = 1,
@@ -272,10 +272,10 @@ def batch(
     task: Annotated[str, typer.Argument(help="diagnose, identify or explain")],
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Recordings or tables.")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="TABLE.parquet", help="Where the table goes.")],
-    model: Annotated[Path | None, typer.Option(metavar="MODEL.toml", help="The model, for what carries none.")] = None,
-    detector: Annotated[list[str] | None, typer.Option(metavar="NAME", help="For `diagnose`, instead of the site's own.")] = None,
+    model: Annotated[Path | None, typer.Option(metavar="MODEL.toml", help="The model, for recordings that carry none.")] = None,
+    detector: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Detectors of `diagnose`, instead of the site's.")] = None,
     mapping: MappingOption = None,
-    jobs: Annotated[int, typer.Option(help="How many at a time.")] = 2,
+    jobs: Annotated[int, typer.Option(help="Number of recordings processed at a time.")] = 2,
     cluster: Annotated[str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler (extra `cluster`).")] = None,
     as_json: Json = False,
 ) -> None:
@@ -287,17 +287,17 @@ def batch(
     with progress(task, len(recordings)) as tell:
         done = run_batch(chosen, recordings, out, jobs, cluster, lambda n, of: tell(n))
     value = {"table": str(done.table), "rows": done.rows, "failed": done.failed, "kept": done.kept}
-    said = f"{done.table}: {done.rows} recordings, {done.failed} could not be worked on, {done.kept} were there already"
+    said = f"{done.table}: {done.rows} recordings, {done.failed} failed, {done.kept} done before"
     show(as_json, value, lambda: print(said))
 
 
 @app.command()
 def review(
-    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="MCAP recordings; several stand side by side.")],
+    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="MCAP recordings; several are shown side by side.")],
     save: Annotated[
         Path | None, typer.Option(metavar="FILE.rrd", help="Write a Rerun file instead of opening the viewer.")
     ] = None,
-    history: Annotated[bool, typer.Option("--history", help="Severity per fault over all recordings instead, on the calendar.")] = False,
+    history: Annotated[bool, typer.Option("--history", help="Show the severity per fault over the dates of all recordings.")] = False,
     as_json: Json = False,
 ) -> None:
     """Look at recordings in Rerun: is something wrong, since when, which part, how sure, and what the machine did."""
@@ -321,7 +321,7 @@ def _open(made: Path) -> None:
 
 @app.command()
 def recover(
-    recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="A recording whose writer died, or that is damaged.")],
+    recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="A recording that was not closed, or is damaged.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE.mcap", help="A new file, instead of in place.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -336,9 +336,9 @@ def recover(
 
 @app.command("import")
 def import_(
-    table: Annotated[Path, typer.Argument(metavar="TABLE", help=".csv, .parquet, .mat, .npz, or .mcap of others with --mapping")],
+    table: Annotated[Path, typer.Argument(metavar="TABLE", help=".csv, .parquet, .mat, .npz, or foreign .mcap with --mapping")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mcap", help="The recording to write.")],
-    model: Annotated[Path | None, typer.Option(metavar="MODEL.toml", help="The model to put inside.")] = None,
+    model: Annotated[Path | None, typer.Option(metavar="MODEL.toml", help="The model to store in the recording.")] = None,
     column: Annotated[list[str] | None, typer.Option("--map", metavar="COLUMN=u_name", help="Name a foreign column.")] = None,
     mapping: MappingOption = None,
     as_json: Json = False,

@@ -14,7 +14,7 @@ SiteFile = Annotated[Path, typer.Argument(metavar="SITE.toml", help="The site fi
 SiteOption = Annotated[Path, typer.Option("--site", metavar="SITE.toml", help="The site file the service runs with.")]
 MachineOption = Annotated[str | None, typer.Option("--machine", help="Id of the machine; needed when there are several.")]
 MappingOption = Annotated[
-    Path | None, typer.Option("--mapping", metavar="FILE.toml", help="What the columns or topics of recordings of others are.")
+    Path | None, typer.Option("--mapping", metavar="FILE.toml", help="Mapping file for foreign tables and topics.")
 ]
 HERE = Path("site.toml")
 

@@ -27,7 +27,7 @@ def plugins_list(as_json: Json = False) -> None:
 @app.command("new")
 def plugins_new(
     kind: Annotated[str, typer.Argument(help="controller, detector, driver, fault, notifier or physics")],
-    name: Annotated[str, typer.Argument(help="Small letters, digits and _.")],
+    name: Annotated[str, typer.Argument(help="Lower-case letters, digits and _.")],
     out: Annotated[Path, typer.Option(help="Where the package goes.")] = Path("."),
     as_json: Json = False,
 ) -> None:
@@ -52,4 +52,4 @@ def plugins_check(
     show(as_json, {"checks": rows}, lambda: check_table(rows))
     failed = [r for r in rows if r["failure"]]
     if failed:
-        raise BadInput(f"{len(failed)} of {len(rows)} checks of '{package}' do not hold; the first: {failed[0]['failure']}")
+        raise BadInput(f"{len(failed)} of {len(rows)} checks of '{package}' failed; the first: {failed[0]['failure']}")

@@ -33,7 +33,7 @@ def status(site: SiteOption = HERE, as_json: Json = False) -> None:
 
 @app.command()
 def alarms(
-    history: Annotated[bool, typer.Option("--history", help="What happened, by whom and why, instead of how they stand.")] = False,
+    history: Annotated[bool, typer.Option("--history", help="Show the history of changes instead of the present states.")] = False,
     alarm: Annotated[str, typer.Argument(help="Only this one.")] = "",
     site: SiteOption = HERE,
     as_json: Json = False,
@@ -53,7 +53,7 @@ def _no_alarm(alarm: str, found: list[dict[str, Any]]) -> NoReturn:
     raise BadInput(f"there is no alarm '{alarm}'; there are {', '.join(a['id'] for a in found) or 'none'}")
 
 
-AlarmId = Annotated[str, typer.Argument(help="Id of the alarm, as `afdsvc alarms` shows it.")]
+AlarmId = Annotated[str, typer.Argument(help="Id of the alarm as shown by `afdsvc alarms`.")]
 Comment = Annotated[str, typer.Option(help="Why, for the history.")]
 
 
@@ -61,7 +61,7 @@ Comment = Annotated[str, typer.Option(help="Why, for the history.")]
 def ack(
     alarm: AlarmId,
     comment: Comment = "",
-    since: Annotated[int | None, typer.Option(help="`since_ns` of the occurrence you saw: a later one is refused.")] = None,
+    since: Annotated[int | None, typer.Option(help="`since_ns` of the occurrence to acknowledge: a later one is refused.")] = None,
     site: SiteOption = HERE,
     as_json: Json = False,
 ) -> None:
@@ -144,4 +144,4 @@ def pause(
 def resume(machine: MachineOption = None, site: SiteOption = HERE, as_json: Json = False) -> None:
     """Play bursts again."""
     found = _ask(site, "resume", machine=machine)
-    show(as_json, found, lambda: print(f"bursts on {found['machine']} go on"))
+    show(as_json, found, lambda: print(f"bursts on {found['machine']} are resumed"))

@@ -1,4 +1,4 @@
-"""What identification works on: input and output arrays of one or several recordings, checked once at the door."""
+"""Input and output arrays of one or several recordings, checked for identification."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ def _bridged(traces: Sequence[Trace]) -> Iterator[Finding]:
             missing = int((~np.isfinite(trace.column(channel.name))).sum()) if channel.role in ("aux", "ref") else 0
             if missing:
                 yield Finding(
-                    "warning", "gaps", f"{trace.name}: {channel.name} lacks {missing} of {len(trace)} samples; straight lines bridge them"
+                    "warning", "gaps", f"{trace.name}: {channel.name} lacks {missing} of {len(trace)} samples; they are interpolated linearly"
                 )
 
 
@@ -69,5 +69,5 @@ def _sampling(model: Model, dt: float) -> Iterator[Finding]:
         yield Finding(
             "warning", "sampling",
             f"the controller is sampled every {K.dt:g} s, the recordings every {dt:g} s: the loop cannot be reconstructed and the "
-            "controller counts as unknown",
+            "controller is treated as unknown",
         )

@@ -1,4 +1,4 @@
-"""What was played: which inputs, which band, how many lines, levels and periods, and what that leaves ambiguous."""
+"""Excitation of the recordings: inputs, band, spectral lines, levels and periods, and what they leave ambiguous."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def excitation(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
             yield Finding(
                 "warning", SINE,
                 f"input {v.name} is excited by {'one sine' if p.lines == 1 else 'two sines'} ({p.band[0]:.4g} Hz) only: delay, lag, "
-                "gain, stiffness and damping are two numbers to it, friction and a dead zone a third harmonic; a multisine would "
-                "tell them apart",
+                "gain, stiffness and damping cannot be separated, nor friction and a dead zone; a multisine would "
+                "separate them",
             )
         else:
             yield Finding("ok", "inputs", _told(v.name, v.unit, p))
@@ -60,7 +60,7 @@ def excitation(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
 def _told(name: str, unit: str, p: Played) -> str:
     grid = ", odd ones only" if p.odd else ""
     what = f"{p.lines} lines from {p.band[0]:.4g} to {p.band[1]:.4g} Hz{grid}, {p.periods} periods" if p.periods > 1 else (
-        f"an excitation that does not repeat, most of it from {p.band[0]:.4g} to {p.band[1]:.4g} Hz"
+        f"a non-periodic excitation, mainly from {p.band[0]:.4g} to {p.band[1]:.4g} Hz"
     )
     levels = ", ".join(f"{x:.3g}" for x in p.rms)
     return f"input {name}: {what}, rms {levels} {unit} ({p.levels} level{'s' if p.levels != 1 else ''})"

@@ -1,4 +1,4 @@
-"""Readings that stand alone: one sample, or two, far from where their neighbours lie, with nothing before or after that follows.
+"""Glitches: one or two isolated samples far from their neighbours, with nothing before or after that follows.
 
 A sample is held against the cubic through its four neighbours. One that departs by many deviations, of the whole recording and of its
 surroundings, is a glitch when a spike of one or two samples describes it far better than kinks (a velocity that jumps, as in an impact) or

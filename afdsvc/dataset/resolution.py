@@ -1,4 +1,4 @@
-"""The steps a coarse reading comes in."""
+"""The resolution of a quantised reading."""
 
 from __future__ import annotations
 

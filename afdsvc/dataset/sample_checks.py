@@ -1,4 +1,4 @@
-"""The samples themselves: gaps, values stuck at their extremes, coarse steps, drift."""
+"""Checks of single channels: gaps, clipping, quantisation, drift."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def _quantised(name: str, unit: str, x: Array) -> Iterator[Finding]:
     if step and step > COARSE * rough:
         yield Finding(
             "warning", "quantisation",
-            f"{name} lies on steps of {step:.4g} {unit}, {step / np.ptp(x):.2g} of its range: nothing finer can be seen",
+            f"{name} lies on steps of {step:.4g} {unit}, {step / np.ptp(x):.2g} of its range: smaller changes are not resolved",
         )
 
 

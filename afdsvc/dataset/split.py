@@ -1,4 +1,4 @@
-"""Who is fitted, who chooses, who is kept back: the recordings sorted into train, select and held out."""
+"""Split of the recordings into training, selection and held-out parts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A bank of models: one predictor for every fault at several severities, the likeliest wins.
+"""A bank of models: one predictor for every fault at several severities; the most likely wins.
 
 Every model's likelihood against the healthy one has mean 1 without a fault, so by Markov's inequality and the union
 of K models ``max_k log LR > ln(K / P_FA)`` happens at most with probability P_FA. The bank's cost grows with the

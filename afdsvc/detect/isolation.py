@@ -1,4 +1,4 @@
-"""From log likelihoods to weights: which fault, how severe, how sure, or none of those we know.
+"""Isolation: from log likelihoods to weights and severities of the faults, with the hypothesis "none of these".
 
 Every fault is fitted by itself; severities have a uniform prior over their range, and a fault's evidence is the
 likelihood averaged over that prior. ``none_of_these`` is the hypothesis that an arbitrary wave came back: its

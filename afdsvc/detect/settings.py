@@ -1,4 +1,4 @@
-"""Settings of detectors: every key known, every value in its range, or a sentence that says which is not."""
+"""Settings of detectors: unknown keys and values out of range are refused by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How severe a fault may be before the loop itself is lost: beyond that no burst comes back."""
+"""The range of severities for which the closed loop stays stable."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class AlarmBook:
         with self._lock:
             self._alarms.update((a.id, a) for a in alarms)
             for alarm in [a for a in self._alarms.values() if a.active and a.kind is not AlarmKind.FAULT]:
-                self._set(alarm_states.ended(alarm, t_ns, False), "ended", t_ns, why="the service was started anew")
+                self._set(alarm_states.ended(alarm, t_ns, False), "ended", t_ns, why="the service was restarted")
 
     def take(self, finding: Finding, sentence: str = "") -> Alarm | None:
         """Return the alarm a decision raised or supported; None when it raised none."""
@@ -107,7 +107,7 @@ class AlarmBook:
         with self._lock:
             alarm = self._named(id)
             if seen_ns is not None and alarm.since_ns != seen_ns:
-                raise Refused(f"alarm '{id}' has come again since you looked; look at it before acknowledging")
+                raise Refused(f"alarm '{id}' has occurred again since; look at it before acknowledging")
             return self._set(alarm_states.acknowledged(alarm, who, comment), "acknowledged", t_ns, who, comment)
 
     def confirm(self, id: str, who: str, comment: str, t_ns: int) -> Alarm:
@@ -172,7 +172,7 @@ class AlarmBook:
         left = alarm_states.opposed(alarm, detector)
         self._alarms[alarm.id] = left
         if not left.raised_by:
-            self._end(left, t_ns, "every detector that raised it has decided otherwise")
+            self._end(left, t_ns, "no detector that raised it detects it any more")
 
     def _raise(self, alarm: Alarm) -> Alarm:
         self._pending.pop(alarm.id, None)

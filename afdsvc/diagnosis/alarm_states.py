@@ -1,4 +1,4 @@
-"""What may happen to one alarm, as functions from the alarm to the alarm (OPC UA Part 9, section 5: the condition states)."""
+"""Transitions of an alarm as functions from alarm to alarm (OPC UA Part 9, section 5: the condition states)."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def unlatched(alarm: Alarm) -> Alarm:
 
 
 def shelved(alarm: Alarm, who: str, until_ns: int) -> Alarm:
-    """Return the alarm put aside by a person until a time."""
+    """Return the alarm shelved by a person until a time."""
     return replace(alarm, shelved_until_ns=until_ns, shelved_by=who)
 
 

@@ -1,4 +1,4 @@
-"""Are these samples fit to be judged? Order, gaps, shape, NaN, frozen sensors: checked before any detector sees them."""
+"""Data quality: order, gaps, shape, NaN and frozen sensors, checked before any detector uses a block."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From blocks to evidence, the same for a live machine and for a recording: what is decided depends on the blocks alone."""
+"""From blocks to evidence, live and offline alike: decisions depend on the blocks alone."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Pipeline:
         remember(self.bursts, burst)
 
     def step(self, block: Block) -> Outcome:
-        """Return what the block leads to; a detector that fails is put aside by name and the others go on."""
+        """Return what the block leads to; a detector that fails is disabled with a finding and the others continue."""
         self._intake, judged = judge(self.expected, self._intake, block)
         if judged.gap:
             self._x, self._gap = None, True
@@ -125,7 +125,7 @@ class Pipeline:
             except Exception as error:
                 log.exception("detector '%s' failed", detector.name)
                 self._broken[detector.name] = f"{type(error).__name__}: {error}"
-                failures.append(Finding("plugin_failed", f"detector '{detector.name}' failed and is put aside: {error}"))
+                failures.append(Finding("plugin_failed", f"detector '{detector.name}' failed and is disabled: {error}"))
         return evidence, failures
 
     def _seen(self, block: Block, r: Array) -> ResidualBlock:
@@ -219,7 +219,7 @@ class CalibratedPipeline:
     def problem(self) -> DetectionProblem:
         """The detection problem with the noise that was found; raises `Refused` until then."""
         if self.pipeline is None:
-            raise Refused(f"the noise is still being learnt from the first {self.samples * self.dt:g} quiet seconds")
+            raise Refused(f"the noise is being estimated from the first {self.samples * self.dt:g} quiet seconds")
         return self.pipeline.problem
 
     def announce(self, burst: Burst) -> None:
@@ -248,7 +248,7 @@ class CalibratedPipeline:
         try:
             self.pipeline, finding = calibrated(self.plant, u, y, self.design)
         except AfdsvcError as error:
-            return Finding("plugin_failed", f"the calibration failed and is tried again with the next data: {error}")
+            return Finding("plugin_failed", f"the calibration failed and is repeated with the next data: {error}")
         for burst in self.bursts.values():
             self.pipeline.announce(burst)
         return finding

@@ -62,7 +62,7 @@ class SpeedPipeline:
     def problem(self) -> DetectionProblem:
         """The detection problem at the speed the machine was last commissioned at; raises `Refused` while there is none."""
         if self._pipeline is None:
-            raise Refused(f"the speed has left {self._node * RPM:.0f} rpm and is not steady yet; a burst would tell nothing")
+            raise Refused(f"the speed has left {self._node * RPM:.0f} rpm and is not steady yet; a burst could not be evaluated")
         return self._problem
 
     @property
@@ -123,7 +123,7 @@ class SpeedPipeline:
     def _leave(self, block: Block) -> Finding:
         self._pipeline, self._held, self._from = None, 0.0, float("nan")
         lost = f"; burst {block.burst} is not judged" if block.burst else ""
-        return Finding("speed", f"the speed leaves {self._node * RPM:.0f} rpm: nothing is judged until it is steady{lost}")
+        return Finding("speed", f"the speed leaves {self._node * RPM:.0f} rpm: decisions are suspended until it is steady{lost}")
 
     def _wait(self, block: Block, speed: Array) -> list[Finding]:
         """Count how long the speed has kept still; commission the machine where it has."""
@@ -146,7 +146,7 @@ class SpeedPipeline:
             pipeline = made()
         except AfdsvcError as error:
             self._without = node
-            return Finding("speed", f"at {node * RPM:.0f} rpm nothing can be judged: {error}")
+            return Finding("speed", f"at {node * RPM:.0f} rpm no decision is possible: {error}")
         for burst in self.bursts.values():
             pipeline.announce(burst)
         self._node, self._pipeline, self._problem, self._without = node, pipeline, pipeline.problem, float("nan")

@@ -42,7 +42,7 @@ class Question:
 
     def __str__(self) -> str:
         likely = sorted(self.weights, key=lambda name: -self.weights[name])[:2]
-        return f"burst {self.burst} leaves open whether it is {' or '.join(likely)}"
+        return f"burst {self.burst} does not decide whether it is {' or '.join(likely)}"
 
 
 def alarms(evidence: Sequence[Evidence]) -> list[Evidence]:
@@ -142,7 +142,7 @@ def model_gap(evidence: Sequence[Evidence], bursts: int = 3, kept: Sequence[str]
         return ""
     if not all(any(_doubts_model(e) for e in group) for group in by_burst):
         return ""
-    command = f"'afdsvc explain {kept[-1]}' says" if kept else "'afdsvc explain' on the recordings of these bursts says"
+    command = f"'afdsvc explain {kept[-1]}' says" if kept else "'afdsvc explain' on the recordings of these bursts finds out"
     return f"model gap suspected: in {bursts} bursts in a row the residual fits neither noise nor any fault; {command} why"
 
 

@@ -1,1 +1,1 @@
-"""Designing the question: efficiency of excitation, bursts and their budget, what a burst will tell."""
+"""Design of excitation: its efficiency, bursts and their budget, expected detection."""

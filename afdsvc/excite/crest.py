@@ -1,4 +1,4 @@
-"""Phases that keep a sum of sines low: the same power with a smaller peak.
+"""Phases that give a sum of sines a low peak at the same power.
 
 Starting from Schroeder's phases (M. R. Schroeder, *IEEE Trans. Inf. Theory* 16, 1970) the p-norm of the waves is
 minimised for growing p, which tends to the peak (P. Guillaume et al., *IEEE Trans. Instrum. Meas.* 40, 1991).

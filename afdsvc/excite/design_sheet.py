@@ -1,4 +1,4 @@
-"""The design sheet: what a machine's diagnosis will be able to do, before it does it."""
+"""The design sheet: expected detection and isolation of every fault of a machine with its diagnosis burst."""
 
 from __future__ import annotations
 

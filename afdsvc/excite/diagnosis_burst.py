@@ -75,7 +75,7 @@ def default_burst(
         raise BadInput(f"burst of {seconds} s and amplitude {output_amplitude}; expected positive numbers")
     left = room(problem, limits)
     if not left.output.min() > 0 or not left.input.min() > 0:
-        raise Refused(f"burst '{name}': noise alone fills the limits of machine '{problem.machine}'; no room is left")
+        raise Refused(f"burst '{name}': noise alone reaches the limits of machine '{problem.machine}'; a burst cannot be added")
     plan = _best_plan(problem, _frame(problem, min(seconds, limits.seconds), name), left, aim)
     share = min(1.0, aim.goal(problem) / plan.reach) if 0 < plan.reach < np.inf else 1.0
     amplitude = min(plan.largest, plan.largest * share if output_amplitude is None else output_amplitude)

@@ -1,4 +1,4 @@
-"""Efficiency of excitation: how much of a fault shows for how much disturbance of the output.
+"""Efficiency of excitation: deflection caused by a fault per disturbance of the output.
 
 Thesis 5.4 divides the gain from alpha to the residual by that from alpha to the output, pair by pair. Over all
 outputs together the squared efficiency ``r* Xi^-1 r / |N a|^2`` is the squared deflection gained per sample and per

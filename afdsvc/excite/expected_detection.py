@@ -1,4 +1,4 @@
-"""What a burst will tell before it is played: deflections, separations, probabilities, standard errors.
+"""Expected detection with a burst: deflections, separations, probabilities, standard errors.
 
 All figures are those of the burst's steady part on its lines, the part that holds for every detector; what the loop's
 own noise adds for the regression detector comes on top and is not counted on.

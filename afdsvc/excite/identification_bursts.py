@@ -1,4 +1,4 @@
-"""Bursts for identification: they must excite many frequencies at once, not one.
+"""Bursts for identification, which excite many frequencies at once.
 
 - random binary: flat up to its switching rate, crest factor one, the most power an amplitude limit allows;
 - multisine: exactly the chosen lines; with odd lines only, and some of those left out, what comes back at the even and

@@ -1,4 +1,4 @@
-"""Which burst, or pair of bursts, tells which two faults apart: said before anything is played."""
+"""Isolability: the burst, or pair of bursts, that distinguishes every two faults, computed in advance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The shortest burst for a wish: detect faults of a given size, tell them apart, disturb no more than allowed."""
+"""The shortest multisine that detects and isolates faults of a given size within the budget."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which faults excitation can show at all, and why others cannot be seen."""
+"""Observability of faults under excitation, with the reason where it fails."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def unseen(problem: DetectionProblem, response: LoopResponse) -> dict[str, str]:
         own = problem.augmented.channels_of(name)
         into, out = float(reached[:, own].max(initial=0.0)), float(shown[:, :, own].max(initial=0.0))
         if into <= INVISIBLE * reached.max(initial=0.0):
-            found[name] = "nothing that is played moves the signal this fault multiplies"
+            found[name] = "no excitation reaches the signal this fault multiplies"
         elif out <= INVISIBLE * shown.max(initial=0.0):
-            found[name] = "the signal this fault multiplies moves, but what the fault adds reaches no output"
+            found[name] = "the signal this fault multiplies is excited, but its change reaches no output"
     return found
 
 

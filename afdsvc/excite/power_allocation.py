@@ -1,4 +1,4 @@
-"""How to split a budget over inputs and frequencies: a linear programme.
+"""Allocation of power to inputs and frequencies by a linear programme.
 
 Squared deflections and (at least) squared separations add up over lines, and so do mean squares at outputs and
 actuators. With ``x_c >= 0`` the squared amplitude of candidate c,
@@ -95,7 +95,7 @@ def allocate(found: Candidates, required: Array, budgets: Sequence[tuple[Array, 
     scale = np.max(gains, axis=1)
     if not len(asked) or (scale <= 0).any():
         dead = asked[np.flatnonzero(scale <= 0)].tolist()
-        raise Refused(f"no line on any input serves the wishes {dead} (faults first, then pairs); drop them from the aim")
+        raise Refused(f"no line on any input shows {dead} (indices of faults, then of pairs of faults); leave them out")
     prices = np.array([price / bound for price, bound in budgets])
     x = _solve(gains / goals[:, None], prices)
     x = np.where(x > NEGLIGIBLE * x.max(), x, 0.0)

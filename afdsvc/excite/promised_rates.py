@@ -1,4 +1,4 @@
-"""What the built-in detectors promise for one burst: thresholds and false alarms per hour."""
+"""Thresholds and designed false alarms per hour of the built-in detectors for one burst."""
 
 from __future__ import annotations
 

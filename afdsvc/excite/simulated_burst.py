@@ -1,4 +1,4 @@
-"""A burst played on paper: the closed loop with a fault, driven by given noise, sample by sample."""
+"""Simulation of a burst: the closed loop with a fault, driven by given noise."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def faulty_loop(problem: DetectionProblem, severities: Mapping[str, float]) -> S
     loop = star(StateSpace(g.A, B, C, D, g.dt), problem.interconnection, p, m)
     if not loop.is_stable():
         worst = float(np.abs(loop.poles()).max())
-        raise BadInput(f"with {dict(severities)} the loop has a pole of modulus {worst:.6g}; it cannot be rehearsed")
+        raise BadInput(f"with {dict(severities)} the loop has a pole of modulus {worst:.6g}; it cannot be simulated")
     return loop
 
 

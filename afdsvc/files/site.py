@@ -70,7 +70,7 @@ class Transport(_Strict):
             if not (self.security or self.trusted_network or _loopback(address)):
                 raise ValueError(
                     f"'{endpoint}' is reachable from other computers; set 'security', or 'trusted_network = true' where everybody "
-                    "who can reach it may move the machines"
+                    "who can reach it may excite the machines"
                 )
         return self
 
@@ -251,7 +251,7 @@ class Machine(_Strict):
         if (self.plant is None) == (self.model is None):
             raise ValueError("expected exactly one of 'plant' and 'model'")
         if self.speed_step_rpm and (self.model or self.calibrate_seconds):
-            raise ValueError("'speed_step_rpm' needs 'plant' and stated noise: noise learnt at one speed is not that at another")
+            raise ValueError("'speed_step_rpm' needs 'plant' and stated noise: noise estimated at one speed is not valid at another")
         if self.calibrate_on and not self.calibrate_seconds:
             raise ValueError("'calibrate_on' needs 'calibrate_seconds', the length of its quiet beginning")
         return self
@@ -281,7 +281,7 @@ class Site(_Strict):
         ids = [m.id for m in self.machines]
         twice = sorted({i for i in ids if ids.count(i) > 1})
         if twice:
-            raise ValueError(f"machine ids must differ; '{twice[0]}' stands {ids.count(twice[0])} times")
+            raise ValueError(f"machine ids must differ; '{twice[0]}' appears {ids.count(twice[0])} times")
         return self
 
     def machine(self, id: str) -> Machine:
@@ -354,7 +354,7 @@ def _sentence(origin: str, error: ValidationError) -> str:
     key = ".".join(str(part) for part in first["loc"]) or "the file"
     wanted = first["msg"].removeprefix("Value error, ")
     if first["type"] == "extra_forbidden":
-        wanted = "this key is unknown; remove it or mend its spelling"
+        wanted = "this key is unknown; remove it or correct its spelling"
     elif first["type"] == "missing":
         wanted = "this key is required"
     found = "" if first["type"] == "missing" else f", found {_short(first['input'])}"

@@ -168,7 +168,7 @@ class RigAgent:
             self._told_late = status.late
         dropped = self._post.dropped
         if dropped > self._told_dropped:
-            self._event(EventKind.NOTE, f"{dropped - self._told_dropped} messages could not be sent: the network stood still")
+            self._event(EventKind.NOTE, f"{dropped - self._told_dropped} messages could not be sent: the network stalled")
             self._told_dropped = dropped
 
     def _play(self, request: BurstRequest) -> None:
@@ -258,13 +258,13 @@ class RigAgent:
         if self.emergency.is_set():
             raise Refused(EMERGENCY)
         if self._playing:
-            raise Refused(f"burst '{self._playing}' is playing; two at once are never played")
+            raise Refused(f"burst '{self._playing}' is playing; only one burst is played at a time")
         if request.machine != self.machine:
             raise Refused(f"the request is for machine '{request.machine}'; this is '{self.machine}'")
         if self._watchdog.service_gone:
             raise Refused("the service is not connected; a burst would not be supervised")
         if request.lease > LONGEST_LEASE_SECONDS:
-            raise Refused(f"the lease is {request.lease:g} s; at most {LONGEST_LEASE_SECONDS:g} s are trusted without renewal")
+            raise Refused(f"the lease is {request.lease:g} s; at most {LONGEST_LEASE_SECONDS:g} s are accepted without renewal")
         if (request.start - self._k) * self.port.dt > LONGEST_LEAD_SECONDS:
             raise Refused(f"the burst is to start at sample {request.start}; it is {self._k} now, which is too far ahead")
 
@@ -286,7 +286,7 @@ class RigAgent:
     def _on_lease(self, _key: str, payload: bytes) -> None:
         lease: Lease = codec.decode_lease(payload)
         if lease.seconds > LONGEST_LEASE_SECONDS:
-            raise Refused(f"a lease of {lease.seconds:g} s; at most {LONGEST_LEASE_SECONDS:g} s are trusted without renewal")
+            raise Refused(f"a lease of {lease.seconds:g} s; at most {LONGEST_LEASE_SECONDS:g} s are accepted without renewal")
         if lease.burst == self._playing:
             self._watchdog.renew(lease.seconds)
 

@@ -34,7 +34,7 @@ class Excitation:
     def start(self, burst: Burst, dt: float, limits: Limits) -> None:
         """Queue a burst; raises `Refused` when one is playing or a limit of alpha or duration would be broken."""
         if self.playing:
-            raise Refused(f"burst '{self.name}' is playing; two bursts at once are never played")
+            raise Refused(f"burst '{self.name}' is playing; only one burst is played at a time")
         refuse_burst(burst, dt, limits)
         self._rest = burst.play(dt)
         self._fade = round(min(max(burst.ramp * dt, SHORTEST_FADE), LONGEST_FADE) / dt)

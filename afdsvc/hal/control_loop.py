@@ -1,4 +1,4 @@
-"""What simulator and rig share: blocks cut at the edges of bursts, arming, counters."""
+"""The control loop shared by simulator and hardware: blocks cut at the edges of bursts, arming, counters."""
 
 from __future__ import annotations
 

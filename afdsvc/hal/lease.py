@@ -1,4 +1,4 @@
-"""The asker's word that it is still there, without which no burst is begun or goes on."""
+"""The lease of a burst: without renewal by the requester no burst starts or continues."""
 
 from __future__ import annotations
 
@@ -23,4 +23,4 @@ class LeaseTimer:
         """Return why the burst must end, "" while the lease holds."""
         if self.service_gone:
             return "the service vanished"
-        return "the lease ran out: the service was silent" if self.clock.monotonic() > self.until else ""
+        return "the lease expired: no renewal from the service" if self.clock.monotonic() > self.until else ""

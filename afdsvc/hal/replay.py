@@ -1,4 +1,4 @@
-"""A recording seen as a machine: it can be watched, never excited."""
+"""A recording played back as a machine that can be watched but not excited."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a simulated rotor turns: speed and angle over time, straight lines between given points."""
+"""Rotation of a simulated rotor: speed and angle over time, linear between given points."""
 
 from __future__ import annotations
 

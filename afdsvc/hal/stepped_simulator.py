@@ -1,4 +1,4 @@
-"""A machine simulated by what only steps, an FMI unit or a Python function, in the loop of every other machine."""
+"""A machine simulated by an FMI unit or a Python function that advances step by step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Estimating the answer: closed-loop identification.
+"""Closed-loop identification.
 
 `identify` is the one entry; below it one file per method: `subspace` (MOESP, N4SID, CVA), `pbsid`, `hansen` (original
 and modified), `greybox` (prediction error, physical parameters), `indirect` (through S(theta)); and what they share:

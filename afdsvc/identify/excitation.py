@@ -1,4 +1,4 @@
-"""Does the input move enough, and in enough ways, to support a model of some order?
+"""Persistent excitation: do the inputs support a model of the requested order?
 
 A model of order n with p outputs needs inputs that are persistently exciting of order ``n + l + 1``, l the number of
 samples after which the outputs show every state, at least n/p (Willems, Rapisarda, Markovsky and De Moor, Systems and

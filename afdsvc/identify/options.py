@@ -1,4 +1,4 @@
-"""What a caller may choose; everything has a sensible answer of its own, and nothing unknown is accepted."""
+"""Options of identification, with defaults; unknown ones are refused."""
 
 from __future__ import annotations
 

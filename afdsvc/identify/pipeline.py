@@ -1,4 +1,4 @@
-"""The one entry: a model and recordings in, a better model and its judgement out."""
+"""Identification from a model and recordings to an improved model and its validation."""
 
 from __future__ import annotations
 
@@ -194,8 +194,8 @@ def _certain(system: StateSpace) -> ResponseBand:
 
 def _invented(found: StateSpace, nominal: StateSpace) -> tuple[str, ...]:
     return tuple(
-        f"the identified plant has an undamped mode at {hz:.4g} Hz that the nominal model has not: when that is the speed "
-        "of rotation or the mains, a periodic disturbance was taken for the plant; take it out of u and y first"
+        f"the identified plant has an undamped mode at {hz:.4g} Hz that the nominal model does not have; "
+        "at the speed of rotation or mains frequency it is a periodic disturbance, not the plant: remove it from u and y first"
         for hz in undamped_modes(found, nominal)
     )
 

@@ -1,4 +1,4 @@
-"""From a model and traces to arrays that fit each other, every mismatch named."""
+"""From a model and traces to matching arrays; every mismatch is named."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From G(S), of inconveniently high order, to a lower one, keeping what the closed loop does.
+"""Reduction of G(S), which is of high order, with the least change of the closed loop.
 
 Four ways, tried side by side and judged by the loop they leave:
 
@@ -137,7 +137,7 @@ def _frequency_weighted(
     plant: StateSpace, order: int, recordings: Sequence[Recording], u_scale: Array, y_scale: Array
 ) -> StateSpace:
     if not recordings:
-        raise BadInput("the frequency-weighted reduction needs recordings of the plant's input; none were handed in")
+        raise BadInput("the frequency-weighted reduction needs recordings of the plant's input; found none")
     relative = np.vstack([r.u - r.u.mean(axis=0) for r in recordings]) / u_scale
     weight = block_diagonal(*(_shaping_filter(column, plant.dt) for column in relative.T))
     return _in_scale(plant, u_scale, y_scale, lambda g: weighted_truncation(g, order, input_weight=weight).system)

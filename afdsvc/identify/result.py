@@ -1,4 +1,4 @@
-"""The answer of `identify`: fit, judgement, the improved model, and the document acceptance reads."""
+"""The result of `identify`: fit, validation, the improved model, and the JSON document."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far rounding breaks the identities of a factorisation, as numbers that do not depend on units."""
+"""Loss of accuracy of the factorisation identities by rounding, in numbers independent of units."""
 
 from __future__ import annotations
 

@@ -49,6 +49,6 @@ def _solve_triangular(T: ComplexArray, rhs: ComplexArray, points: ComplexArray) 
     for i in range(T.shape[0] - 1, -1, -1):
         pivot = points - T[i, i]
         if not np.abs(pivot).min() > 0:
-            raise IllConditioned(f"a frequency sits exactly on the pole {T[i, i]:.6g}; leave it out")
+            raise IllConditioned(f"a frequency coincides with the pole {T[i, i]:.6g}; leave it out")
         X[i] = (rhs[i] + T[i, i + 1 :] @ X[i + 1 :]) / pivot
     return X

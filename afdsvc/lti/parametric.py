@@ -94,7 +94,7 @@ class _Family:
                 raise BadInput(f"the plant has no parameter '{name}'; it has {', '.join(values)}")
             if values[name] == 0:
                 raise BadInput(
-                    f"parameter '{name}' is 0, so a relative change of it means nothing; give it a value or leave it out"
+                    f"parameter '{name}' is 0, so a relative change of it is undefined; give it a value or leave it out"
                 )
 
     def __call__(self, severities: Mapping[int, float]) -> Array:

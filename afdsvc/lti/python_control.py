@@ -1,4 +1,4 @@
-"""The door: the same mathematics for systems of python-control, drawn by anybody.
+"""The public interface for systems of python-control.
 
 Each function takes and returns `control.StateSpace` (transfer functions, numbers and arrays are converted) in positive
 feedback ``u = K y``. All four use the same choice of coprime factors (`afdsvc.lti.factorise.factorise`), so beta of

@@ -1,4 +1,4 @@
-"""Sampling a plant with its faults pulled out, without giving up exactness.
+"""Exact sampling of a plant with its faults pulled out.
 
 Inside a sample period the feedback ``w = theta z`` acts continuously, so no discrete plant of low rank in theta is
 exact. What is done here: a channel whose z depends only on the held inputs stays one channel (actuators, exact); one

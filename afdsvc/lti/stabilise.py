@@ -1,4 +1,4 @@
-"""Gains that stabilise with the least effort, chosen without any weights to tune.
+"""Stabilising gains of minimum energy, without weights to tune.
 
 Only the modes that lack the required margin are moved: they are mirrored at the margin (the minimum-energy solution of
 the regulator problem with no state weight). A plant that already has the margin gets the gain zero.

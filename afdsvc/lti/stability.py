@@ -1,4 +1,4 @@
-"""Deciding stability, and saying which pole offends."""
+"""Stability, and the pole that violates it."""
 
 from __future__ import annotations
 

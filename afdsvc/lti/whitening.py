@@ -127,7 +127,7 @@ def _visibility(A: Array, C: Array) -> Array:
         reach = reach @ step
         total = np.maximum(total, reach.max(axis=0))
     if not (total > 0).all():
-        raise IllConditioned("a state never shows in any output, so regularisation cannot scale its noise; remove it")
+        raise IllConditioned("a state is unobservable, so regularisation cannot scale its noise; remove it")
     return total
 
 

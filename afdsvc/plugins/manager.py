@@ -1,4 +1,4 @@
-"""Finding plugins: built-ins and third parties come through the same entry-point door."""
+"""Finding plugins: built-ins and third parties use the same entry points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What people see in a terminal: tables and a progress bar, all on the right stream."""
+"""Terminal output: tables and a progress bar."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def demo_table(document: dict[str, Any]) -> None:
         table.add_row("injected", t["fault"], f"{100 * t['severity']:+.1f} %", f"{t['start_s']:.1f} s")
     if not document["truth"]:
         table.add_row("injected", "none", "", "")
-    found = verdict["fault"] or ("a fault, not singled out" if verdict["first_detected_s"] is not None else "none")
+    found = verdict["fault"] or ("a fault, not isolated" if verdict["first_detected_s"] is not None else "none")
     first = verdict["first_detected_s"]
     table.add_row("found", found, percent(verdict["severity"]), "" if first is None else f"decided at {first:.1f} s")
     OUT.print(table)
@@ -99,7 +99,7 @@ def diagnosis_table(document: dict[str, Any]) -> None:
         for remark in (*recording.get("notes", []), *recording["remarks"][:10]):
             OUT.print(f"note: {remark}", soft_wrap=True)
         verdict = recording["verdict"]
-        words = verdict["fault"] or ("a fault, not singled out" if verdict["first_detected_s"] is not None else "no fault")
+        words = verdict["fault"] or ("a fault, not isolated" if verdict["first_detected_s"] is not None else "no fault")
         OUT.print(f"verdict: {words} {percent(verdict['severity'])} {verdict.get('reason', '')}")
         _weights(verdict["weights"])
 
@@ -149,7 +149,7 @@ def _passive(recording: dict[str, Any]) -> None:
         raised = sum(d["detected"] for d in decisions)
         if decisions:
             counts = f"{crossed} crossings of the threshold, {raised} alarms in {recording['watched_s']:.1f} s"
-            OUT.print(f"{name}: {counts}; promised by chance: {promised:.2g}")
+            OUT.print(f"{name}: {counts}; expected without a fault: {promised:.2g}")
         for why in dict.fromkeys(d["reason"] for d in decisions if not d["trustworthy"]):
             OUT.print(f"  not trustworthy here: {why}")
 
@@ -190,7 +190,7 @@ def _samples(m: dict[str, Any]) -> str:
 
 
 def alarm_table(alarms: list[dict[str, Any]]) -> None:
-    """Show the alarms: what calls for attention first, then what is put aside or over."""
+    """Show the alarms: those that need attention first, then shelved and ended ones."""
     table = _table("Alarms", "id", "state", "since", "severity", "count")
     by_urgency = sorted(alarms, key=lambda a: (not a["active"], bool(a["cause"]), -a["since_ns"]))
     for a in by_urgency:

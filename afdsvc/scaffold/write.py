@@ -24,7 +24,7 @@ def write_plugin(kind: str, name: str, folder: Path) -> list[Path]:
         raise BadInput(f"plugin name '{name}'; expected small letters, digits and _, a letter first, and no word of Python")
     root = folder / name
     if root.exists():
-        raise BadInput(f"{root}: is there already; nothing is overwritten")
+        raise BadInput(f"{root}: exists already and is not overwritten")
     facts = {"name": name, "kind": kind, "family": KINDS[kind], "Class": "".join(part.title() for part in name.split("_"))}
     templates = Environment(loader=PackageLoader("afdsvc.scaffold"), undefined=StrictUndefined, keep_trailing_newline=True)
     pages = {

@@ -1,4 +1,4 @@
-"""The history of alarms in SQLite: what happened, when, by whom and why, and how every alarm stood last."""
+"""The history of alarms in SQLite: every change with time, person and reason, and the last state of every alarm."""
 
 from __future__ import annotations
 

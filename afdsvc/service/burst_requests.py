@@ -59,7 +59,7 @@ class BurstRequests:
         if session and session != self.session:
             self.scheduler.machine_appeared(seconds)
         if self.playing and session and session != self._played_by:
-            self._say("warning", f"burst '{self.playing}' is over: the rig agent was started anew")
+            self._say("warning", f"burst '{self.playing}' ended: the rig agent was restarted")
             self._end()
         self.session = session
 
@@ -81,13 +81,13 @@ class BurstRequests:
         except AfdsvcError as refusal:
             self._say("warning", f"burst not played: {refusal}")
         except Exception as error:
-            log.exception("machine '%s': a burst could not be asked for", self.machine)
+            log.exception("machine '%s': a burst request failed", self.machine)
             self._say("error", f"burst not played: {type(error).__name__}: {error}")
 
     def ask(self, wanted: BurstOrder) -> str:
         """Play a burst a person asked for, at once; returns its name, raises `Refused` with the reason."""
         if not self.session:
-            raise Refused(f"machine '{self.machine}' is not there")
+            raise Refused(f"machine '{self.machine}' is not connected")
         self.scheduler.request(wanted, self.seconds, datetime.now())
         due = self.scheduler.due(self.seconds, datetime.now())
         if due is None:
@@ -98,7 +98,7 @@ class BurstRequests:
         """Ask the rig for the burst; returns its name, raises `Refused` with the rig's reason."""
         with self._lock:
             if self.playing:
-                raise Refused(f"burst '{self.playing}' is playing; two at once are never played")
+                raise Refused(f"burst '{self.playing}' is playing; only one burst is played at a time")
             made = self.design(wanted)
             burst = replace(made, name=self._name(), notes={**made.notes, "reason": wanted.reason})
             start = self._first_sample(wanted)
@@ -155,9 +155,9 @@ class BurstRequests:
         """Return the sample a burst starts at (0: at once): not before what comes back can be judged."""
         ready, wait = self.pipeline.ready_at, self._wait()
         if ready is None:
-            raise Refused(f"machine '{self.machine}' sends nothing that can be judged yet; ask again once it runs")
+            raise Refused(f"machine '{self.machine}' has sent no usable samples yet; ask again once it runs")
         if wait > LONGEST_WAIT:
-            raise Refused(f"machine '{self.machine}' is watched too short a time to judge a burst; ask again in {wait:.0f} s")
+            raise Refused(f"machine '{self.machine}' has not been watched long enough to judge a burst; ask again in {wait:.0f} s")
         planned = 0 if wanted.at is None else round((wanted.at + LEAD_SECONDS) / self.pipeline.dt)
         return max(planned, ready if wait else 0)
 

@@ -1,4 +1,4 @@
-"""The clocks: the real one, and one that runs as fast as it is asked to."""
+"""Clocks: real time, and one that advances on request."""
 
 from __future__ import annotations
 

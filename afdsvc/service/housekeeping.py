@@ -1,4 +1,4 @@
-"""What is done for the recordings beside writing them: those of a killed service are closed, old ones deleted."""
+"""Housekeeping of recordings: those of a killed service are closed, old ones deleted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The running service: what comes over zenoh goes through one queue to one worker; a ticker plays bursts, tells the state."""
+"""The running service: messages from zenoh go through one queue to one worker; a ticker plays bursts and publishes the state."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Hub:
         try:
             self.alarms.restore(self.history.last(), self.clock.now_ns())
         except BadInput as error:
-            log.error("the alarms of the last run are not known: %s", error)
+            log.error("the alarms of the last run cannot be read: %s", error)
 
     def drain(self, seconds: float = 10.0) -> None:
         """Wait until what has arrived is worked off."""
@@ -105,7 +105,7 @@ class Hub:
         if self._queue.qsize():
             self._given_up.set()
             self.dropped += self._queue.qsize()
-            log.error("the worker does not keep up; %d messages are left", self._queue.qsize())
+            log.error("the worker does not keep up; %d messages are waiting", self._queue.qsize())
 
     def status(self) -> ServiceStatus:
         """Return how the service and its machines are."""
@@ -176,7 +176,7 @@ class Hub:
         if watch is None:
             if machine not in self._strangers:
                 self._strangers.add(machine)
-                log.warning("machine '%s' is not in the site file; it is not listened to", machine)
+                log.warning("machine '%s' is not in the site file; its messages are ignored", machine)
         elif kind == "block":
             self._block(watch, what)
         elif kind == "event":
@@ -215,12 +215,12 @@ class Hub:
                 self.alarms.condition(watch.machine, finding.kind, AlarmKind.SYSTEM, True, finding.message, now)
         if outcome.residual is not None:
             for kind in PASSING:
-                self.alarms.condition(watch.machine, kind, AlarmKind.SYSTEM, False, "the samples are as they should be again", now)
+                self.alarms.condition(watch.machine, kind, AlarmKind.SYSTEM, False, "the samples are valid again", now)
 
     def _sum_up(self, watch: MachineMonitor, t_ns: int) -> None:
         """Group alarms under what the evidence as a whole names; say when the model rather than a part is to be doubted."""
         watch.doubt_model([path for path in self.files() if path.suffix == ".mcap"])
-        why = watch.doubt or "the residual fits the model or a fault again"
+        why = watch.doubt or "the residual is explained by the model or a fault again"
         self.alarms.condition(watch.machine, "model_gap", AlarmKind.NOTICE, bool(watch.doubt), why, t_ns)
         if any(a.active for a in self.alarms.of(watch.machine)):
             self.alarms.group(watch.machine, watch.verdict().fault, t_ns)

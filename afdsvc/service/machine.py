@@ -1,4 +1,4 @@
-"""One machine as the service sees it: what arrives is checked, judged, passed on, and summed up."""
+"""One machine in the service: its blocks are checked, judged, passed on and summarised."""
 
 from __future__ import annotations
 
@@ -109,17 +109,17 @@ class MachineMonitor:
         """Note that a rig agent announced itself; a second one at the same time is named and not listened to."""
         if self.present and self.session and session != self.session:
             self._twins.add(session)
-            self.say("error", f"a second rig agent (session {session}) claims to be '{self.machine}'; it is not listened to")
+            self.say("error", f"a second rig agent (session {session}) claims to be '{self.machine}'; its messages are ignored")
             return
         self.present, self.session = True, session
-        self.say("info", f"rig agent of '{self.machine}' is there")
+        self.say("info", f"rig agent of '{self.machine}' is connected")
 
     def gone(self, session: str) -> None:
         """Note that a rig agent vanished."""
         self._twins.discard(session)
         if session == self.session:
             self.present = False
-            self.say("warning", f"rig agent of '{self.machine}' is gone")
+            self.say("warning", f"rig agent of '{self.machine}' is disconnected")
 
     def doubt_model(self, kept: Sequence[Path] = ()) -> None:
         """Say once, until it is over, that the model seems to miss something: a notice, not an alarm.
@@ -145,7 +145,7 @@ class MachineMonitor:
         age = self.clock.monotonic() - self._last
         state, reason = "running", self.trouble
         if not self.present:
-            state, reason = "absent", "no rig agent is there"
+            state, reason = "absent", "no rig agent is connected"
         elif age > STALE_SECONDS:
             state, reason = "stale", f"no block for {age:.1f} s" if self.blocks else "no block yet"
         verdict = self.verdict()

@@ -10,10 +10,10 @@ from afdsvc.wire.messages import AlarmKind, MachineStatus, ServiceStatus
 
 Row = tuple[str, str, Callable[[MachineStatus], float]]
 GAUGES: tuple[Row, ...] = (
-    ("machine_up", "1 while the machine is there and sends", lambda m: float(m.state == "running")),
+    ("machine_up", "1 while the machine is connected and sends samples", lambda m: float(m.state == "running")),
     ("machine_trustworthy", "1 while decisions about the machine can be trusted", lambda m: float(m.trustworthy)),
     ("block_age_seconds", "age of the newest block of samples", lambda m: m.block_age),
-    ("head_room_ratio", "share of a sample the control loop has left", lambda m: m.head_room),
+    ("head_room_ratio", "share of the sample period not used by the control loop", lambda m: m.head_room),
     ("burst_playing", "1 while a burst plays", lambda m: float(bool(m.burst))),
 )
 COUNTERS: tuple[Row, ...] = (

@@ -44,12 +44,12 @@ class Scheduler:
         if self.paused:
             raise Refused(f"bursts are paused: {self.paused}")
         if self.playing:
-            raise Refused("a burst is playing; two at once are never played")
+            raise Refused("a burst is playing; only one burst is played at a time")
         if self.quiet(wall):
             raise Refused(f"it is {wall:%H:%M}, within the quiet hours of this machine")
         rest = self._last_end + self._settings.rest_seconds - now
         if rest > 0:
-            raise Refused(f"the machine rests for another {rest:.1f} s after the last burst")
+            raise Refused(f"the pause after the last burst lasts another {rest:.1f} s")
         self._queue.append(wanted)
 
     def after_event(self, reason: str) -> None:

@@ -1,4 +1,4 @@
-"""A page of the running service for a browser: read-only, from what the service knows at the moment somebody looks."""
+"""The read-only web page of the running service."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _answer(self, whole: bool) -> None:
         # A page elsewhere whose name resolves to this computer must not read what is only meant for it.
         if self.headers.get("Host", "").rsplit(":", 1)[0] not in self.hosts:
-            return self.send_error(HTTPStatus.FORBIDDEN, "this address is served under another name")
+            return self.send_error(HTTPStatus.FORBIDDEN, "the page is not served under this host name")
         kind, body = self._content()
         if not kind:
             return self.send_error(HTTPStatus.NOT_FOUND)

@@ -1,4 +1,4 @@
-"""What several detectors of one machine compute alike is computed once.
+"""Memoisation of computations shared by the detectors of one machine.
 
 Detectors are pure and know nothing of each other, but most run the same filters over the same samples. The last results of
 such a step are kept and found again by the identity of what it was given, so nothing is compared and nothing can be stale:

@@ -1,4 +1,4 @@
-"""The part of a residual that repeats with the excitation: how much there is, at which kind of lines, and how surely.
+"""The part of a residual that is periodic with the excitation: its size, the kind of lines, and its significance.
 
 Noise does not repeat, so what repeats is the model's doing. Excited lines hold linear errors (and odd distortion), lines
 left out of an odd excitation show odd and even distortion apart.

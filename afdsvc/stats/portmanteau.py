@@ -1,4 +1,4 @@
-"""Is there anything left in the residuals? Whiteness, and independence of the input.
+"""Portmanteau tests of residuals: whiteness, and independence of the input.
 
 Both are portmanteau tests. Under the hypothesis that nothing is left, the p-values are uniform; small ones name what
 the model misses: not white - the noise model or a mode; correlated with past inputs - the plant; with future inputs -

@@ -1,4 +1,4 @@
-"""Peaks of the residual's spectrum: where a resonance that the model does not have may be looked for."""
+"""Peaks of the residual's spectrum: candidates for resonances missing in the model."""
 
 from __future__ import annotations
 

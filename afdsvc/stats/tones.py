@@ -1,4 +1,4 @@
-"""Spectral lines of the residual: tones that do not come from the excitation."""
+"""Tones: spectral lines of the residual that do not come from the excitation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Is the residual what the detectors were designed for: white, centred, of the stated covariance?
+"""Is the residual consistent with the design of the detectors: white, zero mean, of the stated covariance?
 
 Sums over lagged products are kept while quiet samples stream by; the test is a function of the sums:
 
@@ -128,8 +128,8 @@ class Whiteness:
             ratios = ", ".join(f"{r:.3g}" for r in self.sd_ratio)
             return f"the quiet residual has {ratios} times the stated standard deviation (p = {self.covariance:.2g})"
         if self.portmanteau <= self.offset:
-            return f"the quiet residual is not white (p = {self.portmanteau:.2g}): the model misses something"
-        return f"the quiet residual is not centred at zero (p = {self.offset:.2g})"
+            return f"the quiet residual is not white (p = {self.portmanteau:.2g}): the model is incomplete"
+        return f"the mean of the quiet residual is not zero (p = {self.offset:.2g})"
 
 
 def whiteness(sums: LagSums) -> Whiteness:

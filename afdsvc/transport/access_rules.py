@@ -1,4 +1,4 @@
-"""Who may say what: zenoh's access control for one site, by the common names of the certificates peers show.
+"""Access rules: zenoh's access control for one site, by the common names of the peers' certificates.
 
 Everything passes the service, which listens, so its rules are the site's. A rig may speak as itself and hear what is meant for it;
 an operator may ask the service anything; a viewer may look. Whatever is not allowed is dropped by zenoh before anybody sees it.

@@ -33,7 +33,7 @@ def key_files(security: Security, name: str) -> KeyFiles:
     files = KeyFiles(*(security.keys / part for part in (f"{AUTHORITY}.pem", f"{name}.pem", f"{name}.key")))
     for path in (files.authority, files.certificate, files.private_key):
         if not path.is_file():
-            raise BadInput(f"{path}: is not there; 'afdsvc certificates SITE.toml' makes it, and each computer needs its own")
+            raise BadInput(f"{path}: does not exist; 'afdsvc certificates SITE.toml' makes it, and each computer needs its own")
     return files
 
 

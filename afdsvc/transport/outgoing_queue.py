@@ -1,4 +1,4 @@
-"""Messages on their way out behind a bounded queue: a network that stalls holds up neither control nor detection."""
+"""Outgoing messages behind a bounded queue: a stalled network delays neither control nor detection."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""zenoh, tamed: loopback by default, nothing lost in a stall, sessions that always close.
+"""zenoh sessions: loopback by default, no loss in a stall, always closed.
 
 Settings follow what was measured with eclipse-zenoh 1.10. Advanced publishers with a cache and recovery survive a subscriber
 that stalls for 8 s without loss (with zenoh's own lease of 10 s; a shorter one cuts the link in the stall). Shared memory
@@ -231,7 +231,7 @@ class Transport:
         if self._settings.security is None:
             return f"no answer at {key}; is it running?"
         who = self._access.identity
-        return f"no answer at {key}: it does not run, or '{who}' is not listed as one who may ask that at this secured site"
+        return f"no answer at {key}: it does not run, or '{who}' lacks permission for this request at this secured site"
 
     def _why_not(self, error: str) -> str:
         where = ", ".join(self._settings.listen if self._hub else self._settings.endpoints())

@@ -92,7 +92,7 @@ def _text(tag: int, text: str) -> bytes:
     try:
         raw = text.encode()
     except UnicodeEncodeError:
-        raise BadInput(f"channel name or unit {text!r} is not text that can be sent") from None
+        raise BadInput(f"channel name or unit {text!r} is not valid UTF-8 text") from None
     return bytes([tag]) + _varint(len(raw)) + raw if raw else b""
 
 

@@ -1,4 +1,4 @@
-"""Requests to excite a machine, their answers and their renewals, to bytes and back."""
+"""Burst requests, their replies and leases, to bytes and back."""
 
 from __future__ import annotations
 

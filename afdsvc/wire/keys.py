@@ -1,4 +1,4 @@
-"""Every zenoh key of afdsvc, and why each exists. Key expressions are written nowhere else.
+"""Every zenoh key of afdsvc, and its purpose. Key expressions are written nowhere else.
 
 A key is ``afdsvc/{site}/{machine}/{what}`` for what belongs to one machine, so that one access rule on
 ``afdsvc/{site}/{machine}/**`` grants or refuses it as a whole, and ``afdsvc/{site}/service/{what}`` for the service.

@@ -1,4 +1,4 @@
-"""What is said on the wire beside samples, as plain values."""
+"""Messages other than samples, as plain values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a rig says of itself and of what happened to it, to bytes and back."""
+"""Descriptions and events of a rig, to bytes and back."""
 
 from __future__ import annotations
 

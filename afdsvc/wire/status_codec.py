@@ -1,4 +1,4 @@
-"""What people and displays see of the service, and what people ask of it, to bytes and back."""
+"""Status, commands and alarms of the service, to bytes and back."""
 
 from __future__ import annotations
 

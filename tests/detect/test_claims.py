@@ -1,4 +1,4 @@
-"""Claims about detection name tests that exist; expected one of them that had no home elsewhere."""
+"""Claims about detection name tests that exist; one of them had no home elsewhere."""
 
 import re
 from pathlib import Path

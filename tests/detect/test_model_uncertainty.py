@@ -190,7 +190,7 @@ def test_severities_the_loop_does_not_survive_are_left_out():
     for fault, (low, _) in reach.items():
         assert -1 < low < 0
         faulty_loop(problem, {fault: low})
-        with pytest.raises(BadInput, match="cannot be rehearsed"):
+        with pytest.raises(BadInput, match="cannot be simulated"):
             faulty_loop(problem, {fault: low - 1e-4})
     assert set(reachable(bearing_problem()).values()) == {(-1.0, 0.0)}
 

@@ -62,8 +62,8 @@ def test_parts_follow_the_speed_and_nothing_is_judged_in_between() -> None:
     m = Machine()
     assert m.run(100, 101, 108, 95) == []
     left = m.run(118, 139)
-    assert left == ["the speed leaves 955 rpm: nothing is judged until it is steady"]
-    with pytest.raises(Refused, match="the speed has left 955 rpm and is not steady yet; a burst would tell nothing"):
+    assert left == ["the speed leaves 955 rpm: decisions are suspended until it is steady"]
+    with pytest.raises(Refused, match="the speed has left 955 rpm and is not steady yet; a burst could not be evaluated"):
         _ = m.pipeline.problem
     m.pipeline.announce(Burst("later", 1, 10, 1))
     assert m.run(139, 139.5) == []
@@ -79,7 +79,7 @@ def test_parts_follow_the_speed_and_nothing_is_judged_in_between() -> None:
 def test_a_burst_on_the_way_is_named_and_not_judged() -> None:
     m = Machine()
     m.run(100)
-    assert m.run(130, burst="b7") == ["the speed leaves 955 rpm: nothing is judged until it is steady; burst b7 is not judged"]
+    assert m.run(130, burst="b7") == ["the speed leaves 955 rpm: decisions are suspended until it is steady; burst b7 is not judged"]
     assert m.run(140, 140, 140, 140, 140, burst="b7") == []
     assert m.run(140) == ["model, thresholds and detectors are those of 1337 rpm now"]
 
@@ -88,7 +88,7 @@ def test_a_speed_without_model_is_said_once_and_tried_again_at_the_next() -> Non
     m = Machine(highest=150.0)
     m.run(100)
     said = m.run(200, *[200.0] * 15)
-    assert said[1:] == ["at 1910 rpm nothing can be judged: there is no model at this speed"]
+    assert said[1:] == ["at 1910 rpm no decision is possible: there is no model at this speed"]
     assert len(m.made) == 1
     assert m.run(100, *[100.0] * 5)[-1] == "model, thresholds and detectors are those of 955 rpm now"
 
@@ -146,7 +146,7 @@ def test_no_model_there_is_said_when_it_is_known() -> None:
     m.run(100)
     assert m.run(200, *[200.0] * 15)[1:] == []
     beside.finish()
-    assert m.run(200.0, 200.0) == ["at 1910 rpm nothing can be judged: there is no model at this speed"]
+    assert m.run(200.0, 200.0) == ["at 1910 rpm no decision is possible: there is no model at this speed"]
 
 
 def test_too_many_blocks_make_the_worker_wait(monkeypatch) -> None:

@@ -89,7 +89,7 @@ def test_a_fault_nothing_reaches_and_one_nothing_shows_are_explained():
     burst = Burst("b", 2, 5000, 250, (Line(0, 800.0, 5.0), Line(1, 900.0, 5.0)))
     told = {u["fault"]: u["why"] for u in design_sheet(odd, [burst], {}, 1.0, [-0.5])["unseen"]}
     assert set(told) == {"idle", "mute"}
-    assert "moves the signal" in told["idle"]
+    assert "reaches the signal" in told["idle"]
     assert "reaches no output" in told["mute"]
 
 

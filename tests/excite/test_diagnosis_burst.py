@@ -93,7 +93,7 @@ def test_a_one_input_machine_gets_both_lines_on_it():
 def test_no_room_and_nonsense_are_refused_with_reasons():
     problem = bearing_problem()
     full = Limits(np.array([1.0, 1]), np.array([10.0, 10]), np.array([10.0, 10]))
-    with pytest.raises(Refused, match="no room is left"):
+    with pytest.raises(Refused, match="cannot be added"):
         default_burst(problem, full)
     with pytest.raises(BadInput, match="positive numbers"):
         default_burst(problem, problem.limits, seconds=-1.0)

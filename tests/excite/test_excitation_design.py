@@ -91,7 +91,7 @@ def test_a_wish_no_line_can_serve_is_refused():
     problem = bearing_problem()
     found = candidates(problem, [500.0], -0.2)
     dead = replace(found, deflection=np.where(np.arange(4)[:, None] == 2, 0.0, found.deflection))
-    with pytest.raises(Refused, match=r"serves the wishes \[2\]"):
+    with pytest.raises(Refused, match=r"input shows \[2\]"):
         allocate(dead, np.concatenate([np.ones(4), np.zeros(12)]), [(found.output.sum(axis=0), 1.0)])
 
 

@@ -142,7 +142,7 @@ def test_gaps_in_another_signal_are_bridged_and_told():
     run = prepare(model(), traces)[0]
     assert run.AUX[100:140, 0] == pytest.approx(np.arange(100, 140) / 10)
     answer = explain(model(), traces[:2], traces[2:], afdsvc_physics(), rehearse=False)
-    assert "r0: aux_speed lacks 40 of 2000 samples; straight lines bridge them" in answer.check
+    assert "r0: aux_speed lacks 40 of 2000 samples; they are interpolated linearly" in answer.check
     lost = with_speed(recording(0), gap=slice(0, 2000))
     with pytest.raises(BadInput, match="r0: aux_speed has no value at all"):
         prepare(model(), [lost])

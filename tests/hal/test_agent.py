@@ -132,7 +132,7 @@ def test_a_burst_never_outlives_who_asked_for_it(settings, bearing, plugins, how
                 hub.ask(KEYS.stop("bearing"), codec.encode_burst_stop(BurstStop("bearing", "enough", "Ada")))
             ended = ear.wait(EventKind.BURST_ABORTED, 3.0)
             time.sleep(0.3)
-    words = {"lease": "the service was silent", "vanish": "the service vanished", "stop": "stopped by Ada: enough"}
+    words = {"lease": "no renewal from the service", "vanish": "the service vanished", "stop": "stopped by Ada: enough"}
     assert words[how] in ended.cause
     values = ear.samples()
     last = np.flatnonzero(values[:, 4])[-1]

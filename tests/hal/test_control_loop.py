@@ -209,7 +209,7 @@ def test_two_bursts_at_once_are_refused(bearing):
     port = simulator(bearing())
     with port.arm(port._limits) as drive:
         drive.play(burst())
-        with pytest.raises(Refused, match="two bursts at once"):
+        with pytest.raises(Refused, match="only one burst is played at a time"):
             drive.play(burst())
         with pytest.raises(Refused, match="armed already"), port.arm(port._limits):
             pass

@@ -30,7 +30,7 @@ def test_steps_do_not_depend_on_how_samples_are_asked_for() -> None:
 
 
 def test_times_that_do_not_rise_are_refused() -> None:
-    with pytest.raises(BadInput, match=r"speed profile at \[1.0, 1.0\] s; rising times"):
+    with pytest.raises(BadInput, match=r"speed profile at \[1.0, 1.0\] s; expected rising times"):
         SpeedProfile.of([(1.0, 5.0), (1.0, 6.0)], 0.0, 1e-3)
 
 

@@ -153,7 +153,7 @@ def test_a_simulator_that_answers_nan_ends_with_its_name(folder):
         ([("axis.py:axis", "axis.py:three")], "names .*axis.py:three, which is no function"),
         ([("axis.py:axis", "no.such.module:f")], "names the module no.such.module, which cannot be imported: ModuleNotFoundError"),
         ([("axis.py:axis", "axis")], "key 'driver.unit' is 'axis'; expected file.py:name or package.module:name"),
-        ([("limits = {output = [6.0], ", "limits = {")], "key 'limits.output' is missing; a machine with 'model' that is driven wants"),
+        ([("limits = {output = [6.0], ", "limits = {")], "key 'limits.output' is missing; a driven machine with 'model' needs"),
         ([("input = [3.0]", "input = [3.0, 4.0]")], "key 'limits.input' has 2 values; expected 1"),
         ([("output_sd = [0.01]\n", "")], "has no controller or no noise"),
         ([("real_time = false", "real_time = false\noptions = {start = 1.0}")], "starts with output 0 at 1; expected deviations from an operating point at 0"),

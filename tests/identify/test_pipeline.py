@@ -332,4 +332,4 @@ def test_order_zero_of_S_leaves_the_nominal_model_in_place(model, fact, bearing,
     found = identify(true, [trace], options=QUICK)
     assert found.fit.order_reason.startswith("order 0")
     assert np.array_equal(found.model.plant.A, bearing.A)
-    assert found.fit.notes == ("no deviation from the nominal model shows in the recordings; it stands as it is",)
+    assert found.fit.notes == ("no deviation from the nominal model shows in the recordings; the nominal model is kept",)

@@ -46,7 +46,7 @@ def test_a_plugin_that_fails_is_told_check_by_check(tmp_path, monkeypatch):
         ("colour", "a", "kind of plugin 'colour'; expected one of controller, detector"),
         ("detector", "My-Detector", "plugin name 'My-Detector'; small letters"),
         ("detector", "class", "plugin name 'class'"),
-        ("detector", "there", "there: is there already; nothing is overwritten"),
+        ("detector", "there", "there: exists already and is not overwritten"),
     ],
 )
 def test_what_cannot_be_is_refused(kind, name, sentence, tmp_path):

@@ -51,7 +51,7 @@ def test_a_machine_that_has_long_been_judged_is_excited_at_once():
 
 def test_a_machine_that_sends_nothing_usable_is_not_excited():
     made, requests = desk(ready_at=None)
-    with pytest.raises(Refused, match="nothing that can be judged yet"):
+    with pytest.raises(Refused, match="no usable samples yet"):
         made.ask(BurstOrder("asked"))
     made.tick()
     assert requests == []

@@ -155,7 +155,7 @@ def misfortunes(scene: Scene) -> dict:
 
 HARMLESS = ("garbage", "second", "broken wire")
 WORDS = {
-    "stop": "stopped by Ada", "delay": "the service was silent", "gone": "the service vanished", "emergency": "emergency stop",
+    "stop": "stopped by Ada", "delay": "no renewal from the service", "gone": "the service vanished", "emergency": "emergency stop",
     "leaving": "asked to stop", "hardware": "the rig agent failed",
 }  # fmt: skip
 
@@ -222,7 +222,7 @@ def test_after_an_emergency_stop_every_burst_is_refused(simulated, bearing):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"lease": 11.0}, "the lease is 11 s; at most 10 s are trusted"),
+        ({"lease": 11.0}, "the lease is 11 s; at most 10 s are accepted"),
         ({"start": 10**9}, "too far ahead"),
         ({"machine": "other"}, "for machine 'other'"),
         ({"burst": Burst("b", 2, 70_000, 0, tuple(Line(0, float(i), 1e-6) for i in range(3000)))}, "send a waveform instead"),

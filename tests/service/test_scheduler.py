@@ -81,7 +81,7 @@ def test_requests_are_refused_with_their_reason():
     with pytest.raises(Refused, match="two at once"):
         s.request(BurstOrder("again"), 1.0, NOON)
     s.ended(3.0)
-    with pytest.raises(Refused, match=r"rests for another 4\.0 s"):
+    with pytest.raises(Refused, match=r"lasts another 4\.0 s"):
         s.request(BurstOrder("again"), 4.0, NOON)
     s.paused = "by Ada: maintenance"
     with pytest.raises(Refused, match="paused: by Ada"):
@@ -106,7 +106,7 @@ def test_an_open_question_gets_one_second_burst_unless_it_is_settled_first():
     wanted = s.due(0.0, NOON)
     assert wanted is not None
     assert (wanted.purpose, wanted.question) == ("isolate", question)
-    assert wanted.reason == "burst b1 leaves open whether it is actuator or sensor"
+    assert wanted.reason == "burst b1 does not decide whether it is actuator or sensor"
     assert s.due(0.0, NOON) is None
     s.follow_up(question)
     s.settle("b1")

@@ -63,7 +63,7 @@ def test_the_page_shows_and_nothing_else_is_answered(free_port, tmp_path):
             seen = subprocess.run(
                 [*command, "--virtual-time-budget=4000", "--dump-dom", base + "/"], capture_output=True, timeout=120, check=True
             ).stdout.decode()
-            assert "no rig agent is there" in seen
+            assert "no rig agent is connected" in seen
             assert "No alarm has ever been raised." in seen
 
 

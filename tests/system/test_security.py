@@ -27,7 +27,7 @@ from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import BurstRequest
 
 KEYS = Keys("t")
-UNHEARD = "is not listed as one who may ask"
+UNHEARD = "lacks permission for this request"
 
 
 def site_of(port: int, folder: Path, keys: str = "keys") -> Site:

@@ -119,7 +119,7 @@ bursts = {every_seconds = 30.0, first_after_seconds = 0.5, seconds = 1.0, output
     (path,) = tmp_path.glob("*.mcap")
     requests = list(Recording(path).requests("bearing"))
     assert [r.burst.purpose for r in requests] == ["diagnose", "isolate"]
-    assert "leaves open whether it is" in requests[1].asked_by
+    assert "does not decide whether it is" in requests[1].asked_by
 
 
 def test_a_burst_asked_for_in_the_first_moment_can_be_judged(free_port, tmp_path):
@@ -140,7 +140,7 @@ driver = {seed = 4, faults = [{name = "vertical_actuator", severity = -0.5, at_s
 bursts = {every_seconds = 30.0, first_after_seconds = 0.5, seconds = 2.0}"""
     site = site_of(free_port, tmp_path, machine=machine)
     with serve.serving(site) as hub, rig(site, 8.0) as thread:
-        with pytest.raises(AfdsvcError, match=r"nothing that can be judged yet|not there"):
+        with pytest.raises(AfdsvcError, match=r"no usable samples yet|not connected"):
             ask_service(site, "burst", "Ada")
         thread.join(40)
         hub.drain()
@@ -151,7 +151,7 @@ bursts = {every_seconds = 30.0, first_after_seconds = 0.5, seconds = 2.0}"""
 def test_people_can_ask_and_are_told_why_not(free_port, tmp_path):
     site = site_of(free_port, tmp_path)
     with serve.serving(site) as hub:
-        with pytest.raises(AfdsvcError, match="machine 'bearing' is not there"):
+        with pytest.raises(AfdsvcError, match="machine 'bearing' is not connected"):
             ask_service(site, "burst", "Ada")
         assert ask_service(site, "status", "Ada")["machines"][0]["state"] == "absent"
         with rig(site):
@@ -340,7 +340,7 @@ detectors = [{{kind = "passive_cusum"}}]"""
         assert hub.alarms.alarms == {}
     assert evidence
     assert all(not e.trustworthy for e in evidence)
-    assert any("the model misses something" in e.reason for e in evidence)
+    assert any("the model is incomplete" in e.reason for e in evidence)
     recording = Recording(next(tmp_path.glob("*.mcap")))
     (trace,) = recording.traces("bearing")
     table = np.loadtxt(emps / "estimation.csv", delimiter=",", skiprows=1)

@@ -27,7 +27,7 @@ FAULTS = [
     {"name": "b_y_actuator", "kind": "actuator_gain", "settings": {"input": 3}},
     {"name": "b_y_sensor", "kind": "sensor_gain", "settings": {"output": 3}},
 ]
-LEAVES, ARRIVED = "the speed leaves 31500 rpm: nothing is judged", "model, thresholds and detectors are those of 28000 rpm now"
+LEAVES, ARRIVED = "the speed leaves 31500 rpm: decisions are suspended", "model, thresholds and detectors are those of 28000 rpm now"
 
 
 def turboexpander(plugins, driver=None, **more):

@@ -82,7 +82,7 @@ class BurstChecks:
         if self.bad:
             return f"{self.bad} samples of the burst are not finite numbers"
         if self.n < samples:
-            return f"the burst was cut short after {self.n} of {samples} samples"
+            return f"the burst was ended after {self.n} of {samples} samples"
         return self._not_played() or self._saturated(inputs) or self._frozen(frozen, outputs)
 
     def _not_played(self) -> str:
@@ -90,7 +90,7 @@ class BurstChecks:
             return "the excitation is absent: alpha was recorded as zero throughout the burst"
         if not self.difference <= PLAYED * self.asked:
             share = self.difference / self.asked if self.asked > 0 else np.inf
-            return f"the excitation recorded differs from the one asked for by {100 * share:.3g} % of its energy"
+            return f"the recorded excitation differs from the requested one by {100 * share:.3g} % of its energy"
         return ""
 
     def _saturated(self, names: Sequence[str]) -> str:
@@ -105,7 +105,7 @@ class BurstChecks:
     def _frozen(self, frozen: int, names: Sequence[str]) -> str:
         for i, run in enumerate(self.longest if self.longest is not None else ()):
             if run >= frozen:
-                return f"sensor {_name(names, i)} stood still for {int(run)} samples"
+                return f"sensor {_name(names, i)} was constant for {int(run)} samples"
         return ""
 
 

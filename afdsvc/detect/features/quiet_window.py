@@ -1,4 +1,4 @@
-"""The last quiet samples of a machine, looked at again only when they need an explanation.
+"""A window of the last samples without a burst, evaluated only when their whiteness has to be explained.
 
 A fault colours the loop's own noise. Whether one of K faults explains coloured quiet data takes K regressors; computing them
 for every sample would make the cost of watching grow with K, so the samples kept are looked at when a decision asks: with the

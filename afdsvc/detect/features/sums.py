@@ -1,4 +1,4 @@
-"""Sums of products that every hypothesis shares: ``sum e f'`` and ``sum f f'`` of a residual e and features f.
+"""Running sums of products shared by all hypotheses: ``sum e f'`` and ``sum f f'`` of a residual e and features f.
 
 When hypothesis i expects ``theta_i f[k]`` per unit of its severity, its score is ``sum (theta_i f)' e`` and the
 information of two of them ``sum (theta_i f)' theta_j f``: both follow from these sums for any number of hypotheses.

@@ -1,4 +1,4 @@
-"""Fault curves: where in the complex plane each severity puts the answer to each excited line.
+"""Fault curves: the residual phasor of each excited line in the complex plane as a function of severity.
 
 The curve of fault i is ``theta -> W^-1 S(theta e_i)(e^{jw}) a`` for excitation amplitudes a: one complex number per
 line and output, zero at theta = 0. Loops are closed frequency by frequency (``u = K y + ..`` in positive feedback),

@@ -1,4 +1,4 @@
-"""The likelihood ratio along fault curves: which severities to compare, and the threshold of the largest.
+"""The likelihood ratio along fault curves: the grid of severities, and the threshold of the maximum.
 
 On the curve of one fault the wave of severity theta is a vector t(theta) in standard deviations of the noise, and
 

@@ -1,4 +1,4 @@
-"""Two ways to judge the excited lines of a burst: the largest projection, and the largest likelihood ratio.
+"""Two tests on the excited lines of a burst: the largest projection, and the largest likelihood ratio.
 
 Both are a statistic of whitened line coordinates z and a set of whitened waves, with a threshold that keeps the promised
 rate for the largest over the whole set, averaged over the models the uncertainty allows.

@@ -1,4 +1,4 @@
-"""CUSUM between bursts: what the loop's own noise gives away about a fault, all the time and without excitation.
+"""CUSUM between bursts: information about a fault in the loop's own noise, without excitation.
 
 The log-likelihood ratios use the regressors psi of `regressors`, advanced in blocks of a few milliseconds from the products
 that all faults share (`shared`, `products`). They gain information at a random rate: the run length is that of uneven

@@ -1,1 +1,1 @@
-"""Thresholds for promised false-alarm rates, and the power of the tests."""
+"""Thresholds for designed false-alarm rates, and the power of the tests."""

@@ -1,4 +1,4 @@
-"""How often the largest of several CUSUMs crosses a boundary within a burst, from the joint law of their increments.
+"""Probability that the largest of several CUSUMs crosses a boundary within a burst, from the joint law of their increments.
 
 Over block k the log-likelihood ratio of hypothesis h grows by ``<v_kh, z_k> - |v_kh|^2 / 2`` with z_k standard normal. An
 alarm is made common by letting the wave of a hypothesis set in at a block, drawn at random, and weighted by the mean

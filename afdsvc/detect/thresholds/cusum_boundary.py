@@ -1,4 +1,4 @@
-"""The boundary of several CUSUMs that run always, from their average run lengths (`arl`).
+"""The boundary of several CUSUMs running between bursts, from their average run lengths.
 
 CUSUMs whose increments resemble each other alarm together: each counts with its share of the union of alarms, so that the
 promised rate is kept and not divided by the number of faults. Shares at one height and run lengths of uneven steps are

@@ -1,4 +1,4 @@
-"""How often the largest of several CUSUMs that run always alarms, from the joint law of the loop's noise and all psi.
+"""False-alarm rate of the largest of several CUSUMs running between bursts, from the joint law of the loop's noise and all psi.
 
 One fault is made to set in at block s of a healthy loop: theta psi is added to the white residual from there on, until the
 alarm at block T. With ``R_T = sum_{s <= T} sum_i LR_i(s..T)``, by Shiryaev's recursion over all onsets and faults, every

@@ -1,4 +1,4 @@
-"""How often any of several projections exceeds its height, averaged over the machines an uncertain model allows.
+"""Probability that any of several projections exceeds its threshold, averaged over the distribution of an uncertain model.
 
 Every model q has a probability w_q, a mean and a covariance of z. With the tails ``P_qk = w_q P(<e_k, z> > h_k | q)`` the union is
 

@@ -1,4 +1,4 @@
-"""How the loop's own noise, and a burst, drive the regressors of the faults: information per sample and its bias.
+"""Information per sample, and its bias, that the loop's own noise or a burst gives about each fault.
 
 Written in innovations (``xh+ = A xh + B u + Kp r, y = C xh + D u + r``) and closed with J_K, the healthy loop is a
 stable system from ``[r, alpha]`` to all psi_i. H_i is its part from normalised r to normalised psi_i. Per sample the

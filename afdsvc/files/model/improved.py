@@ -1,4 +1,4 @@
-"""The improved model on disk: MODEL.toml alone where what was found is linear, with a Python simulator beside it where not."""
+"""Writing the improved model: MODEL.toml alone where the result is linear, otherwise with a Python simulator beside it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What may stand in a MODEL.toml."""
+"""The schema of MODEL.toml."""
 
 from __future__ import annotations
 

@@ -54,10 +54,10 @@ def stepped_model(table: ModelTable, source: str, allow_code: bool) -> SteppedMo
     opened = _opener(table, source, allow_code)
     if opened is None:
         if table.perturbation is not None:
-            raise BadInput(f"{source}: key 'perturbation' is for a simulator that only steps, an FMI unit or a function")
+            raise BadInput(f"{source}: key 'perturbation' applies to stepped simulators only (an FMI unit or a function)")
         return None
     if not table.dt:
-        raise BadInput(f'{source}: key \'time\' is "{table.time}"; a simulator that only steps wants "discrete" and its sample_time')
+        raise BadInput(f'{source}: key \'time\' is "{table.time}"; a stepped simulator needs "discrete" and its sample_time')
     asked = table.perturbation or PerturbationTable()
     push = np.array(asked.amplitude or [1.0] * len(table.inputs))
     if len(push) != len(table.inputs):

@@ -1,4 +1,4 @@
-"""The Python simulator a MODEL.toml may name. It is code of a stranger, so it runs only when a person said so."""
+"""The Python simulator that a MODEL.toml may name: foreign code, run only with the user's permission."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The records of an MCAP file, whole or torn: everything complete is given, everything else is named.
+"""The records of an MCAP file, intact or damaged: complete records are returned, everything else is named.
 
 The reader of the ``mcap`` package trusts the end of a file and stops at the first fault. A recording cut short by a
 crash has no end, and one bad chunk is no reason to lose those behind it.
@@ -97,12 +97,12 @@ def summary_channels(path: Path) -> Iterator[McapRecord]:
 
 
 def _frames(file: BinaryIO, size: int) -> Iterator[_Frame | Loss]:
-    """Yield every complete record as it is stored, and a loss where the file is torn."""
+    """Yield every complete record as it is stored, and a loss where the file is damaged."""
     while _more(file):
         at, head = file.tell(), file.read(_FRAME)
         length = int.from_bytes(head[1:], "little")
         if len(head) < _FRAME or length > size - file.tell() or head[0] == 0:
-            yield Loss(f"the last {size - at} bytes, from byte {at}, are no complete record: the file is torn there")
+            yield Loss(f"the last {size - at} bytes, from byte {at}, are no complete record: the file ends there")
             return
         yield _Frame(head[0], file.read(length), at)
 
@@ -149,7 +149,7 @@ def _attachment(content: bytes) -> Item:
     attachment: Attachment = Attachment.read(ReadDataStream(BytesIO(content)))
     stored = int.from_bytes(content[-4:], "little")
     if stored and stored != zlib.crc32(content[:-4]):
-        return Loss(f"attachment '{attachment.name}' is damaged: its checksum does not fit")
+        return Loss(f"attachment '{attachment.name}' is damaged: wrong checksum")
     return attachment
 
 

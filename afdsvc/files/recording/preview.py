@@ -1,4 +1,4 @@
-"""One message per sample at about 100 Hz, for viewers that plot fields and know no blocks.
+"""One message per sample at about 100 Hz, for viewers that plot message fields.
 
 Every n-th sample is shown as it is, so fast signals alias: a preview shows where to look, the blocks what was there.
 """

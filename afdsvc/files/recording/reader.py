@@ -1,4 +1,4 @@
-"""A recording as it can be asked: blocks, traces, events, decisions, model and site, and what of it is lost."""
+"""Reading a recording: blocks, traces, events, decisions, model and site, and what was lost."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Recording:
         """What could not be read, in sentences; "" when the recording is whole."""
         sentences = [loss.sentence for loss in self.losses] + list(self._unreadable.values())
         if not self.finished:
-            sentences.append("the file was not closed: its writer died, or is still writing")
+            sentences.append("the file was not closed: its writer failed, or is still writing")
         if not sentences:
             return ""
         more = f"; and {len(sentences) - 5} more" if len(sentences) > 5 else ""
@@ -154,7 +154,7 @@ class Recording:
                 channels |= {r.id for r in repeated if isinstance(r, Channel)}
                 yield from repeated
             if isinstance(item, Message) and item.channel_id not in channels:
-                yield Loss(f"a message of {len(item.data)} bytes belongs to a channel described nowhere", item.log_time)
+                yield Loss(f"a message of {len(item.data)} bytes belongs to an undefined channel", item.log_time)
             else:
                 yield item
 

@@ -1,4 +1,4 @@
-"""The recorder: wire bytes into MCAP files that rotate, survive crashes, and say so when they cannot be written."""
+"""The recorder: encoded messages into MCAP files that rotate, survive crashes, and report write errors."""
 
 from __future__ import annotations
 
@@ -247,5 +247,5 @@ def _tell(file: McapFile, t_ns: int, level: Level, text: str, machine: str) -> N
 
 def _sentence(path: Path, error: OSError) -> str:
     exists = isinstance(error, FileExistsError) and path.is_file()
-    why = "it exists already, and recordings are not overwritten unasked" if exists else error.strerror or str(error)
+    why = "it exists already; recordings are not overwritten" if exists else error.strerror or str(error)
     return f"{path}: cannot be written: {why}"

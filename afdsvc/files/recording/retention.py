@@ -1,4 +1,4 @@
-"""Recordings that have grown too old or too many are deleted, oldest first; what is being written never is."""
+"""Retention: recordings beyond the limits of age or number are deleted, oldest first, never the one being written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What happened, in one sentence and with a level, for logs people read."""
+"""Events as one sentence and a level, for logs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def evidence_sentence(evidence: Evidence) -> tuple[Level, str]:
     e = evidence
     who = e.detector + (f" on {e.output}" if e.output else "")
     if not e.trustworthy:
-        return Level.WARNING, f"{who} is not trustworthy here: {e.reason}"
+        return Level.WARNING, f"{who} is not trusted: {e.reason}"
     numbers = f"statistic {e.statistic:.4g}, threshold {e.threshold:.4g}"
     if not e.detected:
         return Level.INFO, f"{who} finds nothing ({numbers})"

@@ -1,4 +1,4 @@
-"""Blocks put together: traces without gaps, one for each uninterrupted stretch of each session."""
+"""Blocks joined to traces, one for each uninterrupted stretch of each session."""
 
 from __future__ import annotations
 

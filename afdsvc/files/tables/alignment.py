@@ -80,7 +80,7 @@ def _ordered(group: Group, where: str, remarks: list[str]) -> Group:
     first[1:] = np.diff(t[order]) > 0
     kept = order[first]
     if bad.any():
-        remarks.append(f"{int(bad.sum())} samples of {group.name} have no time and are dropped")
+        remarks.append(f"{int(bad.sum())} samples of {group.name} have no time stamp and are dropped")
     if late:
         remarks.append(f"{late} samples of {group.name} came out of order and were sorted by time")
     if len(kept) < len(order):
@@ -100,7 +100,7 @@ def _evened(group: Group, where: str, gap: float, regular: bool, remarks: list[s
         missing = float(steps[steps > gap * step].sum())
         remarks.append(
             f"{group.name} has {_count(len(edges) - 2, 'gap')} longer than {gap:g} sample times, {missing:.4g} s in all: "
-            "they stay gaps, and each side is a piece of its own"
+            "they stay gaps that divide the recording"
         )
     if not spans:
         raise BadInput(f"{where}: {group.name} has a gap after every sample; expected even sampling")
@@ -122,8 +122,8 @@ def _evened(group: Group, where: str, gap: float, regular: bool, remarks: list[s
 def _jitter(name: str, worst: float, step: float, regular: bool) -> str:
     said = f"the times of {name} miss an even grid of {step:.6g} s by up to {100 * worst:.0f} % of it"
     if regular:
-        return f"{said}: the mapping says that only the stamps jitter, so the samples were put on the grid as they are"
-    return f"{said}: the samples were interpolated onto it, linearly"
+        return f"{said}: by the mapping only the time stamps jitter, so the samples were placed on the grid unchanged"
+    return f"{said}: the samples were interpolated linearly onto it"
 
 
 def _on_grid(t: Array, values: Array, step: float, regular: bool) -> tuple[Piece, float]:

@@ -1,4 +1,4 @@
-"""A recording of others as traces, by a mapping; what was done to the data goes with them, in sentences."""
+"""Foreign recordings as traces, by a mapping; every change to the data is kept as a note."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def _table_time(columns: Mapping[str, Array], time: Time, path: Path) -> tuple[A
         raise BadInput(f"{path}: no column '{column}' for the time; it has {', '.join(columns)}")
     if time.step is None:
         raise BadInput(f"{path}: has no column '{TIME}'; expected key 'time.from', a column, or 'time.step' [s] in the mapping")
-    return None, f"the table has no time; the mapping says that samples are {time.step:g} s apart", ""
+    return None, f"the table has no time; by the mapping, samples are {time.step:g} s apart", ""
 
 
 def _order(channels: Sequence[Channel]) -> list[int]:

@@ -1,4 +1,4 @@
-"""The mapped topics of an MCAP file that is not ours, as columns on the time of each topic."""
+"""The mapped topics of a foreign MCAP file, as columns with the time of each topic."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Messages of others as numbers: protobuf, JSON and ROS 2, fields by path, and the time stamped inside them."""
+"""Foreign messages as numbers: protobuf, JSON and ROS 2, fields by path, and their time stamps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Any recording as traces: ours, a table with our names, or one of others with a mapping."""
+"""Any recording as traces: MCAP of afdsvc, a table with standard column names, or a foreign one with a mapping."""
 
 from __future__ import annotations
 

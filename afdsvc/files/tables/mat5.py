@@ -56,7 +56,7 @@ def _elements(data: bytes, order: str) -> Iterator[_Element]:
     at = 0
     while at < len(data):
         if len(data) - at < 8:
-            raise ValueError(f"{len(data) - at} bytes are left over; the file is torn")
+            raise ValueError(f"{len(data) - at} bytes are left over; the file is truncated")
         kind, size = np.frombuffer(data, order + "u4", 2, at).tolist()
         if kind >> 16:
             kind, size, start, step = kind & 0xFFFF, kind >> 16, at + 4, 8
@@ -65,7 +65,7 @@ def _elements(data: bytes, order: str) -> Iterator[_Element]:
         else:
             start, step = at + 8, 8 + size + (0 if kind == _COMPRESSED else -size % 8)
         if start + size > len(data):
-            raise ValueError(f"an element of {size} bytes where {len(data) - start} are left; the file is torn")
+            raise ValueError(f"an element of {size} bytes where {len(data) - start} are left; the file is truncated")
         yield _Element(kind, data[start : start + size])
         at += step
 

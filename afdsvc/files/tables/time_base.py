@@ -1,4 +1,4 @@
-"""From a column of times to a start and one sample time, or the row that forbids it."""
+"""From a column of times to a start and one sample time; raises naming the row where they are not uniform."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Units of recordings turned into those of the model, by pint; what is ambiguous is refused."""
+"""Conversion of units by pint; ambiguous units are refused."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def product(one: str, other: str, where: str) -> str:
 def _refuse_unlike(source: str, target: str, where: str) -> None:
     units = [_unit(text, where) for text in (source, target)]
     if units[0].dimensionality != units[1].dimensionality:
-        raise BadInput(f"{where}: '{source}' cannot become '{target}': they measure different things")
+        raise BadInput(f"{where}: '{source}' cannot become '{target}': their dimensions differ")
     frequency = ["hertz" in str(u) for u in units]
     if frequency[0] != frequency[1]:
         raise BadInput(

@@ -1,4 +1,4 @@
-"""Physical parameters through S(theta): the excitation alpha and the residual beta are all that is compared.
+"""Physical parameters through S(theta): only the excitation alpha and the residual beta are compared.
 
     minimise  sum | beta - S(theta) alpha |      over theta, in the 2-norm or in the 1-norm
 

@@ -153,7 +153,7 @@ def _open_loop_order(
         most = min(largest, (horizon - 1) * p)
         order, lead = simulated_order(recordings, lambda n: realise(found, n, stable=True).system, most)
         reason = (
-            f"order {order}: the outputs answer to the inputs, and it simulates best (criterion lower by {lead:.4g})"
+            f"order {order}: the response to the inputs is significant, and the simulation error is smallest (criterion lower by {lead:.4g})"
         )
     if options.horizon is None and order:
         longer = choose_horizon(recordings, memory(realise(found, order, stable=True).system.poles()))
@@ -295,7 +295,7 @@ def _order(
 
 def _nominal_stands(problem: Prepared, reason: str) -> Fit:
     S = StateSpace.gain(np.zeros((problem.nominal.outputs, problem.nominal.inputs)), problem.nominal.dt)
-    note = "no deviation from the nominal model shows in the recordings; it stands as it is"
+    note = "no deviation from the nominal model shows in the recordings; the nominal model is kept"
     return Fit("hansen", _output_error(problem.nominal), order_reason=reason, deviation=S, notes=(note,))
 
 

@@ -72,7 +72,7 @@ def fit_recentred(
         fit = _at_rest(structure, factorise(plant, nominal.controller), recordings, noise, norm, before)
         if (np.abs(_values(fit) - before) < ENOUGH * np.sqrt(np.diag(fit.covariance)) + EXACT * structure.scales).all():
             break
-    notes = (*fit.notes, f"what was found was made the nominal plant {done} times")
+    notes = (*fit.notes, f"the estimate was made the nominal plant {done} times")
     return replace(fit, deviation=deviation_system(nominal, fit.system), notes=notes)
 
 

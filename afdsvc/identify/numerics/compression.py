@@ -1,4 +1,4 @@
-"""Compression of recordings into one triangular factor, the only thing subspace methods need to see.
+"""Compression of recordings into one triangular factor, which holds all that subspace methods need.
 
 The rows of the data matrix are windows ``w(k) ... w(k+L-1)`` of the stacked signals ``w = [u, y]``; its triangular
 factor R (``R^T R`` = sum of all window products) has the size of a window, whatever the number of samples. Two routes:

@@ -1,4 +1,4 @@
-"""Fitting a stable system to long recordings at a cost that does not grow with them.
+"""Fitting a stable system to impulse responses: the cost does not grow with the length of the recordings.
 
 The sum of squares of ``beta - S alpha`` depends on the recordings only through correlations: with the first L + 1
 Markov parameters ``g = [S_0 ... S_L]`` and the windows ``a(k) = [alpha(k) ... alpha(k-L)]``,

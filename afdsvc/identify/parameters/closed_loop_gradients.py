@@ -1,4 +1,4 @@
-"""How the matrices of S move when those of the plant do: the chain rule through the closing of the loop.
+"""Gradients of the matrices of S with respect to those of the plant: the chain rule through the closed loop.
 
 With J_K = ``[y, alpha] -> [u, beta]`` and a plant without feedthrough, S is bilinear in the plant's matrices, so its
 slopes follow from theirs exactly, all parameters at once.

@@ -1,4 +1,4 @@
-"""Physical structure: which numbers may move, within what, and the matrices they build."""
+"""Physical structure: free parameters, their bounds, and the matrices built from them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings simulated with the real simulator, beside its linear part: how far both are off, and from each other."""
+"""The stepped simulator and its linear part, both compared with recordings and with each other."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ class FmiUnit:
     def advance(self, u: Array, dt: float) -> Array:
         """Hold the inputs for ``dt`` and return the outputs at the end."""
         if self._unit is None:
-            raise BadInput(f"simulator {self.path} has failed or is closed; it must be begun anew")
+            raise BadInput(f"simulator {self.path} has failed or is closed; it must be restarted")
         try:
             self._put(self._u, u.tolist())
             self._unit.doStep(currentCommunicationPoint=self._time, communicationStepSize=dt)

@@ -1,4 +1,4 @@
-"""The linear part of a simulator that only steps, found by pushing it a little and looking.
+"""The linear part of a stepped simulator, estimated from small perturbations.
 
 The free run is taken off everything. Where states can be looked at, ``x+ = A x + B u`` is solved for them by least squares from the
 answer to random pushes of all inputs (the simulator has no noise; where it is not linear, this is its best linear approximation for

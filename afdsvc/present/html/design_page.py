@@ -33,13 +33,13 @@ def design_page(problem: DetectionProblem, burst: Burst, sheet: Mapping[str, Any
     figures = [
         ("Efficiency of excitation", "Residual against output disturbance for every fault and input, all outputs together; "
          "dashed lines mark the burst's frequencies.", _efficiency_figure(problem, burst)),
-        ("Fault curves", "Where each severity puts the answer to each line, in standard deviations, output by output; the "
-         "circle is the noise (one standard deviation), dots every quarter of severity.", _curve_figure(problem, seen)),
-        ("Probability of detection against severity", "At the burst's length; the faulty loop's own noise is counted.",
+        ("Fault curves", "Residual phasor of each line as a function of severity, in standard deviations, for every output; "
+         "the circle is one standard deviation of the noise, dots mark every quarter of severity.", _curve_figure(problem, seen)),
+        ("Probability of detection against severity", "At the burst's length, including the noise of the faulty loop.",
          _severity_figure(seen, h)),
-        ("Probability of detection against burst length", "For a loss of ten per cent, ramps and settling not counted.",
+        ("Probability of detection against burst length", "For a loss of 10 %, without ramps and settling.",
          _length_figure(problem, burst, h)),
-        ("Isolability", "Probability that the column comes out likelier although the row is present, at half a loss.",
+        ("Isolability", "Probability that the fault of the column is found more likely although the fault of the row is present, at severity -0.5.",
          _isolation_figure(seen)),
     ]  # fmt: skip
     page = Environment(loader=PackageLoader("afdsvc.present.html", "."), autoescape=select_autoescape(["j2"]))

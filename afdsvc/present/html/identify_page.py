@@ -23,11 +23,11 @@ def identify_page(result: IdentifyResult, model_path: str | None = None, data: S
     figures = [
         ("Frequency response", "Identified plant with its 95 % band, the model it started from, and the plant before its "
          "order was reduced where that was done.", _bode(result)),
-        ("On a recording not used", "Measured output and what the two models make of it.", _time(result)),
+        ("On a recording not used", "Measured output and the predictions of both models.", _time(result)),
         ("Order", result.fit.order_reason or "The structure fixes the order.", _singular_values(result)),
-        ("Residuals", "Correlations of what remains on the recordings not used; dashed lines hold 95 % of them when nothing "
-         "is left. Autocorrelations outside: the noise has colour (a simulation keeps it). Cross-correlations outside at positive "
-         "lags: the plant misses something; at negative lags: the input answers to the noise (feedback).", _residuals(result)),
+        ("Residuals", "Correlations of the residual on held-out recordings; dashed lines contain 95 % of them when it is white and independent "
+         "of the input. Autocorrelations outside: coloured noise (expected of a simulation error). Cross-correlations outside at "
+         "positive lags: the plant model is incomplete; at negative lags: the input depends on the noise (feedback).", _residuals(result)),
     ]  # fmt: skip
     page = Environment(loader=PackageLoader("afdsvc.present.html", "."), autoescape=select_autoescape(["j2"]))
     return page.get_template("identify_page.html.j2").render(

@@ -1,4 +1,4 @@
-"""The first things people ask of a machine, answered in their order: is something wrong, since when, which part, how sure."""
+"""The answers in the order of the questions: is something wrong, since when, which part, how sure."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Answers:
     def say_nothing_yet(self, recording: rr.RecordingStream, t_ns: int, start_ns: int) -> None:
         """Answer before the first decision."""
         if not self._words:
-            self._tell(recording, "## No decision yet\n\nDetectors have not judged anything so far.", t_ns, start_ns)
+            self._tell(recording, "## No decision yet\n\nNo detector has made a decision so far.", t_ns, start_ns)
 
     def take(self, recording: rr.RecordingStream, finding: Finding, start_ns: int) -> None:
         """Take a decision; a changed answer is shown again."""
@@ -117,7 +117,7 @@ def _looked(evidence: list[Evidence]) -> str:
     for_it = sum(e.detected and e.trustworthy for e in last)
     count = len({e.burst for e in evidence if e.burst})
     bursts = f"{count} burst{'' if count == 1 else 's'} judged"
-    return f"{for_it} of {len(last)} decisions on the last burst say so ({bursts})" if for_it else f"{bursts}, nothing found in the last"
+    return f"{for_it} of {len(last)} decisions on the last burst agree ({bursts})" if for_it else f"{bursts}, nothing found in the last"
 
 
 def _clock(t_ns: int) -> str:

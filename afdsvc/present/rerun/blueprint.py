@@ -1,4 +1,4 @@
-"""The layout made for this work, one tab per machine: what people ask first stands on top, what the machine did below."""
+"""The layout of the viewer, one tab per machine: answers on top, signals below."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 from afdsvc.present.rerun import paths
 
 SIDE_BY_SIDE = 3  # with more signals than this a group is drawn in one view
-SIGNAL_TABS = {"what it did: outputs and inputs": ("outputs", "inputs", "excitation"), "residuals": ("residual", "whitened"), "other signals": ("aux",)}
+SIGNAL_TABS = {"signals: outputs and inputs": ("outputs", "inputs", "excitation"), "residuals": ("residual", "whitened"), "other signals": ("aux",)}
 HEIGHTS = {"inputs": 2.0, "excitation": 1.4}  # of the others: 3
 
 

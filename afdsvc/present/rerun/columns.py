@@ -1,4 +1,4 @@
-"""Numbers on their way to the viewer, collected so that a call carries many: each costs 0.3 ms whatever is in it."""
+"""Numbers collected for the viewer, so that one call carries many: each call costs 0.3 ms."""
 
 from __future__ import annotations
 

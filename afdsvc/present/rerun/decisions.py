@@ -1,4 +1,4 @@
-"""Decisions on their way to the viewer: statistic against threshold, marks for alarms and doubts, lanes of verdicts."""
+"""Decisions for the viewer: statistic and threshold, marks of alarms and untrusted decisions, lanes of verdicts."""
 
 from __future__ import annotations
 

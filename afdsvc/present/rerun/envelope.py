@@ -1,4 +1,4 @@
-"""Fewer points with the same look: the extremes of every few samples, at the places they were found."""
+"""Envelope of a signal with fewer points: the extremes of every few samples, at their own times."""
 
 from __future__ import annotations
 

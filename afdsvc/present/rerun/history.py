@@ -1,4 +1,4 @@
-"""Severity per fault over months: the decisions of many recordings on the clock of the world, without their samples."""
+"""Severity per fault over months, from the decisions of many recordings."""
 
 from __future__ import annotations
 

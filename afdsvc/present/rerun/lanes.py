@@ -1,4 +1,4 @@
-"""A lane of states over time: what is the case, from when to when."""
+"""A lane of states over time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where things are in the viewer's tree, and their colours: one place, so that logging and layout agree."""
+"""Paths and colours in the viewer, shared by logging and layout."""
 
 from __future__ import annotations
 

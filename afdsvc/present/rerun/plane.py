@@ -1,4 +1,4 @@
-"""The complex plane of a burst's answer: where every fault at every severity would put it, and where it was measured."""
+"""The complex plane of a burst: fault curves and the measured phasors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recording looked at: from MCAP to a Rerun file with its layout inside, and the viewer opened on it."""
+"""From an MCAP recording to a Rerun file with its layout, and the viewer opened on it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The signals of one machine on their way to the viewer: groups of channels, gaps, bursts shaded."""
+"""The signals of one machine for the viewer: groups of channels, gaps, bursts shaded."""
 
 from __future__ import annotations
 

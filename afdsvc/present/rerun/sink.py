@@ -1,4 +1,4 @@
-"""The review as a sink of the runtime: live, as files, or both."""
+"""The review as a sink of the service: live, as files, or both."""
 
 from __future__ import annotations
 

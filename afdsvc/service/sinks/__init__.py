@@ -1,1 +1,1 @@
-"""Where the service sends what it finds: recorder, publisher, pre-alarm buffer."""
+"""Sinks of the service: recorder, publisher, pre-alarm buffer."""

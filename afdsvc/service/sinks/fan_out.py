@@ -1,4 +1,4 @@
-"""Where what a machine said and what was found about it goes: recorder, review, publisher; none may hold up detection."""
+"""Distribution of messages and findings to recorder, review and publisher; none may delay detection."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class ThreadedSink:
         self._thread.join(seconds)
         if self._thread.is_alive():
             self._overflowed += self._queue.qsize()
-            log.error("%s: %d messages are lost, the sink does not answer", self._thread.name, self._queue.qsize())
+            log.error("%s: %d messages are lost, the sink does not respond", self._thread.name, self._queue.qsize())
 
     def _put(self, what: str, *arguments: object) -> None:
         waiting = self._queue.qsize()
@@ -132,7 +132,7 @@ class ThreadedSink:
             self._overflowed += 1
             if not self._full:
                 self._full = True
-                self._failed(f"{waiting} messages wait; later ones are dropped until there is room")
+                self._failed(f"{waiting} messages wait; further ones are dropped until the queue has room")
             return
         self._queue.put((what, arguments))
         self._full = self._full and waiting >= self._size // 2  # reported once, not at every gap

@@ -1,4 +1,4 @@
-"""The minute before an alarm in a file of its own: a ring buffer of everything a machine said, written when it is needed."""
+"""The minute before an alarm in a file of its own, from a ring buffer of all messages of a machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A sink that publishes what the service found, for viewers."""
+"""A sink that publishes findings for viewers."""
 
 from __future__ import annotations
 

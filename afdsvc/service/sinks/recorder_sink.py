@@ -1,4 +1,4 @@
-"""A sink that records one machine: everything as it came, into MCAP files that can be judged again years later."""
+"""A sink that records all messages of one machine into MCAP files."""
 
 from __future__ import annotations
 

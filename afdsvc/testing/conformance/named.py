@@ -1,4 +1,4 @@
-"""What every plugin object has."""
+"""Attributes that every plugin object has."""
 
 from __future__ import annotations
 

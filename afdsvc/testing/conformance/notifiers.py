@@ -1,4 +1,4 @@
-"""Those who tell people about alarms: settings are checked at the start, not at the first alarm."""
+"""Notifiers: settings are checked at the start, not at the first alarm."""
 
 from __future__ import annotations
 

@@ -136,7 +136,7 @@ def test_a_simulator_that_fails_on_a_recording_is_told(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (('time = "discrete"\nsample_time = 0.002', 'time = "continuous"'), "key 'time' is \"continuous\"; a simulator that only steps wants"),
+        (('time = "discrete"\nsample_time = 0.002', 'time = "continuous"'), "key 'time' is \"continuous\"; a stepped simulator needs"),
         (("axis.py:axis", "axis.py:number"), "'number' has no f and no h"),
         (("axis.py:axis", "axis.py:other"), "which defines no 'other'"),
         (("axis.py:axis", "axis.fmi"), "key 'dynamics' is 'axis.fmi'"),
@@ -153,5 +153,5 @@ def test_what_does_not_fit_is_refused_by_key(change, said, tmp_path):
 
 def test_a_model_of_matrices_has_no_perturbation(tmp_path):
     text = MODEL.replace('dynamics = "axis.py:axis"', "A=[[0,1],[0,0]]\nB=[[0],[1]]\nC=[[1,0]]\nD=[[0]]") + "[perturbation]\nsamples = 99\n"
-    with pytest.raises(BadInput, match="key 'perturbation' is for a simulator that only steps"):
+    with pytest.raises(BadInput, match="key 'perturbation' applies to stepped simulators only"):
         read_model(write(tmp_path, text))

@@ -45,7 +45,7 @@ def test_a_gap_makes_two_pieces_and_nothing_in_between():
     pieces, told = aligned([group(t)], "here")
     assert [len(p.values) for p in pieces] == [100, 93]
     assert pieces[1].start == pytest.approx(0.107)
-    assert told == ["drive has 1 gap longer than 1.5 sample times, 0.008 s in all: they stay gaps, and each side is a piece of its own"]
+    assert told == ["drive has 1 gap longer than 1.5 sample times, 0.008 s in all: they stay gaps that divide the recording"]
 
 
 def test_pieces_too_short_to_tell_anything_are_left_out_and_counted():
@@ -65,7 +65,7 @@ def test_jitter_is_interpolated_and_told():
     assert np.abs(pieces[0].values[:, 0] - np.sin(2 * np.pi * 11 * times)).max() < (2 * np.pi * 11 * 1.4 * DT) ** 2 / 8
     assert len(told) == 1
     assert "miss an even grid of 0.001 s by up to" in told[0]
-    assert "interpolated onto it, linearly" in told[0]
+    assert "interpolated linearly onto it" in told[0]
 
 
 def test_stamps_that_jitter_over_an_even_sampling_are_put_on_the_grid_as_they_are():
@@ -75,7 +75,7 @@ def test_stamps_that_jitter_over_an_even_sampling_are_put_on_the_grid_as_they_ar
     pieces, told = aligned([Group("drive", t, {"u_x": x})], "here", regular=True)
     assert pieces[0].values[:, 0].tobytes() == x.tobytes()
     assert pieces[0].dt == DT
-    assert "only the stamps jitter" in told[0]
+    assert "only the time stamps jitter" in told[0]
 
 
 def test_two_groups_on_one_grid_are_laid_side_by_side_bit_for_bit():
@@ -125,7 +125,7 @@ def test_samples_without_a_time_are_dropped_and_counted():
     t[7] = np.nan
     _, told = aligned([Group("drive", np.append(t, np.nan), {"u_x": np.ones(101)})], "here", gap=2.5)
     assert told == [
-        "2 samples of drive have no time and are dropped",
+        "2 samples of drive have no time stamp and are dropped",
         "1 missing samples of drive were interpolated (each run shorter than a gap of the mapping)",
     ]
 

@@ -188,7 +188,7 @@ def test_a_mapping_that_is_wrong_is_refused_by_key(text, said, tmp_path):
         (("from = \"Current\"", "from = \"Strom\""), r"no column 'Strom' to be mapped; it has Time_ms, Current"),
         (("from = \"Time_ms\"", "from = \"zeit\""), "no column 'zeit' for the time"),
         (('unit = "ms"', 'unit = "mm"'), "time 'Time_ms': 'mm' cannot become 's'"),
-        (('unit = "inch"', 'unit = "A"'), "y_position from 'Pos': 'A' cannot become 'mm': they measure different things"),
+        (('unit = "inch"', 'unit = "A"'), "y_position from 'Pos': 'A' cannot become 'mm': their dimensions differ"),
         (('unit = "inch"', 'unit = "inchs/("'), "unit 'inchs/\\(' is not known"),
         (('factor_unit = "N/A"', 'factor_unit = "N"'), "u_force from 'Current'.*cannot become 'N'"),
     ],

@@ -45,7 +45,7 @@ def test_a_product_has_the_unit_of_the_product():
 @pytest.mark.parametrize(
     ("source", "target", "said"),
     [
-        ("m", "N", "here: 'm' cannot become 'N': they measure different things"),
+        ("m", "N", "here: 'm' cannot become 'N': their dimensions differ"),
         ("furlongs_of_mine", "m", "here: unit 'furlongs_of_mine' is not known"),
         ("m/(", "m", "unit 'm/\\(' is not known"),
         ("Hz", "rad/s", "differ by 2 pi or not.*'cycle/s'"),

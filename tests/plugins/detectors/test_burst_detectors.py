@@ -104,8 +104,8 @@ def spoilt(problem, burst):
         "sensor 'vertical' stood still": only_inside(frozen),
         "actuator 'horizontal' was saturated": only_inside(saturated),
         "excitation is absent": lambda b: replace(b, alpha=np.zeros_like(b.alpha)),
-        "differs from the one asked for": lambda b: replace(b, alpha=0.5 * b.alpha),
-        "cut short after 4": lambda b: replace(b, burst=None) if b.burst and b.k0 >= inside else b,
+        "differs from the requested one": lambda b: replace(b, alpha=0.5 * b.alpha),
+        "ended after 4": lambda b: replace(b, burst=None) if b.burst and b.k0 >= inside else b,
     }
 
 

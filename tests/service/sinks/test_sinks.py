@@ -49,7 +49,7 @@ def test_a_slow_sink_holds_nobody_up_and_its_drops_are_counted_and_told_once():
     for _ in range(500):
         sink.block(block(), b"")
     assert time.monotonic() - began < 0.5
-    assert told == ["10 messages wait; later ones are dropped until there is room"]
+    assert told == ["10 messages wait; further ones are dropped until the queue has room"]
     sink.close(10)
     assert sink._sink.closed
     assert sink.dropped + sink._sink.taken == 500
