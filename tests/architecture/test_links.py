@@ -8,7 +8,7 @@ from pathlib import Path
 import afdsvc
 
 ROOT = Path(afdsvc.__file__).parent.parent
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def test_links_lead_somewhere():

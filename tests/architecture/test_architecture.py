@@ -1,0 +1,43 @@
+"""ARCHITECTURE.md names packages, functions and calls that exist."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from functools import reduce
+from pathlib import Path
+
+import pytest
+
+import afdsvc
+
+ROOT = Path(afdsvc.__file__).parent
+TEXT = (ROOT.parent / "ARCHITECTURE.md").read_text(encoding="utf-8")
+CALLS = [re.findall(r"`([\w.]+:[\w.]+)`", line) for line in TEXT.splitlines() if "→" in line]
+FILES = re.findall(r"`((?:\w+/)+(?:\w+\.\w+)?)`", TEXT)
+
+
+def _found(name: str) -> object:
+    module, path = name.split(":")
+    return reduce(getattr, path.split("."), importlib.import_module(f"afdsvc.{module}"))
+
+
+@pytest.mark.parametrize("names", CALLS, ids=lambda names: " ".join(names))
+def test_every_call_of_a_journey_is_in_the_code(names: list[str]):
+    assert len(names) > 1
+    for caller, callee in zip(names, names[1:], strict=False):
+        assert callable(_found(callee))
+        assert re.search(rf"\b{re.split('[.:]', callee)[-1]}\b", inspect.getsource(_found(caller))), f"{caller} does not name {callee}"
+
+
+def test_the_picture_names_every_package():
+    picture = TEXT.split("```text")[1].split("```")[0]
+    packages = {p.parent.name for p in ROOT.glob("*/__init__.py")}
+    assert packages <= set(re.findall(r"\w+", picture))
+
+
+def test_files_to_extend_are_there():
+    there = [name for name in FILES if (ROOT / name).exists() or (ROOT.parent / name).exists()]
+    assert len(FILES) > 8
+    assert there == FILES
