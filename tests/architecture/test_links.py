@@ -21,6 +21,8 @@ def test_links_lead_somewhere():
 
 
 def test_the_menu_of_the_site_names_pages_that_are_there():
+    """And every page is in the menu."""
     pages = re.findall(r": ([\w/.-]+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
     assert len(pages) > 10
     assert [p for p in pages if not (ROOT / "docs" / p).exists()] == []
+    assert sorted(pages) == sorted(str(p.relative_to(ROOT / "docs")) for p in (ROOT / "docs").rglob("*.md"))
