@@ -13,11 +13,11 @@ from scipy.linalg import solve_discrete_lyapunov
 from afdsvc.api.bursts import Limits
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.statistics.fault_curves import LoopResponse, loop_response
+from afdsvc.excite.settings import BURST
 from afdsvc.excite.simulated_burst import faulty_loop
 from afdsvc.lti.statespace import Array
 
 SEVERITIES = (-0.25, -0.5, -0.75, -1.0)
-PEAK = 5.5  # standard deviations that noise stays below in a burst of a hundred thousand samples, nearly always
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,8 +61,8 @@ def room(problem: DetectionProblem, limits: Limits) -> Room:
     """Return the room below the limits; entries are 0 where the noise alone fills them."""
     y_sd, u_sd = noise_deviations(problem)
     return Room(
-        np.maximum(np.asarray(limits.output, dtype=float) - PEAK * y_sd, 0.0),
-        np.maximum(np.asarray(limits.input, dtype=float) - PEAK * u_sd, 0.0),
+        np.maximum(np.asarray(limits.output, dtype=float) - BURST.noise_peak * y_sd, 0.0),
+        np.maximum(np.asarray(limits.input, dtype=float) - BURST.noise_peak * u_sd, 0.0),
         np.asarray(limits.alpha, dtype=float),
     )
 

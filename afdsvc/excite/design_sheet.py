@@ -19,9 +19,9 @@ from afdsvc.excite.expected_detection import ExpectedDetection, burst_detection
 from afdsvc.excite.isolation import isolable_pairs
 from afdsvc.excite.observability import blind_pairs, unseen
 from afdsvc.excite.promised_rates import alarms_per_hour, thresholds
+from afdsvc.excite.settings import BURST
 
 SEVERITIES = (-0.1, -0.25, -0.5, -1.0)
-DETECTED = 0.99  # probability that counts as "detectable"
 RARE = 1e-6  # confusions less likely than this are not listed
 
 
@@ -102,9 +102,9 @@ def _fault_entries(
 def smallest_detectable(seen: ExpectedDetection, fault: str, threshold: float) -> float | None:
     """Return the severity found with probability 0.99, or None when even total loss is not."""
     low, high = seen.reach[fault]
-    if seen.detection(fault, low, threshold) < DETECTED:
+    if seen.detection(fault, low, threshold) < BURST.detected:
         return None
-    return float(brentq(lambda s: seen.detection(fault, s, threshold) - DETECTED, low, high - 1e-6 * (high - low)))
+    return float(brentq(lambda s: seen.detection(fault, s, threshold) - BURST.detected, low, high - 1e-6 * (high - low)))
 
 
 def _confusions(seen: ExpectedDetection, fault: str, severity: float) -> dict[str, float]:

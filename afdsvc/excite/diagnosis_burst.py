@@ -25,18 +25,9 @@ from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.amplitude_budget import Costs, Room, costs, room
 from afdsvc.excite.expected_detection import ExpectedDetection, burst_detection
 from afdsvc.excite.power_allocation import candidates
+from afdsvc.excite.settings import BURST
 from afdsvc.excite.simulated_burst import faulty_loop
 from afdsvc.lti.statespace import Array
-
-RAMP = 0.05  # share of the burst that each ramp takes
-SETTLE = 0.2  # largest share left to settling
-GRID = 48  # frequencies compared
-PERIODS = 8  # fewest whole periods of the slowest line
-FASTEST = 0.5  # highest frequency as a share of Nyquist
-DIFFERENT = 0.4  # smallest relative distance of two lines on one input
-CLOSEST = 0.02  # smallest relative distance of two lines, and of a line from a rotor order
-ORDERS = 4  # multiples of the rotor's speed that lines keep away from
-APART = 3  # whole periods of the steady part by which lines differ from a rotor order at least
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,10 +119,10 @@ def _reach(seen: ExpectedDetection, aim: Aim) -> float:
 def _frame(problem: DetectionProblem, seconds: float, name: str) -> Burst:
     """Return the burst without lines: samples, ramps, settling."""
     samples = int(round(seconds / problem.plant.dt))
-    ramp = max(int(RAMP * samples), 1)
-    settle = min(decay(faulty_loop(problem, {}), 1e-3), int(SETTLE * samples))
-    if samples - 2 * ramp - settle < 2 * PERIODS:
-        raise BadInput(f"burst of {seconds:g} s has {samples} samples, too few for ramps, settling and {PERIODS} periods")
+    ramp = max(int(BURST.ramp * samples), 1)
+    settle = min(decay(faulty_loop(problem, {}), 1e-3), int(BURST.settling * samples))
+    if samples - 2 * ramp - settle < 2 * BURST.fewest_periods:
+        raise BadInput(f"burst of {seconds:g} s has {samples} samples, too few for ramps, settling and {BURST.fewest_periods} periods")
     return Burst(name, problem.plant.inputs, samples, ramp, settle=settle)
 
 
@@ -141,9 +132,9 @@ def _frequencies(frame: Burst, problem: DetectionProblem) -> Array:
     Unbalance and runout are waves at the orders: a line there would be projected out with them.
     """
     steady = frame.samples - 2 * frame.ramp - frame.settle
-    periods = np.unique(np.round(np.geomspace(PERIODS, FASTEST * steady / 2, GRID)))
-    orders = problem.speed * steady * problem.plant.dt / (2 * np.pi) * np.arange(1, ORDERS + 1)
-    far = np.abs(periods[:, None] - orders) > np.maximum(APART, CLOSEST * orders)
+    periods = np.unique(np.round(np.geomspace(BURST.fewest_periods, BURST.highest * steady / 2, BURST.candidates)))
+    orders = problem.speed * steady * problem.plant.dt / (2 * np.pi) * np.arange(1, BURST.rotor_orders + 1)
+    far = np.abs(periods[:, None] - orders) > np.maximum(BURST.rotor_periods, BURST.distance * orders)
     usable = periods[far.all(axis=1)] if problem.speed > 0 else periods
     if not len(usable):
         raise BadInput(f"a burst of {frame.samples * problem.plant.dt:g} s leaves no line away from the rotor's orders; expected a longer one")
@@ -180,7 +171,7 @@ def _choose(pair_gains: Array, price: Array, omega: Array, inputs: Sequence[int]
             others = sum((gains[chosen[i], i] for i in rest), np.zeros(gains.shape[2]))
             worst = np.min(gains[:, j] + others, axis=1) + 1e-9 * gains[:, j].mean(axis=1)
             for i in rest:
-                apart = DIFFERENT if inputs[i] == inputs[j] else CLOSEST
+                apart = BURST.same_input_distance if inputs[i] == inputs[j] else BURST.distance
                 worst[np.abs(omega / omega[chosen[i]] - 1) < apart] = -np.inf
             chosen[j] = int(np.argmax(worst))
     return tuple(chosen[j] for j in sorted(chosen))

@@ -12,9 +12,8 @@ from afdsvc.detect.thresholds.power import weight_reached
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.excite.diagnosis_burst import second_burst
 from afdsvc.excite.expected_detection import ExpectedDetection, burst_detection
+from afdsvc.excite.settings import BURST
 
-WEIGHT = 0.99  # posterior weight that singles a fault out
-CERTAINTY = 0.99  # probability of that weight which counts as "isolated"
 NOT_ISOLABLE = "not isolable"
 
 
@@ -63,7 +62,7 @@ def separation(seen: ExpectedDetection, pair: tuple[str, str], severity: float) 
 
 def sure(apart: float) -> bool:
     """Whether faults so far apart are isolated."""
-    return weight_reached(apart, WEIGHT) >= CERTAINTY
+    return weight_reached(apart, BURST.isolating_weight) >= BURST.isolation_probability
 
 
 def _second(problem: DetectionProblem, burst: Burst, pair: tuple[str, str], severity: float) -> Burst:
@@ -75,7 +74,7 @@ def _second(problem: DetectionProblem, burst: Burst, pair: tuple[str, str], seve
 
 def _told(apart: float, isolated_by: str) -> dict[str, Any]:
     finite = apart if math.isfinite(apart) else None
-    return {"separation": finite, "probability": weight_reached(apart, WEIGHT), "isolated_by": isolated_by}
+    return {"separation": finite, "probability": weight_reached(apart, BURST.isolating_weight), "isolated_by": isolated_by}
 
 
 def _survived(seen: ExpectedDetection, fault: str, severity: float) -> float:

@@ -17,11 +17,11 @@ from afdsvc.excite.amplitude_budget import costs, room
 from afdsvc.excite.crest import low_crest
 from afdsvc.excite.expected_detection import expected_detection
 from afdsvc.excite.power_allocation import Allocation, Candidates, allocate, candidates
+from afdsvc.excite.settings import BURST
 from afdsvc.excite.simulated_burst import faulty_loop
 from afdsvc.lti.statespace import Array
 
 FREQUENCIES = 200
-RAMP = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ def multisine(
     """
     allocation = shortest(problem, wish, band)
     steady = _long_enough(problem, wish, allocation)
-    dt, settle, ramp = problem.plant.dt, decay(faulty_loop(problem, {}), 1e-3), max(math.ceil(RAMP * steady), 1)
+    dt, settle, ramp = problem.plant.dt, decay(faulty_loop(problem, {}), 1e-3), max(math.ceil(BURST.ramp * steady), 1)
     samples = steady + settle + 2 * ramp
     if samples * dt > limits.seconds:
         raise Refused(

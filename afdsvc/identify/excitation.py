@@ -18,19 +18,14 @@ from scipy import linalg
 from afdsvc.dataset.arrays import Recording, scaled, scales
 from afdsvc.errors import BadInput
 from afdsvc.identify.numerics.compression import compress_size, factor_of
+from afdsvc.identify.settings import SETTINGS
 from afdsvc.lti.statespace import Array
 
-#: Power of a spectral bin, relative to the strongest, above which it counts as excited.
-LINE_LEVEL = 1e-5
 #: A single line of a Blackman window fills up to 7 bins above -50 dB; bins further on are further lines.
 _LINE_BINS = 7
 #: Movement, relative to the liveliest two-hundredth of a recording, below which an input pauses; inside a recording for
 #: at least five of those (a slow sine is smaller than that for three of them when it crosses zero).
 QUIET_LEVEL, _PAUSE_BLOCKS, _SHORTEST = 0.05, 5, 16
-#: Movement, relative to that of the plant's input, below which an excitation counts as none (filter transients remain).
-LEAST_MOVEMENT = 3e-3
-#: Share of an input's power that the other inputs may explain (95 % would still separate them, poorly).
-DEPENDENCE_LIMIT = 0.999
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,9 +73,9 @@ def require_excitation(
     instead.
 
     ``names`` are those of the inputs, ``band_hz`` the band in which the plant acts, ``scale (m,)`` the size of the
-    plant's inputs: what moves less than `LEAST_MOVEMENT` of it does not move.
+    plant's inputs: what moves less than `IdentificationSettings.least_movement` of it does not move.
     """
-    least = LEAST_MOVEMENT * scale if scale is not None else np.zeros(len(names))
+    least = SETTINGS.least_movement * scale if scale is not None else np.zeros(len(names))
     for j, name in enumerate(names):
         if not any(np.ptp(r.u[:, j]) > least[j] for r in recordings):
             raise BadInput(f"input '{name}' never moves; {advice(order, outputs, band_hz)}")
@@ -93,10 +88,10 @@ def require_excitation(
                 f"{advice(order, outputs, band_hz)}"
             )
     for name, share in zip(names, found.dependence, strict=True):
-        if share > DEPENDENCE_LIMIT:
+        if share > SETTINGS.largest_dependence:
             raise BadInput(
                 f"the other inputs explain {100 * share:.3g} % of input '{name}' (at most "
-                f"{100 * DEPENDENCE_LIMIT:.3g} %), so their "
+                f"{100 * SETTINGS.largest_dependence:.3g} %), so their "
                 f"effects cannot be separated; excite one input after the other, or {advice(order, outputs, band_hz)}"
             )
     return found
@@ -151,7 +146,7 @@ def _stretch_lines(u: Array, dt: float) -> tuple[Array, float, tuple[float, floa
     power = np.abs(np.fft.rfft(u * np.blackman(len(u)))) ** 2
     if not power.max() > 0:
         return np.zeros(0), _LINE_BINS * step, (0.0, 0.0)
-    above = np.flatnonzero(power > LINE_LEVEL * power.max())
+    above = np.flatnonzero(power > SETTINGS.line_level * power.max())
     centres = []
     for run in np.split(above, np.flatnonzero(np.diff(above) > 1) + 1):
         count = max(1, round(len(run) / _LINE_BINS))

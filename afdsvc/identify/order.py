@@ -23,10 +23,9 @@ from afdsvc.dataset.arrays import Recording, scaled, scales
 from afdsvc.errors import BadInput
 from afdsvc.identify.methods.pbsid import decompose_predictor_factor
 from afdsvc.identify.numerics.compression import compress_groups, compress_size, join, lags, triangle
+from afdsvc.identify.settings import SETTINGS
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
-
-_GROUPS = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +48,7 @@ def choose_order(recordings: Sequence[Recording], horizon: int, largest: int, cl
     """
     m, p = recordings[0].u.shape[1], recordings[0].y.shape[1]
     length = horizon + (1 if closed_loop else horizon)
-    groups = min(_GROUPS, compress_size(recordings, length) // (length * (m + p)))
+    groups = min(SETTINGS.order_groups, compress_size(recordings, length) // (length * (m + p)))
     if groups < 2:
         raise BadInput(
             f"{compress_size(recordings, length)} windows of {length} lags are too few to choose an order by "

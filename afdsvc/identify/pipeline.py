@@ -19,6 +19,7 @@ from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.order import samples_needed
 from afdsvc.identify.preparation import Prepared, nominal_plant, prepare
 from afdsvc.identify.result import IdentifyResult, Preview, improved_model
+from afdsvc.identify.settings import SETTINGS
 from afdsvc.identify.validation import (
     Agreement,
     Split,
@@ -34,11 +35,6 @@ from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.stats.fit_measures import Measures
 from afdsvc.stats.portmanteau import residual_tests
-
-#: Probability of calling an open loop closed.
-FEEDBACK_LEVEL = 0.01
-#: Samples that a recording must have at least where a handful of physical parameters is fitted.
-PARAMETRIC = 100
 
 
 def identify(
@@ -56,7 +52,7 @@ def identify(
     or an unknown controller.
     """
     order = options.order or nominal_plant(model, traces[0].dt).order if traces else 1
-    needed = PARAMETRIC if options.method in ("greybox", "indirect") else samples_needed(len(model.inputs), len(model.outputs), order)
+    needed = SETTINGS.parametric_samples if options.method in ("greybox", "indirect") else samples_needed(len(model.inputs), len(model.outputs), order)
     problem = prepare(model, traces, holdout, needed)
     parts = split(problem.training, problem.heldout)
     kept = tuple(a.span(0, len(r)) for a, r in zip(problem.played, parts.training, strict=False))
@@ -109,7 +105,7 @@ def _open_or_closed(problem: Prepared, options: IdentifyOptions) -> Outcome:
     model = first.fit.model
     errors = np.vstack([model.errors(r.u, r.y) for r in problem.training])
     tests = residual_tests(errors, np.vstack([r.u for r in problem.training]))
-    feedback = tests.p_feedback.min() * tests.p_feedback.size < FEEDBACK_LEVEL
+    feedback = tests.p_feedback.min() * tests.p_feedback.size < SETTINGS.feedback_level
     usable = all(can_be_simulated(model.system, len(r)) for r in (*problem.training, *problem.heldout))
     return registry.pbsid(problem, options) if feedback and usable else registry.subspace(problem, options)
 

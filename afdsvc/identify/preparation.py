@@ -16,14 +16,13 @@ from afdsvc.dataset.screening import screen
 from afdsvc.errors import BadInput
 from afdsvc.identify.methods.hansen import settling_samples
 from afdsvc.identify.parameters.structure import model_structure
+from afdsvc.identify.settings import SETTINGS
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.factorise import factorise
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 
-#: Share of the controller's own action that recorded excitation may leave unexplained.
-CONTROLLER_MISMATCH = 1e-3
 #: Samples over which that is checked.
 _CHECKED = 20_000
 
@@ -130,11 +129,11 @@ def require_controller(fact: Factorisation, model: Model, trace: Trace, recordin
     share = float(
         ((left - left.mean(axis=0)) ** 2).sum() / max(float(((action - action.mean(axis=0)) ** 2).sum()), 1e-300)
     )
-    if share > CONTROLLER_MISMATCH:
+    if share > SETTINGS.controller_mismatch:
         raise BadInput(
             f"{trace.name}: the recorded input is not what the model's controller makes of the recorded output "
             "and excitation "
-            f"({100 * share:.3g} % of its action unexplained, expected at most {100 * CONTROLLER_MISMATCH:.2g} %): another controller "
+            f"({100 * share:.3g} % of its action unexplained, expected at most {100 * SETTINGS.controller_mismatch:.2g} %): another controller "
             f"ran, or the actuator saturated; correct [controller]"
         )
 

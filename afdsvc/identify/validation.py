@@ -16,15 +16,13 @@ from afdsvc.errors import BadInput
 from afdsvc.identify.fit import Fit, ResponseBand
 from afdsvc.identify.methods.hansen import excited_loop
 from afdsvc.identify.numerics.innovations_form import fitted_errors
+from afdsvc.identify.settings import SETTINGS
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
 from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
 from afdsvc.stats.fit_measures import Measures, measures
 from afdsvc.stats.portmanteau import residual_tests
-
-#: Growth of a slightly unstable mode over a recording up to which an open-loop simulation still means something.
-LARGEST_GROWTH = 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +66,9 @@ def predicted_outputs(system: StateSpace, recording: Recording, fact: Factorisat
 
 
 def can_be_simulated(system: StateSpace, samples: int) -> bool:
-    """Whether nothing grows by more than `LARGEST_GROWTH` over the recording; integrators may be simulated."""
+    """Whether nothing grows by more than `IdentificationSettings.largest_growth` over the recording; integrators may be simulated."""
     margin = worst_pole(system.A, system.dt)[1]
-    return bool(-margin * samples < np.log(LARGEST_GROWTH))
+    return bool(-margin * samples < np.log(SETTINGS.largest_growth))
 
 
 def heldout_measures(

@@ -6,6 +6,7 @@ import importlib
 import inspect
 import re
 from functools import reduce
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,7 @@ def _found(name: str) -> object:
 @pytest.mark.parametrize("names", CALLS, ids=lambda names: " ".join(names))
 def test_every_call_of_a_journey_is_in_the_code(names: list[str]):
     assert len(names) > 1
-    for caller, callee in zip(names, names[1:], strict=False):
+    for caller, callee in pairwise(names):
         assert callable(_found(callee))
         assert re.search(rf"\b{re.split('[.:]', callee)[-1]}\b", inspect.getsource(_found(caller))), f"{caller} does not name {callee}"
 

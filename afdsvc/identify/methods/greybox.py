@@ -21,13 +21,11 @@ from afdsvc.identify.numerics.innovations_form import InnovationsForm, fitted_er
 from afdsvc.identify.numerics.prediction_errors import eliminate_state, sweep, whitening_of
 from afdsvc.identify.parameters.noise_structure import PredictorPoint, plant_point, predictor_point
 from afdsvc.identify.parameters.structure import Structure
+from afdsvc.identify.settings import SETTINGS
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.stability import is_stable, worst_pole
 from afdsvc.lti.statespace import Array
 from afdsvc.stats.levenberg_marquardt import Local, Minimum, descend
-
-#: Smallest share of the information about one parameter that the others may leave, before it counts as unidentifiable.
-INDEPENDENT_SHARE = 1e-10
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +223,7 @@ def _standard_errors(objective: Likelihood, best: Minimum) -> Array:
     kept = np.concatenate([np.arange(count), count + np.flatnonzero(size[count:] > 1e-6)])
     relative = information[np.ix_(kept, kept)] / np.outer(size[kept], size[kept])
     values, vectors = np.linalg.eigh(relative)
-    if values[0] < INDEPENDENT_SHARE:
+    if values[0] < SETTINGS.independent_share:
         strongest = np.argsort(-np.abs(vectors[:count, 0]))[:3]
         involved = ", ".join(names[i] for i in strongest if abs(vectors[i, 0]) > 0.1)
         raise BadInput(

@@ -24,6 +24,7 @@ from afdsvc.identify.order import answer_p, choose_horizon, choose_order, memory
 from afdsvc.identify.parameters.structure import Structure, model_structure
 from afdsvc.identify.preparation import Prepared
 from afdsvc.identify.reduction import ReducedPlant, compare_reductions, judged, refine
+from afdsvc.identify.settings import SETTINGS
 from afdsvc.identify.uncertainty import jackknife_band
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.stability import is_stable
@@ -137,8 +138,6 @@ def _hansen_repeat(
     return estimate
 
 
-#: Probability of seeing an answer to the inputs where there is none.
-ANSWER_LEVEL = 1e-4
 
 
 def _open_loop_order(
@@ -149,7 +148,7 @@ def _open_loop_order(
     horizon = options.horizon or choose_horizon(recordings, slowest)
     order, reason = _order(recordings, horizon, min(largest, (horizon - 1) * p), options, closed_loop=False)
     found = decompose(recordings, horizon, weighting)
-    if order == 0 and answer_p(recordings) < ANSWER_LEVEL:
+    if order == 0 and answer_p(recordings) < SETTINGS.response_level:
         most = min(largest, (horizon - 1) * p)
         order, lead = simulated_order(recordings, lambda n: realise(found, n, stable=True).system, most)
         reason = (

@@ -6,7 +6,7 @@ factor R (``R^T R`` = sum of all window products) has the size of a window, what
 - ``"qr"``: Householder QR block by block; memory of one block, backward stable.
 - ``"gram"``: ``R^T R`` is built from correlations, using that windows overlap (each block along a diagonal follows from
   the one before by two rank-c updates), then factorised by Cholesky. About twenty times faster; its relative error
-  grows with the square of the data's condition number, so it is used only where that stays below `GRAM_CONDITION`.
+  grows with the square of the data's condition number, so it is used only where that stays below `IdentificationSettings.gram_condition`.
 """
 
 from __future__ import annotations
@@ -20,12 +20,11 @@ from scipy import linalg
 
 from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
+from afdsvc.identify.settings import SETTINGS
 from afdsvc.lti.statespace import Array
 
 Route = Literal["auto", "qr", "gram"]
 
-#: Largest condition number of the data matrix for which the fast route is trusted: relative error about 1e-16 * 1e8.
-GRAM_CONDITION = 1e4
 
 
 def compress(recordings: Sequence[Recording], length: int, route: Route = "auto") -> Array:
@@ -135,7 +134,7 @@ def _cholesky(gram: Array) -> Array | None:
 def _well_conditioned(factor: Array) -> bool:
     # Only the condition left after scaling the columns counts: Cholesky does not mind the scale of a column.
     rcond, _ = linalg.lapack.dtrcon(factor / np.linalg.norm(factor, axis=0), norm="1", uplo="U")
-    return float(rcond) * GRAM_CONDITION > 1
+    return float(rcond) * SETTINGS.gram_condition > 1
 
 
 def _block_qr(stacks: Sequence[Array], length: int) -> Array:

@@ -18,13 +18,11 @@ from scipy import linalg
 
 from afdsvc.errors import IllConditioned
 from afdsvc.identify.parameters.structure import Structure
+from afdsvc.identify.settings import SETTINGS
 from afdsvc.lti.riccati import riccati
 from afdsvc.lti.scaling import state_scaling
 from afdsvc.lti.stability import eigenvalues, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace
-
-#: Largest size of a continuous pole times the sample time for which sampling makes sense.
-LARGEST_RATE = 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,8 +124,8 @@ def _sampled(system: StateSpace, slopes: Slopes, dt: float) -> tuple[StateSpace,
 def require_samplable(system: StateSpace, dt: float) -> None:
     """Raise `IllConditioned` for a continuous system that grows or turns beyond all measure within one sample."""
     rate = float(np.abs(eigenvalues(system.A)).max(initial=0.0)) * dt if np.isfinite(system.A).all() else float("inf")
-    if not rate < LARGEST_RATE:
-        raise IllConditioned(f"the plant has a pole of size {rate:.2g} per sample; expected below {LARGEST_RATE:.2g}")
+    if not rate < SETTINGS.largest_rate:
+        raise IllConditioned(f"the plant has a pole of size {rate:.2g} per sample; expected below {SETTINGS.largest_rate:.2g}")
 
 
 def _with_noise(slopes: Slopes, count: int) -> Slopes:
