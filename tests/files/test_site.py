@@ -37,7 +37,7 @@ def test_defaults_are_safe():
         (GOOD.replace('plant = "gas_bearing"\n', ""), ["exactly one of 'plant' and 'model'"]),
         (
             GOOD + '[[machines]]\nid = "bearing-1"\nplant = "gas_bearing"\n',
-            ["ids must differ", "'bearing-1' stands 2 times"],
+            ["ids must differ", "'bearing-1' appears 2 times"],
         ),
         (GOOD + 'driver = {kind = "replay"}\n', ["machines.0.driver", "needs 'recording'"]),
         (GOOD + 'driver = {faults = [{name = "x", severity = -3}]}\n', ["severity", "found -3", "-1"]),

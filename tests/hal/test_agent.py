@@ -87,7 +87,7 @@ def test_a_burst_is_played_and_told(settings, bearing, plugins):
             assert ear.ask(sine(0.5)).accepted
             second = ear.ask(sine(0.5))
             assert not second.accepted
-            assert "two at once" in second.reason
+            assert "only one burst" in second.reason
             ear.wait(EventKind.BURST_ENDED)
             time.sleep(0.3)
         ear.wait(EventKind.RIG_STOPPED)

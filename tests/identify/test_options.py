@@ -12,9 +12,9 @@ from afdsvc.identify.options import IdentifyOptions
     ("wrong", "sentence"),
     [
         ({"norm": 3}, "option norm = 3; expected 1 or 2"),
-        ({"groups": 2}, "option groups = 2; 0"),
+        ({"groups": 2}, "option groups = 2; expected 0"),
         ({"method": "magic"}, "option method = 'magic'; expected one of auto"),
-        ({"weighting": "heavy"}, "option weighting = 'heavy'; one of"),
+        ({"weighting": "heavy"}, "option weighting = 'heavy'; expected one of"),
     ],
 )
 def test_refused(wrong, sentence):

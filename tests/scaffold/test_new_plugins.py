@@ -44,7 +44,7 @@ def test_a_plugin_that_fails_is_told_check_by_check(tmp_path, monkeypatch):
     ("kind", "name", "sentence"),
     [
         ("colour", "a", "kind of plugin 'colour'; expected one of controller, detector"),
-        ("detector", "My-Detector", "plugin name 'My-Detector'; small letters"),
+        ("detector", "My-Detector", "plugin name 'My-Detector'; expected small letters"),
         ("detector", "class", "plugin name 'class'"),
         ("detector", "there", "there: exists already and is not overwritten"),
     ],

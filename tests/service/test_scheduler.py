@@ -78,7 +78,7 @@ def test_requests_are_refused_with_their_reason():
     s.request(BurstOrder("asked by Ada"), 0.0, NOON)
     assert s.due(0.0, NOON) == BurstOrder("asked by Ada")
     s.started()
-    with pytest.raises(Refused, match="two at once"):
+    with pytest.raises(Refused, match="only one burst"):
         s.request(BurstOrder("again"), 1.0, NOON)
     s.ended(3.0)
     with pytest.raises(Refused, match=r"lasts another 4\.0 s"):

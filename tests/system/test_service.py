@@ -157,7 +157,7 @@ def test_people_can_ask_and_are_told_why_not(free_port, tmp_path):
         with rig(site):
             eventually(lambda: ask_service(site, "status", "Ada")["machines"][0]["state"] == "running")
             name = ask_service(site, "burst", "Ada")["burst"]
-            with pytest.raises(AfdsvcError, match="two at once"):
+            with pytest.raises(AfdsvcError, match="only one burst"):
                 ask_service(site, "burst", "Ada")
             eventually(lambda: hub.watches["bearing"].pipeline._burst[0] == name)  # stopped before its first sample it leaves none
             ask_service(site, "stop", "Ada", reason="enough")
