@@ -58,40 +58,40 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
     """Run the service of a site while the block lasts; raises `BadInput` before anything moves when the site is wrong."""
     clock, plugins = clock or RealClock(), load()
     machines = [commissioning.commission(m, plugins) for m in site.machines]
-    keys, outlets = Keys(site.site), SiteSinks(site, clock)
+    keys, sinks = Keys(site.site), SiteSinks(site, clock)
     with ExitStack() as stack:
         transport = stack.enter_context(Transport(site.transport, True, access_of(site, SERVICE)))
         post, news = OutgoingQueue(transport.publish, "post"), OutgoingQueue(partial(transport.publish, keep=False), "news", size=400)
-        outlets.posts.append(post)
+        sinks.posts.append(post)
         for opened in (post, news):
             stack.callback(opened.close, 0.5)
-        stack.callback(outlets.close)
+        stack.callback(sinks.close)
         beside = ThreadPoolExecutor(1, "afdsvc-commission")
         stack.callback(beside.shutdown, wait=False, cancel_futures=True)
         watches: dict[str, MachineMonitor] = {}
-        desks: dict[str, BurstRequests] = {}
+        burst_requests: dict[str, BurstRequests] = {}
         rehearsed: list[tuple[Pipeline, Burst]] = []
         for machine in machines:
             id, diagnosis = machine.config.id, diagnosis_burst(machine)
             stream = pipeline_of(machine, plugins, diagnosis, beside)
-            sink = FanOut([*outlets.of(machine), Publisher(keys, post, news, transport.heard)])
+            sink = FanOut([*sinks.of(machine), Publisher(keys, post, news, transport.heard)])
             watches[id] = MachineMonitor(id, stream, sink, clock)
             if machine.limits is not None and isinstance(stream, Pipeline):
                 rehearsed.append((stream, diagnosis(stream.problem)))
             if machine.limits is not None:
-                scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(desks)), 0.0)
-                desks[id] = BurstRequests(id, burst_design(machine, stream, diagnosis), scheduler, stream, sink, keys, transport, clock)
-        history = outlets.history()
+                scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(burst_requests)), 0.0)
+                burst_requests[id] = BurstRequests(id, burst_design(machine, stream, diagnosis), scheduler, stream, sink, keys, transport, clock)
+        history = sinks.history()
         outboxes = open_outboxes(site, history, plugins)
         for outbox in outboxes:
             stack.callback(outbox.close)
         a = site.alarms
         policy = Policy(a.raise_after, a.clear_after, a.latch, a.shelve_minutes)
         hub = Hub(
-            keys, __version__, watches, desks, transport, clock, outlets.summary, outlets.files, policy=policy, history=history,
+            keys, __version__, watches, burst_requests, transport, clock, sinks.summary, sinks.files, policy=policy, history=history,
             outboxes=outboxes,
         )  # fmt: skip
-        housekeeper = outlets.housekeeper()
+        housekeeper = sinks.housekeeper()
         rehearsals = WarmUp(rehearsed)
         rehearsals.start()
         stack.callback(rehearsals.close)

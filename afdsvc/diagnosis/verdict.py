@@ -71,7 +71,7 @@ def conclude(evidence: Sequence[Evidence]) -> Verdict:
         return Verdict(None, None, found[0].seconds, weighted[-1].weights, True)
     both = zip(reversed(best), reversed(told), strict=True)
     same = [group for e, group in takewhile(lambda b: b[0] is not None and b[0].fault == newest.fault, both)]
-    estimates = [s for s in (surest(group, newest.fault) for group in same) if s is not None]
+    estimates = [s for s in (most_precise(group, newest.fault) for group in same) if s is not None]
     return Verdict(newest.fault, pooled(estimates) if estimates else None, found[0].seconds, newest.weights, True)
 
 
@@ -84,7 +84,7 @@ def strongest(decisions: Sequence[Evidence]) -> Evidence | None:
     return max(named, key=lambda e: (e.severity is not None, e.statistic - e.threshold), default=None)
 
 
-def surest(decisions: Sequence[Evidence], fault: str | None) -> Severity | None:
+def most_precise(decisions: Sequence[Evidence], fault: str | None) -> Severity | None:
     """Return the severity with the smallest standard error among the decisions that name this fault, None when none tells any."""
     told = [e.severity for e in decisions if e.fault == fault and e.severity is not None]
     return min(told, key=lambda s: s.sd, default=None)

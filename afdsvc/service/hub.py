@@ -36,7 +36,7 @@ HUNG_SECONDS = 20.0  # a thread that has not come round for so long is stuck
 
 @dataclass
 class Hub:
-    """Joins watches (one per machine) and desks (one per machine that can be driven) with the transport.
+    """Joins monitors (one per machine) and burst requests (one per machine that can be driven) with the transport.
 
     ``recording()`` returns file, bytes, failure and drops of the recorder for the status.
     """
@@ -44,7 +44,7 @@ class Hub:
     keys: Keys
     version: str
     watches: Mapping[str, MachineMonitor]
-    desks: Mapping[str, BurstRequests]
+    burst_requests: Mapping[str, BurstRequests]
     transport: Transport
     clock: Clock
     recording: Callable[[], tuple[str, int, str, int]]
@@ -60,7 +60,7 @@ class Hub:
         self._began = self.clock.monotonic()
         self._next_status = self._worked = self._ticked = self._began
         self._strangers: set[str] = set()
-        self.alarms = AlarmBook(self.policy, self._told)
+        self.alarms = AlarmBook(self.policy, self._pass_on)
         self.dropped = 0
         self.findings: list[Finding] = []
         self.refusals: list[str] = []
@@ -124,10 +124,10 @@ class Hub:
         )
 
     def _machine_status(self, machine: str) -> MachineStatus:
-        desk = self.desks.get(machine)
+        requests = self.burst_requests.get(machine)
         watch = self.watches[machine]
-        next_burst = desk.scheduler.seconds_to_next(desk.seconds) if desk else 0.0
-        return watch.status(desk.playing if desk else "", next_burst, self.alarms.of(machine))
+        next_burst = requests.scheduler.seconds_to_next(requests.seconds) if requests else 0.0
+        return watch.status(requests.playing if requests else "", next_burst, self.alarms.of(machine))
 
     def _put(self, kind: str, key: str, what: Any) -> None:
         """Leave a message to the worker. When too many wait the sender does too: its rigs then keep what they say, for minutes."""
@@ -185,11 +185,11 @@ class Hub:
             watch.take_description(what)
         else:
             (watch.appeared if what else watch.gone)(session_of(key))
-            self._tell_desk(watch)
+            self._note_presence(watch)
 
     def _block(self, watch: MachineMonitor, payload: bytes) -> None:
         outcome = watch.take_block(payload)
-        desk = self._tell_desk(watch)
+        requests = self._note_presence(watch)
         if outcome is None:
             return
         self._note_conditions(watch, outcome)
@@ -199,16 +199,16 @@ class Hub:
             alarm = self.alarms.take(finding, sentence)
             if alarm is not None:
                 watch.say("error", sentence)
-                if desk:
-                    desk.scheduler.after_event(alarm.id)
+                if requests:
+                    requests.scheduler.after_event(alarm.id)
         if fresh:
             self._sum_up(watch, fresh[-1].t_ns)
-        if desk:
+        if requests:
             for burst in {f.evidence.burst for f in fresh if f.evidence.burst}:
-                desk.consider(burst, watch.decisions_on(burst))
+                requests.consider(burst, watch.decisions_on(burst))
 
     def _note_conditions(self, watch: MachineMonitor, outcome: Outcome) -> None:
-        """Trouble with the watching itself is an alarm of its own, over with the next samples that are as they should be."""
+        """Raise an alarm for a failure of the monitoring itself; it ends with the next valid samples."""
         now = self.clock.now_ns()
         for finding in outcome.findings:
             if finding.kind in TROUBLE:
@@ -225,19 +225,19 @@ class Hub:
         if any(a.active for a in self.alarms.of(watch.machine)):
             self.alarms.group(watch.machine, watch.verdict().fault, t_ns)
 
-    def _told(self, change: AlarmChange) -> None:
-        """Pass a change of an alarm to whoever keeps or tells it."""
+    def _pass_on(self, change: AlarmChange) -> None:
+        """Pass a change of an alarm to the sinks and the notifiers."""
         watch = self.watches.get(change.alarm.machine)
         if watch:
             watch.sink.alarm(change)
         for outbox in self.outboxes:
             outbox.put(change)
 
-    def _tell_desk(self, watch: MachineMonitor) -> BurstRequests | None:
-        desk = self.desks.get(watch.machine)
-        if desk:
-            desk.present(watch.session if watch.present and watch.blocks else "", watch.seconds_seen)
-        return desk
+    def _note_presence(self, watch: MachineMonitor) -> BurstRequests | None:
+        requests = self.burst_requests.get(watch.machine)
+        if requests:
+            requests.present(watch.session if watch.present and watch.blocks else "", watch.seconds_seen)
+        return requests
 
     def _event(self, watch: MachineMonitor, payload: bytes) -> None:
         event = watch.take_event(payload)
@@ -246,15 +246,15 @@ class Hub:
         if event.kind in (EventKind.BURST_REFUSED, EventKind.BURST_ABORTED):
             self.refusals.append(event.cause)
             del self.refusals[:-100]
-        desk = self.desks.get(watch.machine)
-        if desk:
-            desk.heard(event)
+        requests = self.burst_requests.get(watch.machine)
+        if requests:
+            requests.heard(event)
 
     def _tick_for_ever(self) -> None:
         while not self._stop.wait(TICK_SECONDS):
             self._ticked = self.clock.monotonic()
-            for desk in self.desks.values():
-                desk.tick()
+            for requests in self.burst_requests.values():
+                requests.tick()
             if self.clock.monotonic() >= self._next_status:
                 self._next_status = self.clock.monotonic() + STATUS_SECONDS
                 self.transport.publish(self.keys.status(), codec.encode_status(self.status()))

@@ -43,7 +43,7 @@ class Requests:
             "shelve": lambda a, who: self._done(self._hub.alarms.shelve(_id(a), who, _minutes(a), _comment(a), self._now())),
             "unshelve": lambda a, who: self._done(self._hub.alarms.unshelve(_id(a), who, self._now())),
             "burst": self._burst,
-            "stop": lambda a, who: self._desk(a).stop(str(a.get("reason", "")), who),
+            "stop": lambda a, who: self._requests_to(a).stop(str(a.get("reason", "")), who),
             "pause": lambda a, who: self._pause(a, f"by {who}: {a.get('reason', '')}"),
             "resume": lambda a, who: self._pause(a, ""),
         }
@@ -69,21 +69,21 @@ class Requests:
 
     def _burst(self, a: Arguments, who: str) -> dict[str, str]:
         wanted = BurstOrder(f"asked by {who}", purpose=str(a.get("purpose") or "diagnose"))
-        return {"burst": self._desk(a).ask(wanted)}
+        return {"burst": self._requests_to(a).ask(wanted)}
 
-    def _desk(self, a: Arguments) -> BurstRequests:
-        watches, desks = self._hub.watches, self._hub.desks
+    def _requests_to(self, a: Arguments) -> BurstRequests:
+        watches, burst_requests = self._hub.watches, self._hub.burst_requests
         machine = a.get("machine") or (next(iter(watches)) if len(watches) == 1 else "")
         if machine not in watches:
             raise BadInput(f"machine {machine!r} is unknown; this site has {', '.join(watches)}")
-        if machine not in desks:
+        if machine not in burst_requests:
             raise AfdsvcError(f"machine '{machine}' can be watched, not excited")
-        return desks[str(machine)]
+        return burst_requests[str(machine)]
 
     def _pause(self, a: Arguments, why: str) -> dict[str, str]:
-        desk = self._desk(a)
-        desk.scheduler.paused = why
-        return {"machine": desk.machine, "paused": why}
+        requests = self._requests_to(a)
+        requests.scheduler.paused = why
+        return {"machine": requests.machine, "paused": why}
 
 
 def _id(a: Arguments) -> str:

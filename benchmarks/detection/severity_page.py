@@ -29,7 +29,7 @@ the severity from the same fit. Their bound is that of the excited lines, the sa
 whole record, noise included (for `iterated_regression` without the samples in which its predictor settles), computed by differentiating
 optimal predictors of the faulty machine, without any regressor of the detectors.
 
-An estimate is meant to be unbiased where the residual is what the estimator believes. Curves are exact for every fault, and so is the
+An estimate is unbiased where the residual has the properties the estimator assumes. Curves are exact for every fault, and so is the
 iterated regression. One regression is exact for gain faults of stable plants with output noise; elsewhere it is a first-order
 approximation, good for small faults and said not to be for large ones (*first order* in the table).
 

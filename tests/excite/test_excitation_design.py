@@ -148,7 +148,7 @@ def test_second_burst_separates_the_two_suspects_better_than_the_first():
     assert per_um(burst_detection(problem, burst), float(burst.notes["output_amplitude"])) > 2 * per_um(first, 2.9)
     reached = burst_detection(problem, burst).separation("horizontal_actuator", -0.3, "horizontal_sensor")
     assert reached > 0.99 * required_separation(0.99, 0.99999)
-    with pytest.raises(BadInput, match="two suspects"):
+    with pytest.raises(BadInput, match="two faults to tell apart"):
         second_burst(problem, limits, {"horizontal_actuator": 1.0}, -0.3)
 
 

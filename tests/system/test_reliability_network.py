@@ -81,17 +81,17 @@ def eventually(condition: Callable[[], bool], seconds: float = 30.0) -> float:
 
 
 def burst(hub: Hub) -> str:
-    name = hub.desks["bearing"].ask(BurstOrder("test"))
+    name = hub.burst_requests["bearing"].ask(BurstOrder("test"))
     eventually(lambda: any(e.burst == name for e in list(hub.watches["bearing"].evidence)), 20)
     return name
 
 
 def pull_the_cable(hub: Hub, cable: str, seconds: float, path: Path) -> None:
-    watch, desk = hub.watches["bearing"], hub.desks["bearing"]
+    watch, requests = hub.watches["bearing"], hub.burst_requests["bearing"]
     eventually(lambda: watch.present and watch.blocks > 20, 60)
     burst(hub)
-    desk.ask(BurstOrder("mid-burst"))
-    eventually(lambda: bool(desk.playing))
+    requests.ask(BurstOrder("mid-burst"))
+    eventually(lambda: bool(requests.playing))
     time.sleep(0.3)
     session = watch.session
     assert ip("link", "set", cable, "down")
@@ -101,7 +101,7 @@ def pull_the_cable(hub: Hub, cable: str, seconds: float, path: Path) -> None:
     assert ip("link", "set", cable, "up")
     before = watch.blocks
     eventually(lambda: watch.blocks > before + 20 and watch.present, 60)
-    eventually(lambda: not desk.playing, 15)
+    eventually(lambda: not requests.playing, 15)
     eventually(lambda: hub.status().machines[0].state == "running")
     assert watch.session == session
     time.sleep(2)

@@ -59,7 +59,7 @@ def eventually(condition: Callable[[], bool], seconds: float = 30.0) -> None:
 
 def judged_burst(hub: Hub) -> None:
     """Play a burst and wait for its decisions: they come soon, they are trusted, and detect nothing."""
-    name = hub.desks["bearing"].ask(BurstOrder("test"))
+    name = hub.burst_requests["bearing"].ask(BurstOrder("test"))
     found = lambda: [e for e in list(hub.watches["bearing"].evidence) if e.burst == name]  # noqa: E731
     eventually(lambda: bool(found()), 15)
     assert not any(e.detected for e in found())
@@ -76,7 +76,7 @@ def test_a_wall_clock_that_steps_changes_nothing(free_port, tmp_path, monkeypatc
     with serve.serving(site) as hub, rig(site):
         watch = hub.watches["bearing"]
         eventually(lambda: watch.blocks > 15)
-        hub.desks["bearing"].ask(BurstOrder("in the middle of a burst"))
+        hub.burst_requests["bearing"].ask(BurstOrder("in the middle of a burst"))
         time.sleep(0.4)
         off[0] = step
         eventually(lambda: len({e.burst for e in list(watch.evidence) if e.burst}) == 1, 15)

@@ -98,7 +98,7 @@ def test_only_those_who_may_are_obeyed(free_port, certified, tmp_path):
             with Session(site.transport, False, Access(name)) as peer, pytest.raises(AfdsvcError, match=UNHEARD):
                 peer.ask(KEYS.burst("bearing"), request(), timeout=1.0)
         assert hub.refusals == []
-        assert hub.desks["bearing"].playing == ""
+        assert hub.burst_requests["bearing"].playing == ""
         assert ask_service(site, "burst", "kim", machine="bearing")["burst"]
 
 

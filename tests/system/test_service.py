@@ -126,8 +126,8 @@ def test_a_burst_asked_for_in_the_first_moment_can_be_judged(free_port, tmp_path
     machine = 'plant = "gas_bearing"\nbursts = {seconds = 1.0}'
     site = site_of(free_port, tmp_path, machine=machine)
     with serve.serving(site) as hub, rig(site):
-        desk = hub.desks["bearing"]
-        eventually(lambda: desk.pipeline.ready_at is not None and bool(desk.session))
+        requests = hub.burst_requests["bearing"]
+        eventually(lambda: requests.pipeline.ready_at is not None and bool(requests.session))
         ask_service(site, "burst", "Ada")
         eventually(lambda: len(hub.watches["bearing"].evidence) > 0)
         assert [e.reason for e in hub.watches["bearing"].evidence if not e.trustworthy] == []

@@ -11,7 +11,7 @@ class ColouredNoise:
     """Named from the spectrum of what does not repeat, not by a law: noise has no trajectory to be simulated."""
 
     name = "coloured_noise"
-    summary = "noise whose spectrum is not flat, where the model believes in white noise"
+    summary = "noise whose spectrum is not flat, where the model assumes white noise"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return nothing: the noise analysis names this one itself."""
