@@ -303,7 +303,7 @@ def test_a_rig_that_goes_and_comes_back_raises_no_alarm(free_port, tmp_path):
             eventually(lambda: any(e.burst for e in list(watch.evidence)))
         assert hub.alarms.alarms == {}
         said = notices(hub, next(tmp_path.glob("*.mcap")))
-    assert "is gone" in said
+    assert "is disconnected" in said
 
 
 def test_the_service_restarts_while_the_rig_runs(free_port, tmp_path):
