@@ -15,7 +15,8 @@ import afdsvc
 
 ROOT = Path(afdsvc.__file__).parent
 TEXT = (ROOT.parent / "ARCHITECTURE.md").read_text(encoding="utf-8")
-CALLS = [re.findall(r"`([\w.]+:[\w.]+)`", line) for line in TEXT.splitlines() if "→" in line]
+JOURNEYS = TEXT if (ROOT / "explain" / "pipeline.py").exists() else TEXT.split("## A recording through explain")[0]
+CALLS = [re.findall(r"`([\w.]+:[\w.]+)`", line) for line in JOURNEYS.splitlines() if "→" in line]
 FILES = re.findall(r"`((?:\w+/)+(?:\w+\.\w+)?)`", TEXT)
 
 
