@@ -1,0 +1,1 @@
+"""Is there a gap between simulation and recording, and how large?"""

@@ -1,0 +1,103 @@
+"""Is there a gap between simulation and recording, and how large? Asked before any library of physics is consulted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.random import Generator
+
+from afdsvc.explain.gap.finding import Gap, sentence
+from afdsvc.explain.gap.instruments import projected
+from afdsvc.explain.gap.prediction import predicted
+from afdsvc.explain.gap.regression import Regression, regression
+from afdsvc.explain.gap.repeating import repeating
+from afdsvc.explain.gap.ridge import Products, Scores
+from afdsvc.explain.gap.settings import GapSettings
+from afdsvc.explain.gap.signals import Signals, check
+from afdsvc.explain.gap.significance import significance
+from afdsvc.lti.statespace import Array
+
+
+def gap(
+    recordings: Sequence[Signals], state_names: Sequence[str], input_names: Sequence[str], output_names: Sequence[str],
+    aux_names: Sequence[str], rng: Generator, surrogates: int = 99, settings: GapSettings | None = None,
+) -> Gap:
+    """Return whether the residual depends on inputs, simulated states, aux or time, or repeats with them, and what share of it.
+
+    Parameters
+    ----------
+    recordings : sequence of Signals
+        Residuals of the simulation with what drove it.
+    state_names, input_names, output_names, aux_names : sequence of str
+        Names of the columns, the same for all recordings.
+    rng : Generator
+        Draws the random features and the surrogates.
+    surrogates : int
+        Surrogates of each kind; the smallest p-value is ``1 / (surrogates + 1)``.
+
+    Raises
+    ------
+    BadInput
+        Columns that do not match their names, or numbers that are not finite.
+    """
+    settings = settings or GapSettings()
+    names = (output_names, input_names, state_names, aux_names)
+    check(recordings, names)
+    reg = regression(projected(recordings, rng, settings), names, rng, settings)
+    sure = significance(reg, surrogates, rng, settings)
+    again = repeating(recordings, reg.centred.pieces, settings)
+    p_value = sure.p_value if again is None else min(1.0, 2 * min(sure.p_value, again.p_value))
+    r2 = sure.scores.best()
+    choices = [sure.scores.choice(j) for j in range(len(r2))]
+    won = _won(sure.scores, choices)
+    held = float(reg.correlations.max()) / settings.block_times
+    present = p_value <= settings.level
+    return Gap(
+        present=present, r2=_floats(r2), total=float(r2.mean()), linear=float(sure.scores.r2()[0].max(0).mean()),
+        whitened=_floats(sure.whitened), p_value=p_value, threshold=_floats(sure.threshold), blocks=reg.blocks.folds, blocks_won=won,
+        enough=held >= settings.needed_blocks, correlation_time=_floats(reg.tau), depends_on=depends_on(reg, choices, r2),
+        repeats=None if again is None else _floats(again.share), offset=_floats(reg.centred.offset),
+        sentence=sentence(
+            present, dict(zip(output_names, r2.tolist(), strict=True)), p_value, won, reg.blocks.folds, held, settings.needed_blocks
+        ),
+    )
+
+
+def flexible_prediction(
+    recordings: Sequence[Signals], state_names: Sequence[str], input_names: Sequence[str], output_names: Sequence[str],
+    aux_names: Sequence[str], rng: Generator, settings: GapSettings | None = None,
+) -> list[Array]:
+    """Return per recording the residual ``(n, p)`` that the model of `gap` predicts, each block by weights not fitted to it.
+
+    In the unit of the outputs, without the constant of each recording, at every sample (also where a reading is missing).
+    ``1 - |residual - mean - prediction|^2 / |residual - mean|^2`` over all recordings is `Gap.r2`, but for thinning of long ones.
+    """
+    settings = settings or GapSettings()
+    names = (output_names, input_names, state_names, aux_names)
+    check(recordings, names)
+    return predicted(projected(recordings, rng, settings), names, rng, settings)
+
+
+def _won(scores: Scores, choices: Sequence[tuple[int, int]]) -> float:
+    """Return the share of left-out folds in which the prediction lowers the squared error, summed over the outputs."""
+    errors = sum(scores.errors[tier, :, ridge, j] for j, (tier, ridge) in enumerate(choices))
+    return float((errors < scores.power.sum(1)).mean())
+
+
+def depends_on(reg: Regression, choices: Sequence[tuple[int, int]], r2: Array) -> tuple[tuple[str, float], ...]:
+    """Return the share of power lost without each group of features, mean over outputs, largest first."""
+    products = reg.ridge.products(reg.residual)
+    lost = [(g, float(np.mean(r2 - _without(reg, g, choices, products)))) for g in sorted(frozenset().union(*reg.groups))]
+    return tuple(sorted(lost, key=lambda pair: -pair[1]))
+
+
+def _without(reg: Regression, group: str, choices: Sequence[tuple[int, int]], products: Products) -> Array:
+    """Return the share per output that is predicted without a group, at least none."""
+    free = np.array([group not in g for g in reg.groups])
+    shares = {c: reg.ridge.share(free & (reg.ridge.tiers <= c[0]), c[1], products) for c in set(choices)}
+    return np.array([max(0.0, shares[c][j]) for j, c in enumerate(choices)])
+
+
+def _floats(x: Array) -> tuple[float, ...]:
+    return tuple(float(v) for v in x)

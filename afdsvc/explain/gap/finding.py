@@ -1,0 +1,74 @@
+"""What the gap test answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Whether simulation and recording differ by more than noise, and by how much.
+
+    Attributes
+    ----------
+    present : bool
+        Whether the residual depends on inputs, states, aux or time, or repeats with the excitation, at the stated level.
+    r2 : tuple of float
+        Per output, share of the residual's power that the flexible model predicts on blocks it was not fitted to.
+    total : float
+        Mean of ``r2`` over the outputs.
+    linear : float
+        The same for the features that are linear in inputs, states and aux.
+    whitened : tuple of float
+        Per output, share predicted of the residual's innovations (autoregressive whitening of residual and features).
+    p_value : float
+        p-value of both tests together (Bonferroni).
+    threshold : tuple of float
+        ``r2`` per output that residuals of the same colour, independent of the inputs, exceed with the stated level. For orientation:
+        the decision also uses ``whitened``, where slow noise hides less.
+    blocks, blocks_won : int, float
+        Left-out blocks, and the share of them in which the prediction is better than none.
+    enough : bool
+        Whether the recordings hold enough blocks of four correlation times.
+    correlation_time : tuple of float
+        Of the residual, per output [samples].
+    depends_on : tuple of (group, share)
+        Share of the residual's power lost when a group of features is left out, largest first. Groups that stand in for one
+        another (a state and the history of the input that moves it) both lose little.
+    repeats : tuple of float, optional
+        Per output, share of the residual's power that repeats with the excitation; None where no excitation repeats.
+    offset : tuple of float
+        Per output, share of the residual's whole power that is a constant in each recording; not part of the test.
+    sentence : str
+        The finding in words.
+    """
+
+    present: bool
+    r2: tuple[float, ...]
+    total: float
+    linear: float
+    whitened: tuple[float, ...]
+    p_value: float
+    threshold: tuple[float, ...]
+    blocks: int
+    blocks_won: float
+    enough: bool
+    correlation_time: tuple[float, ...]
+    depends_on: tuple[tuple[str, float], ...]
+    repeats: tuple[float, ...] | None
+    offset: tuple[float, ...]
+    sentence: str
+
+    @property
+    def within_reach(self) -> tuple[float, ...]:
+        """Per output, the share of the residual's power that some model could explain: the larger of ``r2`` and ``repeats``."""
+        repeats = self.repeats or (0.0,) * len(self.r2)
+        return tuple(max(a, b, 0.0) for a, b in zip(self.r2, repeats, strict=True))
+
+
+def sentence(present: bool, r2: dict[str, float], p: float, won: float, blocks: int, held: float, needed: float) -> str:
+    """Return the finding in words; ``r2`` by output, ``held`` blocks of four correlation times where ``needed`` are expected."""
+    shares = ", ".join(f"{100 * max(v, 0.0):.0f} % of '{name}'" for name, v in r2.items())
+    base = f"a flexible model predicts {shares} of the residual's power on data it was not fitted to ({100 * won:.0f} % of {blocks} blocks improve, p = {p:.2g})"
+    short = "" if held >= needed else f"; too short: {held:.1f} blocks of four correlation times, {needed:g} are needed"
+    return ("Gap: " if present else "No gap found: ") + base + short + "."

@@ -1,0 +1,105 @@
+"""Residual and features side by side: what the test, its attribution and the prediction are computed from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import Generator
+
+from afdsvc.explain.gap.autoregression import whiten
+from afdsvc.explain.gap.blocks import Blocks, blocks, correlation_time
+from afdsvc.explain.gap.dictionary import dictionary
+from afdsvc.explain.gap.features import Dictionary, Groups
+from afdsvc.explain.gap.ridge import Ridge
+from afdsvc.explain.gap.settings import GapSettings
+from afdsvc.explain.gap.signals import Centred, Names, Signals, centred
+from afdsvc.lti.statespace import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Regression:
+    """Rows are every ``step``-th sample of every recording.
+
+    Attributes
+    ----------
+    pieces : list of (rows, p)
+        Residuals of unit power per output, missing readings interpolated.
+    known : (rows,)
+        1 where every output was read, else 0: such rows count for nothing.
+    scale : (features,)
+        Standard deviation of each feature.
+    tau : (p,)
+        Correlation time of the residual [samples].
+    """
+
+    recordings: Sequence[Signals]
+    centred: Centred
+    dictionary: Dictionary
+    groups: list[Groups]
+    ridge: Ridge
+    blocks: Blocks
+    pieces: list[Array]
+    known: Array
+    scale: Array
+    step: int
+    tau: Array
+
+    @property
+    def residual(self) -> Array:
+        """Residual of all rows, zero where a reading is missing ``(rows, p)``."""
+        return np.asarray(np.concatenate(self.pieces) * self.known[:, None])
+
+    def whitened(self, a: Array, settings: GapSettings) -> Ridge:
+        """Return the regression of innovations: features through the autoregressive filter ``a``, see `clipped`."""
+        cuts = np.cumsum([len(e) for e in self.pieces])[:-1]
+        phi = clipped([whiten(x, a) for x in np.split(self.ridge.phi, cuts)], len(a))
+        sd = phi.std(0)
+        return Ridge(phi / np.where(sd > 0, sd, 1.0), self.ridge.tiers, self.blocks, settings)
+
+    @property
+    def correlations(self) -> Array:
+        """Number of correlation times in all recordings, per output ``(p,)``."""
+        return np.asarray(sum(map(len, self.recordings)) / self.tau)
+
+
+def regression(recordings: Sequence[Signals], names: Names, rng: Generator, settings: GapSettings) -> Regression:
+    """Return the regression of these recordings; ``names`` are those of outputs, inputs, states, aux."""
+    residuals = centred(recordings)
+    E = residuals.pieces
+    step = max(1, -(-sum(map(len, recordings)) // settings.rows))
+    tau = correlation_time(E, settings.lag_share)
+    thin = [e[::step] for e in E]
+    known = np.concatenate([np.isfinite(e).all(1) for e in thin]).astype(float)
+    found = dictionary(recordings, names, rng, settings)
+    phi, groups, tiers = _features(recordings, found, step)
+    scale = np.where((s := phi.std(0)) > 0, s, 1.0)
+    cut = blocks([len(e) for e in thin], max(1.0, float(tau.max()) / step), settings)
+    ridge = Ridge(phi / scale * known[:, None], tiers, cut, settings)
+    return Regression(recordings, residuals, found, groups, ridge, cut, [_filled(e) for e in thin], known, scale, step, tau)
+
+
+def clipped(pieces: Sequence[Array], samples: int) -> Array:
+    """Return the pieces one below the other, the first ``samples`` rows of each zero: there a filter has not settled."""
+    out = [x.copy() for x in pieces]
+    for x in out:
+        x[:samples] = 0.0
+    return np.concatenate(out)
+
+
+def _features(recordings: Sequence[Signals], found: Dictionary, step: int) -> tuple[Array, list[Groups], Array]:
+    """Return the thinned features ``(rows, features)``, the groups and the tier of each column; one column in full at a time."""
+    columns = [np.concatenate([found.columns(r, f)[::step] for r in recordings]) for f in found.features]
+    groups = [f.groups for f, c in zip(found.features, columns, strict=True) for _ in range(c.shape[1])]
+    tiers = [f.tier for f, c in zip(found.features, columns, strict=True) for _ in range(c.shape[1])]
+    return np.hstack(columns), groups, np.array(tiers)
+
+
+def _filled(e: Array) -> Array:
+    """Return ``e (n, p)`` with missing readings interpolated, zero where a recording has none."""
+    out, at = e.copy(), np.arange(len(e))
+    for x in out.T:
+        known = np.isfinite(x)
+        x[~known] = np.interp(at[~known], at[known], x[known]) if known.any() else 0.0
+    return out
