@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from afdsvc.lti.statespace import Array
 
 
-def fit(pieces: Sequence[Array], order: int) -> Array:
+def autoregressive(pieces: Sequence[Array], order: int) -> Array:
     """Return the filter ``[1, -a_1, .., -a_order]`` that leaves the innovations of ``pieces``, each ``(n,)``, by least squares.
 
     Roots outside the unit circle are moved onto it: a residual that drifts keeps drifting, none explodes.

@@ -15,7 +15,7 @@ from afdsvc.lti.statespace import Array
 IntArray = NDArray[np.int64]
 
 
-def correlation_time(pieces: Sequence[Array], lag_share: float) -> Array:
+def bartlett_time(pieces: Sequence[Array], lag_share: float) -> Array:
     """Return per output ``sum_k rho_k^2`` over all lags [samples]: 1 for white noise, T for ``rho_k = exp(-|k| / T)``.
 
     It divides the number of samples in the variance of a correlation between two series of this colour (Bartlett's formula),

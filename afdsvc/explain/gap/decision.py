@@ -10,11 +10,11 @@ from numpy.random import Generator
 from afdsvc.explain.gap.finding import Gap, sentence
 from afdsvc.explain.gap.instruments import projected
 from afdsvc.explain.gap.prediction import predicted
-from afdsvc.explain.gap.regression import Regression, regression
-from afdsvc.explain.gap.repeating import repeating
-from afdsvc.explain.gap.ridge import Products, Scores
+from afdsvc.explain.gap.regression import FeatureRegression, pose
+from afdsvc.explain.gap.repeating import repeating_share
+from afdsvc.explain.gap.ridge import CrossProducts, Scores
 from afdsvc.explain.gap.settings import GapSettings
-from afdsvc.explain.gap.signals import Signals, check
+from afdsvc.explain.gap.signals import Signals, check_signals
 from afdsvc.explain.gap.significance import significance
 from afdsvc.lti.statespace import Array
 
@@ -43,10 +43,10 @@ def gap(
     """
     settings = settings or GapSettings()
     names = (output_names, input_names, state_names, aux_names)
-    check(recordings, names)
-    reg = regression(projected(recordings, rng, settings), names, rng, settings)
+    check_signals(recordings, names)
+    reg = pose(projected(recordings, rng, settings), names, rng, settings)
     sure = significance(reg, surrogates, rng, settings)
-    again = repeating(recordings, reg.centred.pieces, settings)
+    again = repeating_share(recordings, reg.centred.pieces, settings)
     p_value = sure.p_value if again is None else min(1.0, 2 * min(sure.p_value, again.p_value))
     r2 = sure.scores.best()
     choices = [sure.scores.choice(j) for j in range(len(r2))]
@@ -75,7 +75,7 @@ def flexible_prediction(
     """
     settings = settings or GapSettings()
     names = (output_names, input_names, state_names, aux_names)
-    check(recordings, names)
+    check_signals(recordings, names)
     return predicted(projected(recordings, rng, settings), names, rng, settings)
 
 
@@ -85,14 +85,14 @@ def _won(scores: Scores, choices: Sequence[tuple[int, int]]) -> float:
     return float((errors < scores.power.sum(1)).mean())
 
 
-def depends_on(reg: Regression, choices: Sequence[tuple[int, int]], r2: Array) -> tuple[tuple[str, float], ...]:
+def depends_on(reg: FeatureRegression, choices: Sequence[tuple[int, int]], r2: Array) -> tuple[tuple[str, float], ...]:
     """Return the share of power lost without each group of features, mean over outputs, largest first."""
     products = reg.ridge.products(reg.residual)
     lost = [(g, float(np.mean(r2 - _without(reg, g, choices, products)))) for g in sorted(frozenset().union(*reg.groups))]
     return tuple(sorted(lost, key=lambda pair: -pair[1]))
 
 
-def _without(reg: Regression, group: str, choices: Sequence[tuple[int, int]], products: Products) -> Array:
+def _without(reg: FeatureRegression, group: str, choices: Sequence[tuple[int, int]], products: CrossProducts) -> Array:
     """Return the share per output that is predicted without a group, at least none."""
     free = np.array([group not in g for g in reg.groups])
     shares = {c: reg.ridge.share(free & (reg.ridge.tiers <= c[0]), c[1], products) for c in set(choices)}

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.random import Generator
 
 from afdsvc.explain.gap import features as make
-from afdsvc.explain.gap.features import ALL, LINEAR, STATIC, Dictionary, Feature, Function, Source
-from afdsvc.explain.gap.filters import lag, level, mode, poles, resonate, slow
+from afdsvc.explain.gap.features import ALL, LINEAR, STATIC, Dictionary, Feature, Function, SignalColumn
+from afdsvc.explain.gap.filters import first_order_lag, lagged, level, mode_pole, poles, resonate
 from afdsvc.explain.gap.settings import GapSettings
 from afdsvc.explain.gap.signals import Names, Signals
 from afdsvc.lti.statespace import Array
@@ -28,7 +28,7 @@ def dictionary(recordings: Sequence[Signals], names: Names, rng: Generator, sett
     moving = sd > 1e-9 * np.abs(pool).max(0, initial=0.0)
     scale = np.where(moving, sd, 1.0)
     kinds = [(kind, name) for kind, group in zip(("input", "state", "aux"), names[1:], strict=True) for name in group]
-    sources = [Source(i, kind, name) for i, (kind, name) in enumerate(kinds) if moving[i]]
+    sources = [SignalColumn(i, kind, name) for i, (kind, name) in enumerate(kinds) if moving[i]]
     builder = Builder(sources, (pool - centre) / scale, scale, poles(recordings), max(map(len, recordings)), rng, settings)
     return Dictionary(tuple(builder.features()), centre, scale)
 
@@ -37,7 +37,7 @@ class Builder:
     """Builds the features of each kind; ``z (n, d)`` are all scaled signals, ``longest`` samples in a recording."""
 
     def __init__(
-        self, sources: list[Source], z: Array, scale: Array, poles: list[complex], longest: int, rng: Generator, settings: GapSettings
+        self, sources: list[SignalColumn], z: Array, scale: Array, poles: list[complex], longest: int, rng: Generator, settings: GapSettings
     ) -> None:
         self.sources, self.z, self.scale, self.poles, self.longest = sources, z, scale, poles, longest
         self.rng, self.settings = rng, settings
@@ -53,19 +53,19 @@ class Builder:
     def linear(self) -> list[Feature]:
         """Return present values, lags, low-pass filters, resonances of the simulation and others."""
         now = [Feature(s.of(np.asarray), s.now, LINEAR) for s in self.sources]
-        lags: list[tuple[Source, Function]] = [(s, partial(lag, k=k)) for s in self.inputs or self.sources for k in (1, 2, 4, 8, 16)]
-        lows: list[tuple[Source, Function]] = self.draw([(s, partial(slow, samples=c)) for s in self.sources for c in self.constants], 4)
-        ours: list[tuple[Source, Function]] = self.draw([(s, partial(resonate, pole=q)) for s in self.sources for q in self.poles], 4)
+        lags: list[tuple[SignalColumn, Function]] = [(s, partial(lagged, k=k)) for s in self.inputs or self.sources for k in (1, 2, 4, 8, 16)]
+        lows: list[tuple[SignalColumn, Function]] = self.draw([(s, partial(first_order_lag, samples=c)) for s in self.sources for c in self.constants], 4)
+        ours: list[tuple[SignalColumn, Function]] = self.draw([(s, partial(resonate, pole=q)) for s in self.sources for q in self.poles], 4)
         count = max(3, self.settings.bank // (4 * max(1, len(self.inputs))))
-        modes = [mode(float(f), d) for f in np.geomspace(4 / self.longest, 0.45, count) for d in self.settings.damping]
-        others: list[tuple[Source, Function]] = [(s, partial(resonate, pole=q)) for s in self.inputs for q in modes]
+        modes = [mode_pole(float(f), d) for f in np.geomspace(4 / self.longest, 0.45, count) for d in self.settings.damping]
+        others: list[tuple[SignalColumn, Function]] = [(s, partial(resonate, pole=q)) for s in self.inputs for q in modes]
         return now + [Feature(s.of(f), s.past, LINEAR) for s, f in lags + lows + ours + others]
 
-    def curves(self, s: Source) -> list[Feature]:
+    def curves(self, s: SignalColumn) -> list[Feature]:
         """Return nonlinear functions of one signal's present value."""
         count = int(np.clip(self.settings.knots // len(self.sources), 2, 7))
         knots = np.quantile(self.z[:, s.column], np.linspace(0.05, 0.95, count))
-        curves: list[Function] = [*(partial(make.hinge, knot=float(q)) for q in knots), make.square, make.cube]
+        curves: list[Function] = [*(partial(make.hinge, knot=float(q)) for q in knots), make.odd_square, make.cube]
         signs = Feature(s.of(make.sign), s.now | {f"sign of {s.name}"}, STATIC)
         angle = [partial(make.turns, radians=float(self.scale[s.column]))] if s.kind == "aux" and "angle" in s.name else []
         return [*(Feature(s.of(f), s.now | CURVED, STATIC) for f in curves), signs, *(Feature(s.of(f), s.now, STATIC) for f in angle)]
@@ -73,7 +73,7 @@ class Builder:
     def products(self) -> list[Feature]:
         """Return products of two signals."""
         pairs = self.draw([(a, b) for i, a in enumerate(self.sources) for b in self.sources[:i]], 3)
-        return [Feature(partial(make.product, a=a.column, b=b.column), a.now | b.now | CURVED, STATIC) for a, b in pairs]
+        return [Feature(partial(make.pair_product, a=a.column, b=b.column), a.now | b.now | CURVED, STATIC) for a, b in pairs]
 
     def filtered(self, static: list[Feature]) -> list[Feature]:
         """Return nonlinear functions through the poles of the simulation: what a force or an input law does to an output."""
@@ -85,12 +85,12 @@ class Builder:
         past = [(s, k) for s in self.sources for k in ((0, 1, 4, 16) if s.kind == "input" else (0,))]
         return [self.wave(self.drawn(past, 3)) for _ in range(self.settings.picked // 2 if past else 0)]
 
-    def wave(self, chosen: list[tuple[Source, int]]) -> Feature:
+    def wave(self, chosen: list[tuple[SignalColumn, int]]) -> Feature:
         """Return the wave of these signals and lags."""
         groups = CURVED.union(*(s.past if k else s.now for s, k in chosen))
-        delayed = [(s.column, k) for s, k in chosen]
+        past = [(s.column, k) for s, k in chosen]
         weights, phase = self.rng.normal(size=len(chosen)), float(self.rng.uniform(0, 2 * np.pi))
-        return Feature(partial(make.wave, delayed=delayed, weights=weights, phase=phase), groups, ALL)
+        return Feature(partial(make.wave, past=past, weights=weights, phase=phase), groups, ALL)
 
     def draw(self, of: list[T], parts: int) -> list[T]:
         """Return at most the settings' number of picks over ``parts``."""

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from afdsvc.explain.gap.filters import lag, resonate
+from afdsvc.explain.gap.filters import lagged, resonate
 from afdsvc.explain.gap.signals import Signals
 from afdsvc.lti.statespace import Array
 
@@ -42,7 +42,7 @@ class Dictionary:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class SignalColumn:
     """A signal: its column, whether it is an input, a state or aux, its name."""
 
     column: int
@@ -73,7 +73,7 @@ def hinge(x: Array, knot: float) -> Array:
     return np.maximum(0.0, x - knot)
 
 
-def square(x: Array) -> Array:
+def odd_square(x: Array) -> Array:
     """Return ``x |x|``."""
     return np.asarray(x * np.abs(x))
 
@@ -93,7 +93,7 @@ def turns(x: Array, radians: float) -> Array:
     return np.column_stack([f(k * radians * x) for k in (1, 2) for f in (np.cos, np.sin)])
 
 
-def product(z: Array, a: int, b: int) -> Array:
+def pair_product(z: Array, a: int, b: int) -> Array:
     """Return the product of two signals."""
     return np.asarray(z[:, a] * z[:, b])
 
@@ -103,9 +103,9 @@ def through(z: Array, function: Function, pole: complex) -> Array:
     return resonate(function(z).reshape(len(z), -1)[:, 0], pole)
 
 
-def wave(z: Array, delayed: Sequence[tuple[int, int]], weights: Array, phase: float) -> Array:
+def wave(z: Array, past: Sequence[tuple[int, int]], weights: Array, phase: float) -> Array:
     """Return the cosine of a weighted sum of signals, each (column, lag)."""
-    parts = [w * lag(z[:, column], k) for w, (column, k) in zip(weights, delayed, strict=True)]
+    parts = [w * lagged(z[:, column], k) for w, (column, k) in zip(weights, past, strict=True)]
     return np.asarray(np.cos(phase + np.sum(parts, axis=0)))
 
 

@@ -11,12 +11,12 @@ from afdsvc.explain.gap.signals import Signals
 from afdsvc.lti.statespace import Array
 
 
-def lag(z: Array, k: int) -> Array:
-    """Return ``z (n,)`` delayed by ``k`` samples; before the start it holds its first value."""
+def lagged(z: Array, k: int) -> Array:
+    """Return ``z (n,)`` lagged by ``k`` samples; before the start it holds its first value."""
     return np.concatenate([np.full(min(k, len(z)), z[0]), z[: max(len(z) - k, 0)]])
 
 
-def slow(z: Array, samples: float) -> Array:
+def first_order_lag(z: Array, samples: float) -> Array:
     """Return ``z (n,)`` through a first-order lag of unit gain with this time constant, settled at its first value."""
     a = float(np.exp(-1 / samples))
     return np.asarray(lfilter([1 - a], [1, -a], z, zi=[a * z[0]])[0])
@@ -24,7 +24,7 @@ def slow(z: Array, samples: float) -> Array:
 
 def level(z: Array, samples: float) -> Array:
     """Return the slow level of ``z (n,)`` and ``z`` times its level ``(n, 2)``."""
-    size = slow(np.abs(z), samples)
+    size = first_order_lag(np.abs(z), samples)
     return np.column_stack([size, z * size])
 
 
@@ -36,7 +36,7 @@ def resonate(z: Array, pole: complex) -> Array:
     return np.column_stack([out.real, out.imag])
 
 
-def mode(frequency: float, damping: float) -> complex:
+def mode_pole(frequency: float, damping: float) -> complex:
     """Return the pole of a mode: frequency [cycles per sample], damping ratio."""
     return complex(np.exp(2 * np.pi * frequency * (-damping + 1j * np.sqrt(1 - damping**2))))
 

@@ -7,21 +7,21 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.random import Generator
 
-from afdsvc.explain.gap.regression import Regression, regression
+from afdsvc.explain.gap.regression import FeatureRegression, pose
 from afdsvc.explain.gap.settings import GapSettings
-from afdsvc.explain.gap.signals import Names, Signals, check
+from afdsvc.explain.gap.signals import Names, Signals, check_signals
 from afdsvc.lti.statespace import Array
 
 
 def predicted(recordings: Sequence[Signals], names: Names, rng: Generator, settings: GapSettings) -> list[Array]:
     """Return per recording the residual ``(n, p)`` less its mean, each block predicted by weights not fitted to it."""
-    check(recordings, names)
-    reg = regression(recordings, names, rng, settings)
+    check_signals(recordings, names)
+    reg = pose(recordings, names, rng, settings)
     weights = _weights(reg)
     return [reg.centred.scale * _applied(reg, i, weights) for i in range(len(recordings))]
 
 
-def _weights(reg: Regression) -> Array:
+def _weights(reg: FeatureRegression) -> Array:
     """Return the weights of the best tier and ridge parameter of each output ``(folds, features, p)``."""
     products = reg.ridge.products(reg.residual)
     scores = reg.ridge.scores(products)
@@ -34,7 +34,7 @@ def _weights(reg: Regression) -> Array:
     return out / reg.scale[:, None]
 
 
-def _applied(reg: Regression, recording: int, weights: Array) -> Array:
+def _applied(reg: FeatureRegression, recording: int, weights: Array) -> Array:
     """Return the prediction of one recording at every sample, one feature in memory at a time."""
     signals = reg.recordings[recording]
     fold = reg.blocks.fold_of(recording, np.arange(len(signals)) // reg.step)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator
 
 from afdsvc.explain.gap.autoregression import whiten
-from afdsvc.explain.gap.blocks import Blocks, blocks, correlation_time
+from afdsvc.explain.gap.blocks import Blocks, bartlett_time, blocks
 from afdsvc.explain.gap.dictionary import dictionary
 from afdsvc.explain.gap.features import Dictionary, Groups
 from afdsvc.explain.gap.ridge import Ridge
@@ -19,7 +19,7 @@ from afdsvc.lti.statespace import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Regression:
+class FeatureRegression:
     """Rows are every ``step``-th sample of every recording.
 
     Attributes
@@ -64,12 +64,12 @@ class Regression:
         return np.asarray(sum(map(len, self.recordings)) / self.tau)
 
 
-def regression(recordings: Sequence[Signals], names: Names, rng: Generator, settings: GapSettings) -> Regression:
+def pose(recordings: Sequence[Signals], names: Names, rng: Generator, settings: GapSettings) -> FeatureRegression:
     """Return the regression of these recordings; ``names`` are those of outputs, inputs, states, aux."""
     residuals = centred(recordings)
     E = residuals.pieces
     step = max(1, -(-sum(map(len, recordings)) // settings.rows))
-    tau = correlation_time(E, settings.lag_share)
+    tau = bartlett_time(E, settings.lag_share)
     thin = [e[::step] for e in E]
     known = np.concatenate([np.isfinite(e).all(1) for e in thin]).astype(float)
     found = dictionary(recordings, names, rng, settings)
@@ -77,7 +77,7 @@ def regression(recordings: Sequence[Signals], names: Names, rng: Generator, sett
     scale = np.where((s := phi.std(0)) > 0, s, 1.0)
     cut = blocks([len(e) for e in thin], max(1.0, float(tau.max()) / step), settings)
     ridge = Ridge(phi / scale * known[:, None], tiers, cut, settings)
-    return Regression(recordings, residuals, found, groups, ridge, cut, [_filled(e) for e in thin], known, scale, step, tau)
+    return FeatureRegression(recordings, residuals, found, groups, ridge, cut, [_filled(e) for e in thin], known, scale, step, tau)
 
 
 def clipped(pieces: Sequence[Array], samples: int) -> Array:

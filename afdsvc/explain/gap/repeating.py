@@ -15,21 +15,21 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from afdsvc.explain.gap.autoregression import fit, whiten
+from afdsvc.explain.gap.autoregression import autoregressive, whiten
 from afdsvc.explain.gap.settings import GapSettings
 from afdsvc.explain.gap.signals import Signals
 from afdsvc.lti.statespace import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Repeating:
+class RepeatingShare:
     """Share of the residual's power that repeats ``(p,)``, p-value over all outputs (Bonferroni)."""
 
     share: Array
     p_value: float
 
 
-def repeating(recordings: Sequence[Signals], E: Sequence[Array], settings: GapSettings) -> Repeating | None:
+def repeating_share(recordings: Sequence[Signals], E: Sequence[Array], settings: GapSettings) -> RepeatingShare | None:
     """Return the repeating part of the residuals ``E``; None when no recording has enough whole periods without missing readings."""
     least = settings.least_periods
     usable = [(e, r.period) for e, r in zip(E, recordings, strict=True) if 8 <= r.period <= len(e) // least and np.isfinite(e).all()]
@@ -39,7 +39,7 @@ def repeating(recordings: Sequence[Signals], E: Sequence[Array], settings: GapSe
     white = [_lines(_whitened(e, period, settings.whitening_order), period) for e, period in usable]
     outputs = range(E[0].shape[1])
     p = min(_p_value([(s[:, j], n[:, j], d) for s, n, d in white]) for j in outputs)
-    return Repeating(np.array([_share([(s[:, j], n[:, j], d) for s, n, d in plain]) for j in outputs]), min(1.0, len(outputs) * p))
+    return RepeatingShare(np.array([_share([(s[:, j], n[:, j], d) for s, n, d in plain]) for j in outputs]), min(1.0, len(outputs) * p))
 
 
 def _folded(e: Array, period: int) -> Array:
@@ -58,7 +58,7 @@ def _whitened(e: Array, period: int, order: int) -> Array:
     """Return each output ``(n, p)`` through the autoregressive filter of what does not repeat in it."""
     folded = _folded(e, period)
     noise = (folded - folded.mean(0)).reshape(-1, e.shape[1])
-    return np.column_stack([whiten(x, fit([w], order)) for x, w in zip(e.T, noise.T, strict=True)])
+    return np.column_stack([whiten(x, autoregressive([w], order)) for x, w in zip(e.T, noise.T, strict=True)])
 
 
 def _share(parts: Sequence[tuple[Array, Array, int]]) -> float:

@@ -20,7 +20,7 @@ BoolArray = np.typing.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Products:
+class CrossProducts:
     """Per fold: products of features and residuals in it and in what is fitted without it ``(features, columns)``, power ``(columns,)``."""
 
     own: list[Array]
@@ -64,32 +64,32 @@ class Ridge:
         whole = np.sum(self.gram, axis=0)
         self.fitted = [whole - g - phi[r].T @ phi[r] for g, r in zip(self.gram, self.beside, strict=True)]
 
-    def products(self, E: Array) -> Products:
+    def products(self, E: Array) -> CrossProducts:
         """Return the products with residuals ``E (rows, columns)``."""
         own = [self.phi[r].T @ E[r] for r in self.rows]
         whole = np.sum(own, axis=0)
         fitted = [whole - b - self.phi[r].T @ E[r] for b, r in zip(own, self.beside, strict=True)]
-        return Products(own, fitted, np.array([(E[r] ** 2).sum(0) for r in self.rows]))
+        return CrossProducts(own, fitted, np.array([(E[r] ** 2).sum(0) for r in self.rows]))
 
-    def scores(self, products: Products) -> Scores:
+    def scores(self, products: CrossProducts) -> Scores:
         """Return the errors of each residual in every left-out fold, for each tier and ridge parameter."""
         used = [self.tiers <= tier for tier in np.unique(self.tiers)]
         errors = [[self._fold(k, u, products) for k in range(len(self.rows))] for u in used]
         return Scores(np.array(errors), products.power)
 
-    def _fold(self, k: int, used: BoolArray, products: Products) -> Array:
+    def _fold(self, k: int, used: BoolArray, products: CrossProducts) -> Array:
         pick = np.ix_(used, used)
         values, V = np.linalg.eigh(self.fitted[k][pick])
         turned, fitted, own = V.T @ self.gram[k][pick] @ V, V.T @ products.fitted[k][used], V.T @ products.own[k][used]
         weights = [fitted / (np.maximum(values, 0.0) + ridge)[:, None] for ridge in self.ridges]
         return np.array([products.power[k] - 2 * (own * w).sum(0) + (w * (turned @ w)).sum(0) for w in weights])
 
-    def weights(self, k: int, used: BoolArray, ridge: int, products: Products) -> Array:
+    def weights(self, k: int, used: BoolArray, ridge: int, products: CrossProducts) -> Array:
         """Return the weights ``(features used, columns)`` fitted without fold ``k``."""
         A = self.fitted[k][np.ix_(used, used)] + self.ridges[ridge] * np.eye(int(used.sum()))
         return np.asarray(cho_solve(cho_factor(A), products.fitted[k][used]))
 
-    def share(self, used: BoolArray, ridge: int, products: Products) -> Array:
+    def share(self, used: BoolArray, ridge: int, products: CrossProducts) -> Array:
         """Return the share of power predicted in left-out folds from the features used, per column."""
         error = np.zeros(products.power.shape[1])
         for k, G in enumerate(self.gram):

@@ -53,7 +53,7 @@ class Signals:
         return len(self.residual)
 
 
-def check(recordings: Sequence[Signals], names: Names) -> None:
+def check_signals(recordings: Sequence[Signals], names: Names) -> None:
     """Raise `BadInput` unless all recordings have the columns named (outputs, inputs, states, aux) and finite numbers."""
     if not recordings:
         raise BadInput("gap test: no recordings; expected at least one")

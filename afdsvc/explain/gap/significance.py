@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from afdsvc.explain.gap.autoregression import fit, whiten
-from afdsvc.explain.gap.regression import Regression, clipped
+from afdsvc.explain.gap.autoregression import autoregressive, whiten
+from afdsvc.explain.gap.regression import FeatureRegression, clipped
 from afdsvc.explain.gap.ridge import Scores
 from afdsvc.explain.gap.settings import GapSettings
 from afdsvc.explain.gap.surrogates import surrogates
@@ -28,7 +28,7 @@ class Significance:
     whitened: Array
 
 
-def significance(reg: Regression, count: int, rng: Generator, settings: GapSettings) -> Significance:
+def significance(reg: FeatureRegression, count: int, rng: Generator, settings: GapSettings) -> Significance:
     """Return how significant the prediction is.
 
     Two shares of power are compared with those of the surrogates: of the residual (a slow gap under fast noise) and of its
@@ -37,7 +37,7 @@ def significance(reg: Regression, count: int, rng: Generator, settings: GapSetti
     surrogate, the larger counts.
     """
     outputs = range(reg.pieces[0].shape[1])
-    models = [fit([e[:, j] for e in reg.pieces], settings.whitening_order) for j in outputs]
+    models = [autoregressive([e[:, j] for e in reg.pieces], settings.whitening_order) for j in outputs]
     made = surrogates(reg.pieces, models, count, rng)
     plain = reg.ridge.scores(reg.ridge.products(np.concatenate([m.reshape(len(m), -1) for m in made]) * reg.known[:, None]))
     white = np.array([_whitened(reg, [m[:, j] for m in made], models[j], settings) for j in outputs])
@@ -49,7 +49,7 @@ def significance(reg: Regression, count: int, rng: Generator, settings: GapSetti
     return Significance(p_value, Scores(plain.errors[..., own], plain.power[:, own]), threshold, white[:, 0])
 
 
-def _whitened(reg: Regression, made: list[Array], a: Array, settings: GapSettings) -> Array:
+def _whitened(reg: FeatureRegression, made: list[Array], a: Array, settings: GapSettings) -> Array:
     E = clipped([whiten(m, a) for m in made], len(a)) * reg.known[:, None]
     ridge = reg.whitened(a, settings)
     return ridge.scores(ridge.products(E)).best()

@@ -1,13 +1,13 @@
 import numpy as np
 
-from afdsvc.explain.gap.autoregression import colour, fit, whiten
+from afdsvc.explain.gap.autoregression import autoregressive, colour, whiten
 
 
 def test_a_known_model_is_found_and_its_innovations_are_white():
     rng = np.random.default_rng(1)
     w = rng.normal(size=20000)
     x = colour(w, np.array([1.0, -1.6, 0.8]))
-    a = fit([x[:9000], x[9000:]], 2)
+    a = autoregressive([x[:9000], x[9000:]], 2)
     np.testing.assert_allclose(a, [1, -1.6, 0.8], atol=0.02)
     found = whiten(x, a)
     assert abs(np.corrcoef(found[1:], found[:-1])[0, 1]) < 0.02
@@ -21,4 +21,4 @@ def test_colouring_undoes_whitening():
 
 def test_an_exploding_series_gives_no_exploding_model():
     x = 1.02 ** np.arange(400) + np.random.default_rng(3).normal(size=400)
-    assert np.abs(np.roots(fit([x], 3))).max() <= 1 + 1e-6
+    assert np.abs(np.roots(autoregressive([x], 3))).max() <= 1 + 1e-6

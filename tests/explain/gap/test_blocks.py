@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from afdsvc.explain.gap.blocks import blocks, correlation_time
+from afdsvc.explain.gap.blocks import bartlett_time, blocks
 from afdsvc.explain.gap.settings import GapSettings
 from tests.explain.gap.machines import coloured
 
@@ -10,17 +10,17 @@ from tests.explain.gap.machines import coloured
 def test_correlation_time_of_first_order_noise_is_its_time_constant(time):
     e = coloured(200_000, time, np.random.default_rng(1), 2)
     a = np.exp(-2 / time)
-    np.testing.assert_allclose(correlation_time([e], 0.01), (1 + a) / (1 - a), rtol=0.1)
+    np.testing.assert_allclose(bartlett_time([e], 0.01), (1 + a) / (1 - a), rtol=0.1)
 
 
 def test_white_noise_has_a_correlation_time_of_one_sample():
-    assert correlation_time([np.random.default_rng(2).normal(size=(5000, 1))], 0.05)[0] == pytest.approx(1.0, abs=0.15)
+    assert bartlett_time([np.random.default_rng(2).normal(size=(5000, 1))], 0.05)[0] == pytest.approx(1.0, abs=0.15)
 
 
 def test_an_oscillation_counts_its_envelope():
     t = np.arange(20000)
     e = (np.exp(-t / 300) * np.cos(0.3 * t))[:, None]
-    assert correlation_time([e], 0.2)[0] > 100
+    assert bartlett_time([e], 0.2)[0] > 100
 
 
 @pytest.mark.parametrize(("lengths", "correlation", "folds"), [([1600], 2.0, 16), ([600, 600], 25.0, 12), ([500], 100.0, 10), ([30] * 64, 1.0, 16)])

@@ -1,18 +1,18 @@
 import numpy as np
 import pytest
 
-from afdsvc.explain.gap.filters import lag, level, mode, poles, resonate, slow
+from afdsvc.explain.gap.filters import first_order_lag, lagged, level, mode_pole, poles, resonate
 from afdsvc.explain.gap.signals import Signals
 
 
 def test_a_lag_holds_the_first_value():
-    np.testing.assert_array_equal(lag(np.array([1.0, 2, 3, 4]), 2), [1, 1, 1, 2])
-    np.testing.assert_array_equal(lag(np.array([1.0, 2]), 5), [1, 1])
+    np.testing.assert_array_equal(lagged(np.array([1.0, 2, 3, 4]), 2), [1, 1, 1, 2])
+    np.testing.assert_array_equal(lagged(np.array([1.0, 2]), 5), [1, 1])
 
 
 def test_a_low_pass_starts_settled_and_ends_at_the_level():
-    np.testing.assert_allclose(slow(np.full(50, 3.0), 10.0), 3.0)
-    assert slow(np.r_[np.zeros(5), np.ones(200)], 10.0)[-1] == pytest.approx(1.0, abs=1e-6)
+    np.testing.assert_allclose(first_order_lag(np.full(50, 3.0), 10.0), 3.0)
+    assert first_order_lag(np.r_[np.zeros(5), np.ones(200)], 10.0)[-1] == pytest.approx(1.0, abs=1e-6)
 
 
 def test_level_follows_the_size_of_an_oscillation():
@@ -23,7 +23,7 @@ def test_level_follows_the_size_of_an_oscillation():
 def test_a_resonator_rings_at_its_frequency():
     x = np.zeros(400)
     x[0] = 1.0
-    out = resonate(x - x.mean(), mode(0.05, 0.01))[:, 1]
+    out = resonate(x - x.mean(), mode_pole(0.05, 0.01))[:, 1]
     assert np.argmax(np.abs(np.fft.rfft(out))) == 20
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from afdsvc.explain.gap.repeating import repeating
+from afdsvc.explain.gap.repeating import repeating_share
 from afdsvc.explain.gap.settings import GapSettings
 from afdsvc.explain.gap.signals import Signals
 from tests.explain.gap.machines import coloured
@@ -18,7 +18,7 @@ def test_noise_does_not_repeat_whatever_its_colour(time):
     p = []
     for _ in range(60):
         e = coloured(2000, time, rng)
-        p.append(repeating(posed(e, 400), [e], GapSettings()).p_value)
+        p.append(repeating_share(posed(e, 400), [e], GapSettings()).p_value)
     assert np.mean(np.array(p) < 0.05) <= 0.12
     assert 0.3 < np.mean(p) < 0.7
 
@@ -28,18 +28,18 @@ def test_what_repeats_is_found_and_measured(periods):
     rng = np.random.default_rng(2)
     one = coloured(400, 20.0, rng)
     e = np.tile(one / one.std(), (periods, 1)) + coloured(400 * periods, 20.0, rng)
-    found = repeating(posed(e, 400), [e], GapSettings())
+    found = repeating_share(posed(e, 400), [e], GapSettings())
     assert found.p_value < 1e-3
     assert found.share[0] == pytest.approx(0.5, abs=0.2)
 
 
 def test_one_period_or_missing_readings_allow_no_test():
     e = np.random.default_rng(3).normal(size=(500, 1))
-    assert repeating(posed(e, 400), [e], GapSettings()) is None
+    assert repeating_share(posed(e, 400), [e], GapSettings()) is None
     e[7] = np.nan
-    assert repeating(posed(e, 100), [e], GapSettings()) is None
+    assert repeating_share(posed(e, 100), [e], GapSettings()) is None
 
 
 def test_a_residual_without_noise_that_repeats_is_certain():
     e = np.tile(np.sin(np.arange(100) * 2 * np.pi / 100), 4)[:, None]
-    assert repeating(posed(e, 100), [e], GapSettings()).p_value < 1e-6
+    assert repeating_share(posed(e, 100), [e], GapSettings()).p_value < 1e-6

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from afdsvc.explain.gap.autoregression import fit
+from afdsvc.explain.gap.autoregression import autoregressive
 from afdsvc.explain.gap.surrogates import surrogates
 from tests.explain.gap.machines import coloured
 
@@ -10,7 +10,7 @@ def made(seed=1, count=20):
     rng = np.random.default_rng(seed)
     e = coloured(2000, 30.0, rng, 2) @ np.array([[1.0, 0.6], [0.0, 0.8]])
     e = e - e.mean(0)
-    return e, surrogates([e], [fit([x], 10) for x in e.T], count, rng)[0]
+    return e, surrogates([e], [autoregressive([x], 10) for x in e.T], count, rng)[0]
 
 
 def test_the_first_column_is_the_residual():
