@@ -14,10 +14,9 @@ from afdsvc.api.model import Model
 from afdsvc.api.physics import Physics
 from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
-from afdsvc.explain.explain import explain
-from afdsvc.explain.explanation import Explanation
+from afdsvc.explain.pipeline import explain
+from afdsvc.explain.report.explanation import Explanation
 from afdsvc.files.model.improved import write_improved
-from afdsvc.files.model.linear import linear_model
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.model.stepped import LINEARISED, REST
 from afdsvc.files.recording.reader import Recording
@@ -27,9 +26,8 @@ from afdsvc.plants.stepped.comparison import compared
 from afdsvc.plugins.manager import load
 
 RECORDING = ".mcap"
-CODE = "the model is a Python simulator; what is explained, and improved, is its linear part"
 REST_SECONDS = 0.1  # before a burst, for the loop to be simulated from
-Progress = Callable[[str, float], None]
+Progress = Callable[[str, float | None], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +35,8 @@ class ExplainOptions:
     """How `explain_files` goes about it: where files go, column names by foreign name, whether a model's code may run.
 
     ``rerun`` is the Rerun file to write (None: none), ``machine`` the one meant in recordings of several, ``jobs`` how many
-    cores are used, ``mapping_file`` the mapping of recordings of others.
+    cores are used, ``mapping_file`` the mapping of recordings of others. ``trust_units`` makes warnings of what looks like wrong
+    units or signs.
     """
 
     out: Path | None = None
@@ -47,6 +46,7 @@ class ExplainOptions:
     machine: str | None = None
     jobs: int = 2
     mapping_file: Path | None = None
+    trust_units: bool = False
 
 
 def explain_files(
@@ -59,17 +59,15 @@ def explain_files(
     is explained. Raises `BadInput` naming the file and what is wrong with it.
     """
     options = options or ExplainOptions()
-    given = model_of(model, options)
-    nominal = linear_model(given)
+    nominal = model_of(model, options)
     files = list(recordings) or ([model] if model.suffix.lower() == RECORDING else [])
     if not files:
-        raise BadInput(f"{model}: no recording is given to explain; at least one is wanted")
+        raise BadInput(f"{model}: no recording is given to explain; expected at least one")
     train, held = (from_rest(traces(paths, nominal, options), nominal) for paths in (files, holdout))
     folder = _folder(model, options)
-    found = explain(nominal, train, held, load_library(), mapper=parallel(options.jobs), progress=progress)
-    notes = (CODE,) if given.dynamics is not None else ()
+    found = explain(nominal, train, held, load_library(), mapper=parallel(options.jobs), progress=progress, trust_units=options.trust_units)
     unit = [*nominal.extra.get(LINEARISED, ()), *compared(nominal, [*train, *held])]
-    found = replace(found, check=(*notes, *unit, *found.check), notes={**found.notes, "data": prepared([*train, *held])})
+    found = replace(found, check=(*unit, *found.check), notes={**found.notes, "data": prepared([*train, *held])})
     return _written(found, nominal, folder, means([*train, *held]), options)
 
 
@@ -81,7 +79,7 @@ def model_of(path: Path, options: ExplainOptions) -> Model:
     machine = options.machine or next(iter(recording.machines), "")
     inside = recording.model(machine, options.allow_code) if machine else None
     if inside is None:
-        raise BadInput(f"{path}: carries no model{f' of machine {machine}' if machine else ''}; a MODEL.toml is wanted before it")
+        raise BadInput(f"{path}: carries no model{f' of machine {machine}' if machine else ''}; expected a MODEL.toml before it")
     return inside
 
 
@@ -193,11 +191,11 @@ def _folder(model: Path, options: ExplainOptions) -> Path:
 def _written(
     found: Explanation, nominal: Model, folder: Path, aux: Mapping[str, float], options: ExplainOptions
 ) -> dict[str, Any]:
-    from afdsvc.present.html.explain_page import explain_page  # matplotlib is wanted only here
+    from afdsvc.present.html.explain_page import explain_page  # imports matplotlib
 
     target, page = folder / "MODEL.toml", folder / "report.html"
     if nominal.origin and Path(nominal.origin).resolve() == target.resolve():
-        raise BadInput(f"--out {folder}: the nominal model would be overwritten; another folder is wanted")
+        raise BadInput(f"--out {folder}: the nominal model would be overwritten; expected another folder")
     written = write_improved(found, target, aux)
     document = found.json(str(target), str(page))
     document["files"] = [str(path) for path in written]

@@ -11,7 +11,7 @@ import numpy as np
 
 from afdsvc.app.explain import ExplainOptions, load_library, model_of, traces
 from afdsvc.errors import BadInput
-from afdsvc.explain.explain import explain
+from afdsvc.explain.pipeline import explain
 from afdsvc.trial.pages import markdown, page, summary
 from afdsvc.trial.plan import MIX, Request, plan
 from afdsvc.trial.study import Result, study
@@ -77,7 +77,7 @@ def from_files(model: Path, recordings: Sequence[Path], holdout: Path) -> Mappin
     options = ExplainOptions(jobs=1)
     nominal = model_of(model, options)
     train, held = (traces(paths, nominal, options) for paths in (recordings, [holdout]))
-    return explain(nominal, train, held, load_library(), rehearse=False).json(None, None)
+    return explain(nominal, train, held, load_library(), experiment=False).json(None, None)
 
 
 def report(done: Sequence[Result], folder: Path) -> dict[str, Any]:

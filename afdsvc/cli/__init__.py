@@ -233,13 +233,14 @@ def explain(
     machine: MachineOption = None,
     allow_code: Annotated[bool, typer.Option("--allow-code", help="Permit the model's Python simulator to run.")] = False,
     jobs: Annotated[int, typer.Option(help="Cores to use.")] = 2,
+    trust_units: Annotated[bool, typer.Option("--trust-units", help="Go on where units or signs look wrong.")] = False,
     as_json: Json = False,
 ) -> None:
     """Say why simulation and recordings differ: where, what physics is missing, how well the improved model fits."""
     from afdsvc.app.explain import ExplainOptions, explain_files
     from afdsvc.present.terminal import explain_table, progress
 
-    options = ExplainOptions(out, _mapping(column or []), allow_code, rrd, machine, jobs, mapping)
+    options = ExplainOptions(out, _mapping(column or []), allow_code, rrd, machine, jobs, mapping, trust_units)
     with progress("explaining", 1.0) as tell:
         document = explain_files(model, recordings or [], holdout or [], options, lambda what, share: tell(share))
     show(as_json, document, lambda: explain_table(document))

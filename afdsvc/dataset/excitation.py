@@ -54,10 +54,10 @@ def excitation(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
                 "separate them",
             )
         else:
-            yield Finding("ok", "inputs", _told(v.name, v.unit, p))
+            yield Finding("ok", "inputs", _described(v.name, v.unit, p))
 
 
-def _told(name: str, unit: str, p: Played) -> str:
+def _described(name: str, unit: str, p: Played) -> str:
     grid = ", odd ones only" if p.odd else ""
     what = f"{p.lines} lines from {p.band[0]:.4g} to {p.band[1]:.4g} Hz{grid}, {p.periods} periods" if p.periods > 1 else (
         f"a non-periodic excitation, mainly from {p.band[0]:.4g} to {p.band[1]:.4g} Hz"

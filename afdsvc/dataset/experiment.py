@@ -71,7 +71,7 @@ def prepare(model: Model, traces: Sequence[Trace]) -> list[Run]:
 
 
 def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:
-    U = np.column_stack([_column(trace, f"u_{v.name}") for v in model.inputs])
+    U = np.column_stack([np.zeros((len(trace), 0)), *(_column(trace, f"u_{v.name}") for v in model.inputs)])
     Y = np.column_stack([_column(trace, f"y_{v.name}") for v in model.outputs])
     n = len(trace)
     if n < 50:
@@ -123,7 +123,7 @@ def _driver(trace: Trace, U: Array, REF: Array) -> Array:
     """Return the signal that would show the repetition of the excitation best: alpha, else the reference, else the input."""
     alpha = np.nan_to_num(trace.role("alpha"))
     for signal in (alpha, REF):
-        if signal.size and np.ptp(signal, axis=0).max() > 0:
+        if signal.size and np.ptp(signal, axis=0).max(initial=0.0) > 0:
             return signal
     return U
 

@@ -1,6 +1,8 @@
-"""Settled periods of a residual, and the running median over neighbouring lines."""
+"""Settled periods of a residual, what differs between them, and the running median over neighbouring lines."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -32,6 +34,15 @@ def _bridged(folded: Array) -> Array | None:
     if np.isinf(folded).any() or missing.mean() > FEW or missing.all(0).any():
         return None
     return np.where(missing, np.nanmean(folded, axis=0), folded) if missing.any() else folded
+
+
+def wandering(runs: Sequence[Run], residuals: Sequence[Array]) -> list[Array]:
+    """Return the part of each period that does not repeat, ``(period, p)`` each, scaled to the variance of the noise.
+
+    Empty when no run holds two settled periods without gaps.
+    """
+    folded = [f for run, e in zip(runs, residuals, strict=True) if (f := fold(run, e)) is not None]
+    return [x for f in folded for x in (f - f.mean(0)) * np.sqrt(len(f) / (len(f) - 1))]
 
 
 def running_median(size: Array, width: int) -> Array:

@@ -6,11 +6,13 @@ alpha, beta and the reference leaves the linear relations between them as they a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from afdsvc.api.signals import Trace
+from afdsvc.dataset.experiment import Run
 from afdsvc.lti.statespace import Array
 
 ANGLE = "aux_angle"
@@ -34,3 +36,15 @@ def _without(waves: Array, signals: Array) -> Array:
     # the mean stays: it is the operating point, and no wave is to be fitted to it
     level = signals.mean(axis=0)
     return np.asarray(signals - waves @ np.linalg.lstsq(waves, signals - level, rcond=None)[0])
+
+
+def speeds(runs: Sequence[Run]) -> list[float]:
+    """Return the mean rotor speed [rad/s] of every run that recorded it (or the rotor's angle)."""
+    found = []
+    for r in runs:
+        if "speed" in r.aux:
+            found.append(float(np.abs(r.AUX[:, r.aux.index("speed")].mean())))
+        elif "angle" in r.aux:
+            turned = np.unwrap(r.AUX[:, r.aux.index("angle")])
+            found.append(float(abs(turned[-1] - turned[0]) / (max(len(r) - 1, 1) * r.dt)))
+    return [s for s in found if s > 0]

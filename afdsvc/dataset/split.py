@@ -1,4 +1,4 @@
-"""Split of the recordings into training, selection and held-out parts."""
+"""What is fitted and what is held out: the recordings sorted into the two."""
 
 from __future__ import annotations
 
@@ -7,43 +7,31 @@ from dataclasses import dataclass
 
 from afdsvc.dataset.experiment import Run
 
-SELECT_SHARE = 1 / 3  # of what is not held out, when there are too few recordings to keep whole ones back
 HELD_SHARE = 1 / 3  # of a single recording
 
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """Runs to fit, to choose by, and to report on."""
+    """Runs to fit, and runs to report on."""
 
     train: tuple[Run, ...]
-    select: tuple[Run, ...]
     heldout: tuple[Run, ...]
 
     @property
     def heldout_names(self) -> tuple[str, ...]:
         """What was never used in fitting, by recording and, where it is a part of one, its span in seconds."""
-        names = [r.name for r in (*self.train, *self.select)]
+        names = [r.name for r in self.train]
         return tuple(_span(r) if r.name in names else r.name for r in self.heldout)
 
 
 def split(runs: Sequence[Run], holdout: Sequence[Run]) -> Split:
-    """Return the roles: the holdout as given, else the last recording (the last third of a single one).
-
-    Of three or more recordings left the last quarter (at least one) selects; of fewer, the last third of each.
-    """
-    left = list(runs)
+    """Return the roles: the holdout as given, else the last recording, or the last third of a single one."""
     if holdout:
-        held = list(holdout)
-    elif len(left) > 1:
-        held = [left.pop()]
-    else:
-        kept, last = parts(left[0], 1 - HELD_SHARE)
-        left, held = [kept], [last]
-    if len(left) >= 3:
-        count = max(1, len(left) // 4)
-        return Split(tuple(left[:-count]), tuple(left[-count:]), tuple(held))
-    pairs = [parts(r, 1 - SELECT_SHARE) for r in left]
-    return Split(tuple(a for a, _ in pairs), tuple(b for _, b in pairs), tuple(held))
+        return Split(tuple(runs), tuple(holdout))
+    if len(runs) > 1:
+        return Split(tuple(runs[:-1]), (runs[-1],))
+    first, last = parts(runs[0], 1 - HELD_SHARE)
+    return Split((first,), (last,))
 
 
 def parts(run: Run, share: float) -> tuple[Run, Run]:

@@ -18,7 +18,7 @@ ERR = Console(stderr=True, markup=False, emoji=False)
 
 
 @contextmanager
-def progress(what: str, total: float) -> Iterator[Callable[[float], None]]:
+def progress(what: str, total: float) -> Iterator[Callable[[float | None], None]]:
     """Show a progress bar on a terminal's stderr; the value handed out takes what is done so far."""
     columns = (
         TextColumn("{task.description}"),
@@ -246,6 +246,10 @@ def explain_table(document: dict[str, Any]) -> None:
         OUT.print(f"where: {place['evidence']}", soft_wrap=True)
     for named in document["named"]:
         OUT.print(f"{named['weight']:.3f}  {named['sentence']}", soft_wrap=True)
+    for near in document["candidates"]:
+        OUT.print(f"not claimed: {near['sentence']}", soft_wrap=True)
+    if document["law"]:
+        OUT.print(f"law: {document['law']['sentence']}", soft_wrap=True)
     if document["next_experiment"]:
         OUT.print(f"next experiment: {document['next_experiment']['sentence']}", soft_wrap=True)
     title = f"|y - yhat| / |y - mean| on {', '.join(document['fit']['heldout'])}"

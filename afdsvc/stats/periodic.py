@@ -57,19 +57,6 @@ def repeating(runs: Sequence[Run], whitened: Sequence[Array], top: float) -> Rep
     return Repeating(_share(everything), kinds, each, sum(s.size for s, _, _, _ in parts))
 
 
-def repeated(run: Run, w: Array, beside: Array) -> Array:
-    """Return the residual ``beside`` with what repeats in it replaced by what repeats in ``w``, both ``(n, p)``.
-
-    ``w`` itself where nothing repeats. The periods before the settled ones stay as they are in ``beside``.
-    """
-    ours, other = fold(run, w), fold(run, beside)
-    if ours is None or other is None:
-        return w
-    shifted = beside.copy()
-    shifted[len(w) - ours.shape[0] * ours.shape[1] :] += np.tile(ours.mean(0) - other.mean(0), (len(ours), 1))
-    return shifted
-
-
 def _lines(run: Run, w: Array, top: float) -> tuple[Array, Array, dict[str, BoolArray], int] | None:
     """Return per line and output the power of the mean (times periods), of the scatter, the masks of kinds, and periods - 1."""
     folded, drive = fold(run, w), fold(run, run.U)

@@ -21,7 +21,7 @@ from scipy.linalg import expm
 from scipy.optimize import minimize
 
 from afdsvc.api.signals import Trace
-from afdsvc.explain.explain import explain
+from afdsvc.explain.pipeline import explain
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.tables.tables import read_table
 from afdsvc.plugins.physics import afdsvc_physics
@@ -81,7 +81,7 @@ def found(folder: Path, trace: Trace) -> np.ndarray:
     """Return what `explain` makes of the recording, in the same parameters."""
     answer = explain(read_model(folder / "model.toml"), [trace], [read_table(folder / "pulses.csv")], afdsvc_physics())
     plant, effects = answer.nominal.at(answer.point.theta), {e.hypothesis.physics: e.values for e in answer.point.effects}
-    return np.array([-plant.A[1, 1], plant.B[1, 0], effects["coulomb_friction"][0], effects["constant_load"][0], 0.0])
+    return np.array([-plant.A[1, 1], plant.B[1, 0], effects["coulomb_friction"][0], effects.get("constant_load", effects.get("nuisance", [0.0]))[0], 0.0])
 
 
 def main() -> None:

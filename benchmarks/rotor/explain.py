@@ -13,7 +13,7 @@ import time
 
 import numpy as np
 
-from afdsvc.explain.explain import explain
+from afdsvc.explain.pipeline import explain
 from afdsvc.files.model.model_file import parse_model
 from afdsvc.plugins.manager import load
 from afdsvc.trial.generate import generate

@@ -10,8 +10,8 @@ from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.dataset.glitches import Glitch, glitches
 from afdsvc.dataset.periods import fold
-from afdsvc.explain.check import check
-from afdsvc.explain.explain import explain
+from afdsvc.explain.check.check import check
+from afdsvc.explain.pipeline import explain
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
@@ -127,7 +127,7 @@ def test_what_recurs_is_kept_in_what_is_prepared():
 
 def test_the_noise_is_that_of_the_other_samples():
     *given, held = (recording(k, (207 + 111 * k, 1261 + 37 * k)) for k in range(4))
-    answer = explain(MODEL, given, [held], afdsvc_physics(), rehearse=False)
+    answer = explain(MODEL, given, [held], afdsvc_physics(), experiment=False)
     assert answer.verdict == "consistent"
     assert answer.noise_floor == pytest.approx((NOISE,), rel=0.05)
 

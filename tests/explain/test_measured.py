@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from afdsvc.api.signals import Trace
-from afdsvc.explain.explain import explain
-from afdsvc.explain.explanation import Explanation
-from afdsvc.explain.prediction import Player
-from afdsvc.explain.simulator import Simulator
+from afdsvc.explain.pipeline import explain
+from afdsvc.explain.report.explanation import Explanation
+from afdsvc.explain.simulate.steps import steps
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.tables.tables import read_table
 from afdsvc.lti.statespace import Array
@@ -62,11 +61,7 @@ def force_error(answer: Explanation, trace: Trace) -> float:
     ref, u, q = (trace.column(c) for c in ("ref_position", "u_force", "y_position"))
     commanded = _commands(ref, q, dt)
     added = u - commanded
-    player = Player("from the inputs", Simulator(nominal, np.zeros((nominal.plant.order, 1))))
-    from afdsvc.explain.nominal import steps  # one step of the model at a time: the loop is closed here, not in the simulation
-
-    s = steps(nominal.at(point.theta), dt)
-    assert player.simulator.nominal is nominal
+    s = steps(nominal.at(point.theta), dt)  # one step of the model at a time: the loop is closed here, not in the simulation
     x, forces = np.array([q[0], 0.0]), np.zeros(n)
     memories = [np.zeros(e.hypothesis.memory) for e in point.effects]
     previous = q[0]

@@ -12,8 +12,9 @@ from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.dataset.split import split
 from afdsvc.errors import BadInput
-from afdsvc.explain.explain import explain
-from afdsvc.explain.nominal import continuous, nominal
+from afdsvc.explain.pipeline import explain
+from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.explain.simulate.steps import continuous
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
@@ -79,11 +80,11 @@ def test_recordings_of_different_rates_are_refused_by_name():
 def test_what_is_held_out_is_never_fitted():
     (run,) = prepare(model(), [recording(0)])
     one = split([run], [])
-    assert sum(len(r) for r in (*one.train, *one.select, *one.heldout)) == len(run)
-    assert one.heldout[0].t0 >= one.select[0].t0 + (len(one.select[0]) - 1) * DT
+    assert sum(len(r) for r in (*one.train, *one.heldout)) == len(run)
+    assert one.heldout[0].t0 >= one.train[0].t0 + (len(one.train[0]) - 1) * DT
     runs = prepare(model(), [recording(k) for k in range(5)])
     many = split(runs[:4], runs[4:])
-    assert [len(x) for x in (many.train, many.select, many.heldout)] == [3, 1, 1]
+    assert [len(x) for x in (many.train, many.heldout)] == [4, 1]
 
 
 def pair(dead: bool = False) -> tuple[Model, list[Trace]]:
@@ -108,14 +109,14 @@ def beside_rest(trace: Trace, seed: int, dead: bool) -> Trace:
 
 def test_an_input_on_which_nothing_is_played_is_told_and_no_obstacle():
     both, (*given, held) = pair()
-    answer = explain(both, given, [held], afdsvc_physics(), rehearse=False)
+    answer = explain(both, given, [held], afdsvc_physics(), experiment=False)
     assert any("is not excited" in s for s in answer.check)
 
 
 def test_a_sensor_that_never_moves_is_refused_by_name():
     both, (*given, held) = pair(dead=True)
     with pytest.raises(BadInput, match=r"y_\w+b reads 0 .* in every sample"):
-        explain(both, given, [held], afdsvc_physics(), rehearse=False)
+        explain(both, given, [held], afdsvc_physics(), experiment=False)
 
 
 @pytest.mark.parametrize(("which", "spoil", "said"), [
@@ -127,21 +128,21 @@ def test_a_recording_without_readings_is_refused_by_name(which, spoil, said):
     traces = [recording(k) for k in range(3)]
     traces[which] = replace(traces[which], values=np.column_stack([traces[which].values[:, 0], np.full(len(traces[which]), spoil)]))
     with pytest.raises(BadInput, match=said):
-        explain(model(), traces[:2], traces[2:], afdsvc_physics(), rehearse=False)
+        explain(model(), traces[:2], traces[2:], afdsvc_physics(), experiment=False)
 
 
 def test_an_infinite_reading_is_refused_with_its_place():
     trace = recording(0)
     trace.values[123, 1] = np.inf
     with pytest.raises(BadInput, match="r0: y_position is infinite at sample 123"):
-        explain(model(), [trace, recording(1)], [recording(2)], afdsvc_physics(), rehearse=False)
+        explain(model(), [trace, recording(1)], [recording(2)], afdsvc_physics(), experiment=False)
 
 
 def test_gaps_in_another_signal_are_bridged_and_told():
     traces = [with_speed(recording(k), gap=slice(100, 140) if k == 0 else slice(0)) for k in range(3)]
     run = prepare(model(), traces)[0]
     assert run.AUX[100:140, 0] == pytest.approx(np.arange(100, 140) / 10)
-    answer = explain(model(), traces[:2], traces[2:], afdsvc_physics(), rehearse=False)
+    answer = explain(model(), traces[:2], traces[2:], afdsvc_physics(), experiment=False)
     assert "r0: aux_speed lacks 40 of 2000 samples; they are interpolated linearly" in answer.check
     lost = with_speed(recording(0), gap=slice(0, 2000))
     with pytest.raises(BadInput, match="r0: aux_speed has no value at all"):
@@ -157,7 +158,7 @@ def with_speed(trace: Trace, gap: slice) -> Trace:
 def test_recordings_without_any_noise_have_no_coloured_noise():
     """Two simulators compared with each other: what is left is rounding."""
     traces = [replace(t, values=np.column_stack([t.values[:, 0], simulate(sample_zoh(PLANT, DT), t.values[:, :1])[0][:, 0]])) for t in map(recording, range(3))]
-    answer = explain(model(), traces[:2], traces[2:], afdsvc_physics(), rehearse=False)
+    answer = explain(model(), traces[:2], traces[2:], afdsvc_physics(), experiment=False)
     assert (answer.verdict, answer.named) == ("consistent", ())
 
 
@@ -166,6 +167,6 @@ def test_without_any_noise_a_constant_is_no_rounding():
         return replace(t, values=np.column_stack([t.values[:, 0], 0.1 + simulate(sample_zoh(PLANT, DT), t.values[:, :1])[0][:, 0]]))
 
     traces = [shifted(t) for t in map(recording, range(3))]
-    answer = explain(model(), traces[:2], traces[2:], afdsvc_physics(), rehearse=False)
+    answer = explain(model(), traces[:2], traces[2:], afdsvc_physics(), experiment=False)
     assert answer.verdict == "omitted_physics"
     assert {"sensor_offset", "constant_load"} & {n.physics for n in answer.named}

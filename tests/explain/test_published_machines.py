@@ -8,7 +8,7 @@ from numba import njit
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
-from afdsvc.explain.explain import explain
+from afdsvc.explain.pipeline import explain
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import afdsvc_physics
 
@@ -61,7 +61,7 @@ def linear(stiffness: float, known: float) -> Model:
 def test_the_hysteretic_benchmark_is_told_and_fitted_to_the_noise():
     """From the model linearised at rest, known to 30 %: one loop, and on the held-out recording nearly the noise floor."""
     model = linear(STIFFNESS + ALPHA, 0.3)
-    answer = explain(model, [recording(1, 50.0), recording(2, 25.0), recording(4, 37.0)], [recording(3, 50.0)], afdsvc_physics(), rehearse=False)
+    answer = explain(model, [recording(1, 50.0), recording(2, 25.0), recording(4, 37.0)], [recording(3, 50.0)], afdsvc_physics(), experiment=False)
     assert (answer.named[0].physics, answer.named[0].site) == ("hysteresis", "state:v")
     assert {n.physics for n in answer.named if n.effect == 1} == {"hysteresis"}
     assert answer.fit[0].before_nrmse > 1

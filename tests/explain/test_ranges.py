@@ -7,7 +7,7 @@ import pytest
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
-from afdsvc.explain.explain import explain
+from afdsvc.explain.pipeline import explain
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
@@ -41,6 +41,6 @@ def test_a_drive_that_is_slow_within_the_step_alone_is_a_slew_limit():
     rate = 8.0 / DT
     *given, held = [slewed(seed, level, rate) for seed, level in enumerate((1.0, 0.6, 0.8))]
     assert max(np.abs(np.diff(r.values[:, 0])).max() for r in given) / DT < rate
-    answer = explain(spring(), given, [held], LIBRARY, rehearse=False)
+    answer = explain(spring(), given, [held], LIBRARY, experiment=False)
     assert (answer.named[0].physics, answer.named[0].site) == ("slew_limit", "input:force")
     assert answer.named[0].parameters["rate"].value == pytest.approx(rate, rel=0.15)

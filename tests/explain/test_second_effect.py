@@ -7,7 +7,7 @@ import pytest
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
-from afdsvc.explain.explain import explain
+from afdsvc.explain.pipeline import explain
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
@@ -35,6 +35,6 @@ def recording(seed: int) -> Trace:
 
 def test_what_follows_a_signal_that_moves_for_a_moment_is_named_beside_another():
     *given, held = map(recording, range(5))
-    answer = explain(MODEL, given, [held], afdsvc_physics(), rehearse=False)
+    answer = explain(MODEL, given, [held], afdsvc_physics(), experiment=False)
     assert {n.physics for n in answer.named if n.weight > 0.3} >= {"static_nonlinearity", "gain_follows_aux"}, answer.sentences
     assert answer.fit[0].after_nrmse == pytest.approx(answer.fit[0].noise_floor_nrmse, rel=0.1)

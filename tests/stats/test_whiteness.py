@@ -38,7 +38,7 @@ def test_portmanteau_equals_ljung_box_for_one_output():
     [
         (lambda x: x[1:] + 0.4 * x[:-1], "standard deviation|not white"),
         (lambda x: 1.2 * x, "1.2 times the stated"),
-        (lambda x: x + 0.15, "not centred|standard deviation|not white"),
+        (lambda x: x + 0.15, "mean of|standard deviation|not white"),
     ],
 )
 def test_each_departure_is_named(spoil, words):

@@ -162,7 +162,7 @@ def _friction(laws, plan, par, mem, s, work, dt, base, x, new, gxt, first, last)
                 new[j] += r * first[q] * gxt[plan[i, READS + MOST_SIGNALS + q], j]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def _affine(At, x, Bt, u, out):  # type: ignore[no-untyped-def]
     """Write ``A x + B u`` into ``out``; matrices transposed, so the inner loops run along memory."""
     out[:] = 0.0
@@ -176,7 +176,7 @@ def _affine(At, x, Bt, u, out):  # type: ignore[no-untyped-def]
             out[i] += Bt[j, i] * uj
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def _middle(phih, x, gamh, ue, rows, base, s):  # type: ignore[no-untyped-def]
     """Predict the states ``rows`` half a step ahead, into the signals."""
     for i in rows:
@@ -188,7 +188,7 @@ def _middle(phih, x, gamh, ue, rows, base, s):  # type: ignore[no-untyped-def]
         s[base + i] = a
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def _between(U, k, w, out):  # type: ignore[no-untyped-def]
     """Write the cubic through four samples around ``k``, at ``w`` of the way from sample k to k + 1."""
     N = U.shape[0]
@@ -201,13 +201,13 @@ def _between(U, k, w, out):  # type: ignore[no-untyped-def]
         out[j] = l0 * U[a, j] + l1 * U[k, j] + l2 * U[b, j] + l3 * U[c, j]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _call(function, t, x, u, values, out):  # type: ignore[no-untyped-def]
     """Call Python code by its address."""
     _call_dynamics(function, t, x.ctypes.data, u.ctypes.data, values.ctypes.data, out.ctypes.data)  # type: ignore[call-arg]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _runge_kutta(rate, t, h, x, u, values, f, k1, ks, xs, new):  # type: ignore[no-untyped-def]
     """Write the state after ``h`` into ``new``: ``dx/dt = rate + f``; ``k1`` is the rate at the start, without ``f``."""
     for i in range(x.size):

@@ -145,7 +145,7 @@ def _point(model: Model, values: Array, inputs: Array | None) -> tuple[Array, Ar
 
 def _linear(model: Model, point: tuple[Array, Array], values: Array) -> StateSpace:
     """Return the linearisation of Python code, or the linear part the code itself offers; zero where it has no slope."""
-    if model.plant is not None:
+    if model.plant is not None and model.plant.order == len(model.states):
         return model.plant
     code = program(model)
     A, B = linearised(code.rate, *point, values)

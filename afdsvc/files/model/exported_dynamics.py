@@ -1,16 +1,18 @@
-"""A linear plant with laws at its inputs, forces and outputs as a Python simulator; needs numpy and scipy, nothing else.
+"""A plant, matrices or Python code, with laws at its inputs, forces and outputs as a Python simulator; needs numpy, nothing else.
 
 The text below this line is copied into the file beside an improved MODEL.toml, so that the file runs anywhere.
 """
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.linalg import expm
 
 
 @dataclass(frozen=True)
@@ -51,13 +53,27 @@ class Signals:
         return np.array([self.t if kind == "t" else getattr(self, kind)[i] for kind, i in law.reads], dtype=float)
 
 
+def code(folder: Path, reference: str) -> Any:
+    """Return the object ``file.py:name``, relative to the folder, or ``package.module:name``."""
+    place, _, name = reference.rpartition(":")
+    if not place.endswith(".py"):
+        return getattr(importlib.import_module(place), name)
+    spec = importlib.util.spec_from_file_location("nominal", folder / place)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{folder / place} is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return getattr(module, name)
+
+
 @dataclass
 class Dynamics:
     """``A, B, C, D`` (continuous, or sampled every ``plant_dt``) and the laws.
 
-    ``aux`` holds the mean of every auxiliary signal; ``p["aux_NAME"]``, where given, is its value at the moment.
-
-    ``dt`` is the sample time of the recordings, ``substeps`` the steps per sample.
+    ``nominal`` is Python code with ``f`` and ``h`` that is simulated instead, the matrices then being its linear part. ``aux``
+    holds the mean of every auxiliary signal; ``p["aux_NAME"]``, where given, is its value at the moment. ``dt`` is the sample
+    time of the recordings, ``substeps`` the steps per sample, ``held`` what one such step makes of state, input and force, and
+    half a step of state and input.
     """
 
     A: np.ndarray
@@ -69,11 +85,21 @@ class Dynamics:
     substeps: int = 1
     aux: Mapping[str, float] = field(default_factory=dict)
     plant_dt: float = 0.0
+    held: tuple[np.ndarray, ...] = ()
+    nominal: Any = None
 
     @property
     def linear(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
         """The plant without its laws, for whoever needs a linear model: A, B, C, D and its sample time (0: continuous)."""
         return self.A, self.B, self.C, self.D, self.plant_dt
+
+    def _rate(self, t: float, x: np.ndarray, u: np.ndarray, p: Mapping[str, float]) -> np.ndarray:
+        """Return the rates of change of the states without laws (the next states of sampled code)."""
+        return np.asarray(self.A @ x + self.B @ u if self.nominal is None else self.nominal.f(t, x, u, p), dtype=float).reshape(-1)
+
+    def _output(self, t: float, x: np.ndarray, u: np.ndarray, p: Mapping[str, float]) -> np.ndarray:
+        """Return the outputs without laws."""
+        return np.asarray(self.C @ x + self.D @ u if self.nominal is None else self.nominal.h(t, x, u, p), dtype=float).reshape(-1)
 
     def _signals(self, t: float, x: np.ndarray, u: np.ndarray, p: Mapping[str, float]) -> Signals:
         aux = np.array([p.get(f"aux_{name}", mean) for name, mean in self.aux.items()], dtype=float)
@@ -103,10 +129,10 @@ class Continuous(Dynamics):
     def f(self, t: float, x: np.ndarray, u: np.ndarray, p: Mapping[str, float]) -> np.ndarray:
         """Return the rates of change of the states."""
         s, none = self._signals(t, x, u, p), [np.zeros(0)] * len(self.laws)
-        step = self.dt / self.substeps  # some laws round their corners so that this step can follow them
+        step = 0.5 * self.dt / self.substeps  # friction rounds its jump so that Runge-Kutta steps of twice this length can follow it
         acting = s.u.copy()
         self._apply("input", s, acting, p, step, none)
-        rates: np.ndarray = self.A @ s.x + self.B @ acting
+        rates = self._rate(t, s.x.copy(), acting, p)
         self._apply("force", s, rates, p, step, none)
         return rates
 
@@ -115,7 +141,7 @@ class Continuous(Dynamics):
         s, none = self._signals(t, x, u, p), [np.zeros(0)] * len(self.laws)
         acting = s.u.copy()
         self._apply("input", s, acting, p, self.dt, none)
-        y: np.ndarray = self.C @ s.x + self.D @ acting
+        y = self._output(t, s.x.copy(), acting, p)
         s.y[:] = y
         self._apply("output", s, y, p, self.dt, none)
         return y
@@ -142,7 +168,7 @@ class Sampled(Dynamics):
         command, acting, direct = s.u.copy(), s.u.copy(), bool(self.D.any())
         if direct:  # the input reaches the output at once, so its laws come first
             self._apply("input", s, acting, p, self.dt, memory)
-        y = self.C @ state + (self.D @ acting if direct else 0.0)
+        y = self._output(t, state.copy(), acting, p)
         s.y[:], s.u[:] = y, x[len(x) - m :]
         self._apply("output", s, y, p, self.dt, memory)
         s.u[:] = acting
@@ -163,33 +189,33 @@ class Sampled(Dynamics):
     def _step(
         self, s: Signals, state: np.ndarray, acting: np.ndarray, p: Mapping[str, float], memory: Sequence[np.ndarray]
     ) -> np.ndarray:
-        """Advance the plant exactly, forces taken at the predicted middle of the step and held over it."""
-        phi, gam, gx, phih, gamh = self._matrices()
-        new: np.ndarray = phi @ state + gam @ acting
-        if "force" in self._stages():
+        """Advance the plant, forces taken at the predicted middle of the step and held over it."""
+        phi, gam, gx, phih, gamh = self.held
+        step, push = self.dt / self.substeps, np.zeros(len(state))
+        rate = None if self.nominal is None else self._rate(s.t, state.copy(), acting, p)
+        if rate is None:
+            new: np.ndarray = phi @ state + gam @ acting
             middle = sorted({i for law in self.laws if law.stage == "force" for kind, i in law.reads if kind == "x"})
             s.x[middle] = (phih @ state + gamh @ acting)[middle]
-            push = np.zeros(len(state))
-            self._apply("force", s, push, p, self.dt / self.substeps, memory)
-            new += gx @ push
-        return new
+        elif self.plant_dt:
+            new = rate
+            s.x[:] = (state + new) / 2
+        else:
+            s.x[:] = state + step / 2 * rate
+        self._apply("force", s, push, p, step, memory)
+        if rate is None or self.plant_dt:
+            return np.asarray(new + gx @ push)
+        return self._runge_kutta(s.t, step, state, acting, p, push, rate)
+
+    def _runge_kutta(
+        self, t: float, step: float, x: np.ndarray, u: np.ndarray, p: Mapping[str, float], push: np.ndarray, rate: np.ndarray
+    ) -> np.ndarray:
+        a = rate + push
+        b = self._rate(t + step / 2, x + step / 2 * a, u, p) + push
+        c = self._rate(t + step / 2, x + step / 2 * b, u, p) + push
+        d = self._rate(t + step, x + step * c, u, p) + push
+        return np.asarray(x + step / 6 * (a + 2 * b + 2 * c + d))
 
     def _memories(self, together: np.ndarray) -> list[np.ndarray]:
         ends = np.cumsum([law.memory for law in self.laws])[:-1]
         return [part.copy() for part in np.split(together, ends)]
-
-    def _matrices(self) -> tuple[np.ndarray, ...]:
-        if not hasattr(self, "_held"):
-            self._held = (*_over(self, self.dt / self.substeps), *_over(self, self.dt / self.substeps / 2)[:2])
-        return self._held
-
-
-def _over(plant: Dynamics, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what a step makes of state, held input and held force; a sampled plant takes its own step as it is."""
-    n, m = plant.B.shape
-    if plant.plant_dt:
-        return plant.A, plant.B, np.eye(n) * plant.plant_dt
-    big = np.zeros((2 * n + m, 2 * n + m))
-    big[:n] = np.hstack([plant.A, plant.B, np.eye(n)])
-    e = expm(big * step)
-    return e[:n, :n], e[:n, n : n + m], e[:n, n + m :]

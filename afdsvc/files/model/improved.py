@@ -12,10 +12,13 @@ import numpy as np
 
 from afdsvc.api.model import Model, Quantity, Variable
 from afdsvc.api.physics import Coefficient, Hypothesis
-from afdsvc.explain.explanation import Explanation
-from afdsvc.explain.simulator import Effect
+from afdsvc.explain.report.explanation import Explanation
+from afdsvc.explain.search.nuisance import NUISANCE
+from afdsvc.explain.search.problem import Point
+from afdsvc.explain.simulate.effects import Effect
+from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.files.model import exported_dynamics
-from afdsvc.files.model.model_file import DYNAMICS, write_model
+from afdsvc.files.model.model_file import DYNAMICS, relative_code, write_model
 from afdsvc.lti.statespace import Array, StateSpace
 
 OBJECT = "model"
@@ -24,16 +27,41 @@ OBJECT = "model"
 def write_improved(explanation: Explanation, path: Path, aux: Mapping[str, float]) -> list[Path]:
     """Write the improved model as ``path`` (and ``path`` with the suffix .py when it is not linear); return what was written.
 
-    ``aux`` holds the mean of every auxiliary signal of the recordings, sorted by name as the laws count them.
+    A Python simulator stays the code it is: its parameters move, and laws are added to it in a file that names it. Offsets and
+    unknown loads belong to the recordings and are not written. ``aux`` holds the mean of every auxiliary signal of the
+    recordings, sorted by name as the laws count them.
     """
-    if explanation.improved is not None:
-        write_model(_linear(explanation, explanation.improved), path)
+    effects = tuple(e for e in explanation.point.effects if e.hypothesis.family != NUISANCE)
+    explanation = replace(explanation, point=replace(explanation.point, effects=effects))
+    nominal, point = explanation.nominal, explanation.point
+    if nominal.python and not point.effects:
+        write_model(replace(nominal.moved(point.theta), output_sd=_noise(explanation), raw=""), path)
         return [path]
-    code = path.with_suffix(".py")
-    model, text = dynamics(explanation, code.name, aux)
-    code.write_text(text, encoding="utf-8")
+    plant = None if nominal.python else linear_plant(nominal, point)
+    if plant is not None:
+        write_model(_linear(explanation, plant), path)
+        return [path]
+    file = path.with_suffix(".py")
+    model, text = dynamics(explanation, file, aux)
+    file.write_text(text, encoding="utf-8")
     write_model(replace(model, origin=str(path)), path)
-    return [path, code]
+    return [path, file]
+
+
+def linear_plant(nominal: Nominal, point: Point) -> StateSpace | None:
+    """Return the plant at a point with its linear effects built in; None when an effect is not linear.
+
+    Effects are built in from the sensors inwards and from the inputs outwards, so that row and column numbers of the machine
+    stay valid: extensions append states and keep the order of inputs and outputs.
+    """
+    plant = nominal.at(point.theta)
+    order = {"force": 0, "input": 1, "output": 2}
+    for effect in sorted(point.effects, key=lambda e: order[e.hypothesis.stage]):
+        build = effect.hypothesis.linear
+        if build is None or plant.discrete:
+            return None
+        plant = build(plant, [float(v) for v in effect.values])
+    return plant
 
 
 def _linear(explanation: Explanation, plant: StateSpace) -> Model:
@@ -60,7 +88,7 @@ def _noise(explanation: Explanation) -> Array | None:
     return np.array(floor, dtype=np.float64)
 
 
-def dynamics(explanation: Explanation, file: str, aux: Mapping[str, float]) -> tuple[Model, str]:
+def dynamics(explanation: Explanation, file: Path, aux: Mapping[str, float]) -> tuple[Model, str]:
     """Return the model whose dynamics are in ``file`` (beside it) and the text of that file."""
     old, effects = explanation.nominal.model, explanation.point.effects
     plant = explanation.nominal.at(explanation.point.theta)
@@ -73,9 +101,9 @@ def dynamics(explanation: Explanation, file: str, aux: Mapping[str, float]) -> t
     model = replace(
         old, states=states, plant=None, sample_time=explanation.nominal.dt if remembers else 0.0,
         parameters=_parameters(explanation, plant), entry_sd={}, process_cov=None, output_sd=_noise(explanation),
-        extra={DYNAMICS: f"{file}:{OBJECT}"}, raw="",
+        extra={DYNAMICS: f"{file.name}:{OBJECT}"}, raw="",
     )
-    return model, _text(explanation, plant, "Sampled" if remembers else "Continuous", aux)
+    return model, _text(explanation, plant, "Sampled" if remembers else "Continuous", aux, file.parent)
 
 
 def _goes_by_samples(hypothesis: Hypothesis) -> bool:
@@ -86,7 +114,8 @@ def _goes_by_samples(hypothesis: Hypothesis) -> bool:
 def _parameters(explanation: Explanation, plant: StateSpace) -> dict[str, Quantity]:
     """Return what was found, by name, in people's units, with its standard deviation relative to the value."""
     sds = {(n.physics, n.site, name): e.sd for n in explanation.named for name, e in n.parameters.items()}
-    found = {}
+    nominal = explanation.nominal
+    found = dict(nominal.moved(explanation.point.theta).parameters) if nominal.python else {}
     for effect in explanation.point.effects:
         h = effect.hypothesis
         for name, c, value in zip(_names(effect), h.parameters, effect.values, strict=True):
@@ -108,7 +137,7 @@ def _factor(c: Coefficient, plant: StateSpace) -> float:
     return 1.0 if c.through is None or plant.B[c.through] == 0 else float(plant.B[c.through])
 
 
-def _text(explanation: Explanation, plant: StateSpace, kind: str, aux: Mapping[str, float]) -> str:
+def _text(explanation: Explanation, plant: StateSpace, kind: str, aux: Mapping[str, float], folder: Path) -> str:
     nominal, effects = explanation.nominal, explanation.point.effects
     labels, sources = _sources(effects)
     least = max([1, *(e.hypothesis.substeps for e in effects)])
@@ -121,12 +150,24 @@ def _text(explanation: Explanation, plant: StateSpace, kind: str, aux: Mapping[s
         "", _runtime(), "", "import math", "", "", "\n\n\n".join(sources), "",
     ]
     laws = [_law(e, label, plant) for e, label in zip(effects, labels, strict=True)]
-    matrices = [f"{name} = np.array({getattr(plant, name).tolist()!r}).reshape{getattr(plant, name).shape!r}" for name in "ABCD"]
+    matrices = [f"{name} = {_array(getattr(plant, name))}" for name in "ABCD"]
+    steps = nominal.steps(explanation.point.theta, least)
+    held = ", ".join(_array(getattr(steps, name)) for name in ("phi", "gam", "gx", "phih", "gamh"))
+    base = f", nominal=code(Path(__file__).parent, {_reference(nominal.model, folder)!r})" if nominal.python else ""
     last = (
-        f"{OBJECT} = {kind}(A, B, C, D, LAWS, dt={nominal.dt!r}, substeps={nominal.steps(explanation.point.theta, least).nsub}, "
-        f"aux={dict(aux)!r}, plant_dt={plant.dt!r})"
+        f"{OBJECT} = {kind}(A, B, C, D, LAWS, dt={nominal.dt!r}, substeps={steps.nsub}, aux={dict(aux)!r}, plant_dt={plant.dt!r},\n"
+        f"    held=({held}){base})"
     )
     return "\n".join([*head, "", *matrices, "LAWS = (", *laws, ")", last, ""])
+
+
+def _array(matrix: Array) -> str:
+    return f"np.array({matrix.tolist()!r}).reshape{matrix.shape!r}"
+
+
+def _reference(model: Model, folder: Path) -> str:
+    """Return where the code of the model is, seen from a folder."""
+    return relative_code(str(model.extra[DYNAMICS]), model.origin, folder)
 
 
 def _runtime() -> str:

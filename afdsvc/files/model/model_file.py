@@ -160,10 +160,15 @@ def _dynamics_keys(model: Model, folder: Path | None) -> dict[str, object]:
         return _matrix_keys(model.plant)
     if DYNAMICS not in model.extra:
         raise BadInput(f"model '{model.name}' has neither matrices nor a file its dynamics come from")
-    file, name = str(model.extra[DYNAMICS]).rsplit(":", 1)
-    if folder is not None and model.origin:
-        file = os.path.relpath((Path(model.origin).parent / file).resolve(), folder.resolve())
-    return {"dynamics": f"{file}:{name}"}
+    return {"dynamics": relative_code(str(model.extra[DYNAMICS]), model.origin, folder)}
+
+
+def relative_code(reference: str, origin: str, folder: Path | None) -> str:
+    """Return the reference ``file.py:name`` of a model read from ``origin`` as seen from ``folder``; modules keep their names."""
+    file, name = reference.rsplit(":", 1)
+    if folder is None or not origin or not file.endswith(".py"):
+        return reference
+    return f"{os.path.relpath((Path(origin).parent / file).resolve(), folder.resolve())}:{name}"
 
 
 def _uncertainty_keys(model: Model) -> dict[str, object]:

@@ -101,7 +101,7 @@ class ModelTable(LinearTable):
     """A whole MODEL.toml."""
 
     name: Annotated[str, Field(min_length=1)]
-    inputs: Annotated[list[VariableTable], Field(min_length=1)]
+    inputs: list[VariableTable]
     outputs: Annotated[list[VariableTable], Field(min_length=1)]
     states: list[StateTable] = Field(default_factory=list)
     dynamics: Annotated[str, Field(pattern=r"^.+(\.py:[A-Za-z_]\w*|\.fmu)$")] | None = None

@@ -10,15 +10,15 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, select_autoescape
 
 from afdsvc import __version__
-from afdsvc.explain.explanation import Explanation
+from afdsvc.explain.report.explanation import Explanation
 from afdsvc.present.html import explain_pictures
 
 VERDICTS = {
-    "consistent": "Simulation and recordings agree: what is left is noise.",
-    "parameter_change": "The model's physics is complete, but a parameter is not what it says: {names}.",
+    "consistent": "Simulation and recordings agree: the residual is consistent with noise.",
+    "parameter_change": "No physics is missing; a parameter differs from its stated value: {names}.",
     "omitted_physics": "The model leaves out physics that the recordings show: {names}.",
-    "unexplained": "Simulation and recordings disagree, and none of the known hypotheses explains it well enough to be named.",
-    "insufficient_excitation": "These recordings do not excite the machine enough to tell.",
+    "unexplained": "Simulation and recordings differ, and no hypothesis of the library explains it well enough to be named.",
+    "insufficient_excitation": "These recordings do not excite the machine enough for an answer.",
 }
 LIBRARIES = ("numpy", "scipy", "numba")
 
@@ -32,6 +32,7 @@ def explain_page(explanation: Explanation, document: Mapping[str, Any]) -> str:
     return page.get_template("explain_page.html.j2").render(
         e=explanation, document=document, verdict=verdict_sentence(document), effects=_effects(document),
         courses=explain_pictures.courses(explanation), spectra=explain_pictures.spectra(explanation),
+        law=explain_pictures.law(explanation),
         softw=", ".join(f"{name} {version(name)}" for name in LIBRARIES), version=__version__,
     )
 

@@ -1,4 +1,4 @@
-"""Pictures of an explanation: measured beside simulated, what is left over, and its spectrum against the noise."""
+"""Pictures of an explanation: measured beside simulated, the residual, its spectrum against the noise, and the law."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from afdsvc.explain.explanation import Course, Explanation, Spectrum
+from afdsvc.explain.report.explanation import Course, Explanation, Spectrum
 from afdsvc.lti.statespace import Array
 
 MEASURED, BEFORE, AFTER, NOISE = "0.25", "#c8553d", "#1b6ca8", "#4a9c5d"
@@ -18,7 +18,7 @@ BANDS = 60  # bands per decade of a spectrum
 
 
 def courses(explanation: Explanation) -> str:
-    """Return the held-out recording: a close-up of measured and simulated, and what is left over the whole of it."""
+    """Return the held-out recording: a close-up of measured and simulated, and the residual over the whole of it."""
     held = [c for c in explanation.courses if c.role == "heldout"]
     if not held:
         return ""
@@ -27,7 +27,7 @@ def courses(explanation: Explanation) -> str:
     close = _close_up(course)
     for j, name in enumerate(names):
         _compared(axes[2 * j], course, close, j, name)
-        _left(axes[2 * j + 1], course, j, name)
+        _residual(axes[2 * j + 1], course, j, name)
     axes[0].legend(fontsize=7, frameon=False, ncols=3, loc="upper right")
     axes[1].legend(fontsize=7, frameon=False, ncols=2, loc="upper right")
     axes[-1].set_xlabel(f"time [s], {course.name}", fontsize=8)
@@ -41,10 +41,10 @@ def _compared(ax: Axes, course: Course, part: slice, j: int, name: str) -> None:
     _labelled(ax, name)
 
 
-def _left(ax: Axes, course: Course, j: int, name: str) -> None:
+def _residual(ax: Axes, course: Course, j: int, name: str) -> None:
     step = max(len(course.t) // 6000, 1)
-    ax.plot(course.t[::step], course.residual_before[::step, j], color=BEFORE, lw=0.6, label="left over before")
-    ax.plot(course.t[::step], course.residual_after[::step, j], color=AFTER, lw=0.6, label="left over after")
+    ax.plot(course.t[::step], course.residual_before[::step, j], color=BEFORE, lw=0.6, label="residual before")
+    ax.plot(course.t[::step], course.residual_after[::step, j], color=AFTER, lw=0.6, label="residual after")
     _labelled(ax, f"residual {name}")
 
 
@@ -58,6 +58,23 @@ def spectra(explanation: Explanation) -> str:
         _density(ax, s, f"{s.output} [({unit})²/Hz]" if unit else f"{s.output} [1/Hz]")
     axes[0].legend(fontsize=7, frameon=False, ncols=4, loc="upper right")
     axes[-1].set_xlabel("frequency [Hz]", fontsize=8)
+    return svg(figure)
+
+
+def law(explanation: Explanation) -> str:
+    """Return the free-form law with its band, and the named law beside it."""
+    found = explanation.law
+    if found is None:
+        return ""
+    figure, (ax,) = _axes(1, 1, 3.2)
+    ax.fill_between(found.x, found.low, found.high, color=AFTER, alpha=0.2, lw=0, label="95 % band")
+    ax.plot(found.x, found.y, "o-", color=AFTER, lw=1.3, ms=3, label="free-form law")
+    if found.named_y is not None:
+        ax.plot(found.x, found.named_y, color=BEFORE, lw=1.3, ls="--", label="named law")
+    ax.axhline(0.0, color=MEASURED, lw=0.5)
+    ax.set_xlabel(f"{found.against} [{found.x_unit}]" if found.x_unit else found.against, fontsize=8)
+    _labelled(ax, f"{found.site} [{found.unit}]" if found.unit else found.site)
+    ax.legend(fontsize=7, frameon=False)
     return svg(figure)
 
 

@@ -1,4 +1,4 @@
-"""An explanation in Rerun: every recording measured and simulated, what was left over before and after, and the verdict."""
+"""An explanation in Rerun: every recording measured and simulated, the residual before and after, and the verdict."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from afdsvc.errors import BadInput
-from afdsvc.explain.explanation import Course, Explanation
+from afdsvc.explain.report.explanation import Course, Explanation
 from afdsvc.lti.statespace import Array
 from afdsvc.present.rerun.blueprint import whole_range
 from afdsvc.present.rerun.paths import APPLICATION, SECONDS
@@ -64,11 +64,11 @@ def _series(recording: rr.RecordingStream, path: str, t: Array, values: Array, w
 
 
 def _words(e: Explanation) -> str:
-    named = "\n".join(f"- {n.sentence}" for n in e.named)
+    named = "\n".join(f"- {n.sentence}" for n in e.named) or "\n".join(f"- not claimed: {c.sentence}" for c in e.candidates)
     fit = "\n".join(f"- {f.output}: error {100 * f.before_nrmse:.3g} % before, {100 * f.after_nrmse:.3g} % after" for f in e.fit)
     where = "\n".join(f"- {p.evidence}" for p in e.located[:6])
-    told = "\n\n".join(e.sentences)
-    return f"# {e.verdict.replace('_', ' ')}\n\n{told}\n\n{named}\n\n## Held-out fit\n\n{fit}\n\n## Located\n\n{where}\n"
+    said = "\n\n".join(e.sentences)
+    return f"# {e.verdict.replace('_', ' ')}\n\n{said}\n\n{named}\n\n## Held-out fit\n\n{fit}\n\n## Located\n\n{where}\n"
 
 
 def _layout(labels: Mapping[str, Course], names: list[str], units: list[str]) -> rrb.Blueprint:

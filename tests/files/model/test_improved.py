@@ -11,12 +11,13 @@ import pytest
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.physics import Axis, Hypothesis, Machine, Size
 from afdsvc.dataset.experiment import Run
-from afdsvc.explain.explanation import Estimate, Explanation, Named
-from afdsvc.explain.improved import extended
-from afdsvc.explain.nominal import nominal
-from afdsvc.explain.objective import Point
-from afdsvc.explain.simulator import Effect, Simulator
-from afdsvc.files.model.improved import write_improved
+from afdsvc.explain.gap.finding import Gap
+from afdsvc.explain.report.explanation import Estimate, Explanation, Named
+from afdsvc.explain.search.problem import Point
+from afdsvc.explain.simulate.effects import Effect
+from afdsvc.explain.simulate.nominal import Nominal, nominal
+from afdsvc.explain.simulate.simulator import Simulator
+from afdsvc.files.model.improved import linear_plant, write_improved
 from afdsvc.files.model.model_file import read_model, write_model
 from afdsvc.identify.parameters.structure import model_structure
 from afdsvc.lti.statespace import StateSpace
@@ -74,12 +75,17 @@ def run(rng: np.random.Generator) -> Run:
     return Run("r", DT, 3.0, u, np.zeros((N, 2)), aux, np.zeros((N, 2)), tuple(AUX))
 
 
-def explanation(*effects: Effect, named: tuple[Named, ...] = ()) -> Explanation:
-    nom = nominal(spring(), DT)
-    point = Point(0.3 * np.ones(len(nom.entries)), (), effects)
+def explanation(*effects: Effect, named: tuple[Named, ...] = (), nom: Nominal | None = None) -> Explanation:
+    nom = nom or nominal(spring(), DT)
+    point = Point(0.3 * np.ones(len(nom.entries)), (), np.zeros(2), effects)
+    gap = Gap(
+        present=True, r2=(0.9,), total=0.9, linear=0.5, whitened=(0.5,), p_value=0.01, threshold=(0.1,), blocks=20, blocks_won=0.9, enough=True,
+        correlation_time=(1.0,), depends_on=(), repeats=None, offset=(0.0,), sentence="Gap.",
+    )
     return Explanation(
-        "omitted_physics", (), named, (), (), ("held",), (0.0, 0.5), "from the inputs", (0.9, 0.01), (), (), None, None,
-        (0.01, 0.02), (), (), nom, point, extended(nom, point),
+        verdict="omitted_physics", located=(), named=named, rejected=(), fit=(), heldout=("held",), whiteness_p=(0.0, 0.5), simulated="from the inputs",
+        explained=(0.9, 0.01), gap=gap, remainder=None, candidates=(), law=None, check=(), sentences=(), next_experiment=None,
+        noise_floor=(0.01, 0.02)[: nom.plant.outputs], courses=(), spectra=(), nominal=nom, point=point,
     )
 
 
@@ -142,9 +148,10 @@ def test_a_linear_law_becomes_matrices_and_needs_no_code(key, tmp_path):
     files = write_improved(e, tmp_path / "MODEL.toml", AUX)
     assert [f.name for f in files] == ["MODEL.toml"]
     m = read_model(files[0])
-    assert e.improved is not None
+    improved = linear_plant(e.nominal, e.point)
+    assert improved is not None
     assert m.plant is not None
-    assert all(np.array_equal(getattr(m.plant, k), getattr(e.improved, k)) for k in "ABCD")
+    assert all(np.array_equal(getattr(m.plant, k), getattr(improved, k)) for k in "ABCD")
     assert len(m.states) == m.plant.order
     assert m.output_sd == pytest.approx([0.01, 0.02])
 
@@ -175,3 +182,69 @@ def test_a_nonlinear_model_offers_its_linear_part_and_is_identified_by_its_param
     again = read_model(tmp_path / "again.toml", allow_code=True)
     assert again.dynamics is not None
     assert again.parameters == m.parameters
+
+
+CODE = '''
+import numpy as np
+
+class Pendulum:
+    def f(self, t, x, u, p):
+        return np.array([x[1], (u[0] - p["weight"] * np.sin(x[0]) - p["damping"] * x[1]) / p["inertia"]])
+
+    def h(self, t, x, u, p):
+        return x[:1]
+
+model = Pendulum()
+'''
+TOML = """
+name = "pendulum"
+time = "continuous"
+inputs = [{ name = "torque", unit = "N*m" }]
+outputs = [{ name = "angle", unit = "rad" }]
+states = [{ name = "angle", unit = "rad" }, { name = "rate", unit = "rad/s", rate_of = "angle" }]
+dynamics = "code/pendulum.py:model"
+
+[parameters]
+inertia = { value = 0.01, unit = "kg*m^2", relative_sd = 0.1 }
+weight = { value = 4.0, unit = "N*m", relative_sd = 0.1 }
+damping = { value = 0.02, unit = "N*m*s", relative_sd = 0.1 }
+"""
+
+
+@pytest.fixture
+def pendulum(tmp_path) -> Model:
+    (tmp_path / "code").mkdir()
+    (tmp_path / "code" / "pendulum.py").write_text(CODE)
+    (tmp_path / "pendulum.toml").write_text(TOML)
+    return read_model(tmp_path / "pendulum.toml", allow_code=True)
+
+
+def test_a_simulator_whose_numbers_move_names_the_same_code(pendulum, tmp_path):
+    e = explanation(nom=nominal(pendulum, DT))
+    (tmp_path / "out").mkdir()
+    assert write_improved(e, tmp_path / "out" / "MODEL.toml", {}) == [tmp_path / "out" / "MODEL.toml"]
+    m = read_model(tmp_path / "out" / "MODEL.toml", allow_code=True)
+    assert m.extra["dynamics"] == "../code/pendulum.py:model"
+    assert m.parameters["weight"].value == pytest.approx(4.0 * (1 + 0.3 * 0.1))
+
+
+def swinging(plant: StateSpace) -> Machine:
+    angle, rate, torque = Size(0, "angle", "rad", 0.0, 0.5, 1.5), Size(1, "rate", "rad/s", 0.0, 8.0, 24.0), Size(0, "torque", "N*m", 0.0, 2.0, 6.0)
+    axis = Axis("rate", angle, rate, 200.0, 0, 100.0, "N*m")
+    return Machine((torque,), (angle,), (angle, rate), (axis,), {}, DT, N * DT, 60.0, plant, np.array([0.1]), limited="model")
+
+
+@pytest.mark.parametrize(("key", "size"), [
+    ("coulomb_friction@state:rate", [40.0, 0.1]), ("backlash@input:torque", [0.5]), ("sensor_saturation@output:angle", [-0.2, 0.2]),
+])
+def test_laws_are_added_to_a_simulator_that_stays_the_code_it_is(key, size, pendulum, tmp_path):
+    nom = nominal(pendulum, DT)
+    h = next(h for physics in afdsvc_physics() for h in physics.hypotheses(swinging(nom.plant)) if h.key == key)
+    e = explanation(Effect(h, np.array([*size, *values(h)[len(size) :]])), nom=nom)
+    drive = run(np.random.default_rng(3))
+    r = Run("r", DT, 0.0, 3 * drive.U[:, :1], np.zeros((N, 1)), drive.AUX, np.zeros((N, 1)), drive.aux)
+    engine, plain = (Simulator(nom, np.zeros((2, 1))).run(r, e.point.theta, np.zeros(2), x).y for x in (e.point.effects, ()))
+    mine = stepped(write_improved(e, tmp_path / "MODEL.toml", AUX)[0], r, 2)
+    felt = np.linalg.norm(engine - plain)
+    assert felt > 0.01 * np.linalg.norm(plain)
+    assert np.linalg.norm(mine - engine) < 0.05 * felt

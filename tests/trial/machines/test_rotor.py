@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from afdsvc.explain.explain import explain
+from afdsvc.explain.pipeline import explain
 from afdsvc.files.model.model_file import parse_model
 from afdsvc.plugins.manager import load
 from afdsvc.trial.generate import Trial, generate

@@ -1,0 +1,96 @@
+"""Which uncertain numbers of the model these data determine: Fisher information of the recordings against the owner's prior."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.finding import Finding
+from afdsvc.dataset.periods import wandering
+from afdsvc.explain.check.lines import Lines, response
+from afdsvc.explain.simulate.nominal import Entry, Nominal
+from afdsvc.lti.statespace import Array
+
+DETERMINED = 0.5  # posterior over prior standard deviation below which the data determine a number
+STEP = 1e-3
+VISIBLE = 0.3  # rms of what the excitation causes in the outputs, over the noise, below which nothing can be named
+
+
+def information(nominal: Nominal, runs: Sequence[Run], lines: Lines) -> Iterator[Finding]:
+    """Yield which entries the data determine, and a stop when the excitation determines nothing; nothing for a machine without inputs."""
+    if not nominal.plant.inputs:
+        return
+    sd = noise_sd(nominal, runs)
+    visible = visibility(nominal, lines, sd)
+    posterior = posterior_sd(nominal, lines, sd)
+    known = [e for e, s in zip(nominal.entries, posterior, strict=True) if s < DETERMINED]
+    blind = [e for e, s in zip(nominal.entries, posterior, strict=True) if s > 0.9]
+    if visible < VISIBLE or (nominal.entries and not known and visible < 1.0):
+        yield Finding(
+            "stop", "excitation",
+            f"the excitation moves the outputs by {visible:.2g} of their noise and determines none of the model's numbers better than "
+            "stated: nothing can be named; an odd multisine on every input over the machine's band that moves the outputs by ten times "
+            "their noise, at two levels and four periods or more, would do",
+        )
+        return
+    if nominal.entries:
+        listed = f"; next to nothing is said about {_names(nominal, blind)}" if blind else ""
+        yield Finding(
+            "ok", "information",
+            f"the recordings determine {len(known)} of {len(nominal.entries)} uncertain numbers of the model more than twice as well as stated{listed}",
+        )
+
+
+def noise_sd(nominal: Nominal, runs: Sequence[Run]) -> Array:
+    """Return the noise per output ``(p,)``: what does not repeat, else as stated, else the sample-to-sample roughness."""
+    pieces = wandering(runs, [r.Y for r in runs])
+    if pieces:
+        return np.asarray(np.maximum(np.vstack(pieces).std(0), 1e-300))
+    if nominal.model.output_sd is not None:
+        return np.asarray(nominal.model.output_sd, dtype=np.float64)
+    rough = [np.nanmean(np.diff(r.Y, 4, axis=0) ** 2, axis=0) / 70 for r in runs]
+    return np.asarray(np.maximum(np.sqrt(np.mean(rough, axis=0)), 1e-300))
+
+
+def visibility(nominal: Nominal, lines: Lines, sd: Array) -> float:
+    """Return the rms of what the inputs cause in the outputs at the excited lines, over the noise, in the best output."""
+    if not len(lines.angle):
+        return 0.0
+    G = response(nominal, np.zeros(len(nominal.entries)), lines.angle)
+    caused = np.abs(np.einsum("lij,lj->li", G, lines.U)) ** 2 / 2
+    return float((np.sqrt(caused.sum(0) / lines.runs) / sd).max())
+
+
+def posterior_sd(nominal: Nominal, lines: Lines, sd: Array) -> Array:
+    """Return the standard deviation of every uncertain number after the data, in units of that before."""
+    k = len(nominal.entries)
+    if not k or not len(lines.angle):
+        return np.ones(k)
+    base = response(nominal, np.zeros(k), lines.angle)
+    columns = []
+    for number in range(k):
+        theta = np.zeros(k)
+        theta[number] = STEP
+        change = (response(nominal, theta, lines.angle) - base) / STEP
+        columns.append(np.einsum("lij,lj->li", change, lines.U))
+    J = np.stack(columns, axis=2) * np.sqrt(lines.samples / 2)[:, None, None] / sd[None, :, None]
+    rows = J.reshape(-1, k)
+    F = (rows.conj().T @ rows).real
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(F + np.eye(k)))))
+
+
+def _names(nominal: Nominal, entries: Sequence[Entry]) -> str:
+    listed = ", ".join(entry_name(nominal, e) for e in entries[:6])
+    return listed + (f" and {len(entries) - 6} more" if len(entries) > 6 else "")
+
+
+def entry_name(nominal: Nominal, entry: Entry) -> str:
+    """Return an entry in the model's names, such as ``A[velocity, position]``."""
+    model = nominal.model
+    rows = model.states if entry.matrix in "AB" else model.outputs
+    columns = model.states if entry.matrix in "AC" else model.inputs
+    row = rows[entry.row].name if entry.row < len(rows) else str(entry.row)
+    column = columns[entry.column].name if entry.column < len(columns) else str(entry.column)
+    return f"{entry.matrix}[{row}, {column}]"

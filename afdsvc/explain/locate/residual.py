@@ -1,0 +1,38 @@
+"""The residual of a fit with the signals it may depend on, as the gap test reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from afdsvc.dataset.experiment import Run
+from afdsvc.explain.gap.signals import Signals
+from afdsvc.explain.search.problem import Point, Problem
+from afdsvc.lti.statespace import Array
+
+Names = tuple[Sequence[str], Sequence[str], Sequence[str], Sequence[str]]
+
+
+def signals(problem: Problem, point: Point, horizon: float) -> list[Signals]:
+    """Return residual, inputs, simulated states and other signals of every run; references where a loop has them in all runs."""
+    references = [_reference(r) for r in problem.runs]
+    known = all(r is not None for r in references)
+    return [
+        Signals(r.Y - s.y, r.U, np.nan_to_num(s.x, posinf=0.0, neginf=0.0), r.AUX, r.dt, r.period, q if known else None)
+        for r, s, q in zip(problem.runs, problem.simulated(point, horizon), references, strict=True)
+    ]
+
+
+def _reference(run: Run) -> Array | None:
+    """Return what comes into a closed loop from outside: the burst and the references, as far as they move."""
+    outside = np.hstack([run.W if run.W is not None and run.commanded else run.U[:, :0], run.REF])
+    moves = np.ptp(outside, axis=0) > 0
+    return outside[:, moves] if moves.any() else None
+
+
+def names(problem: Problem) -> Names:
+    """Return the names of states, inputs, outputs and other signals."""
+    model = problem.nominal.model
+    states, inputs, outputs = ([v.name for v in side] for side in (model.states, model.inputs, model.outputs))
+    return states, inputs, outputs, list(problem.runs[0].aux)

@@ -1,0 +1,70 @@
+"""The whole way from a model and recordings to an explanation of the gap between them, one line a step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from afdsvc.api.model import Model
+from afdsvc.api.physics import Physics
+from afdsvc.api.signals import Trace
+from afdsvc.dataset.experiment import Run, prepare
+from afdsvc.dataset.split import split
+from afdsvc.explain.check.check import checked
+from afdsvc.explain.check.still import refuse_still
+from afdsvc.explain.gap.decision import gap
+from afdsvc.explain.gap.finding import Gap
+from afdsvc.explain.locate.residual import names, signals
+from afdsvc.explain.report.explanation import Explanation
+from afdsvc.explain.report.report import report
+from afdsvc.explain.search.build import build
+from afdsvc.explain.search.fit import Fit
+from afdsvc.explain.search.forward import Mapper, Progress, search
+from afdsvc.explain.search.problem import Problem
+from afdsvc.explain.settings import Settings
+from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.explain.verdict.verdict import verdict
+
+SEED = 20261122  # of the surrogates and of the resampled blocks: the same recordings give the same answer
+
+
+def explain(
+    model: Model, recordings: Sequence[Trace], holdout: Sequence[Trace], library: Iterable[Physics], *,
+    mapper: Mapper = map, progress: Progress = lambda what, share: None, settings: Settings | None = None,
+    trust_units: bool = False, experiment: bool = True,
+) -> Explanation:
+    """Locate the gap between a model and recordings, name the physics left out, model it, and show the fit.
+
+    ``holdout`` is not looked at before the report; without one the last recording, or the last third of a single one, is held
+    out. ``mapper`` may run hypotheses in parallel; ``progress`` gets a word and a share (0 to 1). ``trust_units``
+    makes warnings of what looks like wrong units or signs; ``experiment`` False leaves out the next experiment. Raises `BadInput`
+    for recordings that do not fit the model.
+    """
+    progress("checking", 0.0)
+    findings = checked(model, recordings, trust_units)
+    runs = prepare(model, [*recordings, *holdout])
+    roles = split(runs[: len(recordings)], runs[len(recordings) :])
+    refuse_still(model, roles.heldout)
+    problem = build(nominal(model, roles.train[0].dt, _mean_input(roles.train)), roles.train, settings or Settings())
+    offered = list(library)
+    found = search(problem, offered, mapper, progress)
+    rng = np.random.default_rng(SEED)
+    progress("testing", 0.85)
+    before = tested(found.problem, found.start, rng)
+    after = tested(found.problem, found.end, rng) if found.end is not found.start else None
+    answer = verdict(found, before, after, rng)
+    progress("reporting", 0.9)
+    explanation = report(found, answer, roles, findings, offered, experiment)
+    progress("reporting", 1.0)
+    return explanation
+
+
+def tested(problem: Problem, path: dict[float, Fit], rng: np.random.Generator) -> Gap:
+    """Return whether the residual of a path is predictable: that of the simulation where the plant allows one."""
+    horizon, fit = list(path.items())[-1]
+    return gap(signals(problem, fit.point, horizon), *names(problem), rng)
+
+
+def _mean_input(runs: Sequence[Run]) -> np.ndarray | None:
+    return np.vstack([r.U for r in runs]).mean(0) if runs[0].U.shape[1] else None

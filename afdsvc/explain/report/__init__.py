@@ -1,0 +1,1 @@
+"""The answer for people and machines: names, fits on held-out recordings, pictures' numbers, JSON."""

@@ -1,0 +1,132 @@
+"""From claims to names: parameters with standard deviations in the units of people, sentences, hypotheses not claimed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from afdsvc.api.physics import Coefficient, Hypothesis
+from afdsvc.explain.report.explanation import Estimate, Named, Nearest, Rejected
+from afdsvc.explain.search.fit import Coordinates, Fit, fit, logarithmic
+from afdsvc.explain.search.forward import Candidate, Found, Step, is_constant
+from afdsvc.explain.search.problem import Point, Problem
+from afdsvc.explain.simulate.effects import Effect
+from afdsvc.explain.verdict.verdict import Claim, Verdict
+from afdsvc.lti.statespace import Array
+
+LEAST_WEIGHT = 1e-3
+MOST_NAMES = 8  # per effect
+MOST_REJECTED = 6  # per round of the search
+PARTIAL = 0.9  # share of the gap below which an explanation with a predictable remainder is partial
+UNKNOWN = 10.0  # standard deviation, over the size of the parameter, from which nothing is known of it
+
+
+def names(found: Found, verdict: Verdict, final: Fit, summaries: Mapping[str, str]) -> tuple[Named, ...]:
+    """Return the names of every claimed effect with their look-alikes, the first of each effect first."""
+    last = list(found.end)[-1]
+    partial = verdict.explained[0] < PARTIAL and verdict.remainder is not None and verdict.remainder.present
+    own = {e.hypothesis.key: p for e, p in zip(final.point.effects, estimates(found.problem, final, last), strict=True)}
+    listed = []
+    for number in dict.fromkeys(c.effect for c in verdict.claims):
+        alike = _each_once([c for c in verdict.claims if c.effect == number])
+        for claim in [c for k, c in enumerate(alike) if not k or c.weight >= LEAST_WEIGHT][:MOST_NAMES]:
+            h = claim.candidate.hypothesis
+            parameters = own.get(h.key) or estimates(found.problem, claim.candidate.fit, last)[-1]
+            listed.append(_named(claim, parameters, len(alike), partial, summaries))
+    return tuple(listed)
+
+
+def _each_once(claims: Sequence[Claim]) -> list[Claim]:
+    """Return the claims with the shapes of one thing taken as one, the first of them, their weights added."""
+    first: dict[tuple[str, ...], Claim] = {}
+    for c in claims:
+        h = c.candidate.hypothesis
+        what = (h.physics, h.site, h.notes.get("of", h.notes.get("variant", "")))
+        first[what] = replace(first[what], weight=first[what].weight + c.weight) if what in first else c
+    return list(first.values())
+
+
+def _named(claim: Claim, parameters: Mapping[str, Estimate], alike: int, partial: bool, summaries: Mapping[str, str]) -> Named:
+    h = claim.candidate.hypothesis
+    what = h.notes.get("variant", "") if is_constant(h) else ""
+    share = float(np.clip(claim.share, 0.0, 1.0))
+    values = "; ".join(_value(name, e) for name, e in parameters.items())
+    law = f"{what} other than stated" if what else summaries.get(h.physics, h.physics.replace("_", " "))
+    doubt = f", weight {claim.weight:.2f} among {alike} that fit alike" if alike > 1 else ""
+    sentence = f"{place(h)}: {law}{f' ({values})' if values else ''}; closes {100 * share:.0f} % of the gap{doubt}"
+    return Named(h.physics, h.site, claim.weight, parameters, sentence, claim.effect, share, partial, h.family, what)
+
+
+def _value(name: str, e: Estimate) -> str:
+    spread = "" if e.sd is None else f" +- {e.sd:.2g}"
+    return f"{name} {e.value:.4g}{spread}{' ' + e.unit if e.unit else ''}"
+
+
+def place(h: Hypothesis) -> str:
+    """Return a site in words."""
+    kind, _, name = h.site.partition(":")
+    return {"input": f"input {name}", "state": f"force on {name}", "output": f"sensor {name}"}.get(kind, "machine")
+
+
+def estimates(problem: Problem, of: Fit, horizon: float) -> list[dict[str, Estimate]]:
+    """Return the fitted parameters of every effect by name; forces in the unit of the input that acts there.
+
+    Standard deviations come from the inverse of the information matrix, all numbers of the model and initial states fitted
+    beside them and samples counted by the correlation time of the residual; those of logarithmic coordinates by the delta
+    rule. Shape parameters that are no finding of their own are left out, unless nothing else was fitted.
+    """
+    here = fit(problem, of.point, horizon, of.own_tau, iterations=0)
+    c = Coordinates(problem, of.point)
+    sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(here.H, hermitian=True)), 0.0))
+    spreads = {(i, j): s * _size(x, of.point.effects[i].values[j], u) for (i, j, x), s, u in zip(c.slots, sd[c.k + c.p : c.shared], c.units, strict=True)}
+    B = problem.nominal.at(of.point.theta).B
+    return [_of_effect(e, {j: spreads[i, j] for j, x in enumerate(e.hypothesis.parameters) if x.free}, B) for i, e in enumerate(of.point.effects)]
+
+
+def _size(c: Coefficient, value: float, unit: float) -> float:
+    """Return the derivative of a parameter with respect to its coordinate."""
+    return abs(value) if logarithmic(c) else unit
+
+
+def _of_effect(effect: Effect, spreads: Mapping[int, float], B: Array) -> dict[str, Estimate]:
+    free = [(j, c) for j, c in enumerate(effect.hypothesis.parameters) if c.free]
+    return {c.name: _estimate(float(effect.values[j]), c, spreads[j], B) for j, c in [x for x in free if not x[1].nuisance] or free}
+
+
+def _estimate(value: float, c: Coefficient, spread: float, B: Array) -> Estimate:
+    factor = 1.0 if c.through is None or B[c.through] == 0 else 1 / float(B[c.through])
+    size = max(abs(value), 0.0 if logarithmic(c) else c.scale)
+    known = np.isfinite(spread) and 0 < spread < UNKNOWN * size
+    return Estimate(value * factor, spread * abs(factor) if known else None, c.unit)
+
+
+def rejections(found: Found, claimed: Sequence[str], error: Callable[[Point], float]) -> tuple[Rejected, ...]:
+    """Return the hypotheses that were fitted and not claimed, round by round; ``error`` gives a point's held-out NRMSE."""
+    listed: dict[tuple[str, str], Rejected] = {}
+    for step in found.steps:
+        for c in [c for c in step.candidates if c.hypothesis.key not in claimed][:MOST_REJECTED]:
+            h = c.hypothesis
+            if (h.physics, h.site) not in listed:
+                listed[h.physics, h.site] = Rejected(h.physics, h.site, error(c.fit.point), _why(c, step))
+    return tuple(listed.values())
+
+
+def _why(c: Candidate, step: Step) -> str:
+    """Return why a candidate is not claimed: what the accepted one does better, or what it lacks."""
+    best = step.candidates[0]
+    closes = f"closes {100 * c.evidence.share:.0f} % of the gap"
+    if not step.accepted:
+        return f"{closes}; {step.reason}" if c is best else f"{closes}, less than {best.hypothesis.key}, which is not accepted either"
+    return f"{closes} on left-out blocks, {best.hypothesis.key} {100 * best.evidence.share:.0f} %"
+
+
+def nearest(found: Found, most: int = 3) -> tuple[Nearest, ...]:
+    """Return the hypotheses that come nearest where none is claimed, by the share of the gap they close."""
+    step = found.steps[0] if found.steps else None
+    best = [] if step is None else [c for c in step.candidates if c.evidence.share > 0][:most]
+    return tuple(
+        Nearest(c.hypothesis.physics, c.hypothesis.site, c.evidence.share, f"{place(c.hypothesis)}: {c.hypothesis.physics.replace('_', ' ')} would close {100 * c.evidence.share:.0f} % of the gap")
+        for c in best
+    )

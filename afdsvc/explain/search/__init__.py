@@ -1,0 +1,1 @@
+"""Search: hypotheses fitted with the numbers of the model, and the evidence for each."""

@@ -1,0 +1,87 @@
+"""From a model and recordings to a problem: way of simulating, horizons, scales, initial states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from afdsvc.dataset.experiment import Run
+from afdsvc.explain.noise.weighting import even
+from afdsvc.explain.search.nuisance import loads
+from afdsvc.explain.search.problem import Point, Problem
+from afdsvc.explain.settings import Settings
+from afdsvc.explain.simulate.nominal import Nominal
+from afdsvc.explain.simulate.predictor import predictor_gain
+from afdsvc.lti.statespace import Array
+
+STRONG = 0.3  # predictor of the trajectories that scales are taken from
+WINDOW = 0.02  # of a run, from which its initial state is guessed, and the least number of samples
+LEAST_WINDOW = 20
+
+
+def build(nominal: Nominal, runs: Sequence[Run], settings: Settings) -> Problem:
+    """Return the problem of explaining ``runs`` with the model."""
+    scale = _spread(runs)
+    force = _force(nominal, runs)
+    theta = np.zeros(len(nominal.entries))
+    gains = {h: predictor_gain(nominal, theta, (force, scale), h) for h in (*settings.horizons, STRONG)}
+    n = nominal.plant.order
+    problem = Problem(nominal, tuple(runs), scale, np.ones(n), tuple(np.zeros(n) for _ in runs), gains, even(len(scale)), settings)
+    states = np.vstack([s.x for s in problem.simulated(problem.start(), STRONG)])
+    problem = replace(problem, state_scale=_positive(np.sqrt(np.mean(np.minimum(states**2, 1e200), axis=0))))
+    regular = not n or _regular(nominal)
+    problem = replace(problem, offset_free=regular, loads=() if regular else loads(nominal, force, settings.load_sd))
+    return replace(problem, x0=tuple(initial(problem, k) for k in range(len(runs))))
+
+
+def _spread(runs: Sequence[Run]) -> Array:
+    return _positive(np.sqrt(np.mean([np.nanvar(r.Y, axis=0) for r in runs], axis=0)))
+
+
+def _positive(x: Array) -> Array:
+    return np.asarray(np.where(x > 0, x, 1.0))
+
+
+def _force(nominal: Nominal, runs: Sequence[Run]) -> Array:
+    """Return the rms of what the inputs do to the rate of every state, ``(n,)``: where forces act, and how large they are."""
+    B = nominal.plant.B
+    rms = np.sqrt(np.mean(np.vstack([r.U for r in runs]) ** 2, axis=0)) if B.shape[1] else np.zeros(0)
+    force = np.sqrt((B * rms) ** 2 @ np.ones(B.shape[1])) if B.shape[1] else np.zeros(len(B))
+    return np.asarray(np.where(force > 0, force, 0.0) if force.any() else np.ones(len(B)))
+
+
+def _transition(nominal: Nominal) -> Array:
+    s = nominal.steps(np.zeros(len(nominal.entries)))
+    return np.asarray(np.linalg.matrix_power(s.phi, s.nsub))
+
+
+def _regular(nominal: Nominal) -> bool:
+    """Whether the plant has a static gain, so that an offset of the sensor is not the same as another initial state."""
+    phi = _transition(nominal)
+    return bool(np.abs(np.linalg.eigvals(phi) - 1).min(initial=1.0) > 1e-9)
+
+
+def initial(problem: Problem, k: int) -> Array:
+    """Return the initial state of run ``k`` that fits its first samples, held to the size of the states by a weak prior."""
+    run = problem.runs[k]
+    n = problem.nominal.plant.order
+    part = run.span(0, min(len(run), max(LEAST_WINDOW, 3 * n, int(WINDOW * len(run)))))
+    alone = problem.of([part], [np.zeros(n)])
+
+    def residual(x0: Array) -> Array:
+        point = Point(np.zeros(len(problem.nominal.entries)), (x0,), np.zeros(len(problem.scale)))
+        return alone.residuals(point, 0.0)[0].ravel()
+
+    x, unit = np.zeros(n), problem.state_scale
+    for _ in range(3):
+        e = residual(x)
+        J = np.column_stack([(residual(x + 1e-3 * unit * row) - e) / 1e-3 for row in np.eye(n)]) if n else np.zeros((len(e), 0))
+        J[~np.isfinite(J)] = 0.0
+        ridge = 1e-4 * len(e) / max(n, 1) * np.eye(n)
+        step = np.linalg.solve(J.T @ J + ridge, -J.T @ e - ridge @ (x / unit)) if n else x
+        if np.linalg.norm(residual(x + unit * step)) > np.linalg.norm(e):
+            break
+        x = x + unit * step
+    return x

@@ -1,0 +1,116 @@
+"""What speaks for a hypothesis: gain of likelihood, share of the gap on left-out blocks, agreement of the blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from afdsvc.explain.search.fit import Fit
+from afdsvc.explain.settings import Settings
+from afdsvc.lti.statespace import Array
+
+LONGEST_STEP = 3.0  # in coordinates: how far the fit without a block may be from the fit with it
+
+
+def blocks(fit: Fit, settings: Settings) -> list[tuple[int, int, int]]:
+    """Return run, first and last sample of the left-out blocks: contiguous, about `Settings.blocks`, several correlation times long."""
+    lengths = [len(e) for e in fit.residuals]
+    least = max(settings.correlation_times * fit.tau, sum(lengths) / settings.blocks)
+    found = []
+    for r, n in enumerate(lengths):
+        edges = np.linspace(0, n, max(1, round(n / least)) + 1).astype(int)
+        found += [(r, int(a), int(b)) for a, b in pairwise(edges)]
+    return found
+
+
+def left_out(fit: Fit, spans: list[tuple[int, int, int]], scale: Array) -> Array:
+    """Return the loss of every block when it is left out, by one Newton step from the whole fit; outputs divided by ``scale``.
+
+    The step is taken in what all recordings share; initial states stay where they are.
+    """
+    shared = fit.shared
+    p = len(fit.sd)
+    first = np.concatenate([[0], np.cumsum([e.size for e in fit.residuals])])
+    weight = np.tile(1 / (fit.sd * np.sqrt(fit.tau)), 1)
+    losses = []
+    for r, a, b in spans:
+        e = fit.residuals[r][a:b]
+        J = fit.J[first[r] + a * p : first[r] + b * p, :shared]
+        w = np.tile(weight, b - a)
+        Jw = J * w[:, None]
+        H = fit.H[:shared, :shared] - Jw.T @ Jw
+        H[np.diag_indices_from(H)] += 1e-6 * np.diag(fit.H)[:shared]
+        step = np.clip(np.linalg.lstsq(H, Jw.T @ (e.ravel() * w), rcond=1e-12)[0], -LONGEST_STEP, LONGEST_STEP)
+        predicted = e + (J @ step).reshape(e.shape)
+        losses.append(float(((predicted / scale) ** 2).sum()))
+    return np.array(losses)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What a fit path gains on another.
+
+    ``gains`` are twice the logarithm of the ratio of the posteriors in independent samples, less the price of the parameters, by
+    horizon. ``share`` is the part of the gap closed at the decision horizon: of the loss on left-out blocks in independent samples,
+    and of the distance of the model's numbers from what is stated; ``eases`` says that the latter is most of it. ``t`` is the mean
+    of the blocks' log ratios over its standard error. ``before`` and ``after`` are the losses of the left-out blocks; ``count`` and
+    ``independent`` the independent samples of the residual with and without the effect, ``fixed`` the part of the gain that does
+    not depend on the blocks.
+    """
+
+    gains: Mapping[float, float]
+    share: float
+    t: float
+    eases: bool
+    before: Array
+    after: Array
+    count: float
+    independent: float
+    fixed: float
+
+    @property
+    def gain(self) -> float:
+        """The gain at the decision horizon."""
+        return list(self.gains.values())[-1]
+
+    @property
+    def closed(self) -> float:
+        """The gain as a share: 1 - exp(-gain per independent sample of the residual without the effect)."""
+        return float(self.closing(np.array(self.gain)))
+
+    def closing(self, gain: Array) -> Array:
+        """Return gains as shares."""
+        return np.asarray(1 - np.exp(-np.clip(gain / self.independent, -5.0, 50.0)))
+
+    def resampled(self, drawn: NDArray[np.int64]) -> Array:
+        """Return the gain for blocks drawn with replacement, ``drawn (resamples, blocks)``."""
+        ratio = self.before[drawn].sum(1) / np.maximum(self.after[drawn].sum(1), 1e-300)
+        return np.asarray(self.count * np.log(ratio) + self.fixed)
+
+
+Path = Mapping[float, Fit]
+
+
+def evidence(path: Path, base: Path, spans: list[tuple[int, int, int]], scale: Array, gap: float, parameters: int) -> Evidence:
+    """Return the evidence of a path over the base path; ``gap`` is what could be closed at the decision horizon."""
+    last = list(path)[-1]
+    mine, theirs = left_out(path[last], spans, scale), left_out(base[last], spans, scale)
+    taken = float(theirs.sum() - mine.sum()) / base[last].tau
+    eased = 2 * (base[last].penalty - path[last].penalty)
+    ratios = np.log(theirs / mine)
+    spread = float(ratios.std(ddof=1)) / np.sqrt(len(ratios)) if len(ratios) > 1 else np.inf
+    count = path[last].samples / path[last].own_tau
+    return Evidence(
+        {h: _gain(path[h], base[h], parameters) for h in path}, (taken + eased) / gap, float(ratios.mean()) / (spread + 1e-30),
+        eased > taken, theirs, mine, count, path[last].samples / base[last].own_tau, eased - parameters * np.log(max(8.0, count)),
+    )
+
+
+def _gain(fit: Fit, base: Fit, parameters: int) -> float:
+    tau = fit.own_tau
+    likelihood = (base.deviance - fit.deviance) / tau
+    return float(likelihood + 2 * (base.penalty - fit.penalty) - parameters * np.log(max(8.0, fit.samples / tau)))

@@ -1,0 +1,249 @@
+"""Levenberg-Marquardt over everything that is free: numbers of the model, initial states, offsets, parameters of effects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from afdsvc.api.physics import Coefficient
+from afdsvc.explain.noise.weighting import correlation_time
+from afdsvc.explain.search.nuisance import NUISANCE
+from afdsvc.explain.search.problem import Point, Problem
+from afdsvc.lti.statespace import Array
+
+STEP = 1e-4  # finite difference, in units of the prior or of the parameter
+TINY = 1e-12
+ENOUGH = 0.1  # fall of the cost (log-likelihood) at which a fit ends
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A fit at one horizon.
+
+    ``residuals`` are weighted, one ``(n, p)`` per run; ``J (rows, k)`` their Jacobian in the coordinates of `Coordinates`, ``H``
+    and ``tau`` the information matrix (prior included) and the correlation time it counts samples by; ``cost`` is minus the
+    log posterior, ``penalty`` its part from the priors, ``shared`` the
+    number of coordinates that all recordings share, ``sd (p,)`` the rms of the weighted residual.
+    """
+
+    point: Point
+    residuals: tuple[Array, ...]
+    J: Array
+    H: Array
+    tau: float
+    cost: float
+    sd: Array
+    penalty: float
+    shared: int
+
+    @property
+    def samples(self) -> int:
+        """How many samples of one output there are."""
+        return sum(len(e) for e in self.residuals)
+
+    @property
+    def loss(self) -> float:
+        """Sum of squares of the weighted residuals, every output counting as it is."""
+        return float(sum((e**2).sum() for e in self.residuals))
+
+    @property
+    def deviance(self) -> float:
+        """Minus twice the log-likelihood of independent samples, up to a constant."""
+        return float(2 * self.samples * np.log(self.sd).sum())
+
+    @property
+    def own_tau(self) -> float:
+        """The correlation time of this fit's own residual."""
+        return correlation_time(self.residuals)
+
+
+class Coordinates:
+    """The free numbers as one vector of order-one coordinates: theta, offsets, parameters of effects, initial states run by run.
+
+    Positive shape parameters are logarithmic. ``locked`` effects keep their values.
+    """
+
+    def __init__(self, problem: Problem, point: Point) -> None:
+        self.problem, self.base = problem, point
+        self.k = len(point.theta)
+        self.p = len(point.offset) if problem.offset_free else 0
+        self.slots = [(i, j, c) for i, e in enumerate(point.effects) for j, c in enumerate(e.hypothesis.parameters) if c.free]
+        self.units = [_unit(c, point.effects[i].values[j]) for i, j, c in self.slots]
+        self.n = len(point.x0[0]) if point.x0 else 0
+        self.shared = self.k + self.p + len(self.slots)
+        self.size = self.shared + self.n * len(point.x0)
+        s = problem.settings
+        self.prior_mean = np.zeros(self.size)
+        self.prior_weight = np.zeros(self.size)
+        self.prior_weight[: self.k] = 1 / s.theta_sd
+        self.prior_weight[self.k : self.k + self.p] = 1 / s.offset_sd
+        for k, (i, _, _) in enumerate(self.slots):
+            if point.effects[i].hypothesis.family == NUISANCE:
+                self.units[k], self.prior_weight[self.k + self.p + k] = self.slots[k][2].scale, 1.0
+        self.prior_weight[self.shared :] = 1 / s.state_sd
+        self.prior_mean[self.shared :] = np.concatenate([x / problem.state_scale for x in problem.x0]) if problem.x0 else []
+
+    def pack(self, point: Point) -> Array:
+        """Return the coordinates of a point."""
+        values = [_inward(c, point.effects[i].values[j], u) for (i, j, c), u in zip(self.slots, self.units, strict=True)]
+        states = [x / self.problem.state_scale for x in point.x0]
+        return np.concatenate([point.theta, (point.offset / self.problem.scale)[: self.p], values, *states])
+
+    def unpack(self, q: Array) -> Point:
+        """Return the point with these coordinates, parameters held to their ranges."""
+        effects = [e.values.copy() for e in self.base.effects]
+        for (i, j, c), u, z in zip(self.slots, self.units, q[self.k + self.p : self.shared], strict=True):
+            effects[i][j] = min(max(_outward(c, z, u), c.low), c.high)
+        x0 = tuple(q[self.shared + self.n * r : self.shared + self.n * (r + 1)] * self.problem.state_scale for r in range(len(self.base.x0)))
+        offset = self.base.offset if not self.p else q[self.k : self.k + self.p] * self.problem.scale
+        made = tuple(replace(e, values=v) for e, v in zip(self.base.effects, effects, strict=True))
+        return Point(q[: self.k], x0, offset, made)
+
+    def penalty(self, q: Array) -> float:
+        """Half the sum of squares of the prior."""
+        return 0.5 * float(np.sum((self.prior_weight * (q - self.prior_mean)) ** 2))
+
+
+def logarithmic(c: Coefficient) -> bool:
+    """Whether a parameter is searched on a logarithmic scale."""
+    return c.low >= 0 and not c.linear and c.high > 0
+
+
+def _unit(c: Coefficient, value: float) -> float:
+    return max(abs(value), c.scale, 1e-300)
+
+
+def _inward(c: Coefficient, value: float, unit: float) -> float:
+    return float(np.log(max(value, c.low, 1e-9 * unit) / unit)) if logarithmic(c) else float(value / unit)
+
+
+def _outward(c: Coefficient, z: float, unit: float) -> float:
+    return float(unit * np.exp(min(z, 50.0))) if logarithmic(c) else float(z * unit)
+
+
+def weighted(problem: Problem, point: Point, horizon: float) -> tuple[Array, ...]:
+    """Return the weighted residuals of every run."""
+    return tuple(problem.weighting(e) for e in problem.residuals(point, horizon))
+
+
+def rms(residuals: Sequence[Array]) -> Array:
+    """Return the rms per output over all runs, with a floor that keeps a perfect fit finite."""
+    stacked = np.vstack(residuals)
+    return np.asarray(np.sqrt(np.mean(stacked**2, axis=0) + TINY))
+
+
+def jacobian(problem: Problem, c: Coordinates, q: Array, horizon: float, residuals: Sequence[Array]) -> Array:
+    """Return ``d(weighted residual) / dq``, ``(rows, size)``: shared columns first, then those of every run's initial state."""
+    rows = np.concatenate([[0], np.cumsum([e.size for e in residuals])])
+    J = np.zeros((rows[-1], c.size))
+    for k in range(c.shared):
+        J[:, k] = _column(problem, c, q, [k], horizon, residuals)
+    for s in range(c.n):
+        column = _column(problem, c, q, [c.shared + c.n * r + s for r in range(len(residuals))], horizon, residuals)
+        for r in range(len(residuals)):
+            J[rows[r] : rows[r + 1], c.shared + c.n * r + s] = column[rows[r] : rows[r + 1]]
+    J[~np.isfinite(J)] = 0.0
+    return J
+
+
+def borrowed(problem: Problem, base: Fit, point: Point, horizon: float) -> Array:
+    """Return the Jacobian at ``base`` with one effect added in ``point``: only the columns of the effect are worked out."""
+    c = Coordinates(problem, point)
+    q = c.pack(point)
+    old = Coordinates(problem, base.point)
+    residuals = weighted(problem, point, horizon)
+    own = [_column(problem, c, q, [k], horizon, residuals) for k in range(old.shared, c.shared)]
+    own = [np.where(np.isfinite(x), x, 0.0) for x in own]
+    return np.asarray(np.column_stack([base.J[:, : old.shared], *own, base.J[:, old.shared :]]))
+
+
+def _column(problem: Problem, c: Coordinates, q: Array, at: Sequence[int], horizon: float, residuals: Sequence[Array]) -> Array:
+    """Return the change of the residuals with coordinates moved together; a step that a range forbids goes the other way."""
+    here = c.pack(c.unpack(q))
+    for h in (STEP, -STEP):
+        moved = q.copy()
+        moved[list(at)] += h
+        point = c.unpack(moved)
+        done = c.pack(point)[at[0]] - here[at[0]]
+        if abs(done) > 0.5 * abs(h):
+            change = [b - a for a, b in zip(residuals, weighted(problem, point, horizon), strict=True)]
+            return np.asarray(np.concatenate([x.ravel() for x in change]) / done)
+    return np.zeros(sum(e.size for e in residuals))
+
+
+def fit(
+    problem: Problem, point: Point, horizon: float, tau: float, iterations: int = 20, known: Array | None = None, exact: bool = True,
+) -> Fit:
+    """Return the local optimum of the posterior from ``point`` at one horizon.
+
+    The log-likelihood is ``-N/(2 tau) sum_j log(SSE_j/N)``: noise variances are estimated under the hypothesis, and correlated
+    samples count as ``N/tau``, which keeps the priors alive. Steps are those of Levenberg and Marquardt; between them the Jacobian
+    follows by Broyden's rule, and is worked out anew where a step fails. ``known`` is a Jacobian to begin with; ``exact`` False
+    leaves the last one as it is.
+    """
+    c = Coordinates(problem, point)
+    q = c.pack(c.unpack(c.pack(point)))
+    residuals = weighted(problem, c.unpack(q), horizon)
+    n = sum(len(e) for e in residuals)
+
+    def cost_of(q: Array, residuals: Sequence[Array]) -> float:
+        value = n / tau * float(np.log(rms(residuals)).sum()) + c.penalty(q)
+        return value if np.isfinite(value) else np.inf
+
+    cost, damping, fresh = cost_of(q, residuals), 1e-3, known is None
+    J = jacobian(problem, c, q, horizon, residuals) if known is None else known
+    for _ in range(iterations):
+        H, g = _normal(J, residuals, tau, c, q)
+        step = _improving(problem, c, q, H, g, cost, damping, horizon, cost_of)
+        fall = 0.0 if step is None else cost - step[2]
+        if step is not None:
+            J, fresh_now = _followed(J, step[0] - q, residuals, step[1]), False
+            q, residuals, cost, damping = step
+        if fall < ENOUGH:
+            if fresh or not exact:
+                fresh = fresh and step is None
+                break
+            J, fresh, damping = jacobian(problem, c, q, horizon, residuals), True, 1e-3
+            continue
+        fresh = fresh_now
+    if exact and not fresh:
+        J = jacobian(problem, c, q, horizon, residuals)
+    H, _ = _normal(J, residuals, tau, c, q)
+    return Fit(c.unpack(q), tuple(residuals), J, H, tau, cost, rms(residuals), c.penalty(q), c.shared)
+
+
+def _followed(J: Array, step: Array, before: Sequence[Array], after: Sequence[Array]) -> Array:
+    """Return the Jacobian changed least so that it gives the step that was seen (Broyden 1965)."""
+    seen = np.concatenate([(b - a).ravel() for a, b in zip(before, after, strict=True)])
+    return np.asarray(J + np.outer(seen - J @ step, step / max(float(step @ step), TINY)))
+
+
+def _normal(J: Array, residuals: Sequence[Array], tau: float, c: Coordinates, q: Array) -> tuple[Array, Array]:
+    sd = rms(residuals)
+    scale = np.concatenate([np.tile(1 / (sd * np.sqrt(tau)), len(e)) for e in residuals])
+    Js = J * scale[:, None]
+    e = np.concatenate([r.ravel() for r in residuals]) * scale
+    w = c.prior_weight**2
+    H = Js.T @ Js + np.diag(w)
+    H[np.diag_indices_from(H)] += 1e-9 * max(float(np.trace(H)) / max(len(H), 1), TINY)
+    return H, Js.T @ e + w * (q - c.prior_mean)
+
+
+def _improving(
+    problem: Problem, c: Coordinates, q: Array, H: Array, g: Array, cost: float, damping: float, horizon: float,
+    cost_of: Callable[[Array, Sequence[Array]], float],
+) -> tuple[Array, tuple[Array, ...], float, float] | None:
+    """Return coordinates, residuals, cost and damping after a step that lowers the cost; None when none does."""
+    for _ in range(4):
+        step = -np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
+        step[: c.k] = np.clip(step[: c.k], -5, 5)
+        step[c.k : c.shared] = np.clip(step[c.k : c.shared], -1.5, 1.5)
+        moved = c.pack(c.unpack(q + step))
+        residuals = weighted(problem, c.unpack(moved), horizon)
+        new = cost_of(moved, residuals)
+        if new < cost - 1e-12:
+            return moved, residuals, new, damping / 8
+        damping = max(damping * 12, 1e-2)
+    return None

@@ -1,0 +1,287 @@
+"""Forward and backward search: which effects, one after another, close the gap."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from afdsvc.api.physics import Hypothesis, Machine, Physics
+from afdsvc.explain.noise.surrogates import chance
+from afdsvc.explain.noise.weighting import correlation_time, weighting
+from afdsvc.explain.search.evidence import Evidence, blocks, evidence, left_out
+from afdsvc.explain.search.fit import Fit, fit
+from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
+from afdsvc.explain.search.path import Trial, added_path, base_path, ends, fewer_path, trial
+from afdsvc.explain.search.problem import Problem
+from afdsvc.explain.search.screen import Screen, Screened
+from afdsvc.explain.settings import Settings
+from afdsvc.stats.spectral_peaks import peaks
+from afdsvc.stats.tones import tones
+
+Mapper = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
+Progress = Callable[[str, float], None]
+
+
+CONSTANT = "parameter_change"
+WHOLE = 0.8  # share of the gap that a constant has to close to be a reason
+REFIT = 4  # iterations of the refit to a part of the recordings
+STARTS = 2  # of every hypothesis that are tried, by what they promise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A hypothesis fitted along the horizons, with its evidence over the model without it."""
+
+    hypothesis: Hypothesis
+    path: dict[float, Fit]
+    evidence: Evidence
+
+    @property
+    def fit(self) -> Fit:
+        """The fit at the decision horizon."""
+        return self.path[list(self.path)[-1]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """One round: the candidates, best first; whether the first was accepted, and why not."""
+
+    candidates: tuple[Candidate, ...]
+    accepted: bool
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What the search found: the problem, the refitted model without effects, the final one, and the rounds."""
+
+    problem: Problem
+    start: dict[float, Fit]
+    end: dict[float, Fit]
+    machine: Machine
+    steps: tuple[Step, ...]
+    limited: str
+
+
+def search(problem: Problem, library: Sequence[Physics], mapper: Mapper = map, progress: Progress = lambda what, share: None) -> Found:
+    """Return what the search finds; every effect accepted is refitted with all numbers of the model."""
+    problem, taus, start, limited = settled(problem)
+    rounds = Rounds(problem, taus, start, limited, mapper)
+    path = start
+    steps: list[Step] = []
+    for number in range(problem.settings.effects):
+        progress("searching", number / problem.settings.effects)
+        seen = _seen(problem, path, limited)
+        present = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
+        step = rounds.next(path, [h for h in hypotheses(library, seen) if h.key not in present], bool(steps))
+        steps.append(step)
+        if not step.accepted:
+            break
+        path = rounds.without_idle(step.candidates[0].path)
+    return Found(problem, start, path, seen, tuple(steps), limited)
+
+
+def _seen(problem: Problem, path: dict[float, Fit], limited: str) -> Machine:
+    """Return the machine along the final fit of a path, with the lines and peaks of its residual."""
+    last = list(path)[-1]
+    residuals = problem.residuals(path[last].point, last)
+    found = peaks(problem.runs, residuals, 2 * bandwidth(problem.runs))
+    lines = [t.omega for t in tones(problem.runs, residuals)] if limited == "noise" else []
+    return machine(problem, path[last], last, lines, found, limited)
+
+
+def settled(problem: Problem) -> tuple[Problem, dict[float, float], dict[float, Fit], str]:
+    """Return the problem with its weighting, correlation times and horizons, and the model refitted without effects."""
+    s = problem.settings
+    problem, path = _interpolated(problem)
+    taus = {h: f.own_tau for h, f in path.items()}
+    path = base_path(problem, s.horizons, taus, problem.start())
+    horizons = _horizons(problem, path)
+    path = {h: path[h] for h in horizons}
+    last = horizons[-1]
+    w = weighting(problem.runs, problem.residuals(path[last].point, last))
+    limited = "model"
+    white = correlation_time([w(e) for e in problem.residuals(path[last].point, last)]) * s.independent < path[last].samples
+    if not w.even and white and np.max(path[last].sd**2 / w.floor) < s.noise_limited:
+        limited, horizons = "noise", (last,)
+        problem = replace(problem, weighting=w, settings=replace(s, theta_sd=1.0))
+        start = path[last].point
+        taus = {last: 1.0}
+        for _ in range(2):
+            path = base_path(problem, horizons, taus, start)
+            taus = {last: path[last].own_tau}
+    else:
+        taus = {h: path[h].own_tau for h in horizons}
+        path = base_path(problem, horizons, taus, problem.start())
+    return problem, taus, path, limited
+
+
+def _interpolated(problem: Problem) -> tuple[Problem, dict[float, Fit]]:
+    """Return the problem with inputs held between samples, or smooth where they may be and that follows the recordings better."""
+    taus = dict.fromkeys(problem.settings.horizons, 1.0)
+    held = problem, base_path(problem, problem.settings.horizons, taus, problem.start())
+    plant = problem.nominal.plant
+    driven = any(r.W is not None or r.commanded or bool(np.ptp(r.REF, axis=0).max(initial=0.0) > 0) for r in problem.runs)
+    if plant.discrete or not plant.inputs or problem.nominal.model.controller is not None or driven:
+        return held
+    smooth = replace(problem, ramped=True)
+    other = smooth, base_path(smooth, problem.settings.horizons, taus, problem.start())
+    return min(held, other, key=lambda pair: sum(f.deviance for f in pair[1].values()))
+
+
+def _horizons(problem: Problem, path: dict[float, Fit]) -> tuple[float, ...]:
+    """Return the horizons down to the decision horizon: simulation for a plant that forgets, else the weakest that follows."""
+    horizons = problem.settings.horizons
+    if problem.offset_free:
+        return horizons
+    follows = [h for h in horizons if float(np.sqrt(np.mean(path[h].sd**2))) < problem.settings.drift_limit]
+    return horizons[: horizons.index(follows[-1]) + 1] if follows else horizons[:1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rounds:
+    """What the rounds of a search share: the problem, its correlation times, the model without effects."""
+
+    problem: Problem
+    taus: dict[float, float]
+    start: dict[float, Fit]
+    limited: str
+    mapper: Mapper
+
+    @property
+    def spans(self) -> list[tuple[int, int, int]]:
+        """The blocks that are left out."""
+        return blocks(list(self.start.values())[-1], self.problem.settings)
+
+    @property
+    def gap(self) -> float:
+        """What could be closed at the decision horizon: the loss, where the noise is known what is above it, and the distance of
+        the model's numbers from what is stated."""
+        base, w = list(self.start.values())[-1], self.problem.weighting
+        loss = float(left_out(base, self.spans, base.sd).sum())
+        floor = 0.0 if w.even else float(base.samples * (w.noise / base.sd**2).sum())
+        return max(loss - floor, float(np.sqrt(2.0 * base.samples))) / base.tau + 2 * base.penalty
+
+    def next(self, path: dict[float, Fit], offered: Sequence[Hypothesis], further: bool) -> Step:
+        """Screen all hypotheses, fit the promising ones along the horizons, rank them and decide on the first."""
+        p, s = self.problem, self.problem.settings
+        part, start = _part(p, path, self.taus)
+        shortlist, by_chance = _shortlist(part, start, offered, self.mapper)
+        tried = _promising(list(self.mapper(partial(trial, part, start, self.taus, starts=STARTS), shortlist)), s.polished)
+        tried = [replace(t, points=tuple(replace(q, x0=path[h].point.x0) for q, h in zip(t.points, ends(path), strict=True))) for t in tried]
+        fitted = list(self.mapper(partial(added_path, p, path, self.taus), tried))
+        found = [Candidate(t.hypothesis, q, self.evidence(q, path, t.hypothesis)) for t, q in zip(tried, fitted, strict=True)]
+        return _decided(_ranked(found, s, self.limited), self, by_chance, further)
+
+    def evidence(self, path: dict[float, Fit], base: dict[float, Fit], h: Hypothesis) -> Evidence:
+        """Return the evidence for one hypothesis; a constant of the model costs nothing, it is there already."""
+        count = 0 if is_constant(h) else sum(c.free for c in h.parameters)
+        return evidence(path, base, self.spans, list(self.start.values())[-1].sd, self.gap, count)
+
+    def without_idle(self, path: dict[float, Fit]) -> dict[float, Fit]:
+        """Return the path without earlier effects that no longer pay."""
+        last = list(path)[-1]
+        for k in range(len(path[last].point.effects) - 2, len(self.problem.loads) - 1, -1):
+            fewer = fewer_path(self.problem, path, self.taus, k)
+            if self.evidence(path, fewer, path[last].point.effects[k].hypothesis).gain < self.problem.settings.evidence / 2:
+                path = fewer
+        return path
+
+
+def _part(problem: Problem, path: dict[float, Fit], taus: dict[float, float]) -> tuple[Problem, dict[float, Fit]]:
+    """Return the beginning of every recording, long enough to choose hypotheses by, with the path refitted to it at its ends."""
+    total = sum(len(r) for r in problem.runs)
+    if total <= problem.settings.screened:
+        return problem, {h: path[h] for h in ends(path)}
+    share = problem.settings.screened / total
+    part = problem.of([r.span(0, max(1, int(share * len(r)))) for r in problem.runs], problem.x0)
+    return part, {h: fit(part, path[h].point, h, taus[h], REFIT) for h in ends(path)}
+
+
+def _promising(tried: Sequence[Trial], count: int) -> list[Trial]:
+    """Return the trials that fell most at the weakest correction, and half as many more of those that did at the strongest."""
+    by_last = sorted(tried, key=lambda t: -t.falls[-1])[:count]
+    by_first = [t for t in sorted(tried, key=lambda t: -t.falls[0])[:count] if t not in by_last]
+    return [*by_last, *by_first[: count // 2]]
+
+
+def _shortlist(problem: Problem, path: dict[float, Fit], offered: Sequence[Hypothesis], mapper: Mapper) -> tuple[list[dict[float, Screened]], dict[float, float]]:
+    """Return the hypotheses that promise most at the strongest or the weakest correction, and what chance promises there.
+
+    The latter is the largest gain that any hypothesis reaches, to first order, on surrogates of the residual.
+    """
+    found: dict[str, dict[float, Screened]] = {}
+    chosen: list[str] = []
+    by_chance: dict[float, float] = {}
+    for h in ends(path):
+        screen = Screen(problem, path[h], h)
+        screened = sorted(mapper(screen, offered), key=lambda x: -x.fall)
+        for x in screened:
+            found.setdefault(x.hypothesis.key, {})[h] = x
+        chosen += [x.hypothesis.key for x in screened[: problem.settings.refined]]
+        directions, rng = np.array([x.starts[0].direction for x in screened]), np.random.default_rng(len(offered))
+        falls = chance(path[h].residuals, directions, screen.scale, problem.settings.surrogates, rng)
+        by_chance[h] = 2 * float(falls.max(initial=0.0))
+    return [found[k] for k in dict.fromkeys(chosen)], by_chance
+
+
+def complexity(h: Hypothesis) -> float:
+    """Return what orders hypotheses that fit alike: fewer parameters first, descriptions of curves behind mechanisms."""
+    return sum(c.free and not c.nuisance for c in h.parameters) + (2.0 if getattr(h, "description", False) else 0.0)
+
+
+def _ranked(found: Sequence[Candidate], settings: Settings, limited: str) -> list[Candidate]:
+    """Return candidates by gain; among those that fit alike the simplest goes first.
+
+    Where the model limits, constants that are off are a reason only where they close nearly all of the gap: with physics left out
+    any fit moves them.
+    """
+    ordered = sorted(found, key=lambda c: -c.evidence.gain)
+    first = [c for c in ordered if limited == "noise" or not is_constant(c.hypothesis) or c.evidence.share > WHOLE] or ordered
+    if not first:
+        return []
+    near = [c for c in first if alike(c.evidence, first[0].evidence, c.evidence.gain, first[0].evidence.gain, settings, limited)]
+    winner = min(near, key=lambda c: (complexity(c.hypothesis), -c.evidence.gain))
+    return [winner, *(c for c in ordered if c is not winner)]
+
+
+def alike(one: Evidence, best: Evidence, gain: float, highest: float, settings: Settings, limited: str) -> bool:
+    """Whether a gain is as good as the highest: within what chance moves it, or within a small share of what it closes."""
+    if gain >= highest - settings.likely:
+        return True
+    return limited == "model" and bool(one.closing(np.array(gain)) >= (1 - settings.tie) * best.closing(np.array(highest)))
+
+
+def is_constant(h: Hypothesis) -> bool:
+    """Whether a hypothesis says that a number of the model is off, not that physics is missing."""
+    return h.physics == CONSTANT
+
+
+def _decided(ranked: list[Candidate], rounds: Rounds, by_chance: dict[float, float], further: bool) -> Step:
+    """Return the round with its decision.
+
+    A plant that integrates is judged at the horizon where its evidence is clearest: its simulation sums up every disturbance.
+    """
+    s = rounds.problem.settings
+    if not ranked:
+        return Step((), False, "no hypothesis of the library applies")
+    e = ranked[0].evidence
+    gains = [(e.gains[h], max(s.evidence, s.chance * v)) for h, v in by_chance.items() if h in e.gains]
+    gain, expected = gains[-1] if rounds.problem.offset_free else max(gains, key=lambda pair: pair[0] / pair[1])
+    if rounds.limited == "noise" and is_constant(ranked[0].hypothesis):
+        expected = s.constant  # one number that is known beforehand, not the best of many hypotheses
+    asked = [(gain, expected, "gain of likelihood")]
+    if not e.eases or rounds.limited == "model":
+        asked.append((e.t, s.block_t, "t of the blocks"))
+    if rounds.limited == "model":
+        asked += [(e.closed, s.further if further else s.share, "share of what the model leaves"), (e.share, 0.0, "share on left-out blocks")]
+    elif further:
+        asked.append((e.share, s.share, "share of the gap"))
+    for value, least, what in asked:
+        if not value > least:
+            return Step(tuple(ranked), False, f"{ranked[0].hypothesis.key}: {what} {value:.3g}, expected more than {least:.3g}")
+    return Step(tuple(ranked), True)

@@ -1,0 +1,84 @@
+"""The machine as the recordings show it: what hypotheses may know when they choose sites and starting points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from afdsvc.api.model import Variable
+from afdsvc.api.physics import Axis, Hypothesis, Machine, Physics, Size
+from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.resolution import grid
+from afdsvc.dataset.units import is_velocity
+from afdsvc.explain.search.fit import Fit
+from afdsvc.explain.search.problem import Problem
+from afdsvc.explain.simulate.steps import continuous
+from afdsvc.lti.statespace import Array, StateSpace
+
+EXCITED = 0.99  # share of the input's power below the bandwidth
+
+
+def hypotheses(library: Sequence[Physics], machine: Machine) -> list[Hypothesis]:
+    """Return the hypotheses of every physics at every site where it makes sense."""
+    return [h for physics in library for h in physics.hypotheses(machine)]
+
+
+def machine(problem: Problem, base: Fit, horizon: float, tones: Sequence[float] = (), peaks: Sequence[float] = (), limited: str = "model") -> Machine:
+    """Return the machine along the trajectories of a fit."""
+    model, runs = problem.nominal.model, problem.runs
+    x = np.vstack([s.x for s in problem.simulated(base.point, horizon)])
+    plant = problem.nominal.plant
+    smooth = continuous(plant) if plant.discrete else plant
+    states = _sizes(model.states, x)
+    inputs = _sizes(model.inputs, np.vstack([r.U for r in runs]))
+    aux = np.vstack([r.AUX for r in runs])
+    e = np.vstack(problem.residuals(base.point, horizon)) * problem.scale
+    return Machine(
+        inputs, _sizes(model.outputs, np.vstack([r.Y for r in runs])), states, tuple(_axes(model.states, states, inputs, smooth)),
+        dict(zip(runs[0].aux, _sizes([Variable(a) for a in runs[0].aux], aux), strict=True)), runs[0].dt, sum(len(r) for r in runs) * runs[0].dt,
+        bandwidth(runs), smooth, np.sqrt((e**2).mean(0)), tuple(tones), tuple(peaks), "noise" if limited == "noise" else "model",
+    )
+
+
+def _sizes(variables: Sequence[Variable], values: Array) -> tuple[Size, ...]:
+    found = []
+    for i, v in enumerate(variables):
+        column = values[:, i][np.isfinite(values[:, i])]
+        peak = float(np.abs(column).max(initial=0.0))
+        found.append(Size(i, v.name, v.unit, float(column.mean()), float(column.std()) or peak or 1.0, peak, grid(column)))
+    return tuple(found)
+
+
+def _axes(variables: Sequence[Variable], states: Sequence[Size], inputs: Sequence[Size], plant: StateSpace | None) -> list[Axis]:
+    """Return the axes: states that are the rate of another one, and measured speeds whose position is no state."""
+    names = [v.name for v in variables]
+    found = []
+    for i, v in enumerate(variables):
+        if plant is None or not (v.rate_of in names or (v.rate_of is None and is_velocity(v.unit))):
+            continue
+        position = states[names.index(str(v.rate_of))] if v.rate_of in names else None
+        found.append(_axis(v.name, position, states[i], i, states, inputs, plant))
+    return found
+
+
+def _axis(name: str, position: Size | None, rate: Size, i: int, states: Sequence[Size], inputs: Sequence[Size], plant: StateSpace) -> Axis:
+    by_state = np.abs(plant.A[i]) * [np.hypot(s.rms, s.mean) for s in states]
+    by_input = np.abs(plant.B[i]) * [np.hypot(s.rms, s.mean) for s in inputs]
+    push = float(np.concatenate([by_state, by_input]).max(initial=0.0)) or 1.0
+    direct = int(np.argmax(by_input)) if by_input.any() else None
+    if direct is None:
+        return Axis(name, position, rate, push)
+    return Axis(name, position, rate, push, direct, float(plant.B[i, direct]), inputs[direct].unit)
+
+
+def bandwidth(runs: Sequence[Run]) -> float:
+    """Return the angular frequency [rad/s] below which nearly all of the input's power lies; of the outputs without an input."""
+    power: Array = np.zeros(16385)
+    for r in runs:
+        signal = r.U if r.U.size else np.nan_to_num(r.Y)
+        n = min(len(r), 16384)
+        power = power + (np.abs(np.fft.rfft((signal - signal.mean(0))[:n] * np.hanning(n)[:, None], 32768, axis=0)) ** 2).sum(1)
+    share = np.cumsum(power) / max(float(np.sum(power)), 1e-300)
+    k = int(np.searchsorted(share, EXCITED)) + 1
+    return float(min(k, 16384) * 2 * np.pi / (32768 * runs[0].dt))

@@ -1,0 +1,89 @@
+"""Fits along the horizons, from a strong correction by the measurements to none (homotopy)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from afdsvc.api.physics import Hypothesis
+from afdsvc.explain.search.fit import Coordinates, Fit, borrowed, fit, rms, weighted
+from afdsvc.explain.search.problem import Point, Problem
+from afdsvc.explain.search.screen import Screened, Start
+
+BRIEF = 6  # iterations in which a start has to show what it is worth
+Taus = Mapping[float, float]
+
+
+def base_path(problem: Problem, horizons: Sequence[float], taus: Taus, start: Point) -> dict[float, Fit]:
+    """Return the fits of a point along the horizons, each from the one before; at the last also from ``start``."""
+    path: dict[float, Fit] = {}
+    point = start
+    for h in horizons:
+        path[h] = fit(problem, point, h, taus[h])
+        point = path[h].point
+    again = fit(problem, start, horizons[-1], taus[horizons[-1]]) if len(horizons) > 1 else path[horizons[-1]]
+    if again.cost < path[horizons[-1]].cost:
+        path[horizons[-1]] = again
+    return path
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """A hypothesis after brief fits at the strongest and the weakest correction: the points, and the falls of the cost."""
+
+    hypothesis: Hypothesis
+    points: tuple[Point, ...]
+    falls: tuple[float, ...]
+
+
+def trial(problem: Problem, base: Mapping[float, Fit], taus: Taus, screened: Mapping[float, Screened], starts: int) -> Trial:
+    """Return the best of the starts after a few iterations at both ends of the horizons."""
+    points, falls = [], []
+    for h in ends(base):
+        brief = []
+        for start in screened[h].starts[:starts]:
+            p = _begin(problem, base[h], start, h)
+            brief.append(fit(problem, p, h, taus[h], BRIEF, borrowed(problem, base[h], p, h), exact=False))
+        best = min(brief, key=lambda f: f.cost)
+        points.append(best.point)
+        falls.append(base[h].cost - best.cost)
+    return Trial(next(iter(screened.values())).hypothesis, tuple(points), tuple(falls))
+
+
+def _begin(problem: Problem, base: Fit, start: Start, horizon: float) -> Point:
+    """Return the base with the effect, its free numbers shifted as the effect asks for or not, whichever costs less."""
+    c = Coordinates(problem, base.point)
+    shifted = c.unpack(c.pack(base.point) + start.shift).added(start.effect)
+    return min((base.point.added(start.effect), shifted), key=lambda p: float(np.log(rms(weighted(problem, p, horizon))).sum()))
+
+
+def ends(path: Mapping[float, Fit]) -> list[float]:
+    """Return the strongest and the weakest correction of a path, one where they are the same."""
+    horizons = list(path)
+    return list(dict.fromkeys([horizons[0], horizons[-1]]))
+
+
+def added_path(problem: Problem, base: Mapping[float, Fit], taus: Taus, tried: Trial) -> dict[float, Fit]:
+    """Return the fits with one more effect along the base's horizons, each from the one before; at the last from the trial too."""
+    horizons = list(base)
+    path: dict[float, Fit] = {}
+    point = tried.points[0]
+    for h in horizons:
+        path[h] = fit(problem, point, h, taus[h], exact=h == horizons[-1])
+        point = path[h].point
+    if len(tried.points) > 1:
+        again = fit(problem, tried.points[-1], horizons[-1], taus[horizons[-1]])
+        if again.cost < path[horizons[-1]].cost:
+            path[horizons[-1]] = again
+    return path
+
+
+def fewer_path(problem: Problem, path: Mapping[float, Fit], taus: Taus, left_out: int) -> dict[float, Fit]:
+    """Return the refits of a path without one of its effects."""
+    found = {}
+    for h, f in path.items():
+        effects = tuple(e for k, e in enumerate(f.point.effects) if k != left_out)
+        found[h] = fit(problem, replace(f.point, effects=effects), h, taus[h])
+    return found

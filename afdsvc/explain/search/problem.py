@@ -1,0 +1,81 @@
+"""The recordings, the model and its nuisance parameters as one problem: residuals at a point, at a horizon."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from afdsvc.dataset.experiment import Run
+from afdsvc.explain.noise.weighting import Weighting
+from afdsvc.explain.settings import Settings
+from afdsvc.explain.simulate.effects import Effect
+from afdsvc.explain.simulate.nominal import Nominal
+from afdsvc.explain.simulate.simulator import Simulated, Simulator
+from afdsvc.lti.statespace import Array
+
+LOST = 1e3  # residual, in rms of the output, where a simulation has left
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Point:
+    """Numbers of the model ``theta`` (stated standard deviations), initial state per run, sensor offsets ``(p,)``, effects."""
+
+    theta: Array
+    x0: tuple[Array, ...]
+    offset: Array
+    effects: tuple[Effect, ...] = ()
+
+    def added(self, effect: Effect) -> Point:
+        """Return the point with one more effect."""
+        return replace(self, effects=(*self.effects, effect))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """What every fit shares.
+
+    ``scale (p,)`` is the rms of the outputs about their mean, ``state_scale (n,)`` that of the simulated states; ``x0`` the
+    initial states guessed from the recordings; ``gains`` the predictor gain ``(n, p)`` of every horizon (zero: simulation).
+    ``loads`` are the unknown loads every fit has, ``offset_free`` whether sensor offsets are free. ``closed`` simulates the loop with the stated controller.
+    """
+
+    nominal: Nominal
+    runs: tuple[Run, ...]
+    scale: Array
+    state_scale: Array
+    x0: tuple[Array, ...]
+    gains: Mapping[float, Array]
+    weighting: Weighting
+    settings: Settings
+    loads: tuple[Effect, ...] = ()
+    offset_free: bool = True
+    closed: bool = False
+    ramped: bool = False
+
+    def start(self) -> Point:
+        """Return the model as stated, with the initial states guessed from the recordings."""
+        return Point(np.zeros(len(self.nominal.entries)), self.x0, np.zeros(len(self.scale)), self.loads)
+
+    def simulated(self, point: Point, horizon: float) -> list[Simulated]:
+        """Return the simulation of every run; the offset is in the outputs."""
+        simulator = Simulator(self.nominal, self.gains[horizon], self.ramped)
+        found = []
+        for run, x0 in zip(self.runs, point.x0, strict=True):
+            s = simulator.run(replace(run, Y=run.Y - point.offset), point.theta, x0, point.effects, closed=self.closed)
+            found.append(Simulated(s.y + point.offset, s.u, s.x))
+        return found
+
+    def residuals(self, point: Point, horizon: float) -> list[Array]:
+        """Return ``(y - yhat) / scale`` of every run, ``(n, p)``; 0 where a reading is missing, `LOST` where the simulation left."""
+        return [self._residual(run, s.y) for run, s in zip(self.runs, self.simulated(point, horizon), strict=True)]
+
+    def _residual(self, run: Run, y: Array) -> Array:
+        e = (run.Y - y) / self.scale
+        left = np.isfinite(run.Y) & ~(np.abs(e) < LOST)
+        return np.asarray(np.where(left, LOST, np.nan_to_num(e)))
+
+    def of(self, runs: Sequence[Run], x0: Sequence[Array]) -> Problem:
+        """Return the same problem on other runs."""
+        return replace(self, runs=tuple(runs), x0=tuple(x0))

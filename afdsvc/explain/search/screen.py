@@ -1,0 +1,100 @@
+"""The linear screen: what a hypothesis could gain with everything else free to first order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from afdsvc.api.physics import Hypothesis
+from afdsvc.explain.search.fit import Fit, weighted
+from afdsvc.explain.search.problem import Problem
+from afdsvc.explain.simulate.effects import Effect
+from afdsvc.lti.statespace import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """Where a fit may begin: the effect, the fall of the cost it promises, the direction in the scaled residual that no free number
+    imitates, and the shift of the base's coordinates that goes with it."""
+
+    effect: Effect
+    fall: float
+    direction: Array
+    shift: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Screened:
+    """A hypothesis with its starts, best first."""
+
+    hypothesis: Hypothesis
+    starts: tuple[Start, ...]
+
+    @property
+    def fall(self) -> float:
+        """What the best start promises."""
+        return self.starts[0].fall
+
+
+class Screen:
+    """Projects what an effect changes on what the free numbers of a fit cannot imitate.
+
+    At the optimum of the base the cost falls along an effect as if nothing else moved; what else moves enters its curvature only.
+    """
+
+    def __init__(self, problem: Problem, base: Fit, horizon: float) -> None:
+        self.problem, self.base, self.horizon = problem, base, horizon
+        self.scale = np.concatenate([np.tile(1 / (base.sd * np.sqrt(base.tau)), len(e)) for e in base.residuals])
+        self.J = base.J * self.scale[:, None]
+        self.e = np.concatenate([r.ravel() for r in base.residuals]) * self.scale
+        self.chol = np.linalg.cholesky(base.H)
+
+    def __call__(self, hypothesis: Hypothesis) -> Screened:
+        """Return the hypothesis with its starts ordered by what they promise."""
+        tried = [self._start(hypothesis, np.array(s, float)) for s in hypothesis.starts]
+        return Screened(hypothesis, tuple(sorted(tried, key=lambda t: -t.fall)))
+
+    def shift(self, change: Array) -> Array:
+        """Return the shift of the free numbers that answers a change of the residual best (prior included)."""
+        return np.asarray(-np.linalg.solve(self.base.H, self.J.T @ change))
+
+    def change(self, effect: Effect) -> Array:
+        """Return what an effect changes in the weighted residual."""
+        there = weighted(self.problem, self.base.point.added(effect), self.horizon)
+        return np.asarray(np.concatenate([(b - a).ravel() for a, b in zip(self.base.residuals, there, strict=True)]) * self.scale)
+
+    def _start(self, h: Hypothesis, values: Array) -> Start:
+        linear = [j for j, c in enumerate(h.parameters) if c.linear and c.free]
+        if not linear:
+            return self._along(h, values)
+        columns = []
+        for j in linear:
+            moved = values.copy()
+            moved[j] = values[j] or h.parameters[j].scale
+            columns.append(self.change(Effect(h, moved)))
+        return self._amplitudes(columns, linear, h, values)
+
+    def _along(self, h: Hypothesis, values: Array) -> Start:
+        """Return the start for a change of fixed shape, as if its size were free between none and a little more than it is."""
+        d = self.change(Effect(h, values))
+        shift = self.shift(d)
+        r = d + self.J @ shift
+        power, along = float(r @ d), float(d @ self.e)
+        factor = min(max(-along / power, 0.0), 1.2) if power > 0 else 0.0
+        return Start(Effect(h, values), -(2 * factor * along + factor**2 * power), r, shift)
+
+    def _amplitudes(self, columns: Sequence[Array], linear: Sequence[int], h: Hypothesis, values: Array) -> Start:
+        """Return the start with the best amplitudes of the parameters a law is proportional to."""
+        D = np.column_stack(columns)
+        shifts = np.column_stack([self.shift(d) for d in columns])
+        R = D + self.J @ shifts
+        G, g = R.T @ D, D.T @ self.e
+        a = -np.linalg.lstsq(G + 1e-12 * np.trace(G) * np.eye(len(G)), g, rcond=1e-12)[0]
+        found = values.copy()
+        for j, factor in zip(linear, a, strict=True):
+            c = h.parameters[j]
+            found[j] = min(max((values[j] or c.scale) * factor, c.low), c.high)
+        size = np.array([found[j] / (values[j] or h.parameters[j].scale) for j in linear])
+        return Start(Effect(h, found), -float(2 * size @ g + size @ G @ size), R @ size, shifts @ size)

@@ -1,0 +1,1 @@
+"""From evidence to an answer: which names are claimed, how surely, and what remains."""

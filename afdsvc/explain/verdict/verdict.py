@@ -1,0 +1,113 @@
+"""The verdict: what the gap test and the search together allow to be said."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from afdsvc.explain.gap.finding import Gap
+from afdsvc.explain.search.forward import Candidate, Found, Step, is_constant
+from afdsvc.explain.verdict.weights import look_alikes, weights
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Claim:
+    """One name: its candidate, how sure it is among its look-alikes, which effect it explains (from 1), its share of the gap."""
+
+    candidate: Candidate
+    weight: float
+    effect: int
+    share: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """The verdict in one word, the claims (first of an effect first), sentences for people, and the gap before and after.
+
+    ``explained`` is the share of the gap that is closed, with its standard deviation over the blocks.
+    """
+
+    verdict: str
+    claims: tuple[Claim, ...]
+    sentences: tuple[str, ...]
+    gap: Gap
+    remainder: Gap | None
+    explained: tuple[float, float]
+
+
+def verdict(found: Found, gap: Gap, remainder: Gap | None, rng: np.random.Generator) -> Verdict:
+    """Return the verdict of a search, the gap before it and the one that remains after it."""
+    accepted = [s for s in found.steps if s.accepted]
+    strained = _strained(found)
+    explained = _explained(found)
+    if not accepted:
+        word, sentences = _nothing(found, gap, strained)
+        return Verdict(word, (), sentences, gap, remainder, explained)
+    if not gap.present and found.limited == "model":
+        why = f"{accepted[0].candidates[0].hypothesis.key} fits better, but {_lower(gap.sentence)}; it is not claimed"
+        return Verdict("unexplained" if gap.total > DOUBT else "consistent", (), (why, *strained), gap, remainder, explained)
+    claims = [c for k, s in enumerate(accepted, 1) for c in _claims(s, k, bool(strained), found, rng)]
+    firsts = [next(c for c in claims if c.effect == k) for k in range(1, len(accepted) + 1)]
+    word = "parameter_change" if all(is_constant(c.candidate.hypothesis) for c in firsts) else "omitted_physics"
+    return Verdict(word, tuple(claims), (*_rest(gap, remainder, explained), *strained), gap, remainder, explained)
+
+
+DOUBT = 0.1  # share of the residual a flexible model predicts above which "consistent" is not said
+
+
+def _nothing(found: Found, gap: Gap, strained: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+    last = found.steps[-1] if found.steps else None
+    stop = () if last is None else (f"the search stopped: {last.reason}",)
+    if gap.present or gap.total > DOUBT:
+        return "unexplained", (gap.sentence, *stop, *strained)
+    if strained:
+        return "parameter_change", (gap.sentence, *strained)
+    return "consistent", (gap.sentence, *stop)
+
+
+def _claims(step: Step, number: int, strained: bool, found: Found, rng: np.random.Generator) -> list[Claim]:
+    settings = found.problem.settings
+    alike = look_alikes(step.candidates, settings)
+    w = weights(alike, settings, found.limited, rng)
+    if strained:
+        w = np.minimum(w, settings.uncertain)
+    order = [0, *sorted(range(1, len(alike)), key=lambda k: -w[k])]
+    return [Claim(alike[k], float(w[k]), number, alike[k].evidence.share) for k in order]
+
+
+def _strained(found: Found) -> tuple[str, ...]:
+    """Return a sentence for the numbers of the final model that stand far from what its owner states."""
+    point = list(found.end.values())[-1].point
+    limit = found.problem.settings.strained
+    far = [(e, t) for e, t in zip(found.problem.nominal.entries, point.theta, strict=True) if abs(t) > limit]
+    if not far:
+        return ()
+    names = ", ".join(f"{e.name or f'{e.matrix}[{e.row}, {e.column}]'} ({t:+.1f})" for e, t in far[:4])
+    return (f"the fit moves numbers of the model by more than {limit:g} stated standard deviations: {names}; no name is certain then",)
+
+
+def _explained(found: Found) -> tuple[float, float]:
+    """Return the part of the gap that is closed at the decision horizon, by blocks left out, and its standard deviation."""
+    shares = [s.candidates[0].evidence for s in found.steps if s.accepted]
+    if not shares:
+        return 0.0, 0.0
+    total = float(np.clip(sum(e.share for e in shares), 0.0, 1.0))
+    closed = shares[-1].before - shares[-1].after
+    spread = np.sqrt(len(closed)) * closed.std(ddof=1) if len(closed) > 1 else 0.0
+    return total, float(spread / max(shares[0].before.sum(), 1e-300))
+
+
+def _rest(gap: Gap, remainder: Gap | None, explained: tuple[float, float]) -> tuple[str, ...]:
+    said = f"closes {100 * explained[0]:.0f} % of the gap"
+    if gap.total > 0:
+        said += f"; a flexible model without physics predicts {100 * gap.total:.0f} % of the residual's power"
+    if remainder is None or not remainder.present:
+        return (said,)
+    follows = ", ".join(name for name, share in remainder.depends_on[:2] if share > 0)
+    return (said, f"the remainder is not noise (p = {remainder.p_value:.2g}){' and follows ' + follows if follows else ''}")
+
+
+def _lower(sentence: str) -> str:
+    return sentence[:1].lower() + sentence[1:].rstrip(".")

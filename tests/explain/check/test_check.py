@@ -1,0 +1,227 @@
+"""The check before any fit: every defect put into sound recordings is named, and sound recordings raise no objection."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+import numpy as np
+import pytest
+
+from afdsvc.api.model import Model
+from afdsvc.api.signals import Channel, Trace
+from afdsvc.dataset.experiment import prepare, repetition
+from afdsvc.dataset.finding import Finding
+from afdsvc.errors import BadInput
+from afdsvc.explain.check.check import check, insufficient_excitation, objection, one_frequency
+from afdsvc.explain.check.information import posterior_sd
+from afdsvc.explain.check.lines import lines
+from afdsvc.explain.experiment.next_experiment import first_experiment
+from afdsvc.explain.pipeline import explain
+from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.files.model.model_file import read_model
+from afdsvc.files.tables.tables import read_table
+from afdsvc.lti.sampling import sample_zoh
+from afdsvc.plugins.physics import afdsvc_physics
+from afdsvc.trial import Options, generate
+from afdsvc.trial.model_text import model_text
+
+
+@cache
+def sound(excitation: str = "multisine", machine: str = "gas_bearing") -> tuple[Model, tuple[Trace, ...]]:
+    trial = generate("nothing", None, 0.0, np.random.default_rng(3), Options(machine=machine, excitation=excitation))
+    path = Path(mkdtemp()) / "model.toml"
+    path.write_text(model_text(trial.machine))
+    return read_model(path), trial.recordings[:2]
+
+
+def spoiled(column: str, change, traces: tuple[Trace, ...] | None = None) -> list[Trace]:
+    out = []
+    for t in traces or sound()[1]:
+        values = t.values.copy()
+        k = [c.name for c in t.channels].index(column)
+        values[:, k] = change(values[:, k])
+        out.append(Trace(t.name, t.dt, t.channels, values, t.t0))
+    return out
+
+
+def told(findings: tuple[Finding, ...], topic: str) -> str:
+    return " ".join(f.sentence for f in findings if f.topic == topic and f.kind != "ok")
+
+
+@pytest.mark.parametrize("machine", ["gas_bearing", "positioning_axis"])
+def test_sound_recordings_raise_no_objection(machine):
+    findings = check(*sound(machine=machine))
+    assert objection(findings) == ""
+    assert insufficient_excitation(findings) == ""
+    for topic in ("units", "synchronisation", "saturation", "quantisation", "gaps", "drift", "inputs"):
+        assert told(findings, topic) == ""
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "word"),
+    [
+        ("y_horizontal", 1000.0, "about 1000"), ("y_horizontal", 1e-3, "about 1/1000"), ("y_vertical", 1e6, "about 1e6"),
+        ("y_horizontal", np.pi / 180, "pi/180"), ("y_vertical", -1.0, "opposite sign"),
+    ],
+)
+def test_a_wrong_unit_is_named_with_its_factor(column, factor, word):
+    refused = objection(check(sound()[0], spoiled(column, lambda x: factor * x)))
+    assert column in refused
+    assert word in refused
+
+
+@pytest.mark.parametrize("share", [0.3, -0.3])
+def test_crosstalk_between_sensors_is_no_wrong_unit(share):
+    """The small path of the model may be several times off, with the other sign, when a sensor hears the other axis."""
+    crossed = []
+    for t in sound()[1]:
+        values, names = t.values.copy(), [c.name for c in t.channels]
+        values[:, names.index("y_horizontal")] += share * values[:, names.index("y_vertical")]
+        crossed.append(Trace(t.name, t.dt, t.channels, values, t.t0))
+    assert objection(check(sound()[0], crossed)) == ""
+
+
+def test_a_wrong_unit_of_an_input_is_seen():
+    refused = objection(check(sound()[0], spoiled("u_vertical", lambda x: 1e-3 * x)))
+    assert "u_vertical" in refused
+    assert "1000" in refused
+
+
+def test_a_change_of_thirty_per_cent_is_no_wrong_unit():
+    assert objection(check(sound()[0], spoiled("y_horizontal", lambda x: 1.3 * x))) == ""
+
+
+@pytest.mark.parametrize(("shift", "words"), [(4, "4 samples late"), (-3, "3 samples early")])
+def test_clocks_out_of_step_are_counted_in_samples(shift, words):
+    sentence = told(check(sound()[0], spoiled("y_horizontal", lambda x: np.roll(x, shift))), "synchronisation")
+    assert words in sentence
+    assert "y_horizontal" in sentence
+    assert "y_vertical" not in sentence
+
+
+def test_clipping_is_seen_with_its_level():
+    sentence = told(check(sound()[0], spoiled("y_vertical", lambda x: np.clip(x, -np.inf, 1.5))), "saturation")
+    assert "largest value 1.5 um" in sentence
+    assert "smallest" not in sentence
+
+
+def test_quantisation_is_seen_with_its_step_and_is_no_clipping():
+    findings = check(sound()[0], spoiled("y_vertical", lambda x: np.round(x / 2.5) * 2.5))
+    assert "steps of 2.5 um" in told(findings, "quantisation")
+    assert told(findings, "saturation") == ""
+
+
+def test_gaps_are_counted():
+    def gap(x):
+        x = x.copy()
+        x[100:140] = np.nan
+        return x
+
+    assert "lacks 40 of 12500 samples" in told(check(sound()[0], spoiled("y_horizontal", gap)), "gaps")
+
+
+def test_drift_is_measured():
+    findings = check(sound()[0], spoiled("y_horizontal", lambda x: x + np.linspace(0, 2, len(x))))
+    sentence = told(findings, "drift")
+    assert "y_horizontal drifts by" in sentence
+    assert float(sentence.split("drifts by ")[1].split()[0]) == pytest.approx(2.0, rel=0.25)
+
+
+def test_a_missing_column_stops_by_name():
+    model, traces = sound()
+    names = [c for c in traces[0].channels if c.name != "y_vertical"]
+    rest = [traces[0].channels.index(c) for c in names]
+    (finding,) = check(model, [Trace("cut", traces[0].dt, tuple(names), traces[0].values[:, rest])])
+    assert finding.kind == "stop"
+    assert "'y_vertical'" in finding.sentence
+
+
+def test_one_sine_is_said_to_leave_things_open():
+    findings = check(*sound("sine"))
+    assert "one sine" in one_frequency(findings)
+    assert "multisine" in one_frequency(findings)
+    assert one_frequency(check(*sound())) == ""
+
+
+def test_ordinary_operation_of_a_machine_at_rest_is_insufficient():
+    findings = check(*sound("operation"))
+    assert "odd multisine on every input" in insufficient_excitation(findings)
+    assert objection(findings) == ""
+
+
+def test_the_information_is_that_of_the_fit():
+    """One gain known to 50 %, a first-order plant: the posterior spread is the textbook one of a regression on its output."""
+    n, sd = 4000, 0.3
+    rng = np.random.default_rng(0)
+    u = np.tile(rng.standard_normal(400), n // 400)
+    text = 'name="m"\ntime="discrete"\nsample_time=0.01\ninputs=[{name="u"}]\noutputs=[{name="y"}]\nstates=[{name="x"}]\n'
+    text += f"A=[[0.5]]\nB=[[2.0]]\nC=[[1]]\nD=[[0]]\n[uncertainty]\nA=[[0]]\nB=[[1.0]]\n[noise]\noutput_sd=[{sd}]\n"
+    path = Path(mkdtemp()) / "model.toml"
+    path.write_text(text)
+    model = read_model(path)
+    x, y = 0.0, np.zeros(n)
+    for k in range(n):
+        y[k] = x
+        x = 0.5 * x + 2.0 * u[k]
+    trace = Trace("r", 0.01, (Channel("u_u"), Channel("y_y")), np.column_stack([u, y + sd * rng.standard_normal(n)]))
+    nom, runs = nominal(model, 0.01), prepare(model, [trace])
+    (found,) = posterior_sd(nom, lines(nom, runs), np.array([sd]))
+    sensitivity = y[400:] / 2.0  # d y / d B, whose prior sd is 1
+    expected = 1 / np.sqrt(1 + (sensitivity - sensitivity.mean()) @ (sensitivity - sensitivity.mean()) / sd**2)
+    assert found == pytest.approx(expected, rel=0.06)
+
+
+@pytest.mark.parametrize("cycles", [(51, 0), (255, 0), (51, 73), (255, 111)])
+def test_a_sine_that_nearly_repeats_is_not_taken_for_periodic_early(cycles):
+    """Sines of whole cycles in 2500 samples repeat after that, or a divisor, and after nothing else."""
+    t = np.arange(12500)
+    x = np.column_stack([np.sin(2 * np.pi * c * t / 2500 + 1) for c in cycles])
+    period, _ = repetition(x)
+    assert period > 0
+    assert 2500 % period == 0
+
+
+@pytest.mark.parametrize(
+    ("folder", "model", "names"),
+    [("emps", "model", ["estimation"]), ("silverbox", "model_physical", ["multisine"]), ("two_mass", "model", ["multisine_A", "multisine_B"])],
+)
+def test_measured_recordings_raise_no_objection(measured, folder, model, names):
+    traces = [read_table(measured / folder / f"{n}.csv") for n in names]
+    findings = check(read_model(measured / folder / f"{model}.toml"), traces)
+    assert objection(findings) == ""
+    assert insufficient_excitation(findings) == ""
+
+
+def test_explain_refuses_a_wrong_unit_by_name():
+    with pytest.raises(BadInput, match=r"y_horizontal is 10\d\d times what the model says, about 1000"):
+        explain(sound()[0], spoiled("y_horizontal", lambda x: 1000 * x), (), afdsvc_physics())
+
+
+def test_explain_says_insufficient_and_what_to_play():
+    """A machine at rest: the burst proposed moves the nominal outputs by about ten times their noise."""
+    trial = generate("nothing", None, 0.0, np.random.default_rng(3), Options(excitation="operation", periods=2))
+    path = Path(mkdtemp()) / "model.toml"
+    path.write_text(model_text(trial.machine))
+    model = read_model(path)
+    answer = explain(model, trial.recordings, [trial.holdout], afdsvc_physics())
+    assert answer.verdict == "insufficient_excitation"
+    assert "odd multisine" in answer.next_experiment["sentence"]
+    runs = prepare(model, trial.recordings)
+    burst = first_experiment(nominal(model, runs[0].dt), runs).burst
+    played = burst.play(runs[0].dt)
+    u, y = closed_loop(model, played, runs[0].dt)
+    assert np.max(y[burst.settle :].std(0) / model.output_sd) == pytest.approx(10, rel=0.25)
+
+
+def closed_loop(model: Model, alpha: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return inputs and outputs of the nominal loop, sample by sample: u = K y + alpha."""
+    G, K = sample_zoh(model.plant, dt), model.controller
+    x, w, u, y = np.zeros(G.order), np.zeros(K.order), np.zeros_like(alpha), np.zeros((len(alpha), G.outputs))
+    for k in range(len(alpha)):
+        y[k] = G.C @ x
+        u[k] = K.C @ w + K.D @ y[k] + alpha[k]
+        w = K.A @ w + K.B @ y[k]
+        x = G.A @ x + G.B @ u[k]
+    return u, y

@@ -1,0 +1,47 @@
+"""An output that does not respond to the inputs is refused by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from afdsvc.dataset.experiment import prepare
+from afdsvc.explain.check.check import check, objection
+from afdsvc.explain.check.response import response
+from afdsvc.explain.simulate.nominal import nominal
+
+
+def noise(trace, seed: int, output: bool = False):
+    """The recording with its input replaced by white noise (and, with ``output``, what is measured too)."""
+    values = trace.values.copy()
+    rng = np.random.default_rng(seed)
+    values[:, 0] = rng.standard_normal(len(values))
+    if output:
+        values[:, 1] = rng.standard_normal(len(values))
+    return replace(trace, values=values)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_two_unrelated_signals_are_refused_by_name(spring, recorded, seed):
+    refused = objection(check(spring, [noise(recorded(k), 10 * seed + k, True) for k in (1, 2)]))
+    assert "y_position does not respond to u_force" in refused
+
+
+def test_an_output_that_responds_raises_no_objection(spring, recorded):
+    runs = prepare(spring, [recorded(k, noise=0.5) for k in (1, 2)])
+    assert list(response(nominal(spring, runs[0].dt), runs)) == []
+
+
+def test_an_output_that_follows_the_size_of_the_input_responds(spring, recorded):
+    traces = [noise(recorded(k), k) for k in (1, 2)]
+    traces = [replace(t, values=np.column_stack([t.values[:, 0], np.abs(t.values[:, 0])])) for t in traces]
+    runs = prepare(spring, traces)
+    assert list(response(nominal(spring, runs[0].dt), runs)) == []
+
+
+def test_a_machine_without_inputs_is_not_asked(spring, recorded):
+    free = replace(spring, inputs=(), plant=replace(spring.plant, B=np.zeros((2, 0)), D=np.zeros((1, 0))))
+    runs = prepare(free, [recorded(1, decay=True)])
+    assert list(response(nominal(free, runs[0].dt), runs)) == []

@@ -1,0 +1,60 @@
+"""The picture of a law covers the law that is there, and the places name the right band."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from afdsvc.dataset.experiment import prepare
+from afdsvc.explain.locate.free_law import curve
+from afdsvc.explain.locate.picture import picture
+from afdsvc.explain.locate.places import band
+from afdsvc.explain.search.build import build
+from afdsvc.explain.search.forward import search
+from afdsvc.explain.settings import Settings
+from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.plugins.physics.cubic_stiffness import CubicStiffness
+from afdsvc.plugins.physics.quadratic_damping import QuadraticDamping
+
+
+def found(spring, recorded, extra, library):
+    runs = prepare(spring, [recorded(k, level, extra) for k, level in enumerate((1.0, 0.6))])
+    return search(build(nominal(spring, runs[0].dt), runs, replace(Settings(), effects=1)), library)
+
+
+def test_the_band_holds_the_spring_that_is_there_beside_its_name(spring, recorded):
+    answer = found(spring, recorded, lambda q, v: -600.0 * q**3, [CubicStiffness()])
+    law = picture(answer, list(answer.end.values())[-1], True)
+    assert (law.site, law.against, law.unit, law.x_unit) == ("force on v", "q", "N", "mm")
+    true = -0.06 * law.x**3
+    linear = np.polyfit(law.x, law.y - true, 1)  # a linear part belongs to the model's own stiffness
+    inside = np.abs(law.y - true - np.polyval(linear, law.x)) < 1.5 * (law.high - law.y) + 0.1 * np.abs(true).max()
+    assert inside.all()
+    assert law.named_y == pytest.approx(true, abs=0.15 * np.abs(true).max())
+
+
+def test_without_a_name_the_picture_is_drawn_at_the_nearest_site(spring, recorded):
+    answer = found(spring, recorded, lambda q, v: -0.05 * v * abs(v), [QuadraticDamping()])
+    law = picture(answer, list(answer.start.values())[-1], False)
+    assert law.against == "v"
+    assert law.named_y is None
+    assert "changes sign with the direction" in law.sentence
+
+
+def test_the_curve_is_straight_between_its_knots_and_continues_outwards():
+    p = np.array([-1.0, 0.0, 2.0, 3.0, 1.0, 5.0])
+
+    def at(x: float) -> float:
+        out = np.zeros(1)
+        curve(p, np.array([x]), np.zeros(0), 1e-3, out)
+        return float(out[0])
+
+    assert [at(x) for x in (-2.0, -1.0, -0.5, 0.0, 1.0, 2.0, 3.0)] == pytest.approx([5, 3, 2, 1, 3, 5, 7])
+
+
+def test_the_band_of_a_signal_holds_its_power():
+    t = np.arange(5000) * 1e-3
+    low, high = band(np.sin(2 * np.pi * 20 * t) + np.sin(2 * np.pi * 60 * t), 1e-3)
+    assert (low, high) == pytest.approx((20, 60), abs=0.5)

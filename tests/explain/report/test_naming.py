@@ -1,0 +1,61 @@
+"""Parameters of names: their standard deviations are those of a regression, their units those of people."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from afdsvc.api.physics import Coefficient, Hypothesis, Signal
+from afdsvc.dataset.experiment import prepare
+from afdsvc.explain.report.naming import estimates
+from afdsvc.explain.search.build import build
+from afdsvc.explain.search.fit import fit
+from afdsvc.explain.settings import Settings
+from afdsvc.explain.simulate.effects import Effect
+from afdsvc.explain.simulate.nominal import nominal
+
+NOISE = 0.02
+
+
+def cubic(p, z, m, dt, out):
+    """A hardening spring."""
+    out[0] -= p[0] * z[0] ** 3
+
+
+def law(low: float, linear: bool) -> Hypothesis:
+    q, v = Signal("x", 0), Signal("x", 1)
+    size = Coefficient("stiffness", "N/mm^3", low, 1e6, 100.0, linear=linear, through=(1, 0))
+    return Hypothesis("cubic", "state:v", "spring", "force", cubic, (q,), (v,), (size,), ((500.0,),))
+
+
+@pytest.mark.parametrize(("low", "linear"), [(-1e6, True), (0.0, False)])
+def test_standard_deviations_are_those_of_a_regression_in_the_unit_of_the_input(spring, recorded, low, linear):
+    """A plant known exactly: the deviation is noise over the norm of the output's derivative, on either scale of the search."""
+    exact = replace(spring, entry_sd={name: np.zeros(getattr(spring.plant, name).shape) for name in "ABCD"})
+    runs = prepare(exact, [recorded(k, extra=lambda q, v: -600.0 * q**3, noise=NOISE) for k in (1, 2)])
+    problem = replace(build(nominal(exact, runs[0].dt), runs, Settings()), offset_free=False)
+    start = problem.start()
+    found = fit(problem, start.added(Effect(law(low, linear), np.array([500.0]))), 0.0, 1.0)
+    (told,) = estimates(problem, found, 0.0)
+    value = found.point.effects[0].values[0]
+    derivative = []
+    for h in (1.0, -1.0):
+        moved = replace(found.point, effects=(Effect(law(low, linear), np.array([value + h])),))
+        derivative.append(np.vstack([s.y for s in problem.simulated(moved, 0.0)]))
+    expected = NOISE / np.linalg.norm((derivative[0] - derivative[1]) / 2)
+    assert told["stiffness"].unit == "N/mm^3"
+    assert told["stiffness"].value == pytest.approx(value / 1e4)
+    assert told["stiffness"].value == pytest.approx(0.06, abs=4 * told["stiffness"].sd)
+    assert told["stiffness"].sd == pytest.approx(expected / 1e4, rel=0.15)
+
+
+def test_what_the_recordings_say_nothing_about_has_no_deviation(spring, recorded):
+    runs = prepare(spring, [recorded(1)])
+    problem = build(nominal(spring, runs[0].dt), runs, Settings())
+    h = law(-1e6, True)
+    blind = replace(h, parameters=(*h.parameters, Coefficient("nothing", "", -1.0, 1.0, 0.1)), starts=((0.0, 0.0),))
+    (told,) = estimates(problem, fit(problem, problem.start().added(Effect(blind, np.zeros(2))), 0.0, 1.0), 0.0)
+    assert told["nothing"].sd is None
+    assert told["stiffness"].sd is not None

@@ -1,0 +1,140 @@
+"""The whole way on a small spring: named, consistent, unexplained; without inputs, as Python code; the document people read."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from afdsvc.api.model import Model, Quantity
+from afdsvc.api.signals import Trace
+from afdsvc.errors import BadInput
+from afdsvc.explain.pipeline import explain
+from afdsvc.explain.report.explanation import Explanation
+from afdsvc.files.model.improved import write_improved
+from afdsvc.files.model.model_file import read_model
+from afdsvc.plugins.physics import afdsvc_physics
+
+LEVELS = (1.0, 0.5, 0.75, 0.8)
+
+
+def some(*names: str) -> list:
+    return [p for p in afdsvc_physics() if p.name in names]
+
+
+FEW = some("cubic_stiffness", "coulomb_friction", "quadratic_damping", "static_nonlinearity", "sensor_nonlinearity", "parameter_change")
+
+
+def cubic(q: float, v: float) -> float:
+    return -400.0 * q**3
+
+
+@pytest.fixture(scope="module")
+def four(recorded) -> list[Trace]:
+    """Recordings of a spring that hardens."""
+    return [recorded(seed, level, cubic) for seed, level in enumerate(LEVELS)]
+
+
+@pytest.fixture(scope="module")
+def answer(spring, four) -> Explanation:
+    """What is said about it, the whole library offered."""
+    return explain(spring, four[:3], four[3:], afdsvc_physics())
+
+
+def test_a_concealed_cubic_spring_is_named_modelled_and_shown(answer):
+    assert answer.verdict == "omitted_physics"
+    first = answer.named[0]
+    assert (first.physics, first.site) == ("cubic_stiffness", "state:v")
+    found = first.parameters["stiffness"]
+    assert found.value == pytest.approx(0.04, abs=4 * found.sd + 0.004)
+    (fit,) = answer.fit
+    assert fit.before_nrmse > 2 * fit.noise_floor_nrmse
+    assert fit.after_nrmse < 1.05 * fit.noise_floor_nrmse
+    assert answer.whiteness_p[0] < 1e-6 < 1e-3 < answer.whiteness_p[1]
+    assert answer.gap.present
+
+
+def test_the_place_and_the_picture_stand_beside_the_name(answer):
+    (place,) = answer.located
+    assert (place.output, place.input) == ("position", "force")
+    assert 0 <= place.band_hz[0] < place.band_hz[1] < 200
+    assert answer.law.against == "q"
+    assert answer.law.named_y == pytest.approx(-0.04 * answer.law.x**3, abs=0.2 * 0.04 * np.abs(answer.law.x).max() ** 3)
+
+
+def test_the_document_has_the_fixed_keys_and_is_plain_json(answer):
+    again = json.loads(json.dumps(answer.json("improved.toml", "report.html"), allow_nan=False))
+    assert {"verdict", "located", "named", "rejected", "fit", "model", "report", "gap", "candidates", "law"} <= set(again)
+    assert set(again["fit"]) == {"per_output", "heldout", "whiteness_p"}
+    assert set(again["fit"]["per_output"]["position"]) == {"before", "after", "noise_floor_nrmse"}
+    assert again["fit"]["per_output"]["position"]["after"]["r2"] > again["fit"]["per_output"]["position"]["before"]["r2"]
+    assert again["fit"]["heldout"] == ["r3"]
+    assert {"physics", "site", "weight", "parameters", "sentence", "share_of_gap", "partial"} <= set(again["named"][0])
+    assert set(again["named"][0]["parameters"]["stiffness"]) == {"value", "sd", "unit"}
+    assert {"present", "r2", "p_value", "explainable", "sentence"} <= set(again["gap"])
+    assert len(again["law"]["x"]) == len(again["law"]["low"]) == len(again["law"]["named_y"])
+    assert all({"physics", "site", "heldout_nrmse", "why"} == set(r) for r in again["rejected"])
+
+
+def test_a_machine_as_stated_is_consistent(spring, recorded):
+    *recordings, held = [recorded(seed, level) for seed, level in enumerate(LEVELS)]
+    answer = explain(spring, recordings, [held], FEW)
+    assert answer.verdict == "consistent"
+    assert (answer.named, answer.remainder, answer.law) == ((), None, None)
+
+
+def test_physics_that_no_hypothesis_has_is_unexplained_with_the_nearest_beside_it(spring, recorded, tmp_path):
+    *recordings, held = [recorded(seed, level, lambda q, v: -3e3 * np.sin(6 * q)) for seed, level in enumerate(LEVELS)]
+    answer = explain(spring, recordings, [held], some("coulomb_friction"))
+    assert answer.verdict == "unexplained"
+    assert (answer.named, answer.remainder) == ((), None)
+    assert all(c.physics == "coulomb_friction" for c in answer.candidates)
+    assert not [e for e in answer.point.effects if e.hypothesis.physics == "coulomb_friction"]
+    assert write_improved(answer, tmp_path / "MODEL.toml", {}) == [tmp_path / "MODEL.toml"]
+
+
+def test_a_free_decay_needs_no_input(spring, recorded):
+    free = replace(spring, inputs=(), plant=replace(spring.plant, B=np.zeros((2, 0)), D=np.zeros((1, 0))))
+    *recordings, held = [recorded(seed, level, lambda q, v: -1500.0 * np.tanh(v / 0.5), decay=True, periods=1) for seed, level in enumerate(LEVELS)]
+    answer = explain(free, recordings, [held], some("coulomb_friction", "quadratic_damping", "cubic_stiffness"))
+    assert answer.named[0].physics == "coulomb_friction"
+    assert answer.fit[0].after_nrmse < 0.3 * answer.fit[0].before_nrmse
+
+
+class Code:
+    """The spring as a person would write it."""
+
+    def f(self, t, x, u, p):
+        return np.array([x[1], p["stiffness"] * (u[0] - x[0]) - p["damping"] * x[1]])
+
+    def h(self, t, x, u, p):
+        return x[:1]
+
+
+def test_python_code_is_explained_as_it_is_and_stays_the_code_it_is(spring, four, tmp_path):
+    (tmp_path / "spring.py").write_text(
+        "import numpy as np\n\n\nclass Code:\n    def f(self, t, x, u, p):\n        return np.array([x[1], p['stiffness'] * (u[0] - x[0]) - p['damping'] * x[1]])\n\n"
+        "    def h(self, t, x, u, p):\n        return x[:1]\n\n\nmodel = Code()\n"
+    )
+    parameters = {"stiffness": Quantity(1e4, "1/s^2", 0.05), "damping": Quantity(20.0, "1/s", 0.1)}
+    model: Model = replace(
+        spring, plant=None, dynamics=Code(), parameters=parameters, origin=str(tmp_path / "model.toml"), extra={"dynamics": "spring.py:model"}
+    )
+    answer = explain(model, four[:3], four[3:], FEW)
+    assert (answer.named[0].physics, answer.named[0].site) == ("cubic_stiffness", "state:v")
+    (tmp_path / "out").mkdir()
+    written = write_improved(answer, tmp_path / "out" / "MODEL.toml", {})
+    assert [f.name for f in written] == ["MODEL.toml", "MODEL.py"]
+    improved = read_model(written[0], allow_code=True)
+    again = explain(improved, four[:3], four[3:], FEW)
+    assert not [n for n in again.named if n.physics == "cubic_stiffness"]
+    assert again.fit[0].before_nrmse < 1.1 * answer.fit[0].after_nrmse
+
+
+def test_a_column_of_the_model_that_is_missing_is_named(spring, recorded):
+    trace = recorded(1)
+    cut = Trace("cut", trace.dt, trace.channels[:1], trace.values[:, :1])
+    with pytest.raises(BadInput, match="y_position"):
+        explain(spring, [cut], [], FEW)
