@@ -33,6 +33,8 @@ class Settings:
         are four time constants of exponential correlation).
     evidence : float
         Gain (twice the log-likelihood, less the price of the parameters) below which nothing is accepted.
+    rounding : float
+        Residual, in rms of the output, below which two computations agree and nothing is looked for.
     constant : float
         Gain asked of a constant of the model that is off, where noise limits: chi-square with one degree of freedom at 2e-4.
     surrogates : int
@@ -71,6 +73,7 @@ class Settings:
     blocks: int = 20
     correlation_times: int = 2
     evidence: float = 10.0
+    rounding: float = 2e-6
     constant: float = 13.8
     surrogates: int = 99
     chance: float = 1.5

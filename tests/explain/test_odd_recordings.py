@@ -160,13 +160,3 @@ def test_recordings_without_any_noise_have_no_coloured_noise():
     traces = [replace(t, values=np.column_stack([t.values[:, 0], simulate(sample_zoh(PLANT, DT), t.values[:, :1])[0][:, 0]])) for t in map(recording, range(3))]
     answer = explain(model(), traces[:2], traces[2:], afdsvc_physics(), experiment=False)
     assert (answer.verdict, answer.named) == ("consistent", ())
-
-
-def test_without_any_noise_a_constant_is_no_rounding():
-    def shifted(t: Trace) -> Trace:
-        return replace(t, values=np.column_stack([t.values[:, 0], 0.1 + simulate(sample_zoh(PLANT, DT), t.values[:, :1])[0][:, 0]]))
-
-    traces = [shifted(t) for t in map(recording, range(3))]
-    answer = explain(model(), traces[:2], traces[2:], afdsvc_physics(), experiment=False)
-    assert answer.verdict == "omitted_physics"
-    assert {"sensor_offset", "constant_load"} & {n.physics for n in answer.named}

@@ -39,6 +39,8 @@ def picture(found: Found, final: Fit, claimed: bool) -> Law | None:
 
 
 def _site(found: Found, candidate: Candidate) -> Site | None:
+    if not candidate.hypothesis.reads:
+        return None
     last = list(found.end)[-1]
     simulated = found.problem.simulated(candidate.fit.point, last)
     u, x, y = (np.vstack([getattr(s, name) for s in simulated]) for name in ("u", "x", "y"))

@@ -32,7 +32,7 @@ def build(nominal: Nominal, runs: Sequence[Run], settings: Settings) -> Problem:
     states = np.vstack([s.x for s in problem.simulated(problem.start(), STRONG)])
     problem = replace(problem, state_scale=_positive(np.sqrt(np.mean(np.minimum(states**2, 1e200), axis=0))))
     regular = not n or _regular(nominal)
-    problem = replace(problem, offset_free=regular, loads=() if regular else loads(nominal, force, settings.load_sd))
+    problem = replace(problem, offset_free=regular, regular=regular, loads=() if regular else loads(nominal, force, settings.load_sd))
     return replace(problem, x0=tuple(initial(problem, k) for k in range(len(runs))))
 
 

@@ -73,7 +73,9 @@ def search(problem: Problem, library: Sequence[Physics], mapper: Mapper = map, p
     rounds = Rounds(problem, taus, start, limited, mapper)
     path = start
     steps: list[Step] = []
-    for number in range(problem.settings.effects):
+    seen = _seen(problem, path, limited)
+    rounding = float(list(start.values())[-1].sd.max()) < problem.settings.rounding
+    for number in range(0 if rounding else problem.settings.effects):
         progress("searching", number / problem.settings.effects)
         seen = _seen(problem, path, limited)
         present = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
@@ -108,8 +110,8 @@ def settled(problem: Problem) -> tuple[Problem, dict[float, float], dict[float, 
     white = correlation_time([w(e) for e in problem.residuals(path[last].point, last)]) * s.independent < path[last].samples
     if not w.even and white and np.max(path[last].sd**2 / w.floor) < s.noise_limited:
         limited, horizons = "noise", (last,)
-        problem = replace(problem, weighting=w, settings=replace(s, theta_sd=1.0))
-        start = path[last].point
+        problem = replace(problem, weighting=w, settings=replace(s, theta_sd=1.0), offset_free=False, loads=())
+        start = replace(path[last].point, offset=np.zeros(len(problem.scale)), effects=())  # offsets and loads are hypotheses here
         taus = {last: 1.0}
         for _ in range(2):
             path = base_path(problem, horizons, taus, start)
@@ -136,7 +138,7 @@ def _interpolated(problem: Problem) -> tuple[Problem, dict[float, Fit]]:
 def _horizons(problem: Problem, path: dict[float, Fit]) -> tuple[float, ...]:
     """Return the horizons down to the decision horizon: simulation for a plant that forgets, else the weakest that follows."""
     horizons = problem.settings.horizons
-    if problem.offset_free:
+    if problem.regular:
         return horizons
     follows = [h for h in horizons if float(np.sqrt(np.mean(path[h].sd**2))) < problem.settings.drift_limit]
     return horizons[: horizons.index(follows[-1]) + 1] if follows else horizons[:1]
@@ -271,7 +273,7 @@ def _decided(ranked: list[Candidate], rounds: Rounds, by_chance: dict[float, flo
         return Step((), False, "no hypothesis of the library applies")
     e = ranked[0].evidence
     gains = [(e.gains[h], max(s.evidence, s.chance * v)) for h, v in by_chance.items() if h in e.gains]
-    gain, expected = gains[-1] if rounds.problem.offset_free else max(gains, key=lambda pair: pair[0] / pair[1])
+    gain, expected = gains[-1] if rounds.problem.regular else max(gains, key=lambda pair: pair[0] / pair[1])
     if rounds.limited == "noise" and is_constant(ranked[0].hypothesis):
         expected = s.constant  # one number that is known beforehand, not the best of many hypotheses
     asked = [(gain, expected, "gain of likelihood")]

@@ -38,7 +38,8 @@ class Problem:
 
     ``scale (p,)`` is the rms of the outputs about their mean, ``state_scale (n,)`` that of the simulated states; ``x0`` the
     initial states guessed from the recordings; ``gains`` the predictor gain ``(n, p)`` of every horizon (zero: simulation).
-    ``loads`` are the unknown loads every fit has, ``offset_free`` whether sensor offsets are free. ``closed`` simulates the loop with the stated controller.
+    ``loads`` are the unknown loads every fit has, ``offset_free`` whether sensor offsets are free,
+    ``regular`` whether the plant has a static gain. ``closed`` simulates the loop with the stated controller.
     """
 
     nominal: Nominal
@@ -51,6 +52,7 @@ class Problem:
     settings: Settings
     loads: tuple[Effect, ...] = ()
     offset_free: bool = True
+    regular: bool = True
     closed: bool = False
     ramped: bool = False
 

@@ -59,7 +59,9 @@ DOUBT = 0.1  # share of the residual a flexible model predicts above which "cons
 
 def _nothing(found: Found, gap: Gap, strained: Sequence[str]) -> tuple[str, tuple[str, ...]]:
     last = found.steps[-1] if found.steps else None
-    stop = () if last is None else (f"the search stopped: {last.reason}",)
+    if last is None:
+        return "consistent", ("the residual is rounding: recording and simulation agree",)
+    stop = (f"the search stopped: {last.reason}",)
     if gap.present or gap.total > DOUBT:
         return "unexplained", (gap.sentence, *stop, *strained)
     if strained:

@@ -1,0 +1,37 @@
+"""Correlation times, surrogates and the weighting against closed forms."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from afdsvc.explain.noise.surrogates import chance, rephased
+from afdsvc.explain.noise.weighting import correlation_time, even
+
+
+@pytest.mark.parametrize("a", [0.0, 0.5, 0.9])
+def test_the_correlation_time_of_first_order_noise(a):
+    e = lfilter([1.0], [1.0, -a], np.random.default_rng(3).normal(size=(60_000, 1)), axis=0)
+    assert correlation_time([e]) == pytest.approx((1 + a) / (1 - a), rel=0.15)
+
+
+def test_surrogates_keep_power_and_colour():
+    rng = np.random.default_rng(4)
+    e = lfilter([1.0], [1.0, -0.8], rng.normal(size=(20_000, 2)), axis=0)
+    other = rephased(e, rng)
+    assert other.std(0) == pytest.approx(e.std(0), rel=1e-3)  # all but the last line of the spectrum, whose phase is 0 or pi
+    assert correlation_time([other]) == pytest.approx(correlation_time([e]), rel=0.2)
+    assert abs(np.corrcoef(e[:, 0], other[:, 0])[0, 1]) < 0.1
+
+
+def test_chance_is_the_largest_of_chi_squares_for_white_noise():
+    rng = np.random.default_rng(5)
+    e = rng.normal(size=(2000, 1))
+    directions = rng.normal(size=(50, 2000))
+    falls = chance([e], directions, np.ones(2000), 200, rng)
+    theory = 0.5 * rng.normal(size=(4000, 50)) ** 2
+    assert np.median(falls) == pytest.approx(np.median(theory.max(1)), rel=0.2)
+
+
+def test_the_even_weighting_changes_nothing():
+    e = np.random.default_rng(6).normal(size=(100, 2))
+    assert even(2)(e) == pytest.approx(e)

@@ -1,0 +1,94 @@
+"""The search on a motor whose speed is measured, with and without dry friction simulated by code of its own."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from afdsvc.dataset.experiment import prepare
+from afdsvc.explain.search.build import build
+from afdsvc.explain.search.fit import Coordinates, fit, jacobian, weighted
+from afdsvc.explain.search.forward import search
+from afdsvc.explain.settings import Settings
+from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.explain.verdict.weights import look_alikes, weights
+from afdsvc.plugins.physics.coulomb_friction import CoulombFriction
+from afdsvc.plugins.physics.dead_zone import DeadZone
+from afdsvc.plugins.physics.sensor_lag import SensorLag
+
+_spec = importlib.util.spec_from_file_location("motor", Path(__file__).parents[1] / "motor.py")
+motor = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(motor)
+LIBRARY = [CoulombFriction(), DeadZone(), SensorLag()]
+
+
+def problem(friction, seeds=(1, 2), noise=1.0, factor=1.0):
+    model = motor.model()
+    runs = prepare(model, [motor.recording(friction, s, noise=noise, name=f"r{s}") for s in seeds])
+    return build(nominal(model, runs[0].dt), runs, Settings())
+
+
+@pytest.fixture(scope="module")
+def found():
+    return search(problem(60.0), LIBRARY)
+
+
+def test_dry_friction_is_found_where_only_speed_is_measured(found):
+    first = found.steps[0]
+    assert first.accepted
+    assert first.candidates[0].hypothesis.physics == "coulomb_friction"
+    effect = found.end[0.0].point.effects[-1]
+    assert effect.values[0] == pytest.approx(60.0, rel=0.1)  # rpm/s, as simulated
+
+
+def test_its_weight_counts_resampled_blocks(found):
+    alike = look_alikes(found.steps[0].candidates, Settings())
+    w = weights(alike, Settings(), found.limited, np.random.default_rng(0))
+    assert w.sum() == pytest.approx(1.0)
+    friction = sum(x for x, c in zip(w, alike, strict=True) if c.hypothesis.physics == "coulomb_friction")
+    assert friction > 0.9  # its variants share the vote: while the motor moves they are one force
+
+
+def test_nothing_is_accepted_from_coloured_noise_alone():
+    found = search(problem(0.0, noise=8.0), LIBRARY)
+    assert not any(s.accepted for s in found.steps)
+    assert "expected more than" in found.steps[0].reason
+
+
+def test_the_answer_does_not_change_when_a_recording_is_cut():
+    model = motor.model()
+    whole = prepare(model, [motor.recording(60.0, 1, n=3000)])
+    pieces = [whole[0].span(0, 1000), whole[0].span(1000, 2000), whole[0].span(2000, 3000)]
+    names = []
+    for runs in (whole, pieces):
+        steps = search(build(nominal(model, motor.DT), runs, Settings()), LIBRARY).steps
+        names.append([s.candidates[0].hypothesis.physics for s in steps if s.accepted])
+    assert names[0] == names[1] == ["coulomb_friction"]
+
+
+def test_a_fit_is_a_stationary_point_of_its_posterior():
+    p = problem(60.0)
+    f = fit(p, p.start(), 0.0, 5.0)
+    c = Coordinates(p, f.point)
+    q = c.pack(f.point)
+
+    def cost(q):
+        e = np.vstack(weighted(p, c.unpack(q), 0.0))
+        return len(e) / 5.0 * float(np.log(np.sqrt(np.mean(e**2, axis=0))).sum()) + c.penalty(q)
+
+    for k in range(c.size):
+        near = [cost(q + h * np.eye(c.size)[k]) for h in (-0.05, 0.05)]
+        assert min(near) > cost(q) - 0.02
+
+
+def test_the_jacobian_is_that_of_central_differences():
+    p = problem(60.0)
+    c = Coordinates(p, p.start())
+    q = c.pack(p.start())
+    J = jacobian(p, c, q, 0.0, weighted(p, p.start(), 0.0))
+    for k in range(c.size):
+        step = 1e-3 * np.eye(c.size)[k]
+        ends = [np.vstack(weighted(p, c.unpack(q + s * step), 0.0)).ravel() for s in (1, -1)]
+        expected = (ends[0] - ends[1]) / 2e-3
+        assert J[:, k] == pytest.approx(expected, abs=1e-3 * max(np.abs(expected).max(), 1e-9))
