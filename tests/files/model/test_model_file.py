@@ -179,7 +179,7 @@ def test_any_model_comes_back_bit_for_bit(data, n, m, p, dt):
         ('rate_of = "q"', 'rate_of = "v"', ["rate_of of 'v' is 'v'"]),
         ('name = "v"', 'name = "q"', ["'q' twice"]),
         (', {name = "v", unit = "m/s", rate_of = "q"}', "", ["'states' names 1", "expected 2"]),
-        ('inputs  = [{name = "force", unit = "N"}]', "inputs = []", ["'inputs'", "at least 1"]),
+        ('inputs  = [{name = "force", unit = "N"}]', "inputs = []", ["B", "(2, 0)", "0 inputs"]),
         ("[parameters]", "[parameters", ["not a TOML file", "line"]),
         ("[parameters]", 'dynamics = "axis.py:axis"\n[parameters]', ["both matrices and dynamics"]),
         ("[parameters]", 'dynamics = "axis.py"\n[parameters]', ["'dynamics'", "'axis.py'"]),

@@ -90,7 +90,7 @@ def test_a_unit_alone_stands_for_a_model_in_its_modes(tmp_path):
 def test_a_unit_alone_must_say_enough(tmp_path, monkeypatch):
     told = {"step": None, "inputs": {"force": "N"}}
     monkeypatch.setattr(stepped, "describe", lambda path: UnitDescription("slide", told["inputs"], {"position": "mm"}, told["step"]))
-    with pytest.raises(BadInput, match=r"states no step size in its default experiment; a MODEL\.toml with dynamics = \"Slide3\.fmu\""):
+    with pytest.raises(BadInput, match=r"states no step size in its default experiment; expected a MODEL\.toml with dynamics = \"Slide3\.fmu\""):
         read_model(tmp_path / "Slide3.fmu", allow_code=True)
     told.update(step=0.002, inputs={})
     with pytest.raises(BadInput, match=r"Slide3\.fmu: has no real inputs; expected at least one"):
