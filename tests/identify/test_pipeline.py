@@ -239,7 +239,7 @@ def test_not_exciting(model, diagnosis_burst):
     with pytest.raises(BadInput) as told:
         identify(model, [diagnosis_burst])
     text = str(told.value)
-    assert "input 'horizontal' holds 1 spectral line: persistent excitation of order 2 was found" in text
+    assert "input 'horizontal' holds 1 spectral line: persistent excitation of order 2, expected" in text
     assert ", expected 10 for a model of order 6" in text
     assert "afdsvc burst --purpose identify" in text
     assert "\n" not in text
@@ -271,7 +271,7 @@ def test_no_excitation_at_all(model, run):
 
 
 def test_too_short_gaps_and_drift(model, run):
-    with pytest.raises(BadInput, match="are too short; at least"):
+    with pytest.raises(BadInput, match="are too short; expected at least"):
         identify(model, [run(15, 300)])
     trace = run(15)
     table = trace.values.copy()

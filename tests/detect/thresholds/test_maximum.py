@@ -71,5 +71,5 @@ def test_shares_of_twins_are_halves():
 
 
 def test_zero_direction_is_refused():
-    with pytest.raises(BadInput, match="none 0"):
+    with pytest.raises(BadInput, match="none of length 0"):
         maximum.threshold(np.array([[0.0, 0.0], [1.0, 0.0]]), 1e-3)
