@@ -13,26 +13,36 @@ from afdsvc.app.explain import ExplainOptions, load_library, model_of, traces
 from afdsvc.errors import BadInput
 from afdsvc.explain.pipeline import explain
 from afdsvc.trial.pages import markdown, page, summary
-from afdsvc.trial.plan import MIX, Request, plan
-from afdsvc.trial.study import Result, study
+from afdsvc.trial.plan import FIELD, MIX, Request, field_plan, plan
+from afdsvc.trial.study import Result, study, write_only
 
 LARGE = 1200  # trials of the plan that kinds are picked from
 
 
 def trial_files(
     folder: Path, count: int, seed: int, rho: float | None = None, kinds: Sequence[str] = (), parts: Sequence[str] = (),
-    jobs: int = 1, keep: bool = False, progress: Callable[[int, int], None] = lambda done, all: None,
+    jobs: int = 1, keep: bool = False, progress: Callable[[int, int], None] = lambda done, all: None, only_write: bool = False,
 ) -> dict[str, Any]:
     """Run the blind trials that are not in ``folder`` yet and write the report there, as markdown and HTML.
 
     ``rho`` sets the severity of what is hidden; ``kinds`` asks for trials that hide one of these names ("nothing" too),
-    ``parts`` for those of some parts of the plan. A run that was interrupted goes on where it stopped. Raises `BadInput` when no
-    trial is left, or the folder holds another study.
+    ``parts`` for those of some parts of the plan. A run that was interrupted goes on where it stopped. With ``only_write``,
+    recordings and sealed answers are written and nothing is explained. Raises `BadInput` when no trial is left, or the folder
+    holds another study.
     """
-    requests = chosen(count, seed, rho, kinds, parts)
-    np.random.default_rng(seed).shuffle(requests)  # what is done when it is interrupted is a fair sample
+    requests = in_order(count, seed, rho, kinds, parts)
+    if only_write:
+        places = write_only(requests, folder, jobs, progress)
+        return {"trials": len(places), "summary": f"{len(places)} trials written, none explained", "folder": str(folder)}
     done = study(requests, from_files, folder, jobs, keep, progress)
     return report(done, folder)
+
+
+def in_order(count: int, seed: int, rho: float | None, kinds: Sequence[str], parts: Sequence[str]) -> list[Request]:
+    """Return the requests of a study as they are run, shuffled: what is done when it is interrupted is a fair sample."""
+    requests = chosen(count, seed, rho, kinds, parts)
+    np.random.default_rng(seed).shuffle(requests)
+    return requests
 
 
 def chosen(count: int, seed: int, rho: float | None, kinds: Sequence[str], parts: Sequence[str]) -> list[Request]:
@@ -43,11 +53,13 @@ def chosen(count: int, seed: int, rho: float | None, kinds: Sequence[str], parts
     if count < 1:
         raise BadInput(f"--n {count}: expected a number above 0")
     for part in parts:
-        if part not in MIX:
-            raise BadInput(f"--parts {part}: expected one of {', '.join(MIX)}")
-    wanted = plan(count, seed)
-    if kinds or parts:
+        if part not in (*MIX, FIELD):
+            raise BadInput(f"--parts {part}: expected one of {', '.join((*MIX, FIELD))}")
+    wanted = field_plan(count, seed) if set(parts) == {FIELD} else plan(count, seed)
+    if kinds or set(parts) - {FIELD}:
         large = plan(max(LARGE, count), seed)
+        if FIELD in parts:
+            large += [replace(r, number=len(large) + r.number) for r in field_plan(max(LARGE, count), seed)]
         _check_kinds(kinds, large)
         fitting = [r for r in large if (not parts or r.part in parts) and (not kinds or set(_names(r)) & set(kinds))]
         wanted = [fitting[k * len(fitting) // count] for k in range(count)] if count < len(fitting) else fitting
@@ -74,7 +86,7 @@ def _names(request: Request) -> list[str]:
 def from_files(model: Path, recordings: Sequence[Path], holdout: Path) -> Mapping[str, Any]:
     """Return the document of ``explain --json`` for the files of a trial, without a next experiment: nothing but files is
     handed over."""
-    options = ExplainOptions(jobs=1)
+    options = ExplainOptions(jobs=1, allow_code=True)  # the code of a nominal model comes from the generator
     nominal = model_of(model, options)
     train, held = (traces(paths, nominal, options) for paths in (recordings, [holdout]))
     return explain(nominal, train, held, load_library(), experiment=False).json(None, None)

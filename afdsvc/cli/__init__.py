@@ -250,12 +250,13 @@ def explain(
 def trial(
     folder: Annotated[Path, typer.Option(metavar="DIR", help="Where trials, sealed answers, results and reports are kept.")] = Path("trials"),
     n: Annotated[int, typer.Option("--n", help="Number of trials in the plan.")] = 20,
-    rho: Annotated[float | None, typer.Option(help="Size of the hidden effect: its rms in the outputs relative to the noise.")] = None,
+    rho: Annotated[float | None, typer.Option(help="Size of the hidden effect: its rms in the outputs relative to the noise; in field trials its share of the held-out error.")] = None,
     kinds: Annotated[list[str] | None, typer.Option(metavar="NAME,NAME", help="Only trials with one of these hidden effects; 'nothing' is one.")] = None,
-    parts: Annotated[list[str] | None, typer.Option(metavar="PART,PART", help="Only these parts of the plan.")] = None,
+    parts: Annotated[list[str] | None, typer.Option(metavar="PART,PART", help="Only these parts of the plan; 'field' runs only when named.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the plan.")] = 1,
     jobs: Annotated[int, typer.Option(help="Trials at a time.")] = 1,
     keep: Annotated[bool, typer.Option("--keep", help="Keep the recordings.")] = False,
+    write_only: Annotated[bool, typer.Option("--write-only", help="Write recordings and sealed answers, explain nothing.")] = False,
     as_json: Json = False,
 ) -> None:
     """Test `explain` blind: hide physics in recordings, seal the answer, let it look, break the seal, score."""
@@ -264,7 +265,7 @@ def trial(
 
     hidden, of_plan = ([word for text in texts or () for word in text.split(",") if word] for texts in (kinds, parts))
     with progress("trials", 1.0) as tell:
-        document = trial_files(folder, n, seed, rho, hidden, of_plan, jobs, keep, lambda done, of: tell(done / of))
+        document = trial_files(folder, n, seed, rho, hidden, of_plan, jobs, keep, lambda done, of: tell(done / of), write_only)
     show(as_json, document, lambda: trial_table(document))
 
 

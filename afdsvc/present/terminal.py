@@ -271,7 +271,8 @@ def import_table(document: dict[str, Any]) -> None:
 def trial_table(document: dict[str, Any]) -> None:
     """Show what came of blind trials, and where the report is."""
     OUT.print(document["summary"], soft_wrap=True)
-    OUT.print(f"report {document['markdown']}\n       {document['html']}", soft_wrap=True)
+    if "markdown" in document:
+        OUT.print(f"report {document['markdown']}\n       {document['html']}", soft_wrap=True)
 
 
 def check_table(rows: list[dict[str, str]]) -> None:

@@ -1,18 +1,23 @@
 """Blind trials: recordings in which something is hidden, made apart from everything that is to find it, and the score."""
 
 from afdsvc.trial.answer import Answer, Hidden
+from afdsvc.trial.field.answer import FieldAnswer
+from afdsvc.trial.field.generate import FieldTrial
+from afdsvc.trial.field.options import FieldOptions
 from afdsvc.trial.folder import Paths, write
 from afdsvc.trial.generate import NOTHING, Trial, Wish, generate, generate_several
 from afdsvc.trial.options import Options
 from afdsvc.trial.pages import markdown, page
-from afdsvc.trial.plan import Request, make_trial, plan
+from afdsvc.trial.plan import FIELD, Request, field_plan, make_trial, plan
+from afdsvc.trial.scoring.field_oracle import field_oracle
+from afdsvc.trial.scoring.field_score import FieldScore, field_score
 from afdsvc.trial.scoring.oracle import Oracle, oracle
 from afdsvc.trial.scoring.score import Score, score
 from afdsvc.trial.seal import open_seal, seal
-from afdsvc.trial.study import results, study
+from afdsvc.trial.study import results, study, write_only
 
 __all__ = [
-    "NOTHING", "Answer", "Hidden", "Options", "Oracle", "Paths", "Request", "Score", "Trial", "Wish", "generate",
-    "generate_several", "make_trial", "markdown", "open_seal", "oracle", "page", "plan", "results", "score", "seal", "study",
-    "write",
+    "FIELD", "NOTHING", "Answer", "FieldAnswer", "FieldOptions", "FieldScore", "FieldTrial", "Hidden", "Options", "Oracle", "Paths",
+    "Request", "Score", "Trial", "Wish", "field_oracle", "field_plan", "field_score", "generate", "generate_several", "make_trial",
+    "markdown", "open_seal", "oracle", "page", "plan", "results", "score", "seal", "study", "write", "write_only",
 ]

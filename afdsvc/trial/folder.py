@@ -9,6 +9,8 @@ import numpy as np
 
 from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
+from afdsvc.trial.field.generate import FieldTrial
+from afdsvc.trial.field.model_files import model_files
 from afdsvc.trial.generate import Trial
 from afdsvc.trial.model_text import model_text
 
@@ -22,15 +24,16 @@ class Paths:
     model: Path
     recordings: tuple[Path, ...]
     holdout: Path
+    code: tuple[Path, ...] = ()
 
     @property
     def all(self) -> tuple[Path, ...]:
         """Every file."""
-        return (self.model, *self.recordings, self.holdout)
+        return (self.model, *self.code, *self.recordings, self.holdout)
 
 
-def write(trial: Trial, folder: str | Path, form: str = "npz") -> Paths:
-    """Write MODEL.toml, the recordings and the holdout as tables (``npz`` or ``csv``) and return their paths.
+def write(trial: Trial | FieldTrial, folder: str | Path, form: str = "npz") -> Paths:
+    """Write MODEL.toml (and the code it names), the recordings and the holdout as tables (``npz`` or ``csv``); return their paths.
 
     The folder is made; a file that is there already is an error (`BadInput`), so that no trial overwrites another.
     """
@@ -39,14 +42,24 @@ def write(trial: Trial, folder: str | Path, form: str = "npz") -> Paths:
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     names = [f"{trace.name}.{form}" for trace in (*trial.recordings, trial.holdout)]
-    model, *tables = (folder / name for name in ("MODEL.toml", *names))
-    for path in (model, *tables):
+    texts = {folder / name: text for name, text in _texts(trial).items()}
+    tables = [folder / name for name in names]
+    for path in (*texts, *tables):
         if path.exists():
             raise BadInput(f"{path}: is there already; an empty folder is wanted")
-    model.write_text(model_text(trial.machine, trial.options.known_controller), encoding="utf-8")
+    for path, text in texts.items():
+        path.write_text(text, encoding="utf-8")
     for path, trace in zip(tables, (*trial.recordings, trial.holdout), strict=True):
         _write_table(path, trace)
-    return Paths(model, tuple(tables[:-1]), tables[-1])
+    model, *code = texts
+    return Paths(model, tuple(tables[:-1]), tables[-1], tuple(code))
+
+
+def _texts(trial: Trial | FieldTrial) -> dict[str, str]:
+    """Return the texts of MODEL.toml, which comes first, and of its code."""
+    if isinstance(trial, FieldTrial):
+        return model_files(trial)
+    return {"MODEL.toml": model_text(trial.machine, trial.options.known_controller)}
 
 
 def _write_table(path: Path, trace: Trace) -> None:

@@ -17,10 +17,10 @@ def model_text(machine: Machine, with_controller: bool = True) -> str:
     lines = [
         f'name = "{machine.name}"',
         'time = "continuous"',
-        f"inputs = {_variables(machine.inputs)}",
-        f"outputs = {_variables(machine.outputs)}",
-        f"states = {_variables(machine.states)}",
-        *_matrices(StateSpace(A, B, C, np.zeros((C.shape[0], B.shape[1])))),
+        f"inputs = {variables(machine.inputs)}",
+        f"outputs = {variables(machine.outputs)}",
+        f"states = {variables(machine.states)}",
+        *matrices(StateSpace(A, B, C, np.zeros((C.shape[0], B.shape[1])))),
         "",
         "[uncertainty]",
         f"relative = {float(machine.theta_sd.max())!r}",
@@ -30,7 +30,7 @@ def model_text(machine: Machine, with_controller: bool = True) -> str:
         f"output_sd = {_row(machine.sigma)}",
     ]
     if with_controller:
-        lines += ["", "[controller]", 'time = "discrete"', f"sample_time = {machine.dt!r}", *_matrices(machine.controller)]
+        lines += ["", "[controller]", 'time = "discrete"', f"sample_time = {machine.dt!r}", *matrices(machine.controller)]
     return "\n".join(lines) + "\n"
 
 
@@ -40,15 +40,17 @@ def _sensors(machine: Machine, C: Array) -> list[str]:
     return [f"C = {_rows(np.abs(C) * known[:, None])}"] if known.any() else []
 
 
-def _variables(variables: Sequence[Variable]) -> str:
+def variables(named: Sequence[Variable]) -> str:
+    """Return variables as a TOML list of names, units and rates."""
     def one(v: Variable) -> str:
         rate = f', rate_of = "{v.rate_of}"' if v.rate_of else ""
         return f'{{name = "{v.name}", unit = "{v.unit}"{rate}}}'
 
-    return f"[{', '.join(one(v) for v in variables)}]"
+    return f"[{', '.join(one(v) for v in named)}]"
 
 
-def _matrices(system: StateSpace) -> list[str]:
+def matrices(system: StateSpace) -> list[str]:
+    """Return A, B, C, D as lines of TOML."""
     pairs = zip("ABCD", (system.A, system.B, system.C, system.D), strict=True)
     return [f"{name} = {_rows(matrix)}" for name, matrix in pairs]
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 
-from afdsvc.trial.scoring.tables import Result, Table, confusion_matrix, tables
+from afdsvc.trial.plan import FIELD
+from afdsvc.trial.scoring.rates import Result, Table
+from afdsvc.trial.scoring.tables import confusion_matrix, tables
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:75rem;margin:2rem auto;padding:0 1rem;color:#222}
 table{border-collapse:collapse;margin:1rem 0}td,th{border:1px solid #ddd;padding:.2rem .5rem;text-align:left;font-size:13px}
@@ -21,7 +23,8 @@ def markdown(results: Sequence[Result], title: str = "Blind trials") -> str:
 def page(results: Sequence[Result], title: str = "Blind trials") -> str:
     """Return the report as HTML, with the confusion matrix."""
     parts = [_html_table(t) for t in tables(results)]
-    parts.insert(4, _matrix(results))
+    if any(r["part"] != FIELD for r in results):
+        parts.insert(4, _matrix(results))
     head = f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(title)}</title><style>{STYLE}</style>"
     return f"{head}<h1>{html.escape(title)}</h1><p>{html.escape(summary(results))}</p>{''.join(parts)}</html>\n"
 
@@ -30,7 +33,7 @@ def summary(results: Sequence[Result]) -> str:
     """Return what came of the study in one sentence."""
     scores = [r["score"] for r in results]
     nothing = [s for s in scores if s["question"] == "nothing"]
-    kinds = {h["physics"] for r in results for h in r["answer"]["hidden"]}
+    kinds = {h.get("physics") or h["law"] for r in results for h in r["answer"]["hidden"]}
     return (
         f"{len(results)} trials over {len(kinds)} kinds of effect; {len(nothing)} with nothing hidden, of which "
         f"{sum(s['false_name'] for s in nothing)} were given a name ({sum(s['confident_false'] for s in nothing)} with confidence); "

@@ -10,9 +10,13 @@ import numpy as np
 
 from afdsvc.errors import Refused
 from afdsvc.trial.effects.catalogue import changes_at, outside_at, physics_at
+from afdsvc.trial.field.generate import FieldTrial, make
+from afdsvc.trial.field.options import FieldOptions
+from afdsvc.trial.field.plan import STREAM, draws
 from afdsvc.trial.generate import Trial, Wish, generate_several
 from afdsvc.trial.options import Options
 
+FIELD = "field"  # the part whose trials `field_plan` gives
 RHOS = (0.1, 0.3, 1.0)
 MIX = {  # trials in 300
     "bearing": 156, "axis": 44, "nothing": 24, "change": 20, "two": 16, "outside": 14, "dirty": 10, "noise": 10, "excitation": 6,
@@ -33,7 +37,7 @@ class Request:
     number: int
     part: str
     wishes: tuple[Wish, ...]
-    options: Options
+    options: Options | FieldOptions
     seed: tuple[int, ...]
 
     def as_json(self) -> dict[str, Any]:
@@ -52,12 +56,23 @@ def plan(count: int, seed: int) -> list[Request]:
     return requests
 
 
-def make_trial(request: Request) -> Trial:
+def field_plan(count: int, seed: int) -> list[Request]:
+    """Return the requests of a study of field trials, numbered from 0; another count gives the same first ones."""
+    requests = []
+    for k, (options, share, labels) in zip(range(count), draws(seed), strict=False):
+        wishes = tuple(Wish(label, None, share) for label in labels)
+        requests.append(Request(k, FIELD, wishes, options, (seed, STREAM, k)))
+    return requests
+
+
+def make_trial(request: Request) -> Trial | FieldTrial:
     """Return the trial, as asked where the machine allows it.
 
     What no severity can give inside the machine's reach is tried under the proportional controller, at other sites and
     shapes (three seeds), and then at 0.6 and 0.3 of the rho. Raises `Refused` when all of that fails.
     """
+    if isinstance(request.options, FieldOptions):
+        return make(request.options, max((w.rho for w in request.wishes), default=0.0), request.seed)
     name = "/".join(map(str, request.seed))
     for share in (1.0, 0.6, 0.3):
         wishes = [Wish(w.physics, w.site, w.rho * share) for w in request.wishes]

@@ -14,13 +14,17 @@ from joblib import Parallel, delayed
 
 from afdsvc.errors import BadInput
 from afdsvc.trial.answer import Answer
+from afdsvc.trial.field.answer import FieldAnswer
+from afdsvc.trial.field.generate import FieldTrial
 from afdsvc.trial.folder import Paths, write
 from afdsvc.trial.generate import Trial
 from afdsvc.trial.plan import Request, make_trial
+from afdsvc.trial.scoring.field_oracle import field_oracle
+from afdsvc.trial.scoring.field_score import field_score
 from afdsvc.trial.scoring.oracle import Oracle, oracle
 from afdsvc.trial.scoring.rival import apart
 from afdsvc.trial.scoring.score import score
-from afdsvc.trial.seal import open_seal, seal
+from afdsvc.trial.seal import answer_of, open_seal, seal
 
 Explain = Callable[[Path, tuple[Path, ...], Path], Mapping[str, Any]]
 Result = dict[str, Any]
@@ -36,15 +40,20 @@ def study(
     is a result too. Recordings are removed after scoring unless ``keep`` is True. A study that was interrupted goes on where
     it stopped when it is called again with the same folder. ``progress`` is told how many of all are done.
     """
-    folder = Path(folder)
-    for name in ("trials", "sealed", "results"):
-        (folder / name).mkdir(parents=True, exist_ok=True)
-    _same_study(requests, folder)
+    folder = _opened(requests, Path(folder))
     missing = [r for r in requests if not _result_path(folder, r.number).exists()]
     already = len(requests) - len(missing)
     for count, _ in enumerate(_run(missing, explain, folder, keep, jobs), already + 1):
         progress(count, len(requests))
     return results(folder)
+
+
+def _opened(requests: Sequence[Request], folder: Path) -> Path:
+    """Make the folders of a study and return the outermost; raises `BadInput` when it holds another study."""
+    for name in ("trials", "sealed", "results"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    _same_study(requests, folder)
+    return folder
 
 
 def _run(missing: Sequence[Request], explain: Explain, folder: Path, keep: bool, jobs: int) -> Iterable[Result]:
@@ -64,34 +73,72 @@ def results(folder: str | Path) -> list[Result]:
 
 def run_one(request: Request, explain: Explain, folder: Path, keep: bool) -> Result:
     """Make, seal, explain, open and score one trial; keep its result and return it."""
-    place = folder / "trials" / f"{request.number:04d}"
-    shutil.rmtree(place, ignore_errors=True)
-    trial = make_trial(request)
-    paths = write(trial, place)
-    kept = seal(trial.answer, paths, folder / "sealed")
+    trial, paths, kept = _sealed(request, folder)
     explanation, seconds = _explained(explain, paths)
-    answer, best = open_seal(place, kept), oracle(trial)
+    answer, best = open_seal(paths.model.parent, kept), _best(trial)
     result = {
         "number": request.number, "part": request.part, "answer": answer.as_json(), "explanation": explanation,
-        "oracle": asdict(best), "seconds": seconds, "score": score(explanation, answer, best).as_json(),
+        "oracle": asdict(best), "seconds": seconds, "score": _scored(explanation, answer, best),
     }
     result["apart"] = _apart(trial, result)
     _write_whole(_result_path(folder, request.number), result)
     if not keep:
-        shutil.rmtree(place)
+        shutil.rmtree(paths.model.parent)
     return result
+
+
+def write_only(
+    requests: Sequence[Request], folder: str | Path, jobs: int = 1, progress: Callable[[int, int], None] = lambda done, of: None
+) -> list[Path]:
+    """Write the recordings of all requests into ``folder/trials`` and the sealed answers into ``folder/sealed``; explain nothing.
+
+    Returns the folders of the trials. Trials that are there already are made again, the same. Another engine's documents, one per
+    trial, are scored by `study` with the same requests and folder and an ``explain`` that returns them.
+    """
+    folder = _opened(requests, Path(folder))
+    made = Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(_written)(r, folder) for r in requests)
+    for count, _ in enumerate(made, 1):
+        progress(count, len(requests))
+    return [_place(folder, r) for r in requests]
+
+
+def _written(request: Request, folder: Path) -> None:
+    _sealed(request, folder)
+
+
+def _sealed(request: Request, folder: Path) -> tuple[Trial | FieldTrial, Paths, Path]:
+    """Make, write and seal one trial; field trials are written as text, as their owners would bring them."""
+    place = _place(folder, request)
+    shutil.rmtree(place, ignore_errors=True)
+    trial = make_trial(request)
+    paths = write(trial, place, "csv" if isinstance(trial, FieldTrial) else "npz")
+    return trial, paths, seal(trial.answer, paths, folder / "sealed")
+
+
+def _place(folder: Path, request: Request) -> Path:
+    return folder / "trials" / f"{request.number:04d}"
+
+
+def _best(trial: Trial | FieldTrial) -> Oracle:
+    return field_oracle(trial) if isinstance(trial, FieldTrial) else oracle(trial)
+
+
+def _scored(explanation: Mapping[str, Any], answer: Answer | FieldAnswer, best: Oracle) -> dict[str, Any]:
+    if isinstance(answer, FieldAnswer):
+        return field_score(explanation, answer, best).as_json()
+    return score(explanation, answer, best).as_json()
 
 
 def rescored(result: Mapping[str, Any]) -> Result:
     """Return a kept result scored anew."""
-    answer, best = Answer.from_json(result["answer"]), Oracle(**result["oracle"])
-    return {**result, "score": score(result["explanation"], answer, best).as_json()}
+    answer, best = answer_of(result["answer"]), Oracle(**result["oracle"])
+    return {**result, "score": _scored(result["explanation"], answer, best)}
 
 
-def _apart(trial: Trial, result: Result) -> float | None:
+def _apart(trial: Trial | FieldTrial, result: Result) -> float | None:
     """Return how far apart, for this data, the first name and what was hidden are; None where the first name is not wrong."""
     named = result["explanation"].get("named", [])
-    if result["score"]["first"] is not False or not named or len(trial.truth.effects) != 1:
+    if isinstance(trial, FieldTrial) or result["score"]["first"] is not False or not named or len(trial.truth.effects) != 1:
         return None
     return apart(trial, named[0])
 

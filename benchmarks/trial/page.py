@@ -15,7 +15,7 @@ from pathlib import Path
 
 from scipy.stats import binomtest
 
-from afdsvc.trial import markdown, page, results
+from afdsvc.trial import FIELD, markdown, page, results
 from afdsvc.trial.study import rescored
 
 DOCS = Path(__file__).parents[2] / "docs" / "reference"
@@ -34,6 +34,12 @@ listed with their reasons in `afdsvc/trial/scoring/matching.py`); *among the loo
 *confident false name*: a wrong name with 90 % of the weight or more and no remainder flagged; *d*: how far apart hidden effect
 and first name are for this data when both are fitted as well as can be, in noise units: below 4.65 the best possible test errs
 more than once in a hundred. Times are by the clock, of a trial among whatever else the computer did.
+"""
+
+HOW_FIELD = """
+What is hidden, in which machine and how it was recorded is drawn as [field trials](field-trials.md) says. The laws are frozen: they are not
+changed in a commit that changes `explain` (`tests/trial/test_frozen.py`). Their functional forms are not listed here, and whoever
+works on `explain` does not read them.
 """
 
 
@@ -61,9 +67,11 @@ def main(folder: Path, planned: int, commit: str, more: Sequence[str], name: str
     )
     seed = done[0]["answer"]["seed"].split("/")[0]
     named = "" if name == "blind-trials" else f" --name {name}"
-    command = f"\nMade by `afdsvc trial --folder trials --n {planned} --seed {seed}` and `python benchmarks/trial/page.py trials {planned} {commit}{named}`.\n"
+    field = all(r["part"] == FIELD for r in done)
+    parts = " --parts field" if field else ""
+    command = f"\nMade by `afdsvc trial --folder trials{parts} --n {planned} --seed {seed}` and `python benchmarks/trial/page.py trials {planned} {commit}{named}`.\n"
     empty = nothing_hidden(Path(more[0]), more[1]) if more else ""
-    (DOCS / f"{name}.md").write_text(f"{title}\n{short}{HOW}{command}{empty}{rest}", encoding="utf-8")
+    (DOCS / f"{name}.md").write_text(f"{title}\n{short}{HOW_FIELD if field else HOW}{command}{empty}{rest}", encoding="utf-8")
     (folder / f"{name}.html").write_text(page(done, "Blind trials of explain"), encoding="utf-8")
 
 

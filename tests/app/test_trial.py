@@ -12,7 +12,7 @@ from afdsvc.app import trial
 from afdsvc.app.trial import chosen, trial_files
 from afdsvc.cli import app
 from afdsvc.errors import BadInput
-from afdsvc.trial.plan import plan
+from afdsvc.trial.plan import field_plan, plan
 
 
 def test_a_plain_plan_is_the_plan() -> None:
@@ -78,3 +78,15 @@ def test_trials_are_made_sealed_explained_scored_and_reported(tmp_path: Path, mo
     again = trial_files(tmp_path, 1, 2, kinds=("nothing",))
     assert len(seen) == 1
     assert again["summary"] == made["summary"]
+
+
+def test_field_trials_are_a_part_of_their_own_and_may_only_be_written(tmp_path: Path) -> None:
+    assert chosen(5, 3, None, (), ("field",)) == field_plan(5, 3)
+    both = chosen(40, 3, None, ("dead_zone",), ("field", "bearing"))
+    assert {r.part for r in both} == {"field", "bearing"}
+    assert len({r.number for r in both}) == len(both)
+    said = CliRunner().invoke(app, ["trial", "--folder", str(tmp_path), "--parts", "field", "--kinds", "nothing", "--n", "1", "--write-only", "--json"])
+    assert said.exit_code == 0
+    assert json.loads(said.stdout)["trials"] == 1
+    assert len(list((tmp_path / "sealed").iterdir())) == 1
+    assert not list((tmp_path / "results").iterdir())

@@ -12,7 +12,8 @@ from afdsvc.errors import BadInput
 from afdsvc.trial import Options, Request, Wish, make_trial, markdown, page, plan, results, study
 from afdsvc.trial.plan import MIX
 from afdsvc.trial.scoring import rival
-from afdsvc.trial.scoring.tables import confusion_matrix, tables, wilson
+from afdsvc.trial.scoring.rates import wilson
+from afdsvc.trial.scoring.tables import confusion_matrix, tables
 from afdsvc.trial.study import rescored
 
 SHORT = Options(controller="proportional", periods=1)

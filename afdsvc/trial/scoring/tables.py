@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from afdsvc.trial.plan import FIELD
+from afdsvc.trial.scoring.field_tables import field_tables
+from afdsvc.trial.scoring.rates import Result, Table, share
 from afdsvc.trial.scoring.rival import UNDECIDABLE
 
-Result = Mapping[str, Any]
 NOTE = (
     "One effect hidden, multisines at two levels. Intervals: 95 %, Wilson. Not decidable: the first name, fitted as well as it "
     f"can be, differs from what is hidden by less than d = {UNDECIDABLE} (the best possible test errs more than once in a hundred)."
@@ -19,35 +20,15 @@ NOTE = (
 PLAIN = ("bearing", "axis")  # parts that ask for one effect under good conditions
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A table with a title, a sentence that says what is in it, headings and rows of text."""
-
-    title: str
-    note: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-
-
 def tables(results: Sequence[Result]) -> list[Table]:
     """Return everything a report shows, most important first."""
-    return [_severity(results), _parts(results), _held(results), _kinds(results), _confusion(results), _failures(results)]
+    field, others = [r for r in results if r["part"] == FIELD], _others(results)
+    made = [_severity, _parts, _held, _kinds, _confusion, _failures] if others else []
+    return [make(others) for make in made] + (field_tables(field) if field else [])
 
 
-def share(hits: int, count: int) -> str:
-    """Return hits of count with the 95 % interval of Wilson, as text."""
-    if not count:
-        return "-"
-    low, high = wilson(hits, count)
-    return f"{hits} of {count} ({100 * hits / count:.0f} %, {100 * low:.0f} to {100 * high:.0f})"
-
-
-def wilson(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
-    """Return the interval of Wilson for a share (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
-    p, n = hits / count, count
-    middle = (p + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    return max(0.0, float(middle - half)), min(1.0, float(middle + half))
+def _others(results: Sequence[Result]) -> list[Result]:
+    return [r for r in results if r["part"] != FIELD]
 
 
 def _scores(results: Iterable[Result], parts: tuple[str, ...] | None = None) -> list[Mapping[str, Any]]:
@@ -158,7 +139,7 @@ def _named(result: Result) -> str:
 
 def confusion_matrix(results: Sequence[Result]) -> tuple[list[str], list[str], np.ndarray]:
     """Return labels hidden, labels said, and counts, shape ``(hidden, said)``; single effects and nothing."""
-    scores = [s for s in _scores(results) if s["question"] != "two"]
+    scores = [s for s in _scores(_others(results)) if s["question"] != "two"]
     hidden = sorted({s["truth"] for s in scores})
     said = sorted({s["said"] for s in scores}, key=lambda name: (name not in hidden, name))
     counts = np.zeros((len(hidden), len(said)), dtype=int)

@@ -1,0 +1,163 @@
+"""Making up a field trial: recordings like those of a real machine in which laws are hidden, and the answer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from afdsvc.api.model import Variable
+from afdsvc.api.signals import Channel, Trace
+from afdsvc.errors import BadInput, Refused
+from afdsvc.lti.statespace import Array
+from afdsvc.trial.effects.effect import Effect, Truth
+from afdsvc.trial.field.answer import FieldAnswer, HiddenLaw
+from afdsvc.trial.field.catalogue import FAMILIES, LAWS, places
+from afdsvc.trial.field.conditions import Conditions, conditions
+from afdsvc.trial.field.law import Sizes, Spot
+from afdsvc.trial.field.options import FieldOptions
+from afdsvc.trial.field.rig import Rig
+from afdsvc.trial.field.run import Run, Signals, play
+from afdsvc.trial.field.severity import Measure, check, scaled, usable
+from afdsvc.trial.field.staging import QUIET_LOOP, stage, true_constants
+from afdsvc.trial.laws import field_codes as f
+
+STATED = 0.05  # relative standard deviation of what the owner does not state
+FINDING = 4.0  # stated standard deviations by which a hidden change of a constant exceeds what the owner states
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldTrial:
+    """A field trial: what the solver may see (``rig`` as nominal model, ``recordings``, ``holdout``), and what it may not."""
+
+    rig: Rig
+    options: FieldOptions
+    conditions: Conditions
+    recordings: tuple[Trace, ...]
+    holdout: Trace
+    answer: FieldAnswer
+    truth: Truth
+    runs: tuple[Run, ...]
+    played: tuple[Signals, ...]
+
+
+def generate(options: FieldOptions, wanted: float, generator: np.random.Generator, seed: str = "") -> FieldTrial:
+    """Return a field trial whose hidden laws make the share ``wanted`` of the nominal model's held-out error.
+
+    The same generator state gives the same trial; ``seed`` is noted in the answer. Raises `BadInput` for a share that is none or a
+    law the family has no place for, and `Refused` when no severity gives this share.
+    """
+    if options.laws and not 0 < wanted < 1:
+        raise BadInput(f"rho {wanted:g}: in a field trial it is a share of the held-out error; expected a number between 0 and 1")
+    machine, circumstances, errors, recorded, shapes = generator.spawn(5)
+    rig = FAMILIES[options.family](machine)
+    given = conditions(rig, not options.laws, options.repeating, circumstances)
+    runs = stage(rig, given, recorded)
+    by = usable(rig, true_constants(rig, given, errors), runs[-1], wanted)
+    effects = _hidden(by, options, wanted, shapes)
+    truth = Truth(by.bare.theta, effects, _resolution(rig, given, runs[-1]))
+    _check_changes(truth, given)
+    played = tuple(play(rig, truth, run) for run in runs)
+    last, skip = played[-1], runs[-1].skip
+    point = given.offset * _rms(last.u[skip:]), given.offset * _rms(last.y[skip:])
+    traces = tuple(_trace(rig, given, truth, run, signals, point) for run, signals in zip(runs, played, strict=True))
+    answer = _answer(by, given, truth, wanted, options, seed)
+    return FieldTrial(rig, options, given, traces[:-1], traces[-1], answer, truth, runs, played)
+
+
+def sizes(rig: Rig, truth: Truth, run: Run) -> Sizes:
+    """Return the sizes of a run without noise and with nothing hidden."""
+    played = play(rig, Truth(truth.theta), run.quiet())
+    y, u, x = (part[run.skip :] for part in (played.y, played.u, played.x))
+    speeds = [x[:, a.speed] if a.speed >= 0 else u[:, 0] for a in rig.axes]
+    v = np.column_stack(speeds) if speeds else np.zeros((len(y), 0))
+    return Sizes(_rms(u), _rms(y), _rms(x[:, [a.position for a in rig.axes]]), _rms(v), _rms(rig.push(truth.theta, x, u)), _rms(x))
+
+
+def _rms(x: Array) -> Array:
+    return np.asarray(np.sqrt(np.square(x).mean(axis=0)))
+
+
+def _resolution(rig: Rig, given: Conditions, run: Run) -> tuple[Effect, ...]:
+    """Return the finite resolution of every reading, if there is one."""
+    if not given.resolution:
+        return ()
+    steps = given.resolution * _rms(play(rig, Truth(rig.nominal), run.quiet()).y) * (QUIET_LOOP if rig.controller else 1.0)
+    return tuple(Effect("resolution", "output", f.COARSE, (i,), (float(q),), (0,), ("step",), ("",), ()) for i, q in enumerate(steps))
+
+
+def _hidden(by: Measure, options: FieldOptions, wanted: float, shapes: np.random.Generator) -> tuple[Effect, ...]:
+    """Return the hidden effects: each alone at the share, then all together."""
+    if not options.laws:
+        return ()
+    size, effects = sizes(by.rig, by.bare, by.run), list[Effect]()
+    for name, g in zip(options.laws, shapes.spawn(len(options.laws)), strict=True):
+        law = LAWS[name]
+        shape = law.make(Spot(by.rig, size, int(g.integers(places(by.rig, law))), g))
+        effects += scaled(by, [replace(shape, physics=name)], wanted)
+    together = scaled(by, effects, wanted) if len(effects) > 1 else tuple(effects)
+    check(by, together)
+    return together
+
+
+def _check_changes(truth: Truth, given: Conditions) -> None:
+    for effect in truth.effects:
+        change = abs(float(effect.values[0]))
+        if effect.shifts and not FINDING * (given.stated or STATED) < change < 3.0:
+            raise Refused(f"a change of {change:.2f} lies within what the owner states, or beyond reason")
+
+
+def _trace(rig: Rig, given: Conditions, truth: Truth, run: Run, signals: Signals, point: tuple[Array, Array]) -> Trace:
+    """Return the recorded part with the fixed column roles; ``point`` are commands and readings at the operating point."""
+    u, y = signals.u[run.skip :] + point[0], signals.y[run.skip :] + point[1]
+    refs = rig.outputs if rig.controller is not None else ()
+    followed = given.aux or any(e.code == f.FOLLOWS for e in truth.effects)
+    aux = (Variable("supply", "V"),) if followed else ()
+    roles = (("u", rig.inputs), ("y", rig.outputs), ("ref", refs), ("aux", aux))
+    channels = tuple(Channel(f"{role}_{v.name}", v.unit) for role, variables in roles for v in variables)
+    ref = run.ref[run.skip :, : len(refs)] + point[1][: len(refs)]
+    return Trace(run.name, rig.dt, channels, np.hstack([u, y, ref, run.aux[run.skip :, None][:, : len(aux)]]))
+
+
+def _answer(by: Measure, given: Conditions, truth: Truth, wanted: float, options: FieldOptions, seed: str) -> FieldAnswer:
+    hidden = tuple(_law(e, by.share([e])) for e in truth.effects)
+    together = hidden[0].share if len(hidden) == 1 else by.share(truth.effects)
+    present = _present(by.rig, given, truth)
+    return FieldAnswer(options.family, hidden, wanted, together, present, given.as_json(), seed, options.as_json())
+
+
+def _law(effect: Effect, alone: float) -> HiddenLaw:
+    law, values = LAWS[effect.physics], dict(zip(effect.names, map(float, effect.values), strict=True))
+    return HiddenLaw(law.name, effect.site, alone, values, law.accept, law.partial, law.words)
+
+
+def _present(rig: Rig, given: Conditions, truth: Truth) -> tuple[str, ...]:
+    """Return the names of what is there besides the hidden laws."""
+    beyond = np.abs(truth.theta / np.where(rig.nominal == 0, 1.0, rig.nominal) - 1.0) * (rig.loose > 0)
+    there = {
+        "coloured_noise": given.coloured > 0 or given.push > 0 or given.drift > 0,
+        "sensor_drift": given.drift > 0,
+        "sensor_offset": given.drift > 0 or given.offset > 0,
+        "constant_load": given.offset > 0,
+        "quantisation": given.resolution > 0,
+        "parameter_change": bool(beyond.max() > 2 * (given.stated or STATED)),
+    }
+    return tuple(name for name, is_there in there.items() if is_there)
+
+
+def make(options: FieldOptions, wanted: float, seed: Sequence[int]) -> FieldTrial:
+    """Return the trial, as asked where the machine allows it.
+
+    What no severity gives is tried on ten draws of the family, on ten more each at 0.7 and 0.5 of the share (not below 0.2), and
+    then with the first law alone. Raises `Refused` when all of that fails.
+    """
+    name = "/".join(map(str, seed))
+    for attempt in range(40):
+        some = options if attempt < 30 else replace(options, laws=options.laws[:1])
+        try:
+            less = min(wanted, max(0.2, wanted * (1.0, 0.7, 0.5, 0.7)[attempt // 10]))
+            return generate(some, less, np.random.default_rng([*seed, attempt]), f"{name}/{attempt}")
+        except Refused:
+            continue
+    raise Refused(f"trial {name}: {', '.join(options.laws)} does not fit family {options.family}")

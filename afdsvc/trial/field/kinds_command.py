@@ -1,0 +1,149 @@
+"""Laws at a command and at a sensor: shapes drawn at random, sizes from the signals."""
+
+from __future__ import annotations
+
+from afdsvc.trial.effects.effect import Effect
+from afdsvc.trial.field.law import Law, Spot
+from afdsvc.trial.laws import field_codes as f
+
+FRICTION = ("coulomb_friction", "stribeck_friction")
+SUPPLY = 24.0
+
+
+def _uneven_zone(s: Spot) -> Effect:
+    width = 0.1 * s.u
+    return s.on_command(f.UNEVEN_ZONE, ("width", width, 1), ("unevenness", s.draw(0.6, 1.5), 0), ("rounding", 0.2 * width, 1))
+
+
+def _sticky_zone(s: Spot) -> Effect:
+    values = ("opens_at", 0.15 * s.u, 1), ("closes_at", s.draw(0.3, 0.6), 0), ("time", 0.2 * s.rig.fast, 0)
+    return s.on_command(f.STICKY_ZONE, *values)
+
+
+def _power_curve(s: Spot) -> Effect:
+    return s.on_command(f.POWER_CURVE, ("exponent", 0.1, 1), ("at", 1.2 * s.u, 0))
+
+
+def _uneven_limit(s: Spot) -> Effect:
+    values = ("limit", 2.0 * s.u, -0.4), ("unevenness", s.draw(0.8, 1.3), 0), ("sharpness", s.draw(5.0, 9.0), 0)
+    return s.on_command(f.UNEVEN_LIMIT, *values)
+
+
+def _plays(s: Spot) -> Effect:
+    return s.on_command(f.PLAYS, ("share", 0.1, 0.7), ("width", s.draw(0.5, 1.0) * s.u, 0.3), free=(0, 1))
+
+
+def _soft_play(s: Spot) -> Effect:
+    return s.on_command(f.SOFT_PLAY, ("half_width", 0.05 * s.u, 1), ("give", s.draw(0.02, 0.08), 0))
+
+
+def _grid(s: Spot) -> Effect:
+    return s.on_command(f.GRID, ("step", 0.1 * s.u, 1), free=())
+
+
+def _late(s: Spot) -> Effect:
+    return s.on_command(f.LATE, ("delay", 0.05 * s.rig.tau, 1), free=())
+
+
+def _soft_slew(s: Spot) -> Effect:
+    return s.on_command(f.SOFT_SLEW, ("rate", 4.0 * s.u / s.rig.tau, -1), ("corner", s.draw(0.04, 0.1) * s.rig.fast, 0))
+
+
+def _lame(s: Spot) -> Effect:
+    return s.on_command(f.LAME, ("share", 0.05 * s.sign(), 1), ("rounding", 0.05 * s.u, 0))
+
+
+def _follows(s: Spot) -> Effect:
+    return s.on_command(f.FOLLOWS, ("share", 0.05 * s.sign(), 1), ("mean", SUPPLY, 0), ("sd", 0.05 * SUPPLY, 0))
+
+
+def _two_lags(s: Spot) -> Effect:
+    return s.on_command(f.TWO_LAGS, ("time_constant", 0.05 * s.rig.tau, 1), states=2)
+
+
+def _ringing(s: Spot) -> Effect:
+    return s.on_command(f.RINGING, ("frequency", 8.0 / s.rig.tau, -0.7), ("damping_ratio", s.draw(0.05, 0.25), 0), free=(0, 1), states=2)
+
+
+def _droop(s: Spot) -> Effect:
+    values = ("share", 0.1, 1), ("at", s.u, 0), ("time", s.draw(0.3, 1.5) * s.rig.tau, 0)
+    return s.on_command(f.DROOP, *values, free=(0, 2), states=1)
+
+
+def _relaxing(s: Spot) -> Effect:
+    return s.on_command(f.RELAXING, ("share", 0.1 * s.sign(), 1), ("time", s.draw(0.5, 1.5) * s.rig.tau, 0), free=(0, 1), states=3)
+
+
+def _patchy_gain(s: Spot) -> Effect:
+    values = ("share", 0.1, 1), ("length", s.draw(0.4, 1.2) * s.travel, 0), ("phase", s.draw(0, 6.28), 0)
+    return s.on_command(f.PATCHY_GAIN, *values, free=(0, 1, 2))
+
+
+def _two_poles(s: Spot) -> Effect:
+    return s.on_output(f.TWO_POLES, ("time_constant", 0.05 * s.rig.tau, 1), states=2)
+
+
+def _clipped(s: Spot) -> Effect:
+    values = ("limit", 2.2 * s.y, -0.4), ("unevenness", s.draw(0.8, 1.3), 0), ("sharpness", s.draw(6.0, 12.0), 0)
+    return s.on_output(f.CLIPPED, *values)
+
+
+def _bent(s: Spot) -> Effect:
+    return s.on_output(f.BENT, ("share", 0.05 * s.sign(), 1), ("at", s.y, 0))
+
+
+def _warm_up(s: Spot) -> Effect:
+    values = ("drift", 0.05 * s.sign() * s.y, 1), ("time", s.draw(15.0, 40.0) * s.rig.tau, 0)
+    return s.on_output(f.WARM_UP, *values, free=(0, 1))
+
+
+def _crossed(s: Spot) -> Effect:
+    return s.on_output(f.CROSSED, ("share", 0.05 * s.sign(), 1))
+
+
+def _eccentric(s: Spot) -> Effect:
+    values = ("size", 0.05 * s.y, 1), ("length", s.draw(0.25, 0.6) * s.y, 0), ("phase", s.draw(0, 6.28), 0)
+    return s.on_output(f.ECCENTRIC, *values, free=(0, 1, 2))
+
+
+def _coarse(s: Spot) -> Effect:
+    return s.on_output(f.COARSE, ("step", 0.2 * s.y, 1), free=())
+
+
+_CURVED = ("static_nonlinearity", "sensor_nonlinearity")
+_SLOW = ("actuator_lag", "sensor_lag")
+_STRONG = ("quadratic_stiffness", "cubic_stiffness")
+LAWS = (
+    Law("uneven_zone", "command", _uneven_zone, ("dead_zone",), (*FRICTION, "static_nonlinearity", "backlash")),
+    Law("sticky_zone", "command", _sticky_zone, (), ("dead_zone", "hysteresis", "backlash", "static_nonlinearity", *FRICTION)),
+    Law("power_curve", "command", _power_curve, ("static_nonlinearity",), ("dead_zone", "saturation", "sensor_nonlinearity"), ("thrust",)),
+    Law("uneven_limit", "command", _uneven_limit, ("saturation",), (*_CURVED, "sensor_saturation")),
+    Law("plays", "command", _plays, ("hysteresis",), ("backlash", "creep", "dead_zone", "static_nonlinearity"), ("hysteresis", "bouc_wen")),
+    Law("soft_play", "command", _soft_play, ("backlash",), ("hysteresis", "dead_zone", "creep"), ("bouc_wen",)),
+    Law("grid", "command", _grid, ("quantisation",), ("static_nonlinearity", "dead_zone", "coloured_noise"), ("quantis",)),
+    Law("late", "command", _late, ("transport_delay",), (*_SLOW, "resonant_actuator")),
+    Law("soft_slew", "command", _soft_slew, ("slew_limit",), (*_SLOW, "saturation", "transport_delay"), ("speed_limit",)),
+    Law("lame", "command", _lame, ("static_nonlinearity",), ("sensor_rectification", "sensor_nonlinearity", "constant_load"), ("asymmetric",)),
+    Law("follows", "command", _follows, ("gain_follows_aux",), ("static_nonlinearity", "parameter_change", "stiffness_follows_aux")),
+    Law("two_lags", "command", _two_lags, _SLOW, ("transport_delay", "resonant_actuator")),
+    Law("ringing", "command", _ringing, ("resonant_actuator",), ("flexible_mode", *_SLOW, "transport_delay")),
+    Law(
+        "droop", "command", _droop, (),
+        ("saturation", "static_nonlinearity", "creep", "gain_follows_aux", "hysteresis", "parameter_change"), ("droop", "supply"),
+    ),
+    Law("relaxing", "command", _relaxing, ("creep",), (*_SLOW, "hysteresis", "sensor_drift")),
+    Law(
+        "patchy_gain", "command", _patchy_gain, (), (*_STRONG, "static_nonlinearity", "gain_follows_aux", "parameter_change"),
+        ("position_dependent",), ("position",),
+    ),
+    Law("two_poles", "sensor", _two_poles, _SLOW, ("transport_delay", "resonant_actuator"), (), ("steady",)),
+    Law("clipped", "sensor", _clipped, ("sensor_saturation",), (*_CURVED, "saturation"), (), ("steady",)),
+    Law("bent", "sensor", _bent, ("sensor_nonlinearity",), ("static_nonlinearity", "sensor_rectification", *_STRONG)),
+    Law("warm_up", "sensor", _warm_up, ("sensor_drift",), ("sensor_offset", "creep", "constant_load", "coloured_noise"), (), ("steady",)),
+    Law("crossed", "sensor", _crossed, ("sensor_crosstalk",), ("sensor_misalignment", "parameter_change"), (), ("pair",)),
+    Law(
+        "eccentric", "sensor", _eccentric, (), ("runout", "sensor_nonlinearity", "periodic_disturbance", "static_nonlinearity"),
+        ("ripple", "eccentric"), ("position",),
+    ),
+    Law("coarse", "sensor", _coarse, ("quantisation",), ("sensor_nonlinearity", "coloured_noise"), ("quantis",)),
+)
