@@ -25,7 +25,7 @@ class FieldScore:
 
     ``question``: nothing, one, several (laws in the vocabulary), outside (at least one is not). ``outcome``: *first* the first name is
     right; *among* a right one is among the names; *partial* a defensible one is; *unexplained* a gap was reported and nothing claimed;
-    *silent* a gap was not reported; *false* all that was named is false; *error*; with nothing hidden: *right*, *unexplained*, *false* or
+    *silent* no gap was reported, or only what is there by the conditions; *false* all that was named is false; *error*; with nothing hidden: *right*, *unexplained*, *false* or
     *error*. ``right``: the outcome is a good answer to the question. ``consistent_wrongly``: "consistent" although
     something is hidden. ``false_name``: a false name is among the names; ``confident_false``: one with a weight of 0.9 or more.
     ``rho`` is the share asked for, ``claimed`` the share the first name claims (None when it claims none),

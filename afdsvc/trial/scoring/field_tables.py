@@ -14,7 +14,7 @@ OUTCOMES = ("first", "among", "partial", "unexplained", "silent", "false", "erro
 EDGES = (0.2, 0.45, 0.65, 0.9)  # of the shares asked for
 NOTE = (
     "Recordings like those of real machines; share: of the nominal model's held-out error. First: the first name is right; among: a right one "
-    "is named; partial: a defensible one is; unexplained: a gap is reported and nothing claimed; silent: no gap is reported; false: all that "
+    "is named; partial: a defensible one is; unexplained: a gap is reported and nothing claimed; silent: no gap is reported, or only what the conditions bring along; false: all that "
     "is named is false."
 )
 
