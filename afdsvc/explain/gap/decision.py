@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.random import Generator
@@ -50,18 +51,14 @@ def gap(
     p_value = sure.p_value if again is None else min(1.0, 2 * min(sure.p_value, again.p_value))
     r2 = sure.scores.best()
     choices = [sure.scores.choice(j) for j in range(len(r2))]
-    won = _won(sure.scores, choices)
     held = float(reg.correlations.max()) / settings.block_times
-    present = p_value <= settings.level
-    return Gap(
-        present=present, r2=_floats(r2), total=float(r2.mean()), linear=float(sure.scores.r2()[0].max(0).mean()),
-        whitened=_floats(sure.whitened), p_value=p_value, threshold=_floats(sure.threshold), blocks=reg.blocks.folds, blocks_won=won,
-        enough=held >= settings.needed_blocks, correlation_time=_floats(reg.tau), depends_on=depends_on(reg, choices, r2),
-        repeats=None if again is None else _floats(again.share), offset=_floats(reg.centred.offset),
-        sentence=sentence(
-            present, dict(zip(output_names, r2.tolist(), strict=True)), p_value, won, reg.blocks.folds, held, settings.needed_blocks
-        ),
+    found = Gap(
+        present=p_value <= settings.level, r2=_floats(r2), total=float(r2.mean()), linear=float(sure.scores.r2()[0].max(0).mean()),
+        whitened=_floats(sure.whitened), p_value=p_value, threshold=_floats(sure.threshold), blocks=reg.blocks.folds,
+        blocks_won=_won(sure.scores, choices), enough=held >= settings.needed_blocks, correlation_time=_floats(reg.tau),
+        depends_on=depends_on(reg, choices, r2), repeats=None if again is None else _floats(again.share), offset=_floats(reg.centred.offset),
     )
+    return replace(found, sentence=sentence(found, output_names, held, settings.needed_blocks))
 
 
 def flexible_prediction(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 
@@ -57,7 +58,7 @@ class Gap:
     depends_on: tuple[tuple[str, float], ...]
     repeats: tuple[float, ...] | None
     offset: tuple[float, ...]
-    sentence: str
+    sentence: str = ""
 
     @property
     def within_reach(self) -> tuple[float, ...]:
@@ -66,9 +67,17 @@ class Gap:
         return tuple(max(a, b, 0.0) for a, b in zip(self.r2, repeats, strict=True))
 
 
-def sentence(present: bool, r2: dict[str, float], p: float, won: float, blocks: int, held: float, needed: float) -> str:
-    """Return the finding in words; ``r2`` by output, ``held`` blocks of four correlation times where ``needed`` are expected."""
-    shares = ", ".join(f"{100 * max(v, 0.0):.0f} % of '{name}'" for name, v in r2.items())
-    base = f"a flexible model predicts {shares} of the residual's power on data it was not fitted to ({100 * won:.0f} % of {blocks} blocks improve, p = {p:.2g})"
-    short = "" if held >= needed else f"; too short: {held:.1f} blocks of four correlation times, {needed:g} are needed"
-    return ("Gap: " if present else "No gap found: ") + base + short + "."
+def sentence(found: Gap, outputs: Sequence[str], held: float, needed: float) -> str:
+    """Return the finding in words; ``held`` blocks of four correlation times where ``needed`` are expected."""
+    kind = "Gap" if found.present else "No gap found"
+    words = f"{kind}: a flexible model predicts {_shares(found.r2, outputs)} of the residual's power on data it was not fitted to"
+    words += f" ({100 * found.blocks_won:.0f} % of {found.blocks} blocks improve, p = {found.p_value:.2g})"
+    if found.repeats is not None:
+        words += f"; {_shares(found.repeats, outputs)} repeats with the excitation"
+    if not found.enough:
+        words += f"; too short: {held:.1f} blocks of four correlation times, {needed:g} are needed"
+    return words + "."
+
+
+def _shares(values: Sequence[float], outputs: Sequence[str]) -> str:
+    return ", ".join(f"{100 * max(v, 0.0):.0f} % ('{name}')" for v, name in zip(values, outputs, strict=True))

@@ -48,9 +48,9 @@ def test_an_angle_gives_its_turns():
     angle = np.cumsum(np.full((400, 1), 0.3), 0)
     turning = Signals(r.residual, r.inputs, r.states, angle, r.dt)
     d = found(turning, (["y"], ["u"], ["v"], ["angle"]))
-    wanted = np.cos(angle[:, 0]) - np.cos(angle[:, 0]).mean()
+    expected = np.cos(angle[:, 0]) - np.cos(angle[:, 0]).mean()
     columns = np.hstack([d.columns(turning, f) for f in d.features if f.groups == {"aux angle"} and f.tier == STATIC])
-    assert np.abs(columns - wanted[:, None]).max(0).min() < 1e-9
+    assert np.abs(columns - expected[:, None]).max(0).min() < 1e-9
 
 
 def test_a_free_decay_has_features_of_its_states_only():
