@@ -200,7 +200,7 @@ def test_diagnostics_143_a_machine_nobody_announced_is_named_once_and_does_not_d
 def test_ros2_control_712_a_command_to_dead_hardware_fails_and_says_so():
     nobody = desk()
     nobody.present("", 0.0)
-    with pytest.raises(Refused, match="machine 'm1' is not there"):
+    with pytest.raises(Refused, match="machine 'm1' is not connected"):
         nobody.ask(BurstOrder("kim"))
 
     def silent(*_):

@@ -134,7 +134,7 @@ def test_strangers_and_foreign_certificates_do_not_get_in(free_port, certified, 
             pass
         with pytest.raises(NoPeer), Session(plain, False):
             pass
-        with pytest.raises(BadInput, match=r"eve\.pem: is not there"), Session(site.transport, False, Access("eve")):
+        with pytest.raises(BadInput, match=r"eve\.pem: does not exist"), Session(site.transport, False, Access("eve")):
             pass
 
 

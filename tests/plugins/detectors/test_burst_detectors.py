@@ -101,7 +101,7 @@ def spoilt(problem, burst):
     return {
         "samples are missing inside": only_inside(lambda b: replace(b, gap=True)),
         "not finite": only_inside(nan),
-        "sensor 'vertical' stood still": only_inside(frozen),
+        "sensor 'vertical' was constant": only_inside(frozen),
         "actuator 'horizontal' was saturated": only_inside(saturated),
         "excitation is absent": lambda b: replace(b, alpha=np.zeros_like(b.alpha)),
         "differs from the requested one": lambda b: replace(b, alpha=0.5 * b.alpha),
