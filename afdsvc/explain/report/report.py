@@ -43,6 +43,7 @@ def report(found: Found, verdict: Verdict, roles: Split, findings: Sequence[Find
     floor = _floor(found, final)
     outputs = [v.name for v in model.outputs]
     claimed = [c.candidate.hypothesis.key for c in verdict.claims]
+    unexplained = verdict.verdict == "unexplained"
     return Explanation(
         verdict=verdict.verdict,
         located=located(found.problem, found.start[list(found.start)[-1]], list(found.start)[-1], verdict.gap, np.random.default_rng(SEED)),
@@ -55,8 +56,8 @@ def report(found: Found, verdict: Verdict, roles: Split, findings: Sequence[Find
         explained=verdict.explained if claimed else (0.0, 0.0),
         gap=verdict.gap,
         remainder=verdict.remainder if claimed else None,
-        candidates=() if claimed else nearest(found),
-        law=picture(found, final, bool(claimed)),
+        candidates=nearest(found) if unexplained else (),
+        law=picture(found, final, bool(claimed)) if claimed or unexplained else None,
         check=tuple(f.sentence for f in findings),
         sentences=verdict.sentences,
         next_experiment=_next(found, verdict) if experiment else None,

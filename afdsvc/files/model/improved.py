@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import inspect
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from afdsvc.api.model import Model, Quantity, Variable
-from afdsvc.api.physics import Coefficient, Hypothesis
 from afdsvc.explain.report.explanation import Explanation
 from afdsvc.explain.search.nuisance import NUISANCE
 from afdsvc.explain.search.problem import Point
-from afdsvc.explain.simulate.effects import Effect
 from afdsvc.explain.simulate.nominal import Nominal
-from afdsvc.files.model import exported_dynamics
+from afdsvc.files.model.improved_code import OBJECT, Parts, factor, key, sampled, text
 from afdsvc.files.model.model_file import DYNAMICS, relative_code, write_model
 from afdsvc.lti.statespace import Array, StateSpace
-
-OBJECT = "model"
 
 
 def write_improved(explanation: Explanation, path: Path, aux: Mapping[str, float]) -> list[Path]:
@@ -90,25 +84,21 @@ def _noise(explanation: Explanation) -> Array | None:
 
 def dynamics(explanation: Explanation, file: Path, aux: Mapping[str, float]) -> tuple[Model, str]:
     """Return the model whose dynamics are in ``file`` (beside it) and the text of that file."""
-    old, effects = explanation.nominal.model, explanation.point.effects
-    plant = explanation.nominal.at(explanation.point.theta)
-    remembers = plant.discrete or any(_goes_by_samples(e.hypothesis) for e in effects)
+    nominal, point, old = explanation.nominal, explanation.point, explanation.nominal.model
+    plant, effects = nominal.at(point.theta), point.effects
+    by_samples = sampled(plant, effects)
     states = tuple(old.states)
-    if remembers:
+    if by_samples:
         count = sum(e.hypothesis.memory for e in effects)
         held = [Variable(f"{v.name} before", v.unit) for v in old.inputs]
         states = (*states, *(Variable(f"memory_{i + 1}") for i in range(count)), *held)
     model = replace(
-        old, states=states, plant=None, sample_time=explanation.nominal.dt if remembers else 0.0,
-        parameters=_parameters(explanation, plant), entry_sd={}, process_cov=None, output_sd=_noise(explanation),
-        extra={DYNAMICS: f"{file.name}:{OBJECT}"}, raw="",
+        old, states=states, plant=None, sample_time=nominal.dt if by_samples else 0.0, parameters=_parameters(explanation, plant), entry_sd={},
+        process_cov=None, output_sd=_noise(explanation), extra={DYNAMICS: f"{file.name}:{OBJECT}"}, raw="",
     )
-    return model, _text(explanation, plant, "Sampled" if remembers else "Continuous", aux, file.parent)
-
-
-def _goes_by_samples(hypothesis: Hypothesis) -> bool:
-    """Whether a law remembers, or follows time or a recorded signal, which the fit held over every sample."""
-    return bool(hypothesis.memory) or any(s.kind in ("t", "aux") for s in hypothesis.reads)
+    steps = nominal.steps(point.theta, max([1, *(e.hypothesis.substeps for e in effects)]))
+    reference = relative_code(str(old.extra[DYNAMICS]), old.origin, file.parent) if nominal.python else ""
+    return model, text(Parts(nominal, plant, effects, steps, aux, reference))
 
 
 def _parameters(explanation: Explanation, plant: StateSpace) -> dict[str, Quantity]:
@@ -118,83 +108,9 @@ def _parameters(explanation: Explanation, plant: StateSpace) -> dict[str, Quanti
     found = dict(nominal.moved(explanation.point.theta).parameters) if nominal.python else {}
     for effect in explanation.point.effects:
         h = effect.hypothesis
-        for name, c, value in zip(_names(effect), h.parameters, effect.values, strict=True):
-            if name:
-                shown = float(value) / _factor(c, plant)
+        for c, value in zip(h.parameters, effect.values, strict=True):
+            if name := key(h, c):
+                shown = float(value) / factor(c, plant)
                 sd = sds.get((h.physics, h.site, c.name))
                 found[name] = Quantity(shown, c.unit, 0.05 if sd is None or not shown else float(sd / abs(shown)))
     return found
-
-
-def _names(effect: Effect) -> list[str]:
-    """Return the key of every parameter that is a finding, "" for the others."""
-    h = effect.hypothesis
-    return [f"{c.name} of {h.physics} at {h.site}" if c.free and not c.nuisance else "" for c in h.parameters]
-
-
-def _factor(c: Coefficient, plant: StateSpace) -> float:
-    """Return what a value in people's units is multiplied by to become the law's."""
-    return 1.0 if c.through is None or plant.B[c.through] == 0 else float(plant.B[c.through])
-
-
-def _text(explanation: Explanation, plant: StateSpace, kind: str, aux: Mapping[str, float], folder: Path) -> str:
-    nominal, effects = explanation.nominal, explanation.point.effects
-    labels, sources = _sources(effects)
-    least = max([1, *(e.hypothesis.substeps for e in effects)])
-    what = ", ".join(f"{e.hypothesis.physics} at {e.hypothesis.site}" for e in effects)
-    head = [
-        f'"""{nominal.model.name} with what its model left out: {what}.',
-        "",
-        "Written by `afdsvc explain`. Parameters come from the MODEL.toml beside this file, by name; matrices are the refitted ones.",
-        '"""',
-        "", _runtime(), "", "import math", "", "", "\n\n\n".join(sources), "",
-    ]
-    laws = [_law(e, label, plant) for e, label in zip(effects, labels, strict=True)]
-    matrices = [f"{name} = {_array(getattr(plant, name))}" for name in "ABCD"]
-    steps = nominal.steps(explanation.point.theta, least)
-    held = ", ".join(_array(getattr(steps, name)) for name in ("phi", "gam", "gx", "phih", "gamh"))
-    base = f", nominal=code(Path(__file__).parent, {_reference(nominal.model, folder)!r})" if nominal.python else ""
-    last = (
-        f"{OBJECT} = {kind}(A, B, C, D, LAWS, dt={nominal.dt!r}, substeps={steps.nsub}, aux={dict(aux)!r}, plant_dt={plant.dt!r},\n"
-        f"    held=({held}){base})"
-    )
-    return "\n".join([*head, "", *matrices, "LAWS = (", *laws, ")", last, ""])
-
-
-def _array(matrix: Array) -> str:
-    return f"np.array({matrix.tolist()!r}).reshape{matrix.shape!r}"
-
-
-def _reference(model: Model, folder: Path) -> str:
-    """Return where the code of the model is, seen from a folder."""
-    return relative_code(str(model.extra[DYNAMICS]), model.origin, folder)
-
-
-def _runtime() -> str:
-    """Return the source of the simulator without its docstring."""
-    return inspect.getsource(exported_dynamics).split('"""', 2)[2].strip() + "\n"
-
-
-def _sources(effects: Sequence[Effect]) -> tuple[list[str], list[str]]:
-    """Return the name of each effect's law in the file, and the sources, each law once."""
-    labels: dict[object, str] = {}
-    sources = []
-    for e in effects:
-        law = e.hypothesis.law
-        if law not in labels:
-            labels[law] = f"{e.hypothesis.physics}_{law.__name__}"
-            sources.append(re.sub(rf"^def {law.__name__}\(", f"def {labels[law]}(", inspect.getsource(law), count=1).rstrip())
-    return [labels[e.hypothesis.law] for e in effects], sources
-
-
-def _law(effect: Effect, label: str, plant: StateSpace) -> str:
-    h = effect.hypothesis
-    reads = tuple((s.kind, s.index) for s in h.reads)
-    writes = tuple(s.index for s in h.writes)
-    factors = tuple(_factor(c, plant) for c in h.parameters)
-    values = tuple(float(v) / f for v, f in zip(effect.values, factors, strict=True))
-    return (
-        f"    Law({h.stage!r}, {label}, {reads!r}, {writes!r}, {tuple(_names(effect))!r},\n"
-        f"        {values!r}, {factors!r}, {h.memory}),"
-    )
-

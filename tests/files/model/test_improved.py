@@ -248,3 +248,16 @@ def test_laws_are_added_to_a_simulator_that_stays_the_code_it_is(key, size, pend
     felt = np.linalg.norm(engine - plain)
     assert felt > 0.01 * np.linalg.norm(plain)
     assert np.linalg.norm(mine - engine) < 0.05 * felt
+
+
+@pytest.mark.parametrize("key", ["cubic_stiffness@state:v", "coulomb_friction@state:v", "backlash@input:a", "dead_zone@input:a", "transport_delay@input:a"])
+def test_a_written_simulator_is_simple_enough_to_be_compiled(key, tmp_path):
+    e = explanation(Effect(LIBRARY[key], values(LIBRARY[key])))
+    m = read_model(write_improved(e, tmp_path / "MODEL.toml", AUX)[0], allow_code=True)
+    found, r = nominal(m, DT), run(np.random.default_rng(4))
+    simulator = Simulator(found, np.zeros((len(m.states), 2)))
+    mine = simulator.run(r, np.zeros(len(found.entries)), np.zeros(len(m.states))).y
+    assert simulator.notes == ()
+    engine = Simulator(e.nominal, np.zeros((4, 2))).run(r, e.point.theta, np.zeros(4), e.point.effects).y
+    plain = Simulator(e.nominal, np.zeros((4, 2))).run(r, e.point.theta, np.zeros(4)).y
+    assert np.linalg.norm(mine - engine) < 0.05 * np.linalg.norm(engine - plain)
