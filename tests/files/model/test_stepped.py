@@ -6,7 +6,6 @@ import pytest
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.errors import BadInput
 from afdsvc.files.model import stepped
-from afdsvc.files.model.linear import linear_model
 from afdsvc.files.model.model_file import model_text, parse_model, read_model
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
@@ -60,7 +59,6 @@ def test_a_functions_linear_part_has_its_physical_matrices(tmp_path):
     assert "axis.py:axis only steps" in told[0]
     assert "force by 1 N" in told[0]
     assert "its states position, velocity looked at for 400 steps" in told[0]
-    assert linear_model(model) is model
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
