@@ -166,13 +166,13 @@ def _head(parts: Parts) -> list[str]:
 
 def _rate(parts: Parts, t: str, x: str) -> str:
     if parts.nominal.python:
-        return f"np.array(NOMINAL.f({t}, {x}, acting, p))"
+        return f"np.asarray(NOMINAL.f({t}, {x}, acting, p)) + 0.0"
     return f"A @ {x}" + (" + B @ acting" if parts.plant.inputs else "")
 
 
 def _output(parts: Parts, x: str, t: str = "t") -> str:
     if parts.nominal.python:
-        return f"np.array(NOMINAL.h({t}, {x}, acting, p))"
+        return f"np.asarray(NOMINAL.h({t}, {x}, acting, p)) + 0.0"
     return f"C @ {x}" + (" + D @ acting" if parts.direct else "")
 
 

@@ -248,6 +248,8 @@ def test_laws_are_added_to_a_simulator_that_stays_the_code_it_is(key, size, pend
     felt = np.linalg.norm(engine - plain)
     assert felt > 0.01 * np.linalg.norm(plain)
     assert np.linalg.norm(mine - engine) < 0.05 * felt
+    again = nominal(read_model(tmp_path / "MODEL.toml", allow_code=True), DT)
+    assert Simulator(again, np.zeros((len(again.model.states), 1))).notes == ()
 
 
 @pytest.mark.parametrize("key", ["cubic_stiffness@state:v", "coulomb_friction@state:v", "backlash@input:a", "dead_zone@input:a", "transport_delay@input:a"])
