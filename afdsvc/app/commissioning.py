@@ -42,7 +42,7 @@ from afdsvc.service.clock import FastClock
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Commissioned:
-    """One machine, ready to be run, watched or diagnosed.
+    """One machine, ready to be run, watched or diagnosed; its driver may run user code only with ``allow_code``.
 
     ``plant`` is the nominal discrete plant; ``controller`` None when unknown (then the machine is watched only).
     """
@@ -61,6 +61,7 @@ class Commissioned:
     raw_model: str = ""
     physical: PhysicalPlant | None = None
     faults: FaultSet | None = None
+    allow_code: bool = False
 
     def model_text(self) -> str:
         """Return what the simulation believes as MODEL.toml text, for recordings."""
@@ -84,17 +85,33 @@ class RecordedMachine:
     channels: tuple[Channel, ...]
 
 
-def commission(config: site_file.Machine, plugins: Plugins, watched: RecordedMachine | None = None) -> Commissioned:
+def commission(
+    config: site_file.Machine, plugins: Plugins, watched: RecordedMachine | None = None, allow_code: bool = False
+) -> Commissioned:
     """Return the machine's parts; raises `BadInput` that names the machine and what is wrong with it.
 
-    ``watched`` replaces the files that a machine with ``model`` is otherwise read from.
+    ``watched`` replaces the files that a machine with ``model`` is otherwise read from. ``allow_code`` permits the simulator that
+    the site file names (an FMI unit, a Python function) to run, here and in `open_port`.
     """
     try:
         if config.plant:
-            return _from_plant(config, plugins)
-        return _from_model(config, plugins, watched or _read_watched(config))
+            return replace(_from_plant(config, plugins), allow_code=allow_code)
+        return replace(_from_model(config, plugins, watched or _read_watched(config, allow_code)), allow_code=allow_code)
     except BadInput as error:
         raise type(error)(f"machine '{config.id}': {error}") from error
+
+
+def commission_embedded(
+    text: str, origin: str, id: str, plugins: Plugins, watched: RecordedMachine | None = None
+) -> Commissioned:
+    """Return a machine as the site file inside a recording describes it: no driver, no user code and no model file is opened.
+
+    Raises `BadInput` when only a file outside the recording says what the machine is.
+    """
+    config = site_file.parse_site(text, origin).machine(id)
+    if config.model and watched is None:
+        raise BadInput(f"{origin}: machine '{id}' has a model that is not inside the recording; expected --model MODEL.toml")
+    return commission(config, plugins, watched)
 
 
 def _from_plant(config: site_file.Machine, plugins: Plugins) -> Commissioned:
@@ -136,9 +153,9 @@ def at_speed(machine: Commissioned, speed: float) -> Commissioned:
     return replace(machine, plant=augmented.plant, augmented=augmented, speed=speed, physical=physical)
 
 
-def _read_watched(config: site_file.Machine) -> RecordedMachine:
+def _read_watched(config: site_file.Machine, allow_code: bool) -> RecordedMachine:
     if stepped_machine.is_driven(config):
-        model, dt = stepped_machine.driven_model(config)
+        model, dt = stepped_machine.driven_model(config, allow_code)
         return RecordedMachine(model, dt, _channels(model.inputs, model.outputs, True, False))
     trace = read_table(config.driver.recording or Path())
     return RecordedMachine(read_model(config.model or Path()), trace.dt, trace.channels)
@@ -313,7 +330,7 @@ def _stepped(machine: Commissioned, settings: LoopSettings, clock: Clock) -> Por
     faults = default_faults(machine.inputs, machine.outputs) if config.faults is None else config.faults
     return stepped_machine.open_stepped(
         config, (machine.inputs, machine.outputs), machine.controller, machine.output_cov, machine.channels, machine.limits, faults,
-        settings, clock, expected,
+        settings, clock, expected, machine.allow_code,
     )  # fmt: skip
 
 

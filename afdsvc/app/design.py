@@ -15,11 +15,14 @@ from afdsvc.plugins.manager import load
 from afdsvc.present.html.design_page import design_page
 
 
-def design_files(site_file: Path, machine: str | None, out: Path | None) -> dict[str, Any]:
-    """Return the design sheet of a machine (``design --json``) and write its page beside the site file."""
+def design_files(site_file: Path, machine: str | None, out: Path | None, allow_code: bool = False) -> dict[str, Any]:
+    """Return the design sheet of a machine (``design --json``) and write its page beside the site file.
+
+    A model that is a simulator (an FMI unit, a Python function) is opened only with ``allow_code``.
+    """
     site, plugins = read_site(site_file), load()
     config = site.machine(machine) if machine else site.machines[0]
-    parts = commissioning.commission(config, plugins)
+    parts = commissioning.commission(config, plugins, allow_code=allow_code)
     if parts.limits is None or parts.output_cov is None:
         raise BadInput(f"machine '{config.id}' can be watched, not excited; there is no burst to design")
     alarms = {d.kind: FalseAlarms(d.false_alarms_per_1000_bursts / 1000, d.false_alarms_per_day / 24) for d in config.detectors}

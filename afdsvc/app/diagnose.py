@@ -18,7 +18,7 @@ from afdsvc.diagnosis.verdict import conclude
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.recording.reader import Recording
-from afdsvc.files.site import Detector, Driver, Machine, parse_site
+from afdsvc.files.site import Detector, Driver, Machine
 from afdsvc.files.tables.foreign import prepared
 from afdsvc.files.tables.loading import TABLES, Naming, foreign_mapping, is_ours, load_traces, own_traces
 from afdsvc.files.tables.to_recording import import_traces
@@ -106,8 +106,7 @@ def _machine_of(recording: Recording, id: str, model: Path | None, calibrate: fl
     if inside is not None:
         watched = RecordedMachine(inside, first.dt, first.channels)
     if recording.site and model is None:
-        config = parse_site(recording.site, f"{recording.path}:site.toml").machine(id)
-        return commissioning.commission(config, plugins, watched)
+        return commissioning.commission_embedded(recording.site, f"{recording.path}:site.toml", id, plugins, watched)
     if watched is None:
         raise BadInput(f"{recording.path}: carries neither site nor model; give one with --model MODEL.toml")
     samples = sum(len(b) for b in recording.blocks(id))

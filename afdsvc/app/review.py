@@ -16,7 +16,6 @@ from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.statistics.fault_curves import FaultCurves, fault_curves
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.recording.reader import Recording
-from afdsvc.files.site import parse_site
 from afdsvc.plugins.manager import load
 from afdsvc.present.rerun.plane import Plane, Point
 
@@ -42,7 +41,7 @@ def fault_planes(recording: Recording, machine: str) -> list[Plane]:
 
 
 def _problem(recording: Recording, machine: str) -> DetectionProblem:
-    found = commissioning.commission(parse_site(recording.site, f"{recording.path}:site.toml").machine(machine), load())
+    found = commissioning.commission_embedded(recording.site, f"{recording.path}:site.toml", machine, load())
     if found.output_cov is None:
         raise AfdsvcError(f"machine '{machine}': the noise is unknown")
     return commissioning.problem(found, found.output_cov, found.process_cov, FalseAlarms())

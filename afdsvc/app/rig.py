@@ -24,7 +24,7 @@ from afdsvc.wire.messages import RigDescription
 def rig_agent(site: Site, id: str, transport: Transport, clock: Clock) -> RigAgent:
     """Return the rig agent of one machine, its port open, ready to run."""
     plugins = load()
-    machine = commissioning.commission(site.machine(id), plugins)
+    machine = commissioning.commission(site.machine(id), plugins, allow_code=True)
     session = uuid.uuid4().hex
     port = commissioning.open_port(machine, session, clock, plugins)
     description = RigDescription(
@@ -41,7 +41,7 @@ def run_rig(
 ) -> None:
     """Run a rig agent. Control begins at once and the network joins when a service is there; a replay waits for it instead."""
     config, clock = site.machine(id), RealClock()
-    commissioning.commission(config, load())
+    commissioning.commission(config, load(), allow_code=True)
     settings = site.transport.model_copy(update={"patience_seconds": min(site.transport.patience_seconds, 1.0)})
     transport = Transport(settings, False, access_of(site, rig_name(id)))
     connect = partial(_wait_for_service, transport)

@@ -14,7 +14,7 @@ from afdsvc.api.model import Model, SteppedPlant, Variable
 from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model
-from afdsvc.files.model.user_code import load_code
+from afdsvc.files.model.user_code import load_code, refuse_code
 from afdsvc.files.site import STEPPED, Fault, Machine
 from afdsvc.hal.control_loop import LoopSettings, Prediction
 from afdsvc.hal.stepped_simulator import GainFault, SteppedSimulator
@@ -30,12 +30,12 @@ def is_driven(config: Machine) -> bool:
     return config.driver.kind != "replay"
 
 
-def driven_model(config: Machine) -> tuple[Model, float]:
+def driven_model(config: Machine, allow_code: bool) -> tuple[Model, float]:
     """Return a driven machine's model and sample time [s]; raises `BadInput` when nothing states it.
 
-    A site file that names a simulator to run has decided to run code, so a model that is such a simulator may be opened too.
+    A model that is itself a simulator is opened where the driver is one too and code may run.
     """
-    model = read_model(config.model or Path(), config.driver.kind in STEPPED)
+    model = read_model(config.model or Path(), allow_code and config.driver.kind in STEPPED)
     stated = config.options.get("sample_time", 0.0)
     dt = model.sample_time or (model.plant.dt if model.plant else 0.0) or stated
     if not (isinstance(dt, (int, float)) and dt > 0):
@@ -64,12 +64,13 @@ def checked_limits(limits: Limits, inputs: int, outputs: int) -> Limits:
 def open_stepped(
     config: Machine, sides: tuple[tuple[Variable, ...], tuple[Variable, ...]], controller: DesignedController, output_cov: Array,
     channels: tuple[Channel, ...], limits: Limits, faults: list[Fault], settings: LoopSettings, clock: Clock, prediction: Prediction,
+    allow_code: bool = False,
 ) -> SteppedSimulator:  # fmt: skip
     """Return the port around the simulator a site file names; raises `BadInput` naming what does not fit.
 
-    ``sides`` are the model's inputs and outputs, ``faults`` those of the machine.
+    ``sides`` are the model's inputs and outputs, ``faults`` those of the machine. No simulator is opened without ``allow_code``.
     """
-    unit = stepped_plant(config, *sides)
+    unit = stepped_plant(config, *sides, allow_code)
     try:
         _refuse_unrest(unit, limits, config.driver.unit or "")
         injected = _gain_faults(config, faults, controller.interconnection.dt)
@@ -81,10 +82,13 @@ def open_stepped(
         raise
 
 
-def stepped_plant(config: Machine, inputs: tuple[Variable, ...], outputs: tuple[Variable, ...]) -> SteppedPlant:
+def stepped_plant(
+    config: Machine, inputs: tuple[Variable, ...], outputs: tuple[Variable, ...], allow_code: bool
+) -> SteppedPlant:
     """Return the simulator of a site file's driver, not begun yet."""
     driver = config.driver
     unit = driver.unit or ""
+    refuse_code(unit, unit if driver.kind == "fmu" else unit.rpartition(":")[0], allow_code, "key 'driver.unit'")
     known = [v.name for v in (*inputs, *outputs)]
     stranger = next((name for name in driver.variables if name not in known), None)
     if stranger is not None:

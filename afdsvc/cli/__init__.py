@@ -178,13 +178,14 @@ def design(
     site: SiteFile,
     machine: MachineOption = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE.html", help="Where the page goes.")] = None,
+    allow_code: Annotated[bool, typer.Option("--allow-code", help="Permit the model's simulator to run.")] = False,
     as_json: Json = False,
 ) -> None:
     """Make the design sheet: burst, thresholds, detection probabilities, smallest faults, faults that cannot be distinguished."""
     from afdsvc.app.design import design_files
     from afdsvc.present.terminal import design_table
 
-    document = design_files(site, machine, out)
+    document = design_files(site, machine, out, allow_code)
     show(as_json, document, lambda: design_table(document))
 
 

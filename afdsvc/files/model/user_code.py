@@ -30,12 +30,16 @@ def load_dynamics(reference: str, source: str, allow_code: bool) -> Dynamics:
     return cast(Dynamics, found)
 
 
-def refuse_code(reference: str, source: str, allow_code: bool) -> None:
-    """Raise `BadInput` when code would run without permission."""
+def refuse_code(reference: str, source: str, allow_code: bool, key: str = "") -> None:
+    """Raise `BadInput` when code would run without permission: the one gate in front of all code that a file names.
+
+    ``source`` is the file that must lie in a trusted folder, ``key`` (the file's key ``dynamics`` by default) is for the sentence.
+    """
     if not allow_code and not trusted(Path(source)):
         kind = "compiled code" if reference.endswith(".fmu") else "Python code"
+        where = key or f"{source}: key 'dynamics'"
         raise BadInput(
-            f"{source}: key 'dynamics' is '{reference}', {kind} that would run on this computer; "
+            f"{where} is '{reference}', {kind} that would run on this computer; "
             f"expected permission to run code: --allow-code (allow_code=True), or a folder named in {TRUSTED}"
         )
 
@@ -43,7 +47,7 @@ def refuse_code(reference: str, source: str, allow_code: bool) -> None:
 def load_code(reference: str, folder: Path, key: str) -> Any:
     """Return the object ``file.py:name`` (relative to the folder) or ``package.module:name``; raises `BadInput`.
 
-    ``key`` says where the reference stands, for the sentence.
+    ``key`` says where the reference stands, for the sentence. Callers pass `refuse_code` first.
     """
     place, _, name = reference.rpartition(":")
     if not place or not name.isidentifier():
@@ -68,9 +72,12 @@ def _imported(place: str, where: str) -> ModuleType:
 
 
 def trusted(path: Path) -> bool:
-    """Return whether a file lies in one of the folders of the environment variable `TRUSTED` (separated as in PATH)."""
+    """Return whether a file lies in one of the folders of the environment variable `TRUSTED` (separated as in PATH).
+
+    A model inside a recording is no file of its own and never trusted.
+    """
     folders = [Path(f).resolve() for f in os.environ.get(TRUSTED, "").split(os.pathsep) if f]
-    return any(folder in path.resolve().parents for folder in folders)
+    return path.is_file() and any(folder in path.resolve().parents for folder in folders)
 
 
 def linear_part(dynamics: Dynamics) -> StateSpace | None:
