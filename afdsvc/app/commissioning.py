@@ -310,7 +310,7 @@ def quiet_samples(machine: Commissioned, samples: int) -> tuple[Array, Array]:
 def open_port(machine: Commissioned, session: str, clock: Clock, plugins: Plugins) -> Port:
     """Return the machine's port: the simulator, a replay, or a driver plugin."""
     driver = machine.config.driver
-    settings = LoopSettings(machine.config.id, session, machine.config.block)
+    settings = LoopSettings(machine.config.id, session, machine.config.block, sensor_range=machine.config.limits.sensor_range)
     if driver.kind == "replay":
         trace = read_table(driver.recording or Path())
         pace = clock if driver.real_time else FastClock(clock.now_ns())

@@ -199,11 +199,15 @@ class Detector(_Strict):
 
 
 class LimitSettings(_Strict):
-    """Bounds per channel in the machine's units; defaults are those of the plant."""
+    """Bounds per channel in the machine's units; defaults are those of the plant.
+
+    ``sensor_range`` is the largest plausible magnitude of each output's reading; one beyond counts as missing.
+    """
 
     output: list[Positive] | None = None
     input: list[Positive] | None = None
     alpha: list[Positive] | None = None
+    sensor_range: list[Positive] | None = None
     seconds: Positive = 14.0
 
 

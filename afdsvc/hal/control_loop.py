@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -23,18 +23,24 @@ from afdsvc.lti.statespace import Array, StateSpace
 CAUSES = {
     control_sample.OUTPUT_LIMIT: "an output reached its limit",
     control_sample.INPUT_LIMIT: "an actuator reached its limit",
-    control_sample.BAD_SAMPLE: "a sensor returned NaN",
+    control_sample.BAD_SAMPLE: "a sensor returned NaN, or a reading outside its range",
+    control_sample.RESET: "the controller's state was no longer finite: it was reset, and the actuators brought to rest",
 }
+PLAUSIBLE = 1000.0  # times an output's limit: no reading of a working sensor lies beyond
 
 
 @dataclass(frozen=True, slots=True)
 class LoopSettings:
-    """How a control loop is cut into blocks: ``block`` samples a message, ``slice`` samples between two looks at the clock."""
+    """How a control loop is cut into blocks: ``block`` samples a message, ``slice`` samples between two looks at the clock.
+
+    ``sensor_range`` is the largest plausible magnitude of each output's reading; None: `PLAUSIBLE` times its limit.
+    """
 
     machine: str
     session: str
     block: int = 250
     slice: int = 50
+    sensor_range: Sequence[float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,6 +95,9 @@ class ControlLoop(ABC):
         self._u = np.zeros(self.m)
         self._channels, self._limits, self._settings, self._clock = channels, limits, settings, clock
         self._prediction = prediction
+        self._range = PLAUSIBLE * limits.output if settings.sensor_range is None else np.array(settings.sensor_range, dtype=float)
+        if self._range.shape != limits.output.shape:
+            raise BadInput(f"key 'limits.sensor_range' has {self._range.size} values; expected {self.p}, one per output")
         self._excitation = Excitation(self.m)
         self._armed: Limits | None = None
         self._ready: deque[Block] = deque()
@@ -180,6 +189,10 @@ class ControlLoop(ABC):
         block = Block(s.machine, s.session, self._seq, k0, self.dt, stamp, self._channels, values, burst, late)
         self._seq += 1
         return block
+
+    def _plausible(self, y: Array) -> Array:
+        """Return the readings ``y (p,)`` with NaN, a missing reading, in place of what no working sensor returns."""
+        return np.where(np.abs(y) <= self._range, y, np.nan)
 
     def _begin(self) -> float:
         """Return when the first sample was due, in seconds of the clock; the first call says now."""

@@ -11,7 +11,7 @@ from numba import njit
 
 from afdsvc.lti.statespace import StateSpace
 
-NO_CAUSE, OUTPUT_LIMIT, INPUT_LIMIT, BAD_SAMPLE = 0, 1, 2, 3
+NO_CAUSE, OUTPUT_LIMIT, INPUT_LIMIT, BAD_SAMPLE, RESET = 0, 1, 2, 3, 4
 
 
 @njit(cache=True)
@@ -19,8 +19,9 @@ def control_sample(A, B, C, D, xk, y, alpha, armed, output_limit, input_limit, u
     """Advance J_K by one sample and return why excitation must end (`NO_CAUSE` when it may go on).
 
     Writes the plant input ``u (m,)`` and the residual ``beta (p,)``, advances ``xk`` in place, and zeroes ``alpha`` in
-    place, in this very sample, when a limit is met while ``armed``. ``u`` is always inside ``input_limit``. A sample with
-    NaN in y leaves the controller state alone and holds u.
+    place, in this very sample, when a limit is met while ``armed``. ``u`` is always finite and inside ``input_limit``. A
+    sample with NaN in y leaves the controller state alone and holds u. A controller whose state or outputs are no longer
+    finite is reset: state, u and alpha become zero.
     """
     p, m, nk = y.size, u.size, xk.size
     cause = _judge_outputs(y, armed, output_limit)
@@ -35,7 +36,19 @@ def control_sample(A, B, C, D, xk, y, alpha, armed, output_limit, input_limit, u
         alpha[:] = 0.0
         _outputs(C, D, xk, y, alpha, input_limit, u, beta, m, p, nk)
     _advance(A, B, xk, y, alpha, m, p, nk)
+    if not (_finite(xk) and _finite(beta) and _finite(u)):
+        xk[:], u[:], alpha[:], beta[:] = 0.0, 0.0, 0.0, np.nan
+        return RESET
     return cause
+
+
+@njit(cache=True)
+def _finite(values):  # type: ignore[no-untyped-def]
+    """Return whether all values are finite."""
+    for value in values:
+        if not np.isfinite(value):
+            return False
+    return True
 
 
 @njit(cache=True)
@@ -45,7 +58,7 @@ def _judge_outputs(y, armed, output_limit):  # type: ignore[no-untyped-def]
     for i in range(y.size):
         if not np.isfinite(y[i]):
             return BAD_SAMPLE
-        if armed and abs(y[i]) > output_limit[i]:
+        if armed and not abs(y[i]) <= output_limit[i]:
             cause = OUTPUT_LIMIT
     return cause
 
@@ -80,7 +93,7 @@ def _outputs(C, D, xk, y, alpha, input_limit, u, beta, m, p, nk):  # type: ignor
             s += D[i, p + j] * alpha[j]
         if i >= m:
             beta[i - m] = s
-        elif abs(s) > input_limit[i]:
+        elif not abs(s) <= input_limit[i]:  # true for NaN too, which `np.sign` passes on: the caller resets
             over = True
             u[i] = np.sign(s) * input_limit[i]
         else:

@@ -102,6 +102,7 @@ class DrivenRig(ControlLoop):
             for k in range(n):
                 y[k] = self._driver.read()
                 began = self._clock.monotonic()
+                y[k] = self._plausible(y[k])
                 if cause != control_sample.NO_CAUSE:
                     alpha[k] = 0.0
                 armed = limits is not None and cause == control_sample.NO_CAUSE

@@ -65,7 +65,7 @@ class SteppedSimulator(ControlLoop):
         bounds, cause, at = limits or self._limits, control_sample.NO_CAUSE, -1
         for k in range(n):
             acting, sensing = self._gains(self._k + k)
-            y[k] = sensing * self._answer + noise[k]
+            y[k] = self._plausible(sensing * self._answer + noise[k])
             if cause != control_sample.NO_CAUSE:
                 alpha[k] = 0.0
             armed = limits is not None and cause == control_sample.NO_CAUSE
