@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,7 +24,7 @@ class Run:
     and the inputs and outputs have no gaps. ``period`` is the number of samples after which the excitation repeats (0 when
     it does not), ``settled`` the sample from which it does. ``commanded`` says that an excitation ``alpha`` was recorded, so
     a controller made the input. ``clock`` is the time laws see at the first sample [s]; None: ``t0``. ``glitches`` are the readings of every
-    output that were taken for such, and are missing in ``Y``.
+    output that were taken for such, and are missing in ``Y``. ``controller`` is the known one at the sample time.
     """
 
     name: str
@@ -41,19 +41,22 @@ class Run:
     commanded: bool = False
     clock: float | None = None
     glitches: tuple[tuple[Glitch, ...], ...] = ()
+    controller: StateSpace | None = None
 
     def __len__(self) -> int:
         return len(self.U)
 
     def span(self, start: int, stop: int) -> Run:
-        """Return some samples as a run of its own; its loop starts with an unknown controller state, so W is dropped."""
+        """Return some samples as a run of its own, whose controller starts at rest: W holds what its state still gave."""
         cut = slice(start, stop)
-        keep = self.W[cut] if self.W is not None and start == 0 else None
-        return Run(
-            self.name, self.dt, self.t0 + start * self.dt, self.U[cut], self.Y[cut], self.AUX[cut], self.REF[cut],
-            self.aux, keep, self.period, max(0, self.settled - start), self.commanded,
-            None if self.clock is None else self.clock + start * self.dt,
+        clock = None if self.clock is None else self.clock + start * self.dt
+        part = replace(
+            self, t0=self.t0 + start * self.dt, U=self.U[cut], Y=self.Y[cut], AUX=self.AUX[cut], REF=self.REF[cut],
+            W=None if self.W is None else self.W[cut], settled=max(0, self.settled - start), clock=clock, glitches=(),
         )
+        if start == 0 or self.W is None or self.controller is None:
+            return part
+        return replace(part, W=_outside(self.controller, part.U, _bridged(part.Y) - part.REF))
 
 
 def prepare(model: Model, traces: Sequence[Trace]) -> list[Run]:
@@ -86,11 +89,12 @@ def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:
     period, settled = repetition(drive)
     u, y, aux, ref = (np.array(a, dtype=np.float64, order="C") for a in (U, Y, AUX, REF))
     commanded = bool(trace.role("alpha").size)
-    added = _added(model, trace.dt, U, Y, REF)  # the controller saw the glitches
+    controller = _controller(model, trace.dt, U, Y)
+    added = _recorded(model, trace) if controller is None else _outside(controller, U, Y - REF)  # it saw the glitches
     alone = tuple(glitches(column, drive, period) for column in y.T)
     for j, found in enumerate(alone):
         y[[g.sample for g in found], j] = np.nan
-    return Run(trace.name, trace.dt, trace.t0, u, y, aux, ref, labels, added, period, settled, commanded, glitches=alone)
+    return Run(trace.name, trace.dt, trace.t0, u, y, aux, ref, labels, added, period, settled, commanded, glitches=alone, controller=controller)
 
 
 def _check_readings(trace: Trace, model: Model, Y: Array) -> None:
@@ -196,14 +200,29 @@ def _settled(x: Array, period: int, tolerance: float) -> int:
     return last if last < len(x) // 2 else 0
 
 
-def _added(model: Model, dt: float, U: Array, Y: Array, REF: Array) -> Array | None:
-    """Return what was added to the output of the known controller, u - K (y - ref); None when it is unknown."""
-    if model.controller is None or not np.isfinite(Y).all():
+def _controller(model: Model, dt: float, U: Array, Y: Array) -> StateSpace | None:
+    """Return the controller at the sample time; None when it is unknown, does not fit, or readings it saw are missing."""
+    K = None if model.controller is None or not np.isfinite(Y).all() else sampled(model.controller, dt)
+    return K if K is not None and (K.outputs, K.inputs) == (U.shape[1], Y.shape[1]) else None
+
+
+def _outside(controller: StateSpace, U: Array, error: Array) -> Array:
+    """Return what was added to the controller's output, ``u - K (y - ref)``, the controller starting at rest."""
+    return np.ascontiguousarray(U - simulate(controller, error)[0])
+
+
+def _bridged(Y: Array) -> Array:
+    """Return readings with what is missing bridged by straight lines."""
+    at = np.arange(len(Y))
+    return np.column_stack([np.interp(at, at[np.isfinite(y)], y[np.isfinite(y)]) if np.isfinite(y).any() else 0 * at for y in Y.T])
+
+
+def _recorded(model: Model, trace: Trace) -> Array | None:
+    """Return the bursts that were recorded where no controller is stated, one column for each input; None when one is missing."""
+    if model.controller is not None:
         return None
-    K = sampled(model.controller, dt)
-    if K is None or K.outputs != U.shape[1] or K.inputs != Y.shape[1]:
-        return None
-    return np.ascontiguousarray(U - simulate(K, Y - REF)[0])
+    names = [f"alpha_{v.name}" for v in model.inputs]
+    return np.column_stack([np.nan_to_num(trace.column(n)) for n in names]) if names and all(trace.has(n) for n in names) else None
 
 
 def sampled(controller: StateSpace, dt: float) -> StateSpace | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from afdsvc.explain.report.explanation import Explanation
 from afdsvc.explain.report.report import report
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.fit import Fit
-from afdsvc.explain.search.forward import Mapper, Progress, search
+from afdsvc.explain.search.forward import Mapper, Progress, search, settled
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
@@ -47,11 +48,13 @@ def explain(
     roles = split(runs[: len(recordings)], runs[len(recordings) :])
     refuse_still(model, roles.heldout)
     problem = build(nominal(model, roles.train[0].dt, _mean_input(roles.train)), roles.train, settings or Settings())
-    offered = list(library)
-    found = search(problem, offered, mapper, progress)
-    rng = np.random.default_rng(SEED)
+    base, rng, offered = settled(problem), np.random.default_rng(SEED), list(library)
+    progress("testing", 0.0)
+    before = tested(base.problem, base.start, rng)
+    if before.enough and not before.present:  # what is left is noise, and the numbers of the model may have moved to get there
+        base = replace(base, limited="noise")
+    found = search(base, offered, mapper, progress, lambda path: tested(base.problem, path, rng).present)
     progress("testing", 0.85)
-    before = tested(found.problem, found.start, rng)
     after = tested(found.problem, found.end, rng) if found.end is not found.start else None
     answer = verdict(found, before, after, rng)
     progress("reporting", 0.9)

@@ -22,7 +22,7 @@ def loop(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
             "the nominal model is not stable by itself (a pole at zero or beyond): it is not simulated freely but corrected by the "
             "measured outputs, or with the controller closed",
         )
-    known = any(r.W is not None for r in runs)
+    known = nominal.model.controller is not None and any(r.W is not None for r in runs)
     driven = any(r.commanded or np.ptp(r.REF, axis=0).max(initial=0.0) > 0 for r in runs)
     if known:
         yield Finding("ok", "controller", "the controller is known: the loop can be simulated closed")

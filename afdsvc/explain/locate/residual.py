@@ -15,11 +15,14 @@ Names = tuple[Sequence[str], Sequence[str], Sequence[str], Sequence[str]]
 
 
 def signals(problem: Problem, point: Point, horizon: float) -> list[Signals]:
-    """Return residual, inputs, simulated states and other signals of every run; references where a loop has them in all runs."""
-    references = [_reference(r) for r in problem.runs]
+    """Return residual, inputs, simulated states and other signals of every run; references where a loop has them in all runs.
+
+    Inputs simulated in the loop hold no noise of the outputs, so no reference is needed there.
+    """
+    references = [None if problem.closed else _reference(r) for r in problem.runs]
     known = all(r is not None for r in references)
     return [
-        Signals(r.Y - s.y, r.U, np.nan_to_num(s.x, posinf=0.0, neginf=0.0), r.AUX, r.dt, r.period, q if known else None)
+        Signals(r.Y - s.y, np.nan_to_num(s.u) if problem.closed else r.U, np.nan_to_num(s.x, posinf=0.0, neginf=0.0), r.AUX, r.dt, r.period, q if known else None)
         for r, s, q in zip(problem.runs, problem.simulated(point, horizon), references, strict=True)
     ]
 

@@ -54,7 +54,7 @@ def even(p: int) -> Weighting:
 
 def weighting(runs: Sequence[Run], residuals: Sequence[Array]) -> Weighting:
     """Return the weighting of residuals at a fit: noise from what differs between periods, plus the rest spread evenly."""
-    noise = [d for d in (_differing(r, e) for r, e in zip(runs, residuals, strict=True)) if d is not None]
+    noise = [d for d in (differing(r, e) for r, e in zip(runs, residuals, strict=True)) if d is not None]
     power = np.mean(np.vstack(residuals) ** 2, axis=0)
     if not noise:
         return even(residuals[0].shape[1])
@@ -64,7 +64,7 @@ def weighting(runs: Sequence[Run], residuals: Sequence[Array]) -> Weighting:
     return Weighting(at, np.sqrt(density), floor, width @ (variance / density))
 
 
-def _differing(run: Run, residual: Array) -> Array | None:
+def differing(run: Run, residual: Array) -> Array | None:
     """Return what differs between the periods of a residual, scaled to the noise's variance; None without two whole periods."""
     count = (len(residual) - run.settled) // run.period if run.period else 0
     if count < 2:

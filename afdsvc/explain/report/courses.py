@@ -11,7 +11,7 @@ from afdsvc.dataset.experiment import Run
 from afdsvc.explain.report.explanation import Course, OutputFit
 from afdsvc.explain.search.forward import Found
 from afdsvc.explain.search.heldout import on, played
-from afdsvc.explain.search.problem import Point, Problem
+from afdsvc.explain.search.problem import Point, Problem, loop_known
 from afdsvc.lti.statespace import Array
 from afdsvc.stats.portmanteau import whiteness
 
@@ -41,7 +41,7 @@ def player(found: Found) -> Player:
     problem, last = found.problem, list(found.end)[-1]
     if last == 0.0:
         return Player(problem, WAYS[problem.closed], 0.0)
-    if all(r.W is not None for r in problem.runs) and not problem.nominal.plant.D.any():
+    if loop_known(problem):
         return Player(replace(problem, closed=True), WAYS[1], 0.0)
     return Player(problem, WAYS[2], last)
 

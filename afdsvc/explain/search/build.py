@@ -10,7 +10,7 @@ import numpy as np
 from afdsvc.dataset.experiment import Run
 from afdsvc.explain.noise.weighting import even
 from afdsvc.explain.search.nuisance import loads
-from afdsvc.explain.search.problem import Point, Problem
+from afdsvc.explain.search.problem import Point, Problem, loop_known
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.explain.simulate.predictor import predictor_gain
@@ -33,6 +33,8 @@ def build(nominal: Nominal, runs: Sequence[Run], settings: Settings) -> Problem:
     problem = replace(problem, state_scale=_positive(np.sqrt(np.mean(np.minimum(states**2, 1e200), axis=0))))
     regular = not n or _regular(nominal)
     problem = replace(problem, offset_free=regular, regular=regular, loads=() if regular else loads(nominal, force, settings.load_sd))
+    if not regular and _follows_in_loop(problem):
+        problem = replace(problem, closed=True, regular=True, settings=replace(settings, horizons=(0.0,)))
     return replace(problem, x0=tuple(initial(problem, k) for k in range(len(runs))))
 
 
@@ -61,6 +63,14 @@ def _regular(nominal: Nominal) -> bool:
     """Whether the plant forgets its initial state: it has a static gain, and can be simulated from its inputs alone."""
     phi = _transition(nominal)
     return bool(np.abs(np.linalg.eigvals(phi)).max(initial=0.0) < 1 - 1e-9)
+
+
+def _follows_in_loop(problem: Problem) -> bool:
+    """Whether the loop can be closed around the model with the stated controller, and follows the recordings better than their mean."""
+    if not loop_known(problem):
+        return False
+    loop = replace(problem, closed=True)
+    return float(np.mean(np.vstack(loop.residuals(loop.start(), 0.0)) ** 2)) < 1.0
 
 
 def initial(problem: Problem, k: int) -> Array:

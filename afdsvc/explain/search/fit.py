@@ -203,7 +203,6 @@ def fit(
             q, residuals, cost, damping = step
         if fall < ENOUGH:
             if fresh or not exact:
-                fresh = fresh and step is None
                 break
             J, fresh, damping = jacobian(problem, c, q, horizon, residuals), True, 1e-3
             continue

@@ -11,7 +11,7 @@ import numpy as np
 
 from afdsvc.api.physics import Hypothesis, Machine, Physics
 from afdsvc.explain.noise.surrogates import chance
-from afdsvc.explain.noise.weighting import correlation_time, weighting
+from afdsvc.explain.noise.weighting import correlation_time, differing, weighting
 from afdsvc.explain.search.evidence import Evidence, blocks, evidence, left_out
 from afdsvc.explain.search.fit import Fit, fit
 from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
@@ -19,6 +19,7 @@ from afdsvc.explain.search.path import Trial, added_path, base_path, ends, fewer
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.screen import Screen, Screened
 from afdsvc.explain.settings import Settings
+from afdsvc.lti.statespace import Array
 from afdsvc.stats.spectral_peaks import peaks
 from afdsvc.stats.tones import tones
 
@@ -48,11 +49,28 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """One round: the candidates, best first; whether the first was accepted, and why not."""
+    """One round: the candidates, best first; whether the first was accepted, and why not.
+
+    ``limited`` says what limits the best fit: "noise" or "model".
+    """
 
     candidates: tuple[Candidate, ...]
     accepted: bool
+    limited: str
     reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """The problem with its weighting; the correlation times and the model refitted without effects, at every horizon.
+
+    ``limited`` says what limits how well the recordings are followed: "noise" or "model".
+    """
+
+    problem: Problem
+    taus: dict[float, float]
+    start: dict[float, Fit]
+    limited: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,10 +85,16 @@ class Found:
     limited: str
 
 
-def search(problem: Problem, library: Sequence[Physics], mapper: Mapper = map, progress: Progress = lambda what, share: None) -> Found:
-    """Return what the search finds; every effect accepted is refitted with all numbers of the model."""
-    problem, taus, start, limited = settled(problem)
-    rounds = Rounds(problem, taus, start, limited, mapper)
+def search(
+    settled: Settled, library: Sequence[Physics], mapper: Mapper = map, progress: Progress = lambda what, share: None,
+    predictable: Callable[[dict[float, Fit]], bool] = lambda path: True,
+) -> Found:
+    """Return what the search finds; every effect accepted is refitted with all numbers of the model.
+
+    ``predictable`` says whether the residual of a path holds anything that a model could predict.
+    """
+    problem, start, limited = settled.problem, settled.start, settled.limited
+    rounds = Rounds(problem, settled.taus, start, limited, mapper, predictable)
     path = start
     steps: list[Step] = []
     seen = _seen(problem, path, limited)
@@ -96,7 +120,7 @@ def _seen(problem: Problem, path: dict[float, Fit], limited: str) -> Machine:
     return machine(problem, path[last], last, lines, found, limited)
 
 
-def settled(problem: Problem) -> tuple[Problem, dict[float, float], dict[float, Fit], str]:
+def settled(problem: Problem) -> Settled:
     """Return the problem with its weighting, correlation times and horizons, and the model refitted without effects."""
     s = problem.settings
     problem, path = _interpolated(problem)
@@ -119,7 +143,7 @@ def settled(problem: Problem) -> tuple[Problem, dict[float, float], dict[float, 
     else:
         taus = {h: path[h].own_tau for h in horizons}
         path = base_path(problem, horizons, taus, problem.start())
-    return problem, taus, path, limited
+    return Settled(problem, taus, path, limited)
 
 
 def _interpolated(problem: Problem) -> tuple[Problem, dict[float, Fit]]:
@@ -153,6 +177,7 @@ class Rounds:
     start: dict[float, Fit]
     limited: str
     mapper: Mapper
+    predictable: Callable[[dict[float, Fit]], bool]
 
     @property
     def spans(self) -> list[tuple[int, int, int]]:
@@ -177,7 +202,26 @@ class Rounds:
         tried = [replace(t, points=tuple(replace(q, x0=path[h].point.x0) for q, h in zip(t.points, ends(path), strict=True))) for t in tried]
         fitted = list(self.mapper(partial(added_path, p, path, self.taus), tried))
         found = [Candidate(t.hypothesis, q, self.evidence(q, path, t.hypothesis)) for t, q in zip(tried, fitted, strict=True)]
-        return _decided(_ranked(found, s, self.limited), self, by_chance, further)
+        ranked, limited = self.ranked(found)
+        return _decided(ranked, limited, self, by_chance, further)
+
+    def ranked(self, found: Sequence[Candidate]) -> tuple[list[Candidate], str]:
+        """Return candidates by gain, the simplest of those that fit alike first; and what limits the best one.
+
+        Where the model limits, constants that are off are a reason only where they close nearly all of the gap: with physics left
+        out any fit moves them.
+        """
+        settings, limited = self.problem.settings, self.limited
+        ordered = sorted(found, key=lambda c: -c.evidence.gain)
+        first = [c for c in ordered if limited == "noise" or not is_constant(c.hypothesis) or c.evidence.share > WHOLE] or ordered
+        if not first:
+            return [], limited
+        near = _near(first, settings, limited)
+        if limited == "model" and len(near) > 1 and not self.predictable(first[0].path):
+            limited = "noise"
+            near = _near(first, settings, limited)
+        winner = min(near, key=lambda c: (complexity(c.hypothesis), -c.evidence.gain))
+        return [winner, *(c for c in ordered if c is not winner)], limited
 
     def evidence(self, path: dict[float, Fit], base: dict[float, Fit], h: Hypothesis) -> Evidence:
         """Return the evidence for one hypothesis; a constant of the model costs nothing, it is there already."""
@@ -226,9 +270,17 @@ def _shortlist(problem: Problem, path: dict[float, Fit], offered: Sequence[Hypot
             found.setdefault(x.hypothesis.key, {})[h] = x
         chosen += [x.hypothesis.key for x in screened[: problem.settings.refined]]
         directions, rng = np.array([x.starts[0].direction for x in screened]), np.random.default_rng(len(offered))
-        falls = chance(path[h].residuals, directions, screen.scale, problem.settings.surrogates, rng)
+        falls = chance(_noise(problem, path[h]), [len(r) for r in problem.runs], directions, screen.scale, problem.settings.surrogates, rng)
         by_chance[h] = 2 * float(falls.max(initial=0.0))
     return [found[k] for k in dict.fromkeys(chosen)], by_chance
+
+
+def _noise(problem: Problem, base: Fit) -> list[Array]:
+    """Return the noise of every run: what differs between periods of the residual where noise limits, else the residual."""
+    if problem.weighting.even:
+        return list(base.residuals)
+    noise = [differing(r, e) for r, e in zip(problem.runs, base.residuals, strict=True)]
+    return [e if d is None else d for d, e in zip(noise, base.residuals, strict=True)]
 
 
 def complexity(h: Hypothesis) -> float:
@@ -236,19 +288,10 @@ def complexity(h: Hypothesis) -> float:
     return sum(c.free and not c.nuisance for c in h.parameters) + (2.0 if getattr(h, "description", False) else 0.0)
 
 
-def _ranked(found: Sequence[Candidate], settings: Settings, limited: str) -> list[Candidate]:
-    """Return candidates by gain; among those that fit alike the simplest goes first.
-
-    Where the model limits, constants that are off are a reason only where they close nearly all of the gap: with physics left out
-    any fit moves them.
-    """
-    ordered = sorted(found, key=lambda c: -c.evidence.gain)
-    first = [c for c in ordered if limited == "noise" or not is_constant(c.hypothesis) or c.evidence.share > WHOLE] or ordered
-    if not first:
-        return []
-    near = [c for c in first if alike(c.evidence, first[0].evidence, c.evidence.gain, first[0].evidence.gain, settings, limited)]
-    winner = min(near, key=lambda c: (complexity(c.hypothesis), -c.evidence.gain))
-    return [winner, *(c for c in ordered if c is not winner)]
+def _near(ordered: Sequence[Candidate], settings: Settings, limited: str) -> list[Candidate]:
+    """Return the candidates that fit as well as the first."""
+    best = ordered[0].evidence
+    return [c for c in ordered if alike(c.evidence, best, c.evidence.gain, best.gain, settings, limited)]
 
 
 def alike(one: Evidence, best: Evidence, gain: float, highest: float, settings: Settings, limited: str) -> bool:
@@ -263,14 +306,14 @@ def is_constant(h: Hypothesis) -> bool:
     return h.physics == CONSTANT
 
 
-def _decided(ranked: list[Candidate], rounds: Rounds, by_chance: dict[float, float], further: bool) -> Step:
+def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: dict[float, float], further: bool) -> Step:
     """Return the round with its decision.
 
     A plant that integrates is judged at the horizon where its evidence is clearest: its simulation sums up every disturbance.
     """
     s = rounds.problem.settings
     if not ranked:
-        return Step((), False, "no hypothesis of the library applies")
+        return Step((), False, limited, "no hypothesis of the library applies")
     e = ranked[0].evidence
     gains = [(e.gains[h], max(s.evidence, s.chance * v)) for h, v in by_chance.items() if h in e.gains]
     gain, expected = gains[-1] if rounds.problem.regular else max(gains, key=lambda pair: pair[0] / pair[1])
@@ -285,5 +328,5 @@ def _decided(ranked: list[Candidate], rounds: Rounds, by_chance: dict[float, flo
         asked.append((e.share, s.share, "share of the gap"))
     for value, least, what in asked:
         if not value > least:
-            return Step(tuple(ranked), False, f"{ranked[0].hypothesis.key}: {what} {value:.3g}, expected more than {least:.3g}")
-    return Step(tuple(ranked), True)
+            return Step(tuple(ranked), False, limited, f"{ranked[0].hypothesis.key}: {what} {value:.3g}, expected more than {least:.3g}")
+    return Step(tuple(ranked), True, limited)

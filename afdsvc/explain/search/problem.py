@@ -39,7 +39,7 @@ class Problem:
     ``scale (p,)`` is the rms of the outputs about their mean, ``state_scale (n,)`` that of the simulated states; ``x0`` the
     initial states guessed from the recordings; ``gains`` the predictor gain ``(n, p)`` of every horizon (zero: simulation).
     ``loads`` are the unknown loads every fit has, ``offset_free`` whether sensor offsets are free,
-    ``regular`` whether the plant has a static gain. ``closed`` simulates the loop with the stated controller.
+    ``regular`` whether the simulation forgets its start. ``closed`` simulates the loop with the stated controller.
     """
 
     nominal: Nominal
@@ -65,7 +65,7 @@ class Problem:
         simulator = Simulator(self.nominal, self.gains[horizon], self.ramped)
         found = []
         for run, x0 in zip(self.runs, point.x0, strict=True):
-            s = simulator.run(replace(run, Y=run.Y - point.offset), point.theta, x0, point.effects, closed=self.closed)
+            s = simulator.run(replace(run, Y=run.Y - point.offset, REF=run.REF - point.offset), point.theta, x0, point.effects, closed=self.closed)
             found.append(Simulated(s.y + point.offset, s.u, s.x))
         return found
 
@@ -81,3 +81,9 @@ class Problem:
     def of(self, runs: Sequence[Run], x0: Sequence[Array]) -> Problem:
         """Return the same problem on other runs."""
         return replace(self, runs=tuple(runs), x0=tuple(x0))
+
+
+def loop_known(problem: Problem) -> bool:
+    """Whether the loop can be closed around the simulated plant: controller and what was added to its output are known, D is zero."""
+    known = problem.nominal.model.controller is not None and all(r.W is not None for r in problem.runs)
+    return known and not problem.nominal.plant.D.any()

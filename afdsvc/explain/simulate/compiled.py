@@ -13,7 +13,7 @@ from afdsvc.errors import BadInput
 from afdsvc.explain.simulate.kernel import LAW
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=None)  # its code must outlive every simulation that holds its address
 def compiled(law: Law) -> Any:
     """Return the law as a compiled callback; raises `BadInput` with the compiler's first complaint when it cannot be."""
     try:
@@ -23,12 +23,3 @@ def compiled(law: Law) -> Any:
         raise BadInput(f"law '{law.__qualname__}' does not compile: {why}") from error
     except RuntimeError:  # a function without a file has nowhere to keep its compiled form
         return cfunc(LAW, error_model="numpy")(law)
-
-
-def idle() -> Any:
-    """Return the compiled law that does nothing."""
-    return compiled(_nothing)
-
-
-def _nothing(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """Leave everything as it is."""

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from afdsvc.api.physics import Hypothesis, Signal
-from afdsvc.errors import BadInput
 from afdsvc.explain.simulate import kernel
-from afdsvc.explain.simulate.compiled import compiled, idle
+from afdsvc.explain.simulate.compiled import compiled
 from afdsvc.lti.statespace import Array
 
 _STAGE = {"input": kernel.INPUT, "force": kernel.FORCE, "output": kernel.OUTPUT}
@@ -33,9 +32,9 @@ class Effect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """Effects as arrays; ``forced`` states feel forces, ``middle`` states are read by them."""
+    """Effects as arrays; ``laws`` are addresses of compiled code, ``forced`` states feel forces, ``middle`` states are read by them."""
 
-    laws: tuple[object, ...]
+    laws: IntArray
     plan: IntArray
     par: Array
     forced: IntArray
@@ -44,15 +43,13 @@ class Table:
     def arguments(self) -> tuple[object, ...]:
         """Return the laws, the plan, their parameters and a fresh memory."""
         memory = np.zeros(int(self.plan[-1, 5]) if len(self.plan) else 0)
-        return (*self.laws, self.plan, self.par, memory)
+        return (self.laws, self.plan, self.par, memory)
 
 
 def table(effects: Sequence[Effect], m: int, n: int, p: int, a: int) -> Table:
     """Return the effects on a machine of ``m`` inputs, ``n`` states, ``p`` outputs and ``a`` auxiliary signals."""
     k = len(effects)
-    if k > kernel.MOST_EFFECTS:
-        raise BadInput(f"{k} effects at once; at most {kernel.MOST_EFFECTS} can be simulated")
-    calls = [compiled(e.hypothesis.law) for e in effects] + [idle()] * (kernel.MOST_EFFECTS - k)
+    laws = np.array([compiled(e.hypothesis.law).address for e in effects], dtype=np.int64)
     plan = np.zeros((k, kernel.READS + 2 * kernel.MOST_SIGNALS), np.int64)
     par = np.zeros((k, max([len(e.values) for e in effects], default=0) + 3))
     start, first = 0, kernel.READS + kernel.MOST_SIGNALS
@@ -67,7 +64,7 @@ def table(effects: Sequence[Effect], m: int, n: int, p: int, a: int) -> Table:
     forces = [e.hypothesis for e in effects if _stage(e.hypothesis) == kernel.FORCE]
     forced = np.unique(np.array([s.index for h in forces for s in h.writes], dtype=np.int64))
     middle = np.unique(np.array([s.index for h in forces for s in h.reads if s.kind == "x"], dtype=np.int64))
-    return Table(tuple(calls), plan, par, forced, middle)
+    return Table(laws, plan, par, forced, middle)
 
 
 def _stage(h: Hypothesis) -> int:

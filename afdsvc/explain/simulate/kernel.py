@@ -27,7 +27,6 @@ LIMIT = 1e150  # a state beyond it has diverged
 NUMBERS = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
 DYNAMICS = types.void(types.float64, NUMBERS, NUMBERS, NUMBERS, NUMBERS)  # t, x, u, p, out
 LAW = types.void(types.float64[::1], types.float64[::1], types.float64[::1], types.float64, types.float64[::1])
-MOST_EFFECTS = 8
 MOST_SIGNALS = 16
 READS = 7  # columns of a plan: stage, reads, writes, parameters, memory from, memory to, bent, then addresses
 INPUT, FORCE, OUTPUT, FRICTION = 0, 1, 2, 3
@@ -61,6 +60,20 @@ def _call_dynamics(typingctx, function, t, x, u, p, out):  # type: ignore[no-unt
     return types.void(types.int64, types.float64, *[types.uintp] * 4), build
 
 
+@intrinsic
+def _law(typingctx, address):  # type: ignore[no-untyped-def]
+    """Return the law at an address as a function of signature `LAW`."""
+    kind = FunctionType(LAW)
+
+    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        made = cgutils.create_struct_proxy(kind)(context, builder)
+        made.c_addr = builder.inttoptr(arguments[0], cgutils.voidptr_t)
+        made.py_addr = made.jit_addr = cgutils.get_null_value(cgutils.voidptr_t)
+        return made._getvalue()
+
+    return kind(types.int64), build
+
+
 @njit(cache=True, nogil=True, inline="always")
 def _evaluate(i, laws, plan, par, mem, work, dt):  # type: ignore[no-untyped-def]
     """Call law ``i`` on the signals at the start of ``work``; what it adds is left from `MOST_SIGNALS` on.
@@ -75,7 +88,8 @@ def _evaluate(i, laws, plan, par, mem, work, dt):  # type: ignore[no-untyped-def
     for k in range(nwrite):
         out[k] = 0.0
     first = z[0]
-    laws[i](values, z, memory, dt, out)
+    law = _law(laws[i])  # type: ignore[call-arg]
+    law(values, z, memory, dt, out)
     if plan[i, 6]:
         w = abs(first) / par[i, par.shape[1] - 1]
         for k in range(nwrite):
@@ -228,8 +242,7 @@ def _runge_kutta(rate, t, h, x, u, values, f, k1, ks, xs, new):  # type: ignore[
         types.boolean, types.boolean, types.boolean, _I, types.float64, types.float64, _M, _M, _M, _M, _M, _M, _M, _M, _IV, _IV,
         _I, _I, _I, _V,
         _M, _M, _M, _M, _M, _M, _M, _M, _V,
-        *[FunctionType(LAW)] * MOST_EFFECTS,
-        _IM, _M, _V,
+        _IV, _IM, _M, _V,
         _M, _M, _M,
     ),
     cache=True, nogil=True, error_model="numpy",
@@ -238,16 +251,15 @@ def simulate(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compi
     closed, ramped, direct, nsub, dt, t0, phi, gam, gx, phih, gamh, C, D, Kp, forced, middle,
     kind, rate, output, values,
     KA, KB, KC, KD, U, Y, R, AUX, x0,
-    law0, law1, law2, law3, law4, law5, law6, law7, plan, par, mem,
+    laws, plan, par, mem,
     yhat, uhat, xhat,
 ):
     """Fill ``yhat (n, p)``, ``uhat (n, m)`` (the input before effects) and ``xhat (n, states)``.
 
     Open: ``U (n, m)`` is the measured input. Closed: ``u = K (yhat - R) + U`` with ``U`` what was added to the controller's
-    output. Samples where Y is not finite correct nothing. ``ramped`` (open only) takes the input to run smoothly from sample
+    output. ``laws`` holds the addresses of the compiled laws. Samples where Y is not finite correct nothing. ``ramped`` (open only) takes the input to run smoothly from sample
     to sample instead of being held; input laws then see no states. ``direct``: the input reaches the output at once.
     """
-    laws = (law0, law1, law2, law3, law4, law5, law6, law7)
     N, p = Y.shape
     n, m, na, nk = x0.size, U.shape[1], AUX.shape[1], KA.shape[0]
     h = dt / nsub
@@ -257,7 +269,7 @@ def simulate(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compi
     u, ue, held, y = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(p)
     mean = np.zeros(m)
     s, work, first = np.zeros(m + n + p + na + 1), np.zeros(2 * MOST_SIGNALS), np.zeros(MOST_SIGNALS)
-    last = np.zeros(MOST_EFFECTS)
+    last = np.zeros(plan.shape[0])
     it = m + n + p + na
     phit, gamt, gxt, ct, dtr, kt = phi.T.copy(), gam.T.copy(), gx.T.copy(), C.T.copy(), D.T.copy(), Kp.T.copy()
     KAt, KBt, KCt, KDt = KA.T.copy(), KB.T.copy(), KC.T.copy(), KD.T.copy()

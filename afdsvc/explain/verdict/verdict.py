@@ -45,8 +45,9 @@ def verdict(found: Found, gap: Gap, remainder: Gap | None, rng: np.random.Genera
     if not accepted:
         word, sentences = _nothing(found, gap, strained)
         return Verdict(word, (), sentences, gap, remainder, explained)
-    if not gap.present and found.limited == "model":
-        why = f"{accepted[0].candidates[0].hypothesis.key} fits better, but {_lower(gap.sentence)}; it is not claimed"
+    first = accepted[0].candidates[0].hypothesis
+    if not gap.present and found.problem.weighting.even and not is_constant(first):
+        why = f"{first.key} fits better, but {_lower(gap.sentence)}; it is not claimed"
         return Verdict("unexplained" if gap.total > DOUBT else "consistent", (), (why, *strained), gap, remainder, explained)
     claims = [c for k, s in enumerate(accepted, 1) for c in _claims(s, k, bool(strained), found, rng)]
     firsts = [next(c for c in claims if c.effect == k) for k in range(1, len(accepted) + 1)]
@@ -72,7 +73,7 @@ def _nothing(found: Found, gap: Gap, strained: Sequence[str]) -> tuple[str, tupl
 def _claims(step: Step, number: int, strained: bool, found: Found, rng: np.random.Generator) -> list[Claim]:
     settings = found.problem.settings
     alike = look_alikes(step.candidates, settings)
-    w = weights(alike, settings, found.limited, rng)
+    w = weights(alike, settings, step.limited, rng)
     if strained:
         w = np.minimum(w, settings.uncertain)
     order = [0, *sorted(range(1, len(alike)), key=lambda k: -w[k])]

@@ -13,7 +13,7 @@ from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.experiment.next_experiment import experiment_after, first_experiment
 from afdsvc.explain.experiment.separation import unlike
 from afdsvc.explain.search.build import build
-from afdsvc.explain.search.forward import search
+from afdsvc.explain.search.forward import search, settled
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.verdict.verdict import Claim
@@ -30,7 +30,7 @@ def late(trace: Trace, samples: int) -> Trace:
 def answer(spring, recorded):
     """A delay of two samples, and what the search makes of it."""
     runs = prepare(spring, [late(recorded(k, level, periods=5), 2) for k, level in enumerate((1.0, 0.6))])
-    return search(build(nominal(spring, runs[0].dt), runs, replace(Settings(), effects=1)), [TransportDelay(), ActuatorLag()])
+    return search(settled(build(nominal(spring, runs[0].dt), runs, replace(Settings(), effects=1))), [TransportDelay(), ActuatorLag()])
 
 
 def claims(answer, *weights: float) -> list[Claim]:

@@ -12,7 +12,7 @@ from afdsvc.explain.locate.free_law import curve
 from afdsvc.explain.locate.picture import picture
 from afdsvc.explain.locate.places import band
 from afdsvc.explain.search.build import build
-from afdsvc.explain.search.forward import search
+from afdsvc.explain.search.forward import search, settled
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.plugins.physics.cubic_stiffness import CubicStiffness
@@ -21,7 +21,7 @@ from afdsvc.plugins.physics.quadratic_damping import QuadraticDamping
 
 def found(spring, recorded, extra, library):
     runs = prepare(spring, [recorded(k, level, extra) for k, level in enumerate((1.0, 0.6))])
-    return search(build(nominal(spring, runs[0].dt), runs, replace(Settings(), effects=1)), library)
+    return search(settled(build(nominal(spring, runs[0].dt), runs, replace(Settings(), effects=1))), library)
 
 
 def test_the_band_holds_the_spring_that_is_there_beside_its_name(spring, recorded):

@@ -27,7 +27,7 @@ def test_chance_is_the_largest_of_chi_squares_for_white_noise():
     rng = np.random.default_rng(5)
     e = rng.normal(size=(2000, 1))
     directions = rng.normal(size=(50, 2000))
-    falls = chance([e], directions, np.ones(2000), 200, rng)
+    falls = chance([e], [len(e)], directions, np.ones(e.size), 200, rng)
     theory = 0.5 * rng.normal(size=(4000, 50)) ** 2
     assert np.median(falls) == pytest.approx(np.median(theory.max(1)), rel=0.2)
 

@@ -9,7 +9,7 @@ import pytest
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.fit import Coordinates, fit, jacobian, weighted
-from afdsvc.explain.search.forward import search
+from afdsvc.explain.search.forward import search, settled
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.verdict.weights import look_alikes, weights
@@ -31,7 +31,7 @@ def problem(friction, seeds=(1, 2), noise=1.0, factor=1.0):
 
 @pytest.fixture(scope="module")
 def found():
-    return search(problem(60.0), LIBRARY)
+    return search(settled(problem(60.0)), LIBRARY)
 
 
 def test_dry_friction_is_found_where_only_speed_is_measured(found):
@@ -51,7 +51,7 @@ def test_its_weight_counts_resampled_blocks(found):
 
 
 def test_nothing_is_accepted_from_coloured_noise_alone():
-    found = search(problem(0.0, noise=8.0), LIBRARY)
+    found = search(settled(problem(0.0, noise=8.0)), LIBRARY)
     assert not any(s.accepted for s in found.steps)
     assert "expected more than" in found.steps[0].reason
 
@@ -62,7 +62,7 @@ def test_the_answer_does_not_change_when_a_recording_is_cut():
     pieces = [whole[0].span(0, 1000), whole[0].span(1000, 2000), whole[0].span(2000, 3000)]
     names = []
     for runs in (whole, pieces):
-        steps = search(build(nominal(model, motor.DT), runs, Settings()), LIBRARY).steps
+        steps = search(settled(build(nominal(model, motor.DT), runs, Settings())), LIBRARY).steps
         names.append([s.candidates[0].hypothesis.physics for s in steps if s.accepted])
     assert names[0] == names[1] == ["coulomb_friction"]
 
