@@ -259,14 +259,17 @@ class RigAgent:
             raise Refused(EMERGENCY)
         if self._playing:
             raise Refused(f"burst '{self._playing}' is playing; only one burst is played at a time")
-        if request.machine != self.machine:
-            raise Refused(f"the request is for machine '{request.machine}'; this is '{self.machine}'")
+        self._refuse_other(request.machine)
         if self._watchdog.service_gone:
             raise Refused("the service is not connected; a burst would not be supervised")
         if request.lease > LONGEST_LEASE_SECONDS:
             raise Refused(f"the lease is {request.lease:g} s; at most {LONGEST_LEASE_SECONDS:g} s are accepted without renewal")
         if (request.start - self._k) * self.port.dt > LONGEST_LEAD_SECONDS:
             raise Refused(f"the burst is to start at sample {request.start}; it is {self._k} now, which is too far ahead")
+
+    def _refuse_other(self, machine: str) -> None:
+        if machine != self.machine:
+            raise Refused(f"the request is for machine '{machine}'; this is '{self.machine}'")
 
     def _check(self, request: BurstRequest) -> None:
         if not isinstance(self.port, DrivablePort) or self.limits is None:
@@ -276,6 +279,7 @@ class RigAgent:
     def _on_stop(self, payload: bytes) -> bytes:
         """End what plays or is about to; runs in a zenoh thread."""
         stop: BurstStop = codec.decode_burst_stop(payload)
+        self._refuse_other(stop.machine)
         with self._lock:
             playing = self._playing
             if playing and stop.burst in ("", playing):
@@ -287,7 +291,7 @@ class RigAgent:
         lease: Lease = codec.decode_lease(payload)
         if lease.seconds > LONGEST_LEASE_SECONDS:
             raise Refused(f"a lease of {lease.seconds:g} s; at most {LONGEST_LEASE_SECONDS:g} s are accepted without renewal")
-        if lease.burst == self._playing:
+        if lease.burst == self._playing and lease.machine == self.machine:
             self._watchdog.renew(lease.seconds)
 
     def _on_service(self, _key: str, alive: bool) -> None:

@@ -11,10 +11,11 @@ from afdsvc.api.clock import Clock
 from afdsvc.errors import BadInput
 from afdsvc.files.recording.mcap_records import is_finished
 from afdsvc.files.recording.recover import recover_in_place
-from afdsvc.files.recording.retention import Keep, machine_of_file, recordings, tidy
+from afdsvc.files.recording.retention import Keep, machine_of_file, recordings, tidy, trusted_since
 
 log = logging.getLogger(__name__)
 TIDY_SECONDS = 60.0
+LEAPT_SECONDS = 3600.0  # by which wall clock and monotonic clock may part while the service runs
 
 
 def unfinished(folder: Path, machines: Collection[str]) -> list[Path]:
@@ -33,6 +34,7 @@ class Housekeeper:
     """Works in a thread of its own while the service runs; ``files()`` returns what the service itself writes.
 
     ``alarms`` is what the files of alarms, in their own folder, are kept for; ``chores`` are done with every round.
+    While the clock may have leapt, nothing is deleted because of its age, no chore is done, and this is reported once.
     What it does is reported by ``say(sentence)`` and in the log.
     """
 
@@ -43,6 +45,7 @@ class Housekeeper:
         self._alarms, self._chores = alarms, chores
         self._folder, self._keep, self._files, self._clock, self._say = folder, keep, files, clock, say
         self._torn = unfinished(folder, machines)
+        self._offset, self._reported = self._wall_offset(), ""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="housekeeping", daemon=True)
 
@@ -61,7 +64,8 @@ class Housekeeper:
                 return
             self._guarded(lambda path=path: self._recover(path))  # type: ignore[misc]
         while True:
-            for work in (self._tidy, *self._chores):
+            self._guarded(self._tidy)
+            for work in self._chores if self._since(self._alarms) < float("inf") else ():
                 self._guarded(work)
             if self._stop.wait(TIDY_SECONDS):
                 return
@@ -75,8 +79,29 @@ class Housekeeper:
 
     def _tidy(self) -> None:
         for folder, keep in ((self._folder, self._keep), (self._folder / "alarms", self._alarms)):
-            for removed in tidy(folder, keep, self._files(), self._clock.now_ns() / 1e9):
+            now, since = self._clock.now_ns() / 1e9, self._since(keep)
+            for removed in tidy(folder, keep, self._files(), now, since):
                 self._tell(f"{removed.path}: deleted: it {removed.why}")
+            self._report_kept(folder, keep, now, since)
+
+    def _since(self, keep: Keep) -> float:
+        """Return from which time on the ages of files are trusted: never, when the clock leapt while the service runs."""
+        if abs(self._wall_offset() - self._offset) > LEAPT_SECONDS:
+            return float("inf")
+        busy = set(self._files())
+        files = [p for folder in (self._folder, self._folder / "alarms") for p in recordings(folder) if p not in busy]
+        times = [p.stat().st_mtime for p in files]
+        return trusted_since(times, keep.seconds or 0.0, self._clock.now_ns() / 1e9) if times else float("-inf")
+
+    def _report_kept(self, folder: Path, keep: Keep, now: float, since: float) -> None:
+        kept = [p for p in recordings(folder) if keep.seconds is not None and now - keep.seconds > p.stat().st_mtime < since]
+        sentence = f"{folder}: recordings older than what is kept stay, because the clock may have leapt: nothing younger is there, or there is a long pause"
+        if kept and sentence != self._reported:
+            self._reported = sentence
+            self._tell(f"{sentence}; delete them by hand when they are as old as they look ({len(kept)} now, the newest {kept[-1].name})")
+
+    def _wall_offset(self) -> float:
+        return self._clock.now_ns() / 1e9 - self._clock.monotonic()
 
     def _tell(self, sentence: str) -> None:
         log.warning("%s", sentence)

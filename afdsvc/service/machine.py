@@ -17,6 +17,7 @@ from afdsvc.wire import codec
 from afdsvc.wire.messages import Alarm, Finding, MachineStatus, RigEvent
 
 STALE_SECONDS = 2.0
+MOST_REPORTED = 16  # machines a rig may falsely speak of, each reported once
 LEVELS = {
     "gap": "warning",
     "bad_block": "warning",
@@ -45,6 +46,7 @@ class MachineMonitor:
         self.trouble = self.doubt = ""
         self._last = float("-inf")
         self._twins: set[str] = set()
+        self._foreign: set[str] = set()
         self._fresh: list[Finding] = []
         self._decisions, self._concluded = 0, (-1, Verdict())
 
@@ -55,7 +57,7 @@ class MachineMonitor:
         except BadInput as error:
             self.say("warning", f"a block could not be read: {error}")
             return None
-        if self._is_twin(block.session):
+        if self._is_foreign("block", block.machine) or self._is_twin(block.session):
             return None
         self.session = block.session
         self.blocks += 1
@@ -95,15 +97,19 @@ class MachineMonitor:
         except BadInput as error:
             self.say("warning", f"an event could not be read: {error}")
             return None
+        if self._is_foreign("event", event.machine):
+            return None
         self.sink.event(event, payload)
         return event
 
     def take_description(self, payload: bytes) -> None:
         """Note what the rig says of itself: its head-room, for the status."""
         try:
-            self.head_room = codec.decode_description(payload).head_room
+            description = codec.decode_description(payload)
         except BadInput as error:
-            self.say("warning", f"a description could not be read: {error}")
+            return self.say("warning", f"a description could not be read: {error}")
+        if not self._is_foreign("description", description.machine):
+            self.head_room = description.head_room
 
     def appeared(self, session: str) -> None:
         """Note that a rig agent announced itself; a second one at the same time is named and not listened to."""
@@ -111,6 +117,8 @@ class MachineMonitor:
             self._twins.add(session)
             self.say("error", f"a second rig agent (session {session}) claims to be '{self.machine}'; its messages are ignored")
             return
+        if session != self.session:
+            self.seconds_seen = 0.0  # a new session counts its samples anew
         self.present, self.session = True, session
         self.say("info", f"rig agent of '{self.machine}' is connected")
 
@@ -168,6 +176,16 @@ class MachineMonitor:
     def say(self, level: str, sentence: str, t_ns: int | None = None) -> None:
         """Pass a sentence on."""
         self.sink.notice(self.machine, level, sentence, self.clock.now_ns() if t_ns is None else t_ns)
+
+    def _is_foreign(self, kind: str, machine: str) -> bool:
+        """Whether a message under this machine's key speaks of another machine; each one is reported once and ignored.
+
+        Access rules bind a rig to its key, so only the key says who sent a message.
+        """
+        if machine != self.machine and machine not in self._foreign and len(self._foreign) < MOST_REPORTED:
+            self._foreign.add(machine)
+            self.say("error", f"the rig agent of '{self.machine}' sent a {kind} of machine '{machine[:64]}'; such messages are ignored")
+        return machine != self.machine
 
     def _is_twin(self, session: str) -> bool:
         return session in self._twins

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from datetime import datetime, time
 
@@ -31,11 +32,16 @@ class Scheduler:
         self._next = None if settings.every_seconds is None else now + settings.first_after_seconds
         self._last_end = float("-inf")
         self._queue: list[BurstOrder] = []
+        self._followed: deque[str] = deque(maxlen=64)  # bursts whose question has had its second burst
         self.playing = False
         self.paused = ""
 
     def machine_appeared(self, now: float) -> None:
-        """Start the period anew: a machine that has just begun first shows how it is without excitation."""
+        """Start the period anew: a machine that has just begun first shows how it is without excitation.
+
+        Its samples count from 0 again, so a time noted in its last session means nothing.
+        """
+        self._last_end = min(self._last_end, now)
         if self._next is not None:
             self._next = now + self._settings.first_after_seconds
 
@@ -60,7 +66,7 @@ class Scheduler:
     def follow_up(self, question: Question) -> None:
         """Queue the burst that separates the two likeliest faults of a question, once per question (two-step isolation)."""
         self.settle(question.burst)
-        if self._settings.isolate:
+        if self._settings.isolate and question.burst not in self._followed:
             self._queue.append(BurstOrder(str(question), purpose="isolate", question=question))
 
     def settle(self, burst: str) -> None:
@@ -72,12 +78,17 @@ class Scheduler:
         if self.paused or self.playing or self.quiet(wall) or now < self._last_end + self._settings.rest_seconds:
             return None
         if self._queue:
-            return self._queue.pop(0)
+            return self._taken(self._queue.pop(0))
         if self._next is not None and now >= self._next:
             planned = self._next
             self._plan(planned, now)
             return BurstOrder("periodic", at=planned)
         return None
+
+    def _taken(self, order: BurstOrder) -> BurstOrder:
+        if order.question is not None:
+            self._followed.append(order.question.burst)
+        return order
 
     def seconds_to_next(self, now: float) -> float:
         """Return the seconds until the next periodic burst, 0 when none is planned or it is due."""

@@ -5,9 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Collection
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 _OURS = re.compile(r"(?P<machine>.+)-\d{8}T\d{6}(-\d+)?(\.\d{4})?(-alarm-\d{3,}-[\w.-]+)?\.(mcap|rrd)")
+
+
+LEAP_SECONDS = 30 * 86400.0  # a pause between recordings that may as well be a clock that leapt
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,13 +42,27 @@ def machine_of_file(path: Path) -> str:
     return match["machine"] if match else ""
 
 
-def tidy(folder: Path, keep: Keep, busy: Collection[Path], now: float) -> list[Removed]:
-    """Delete what ``keep`` does not allow and return it; ``busy`` files are counted but stay. ``now`` is Unix time [s]."""
+def trusted_since(times: Collection[float], seconds: float, now: float) -> float:
+    """Return the time [s] before which the ages of recordings written at ``times`` are no reason to delete them.
+
+    Infinite when none is younger than ``seconds``: everything would go. Otherwise the end of the last pause that is longer than
+    ``seconds`` and `LEAP_SECONDS`: in it the clock may have leapt.
+    """
+    if all(now - t > seconds for t in times):
+        return float("inf")
+    return max((b for a, b in pairwise([*sorted(times), now]) if b - a > max(seconds, LEAP_SECONDS)), default=float("-inf"))
+
+
+def tidy(folder: Path, keep: Keep, busy: Collection[Path], now: float, since: float = float("-inf")) -> list[Removed]:
+    """Delete what ``keep`` does not allow and return it; ``busy`` files are counted but stay. ``now`` is Unix time [s].
+
+    Files last written before ``since`` [s] do not go because of their age; see `trusted_since`.
+    """
     found = [(p, p.stat()) for p in recordings(folder)]
     total = sum(s.st_size for _, s in found)
     removed = []
     for path, stat in found:
-        why = _why(keep, total, now - stat.st_mtime)
+        why = _why(keep, total, now - stat.st_mtime if stat.st_mtime >= since else 0.0)
         if not why or path in busy:
             continue
         try:

@@ -1,0 +1,68 @@
+"""A rig is bound to its key by access rules: what it says of another machine under that key is reported and ignored."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from afdsvc.api.signals import Block, Channel
+from afdsvc.errors import Refused
+from afdsvc.hal.agent import RigAgent
+from afdsvc.service.clock import FastClock, RealClock
+from afdsvc.service.machine import MOST_REPORTED, MachineMonitor
+from afdsvc.wire import codec
+from afdsvc.wire.keys import Keys
+from afdsvc.wire.messages import BurstStop, EventKind, Lease, RigDescription, RigEvent
+
+CHANNELS = (Channel("u_x"), Channel("y_x"))
+
+
+def monitor() -> tuple[MachineMonitor, list[str], list[object]]:
+    said: list[str] = []
+    passed: list[object] = []
+    sink = SimpleNamespace(
+        notice=lambda machine, level, sentence, t_ns: said.append(sentence),
+        block=lambda *message: passed.append(message), event=lambda *message: passed.append(message),
+    )
+    return MachineMonitor("m1", SimpleNamespace(), sink, RealClock()), said, passed
+
+
+def block(machine: str) -> bytes:
+    return codec.encode_block(Block(machine, "s", 0, 0, 1e-3, 10**18, CHANNELS, np.ones((50, 2))))
+
+
+def test_blocks_events_and_descriptions_of_another_machine_are_ignored():
+    watch, said, passed = monitor()
+    assert watch.take_block(block("m2")) is None
+    assert watch.take_event(codec.encode_event(RigEvent("m2", "s", 10**18, EventKind.NOTE))) is None
+    watch.take_description(codec.encode_description(RigDescription("m2", "s", 10**18, 1e-3, CHANNELS, head_room=0.1)))
+    assert (passed, watch.blocks, watch.session, watch.head_room) == ([], 0, "", 1.0)
+    assert said == ["the rig agent of 'm1' sent a block of machine 'm2'; such messages are ignored"]
+
+
+def test_a_flood_of_names_is_reported_a_few_times_only():
+    watch, said, _ = monitor()
+    for i in range(100):
+        watch.take_block(block(f"x{i}"))
+    assert len(said) == MOST_REPORTED
+
+
+def test_a_rig_ignores_stops_and_leases_meant_for_another_machine():
+    transport = SimpleNamespace(publish=lambda *a: None)
+    agent = RigAgent(Keys("t"), RigDescription("m1", "s", 1, 1e-3, CHANNELS), SimpleNamespace(dt=1e-3), transport, FastClock())
+    agent._playing = "b"
+    with pytest.raises(Refused, match="is for machine 'm2'; this is 'm1'"):
+        agent._on_stop(codec.encode_burst_stop(BurstStop("m2", "why", "kim")))
+    agent._on_lease("", codec.encode_lease(Lease("m2", "b", 1.0)))
+    assert agent._reason_to_end() == "the lease expired: no renewal from the service"
+    agent._on_lease("", codec.encode_lease(Lease("m1", "b", 1.0)))
+    assert agent._reason_to_end() == ""
+
+
+def test_a_new_session_counts_its_samples_anew_before_its_first_block():
+    watch, _, _ = monitor()
+    watch.seconds_seen = 369.0
+    watch.appeared("new")
+    assert watch.seconds_seen == 0.0
