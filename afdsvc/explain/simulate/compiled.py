@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 from numba import cfunc
@@ -13,7 +13,7 @@ from afdsvc.errors import BadInput
 from afdsvc.explain.simulate.kernel import LAW
 
 
-@lru_cache(maxsize=None)  # its code must outlive every simulation that holds its address
+@cache  # its code must outlive every simulation that holds its address
 def compiled(law: Law) -> Any:
     """Return the law as a compiled callback; raises `BadInput` with the compiler's first complaint when it cannot be."""
     try:

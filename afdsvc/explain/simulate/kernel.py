@@ -69,7 +69,7 @@ def _law(typingctx, address):  # type: ignore[no-untyped-def]
         made = cgutils.create_struct_proxy(kind)(context, builder)
         made.c_addr = builder.inttoptr(arguments[0], cgutils.voidptr_t)
         made.py_addr = made.jit_addr = cgutils.get_null_value(cgutils.voidptr_t)
-        return made._getvalue()
+        return made._getvalue()  # noqa: SLF001 - numba has no other way to read a structure
 
     return kind(types.int64), build
 
