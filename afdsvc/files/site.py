@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import re
 import tomllib
 from datetime import time
@@ -11,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from afdsvc.errors import BadInput
+from afdsvc.files.bounds import BOUNDS, file_size
 
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 Positive = Annotated[float, Field(gt=0)]
@@ -24,7 +26,7 @@ def plain_id(value: str) -> str:
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Security(_Strict):
@@ -40,6 +42,9 @@ class Security(_Strict):
     @field_validator("operators", "viewers")
     @classmethod
     def _plain(cls, value: list[str]) -> list[str]:
+        taken = next((name for name in value if name in ("service", "ca") or name.startswith("rig.")), None)
+        if taken is not None:
+            raise ValueError(f"'{taken}' names a certificate of the site itself; expected the name of a person")
         return [plain_id(name) for name in value]
 
     @model_validator(mode="after")
@@ -81,7 +86,10 @@ class Transport(_Strict):
 
 def _loopback(address: str) -> bool:
     host = address.split("#")[0].rsplit(":", 1)[0].strip("[]")
-    return host in ("localhost", "::1") or host.startswith("127.")
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False  # a name, which may mean any address
 
 
 class Recording(_Strict):
@@ -302,6 +310,7 @@ def read_site(path: Path) -> Site:
     Paths inside the file are relative to its folder.
     """
     try:
+        file_size(path, BOUNDS.text)
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise BadInput(f"{path}: cannot be read as a site file ({error})") from error
@@ -312,7 +321,7 @@ def parse_site(text: str, origin: str, folder: Path | None = None) -> Site:
     """Validate the text of a site file; see `read_site`."""
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise BadInput(f"{origin}: not valid TOML: {error}") from error
     if "text" in data or "origin" in data:
         raise BadInput(f"{origin}: key 'text' or 'origin' is unknown; see the reference of the site file")

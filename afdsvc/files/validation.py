@@ -9,6 +9,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from afdsvc.errors import BadInput
+from afdsvc.files.bounds import BOUNDS, file_size
 
 
 class Strict(BaseModel):
@@ -22,6 +23,7 @@ T = TypeVar("T", bound=BaseModel)
 
 def read_text(path: Path) -> str:
     """Return a UTF-8 text file; raises `BadInput` naming the file when it cannot be read."""
+    file_size(path, BOUNDS.text)
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:

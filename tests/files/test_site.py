@@ -75,3 +75,28 @@ def test_paths_are_relative_to_the_file(tmp_path: Path):
 def test_an_unknown_machine_lists_those_there_are():
     with pytest.raises(BadInput, match="no machine 'x'; it has bearing-1"):
         parse_site(GOOD, "site.toml").machine("x")
+
+
+@pytest.mark.parametrize("name", ["service", "ca", "rig.bearing"])
+@pytest.mark.parametrize("role", ["operators", "viewers"])
+def test_people_do_not_bear_the_names_of_the_sites_own_certificates(role, name):
+    text = f'[transport]\nlisten = ["tls/127.0.0.1:7447"]\n[transport.security]\nkeys = "keys"\n{role} = ["{name}"]\n'
+    with pytest.raises(BadInput, match=rf"'{name}' names a certificate of the site itself"):
+        parse_site(GOOD.replace("[[machines]]", f"{text}[[machines]]", 1), "site.toml")
+
+
+@pytest.mark.parametrize("host", ["127.evil.example", "127.0.0.1.evil.example", "127", "localhost.evil.example"])
+def test_a_name_that_looks_like_loopback_is_none(host):
+    with pytest.raises(BadInput, match="is reachable from other computers"):
+        parse_site(GOOD.replace("[[machines]]", f'[transport]\nlisten = ["tcp/{host}:7447"]\n[[machines]]', 1), "site.toml")
+
+
+@pytest.mark.parametrize("key", ["limits = {output = [inf, inf]}", "limits = {seconds = inf}", "bursts = {every_seconds = inf}", "bursts = {severity = nan}"])
+def test_a_limit_is_finite(key):
+    with pytest.raises(BadInput, match="finite number"):
+        parse_site(f"{GOOD}\n{key}\n", "site.toml")
+
+
+def test_deep_nesting_is_a_sentence():
+    with pytest.raises(BadInput, match="not valid TOML"):
+        parse_site("x = " + 5000 * "[" + 5000 * "]", "site.toml")

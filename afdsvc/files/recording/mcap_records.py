@@ -6,6 +6,7 @@ crash has no end, and one bad chunk is no reason to lose those behind it.
 
 from __future__ import annotations
 
+import struct
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -13,12 +14,15 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
+import lz4.frame
+import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import breakup_chunk
+from mcap.stream_reader import CRCValidationError
 
 from afdsvc.errors import BadInput
+from afdsvc.files.bounds import BOUNDS, recording_bytes, refuse_more
 from afdsvc.files.tables.formats import refuse_pointer
 
 MAGIC = bytes([137, 77, 67, 65, 80, 48, 13, 10])
@@ -26,6 +30,7 @@ _PLAIN: dict[int, Callable[[ReadDataStream], McapRecord]] = {
     Opcode.SCHEMA: Schema.read, Opcode.CHANNEL: Channel.read, Opcode.METADATA: Metadata.read,
 }  # fmt: skip
 _FRAME = 9  # opcode and length in front of every record
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time, in front of a message's data
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +62,8 @@ Item = McapRecord | Loss | End
 def read_items(path: Path) -> Iterator[Item]:
     """Yield the records of the data section (those inside chunks one by one), losses where they are, and the end.
 
-    Raises `BadInput` when the file cannot be opened or is no MCAP file. Memory is that of one chunk.
+    Raises `BadInput` when the file cannot be opened, is no MCAP file, or its chunks state more bytes than are read. Memory is that
+    of one chunk.
     """
     refuse_pointer(path)
     size = path.stat().st_size
@@ -65,6 +71,7 @@ def read_items(path: Path) -> Iterator[Item]:
         start = file.read(len(MAGIC))
         if start != MAGIC:
             raise BadInput(f"{path}: is not an MCAP file: it begins with {start!r}" if start else f"{path}: is empty")
+        refuse_more(path, _stated_bytes(file, size), recording_bytes(size), "bytes in its chunks")
         for frame in _frames(file, size):
             if isinstance(frame, Loss):
                 yield frame
@@ -107,6 +114,21 @@ def _frames(file: BinaryIO, size: int) -> Iterator[_Frame | Loss]:
         yield _Frame(head[0], file.read(length), at)
 
 
+def _stated_bytes(file: BinaryIO, size: int) -> int:
+    """Return how many bytes the chunks say they hold, without those too large to be read; the file stays where it is."""
+    begin, total = file.tell(), 0
+    while len(head := file.read(_FRAME)) == _FRAME and head[0] not in (0, Opcode.DATA_END):
+        at, length = file.tell(), int.from_bytes(head[1:], "little")
+        if head[0] == Opcode.CHUNK:
+            stated = int.from_bytes(file.read(24)[16:], "little")
+            total += stated if stated <= BOUNDS.chunk else 0
+        if length > size - at:
+            break
+        file.seek(at + length)
+    file.seek(begin)
+    return total
+
+
 def _more(file: BinaryIO) -> bool:
     """Whether anything but the closing magic is left."""
     at = file.tell()
@@ -138,11 +160,49 @@ def _parsed(frame: _Frame) -> Iterator[Item]:
 
 def _chunk(chunk: Chunk, frame: _Frame) -> Iterator[Item]:
     try:
-        yield from breakup_chunk(chunk, validate_crc=True)
+        yield from _inside(_inflated(chunk))
     except Exception as error:  # the decompressor's, the checksum's, or the record parser's own
         start, end = chunk.message_start_time, chunk.message_end_time
         span = f"{(end - start) / 1e9:.3f} s of data"
         yield Loss(f"{_name(frame)} with {span} is damaged: {_why(error)}", start, end)
+
+
+def _inflated(chunk: Chunk) -> bytes:
+    """Return the records of a chunk as bytes, as many as it states; raises `ValueError` when it holds more or others."""
+    most = chunk.uncompressed_size
+    if most > BOUNDS.chunk:
+        raise ValueError(f"it states {most:,} bytes; at most {BOUNDS.chunk:,} are read")
+    if chunk.compression == "zstd":
+        data = bytes(zstandard.ZstdDecompressor().stream_reader(chunk.data).read(most + 1))
+    elif chunk.compression == "lz4":
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=most + 1)
+    elif not chunk.compression:
+        data = chunk.data
+    else:
+        raise ValueError(f"its compression '{chunk.compression[:20]}' is unknown; expected zstd or lz4")
+    if len(data) != most:
+        raise ValueError(f"it holds {'more' if len(data) > most else 'fewer'} bytes than the {most:,} it states")
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise CRCValidationError(chunk.uncompressed_crc, zlib.crc32(data), chunk)
+    return data
+
+
+def _inside(data: bytes) -> Iterator[McapRecord]:
+    """Yield schemas, channels and messages of a chunk; raises `ValueError` where a record does not fit."""
+    at = 0
+    while at < len(data):
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        at += _FRAME
+        if not opcode or length > len(data) - at:
+            raise ValueError(f"a record of kind {opcode} with {length} bytes where {len(data) - at} are left")
+        if opcode == Opcode.MESSAGE:
+            id, sequence, logged, published = _MESSAGE.unpack_from(data, at)
+            yield Message(
+                channel_id=id, sequence=sequence, log_time=logged, publish_time=published, data=data[at + _MESSAGE.size : at + length]
+            )
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            yield _PLAIN[opcode](ReadDataStream(BytesIO(data[at : at + length])))
+        at += length
 
 
 def _attachment(content: bytes) -> Item:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 from mcap.records import Channel, Message, Schema
 
 from afdsvc.errors import BadInput
+from afdsvc.files.bounds import file_size, refuse_more, table_bytes
 from afdsvc.files.recording.mcap_records import Item, Loss, read_items
 from afdsvc.files.tables.alignment import Group
 from afdsvc.files.tables.foreign_messages import Decode, decoder, number, stamp_ns
@@ -58,9 +60,10 @@ def read_topics(path: Path, places: Mapping[str, str], time: Time) -> tuple[list
 
 def _read(path: Path, places: Mapping[str, str], time: Time) -> tuple[dict[str, _Topic], list[str]]:
     """Return the mapped topics with their decoded samples, and sentences on damage."""
-    file = _File()
+    file, most = _File(), table_bytes(file_size(path, sys.maxsize))
     for item in read_items(path):
         file.take(item, places)
+        refuse_more(path, file.kept, most, "bytes in mapped messages")
     topics = _wanted(places, {c.topic: file.kind(c) for c in file.channels.values()}, path)
     for id, messages in file.stored.items():
         channel = file.channels[id]
@@ -82,6 +85,7 @@ class _File:
     channels: dict[int, Channel] = field(default_factory=dict)
     stored: dict[int, list[Message]] = field(default_factory=dict)
     losses: list[str] = field(default_factory=list)
+    kept: int = 0
 
     def take(self, item: Item, places: Mapping[str, str]) -> None:
         """Take one record; unmapped topics (images, point clouds) are not kept."""
@@ -95,6 +99,7 @@ class _File:
             topic = self.channels[item.channel_id].topic
             if any(_fits(topic, place) for place in places.values()):
                 self.stored.setdefault(item.channel_id, []).append(item)
+                self.kept += len(item.data)
 
     def kind(self, channel: Channel) -> str:
         """Return the type of a channel's messages."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from afdsvc.errors import BadInput
+from afdsvc.files.bounds import BOUNDS, file_size, refuse_more, table_bytes
 from afdsvc.files.tables.mat5 import read_mat5
 from afdsvc.lti.statespace import Array
 
@@ -27,6 +29,7 @@ def read_columns(path: Path) -> Columns:
     if reader is None:
         raise BadInput(f"{path}: tables end in {', '.join(_READERS)}; this one ends in '{path.suffix}'")
     refuse_pointer(path)
+    file_size(path, BOUNDS.table)
     try:
         return reader(path)
     except BadInput:
@@ -48,10 +51,11 @@ def refuse_pointer(path: Path) -> None:
 
 def _csv(path: Path) -> Columns:
     with path.open(encoding="utf-8-sig", newline="") as file:
-        first, second = file.readline(), file.readline()
+        first, second = file.readline(BOUNDS.line + 1), file.readline(BOUNDS.line + 1)
+    refuse_more(path, len(first), BOUNDS.line, "characters in its first line")
     delimiter = next((d for d in ",;\t" if d in first), ",")
     header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
-    _refuse_twice(path, header)
+    _refuse_names(path, header)
     point = "," if delimiter != "," and "," in second else "."
     try:
         table = pyarrow.csv.read_csv(
@@ -92,9 +96,23 @@ def _is_number(cell: str) -> bool:
 
 
 def _parquet(path: Path) -> Columns:
-    table = pyarrow.parquet.read_table(path)
-    _refuse_twice(path, table.column_names)
+    with pyarrow.parquet.ParquetFile(path) as file:
+        _refuse_parquet(path, file)
+        table = file.read()
     return {name: _numbers(path, name, table[name].to_numpy()) for name in table.column_names}
+
+
+def _refuse_parquet(path: Path, file: Any) -> None:
+    """Raise `BadInput` for what would not fit into memory, judged before anything is decoded."""
+    _refuse_names(path, file.schema_arrow.names)
+    refuse_more(path, file.metadata.num_columns, BOUNDS.columns, "columns")
+    refuse_more(path, 8 * file.metadata.num_rows * file.metadata.num_columns, table_bytes(path.stat().st_size), "bytes of numbers")
+    for field in file.schema_arrow:
+        if not any(fits(field.type) for fits in _FLAT):
+            raise BadInput(f"{path}: column '{field.name}' holds {field.type} values; expected real numbers")
+
+
+_FLAT = (pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean, pa.types.is_temporal, pa.types.is_null, pa.types.is_decimal)
 
 
 def _npz(path: Path) -> Columns:
@@ -102,27 +120,41 @@ def _npz(path: Path) -> Columns:
         archive = np.load(file, allow_pickle=False)
         if not isinstance(archive, np.lib.npyio.NpzFile):
             raise BadInput(f"{path}: holds one array; expected an archive of named columns")
+        _refuse_names(path, archive.files)
+        refuse_more(path, sum(i.file_size for i in (archive.zip.infolist() if archive.zip else [])), table_bytes(path.stat().st_size), "bytes of numbers")
         return _named(path, archive.items())
 
 
 def _mat(path: Path) -> Columns:
     if h5py.is_hdf5(path):
         with h5py.File(path) as file:
-            return _named(path, _datasets(path, file))
-    variables = read_mat5(path.read_bytes())
+            found = dict(_datasets(path, file))
+            size = sum(int(d.size) * d.dtype.itemsize for d in found.values())
+            refuse_more(path, size, table_bytes(path.stat().st_size), "bytes of numbers")
+            return _named(path, ((name, dataset[()]) for name, dataset in found.items()))
+    data = path.read_bytes()
+    variables = read_mat5(data, table_bytes(len(data)))
     only = next(iter(variables.values())) if len(variables) == 1 else None
     return _named(path, (only if isinstance(only, dict) else variables).items())
 
 
 def _datasets(path: Path, group: Any) -> Iterable[tuple[str, Any]]:
+    """Yield the datasets by name, none of them read yet; raises `BadInput` for one whose numbers lie elsewhere."""
+    refuse_more(path, len(group), BOUNDS.columns, "variables")
     names = [name for name in group if not name.startswith("#")]
+    for name in names:
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            raise BadInput(f"{path}: variable '{name}' is a link to another place; expected the numbers themselves")
     if len(names) == 1 and isinstance(group[names[0]], h5py.Group):
         yield from _datasets(path, group[names[0]])
         return
     for name in names:
-        if isinstance(group[name], h5py.Group):
+        found = group[name]
+        if isinstance(found, h5py.Group):
             raise BadInput(f"{path}: variable '{name}' is a struct beside others; expected vectors of numbers")
-        yield name, group[name][()]
+        if not isinstance(found, h5py.Dataset) or found.external or found.is_virtual:
+            raise BadInput(f"{path}: variable '{name}' keeps its numbers in another file; expected them in this one")
+        yield name, found
 
 
 def _named(path: Path, variables: Iterable[tuple[str, Any]]) -> Columns:
@@ -142,8 +174,10 @@ def _numbers(path: Path, name: str, values: Any) -> Array:
     return numbers
 
 
-def _refuse_twice(path: Path, names: list[str]) -> None:
-    twice = next((name for name in names if names.count(name) > 1), None)
+def _refuse_names(path: Path, names: list[str]) -> None:
+    """Raise `BadInput` for too many columns, or one that comes twice."""
+    refuse_more(path, len(names), BOUNDS.columns, "columns")
+    twice = next((name for name, times in Counter(names).items() if times > 1), None)
     if twice is not None:
         raise BadInput(f"{path}: column '{twice}' comes twice; expected once")
 

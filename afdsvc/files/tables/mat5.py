@@ -36,15 +36,19 @@ class _Element:
         return np.frombuffer(self.content, order + code)
 
 
-def read_mat5(data: bytes) -> dict[str, Any]:
-    """Return arrays by name, structs as dictionaries, in the order of the file; raises `ValueError` for anything unsound."""
+def read_mat5(data: bytes, most: int = 1 << 30) -> dict[str, Any]:
+    """Return arrays by name, structs as dictionaries, in the order of the file; raises `ValueError` for anything unsound.
+
+    Compressed variables may expand to ``most`` bytes together.
+    """
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if order is None or len(data) < _HEADER:
         raise ValueError("no MAT-file of level 5 or 7.3")
     found = {}
     for element in _elements(data[_HEADER:], order):
         if element.kind == _COMPRESSED:
-            element = _inflated(element, order)
+            element, held = _inflated(element, order, most)
+            most -= held
         if element.kind == _MATRIX:
             name, value = _matrix(element.content, order)
             if name:
@@ -70,9 +74,13 @@ def _elements(data: bytes, order: str) -> Iterator[_Element]:
         at += step
 
 
-def _inflated(element: _Element, order: str) -> _Element:
+def _inflated(element: _Element, order: str, most: int) -> tuple[_Element, int]:
+    """Return a compressed variable and its size in bytes."""
     try:
-        return next(_elements(zlib.decompress(element.content), order))
+        data = zlib.decompressobj().decompress(element.content, most + 1)
+        if len(data) > most:
+            raise ValueError("its compressed variables expand to more bytes than are read from a file of its size")
+        return next(_elements(data, order)), len(data)
     except (zlib.error, StopIteration) as error:
         raise ValueError(f"a compressed variable is damaged: {error}") from None
 

@@ -1,0 +1,201 @@
+"""Files that expand, hold more columns than any machine has, or point elsewhere are refused before they cost memory or time."""
+
+from __future__ import annotations
+
+import tracemalloc
+import zipfile
+import zlib
+
+import h5py
+import lz4.frame
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import scipy.io
+import zstandard
+from mcap.records import Chunk
+from mcap.writer import CompressionType, Writer
+
+from afdsvc.errors import BadInput
+from afdsvc.files.bounds import BOUNDS, table_bytes
+from afdsvc.files.recording.mcap_records import Loss, read_items
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.site import read_site
+from afdsvc.files.tables import foreign_mcap
+from afdsvc.files.tables.foreign_mcap import read_topics
+from afdsvc.files.tables.formats import read_columns
+from afdsvc.files.tables.mapping import Time
+from afdsvc.files.tables.mat5 import read_mat5
+
+MEGABYTE = 1_000_000
+
+
+def refusal(path) -> str:
+    """Return the sentence a table is refused with, read with little memory."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(BadInput) as caught:
+            read_columns(path)
+        assert tracemalloc.get_traced_memory()[1] < 100 * MEGABYTE
+    finally:
+        tracemalloc.stop()
+    return str(caught.value)
+
+
+def csv_of_columns(path):
+    path.write_text(",".join(f"u_{i}" for i in range(10**5)) + "\n" + ",".join(["1"] * 10**5) + "\n")
+
+
+def csv_of_one_line(path):
+    path.write_text("t," * 10**6)
+
+
+def parquet_of_zeros(path):
+    pq.write_table(pa.table({"y_a": pa.array(np.zeros(40 * MEGABYTE))}), path)
+
+
+def parquet_of_columns(path):
+    pq.write_table(pa.table({f"u_{i}": [1.0] for i in range(5000)}), path)
+
+
+def npz_of_zeros(path):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("y_a.npy", "w", force_zip64=True) as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (40 * MEGABYTE,)})
+        for _ in range(320):
+            file.write(bytes(MEGABYTE))
+
+
+def npz_of_columns(path):
+    np.savez(path, **{f"u_{i}": np.ones(1) for i in range(5000)})
+
+
+def hdf5_of_zeros(path):
+    with h5py.File(path, "w") as file:
+        file.create_dataset("y_a", (10**9,), "f8", chunks=(10**6,), compression="gzip")
+
+
+SENTENCES = {
+    csv_of_columns: ("a.csv", "100,000 columns; at most 4,096"),
+    csv_of_one_line: ("b.csv", "characters in its first line"),
+    parquet_of_zeros: ("a.parquet", "320,000,000 bytes of numbers; at most 256,000,000"),
+    parquet_of_columns: ("b.parquet", "5,000 columns"),
+    npz_of_zeros: ("a.npz", "bytes of numbers; at most 256,000,000"),
+    npz_of_columns: ("b.npz", "5,000 columns"),
+    hdf5_of_zeros: ("a.mat", "8,000,000,000 bytes of numbers"),
+}
+
+
+@pytest.mark.parametrize("write", SENTENCES)
+def test_a_table_that_expands_or_has_too_many_columns_is_refused(tmp_path, write):
+    name, sentence = SENTENCES[write]
+    write(tmp_path / name)
+    assert sentence in refusal(tmp_path / name)
+
+
+def test_a_mat_file_expands_no_further_than_its_bound(tmp_path):
+    scipy.io.savemat(tmp_path / "a.mat", {"y_a": np.zeros(10**6)}, do_compression=True)
+    data = (tmp_path / "a.mat").read_bytes()
+    assert read_mat5(data)["y_a"].size == 10**6
+    with pytest.raises(ValueError, match="expand to more bytes than are read"):
+        read_mat5(data, 10**6)
+
+
+@pytest.mark.parametrize("kind", ["external link", "soft link", "external storage", "virtual"])
+def test_numbers_that_lie_in_another_file_are_not_fetched(tmp_path, kind):
+    secret = tmp_path / "secret.h5"
+    with h5py.File(secret, "w") as file:
+        file["key"] = np.arange(5.0)
+    with h5py.File(tmp_path / "a.mat", "w") as file:
+        file["t"] = np.arange(5.0)
+        if kind == "external link":
+            file["u_key"] = h5py.ExternalLink(str(secret), "/key")
+        elif kind == "soft link":
+            file["u_key"] = h5py.SoftLink("/t")
+        elif kind == "external storage":
+            file.create_dataset("u_key", (5,), "f8", external=[(str(secret), 0, 40)])
+        else:
+            layout = h5py.VirtualLayout((5,), "f8")
+            layout[:] = h5py.VirtualSource(str(secret), "key", (5,))
+            file.create_virtual_dataset("u_key", layout)
+    with pytest.raises(BadInput, match=r"variable 'u_key' (is a link to another place|keeps its numbers in another file)"):
+        read_columns(tmp_path / "a.mat")
+
+
+def bomb(path, compress, compression: str, chunks: int, size: int, stated: int | None = None) -> None:
+    """Write a recording of chunks that expand to ``size`` bytes each and state ``stated``."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE)
+        writer.start()
+        writer.finish()
+    whole = path.read_bytes()
+    head = whole[: whole.index(b"\x0f", 17)]  # up to the end of the data section
+    data, built = compress(bytes(size)), bytearray(head)
+    chunk = Chunk(
+        compression=compression, data=data, message_start_time=0, message_end_time=0, uncompressed_crc=0,
+        uncompressed_size=size if stated is None else stated,
+    )
+    body = b"".join([
+        (0).to_bytes(16, "little"), chunk.uncompressed_size.to_bytes(8, "little"), bytes(4), len(compression).to_bytes(4, "little"),
+        compression.encode(), len(data).to_bytes(8, "little"), data,
+    ])  # fmt: skip
+    built += chunks * (b"\x06" + len(body).to_bytes(8, "little") + body)
+    path.write_bytes(bytes(built) + whole[len(head) :])
+
+
+COMPRESSED = {"zstd": zstandard.ZstdCompressor(level=3).compress, "lz4": lz4.frame.compress}
+
+
+@pytest.mark.parametrize("compression", COMPRESSED)
+def test_a_recording_whose_chunks_expand_is_refused_before_any_is_read(tmp_path, compression):
+    path = tmp_path / "a.mcap"
+    bomb(path, COMPRESSED[compression], compression, 40, 32 * MEGABYTE)
+    with pytest.raises(BadInput, match=r"holds 1,280,000,000 bytes in its chunks; at most 1,0\d\d,\d{3},\d{3} are read"):
+        Recording(path)
+
+
+@pytest.mark.parametrize("compression", COMPRESSED)
+@pytest.mark.parametrize("stated", [10, 300 * MEGABYTE])
+def test_a_chunk_that_holds_more_than_it_states_costs_only_what_it_states(tmp_path, compression, stated):
+    path = tmp_path / "a.mcap"
+    bomb(path, COMPRESSED[compression], compression, 1, 64 * MEGABYTE, stated)
+    tracemalloc.start()
+    losses = [item.sentence for item in read_items(path) if isinstance(item, Loss)]
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(losses) == 1
+    assert ("more bytes than the 10 it states" if stated == 10 else "it states 300,000,000 bytes; at most 256,000,000") in losses[0]
+    assert peak < 20 * MEGABYTE
+
+
+def test_a_chunk_of_zeros_ends_at_its_first_record(tmp_path):
+    path = tmp_path / "a.mcap"
+    bomb(path, zlib.compress, "", 0, 1)
+    bomb(path, COMPRESSED["zstd"], "zstd", 1, MEGABYTE)
+    assert "a record of kind 0" in Recording(path).loss
+
+
+def test_mapped_topics_of_others_are_kept_up_to_a_bound(tmp_path, monkeypatch):
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channel = writer.register_channel("/force", "json", writer.register_schema("force", "jsonschema", b"{}"))
+        for k in range(200):
+            writer.add_message(channel, k * 10**7, b'{"value": 1.0, "more": "%s"}' % (b"x" * 10_000), k * 10**7)
+        writer.finish()
+    read_topics(path, {"u_force": "/force.value"}, Time())
+    monkeypatch.setattr(foreign_mcap, "table_bytes", lambda size: MEGABYTE)
+    with pytest.raises(BadInput, match=r"bytes in mapped messages; at most 1,000,000"):
+        read_topics(path, {"u_force": "/force.value"}, Time())
+
+
+def test_a_text_of_any_length_is_not_read(tmp_path):
+    path = tmp_path / "site.toml"
+    path.write_text("#" * (BOUNDS.text + 1))
+    with pytest.raises(BadInput, match=r"holds 16,000,001 bytes; at most 16,000,000"):
+        read_site(path)
+
+
+def test_what_a_table_may_hold_grows_with_its_file():
+    assert [table_bytes(size) for size in (0, 10 * MEGABYTE, 10**9)] == [BOUNDS.table_free, 10**9, BOUNDS.table]
