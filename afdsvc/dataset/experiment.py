@@ -25,6 +25,7 @@ class Run:
     it does not), ``settled`` the sample from which it does. ``commanded`` says that an excitation ``alpha`` was recorded, so
     a controller made the input. ``clock`` is the time laws see at the first sample [s]; None: ``t0``. ``glitches`` are the readings of every
     output that were taken for such, and are missing in ``Y``. ``controller`` is the known one at the sample time.
+    ``steady`` says that the outputs repeat from the first sample on, too: the machine ran with this excitation before.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Run:
     clock: float | None = None
     glitches: tuple[tuple[Glitch, ...], ...] = ()
     controller: StateSpace | None = None
+    steady: bool = False
 
     def __len__(self) -> int:
         return len(self.U)
@@ -53,6 +55,7 @@ class Run:
         part = replace(
             self, t0=self.t0 + start * self.dt, U=self.U[cut], Y=self.Y[cut], AUX=self.AUX[cut], REF=self.REF[cut],
             W=None if self.W is None else self.W[cut], settled=max(0, self.settled - start), clock=clock, glitches=(),
+            steady=self.steady or 0 < self.settled + self.period <= start,
         )
         if start == 0 or self.W is None or self.controller is None:
             return part
@@ -94,7 +97,16 @@ def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:
     alone = tuple(glitches(column, drive, period) for column in y.T)
     for j, found in enumerate(alone):
         y[[g.sample for g in found], j] = np.nan
-    return Run(trace.name, trace.dt, trace.t0, u, y, aux, ref, labels, added, period, settled, commanded, glitches=alone, controller=controller)
+    return Run(trace.name, trace.dt, trace.t0, u, y, aux, ref, labels, added, period, settled, commanded, glitches=alone, controller=controller, steady=_steady(y, period, settled))
+
+
+def _steady(Y: Array, period: int, settled: int) -> bool:
+    """Whether the second period repeats the first one in its first quarter nearly as well as in its last, where a start has died away."""
+    if not period or settled:
+        return False
+    changed = np.nan_to_num(Y[period : 2 * period] - Y[:period]) ** 2
+    quarter = max(1, period // 4)
+    return bool((changed[:quarter].mean(0) <= 2 * changed[-quarter:].mean(0)).all())
 
 
 def _check_readings(trace: Trace, model: Model, Y: Array) -> None:

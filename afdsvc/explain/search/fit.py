@@ -174,7 +174,7 @@ def _column(problem: Problem, c: Coordinates, q: Array, at: Sequence[int], horiz
 
 
 def fit(
-    problem: Problem, point: Point, horizon: float, tau: float, iterations: int = 20, known: Array | None = None, exact: bool = True,
+    problem: Problem, point: Point, horizon: float, tau: float, iterations: int = 100, known: Array | None = None, exact: bool = True,
 ) -> Fit:
     """Return the local optimum of the posterior from ``point`` at one horizon.
 

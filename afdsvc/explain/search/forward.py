@@ -75,7 +75,10 @@ class Settled:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """What the search found: the problem, the refitted model without effects, the final one, and the rounds."""
+    """What the search found: the problem, the refitted model without effects, the final one, the rounds.
+
+    ``evidence`` is that of the final model over the one without effects.
+    """
 
     problem: Problem
     start: dict[float, Fit]
@@ -83,6 +86,7 @@ class Found:
     machine: Machine
     steps: tuple[Step, ...]
     limited: str
+    evidence: Evidence
 
 
 def search(
@@ -108,7 +112,15 @@ def search(
         if not step.accepted:
             break
         path = rounds.without_idle(step.candidates[0].path)
-    return Found(problem, start, path, seen, tuple(steps), limited)
+    return Found(problem, start, path, seen, tuple(_kept(s, path) for s in steps), limited, rounds.over(path, start, 0))
+
+
+def _kept(step: Step, path: dict[float, Fit]) -> Step:
+    """Return the round, not accepted when a later one left nothing for its effect."""
+    kept = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
+    if not step.accepted or step.candidates[0].hypothesis.key in kept:
+        return step
+    return replace(step, accepted=False, reason=f"{step.candidates[0].hypothesis.key}: nothing is left for it beside the other effects")
 
 
 def _seen(problem: Problem, path: dict[float, Fit], limited: str) -> Machine:
@@ -225,13 +237,16 @@ class Rounds:
 
     def evidence(self, path: dict[float, Fit], base: dict[float, Fit], h: Hypothesis) -> Evidence:
         """Return the evidence for one hypothesis; a constant of the model costs nothing, it is there already."""
-        count = 0 if is_constant(h) else sum(c.free for c in h.parameters)
+        return self.over(path, base, 0 if is_constant(h) else sum(c.free for c in h.parameters))
+
+    def over(self, path: dict[float, Fit], base: dict[float, Fit], count: int) -> Evidence:
+        """Return the evidence for a path of ``count`` more parameters."""
         return evidence(path, base, self.spans, list(self.start.values())[-1].sd, self.gap, count)
 
     def without_idle(self, path: dict[float, Fit]) -> dict[float, Fit]:
-        """Return the path without earlier effects that no longer pay."""
+        """Return the path without effects that do not pay beside the others."""
         last = list(path)[-1]
-        for k in range(len(path[last].point.effects) - 2, len(self.problem.loads) - 1, -1):
+        for k in range(len(path[last].point.effects) - 1, len(self.problem.loads) - 1, -1):
             fewer = fewer_path(self.problem, path, self.taus, k)
             if self.evidence(path, fewer, path[last].point.effects[k].hypothesis).gain < self.problem.settings.evidence / 2:
                 path = fewer

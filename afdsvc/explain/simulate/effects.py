@@ -40,10 +40,9 @@ class Table:
     forced: IntArray
     middle: IntArray
 
-    def arguments(self) -> tuple[object, ...]:
-        """Return the laws, the plan, their parameters and a fresh memory."""
-        memory = np.zeros(int(self.plan[-1, 5]) if len(self.plan) else 0)
-        return (self.laws, self.plan, self.par, memory)
+    def memory(self) -> Array:
+        """Return the memory of all effects at rest."""
+        return np.zeros(int(self.plan[-1, 5]) if len(self.plan) else 0)
 
 
 def table(effects: Sequence[Effect], m: int, n: int, p: int, a: int) -> Table:

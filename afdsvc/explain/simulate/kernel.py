@@ -66,9 +66,9 @@ def _law(typingctx, address):  # type: ignore[no-untyped-def]
     kind = FunctionType(LAW)
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        made = cgutils.create_struct_proxy(kind)(context, builder)
+        made = cgutils.create_struct_proxy(kind)(context, builder)  # type: ignore[no-untyped-call]
         made.c_addr = builder.inttoptr(arguments[0], cgutils.voidptr_t)
-        made.py_addr = made.jit_addr = cgutils.get_null_value(cgutils.voidptr_t)
+        made.py_addr = made.jit_addr = cgutils.get_null_value(cgutils.voidptr_t)  # type: ignore[no-untyped-call]
         return made._getvalue()  # noqa: SLF001 - numba has no other way to read a structure
 
     return kind(types.int64), build
@@ -88,7 +88,7 @@ def _evaluate(i, laws, plan, par, mem, work, dt):  # type: ignore[no-untyped-def
     for k in range(nwrite):
         out[k] = 0.0
     first = z[0]
-    law = _law(laws[i])  # type: ignore[call-arg]
+    law = _law(laws[i])
     law(values, z, memory, dt, out)
     if plan[i, 6]:
         w = abs(first) / par[i, par.shape[1] - 1]

@@ -11,7 +11,7 @@ from afdsvc.dataset.experiment import Run, sampled
 from afdsvc.errors import BadInput
 from afdsvc.explain.simulate import kernel
 from afdsvc.explain.simulate.dynamics import linearised, program
-from afdsvc.explain.simulate.effects import Effect, table
+from afdsvc.explain.simulate.effects import Effect, Table, table
 from afdsvc.explain.simulate.nominal import PYTHON_ANGLE, PYTHON_SUBSTEPS, Nominal
 from afdsvc.explain.simulate.steps import Steps, contiguous
 from afdsvc.lti.statespace import Array, StateSpace
@@ -62,17 +62,26 @@ class Simulator:
     def _play(
         self, run: Run, theta: Array, steps: Steps, x0: Array, effects: Sequence[Effect], closed: bool, free: bool
     ) -> Simulated:
+        placed = table(effects, run.U.shape[1], self.nominal.plant.order, run.Y.shape[1], run.AUX.shape[1])
+        memory = placed.memory()
+        if run.steady and len(memory) and len(run) > run.period:  # effects remember what drove the machine before the recording
+            self._record(run.span(0, run.period), theta, steps, x0, placed, memory, closed, free)
+        return self._record(run, theta, steps, x0, placed, memory, closed, free)
+
+    def _record(
+        self, run: Run, theta: Array, steps: Steps, x0: Array, placed: Table, memory: Array, closed: bool, free: bool
+    ) -> Simulated:
+        """Simulate one recording, effects beginning with ``memory`` and leaving there what they remember at its end."""
         plant = self.nominal.plant if self.nominal.python else self.nominal.at(theta)
         n, p, m = len(run), plant.outputs, plant.inputs
         K, U = self._loop(run, closed)
-        placed = table(effects, m, plant.order, p, run.AUX.shape[1])
         y, u, x = np.empty((n, p)), np.empty((n, m)), np.empty((n, plant.order))
         gain = np.zeros_like(self.gain) if free or closed else self.gain
-        kernel.simulate(  # type: ignore[call-arg]
+        kernel.simulate(
             closed, self.ramped and not closed, self._direct(plant), steps.nsub, run.dt, run.t0 if run.clock is None else run.clock,
             steps.phi, steps.gam, steps.gx, steps.phih, steps.gamh, contiguous(plant.C), contiguous(plant.D), contiguous(gain),
             placed.forced, placed.middle, *self._code(theta), *K, U, run.Y, run.REF, run.AUX,
-            np.array(x0, dtype=np.float64), *placed.arguments(), y, u, x,
+            np.array(x0, dtype=np.float64), placed.laws, placed.plan, placed.par, memory, y, u, x,
         )
         return Simulated(y, u, x)
 

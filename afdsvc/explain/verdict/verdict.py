@@ -93,13 +93,10 @@ def _strained(found: Found) -> tuple[str, ...]:
 
 def _explained(found: Found) -> tuple[float, float]:
     """Return the part of the gap that is closed at the decision horizon, by blocks left out, and its standard deviation."""
-    shares = [s.candidates[0].evidence for s in found.steps if s.accepted]
-    if not shares:
-        return 0.0, 0.0
-    total = float(np.clip(sum(e.share for e in shares), 0.0, 1.0))
-    closed = shares[-1].before - shares[-1].after
+    e = found.evidence
+    closed = e.before - e.after
     spread = np.sqrt(len(closed)) * closed.std(ddof=1) if len(closed) > 1 else 0.0
-    return total, float(spread / max(shares[0].before.sum(), 1e-300))
+    return float(np.clip(e.share, 0.0, 1.0)), float(spread / max(e.before.sum(), 1e-300))
 
 
 def _rest(gap: Gap, remainder: Gap | None, explained: tuple[float, float]) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from afdsvc.plugins.physics.attach import at_force, balance, on_machine, placed,
 Band = tuple[Coefficient, Coefficient]
 ATTACHED = "attached mass"
 _NUMBER = "", " of the second"
-HARDENED = 0.88, 0.04, 0.003  # start on a hardening spring: of the peak's frequency, damping ratio, bend in units of the motion
+HARDENED = (0.88, 0.04, 0.003), (0.83, 0.04, 5.0)  # weakly and strongly: of the peak's frequency, damping ratio, bend in units of the motion
 DAMPED = 0.25  # damping ratio above which a structure has no resonance to speak of: its amplification is below two
 
 
@@ -102,8 +102,7 @@ def _extend(plant: StateSpace, values: Sequence[float], column: int) -> StateSpa
 def _hardened(peaks: Sequence[float], unit: float) -> list[tuple[float, float, float, float]]:
     """Return starts with a spring that hardens: such a mode peaks above its frequency at rest, and from a straight spring at the
     peak a fit ends in a softening one."""
-    lower, zeta, bend = HARDENED
-    return [(lower * w, zeta, 0.0, bend * unit) for w in peaks]
+    return [(lower * w, zeta, 0.0, bend * unit) for lower, zeta, bend in HARDENED for w in peaks]
 
 
 class FlexibleMode:
