@@ -145,7 +145,8 @@ class Transport:
     def subscribe(self, pattern: str, receive: Receive, missed: bool = True) -> None:
         """Call ``receive(key, payload)`` for everything published on the pattern, in a thread of its own.
 
-        ``missed`` asks publishers for what was said before and what got lost on the way; without it only news come.
+        ``missed`` asks publishers for what was said before and what got lost on the way, as far back as they keep it
+        (``transport.cache_blocks``); without it only news come.
         """
 
         def hear(sample: zenoh.Sample) -> None:
@@ -162,7 +163,7 @@ class Transport:
             pattern,
             hear,
             recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
-            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=200),
+            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=self._settings.cache_blocks),
             subscriber_detection=True,
         )
         self._keep += [subscriber, subscriber.sample_miss_listener(self._count_miss)]

@@ -11,6 +11,7 @@ import pytest
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.site import Transport as Settings
 from afdsvc.transport.zenoh_session import PeerSilent, Transport
+from benchmarks.support.proxy import Proxy
 
 
 def free_port() -> int:
@@ -124,3 +125,25 @@ def test_it_is_known_whether_anybody_listens(settings):
             assert wait_for(lambda: hub.heard(key))
         assert wait_for(lambda: not hub.heard(key))
     assert not hub.heard("afdsvc/t/other/residual"), "closed: nobody, and no error"
+
+
+def test_an_outage_loses_nothing_the_publisher_still_keeps(settings):
+    """600 messages are published while the cable is out: more than the 200 that were once fetched afterwards."""
+    network = Proxy(int(settings.listen[0].rsplit(":", 1)[1]))
+    heard: list[int] = []
+    try:
+        with Transport(settings, True) as hub:
+            hub.subscribe("a/b", lambda key, payload: heard.append(int(payload)))
+            with Transport(Settings(connect=[f"tcp/127.0.0.1:{network.port}"]), False) as rig:
+                for i in range(100):
+                    rig.publish("a/b", str(i).encode())
+                assert wait_for(lambda: len(heard) == 100)
+                network.cut()
+                time.sleep(0.5)
+                for i in range(100, 700):
+                    rig.publish("a/b", str(i).encode())
+                network.mend()
+                wait_for(lambda: len(heard) >= 700, 15)
+        assert heard == list(range(700))
+    finally:
+        network.close()

@@ -103,6 +103,13 @@ class McapFile:
         self._stream.flush()
         os.fdatasync(self._stream.fileno())
 
+    def there(self) -> bool:
+        """Whether the file still stands under its name: it may have been deleted, moved or replaced."""
+        try:
+            return os.path.samestat(os.stat(self.path), os.fstat(self._stream.fileno()))
+        except OSError:
+            return False
+
     def finish(self) -> None:
         """Write the index, force everything to the disk, and close."""
         self._writer.finish()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -54,7 +55,7 @@ class Recorder:
         self._attached: dict[str, tuple[str, bytes]] = {}
         self._file: McapFile | None = None
         self._opened = self._flushed = self._failed_at = monotonic()
-        self._unflushed = 0
+        self._unflushed = self._written = 0
         self.paths: list[Path] = []
         self.finished_bytes = 0
         self.failure = ""
@@ -67,7 +68,7 @@ class Recorder:
     @property
     def path(self) -> Path:
         """The file being written, or the last one that was."""
-        return self.paths[-1]
+        return self.paths[-1] if self.paths else self._settings.path
 
     @property
     def bytes_written(self) -> int:
@@ -134,6 +135,7 @@ class Recorder:
             self._retry()
         self._unflushed += 1
         self._rotate_when_due()
+        self._written += 1
         self._guarded(action)
         self.tick()
 
@@ -176,6 +178,7 @@ class Recorder:
         self._file = McapFile(path, header, self._settings.overwrite and not self.paths)
         self.paths.append(path)
         self._part += 1
+        self._written = 0
         self._opened = self._flushed = self._monotonic()
         for name, (media_type, data) in self._attached.items():
             self._file.attach(name, media_type, data)
@@ -203,13 +206,25 @@ class Recorder:
         self._open(self._next_path())
 
     def _finish(self, file: McapFile) -> None:
+        if not file.there():
+            return self._gone(file)
         file.finish()
         self.finished_bytes += file.path.stat().st_size
         self._file, self._unflushed = None, 0
 
     def _flush(self, file: McapFile) -> None:
+        if not file.there():
+            return self._gone(file)
         file.flush()
         self._flushed, self._unflushed = self._monotonic(), 0
+
+    def _gone(self, file: McapFile) -> None:
+        """Give up a file that was deleted under the recorder: nothing of it is left; the next message begins a new one."""
+        self._unflushed, self.paths = self._written, [path for path in self.paths if path != file.path]
+        try:
+            self._fail(file.path, FileNotFoundError(errno.ENOENT, "the file was deleted, moved or replaced while it was being written"))
+        finally:
+            self._failed_at = float("-inf")
 
     def _block(self, file: McapFile, data: bytes, block: Block) -> None:
         file.wire(topics.topic(block.machine, topics.BLOCK), "Block", block.t0_ns, data, block.seq)

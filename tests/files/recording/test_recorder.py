@@ -2,6 +2,7 @@
 
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -316,3 +317,27 @@ def test_killed_while_recording_loses_less_than_half_a_second(tmp_path):
     assert "was not closed" in recording.loss
     assert recording.site == "the site"
     assert recording.attachments["m1/model.toml"] == b"the model"
+
+
+@pytest.mark.parametrize("how", ["deleted", "moved", "replaced", "folder deleted"])
+def test_a_recording_that_is_deleted_is_noticed_and_a_new_one_begun(tmp_path, blocks, how):
+    recorder, (first, *rest) = Recorder(RecordingSettings(tmp_path / "in" / "r.mcap", flush_seconds=0.0)), blocks(6)
+    recorder.block(encode_block(first), first)
+    lost = recorder.path
+    if how == "moved":
+        lost.rename(tmp_path / "elsewhere.mcap")
+    elif how == "folder deleted":
+        shutil.rmtree(lost.parent)
+    else:
+        lost.unlink()
+    if how == "replaced":
+        lost.write_text("something else")
+    with pytest.raises(RecordingFailed, match=r"r.mcap: cannot be written: the file was deleted, moved or replaced"):
+        recorder.block(encode_block(rest[0]), rest[0])
+    assert lost not in recorder.paths
+    for block in rest[1:]:
+        recorder.block(encode_block(block), block)
+    recorder.close()
+    assert [b.seq for b in Recording(recorder.path).blocks()] == [2, 3, 4, 5]
+    assert Recording(recorder.path).metadata["gap"]["messages"] == "2"
+    assert recorder.dropped == 2
