@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import os
 import re
 import tomllib
 from datetime import time
@@ -307,7 +308,8 @@ class Site(_Strict):
 def read_site(path: Path) -> Site:
     """Read and validate a site file; raises `BadInput` naming file, key, value found and value expected.
 
-    Paths inside the file are relative to its folder.
+    Paths inside the file are relative to its folder. A site that names no folder for recordings keeps them in the state directory
+    of its systemd unit (``STATE_DIRECTORY``), where there is one.
     """
     try:
         file_size(path, BOUNDS.text)
@@ -347,7 +349,10 @@ def _anchored(site: Site, folder: Path | None) -> Site:
         )
         for m in site.machines
     ]
-    recording = site.recording.model_copy(update={"folder": folder / site.recording.folder})
+    stated = "folder" in site.recording.model_fields_set
+    state = os.environ.get("STATE_DIRECTORY", "")  # set by systemd, which may list several
+    kept = folder if stated or not state else Path(state.split(":")[0])
+    recording = site.recording.model_copy(update={"folder": kept / site.recording.folder})
     alarms = site.alarms.model_copy(update={"history": site.alarms.history and folder / site.alarms.history})
     transport, secure = site.transport, site.transport.security
     if secure:

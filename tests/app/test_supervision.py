@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -79,3 +80,24 @@ def test_the_shipped_units_start_what_there_is():
     commands = [line for u in units.glob("*.service") for line in u.read_text().splitlines() if line.startswith("ExecStart=")]
     assert sorted(c.split()[1] for c in commands) == ["rig", "serve"]
     assert "Type=notify" in (units / "afdsvc.service").read_text()
+
+
+def test_the_unit_of_the_service_is_bound(tmp_path):
+    """Below 2.0 of 10 by systemd's own count; 8.5 before it was hardened."""
+    unit, analyze = Path(__file__).parents[2] / "packaging" / "afdsvc.service", shutil.which("systemd-analyze")
+    if analyze is None:
+        pytest.skip("no systemd-analyze here")
+    done = subprocess.run(
+        [analyze, "security", "--offline=true", "--threshold=20", str(unit)], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 0, done.stdout[-500:] + done.stderr
+
+
+def test_without_a_folder_recordings_go_to_the_state_directory_of_the_unit(tmp_path, monkeypatch):
+    site = tmp_path / "site.toml"
+    site.write_text(SITE.format(port=7447))
+    assert read_site(site).recording.folder == tmp_path / "recordings"
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/afdsvc")
+    assert read_site(site).recording.folder == Path("/var/lib/afdsvc/recordings")
+    site.write_text(SITE.format(port=7447).replace("[[machines]]", '[recording]\nfolder = "here"\n[[machines]]'))
+    assert read_site(site).recording.folder == tmp_path / "here"
