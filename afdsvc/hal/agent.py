@@ -47,7 +47,10 @@ class RigAgent:
 
     def __post_init__(self) -> None:
         self._lock = threading.Lock()
-        self._post = OutgoingQueue(self.transport.publish, f"post of {self.description.machine}", patient=self.patient)
+        self._joined = threading.Event()
+        self._post = OutgoingQueue(
+            self.transport.publish, f"post of {self.description.machine}", patient=self.patient, ready=self._joined
+        )
         self._emergency_told = False
         self._twin: Refused | None = None
         self.truth = sorted(self.truth)
@@ -96,6 +99,7 @@ class RigAgent:
         self._refuse_twin()
         self._open_doors()
         self._event(EventKind.RIG_STARTED, f"{1 / self.port.dt:g} Hz, {self.description.driver}")
+        self._joined.set()  # what was measured before is sent now
 
     def _join_late(self) -> None:
         assert self.connect is not None  # noqa: S101 - the thread is started only then

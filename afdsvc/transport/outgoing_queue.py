@@ -17,11 +17,14 @@ class OutgoingQueue:
     """Hands messages to ``publish`` in order, from a thread of its own.
 
     When ``size`` messages wait, later ones are dropped and counted; a ``patient`` post makes the sender wait instead, which
-    is right for a recording that is replayed and wrong for anything that moves.
+    is right for a recording that is replayed and wrong for anything that moves. Nothing is sent before ``ready`` is set (None: at
+    once); what is queued until then waits.
     """
 
-    def __init__(self, publish: Publish, name: str = "post", size: int = 4000, patient: bool = False) -> None:
-        self._publish, self._patient = publish, patient
+    def __init__(
+        self, publish: Publish, name: str = "post", size: int = 4000, patient: bool = False, ready: threading.Event | None = None
+    ) -> None:
+        self._publish, self._patient, self._ready = publish, patient, ready
         self._queue: queue.Queue[tuple[str, Callable[..., bytes], tuple[Any, ...]] | None] = queue.Queue(size)
         self._leaving = threading.Event()
         self.dropped = 0
@@ -52,7 +55,7 @@ class OutgoingQueue:
     def close(self, seconds: float = 1.5) -> None:
         """Send what waits as far as the time goes; what cannot be sent is counted as dropped."""
         deadline = time.monotonic() + seconds
-        while self._queue.unfinished_tasks and time.monotonic() < deadline:
+        while self._is_ready() and self._queue.unfinished_tasks and time.monotonic() < deadline:
             time.sleep(0.005)
         self._leaving.set()
         self.dropped += self._queue.qsize()
@@ -68,7 +71,13 @@ class OutgoingQueue:
         except queue.Full:
             self.dropped += 1
 
+    def _is_ready(self) -> bool:
+        return self._ready is None or self._ready.is_set()
+
     def _work(self) -> None:
+        while self._ready is not None and not self._ready.wait(0.1):
+            if self._leaving.is_set():
+                return
         while (item := self._queue.get()) is not None and not self._leaving.is_set():
             key, encode, value = item
             try:

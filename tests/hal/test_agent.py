@@ -167,3 +167,19 @@ def test_a_second_rig_with_the_same_id_refuses_to_start(settings, bearing, plugi
             with pytest.raises(Refused, match=r"has a rig agent already \(session s1\)"):
                 twin.run()
             assert port.read() is None
+
+
+def test_what_is_measured_before_the_network_is_there_is_sent_when_it_is(settings, bearing, plugins, caplog):
+    """Control runs for half a second without a session; nothing is lost, nothing is complained of."""
+    with Transport(settings, hub=True) as hub:
+        ear, machine = Ear(hub), bearing()
+        transport, clock = Transport(settings, hub=False), RealClock()
+        config = machine.config.model_copy(update={"driver": machine.config.driver.model_copy(update={"real_time": True})})
+        port = commissioning.open_port(replace(machine, config=config), "s1", clock, plugins)
+        description = RigDescription("bearing", "s1", 0, port.dt, port.channels, machine.limits)
+        agent = RigAgent(KEYS, description, port, transport, clock, connect=lambda stop: (time.sleep(0.5), transport.open()))
+        agent.run(1.0)
+        ear.wait(EventKind.RIG_STOPPED)
+        transport.close()
+    assert caplog.records == []
+    assert [b.seq for b in ear.blocks] == list(range(20))
