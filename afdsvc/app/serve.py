@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -22,6 +24,7 @@ from afdsvc.app.commissioning import Commissioned
 from afdsvc.app.pipelines import burst_design, diagnosis_burst, pipeline_of
 from afdsvc.diagnosis.alarm_book import Policy
 from afdsvc.diagnosis.pipeline import Pipeline
+from afdsvc.errors import BadInput
 from afdsvc.files.recording.retention import Keep
 from afdsvc.files.site import Site
 from afdsvc.plugins.manager import Plugins, load
@@ -58,6 +61,7 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
     """Run the service of a site while the block lasts; raises `BadInput` before anything moves when the site is wrong."""
     clock, plugins = clock or RealClock(), load()
     machines = [commissioning.commission(m, plugins, allow_code=True) for m in site.machines]
+    _refuse_unkept(site)
     keys, sinks = Keys(site.site), SiteSinks(site, clock)
     with ExitStack() as stack:
         transport = stack.enter_context(Transport(site.transport, True, access_of(site, SERVICE)))
@@ -186,6 +190,19 @@ class SiteSinks:
             sink.close(max(deadline - time.monotonic(), 0.05))
 
 
+def _refuse_unkept(site: Site) -> None:
+    """Raise `BadInput` where recordings can never be kept; a full disk may have room later and is reported while the service runs."""
+    folder = site.recording.folder
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            wanted = "expected a folder that can be made and written"
+            raise BadInput(f"{site.origin}: key 'recording.folder' is '{folder}': {error.strerror}; {wanted}") from None
+
+
 def _teller(what: str) -> Callable[[str], None]:
     return lambda why: print(f"afdsvc: {what}: {why}", file=sys.stderr, flush=True)
 
@@ -193,7 +210,7 @@ def _teller(what: str) -> Callable[[str], None]:
 def open_outboxes(site: Site, history: History, plugins: Plugins) -> list[NotificationQueue]:
     """Return who hears of alarms: the history first, then every notifier of the site file."""
     opened = [(n.kind, plugins.get("notifiers", n.kind).open(n.settings)) for n in site.alarms.notify]
-    return [NotificationQueue("the history", history.add)] + [NotificationQueue(name, _as_values(notify)) for name, notify in opened]
+    return [NotificationQueue("the history", history.add, size=100_000, batch=500)] + [NotificationQueue(name, _as_values(notify)) for name, notify in opened]
 
 
 def _as_values(notify: Notify) -> Callable[[AlarmChange], None]:

@@ -34,15 +34,11 @@ class History:
 
     path: Path
 
-    def add(self, change: AlarmChange) -> None:
-        """Keep a change; when this returns it is on the disk."""
-        row = (change.t_ns, change.alarm.id, change.alarm.machine, change.event, change.who, change.why)
-        self._do(
-            lambda db: db.execute(
-                "INSERT INTO change (t_ns, alarm, machine, event, who, why, message) VALUES (?, ?, ?, ?, ?, ?, ?)",
-                (*row, codec.encode_alarm_change(change)),
-            )
-        )
+    def add(self, *changes: AlarmChange) -> None:
+        """Keep changes; when this returns they are on the disk."""
+        rows = [(c.t_ns, c.alarm.id, c.alarm.machine, c.event, c.who, c.why, codec.encode_alarm_change(c)) for c in changes]
+        insert = "INSERT INTO change (t_ns, alarm, machine, event, who, why, message) VALUES (?, ?, ?, ?, ?, ?, ?)"
+        self._do(lambda db: db.executemany(insert, rows))
 
     def last(self) -> list[Alarm]:
         """Return every alarm as it stood after its last change."""

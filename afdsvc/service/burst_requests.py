@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import logging
 import threading
@@ -25,6 +26,7 @@ from afdsvc.wire.messages import BurstRequest, BurstStop, EventKind, Lease, RigE
 log = logging.getLogger(__name__)
 LEASE_SECONDS = 2.0
 LONGEST_WAIT = 5.0  # seconds ahead of its first sample a burst is asked for at most
+ANSWER_SECONDS = 20.0  # a rig simulates a long burst before it accepts it
 LEAD_SECONDS = 0.4  # a planned burst starts at its sample, however long the request was on its way
 ENDS = (EventKind.BURST_ENDED, EventKind.BURST_ABORTED, EventKind.BURST_REFUSED, EventKind.RIG_STOPPED)
 
@@ -64,9 +66,9 @@ class BurstRequests:
         self.session = session
 
     def tick(self) -> None:
-        """Start what is due, renew the lease of what plays, give up on what never ended; never waits for the rig."""
+        """Start what is due, give up on what never ended; never waits for the rig."""
         if self.playing:
-            self._keep(self.clock.monotonic())
+            self._give_up(self.clock.monotonic())
         if self.playing or (self._asking and self._asking.is_alive()):
             return
         ready = bool(self.session) and self._wait() <= LONGEST_WAIT
@@ -96,7 +98,9 @@ class BurstRequests:
 
     def play(self, wanted: BurstOrder) -> str:
         """Ask the rig for the burst; returns its name, raises `Refused` with the rig's reason."""
-        with self._lock:
+        if not self._lock.acquire(blocking=False):
+            raise Refused("a burst is being prepared; only one burst is played at a time")
+        try:
             if self.playing:
                 raise Refused(f"burst '{self.playing}' is playing; only one burst is played at a time")
             made = self.design(wanted)
@@ -107,15 +111,18 @@ class BurstRequests:
             self.sink.request(request)
             self._begin(burst, start)
             try:
-                answer = self.transport.ask(self.keys.burst(self.machine), codec.encode_burst_request(request))
+                answer = self.transport.ask(self.keys.burst(self.machine), codec.encode_burst_request(request), ANSWER_SECONDS)
                 reply = codec.decode_burst_reply(answer)
             except BaseException:
-                self._end()
+                self._withdraw(burst.name)
                 raise
             if not reply.accepted:
                 self._end()
                 raise Refused(reply.reason)
+            self._deadline = self.clock.monotonic() + self._seconds(burst, start)
             return burst.name
+        finally:
+            self._lock.release()
 
     def stop(self, reason: str, asked_by: str) -> None:
         """End whatever plays, smoothly; raises `Refused` with the rig's reason when nothing does."""
@@ -163,22 +170,36 @@ class BurstRequests:
 
     def _begin(self, burst: Burst, start: int) -> None:
         self._played_by = self.session
-        wait = max(start * self.pipeline.dt - self.seconds, 0.0)
-        seconds = wait + burst.samples * self.pipeline.dt + LEAD_SECONDS
-        self.playing, self._deadline = burst.name, self.clock.monotonic() + seconds + 5.0
+        self.playing, self._deadline = burst.name, self.clock.monotonic() + ANSWER_SECONDS + self._seconds(burst, start)
         self.scheduler.started()
+
+    def _seconds(self, burst: Burst, start: int) -> float:
+        """Return after how long a burst that is accepted now must have ended."""
+        wait = max(start * self.pipeline.dt - self.seconds, 0.0)
+        return wait + burst.samples * self.pipeline.dt + LEAD_SECONDS + 5.0
+
+    def _withdraw(self, burst: str) -> None:
+        """Take back a request that was not answered: the rig may accept it yet, and nobody would renew its lease."""
+        self._end()
+        stop = BurstStop(self.machine, "the request was not answered in time", "the service", burst)
+        with contextlib.suppress(AfdsvcError):
+            self.transport.ask(self.keys.stop(self.machine), codec.encode_burst_stop(stop))
 
     def _end(self) -> None:
         self.playing = ""
         self.scheduler.ended(self.seconds)
 
-    def _keep(self, now: float) -> None:
+    def renew(self) -> None:
+        """Renew the lease of what plays, until its deadline; waits for nothing."""
+        playing = self.playing
+        if playing and self.clock.monotonic() <= self._deadline:
+            lease = Lease(self.machine, playing, LEASE_SECONDS)
+            self.transport.publish(self.keys.lease(self.machine), codec.encode_lease(lease), keep=False)
+
+    def _give_up(self, now: float) -> None:
         if now > self._deadline:
             self._say("error", f"burst '{self.playing}' never ended; the rig did not say why")
             self._end()
-            return
-        lease = Lease(self.machine, self.playing, LEASE_SECONDS)
-        self.transport.publish(self.keys.lease(self.machine), codec.encode_lease(lease), keep=False)
 
     def _say(self, level: str, sentence: str) -> None:
         self.sink.notice(self.machine, level, sentence, self.clock.now_ns())

@@ -1,4 +1,7 @@
-"""The running service: messages from zenoh go through one queue to one worker; a ticker plays bursts and publishes the state."""
+"""The running service: messages from zenoh go through one queue to one worker; a ticker plays bursts and publishes the state.
+
+Leases have a thread of their own that does nothing else: neither a design, a judgement, a disk nor a viewer holds them up.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from afdsvc.diagnosis.alarm_book import AlarmBook, Policy
 from afdsvc.diagnosis.pipeline import Outcome
 from afdsvc.errors import BadInput
 from afdsvc.service.alarm_history import History
-from afdsvc.service.burst_requests import BurstRequests
+from afdsvc.service.burst_requests import LEASE_SECONDS, BurstRequests
 from afdsvc.service.machine import MachineMonitor
 from afdsvc.service.notifications import NotificationQueue
 from afdsvc.transport.zenoh_session import Transport
@@ -28,6 +31,7 @@ log = logging.getLogger(__name__)
 TROUBLE = ("bad_samples", "frozen_sensor", "plugin_failed")  # findings about the watching that call for a person
 PASSING = ("bad_samples", "frozen_sensor")  # those that end by themselves
 TICK_SECONDS = 0.05
+RENEWAL_SECONDS = 0.2  # ten renewals in the life of a lease
 STATUS_SECONDS = 1.0
 STOPPING_SECONDS = 2.5  # a service has 5 s to stop, files included
 FULL_SECONDS = 2.0  # a message waits so long for room in the queue; zenoh holds the link for 10 s
@@ -58,7 +62,8 @@ class Hub:
         self._queue: queue.Queue[tuple[str, str, Any] | None] = queue.Queue(self.queue_size)
         self._stop, self._given_up = threading.Event(), threading.Event()
         self._began = self.clock.monotonic()
-        self._next_status = self._worked = self._ticked = self._began
+        self._next_status = self._worked = self._ticked = self._renewed = self._began
+        self.longest_renewal = 0.0
         self._strangers: set[str] = set()
         self.alarms = AlarmBook(self.policy, self._pass_on)
         self.dropped = 0
@@ -72,6 +77,7 @@ class Hub:
         self._threads = [
             threading.Thread(target=self._guard, args=(self._work,), name="afdsvc-worker", daemon=True),
             threading.Thread(target=self._guard, args=(self._tick_for_ever,), name="afdsvc-ticker", daemon=True),
+            threading.Thread(target=self._guard, args=(self._renew_for_ever,), name="afdsvc-leases", daemon=True),
         ]
         for thread in self._threads:
             thread.start()
@@ -149,8 +155,8 @@ class Hub:
             log.exception("a service thread failed")
 
     def healthy(self) -> bool:
-        """Whether both threads have come round lately: what a watchdog is fed by."""
-        oldest = min(self._worked, self._ticked)
+        """Whether all threads have come round lately: what a watchdog is fed by."""
+        oldest = min(self._worked, self._ticked, self._renewed)
         return self.clock.monotonic() - oldest < HUNG_SECONDS and all(t.is_alive() for t in self._threads)
 
     def _work(self) -> None:
@@ -249,6 +255,18 @@ class Hub:
         requests = self.burst_requests.get(watch.machine)
         if requests:
             requests.heard(event)
+
+    def _renew_for_ever(self) -> None:
+        """Renew the leases of all machines; the longest wait between two rounds [s] is kept and reported when it grows dangerous."""
+        self._renewed = self.clock.monotonic()
+        while not self._stop.wait(RENEWAL_SECONDS):
+            now = self.clock.monotonic()
+            wait, self._renewed = now - self._renewed, now
+            if wait > max(self.longest_renewal, LEASE_SECONDS / 2):
+                log.warning("leases were renewed after %.1f s; a burst ends when that takes %g s", wait, LEASE_SECONDS)
+            self.longest_renewal = max(self.longest_renewal, wait)
+            for requests in self.burst_requests.values():
+                requests.renew()
 
     def _tick_for_ever(self) -> None:
         while not self._stop.wait(TICK_SECONDS):

@@ -14,14 +14,17 @@ PAUSES = (1.0, 5.0, 25.0)  # seconds between attempts; after the last the change
 
 
 class NotificationQueue:
-    """Hands changes to ``receive`` in order; one that fails is tried again, then dropped, counted and logged."""
+    """Hands changes to ``receive`` in order; one that fails is tried again, then dropped, counted and logged.
+
+    ``receive`` gets up to ``batch`` changes that wait together as its arguments.
+    """
 
     def __init__(
-        self, name: str, receive: Callable[[AlarmChange], object], pauses: tuple[float, ...] = PAUSES, size: int = 1000
+        self, name: str, receive: Callable[..., object], pauses: tuple[float, ...] = PAUSES, size: int = 1000, batch: int = 1
     ) -> None:
         self.name, self._receive, self._pauses = name, receive, pauses
         self._queue: queue.Queue[AlarmChange | None] = queue.Queue(size)
-        self._stopping = threading.Event()
+        self._stopping, self._batch = threading.Event(), batch
         self.dropped = 0
         self.failure = ""
         self._thread = threading.Thread(target=self._work, name=f"alarms to {name}", daemon=True)
@@ -52,25 +55,39 @@ class NotificationQueue:
 
     def _work(self) -> None:
         while True:
-            change = self._queue.get()
+            taken = self._take()
+            changes = [change for change in taken if change is not None]
             try:
-                if change is None:
+                if changes:
+                    self._hand_over(changes)
+                if None in taken:
                     return
-                self._hand_over(change)
             finally:
-                self._queue.task_done()
+                for _ in taken:
+                    self._queue.task_done()
 
-    def _hand_over(self, change: AlarmChange) -> None:
+    def _take(self) -> list[AlarmChange | None]:
+        """Return what waits, at most a batch and up to the end; waits for the first."""
+        taken = [self._queue.get()]
+        while taken[-1] is not None and len(taken) < self._batch:
+            try:
+                taken.append(self._queue.get_nowait())
+            except queue.Empty:
+                break
+        return taken
+
+    def _hand_over(self, changes: list[AlarmChange]) -> None:
         for pause in (*self._pauses, None):
             try:
-                self._receive(change)
+                self._receive(*changes)
                 self.failure = ""
                 return
             except Exception as error:
                 self.failure = f"{type(error).__name__}: {error}"
             if pause is None or self._stopping.wait(pause):
                 break
-        self._drop(change, self.failure)
+        for change in changes:
+            self._drop(change, self.failure)
 
     def _drop(self, change: AlarmChange, why: str) -> None:
         self.dropped += 1

@@ -16,6 +16,7 @@ from afdsvc.wire.messages import Alarm, Command, CommandReply
 
 Arguments = Mapping[str, Any]
 QUESTIONS = ("status", "alarms", "history")  # requests that change nothing
+ANSWERED_AT_ONCE = 16  # requests of people: a stop does not wait for the design of a burst
 PATIENCE = 2.0  # seconds a person waits for the disk to keep what they did
 
 
@@ -28,7 +29,7 @@ class Requests:
     def serve(self) -> None:
         """Answer requests from the network."""
         transport, keys = self._hub.transport, self._hub.keys
-        transport.serve(keys.command(), lambda payload: answer(self.handlers(), payload))
+        transport.serve(keys.command(), lambda payload: answer(self.handlers(), payload), ANSWERED_AT_ONCE)
         transport.serve(keys.question(), lambda payload: answer(self.questions(), payload))
 
     def handlers(self) -> dict[str, Callable[[Arguments, str], Any]]:

@@ -13,6 +13,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,7 @@ class Transport:
         self._session: zenoh.Session | None = None
         self._publishers: dict[str, Any] = {}
         self._keep: list[Any] = []
+        self._pools: list[ThreadPoolExecutor] = []
         self._heard: dict[str, tuple[float, bool]] = {}
         self._lock = threading.Lock()
         self.lost = 0
@@ -112,6 +114,8 @@ class Transport:
         session, self._session = self._session, None
         if session is None:
             return
+        for pool in self._pools:
+            pool.shutdown(wait=False, cancel_futures=True)
         closing = threading.Thread(target=_closed, args=(session,), name="closing zenoh", daemon=True)
         closing.start()
         closing.join(CLOSING_SECONDS)
@@ -168,8 +172,11 @@ class Transport:
         )
         self._keep += [subscriber, subscriber.sample_miss_listener(self._count_miss)]
 
-    def serve(self, key: str, answer: Answer) -> None:
-        """Answer queries on a key; an exception becomes an error reply with its sentence."""
+    def serve(self, key: str, answer: Answer, threads: int = 0) -> None:
+        """Answer queries on a key; an exception becomes an error reply with its sentence.
+
+        With ``threads``, so many queries are answered at a time; without, one after the other.
+        """
 
         def reply(query: zenoh.Query) -> None:
             with query:
@@ -179,7 +186,12 @@ class Transport:
                 except Exception as error:
                     query.reply_err(str(error).encode())
 
-        self._keep.append(self._open().declare_queryable(key, reply))
+        if not threads:
+            self._keep.append(self._open().declare_queryable(key, reply))
+            return
+        pool = ThreadPoolExecutor(threads, f"answers at {key}")
+        self._pools.append(pool)
+        self._keep.append(self._open().declare_queryable(key, lambda query: pool.submit(reply, query)))
 
     def ask(self, key: str, payload: bytes, timeout: float = 5.0) -> bytes:
         """Send a query and return the first reply; raises `PeerSilent` or `AfdsvcError` with the peer's own words."""

@@ -101,3 +101,13 @@ def test_without_a_folder_recordings_go_to_the_state_directory_of_the_unit(tmp_p
     assert read_site(site).recording.folder == Path("/var/lib/afdsvc/recordings")
     site.write_text(SITE.format(port=7447).replace("[[machines]]", '[recording]\nfolder = "here"\n[[machines]]'))
     assert read_site(site).recording.folder == tmp_path / "here"
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a place where nothing can be made")
+def test_a_service_that_can_keep_nothing_says_so_and_does_not_start(tmp_path, free_port):
+    site = tmp_path / "site.toml"
+    site.write_text(SITE.format(port=free_port).replace("[[machines]]", '[recording]\nfolder = "/proc/x"\n[[machines]]'))
+    done = subprocess.run([sys.executable, "-m", "afdsvc", "serve", str(site)], capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].endswith("key 'recording.folder' is '/proc/x': No such file or directory; expected a folder that can be made and written")
+    assert "Traceback" not in done.stderr

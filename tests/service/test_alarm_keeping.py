@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sqlite3
 import threading
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import numpy as np
@@ -12,10 +13,13 @@ import pytest
 
 from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.api.signals import Block, Channel
+from afdsvc.app.serve import open_outboxes
 from afdsvc.diagnosis.alarm_book import AlarmBook, Policy
 from afdsvc.errors import BadInput
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.reader import Recording
+from afdsvc.files.site import parse_site
+from afdsvc.plugins.manager import load
 from afdsvc.service.alarm_history import History
 from afdsvc.service.notifications import NotificationQueue
 from afdsvc.service.operator_requests import plain
@@ -179,3 +183,14 @@ def test_wrong_settings_of_a_webhook_are_named_and_no_secret_is_repeated(setting
     with pytest.raises(BadInput, match=sentence) as refusal:
         Webhook().open(settings)
     assert "secret" not in str(refusal.value)
+
+
+def test_three_thousand_changes_at_once_are_all_in_the_history(tmp_path):
+    site, history = parse_site('site = "t"\n[[machines]]\nid = "m"\nplant = "gas_bearing"\n', "site.toml"), History(tmp_path / "alarms.sqlite")
+    (outbox,) = open_outboxes(site, history, load())
+    for i in range(3000):
+        outbox.put(replace(CHANGE, t_ns=SECOND + i))
+    assert outbox.flush(30)
+    outbox.close()
+    assert outbox.dropped == 0
+    assert [c.t_ns - SECOND for c in history.changes(limit=5000)] == list(range(3000))

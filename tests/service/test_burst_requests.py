@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,12 +12,14 @@ import pytest
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.errors import Refused
 from afdsvc.files.site import Bursts
-from afdsvc.service.burst_requests import BurstRequests
+from afdsvc.service.burst_requests import LEASE_SECONDS, BurstRequests
 from afdsvc.service.clock import RealClock
+from afdsvc.service.hub import Hub
 from afdsvc.service.scheduler import BurstOrder, Scheduler
+from afdsvc.transport.zenoh_session import PeerSilent
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import BurstReply
+from afdsvc.wire.messages import BurstReply, ServiceStatus
 
 DT = 1e-3
 
@@ -23,7 +27,7 @@ DT = 1e-3
 def desk(ready_at: int | None, seconds: float = 10.0) -> tuple[BurstRequests, list]:
     requests: list = []
 
-    def ask(_key: str, payload: bytes) -> bytes:
+    def ask(_key: str, payload: bytes, timeout: float = 5.0) -> bytes:
         requests.append(codec.decode_burst_request(payload))
         return codec.encode_burst_reply(BurstReply(True, requests[-1].burst.name))
 
@@ -72,3 +76,68 @@ def test_the_wait_counts_before_a_burst_is_given_up():
     made.ask(BurstOrder("asked"))
     left = made._deadline - made.clock.monotonic()
     assert left == pytest.approx(3.9 + 1.0 + 0.4 + 5.0, abs=0.5)
+
+
+def test_a_request_that_is_not_answered_is_taken_back():
+    """The rig may accept it late; it would begin a burst whose lease nobody renews."""
+    made, _ = desk(ready_at=400)
+    stops: list[str] = []
+
+    def ask(key: str, payload: bytes, timeout: float = 5.0) -> bytes:
+        if key.endswith("/stop"):
+            stops.append(codec.decode_burst_stop(payload).burst)
+            return codec.encode_burst_reply(BurstReply(True, stops[-1]))
+        raise PeerSilent(f"no answer within {timeout:g} s")
+
+    made.transport.ask = ask
+    with pytest.raises(PeerSilent, match="within 20 s"):
+        made.ask(BurstOrder("asked"))
+    assert made.playing == ""
+    assert stops == [f"s1-{made._run}-1"]
+
+
+def test_a_second_request_does_not_wait_for_the_design_of_the_first():
+    made, _ = desk(ready_at=400)
+    designing, free = threading.Event(), threading.Event()
+    design = made.design
+    made.design = lambda order: (designing.set(), free.wait(10), design(order))[2]
+    first = threading.Thread(target=made.play, args=(BurstOrder("first"),))
+    first.start()
+    assert designing.wait(5)
+    with pytest.raises(Refused, match="a burst is being prepared"):
+        made.play(BurstOrder("second"))
+    free.set()
+    first.join()
+    assert made.playing
+
+
+@pytest.mark.parametrize("busy", ["status", "tick", "judging"])
+def test_leases_are_renewed_whatever_the_service_is_busy_with(busy):
+    """Telling the status to a viewer that stalls, planning a burst, judging a block: each takes five seconds here."""
+    made, _ = desk(ready_at=400)
+    leases: list[float] = []
+    free = threading.Event()
+
+    def publish(key: str, payload: bytes, keep: bool = True) -> None:
+        if key.endswith("/lease"):
+            leases.append(time.monotonic())
+        elif busy == "status":
+            free.wait(5)
+
+    made.transport.publish = publish
+    made.transport.subscribe = made.transport.watch = made.transport.announce = lambda *a, **k: None
+    watch = SimpleNamespace(machine="m1", take_description=lambda payload: free.wait(5))
+    hub = Hub(Keys("t"), "0", {"m1": watch}, {"m1": made}, made.transport, RealClock(), lambda: ("", 0, "", 0))
+    hub.status = lambda: ServiceStatus("t", "0", 1, 1.0)
+    made.ask(BurstOrder("asked"))
+    made.tick = lambda: free.wait(5) if busy == "tick" else None
+    hub._next_status = 0.0
+    hub.start()
+    if busy == "judging":
+        hub._put("description", "afdsvc/t/m1/description", b"")
+    time.sleep(2.5)
+    free.set()
+    hub.stop()
+    assert len(leases) >= 8
+    assert np.diff(leases).max() < LEASE_SECONDS / 2
+    assert hub.longest_renewal < LEASE_SECONDS / 2

@@ -147,3 +147,22 @@ def test_an_outage_loses_nothing_the_publisher_still_keeps(settings):
         assert heard == list(range(700))
     finally:
         network.close()
+
+
+def test_a_slow_answer_holds_up_no_other_where_threads_answer(settings):
+    """A stop is answered while the design of a burst takes long."""
+    free = threading.Event()
+
+    def answer(payload: bytes) -> bytes:
+        if payload == b"design":
+            free.wait(20)
+        return payload
+
+    with Transport(settings, True) as hub, Transport(settings, False) as person, Transport(settings, False) as other:
+        hub.serve("a/command", answer, 4)
+        slow = threading.Thread(target=person.ask, args=("a/command", b"design", 30.0))
+        slow.start()
+        time.sleep(0.3)
+        assert other.ask("a/command", b"stop", 3.0) == b"stop"
+        free.set()
+        slow.join()
