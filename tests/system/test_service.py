@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -279,11 +280,14 @@ def test_a_second_rig_is_named_and_not_listened_to(free_port, tmp_path):
 
 
 def test_a_recording_that_cannot_be_written_stops_nothing(free_port, tmp_path):
-    (tmp_path / "file").write_text("in the way")
+    """The folder is gone after the start, and a file stands in its place."""
     site = site_of(free_port, tmp_path / "file" / "recordings")
-    with serve.serving(site) as hub, rig(site):
-        eventually(lambda: hub.watches["bearing"].blocks > 20)
-        status = ask_service(site, "status", "Ada")
+    with serve.serving(site) as hub:
+        shutil.rmtree(tmp_path / "file")
+        (tmp_path / "file").write_text("in the way")
+        with rig(site):
+            eventually(lambda: hub.watches["bearing"].blocks > 20)
+            status = ask_service(site, "status", "Ada")
     assert "file" in status["recording_failure"]
     assert status["recording_dropped"] > 0
     assert status["machines"][0]["state"] == "running"
