@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from afdsvc.errors import BadInput
+from afdsvc.service.http_server import serve_http
 from afdsvc.wire.messages import AlarmKind, MachineStatus, ServiceStatus
 
 Row = tuple[str, str, Callable[[MachineStatus], float]]
@@ -63,20 +64,9 @@ def serve_metrics(listen: str, status: Callable[[], ServiceStatus]) -> Callable[
     Raises `BadInput` when the address is taken or the extra is not installed.
     """
     try:
-        from prometheus_client import CollectorRegistry, start_http_server
+        from prometheus_client import CollectorRegistry, MetricsHandler
     except ImportError:
         raise BadInput("metrics.listen needs the extra 'metrics': install afdsvc[metrics]") from None
     registry = CollectorRegistry(auto_describe=False)
     registry.register(Collector(status))
-    host, _, port = listen.rpartition(":")
-    try:
-        server, thread = start_http_server(int(port), host, registry)
-    except (OSError, OverflowError) as error:
-        raise BadInput(f"metrics.listen = '{listen}': {error}; expected a free address of this computer") from None
-
-    def stop() -> None:
-        server.shutdown()
-        server.server_close()
-        thread.join(5)
-
-    return stop
+    return serve_http("metrics.listen", listen, MetricsHandler.factory(registry))

@@ -1,17 +1,16 @@
-"""The read-only web page of the running service."""
+"""The read-only web page of the running service, and its health for supervisors."""
 
 from __future__ import annotations
 
 import json
 import logging
-import threading
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from importlib.resources import files
 from typing import Any
 
-from afdsvc.errors import BadInput
+from afdsvc.service.http_server import serve_http
 from afdsvc.service.hub import Hub
 from afdsvc.service.operator_requests import plain
 
@@ -29,10 +28,17 @@ def seen(hub: Hub) -> dict[str, Any]:
     }
 
 
+def probes(hub: Hub) -> dict[str, bool]:
+    """Return by path whether the service is healthy (its threads come round) and ready (and it records what it hears)."""
+    healthy = hub.healthy()
+    return {"/healthz": healthy, "/readyz": healthy and not hub.status().recording_failure}
+
+
 class _Handler(BaseHTTPRequestHandler):
-    """Answers GET and HEAD for the page and its figures, and nothing else."""
+    """Answers GET and HEAD for the page, its figures and the health of the service, and nothing else."""
 
     show: Callable[[], Mapping[str, Any]]
+    probe: Callable[[], Mapping[str, bool]]
     hosts: tuple[str, ...]
     server_version, sys_version = "afdsvc", ""
 
@@ -48,10 +54,10 @@ class _Handler(BaseHTTPRequestHandler):
         # A page elsewhere whose name resolves to this computer must not read what is only meant for it.
         if self.headers.get("Host", "").rsplit(":", 1)[0] not in self.hosts:
             return self.send_error(HTTPStatus.FORBIDDEN, "the page is not served under this host name")
-        kind, body = self._content()
+        kind, body, status = self._content()
         if not kind:
             return self.send_error(HTTPStatus.NOT_FOUND)
-        self.send_response(HTTPStatus.OK)
+        self.send_response(status)
         headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Cache-Control": "no-store"}
         for name, value in (headers | {"Content-Security-Policy": POLICY, "X-Content-Type-Options": "nosniff"}).items():
             self.send_header(name, value)
@@ -59,12 +65,15 @@ class _Handler(BaseHTTPRequestHandler):
         if whole:
             self.wfile.write(body)
 
-    def _content(self) -> tuple[str, bytes]:
+    def _content(self) -> tuple[str, bytes, HTTPStatus]:
         if self.path == "/":
-            return "text/html; charset=utf-8", files("afdsvc.service").joinpath("page.html").read_bytes()
+            return "text/html; charset=utf-8", files("afdsvc.service").joinpath("page.html").read_bytes(), HTTPStatus.OK
         if self.path == "/now.json":
-            return "application/json", json.dumps(type(self).show(), allow_nan=False).encode()
-        return "", b""
+            return "application/json", json.dumps(type(self).show(), allow_nan=False).encode(), HTTPStatus.OK
+        if self.path in ("/healthz", "/readyz"):
+            good = type(self).probe()[self.path]
+            return "text/plain", b"yes\n" if good else b"no\n", HTTPStatus.OK if good else HTTPStatus.SERVICE_UNAVAILABLE
+        return "", b"", HTTPStatus.NOT_FOUND
 
     def log_message(self, format: str, *args: Any) -> None:
         """Requests are not logged."""
@@ -76,20 +85,7 @@ def serve_page(listen: str, hub: Hub) -> Callable[[], None]:
 
     Raises `BadInput` when the address cannot be listened at.
     """
-    host, _, port = listen.rpartition(":")
+    host = listen.rpartition(":")[0]
     names = (host, "localhost", "127.0.0.1") if host.startswith("127.") or host == "localhost" else (host,)
-    handler = type("Handler", (_Handler,), {"show": staticmethod(lambda: seen(hub)), "hosts": names})
-    try:
-        server = ThreadingHTTPServer((host, int(port)), handler)
-    except (OSError, OverflowError) as error:
-        raise BadInput(f"web.listen = '{listen}': {error}; expected a free address of this computer") from None
-    server.daemon_threads = True
-    thread = threading.Thread(target=server.serve_forever, name="web", daemon=True)
-    thread.start()
-
-    def stop() -> None:
-        server.shutdown()
-        server.server_close()
-        thread.join(5)
-
-    return stop
+    members = {"show": staticmethod(lambda: seen(hub)), "probe": staticmethod(lambda: probes(hub)), "hosts": names}
+    return serve_http("web.listen", listen, type("Handler", (_Handler,), members))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
+import socket
 import subprocess
+import threading
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -14,6 +16,7 @@ import pytest
 from afdsvc.app import serve
 from afdsvc.errors import BadInput
 from afdsvc.files.site import Site, parse_site
+from afdsvc.service.http_server import CONNECTIONS
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
@@ -81,3 +84,35 @@ def test_a_taken_address_is_named(free_port, tmp_path):
         site_of(free_port, tmp_path, f"127.0.0.1:{free_port}")
     ):
         pass
+
+
+def test_connections_left_half_open_are_bounded_and_others_are_served(free_port, tmp_path, caplog, capfd):
+    address = ("127.0.0.1", free_port + 1)
+    before = threading.active_count()
+    with serve.serving(site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")):
+        started = threading.active_count()
+        half_open = [socket.create_connection(address) for _ in range(200)]
+        try:
+            for s in half_open:
+                s.sendall(b"GET / HTTP/1.1\r\n")
+            status, page, _ = ask(f"http://127.0.0.1:{free_port + 1}/")
+            assert status == 200
+            assert threading.active_count() - started <= CONNECTIONS + 3
+        finally:
+            for s in half_open:  # hang up in the middle of a request
+                s.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+                s.close()
+        status, _, _ = ask(f"http://127.0.0.1:{free_port + 1}/")
+        assert status == 200
+    assert threading.active_count() <= before + CONNECTIONS
+    assert "Traceback" not in caplog.text + capfd.readouterr().err
+
+
+def test_a_supervisor_learns_whether_the_service_is_healthy_and_ready(free_port, tmp_path, monkeypatch):
+    base = f"http://127.0.0.1:{free_port + 1}"
+    with serve.serving(site_of(free_port, tmp_path, base.removeprefix("http://"))) as hub:
+        assert [ask(f"{base}/{name}")[:2] for name in ("healthz", "readyz")] == [(200, b"yes\n")] * 2
+        monkeypatch.setattr(hub, "recording", lambda: ("", 0, "disk full", 0))
+        assert [ask(f"{base}/{name}")[0] for name in ("healthz", "readyz")] == [200, 503]
+        monkeypatch.setattr(hub, "healthy", lambda: False)
+        assert [ask(f"{base}/{name}")[0] for name in ("healthz", "readyz")] == [503, 503]

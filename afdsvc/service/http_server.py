@@ -1,0 +1,67 @@
+"""The HTTP server behind the status page and the metrics: read-only, a bounded number of connections, no traceback for a hang-up."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import socket
+import threading
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+from afdsvc.errors import BadInput
+
+log = logging.getLogger(__name__)
+CONNECTIONS = 32  # at a time; the oldest gives way to a new one
+TIMEOUT_SECONDS = 5.0  # for the next bytes of a request
+
+
+class BoundedServer(ThreadingHTTPServer):
+    """Serves each connection in a thread, `CONNECTIONS` at most: one that is opened and left open is closed when others come."""
+
+    daemon_threads = True
+
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+        self._open: dict[int, socket.socket] = {}
+        self._lock = threading.Lock()
+        super().__init__(address, handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Begin to serve a connection."""
+        request.settimeout(TIMEOUT_SECONDS)
+        with self._lock:
+            oldest = self._open.pop(next(iter(self._open))) if len(self._open) >= CONNECTIONS else None
+            self._open[id(request)] = request
+        if oldest is not None:
+            with contextlib.suppress(OSError):
+                oldest.shutdown(socket.SHUT_RDWR)
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        """End a connection."""
+        with self._lock:
+            self._open.pop(id(request), None)
+        super().shutdown_request(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Note a connection that failed; a peer that hangs up is no event of the service."""
+        log.debug("a connection from %s failed", client_address, exc_info=True)
+
+
+def serve_http(key: str, listen: str, handler: type[BaseHTTPRequestHandler]) -> Callable[[], None]:
+    """Serve at ``host:port`` in threads; returns what stops it. Raises `BadInput` with the site file's key for a taken address."""
+    host, _, port = listen.rpartition(":")
+    try:
+        server = BoundedServer((host, int(port)), handler)
+    except (OSError, OverflowError) as error:
+        raise BadInput(f"{key} = '{listen}': {error}; expected a free address of this computer") from None
+    thread = threading.Thread(target=server.serve_forever, name=key, daemon=True)
+    thread.start()
+
+    def stop() -> None:
+        server.shutdown()
+        server.server_close()
+        thread.join(5)
+
+    return stop
