@@ -66,17 +66,17 @@ def ends(path: Mapping[float, Fit]) -> list[float]:
 
 
 def added_path(problem: Problem, base: Mapping[float, Fit], taus: Taus, tried: Trial) -> dict[float, Fit]:
-    """Return the fits with one more effect along the base's horizons, each from the one before; at the last from the trial too."""
+    """Return the fits with one more effect along the base's horizons, each from the one before; at the last from both ends of them, too."""
     horizons = list(base)
     path: dict[float, Fit] = {}
     point = tried.points[0]
     for h in horizons:
         path[h] = fit(problem, point, h, taus[h], exact=h == horizons[-1])
         point = path[h].point
-    if len(tried.points) > 1:
-        again = fit(problem, tried.points[-1], horizons[-1], taus[horizons[-1]])
-        if again.cost < path[horizons[-1]].cost:
-            path[horizons[-1]] = again
+    last = horizons[-1]
+    if len(horizons) > 1:
+        others = [fit(problem, p, last, taus[last]) for p in (tried.points[-1], path[horizons[0]].point)]
+        path[last] = min([path[last], *others], key=lambda f: f.cost)
     return path
 
 
