@@ -100,7 +100,7 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         rehearsals.start()
         stack.callback(rehearsals.close)
         hub.start()
-        Requests(hub).serve()
+        Requests(hub).serve(site.transport.security is not None)
         stack.callback(hub.stop)
         housekeeper.start()
         stack.callback(housekeeper.close)

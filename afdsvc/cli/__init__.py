@@ -98,7 +98,13 @@ def serve(
 
     start_logging(_one_of("--log", logs, ("text", "json")))
     stop, log = _stop_on_signals(), logging.getLogger("afdsvc")
-    with serving(read_site(site)) as hub, supervised(hub.healthy):
+    found = read_site(site)
+    if found.transport.security is None:
+        log.warning(
+            "%s: key 'transport.security' is missing: whoever reaches %s may read all signals and excite the machines",
+            found.origin, ", ".join(found.transport.listen),
+        )
+    with serving(found) as hub, supervised(hub.healthy):
         collect_rarely()
         log.info("%s: serving '%s' with %d machine(s)", __version__, hub.keys.site, len(hub.watches))
         stop.wait(seconds)

@@ -12,6 +12,7 @@ from afdsvc.api.port import DrivablePort, Drive, Port
 from afdsvc.api.signals import Block
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.hal.lease import LeaseTimer
+from afdsvc.transport.freshness import FRESH_SECONDS, Freshness
 from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
@@ -55,7 +56,7 @@ class RigAgent:
         self._twin: Refused | None = None
         self.truth = sorted(self.truth)
         self._pending: BurstRequest | None = None
-        self._watchdog = LeaseTimer(self.clock)
+        self._watchdog, self._freshness = LeaseTimer(self.clock), Freshness(self.clock)
         self._playing = self._halt = ""
         self._told_late = self._told_dropped = 0
         self._next_beat = float("-inf")
@@ -232,6 +233,8 @@ class RigAgent:
         try:
             request = codec.decode_burst_request(payload)
             burst = request.burst.name
+            self._refuse_stale(request)
+            self._freshness.refuse_repeated(payload)
             self._accept(request)
         except AfdsvcError as refusal:
             return self._refused(burst, str(refusal))
@@ -270,6 +273,16 @@ class RigAgent:
             raise Refused(f"the lease is {request.lease:g} s; at most {LONGEST_LEASE_SECONDS:g} s are accepted without renewal")
         if (request.start - self._k) * self.port.dt > LONGEST_LEAD_SECONDS:
             raise Refused(f"the burst is to start at sample {request.start}; it is {self._k} now, which is too far ahead")
+
+    def _refuse_stale(self, request: BurstRequest) -> None:
+        """Refuse a request of long ago: by this session's samples, which no clock moves, or else by its time stamp."""
+        if not request.session:
+            return self._freshness.refuse_old(request.t_ns)
+        if request.session != self.description.session:
+            raise Refused(f"the request is for session '{request.session[:64]}' of this rig agent; this is '{self.description.session}'")
+        age = (self._k - request.k) * self.port.dt
+        if age > FRESH_SECONDS:
+            raise Refused(f"the request is {age:.0f} s old by the samples since; at most {FRESH_SECONDS:g} s are accepted")
 
     def _refuse_other(self, machine: str) -> None:
         if machine != self.machine:

@@ -106,7 +106,10 @@ class BurstRequests:
             made = self.design(wanted)
             burst = replace(made, name=self._name(), notes={**made.notes, "reason": wanted.reason})
             start = self._first_sample(wanted)
-            request = BurstRequest(self.machine, burst, LEASE_SECONDS, wanted.reason, self.clock.now_ns(), start)
+            newest = round(self.seconds / self.pipeline.dt)
+            request = BurstRequest(
+                self.machine, burst, LEASE_SECONDS, wanted.reason, self.clock.now_ns(), start, self.session, newest
+            )
             self.pipeline.announce(burst)
             self.sink.request(request)
             self._begin(burst, start)

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import secrets
+import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.service.hub import Hub
 from afdsvc.service.scheduler import BurstOrder
+from afdsvc.transport.freshness import Freshness
 from afdsvc.wire import codec
 from afdsvc.wire.messages import Alarm, Command, CommandReply
 
 Arguments = Mapping[str, Any]
+SAFE = ("stop", "pause")  # obeyed however wrong a clock is: they only end or hold back excitation
 QUESTIONS = ("status", "alarms", "history")  # requests that change nothing
 ANSWERED_AT_ONCE = 16  # requests of people: a stop does not wait for the design of a burst
 PATIENCE = 2.0  # seconds a person waits for the disk to keep what they did
@@ -24,13 +29,24 @@ class Requests:
     """The requests one hub answers; each takes arguments and who asks, and returns something `plain` turns into JSON."""
 
     def __init__(self, hub: Hub) -> None:
-        self._hub = hub
+        self._hub, self._freshness = hub, Freshness(hub.clock)
 
-    def serve(self) -> None:
-        """Answer requests from the network."""
+    def serve(self, secured: bool = False) -> None:
+        """Answer requests from the network; those that change something are obeyed once and soon, or refused.
+
+        On a ``secured`` site they must say when they were made.
+        """
         transport, keys = self._hub.transport, self._hub.keys
-        transport.serve(keys.command(), lambda payload: answer(self.handlers(), payload), ANSWERED_AT_ONCE)
+        check = partial(self._refuse_stale, secured)
+        transport.serve(keys.command(), lambda payload: answer(self.handlers(), payload, check), ANSWERED_AT_ONCE)
         transport.serve(keys.question(), lambda payload: answer(self.questions(), payload))
+
+    def _refuse_stale(self, secured: bool, command: Command, payload: bytes) -> None:
+        if command.name in QUESTIONS or not (secured or command.t_ns):
+            return
+        if command.name not in SAFE:
+            self._freshness.refuse_old(command.t_ns)
+        self._freshness.refuse_repeated(payload)
 
     def handlers(self) -> dict[str, Callable[[Arguments, str], Any]]:
         """Return them by name."""
@@ -105,10 +121,13 @@ def _minutes(a: Arguments) -> float:
 Handler = Callable[[Mapping[str, Any], str], Any]
 
 
-def answer(handlers: Mapping[str, Handler], payload: bytes) -> bytes:
-    """Return the encoded reply; every failure becomes one sentence."""
+def answer(
+    handlers: Mapping[str, Handler], payload: bytes, check: Callable[[Command, bytes], None] = lambda command, payload: None
+) -> bytes:
+    """Return the encoded reply; every failure, that of ``check`` too, becomes one sentence."""
     try:
         command = codec.decode_command(payload)
+        check(command, payload)
         handler = handlers.get(command.name)
         if handler is None:
             raise BadInput(f"unknown command '{command.name}'; known are {', '.join(sorted(handlers))}")
@@ -122,7 +141,8 @@ def answer(handlers: Mapping[str, Handler], payload: bytes) -> bytes:
 
 def ask(send: Callable[[bytes], bytes], name: str, asked_by: str, **arguments: Any) -> Any:
     """Send a command with ``send`` and return its result; raises `AfdsvcError` with the service's sentence."""
-    reply = codec.decode_command_reply(send(codec.encode_command(Command(name, arguments, asked_by))))
+    command = Command(name, arguments, asked_by, time.time_ns(), secrets.token_hex(8))
+    reply = codec.decode_command_reply(send(codec.encode_command(command)))
     if not reply.ok:
         raise AfdsvcError(reply.error)
     return reply.result

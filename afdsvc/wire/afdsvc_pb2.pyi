@@ -92,20 +92,24 @@ class Burst(_message.Message):
     def __init__(self, name: _Optional[str] = ..., inputs: _Optional[int] = ..., samples: _Optional[int] = ..., ramp: _Optional[int] = ..., lines: _Optional[_Iterable[_Union[Line, _Mapping]]] = ..., waveform: _Optional[_Iterable[_Union[Column, _Mapping]]] = ..., settle: _Optional[int] = ..., purpose: _Optional[str] = ..., notes: _Optional[_Mapping[str, str]] = ...) -> None: ...
 
 class BurstRequest(_message.Message):
-    __slots__ = ("timestamp", "machine", "burst", "lease", "asked_by", "start")
+    __slots__ = ("timestamp", "machine", "burst", "lease", "asked_by", "start", "session", "k")
     TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
     MACHINE_FIELD_NUMBER: _ClassVar[int]
     BURST_FIELD_NUMBER: _ClassVar[int]
     LEASE_FIELD_NUMBER: _ClassVar[int]
     ASKED_BY_FIELD_NUMBER: _ClassVar[int]
     START_FIELD_NUMBER: _ClassVar[int]
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    K_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     machine: str
     burst: Burst
     lease: float
     asked_by: str
     start: int
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., machine: _Optional[str] = ..., burst: _Optional[_Union[Burst, _Mapping]] = ..., lease: _Optional[float] = ..., asked_by: _Optional[str] = ..., start: _Optional[int] = ...) -> None: ...
+    session: str
+    k: int
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., machine: _Optional[str] = ..., burst: _Optional[_Union[Burst, _Mapping]] = ..., lease: _Optional[float] = ..., asked_by: _Optional[str] = ..., start: _Optional[int] = ..., session: _Optional[str] = ..., k: _Optional[int] = ...) -> None: ...
 
 class BurstReply(_message.Message):
     __slots__ = ("accepted", "reason", "burst")
@@ -400,14 +404,18 @@ class ServiceStatus(_message.Message):
     def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., site: _Optional[str] = ..., version: _Optional[str] = ..., uptime: _Optional[float] = ..., machines: _Optional[_Iterable[_Union[MachineStatus, _Mapping]]] = ..., recording: _Optional[str] = ..., recording_bytes: _Optional[int] = ..., recording_failure: _Optional[str] = ..., recording_dropped: _Optional[int] = ...) -> None: ...
 
 class Command(_message.Message):
-    __slots__ = ("name", "arguments", "asked_by")
+    __slots__ = ("name", "arguments", "asked_by", "timestamp", "nonce")
     NAME_FIELD_NUMBER: _ClassVar[int]
     ARGUMENTS_FIELD_NUMBER: _ClassVar[int]
     ASKED_BY_FIELD_NUMBER: _ClassVar[int]
+    TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
+    NONCE_FIELD_NUMBER: _ClassVar[int]
     name: str
     arguments: str
     asked_by: str
-    def __init__(self, name: _Optional[str] = ..., arguments: _Optional[str] = ..., asked_by: _Optional[str] = ...) -> None: ...
+    timestamp: _timestamp_pb2.Timestamp
+    nonce: str
+    def __init__(self, name: _Optional[str] = ..., arguments: _Optional[str] = ..., asked_by: _Optional[str] = ..., timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., nonce: _Optional[str] = ...) -> None: ...
 
 class CommandReply(_message.Message):
     __slots__ = ("ok", "error", "result")

@@ -19,7 +19,7 @@ def encode_burst_request(request: BurstRequest) -> bytes:
     """Return the message; raises `BadInput` for values out of range."""
     message = build(
         pb.BurstRequest, timestamp=stamp(request.t_ns), machine=request.machine, burst=_burst_message(request.burst),
-        lease=request.lease, asked_by=request.asked_by, start=request.start,
+        lease=request.lease, asked_by=request.asked_by, start=request.start, session=request.session, k=request.k,
     )
     return message.SerializeToString(deterministic=True)
 
@@ -30,7 +30,7 @@ def decode_burst_request(data: bytes) -> BurstRequest:
     required(message, "machine", "timestamp", "burst", "asked_by")
     return BurstRequest(
         checked_machine(message.machine), _burst(message.burst), positive(message, "lease"), message.asked_by,
-        nanoseconds(message.timestamp), count(message, "start"),
+        nanoseconds(message.timestamp), count(message, "start"), message.session, count(message, "k"),
     )
 
 

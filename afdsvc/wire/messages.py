@@ -41,7 +41,7 @@ class RigEvent:
 @dataclass(frozen=True, slots=True, eq=False)
 class BurstRequest:
     """A burst to be played from sample ``start`` on (at once when it has passed); the rig ends it when the lease [s] runs
-    out without renewal."""
+    out without renewal. ``session`` is the rig's the request is meant for ("": any), ``k`` the newest sample its sender had seen."""
 
     machine: str
     burst: Burst
@@ -49,6 +49,8 @@ class BurstRequest:
     asked_by: str
     t_ns: int
     start: int = 0
+    session: str = ""
+    k: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,11 +212,13 @@ class ServiceStatus:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What a person asks of the service; arguments are JSON values."""
+    """What a person asks of the service; arguments are JSON values. ``t_ns`` is when (0: not stated), ``nonce`` a random word."""
 
     name: str
     arguments: Mapping[str, Any] = field(default_factory=dict)
     asked_by: str = ""
+    t_ns: int = 0
+    nonce: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,7 +44,10 @@ def decode_status(data: bytes) -> ServiceStatus:
 def encode_command(command: Command) -> bytes:
     """Return the message; raises `BadInput` for arguments JSON cannot say."""
     text = json_text(f"arguments of command '{command.name}'", dict(command.arguments))
-    return build(pb.Command, name=command.name, arguments=text, asked_by=command.asked_by).SerializeToString()
+    when = stamp(command.t_ns) if command.t_ns else None
+    return build(
+        pb.Command, name=command.name, arguments=text, asked_by=command.asked_by, timestamp=when, nonce=command.nonce
+    ).SerializeToString()
 
 
 def decode_command(data: bytes) -> Command:
@@ -54,7 +57,8 @@ def decode_command(data: bytes) -> Command:
     arguments = json_value(f"arguments of command '{message.name}'", message.arguments or "{}")
     if not isinstance(arguments, dict):
         raise BadInput(f"arguments of command '{message.name}' are {message.arguments[:40]}; expected a JSON object")
-    return Command(message.name, arguments, message.asked_by)
+    t_ns = nanoseconds(message.timestamp) if message.HasField("timestamp") else 0
+    return Command(message.name, arguments, message.asked_by, t_ns, message.nonce)
 
 
 def encode_command_reply(reply: CommandReply) -> bytes:

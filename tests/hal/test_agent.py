@@ -35,7 +35,7 @@ class Ear:
         transport.announce(KEYS.service_alive())
 
     def ask(self, burst: Burst, lease: float = 2.0, machine: str = "bearing"):
-        request = BurstRequest(machine, burst, lease, "test", 0)
+        request = BurstRequest(machine, burst, lease, "test", time.time_ns())
         return codec.decode_burst_reply(self.transport.ask(KEYS.burst("bearing"), codec.encode_burst_request(request)))
 
     def wait(self, kind: EventKind, seconds: float = 10.0):

@@ -94,7 +94,7 @@ class Scene:
         self.port.read = watched
 
     def ask(self, burst, lease=2.0, start=0, machine="bearing"):
-        data = codec.encode_burst_request(BurstRequest(machine, burst, lease, "test", 0, start))
+        data = codec.encode_burst_request(BurstRequest(machine, burst, lease, "test", self.agent.clock.now_ns(), start))
         return codec.decode_burst_reply(self.wire.served[KEYS.burst("bearing")](data))
 
     def lease(self, name="b1", seconds=2.0):
