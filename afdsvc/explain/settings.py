@@ -41,8 +41,10 @@ class Settings:
         Surrogates of the residual from which the largest gain by chance is taken.
     chance : float
         Gain asked for, in multiples of the largest that chance reached to first order.
-    share, further, block_t : float
-        Least share of the gap, of what earlier effects left open of it, and t of the blocks' log ratios.
+    share, further : float
+        Least share of the gap, and of what earlier effects left open of it.
+    sure : float
+        Share of the resamplings in which a hypothesis has to gain.
     tie : float
         Relative difference of shares below which the simpler mechanism goes first.
     likely : float
@@ -79,7 +81,7 @@ class Settings:
     chance: float = 1.5
     share: float = 0.05
     further: float = 0.25
-    block_t: float = 1.5
+    sure: float = 0.95
     tie: float = 0.05
     likely: float = 4.0
     effects: int = 3

@@ -56,16 +56,13 @@ class Evidence:
 
     ``gains`` are twice the logarithm of the ratio of the posteriors in independent samples, less the price of the parameters, by
     horizon. ``share`` is the part of the gap closed at the decision horizon: of the loss on left-out blocks in independent samples,
-    and of the distance of the model's numbers from what is stated; ``eases`` says that the latter is most of it. ``t`` is the mean
-    of the blocks' log ratios over its standard error. ``before`` and ``after`` are the losses of the left-out blocks; ``count`` and
-    ``independent`` the independent samples of the residual with and without the effect, ``fixed`` the part of the gain that does
-    not depend on the blocks.
+    and of the distance of the model's numbers from what is stated. ``before`` and ``after`` are the losses of the left-out blocks;
+    ``count`` and ``independent`` the independent samples of the residual with and without the effect, ``fixed`` the part of the
+    gain that does not depend on the blocks.
     """
 
     gains: Mapping[float, float]
     share: float
-    t: float
-    eases: bool
     before: Array
     after: Array
     count: float
@@ -91,6 +88,11 @@ class Evidence:
         ratio = self.before[drawn].sum(1) / np.maximum(self.after[drawn].sum(1), 1e-300)
         return np.asarray(self.count * np.log(ratio) + self.fixed)
 
+    def improves(self, resamples: int) -> float:
+        """Return the share of resamplings of the blocks in which there is a gain."""
+        blocks = len(self.before)
+        return float(np.mean(self.resampled(np.random.default_rng(blocks).integers(0, blocks, (resamples, blocks))) > 0))
+
 
 Path = Mapping[float, Fit]
 
@@ -101,12 +103,9 @@ def evidence(path: Path, base: Path, spans: list[tuple[int, int, int]], scale: A
     mine, theirs = left_out(path[last], spans, scale), left_out(base[last], spans, scale)
     taken = float(theirs.sum() - mine.sum()) / base[last].tau
     eased = 2 * (base[last].penalty - path[last].penalty)
-    ratios = np.log(theirs / mine)
-    spread = float(ratios.std(ddof=1)) / np.sqrt(len(ratios)) if len(ratios) > 1 else np.inf
     count = path[last].samples / path[last].own_tau
     return Evidence(
-        {h: _gain(path[h], base[h], parameters) for h in path}, (taken + eased) / gap, float(ratios.mean()) / (spread + 1e-30),
-        eased > taken, theirs, mine, count, path[last].samples / base[last].own_tau, eased - parameters * np.log(max(8.0, count)),
+        {h: _gain(path[h], base[h], parameters) for h in path}, (taken + eased) / gap, theirs, mine, count, path[last].samples / base[last].own_tau, eased - parameters * np.log(max(8.0, count)),
     )
 
 

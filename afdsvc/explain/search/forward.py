@@ -334,13 +334,11 @@ def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: d
     gain, expected = gains[-1] if rounds.problem.regular else max(gains, key=lambda pair: pair[0] / pair[1])
     if rounds.limited == "noise" and is_constant(ranked[0].hypothesis):
         expected = s.constant  # one number that is known beforehand, not the best of many hypotheses
-    asked = [(gain, expected, "gain of likelihood")]
-    if not e.eases or rounds.limited == "model":
-        asked.append((e.t, s.block_t, "t of the blocks"))
-    if rounds.limited == "model":
-        asked += [(e.closed, s.further if further else s.share, "share of what the model leaves"), (e.share, 0.0, "share on left-out blocks")]
-    elif further:
+    asked = [(gain, expected, "gain of likelihood"), (e.improves(s.resamples), s.sure, "share of resampled blocks that gain")]
+    if further or rounds.limited == "model":
         asked.append((e.share, s.share, "share of the gap"))
+    if further and rounds.limited == "model":
+        asked.append((e.closed, s.further, "share of what the model leaves"))
     for value, least, what in asked:
         if not value > least:
             return Step(tuple(ranked), False, limited, f"{ranked[0].hypothesis.key}: {what} {value:.3g}, expected more than {least:.3g}")
