@@ -99,14 +99,14 @@ def serve(
     start_logging(_one_of("--log", logs, ("text", "json")))
     stop, log = _stop_on_signals(), logging.getLogger("afdsvc")
     found = read_site(site)
-    if found.transport.security is None:
-        log.warning(
-            "%s: key 'transport.security' is missing: whoever reaches %s may read all signals and excite the machines",
-            found.origin, ", ".join(found.transport.listen),
-        )
     with serving(found) as hub, supervised(hub.healthy):
         collect_rarely()
         log.info("%s: serving '%s' with %d machine(s)", __version__, hub.keys.site, len(hub.watches))
+        if found.transport.security is None:
+            log.warning(
+                "%s: key 'transport.security' is missing: whoever reaches %s may read all signals and excite the machines",
+                found.origin, ", ".join(found.transport.listen),
+            )
         stop.wait(seconds)
     _leave()
 
