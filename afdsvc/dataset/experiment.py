@@ -20,8 +20,8 @@ from afdsvc.lti.statespace import Array, StateSpace
 class Run:
     """One recording as arrays: ``U (n, m)``, ``Y (n, p)`` (NaN where missing), ``AUX (n, a)``, ``REF (n, p)``.
 
-    ``W (n, m)`` is what was added to the controller's output, ``u - K (y - ref)``, and exists when the controller is known
-    and the inputs and outputs have no gaps. ``period`` is the number of samples after which the excitation repeats (0 when
+    ``W (n, m)`` is what was added to the controller's output: ``u - K (y - ref)`` where the controller is known and the inputs and
+    outputs have no gaps, else the recorded bursts where no controller is stated. ``period`` is the number of samples after which the excitation repeats (0 when
     it does not), ``settled`` the sample from which it does. ``commanded`` says that an excitation ``alpha`` was recorded, so
     a controller made the input. ``clock`` is the time laws see at the first sample [s]; None: ``t0``. ``glitches`` are the readings of every
     output that were taken for such, and are missing in ``Y``. ``controller`` is the known one at the sample time.
@@ -97,7 +97,10 @@ def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:
     alone = tuple(glitches(column, drive, period) for column in y.T)
     for j, found in enumerate(alone):
         y[[g.sample for g in found], j] = np.nan
-    return Run(trace.name, trace.dt, trace.t0, u, y, aux, ref, labels, added, period, settled, commanded, glitches=alone, controller=controller, steady=_steady(y, period, settled))
+    return Run(
+        trace.name, trace.dt, trace.t0, u, y, aux, ref, labels, added, period, settled, commanded, glitches=alone, controller=controller,
+        steady=_steady(y, period, settled),
+    )
 
 
 def _steady(Y: Array, period: int, settled: int) -> bool:

@@ -19,9 +19,10 @@ from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.locate.residual import names, signals
 from afdsvc.explain.report.explanation import Explanation
 from afdsvc.explain.report.report import report
+from afdsvc.explain.search.base import settled
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.fit import Fit
-from afdsvc.explain.search.forward import Mapper, Progress, search, settled
+from afdsvc.explain.search.forward import Mapper, Progress, search
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
@@ -47,13 +48,13 @@ def explain(
     runs = prepare(model, [*recordings, *holdout])
     roles = split(runs[: len(recordings)], runs[len(recordings) :])
     refuse_still(model, roles.heldout)
-    problem = build(nominal(model, roles.train[0].dt, _mean_input(roles.train)), roles.train, settings or Settings())
+    problem = build(nominal(model, roles.train[0].dt, _mean_input(roles.train)), roles.train, settings or Settings(), roles.heldout)
     base, rng, offered = settled(problem), np.random.default_rng(SEED), list(library)
     progress("testing", 0.0)
     before = tested(base.problem, base.start, rng)
-    if before.enough and not before.present:  # what is left is noise, and the numbers of the model may have moved to get there
+    if before.absent:  # noise limits: the refit may have moved numbers of the model to follow the recordings
         base = replace(base, limited="noise")
-    found = search(base, offered, mapper, progress, lambda path: tested(base.problem, path, rng).present)
+    found = search(base, offered, mapper, progress, lambda path: not tested(base.problem, path, rng).absent)
     progress("testing", 0.85)
     after = tested(found.problem, found.end, rng) if found.end is not found.start else None
     answer = verdict(found, before, after, rng)

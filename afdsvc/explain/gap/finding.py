@@ -61,6 +61,11 @@ class Gap:
     sentence: str = ""
 
     @property
+    def absent(self) -> bool:
+        """Whether the recordings are long enough to show a gap, and show none."""
+        return self.enough and not self.present
+
+    @property
     def within_reach(self) -> tuple[float, ...]:
         """Per output, the share of the residual's power that some model could explain: the larger of ``r2`` and ``repeats``."""
         repeats = self.repeats or (0.0,) * len(self.r2)

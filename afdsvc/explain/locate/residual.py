@@ -21,10 +21,12 @@ def signals(problem: Problem, point: Point, horizon: float) -> list[Signals]:
     """
     references = [None if problem.closed else _reference(r) for r in problem.runs]
     known = all(r is not None for r in references)
-    return [
-        Signals(r.Y - s.y, np.nan_to_num(s.u) if problem.closed else r.U, np.nan_to_num(s.x, posinf=0.0, neginf=0.0), r.AUX, r.dt, r.period, q if known else None)
-        for r, s, q in zip(problem.runs, problem.simulated(point, horizon), references, strict=True)
-    ]
+    found = []
+    for run, s, reference in zip(problem.runs, problem.simulated(point, horizon), references, strict=True):
+        inputs = np.nan_to_num(s.u) if problem.closed else run.U
+        states = np.nan_to_num(s.x, posinf=0.0, neginf=0.0)
+        found.append(Signals(run.Y - s.y, inputs, states, run.AUX, run.dt, run.period, reference if known else None))
+    return found
 
 
 def _reference(run: Run) -> Array | None:

@@ -28,7 +28,8 @@ def chance(
 ) -> Array:
     """Return the largest fall of the cost along any direction for ``count`` surrogates of the noise, ``(count,)``.
 
-    ``colours`` are the noise of every run, or residuals where it is not known; ``lengths`` the samples of every run; ``directions (k, rows)`` are what hypotheses change in the scaled residual, ``scale (rows,)`` what residuals are multiplied by.
+    ``colours`` are the noise of every run, or residuals where it is not known; ``lengths`` the samples of every run;
+    ``directions (k, rows)`` are what hypotheses change in the scaled residual, ``scale (rows,)`` what residuals are multiplied by.
     """
     norm = directions / np.maximum(np.linalg.norm(directions, axis=1), 1e-300)[:, None]
     found = np.empty(count)

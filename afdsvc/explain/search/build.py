@@ -21,8 +21,8 @@ WINDOW = 0.02  # of a run, from which its initial state is guessed, and the leas
 LEAST_WINDOW = 20
 
 
-def build(nominal: Nominal, runs: Sequence[Run], settings: Settings) -> Problem:
-    """Return the problem of explaining ``runs`` with the model."""
+def build(nominal: Nominal, runs: Sequence[Run], settings: Settings, heldout: Sequence[Run] = ()) -> Problem:
+    """Return the problem of explaining ``runs`` with the model; ``heldout`` must be simulated in the same way."""
     scale = _spread(runs)
     force = _force(nominal, runs)
     theta = np.zeros(len(nominal.entries))
@@ -33,7 +33,7 @@ def build(nominal: Nominal, runs: Sequence[Run], settings: Settings) -> Problem:
     problem = replace(problem, state_scale=_positive(np.sqrt(np.mean(np.minimum(states**2, 1e200), axis=0))))
     regular = not n or _regular(nominal)
     problem = replace(problem, offset_free=regular, regular=regular, loads=() if regular else loads(nominal, force, settings.load_sd))
-    if not regular and _follows_in_loop(problem):
+    if not regular and all(r.W is not None for r in heldout) and _follows_in_loop(problem):
         problem = replace(problem, closed=True, regular=True, settings=replace(settings, horizons=(0.0,)))
     return replace(problem, x0=tuple(initial(problem, k) for k in range(len(runs))))
 

@@ -104,8 +104,9 @@ def evidence(path: Path, base: Path, spans: list[tuple[int, int, int]], scale: A
     taken = float(theirs.sum() - mine.sum()) / base[last].tau
     eased = 2 * (base[last].penalty - path[last].penalty)
     count = path[last].samples / path[last].own_tau
+    independent, fixed = path[last].samples / base[last].own_tau, eased - parameters * np.log(max(8.0, count))
     return Evidence(
-        {h: _gain(path[h], base[h], parameters) for h in path}, (taken + eased) / gap, theirs, mine, count, path[last].samples / base[last].own_tau, eased - parameters * np.log(max(8.0, count)),
+        {h: _gain(path[h], base[h], parameters) for h in path}, (taken + eased) / gap, theirs, mine, count, independent, fixed,
     )
 
 

@@ -12,8 +12,9 @@ from afdsvc.api.signals import Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.experiment.next_experiment import experiment_after, first_experiment
 from afdsvc.explain.experiment.separation import unlike
+from afdsvc.explain.search.base import settled
 from afdsvc.explain.search.build import build
-from afdsvc.explain.search.forward import search, settled
+from afdsvc.explain.search.forward import search
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.verdict.verdict import Claim

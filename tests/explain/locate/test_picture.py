@@ -11,8 +11,9 @@ from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.locate.free_law import curve
 from afdsvc.explain.locate.picture import picture
 from afdsvc.explain.locate.places import band
+from afdsvc.explain.search.base import settled
 from afdsvc.explain.search.build import build
-from afdsvc.explain.search.forward import search, settled
+from afdsvc.explain.search.forward import search
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.plugins.physics.cubic_stiffness import CubicStiffness

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from afdsvc.dataset.experiment import prepare
+from afdsvc.explain.search.base import settled
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.fit import Coordinates, fit, jacobian, weighted
-from afdsvc.explain.search.forward import search, settled
+from afdsvc.explain.search.forward import search
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.verdict.weights import look_alikes, weights

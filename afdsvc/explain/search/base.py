@@ -1,0 +1,73 @@
+"""The model refitted without effects: what every hypothesis is compared with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from afdsvc.explain.noise.weighting import correlation_time, weighting
+from afdsvc.explain.search.fit import Fit
+from afdsvc.explain.search.path import base_path
+from afdsvc.explain.search.problem import Problem
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """The problem with its weighting; the correlation times and the model refitted without effects, at every horizon.
+
+    ``limited`` says what limits how well the recordings are followed: "noise" or "model".
+    """
+
+    problem: Problem
+    taus: dict[float, float]
+    start: dict[float, Fit]
+    limited: str
+
+
+def settled(problem: Problem) -> Settled:
+    """Return the problem with its weighting, correlation times and horizons, and the model refitted without effects."""
+    s = problem.settings
+    problem, path = _interpolated(problem)
+    taus = {h: f.own_tau for h, f in path.items()}
+    path = base_path(problem, s.horizons, taus, problem.start())
+    horizons = _horizons(problem, path)
+    path = {h: path[h] for h in horizons}
+    last = horizons[-1]
+    w = weighting(problem.runs, problem.residuals(path[last].point, last))
+    limited = "model"
+    white = correlation_time([w(e) for e in problem.residuals(path[last].point, last)]) * s.independent < path[last].samples
+    if not w.even and white and np.max(path[last].sd**2 / w.floor) < s.noise_limited:
+        limited, horizons = "noise", (last,)
+        problem = replace(problem, weighting=w, settings=replace(s, theta_sd=1.0), offset_free=False, loads=())
+        start = replace(path[last].point, offset=np.zeros(len(problem.scale)), effects=())  # offsets and loads are hypotheses here
+        taus = {last: 1.0}
+        for _ in range(2):
+            path = base_path(problem, horizons, taus, start)
+            taus = {last: path[last].own_tau}
+    else:
+        taus = {h: path[h].own_tau for h in horizons}
+        path = base_path(problem, horizons, taus, problem.start())
+    return Settled(problem, taus, path, limited)
+
+
+def _interpolated(problem: Problem) -> tuple[Problem, dict[float, Fit]]:
+    """Return the problem with inputs held between samples, or smooth where they may be and that follows the recordings better."""
+    taus = dict.fromkeys(problem.settings.horizons, 1.0)
+    held = problem, base_path(problem, problem.settings.horizons, taus, problem.start())
+    plant = problem.nominal.plant
+    driven = any(r.W is not None or r.commanded or bool(np.ptp(r.REF, axis=0).max(initial=0.0) > 0) for r in problem.runs)
+    if plant.discrete or not plant.inputs or problem.nominal.model.controller is not None or driven:
+        return held
+    smooth = replace(problem, ramped=True)
+    other = smooth, base_path(smooth, problem.settings.horizons, taus, problem.start())
+    return min(held, other, key=lambda pair: sum(f.deviance for f in pair[1].values()))
+
+
+def _horizons(problem: Problem, path: dict[float, Fit]) -> tuple[float, ...]:
+    """Return the horizons down to the decision horizon: simulation for a plant that forgets, else the weakest that follows."""
+    horizons = problem.settings.horizons
+    if problem.regular:
+        return horizons
+    follows = [h for h in horizons if float(np.sqrt(np.mean(path[h].sd**2))) < problem.settings.drift_limit]
+    return horizons[: horizons.index(follows[-1]) + 1] if follows else horizons[:1]
