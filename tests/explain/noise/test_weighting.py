@@ -32,6 +32,17 @@ def test_chance_is_the_largest_of_chi_squares_for_white_noise():
     assert np.median(falls) == pytest.approx(np.median(theory.max(1)), rel=0.2)
 
 
+def test_chance_takes_the_noise_not_the_lines_beside_it():
+    """A residual that is one line of the excitation: its own surrogates reach what the line gains, those of the noise do not."""
+    rng = np.random.default_rng(7)
+    line = 5.0 * np.cos(2 * np.pi * 40 * np.arange(2000) / 2000)[:, None]
+    noise = rng.normal(size=(1000, 1))
+    directions = np.stack([np.cos(2 * np.pi * k * np.arange(2000) / 2000) for k in (40, 41, 90)])
+    of_noise = chance([noise], [2000], directions, np.ones(2000), 100, rng)
+    of_residual = chance([line + rng.normal(size=(2000, 1))], [2000], directions, np.ones(2000), 100, rng)
+    assert of_noise.max() < 0.02 * of_residual.max()
+
+
 def test_the_even_weighting_changes_nothing():
     e = np.random.default_rng(6).normal(size=(100, 2))
     assert even(2)(e) == pytest.approx(e)

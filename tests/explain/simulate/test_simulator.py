@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -88,8 +89,6 @@ def test_linear_plant_with_three_effects(model, recording, excitation, effect):
 
 def finer(effects):
     """The same effects in four sub-steps."""
-    from dataclasses import replace
-
     return [replace(e, hypothesis=replace(e.hypothesis, substeps=4)) for e in effects]
 
 
@@ -275,3 +274,18 @@ def test_parameters_move_with_theta(model, recording, excitation):
     run = recording(excitation)
     a = play(made, run, [0, 0], theta=np.array([2.0, 0.0, -2.0]))
     assert np.allclose(a.y, play(model(code=Pendulum, parameters=moved), run, [0, 0]).y, atol=1e-12)
+
+
+def slow(p, z, m, dt, out):
+    m[0] += dt / p[0] * (z[0] - m[0])
+    out[0] += m[0]
+
+
+def test_the_memory_of_an_effect_begins_as_the_excitation_left_it(model, recording, effect):
+    """A recording that begins under an excitation that ran before is simulated as if one period of it went before the first sample."""
+    u = np.tile(2.0 + np.sin(2 * np.pi * np.arange(300) / 100), 4)[:, None]
+    lag, run = [effect(slow, "output", [("u", 0)], [("y", 0)], [0.5], memory=1)], replace(recording(u), period=300)
+    gain = model(StateSpace.gain(np.eye(1)))
+    rest, warm = (play(gain, replace(run, steady=s), [], lag).y[:, 0] for s in (False, True))
+    assert warm[:300] == pytest.approx(rest[300:600], abs=0.05)  # the input before the first sample is not known and counts as zero
+    assert np.abs(rest[:300] - rest[300:600]).max() > 1.0

@@ -1,0 +1,68 @@
+"""Recordings made ready: loops cut in two, bursts without a stated controller, excitation that ran before the recording."""
+
+import numpy as np
+import pytest
+
+from afdsvc.api.model import Model, Variable
+from afdsvc.api.signals import Channel, Trace
+from afdsvc.dataset.experiment import prepare
+from afdsvc.lti.statespace import StateSpace
+
+DT = 1e-2
+LAG = StateSpace(np.array([[0.9]]), np.array([[0.1]]), np.array([[1.0]]), np.zeros((1, 1)), DT)
+CONTROLLER = StateSpace(np.array([[0.95]]), np.array([[1.0]]), np.array([[-0.4]]), np.array([[-0.7]]), DT)
+
+
+def model(known: bool) -> Model:
+    return Model("lag", (Variable("force", "N"),), (Variable("place", "m"),), (Variable("x"),), LAG, controller=CONTROLLER if known else None)
+
+
+def loop(samples: int = 600, seed: int = 0) -> Trace:
+    """The loop sample by sample: ``x+ = 0.9 x + 0.1 u``, the controller's state beside it, a burst added to its output."""
+    rng = np.random.default_rng(seed)
+    x = c = 0.0
+    rows = []
+    for alpha in rng.normal(size=samples):
+        y = x + 0.1 * rng.normal()
+        u = -0.4 * c - 0.7 * y + alpha
+        rows.append((u, y, alpha))
+        x, c = 0.9 * x + 0.1 * u, 0.95 * c + y
+    return Trace("r", DT, (Channel("u_force"), Channel("y_place"), Channel("alpha_force")), np.array(rows))
+
+
+def test_what_was_added_to_a_known_controllers_output_is_the_burst():
+    trace = loop()
+    (run,) = prepare(model(True), [trace])
+    assert run.W[:, 0] == pytest.approx(trace.column("alpha_force"))
+
+
+def test_a_part_of_a_loop_holds_what_the_controllers_state_gave():
+    """From rest at the cut, the controller and W together give the recorded input again."""
+    (run,) = prepare(model(True), [loop()])
+    part = run.span(200, 500)
+    c, given = 0.0, []
+    for y, w in zip(part.Y[:, 0], part.W[:, 0], strict=True):
+        given.append(-0.4 * c - 0.7 * y + w)
+        c = 0.95 * c + y
+    assert given == pytest.approx(part.U[:, 0])
+
+
+def test_without_a_stated_controller_the_recorded_burst_is_what_was_added():
+    trace = loop()
+    (run,) = prepare(model(False), [trace])
+    assert run.W[:, 0] == pytest.approx(trace.column("alpha_force"))
+    assert run.span(100, 300).W[:, 0] == pytest.approx(trace.column("alpha_force")[100:300])
+
+
+@pytest.mark.parametrize(("skipped", "steady"), [(0, False), (200, True)])
+def test_outputs_that_repeat_from_the_first_sample_are_steady(skipped, steady):
+    rng = np.random.default_rng(1)
+    u = np.tile(np.sign(rng.normal(size=20)).repeat(10) + 3.0, 6)
+    x, y = 0.0, []
+    for v in u:
+        y.append(x + 1e-3 * rng.normal())
+        x = 0.9 * x + 0.1 * v
+    values = np.column_stack([u, y])[skipped:]
+    (run,) = prepare(model(False), [Trace("r", DT, (Channel("u_force"), Channel("y_place")), values)])
+    assert run.period == 200
+    assert run.steady == steady

@@ -1,0 +1,31 @@
+"""What blocks drawn anew say of a gain."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from afdsvc.explain.search.evidence import Evidence
+
+BEFORE = np.full(20, 1.0)
+
+
+def evidence(after: np.ndarray, fixed: float = 0.0) -> Evidence:
+    return Evidence({0.0: 1.0}, 0.5, BEFORE, after, 100.0, 100.0, fixed)
+
+
+def test_a_gain_in_every_block_holds_in_every_resampling():
+    assert evidence(np.full(20, 0.9)).improves(400) == 1.0
+    assert evidence(np.full(20, 1.1)).improves(400) == 0.0
+
+
+def test_a_gain_of_one_block_alone_is_lost_as_often_as_that_block_is_not_drawn():
+    """It outweighs the others whenever it is drawn: 1 - (1 - 1/20)^20 of the resamplings."""
+    after = np.full(20, 1.02)
+    after[3] = 0.05
+    assert evidence(after).improves(4000) == pytest.approx(1 - 0.95**20, abs=0.03)
+
+
+def test_the_price_of_the_parameters_counts():
+    gain = evidence(np.full(20, 0.9))
+    assert replace(gain, fixed=-100 * np.log(1 / 0.9) - 0.1).improves(400) == 0.0
