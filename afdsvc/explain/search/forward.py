@@ -154,14 +154,10 @@ class Rounds(Settled):
         return _decided(ranked, limited, self, by_chance, further)
 
     def ranked(self, found: Sequence[Candidate]) -> tuple[list[Candidate], str]:
-        """Return candidates by gain, the simplest of those that fit alike first; and what limits the best one.
-
-        Where the model limits, constants that are off are a reason only where they close nearly all of the gap: with physics left
-        out any fit moves them.
-        """
+        """Return candidates by gain, the simplest of those that fit alike first; and what limits the best one."""
         settings, limited = self.problem.settings, self.limited
         ordered = sorted(found, key=lambda c: -c.evidence.gain)
-        first = [c for c in ordered if limited == "noise" or not is_constant(c.hypothesis) or c.evidence.share > WHOLE] or ordered
+        first = [c for c in ordered if is_reason(c, limited)] or ordered
         if not first:
             return [], limited
         near = _near(first, settings, limited)
@@ -250,6 +246,15 @@ def alike(one: Evidence, best: Evidence, gain: float, highest: float, settings: 
     if gain >= highest - settings.likely:
         return True
     return limited == "model" and bool(one.closing(np.array(gain)) >= (1 - settings.tie) * best.closing(np.array(highest)))
+
+
+def is_reason(c: Candidate, limited: str) -> bool:
+    """Whether a candidate can be the reason of a gap.
+
+    Where the model limits, constants that are off are one only where they close nearly all of the gap: with physics left out any fit
+    moves them.
+    """
+    return limited == "noise" or not is_constant(c.hypothesis) or c.evidence.share > WHOLE
 
 
 def is_constant(h: Hypothesis) -> bool:

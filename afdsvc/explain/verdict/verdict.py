@@ -72,7 +72,7 @@ def _nothing(found: Found, gap: Gap, strained: Sequence[str]) -> tuple[str, tupl
 
 def _claims(step: Step, number: int, strained: bool, found: Found, rng: np.random.Generator) -> list[Claim]:
     settings = found.problem.settings
-    alike = look_alikes(step.candidates, settings)
+    alike = look_alikes(step.candidates, settings, step.limited)
     w = weights(alike, settings, step.limited, rng)
     if strained:
         w = np.minimum(w, settings.uncertain)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from afdsvc.explain.search.forward import Candidate, alike
+from afdsvc.explain.search.forward import Candidate, alike, is_constant, is_reason
 from afdsvc.explain.settings import Settings
 from afdsvc.lti.statespace import Array
 
@@ -29,9 +29,10 @@ def weights(candidates: Sequence[Candidate], settings: Settings, limited: str, r
     return np.asarray(votes / votes.sum())
 
 
-def look_alikes(candidates: Sequence[Candidate], settings: Settings) -> list[Candidate]:
-    """Return the first candidate and those that close nearly as much and gain as they must."""
+def look_alikes(candidates: Sequence[Candidate], settings: Settings, limited: str = "model") -> list[Candidate]:
+    """Return the first candidate and the reasons that close nearly as much and gain as they must."""
     if not candidates:
         return []
-    least = settings.alike * candidates[0].evidence.closed
-    return [c for c in candidates if c is candidates[0] or (c.evidence.closed >= least and c.evidence.gain > settings.evidence)]
+    least, best = settings.alike * candidates[0].evidence.closed, candidates[0]
+    others = [c for c in candidates[1:] if is_reason(c, limited) or is_constant(best.hypothesis)]
+    return [best, *(c for c in others if c.evidence.closed >= least and c.evidence.gain > settings.evidence)]

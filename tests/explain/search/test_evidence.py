@@ -26,6 +26,12 @@ def test_a_gain_of_one_block_alone_is_lost_as_often_as_that_block_is_not_drawn()
     assert evidence(after).improves(4000) == pytest.approx(1 - 0.95**20, abs=0.03)
 
 
+def test_losses_with_and_without_the_effect_are_drawn_together():
+    """A tenth less in every block is a gain in every resampling, however unlike the blocks are."""
+    losses = 10.0 ** np.arange(-5, 5)
+    assert replace(evidence(0.9 * losses), before=losses).improves(400) == 1.0
+
+
 def test_the_price_of_the_parameters_counts():
     gain = evidence(np.full(20, 0.9))
     assert replace(gain, fixed=-100 * np.log(1 / 0.9) - 0.1).improves(400) == 0.0
