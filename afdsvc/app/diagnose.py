@@ -29,19 +29,20 @@ from afdsvc.service.operator_requests import plain
 
 def diagnose_recordings(
     paths: Sequence[Path], model: Path | None = None, calibrate: float | None = None, calibrate_on: Path | None = None,
-    detectors: Sequence[str] = (), naming: Naming = Naming(),
+    detectors: Sequence[str] = (), naming: Naming = Naming(), allow_code: bool = False,
 ) -> dict[str, Any]:
     """Return the document of ``diagnose --json`` for recordings (MCAP) and tables; raises `BadInput` naming the file.
 
-    ``detectors`` are used instead of those the recording's own site names.
+    ``detectors`` are used instead of those the recording's own site names. ``model`` may be a simulator only with ``allow_code``; then
+    its linear part is used. A simulator inside a recording never runs.
     """
-    plugins = load()
+    plugins, given = load(), None if model is None else read_model(model, allow_code)
     found: list[dict[str, Any]] = []
     for path in paths:
         if path.suffix.lower() in TABLES or not is_ours(Recording(path), naming):
-            found += _diagnose_foreign(path, model, calibrate, calibrate_on, plugins, detectors, naming)
+            found += _diagnose_foreign(path, given, calibrate, calibrate_on, plugins, detectors, naming)
         else:
-            found += _diagnose_mcap(path, model, calibrate, plugins, detectors)
+            found += _diagnose_mcap(path, given, calibrate, plugins, detectors)
     return {"recordings": found}
 
 
@@ -82,7 +83,7 @@ class Replayed:
 
 
 def _diagnose_mcap(
-    path: Path, model: Path | None, calibrate: float | None, plugins: Plugins, detectors: Sequence[str]
+    path: Path, model: Model | None, calibrate: float | None, plugins: Plugins, detectors: Sequence[str]
 ) -> list[dict[str, Any]]:
     recording = Recording(path)
     if not recording.machines:
@@ -98,11 +99,11 @@ def _diagnose_mcap(
     return found
 
 
-def _machine_of(recording: Recording, id: str, model: Path | None, calibrate: float | None, plugins: Plugins) -> Commissioned:
+def _machine_of(recording: Recording, id: str, model: Model | None, calibrate: float | None, plugins: Plugins) -> Commissioned:
     """Return the machine as its recording describes it; a model named by the caller takes precedence over the embedded one."""
     first = next(recording.blocks(id))
     watched = None
-    inside = read_model(model) if model else recording.model(id)
+    inside = model or recording.model(id)
     if inside is not None:
         watched = RecordedMachine(inside, first.dt, first.channels)
     if recording.site and model is None:
@@ -114,7 +115,7 @@ def _machine_of(recording: Recording, id: str, model: Path | None, calibrate: fl
 
 
 def _diagnose_foreign(
-    path: Path, model: Path | None, calibrate: float | None, on: Path | None, plugins: Plugins, detectors: Sequence[str], naming: Naming
+    path: Path, model: Model | None, calibrate: float | None, on: Path | None, plugins: Plugins, detectors: Sequence[str], naming: Naming
 ) -> list[dict[str, Any]]:
     """Diagnose a table, or a recording of others: every stretch without a gap by itself."""
     nominal = _wanted_model(path, model, naming)
@@ -130,9 +131,9 @@ def _diagnose_foreign(
     return found
 
 
-def _wanted_model(path: Path, model: Path | None, naming: Naming) -> Model:
+def _wanted_model(path: Path, model: Model | None, naming: Naming) -> Model:
     if model is not None:
-        return read_model(model)
+        return model
     if path.suffix.lower() not in TABLES:
         foreign_mapping(Recording(path), naming)  # without it, that is what is missing first
     raise BadInput(f"{path}: a table carries no model; give one with --model MODEL.toml")

@@ -163,6 +163,7 @@ def diagnose(
     calibrate_on: Annotated[Path | None, typer.Option(metavar="TABLE", help="Table from which the noise is estimated.")] = None,
     detector: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Detector to use instead of the site's; may be repeated.")] = None,
     page: Annotated[Path | None, typer.Option("--page", metavar="FILE.html", help="Also write the diagnosis as an HTML page.")] = None,
+    allow_code: Annotated[bool, typer.Option("--allow-code", help="Permit the simulator of --model to run; its linear part is used.")] = False,
     mapping: MappingOption = None,
     as_json: Json = False,
 ) -> None:
@@ -171,7 +172,7 @@ def diagnose(
     from afdsvc.files.tables.loading import Naming
     from afdsvc.present.terminal import diagnosis_table
 
-    document = diagnose_recordings(recordings, model, calibrate, calibrate_on, detector or [], Naming.of(mapping))
+    document = diagnose_recordings(recordings, model, calibrate, calibrate_on, detector or [], Naming.of(mapping), allow_code)
     if page:
         from afdsvc.present.html.diagnose_page import write_diagnosis
 
