@@ -97,3 +97,25 @@ def test_a_driver_that_is_user_code_is_opened_only_with_permission(folder):
     assert not (folder / "ran").exists()
     commissioning.open_port(commissioning.commission(machine, plugins, allow_code=True), "s", FastClock(), plugins).close()
     assert (folder / "ran").exists()
+
+
+def test_a_models_code_is_diagnosed_with_permission_by_its_linear_part(folder):
+    """A lag written as code with its matrices: refused without permission, and with it diagnosed as the matrices are."""
+    (folder / "lag.py").write_text(
+        "from pathlib import Path\nPath(__file__).with_name('ran').touch()\nclass Lag:\n    linear = ([[0.9]], [[0.1]], [[1.0]], [[0.0]], 1e-3)\n"
+        "    def f(self, t, x, u, p):\n        return [0.9 * x[0] + 0.1 * u[0]]\n    def h(self, t, x, u, p):\n        return [x[0]]\nlag = Lag()\n"
+    )
+    head = MODEL.replace('dynamics = "CODE"\n', "") + 'states = [{name = "x"}]\n'
+    (folder / "code.toml").write_text(head + 'dynamics = "lag.py:lag"\n')
+    (folder / "matrices.toml").write_text(head + "A = [[0.9]]\nB = [[0.1]]\nC = [[1.0]]\nD = [[0.0]]\n")
+    rng, x, rows = np.random.default_rng(0), 0.0, []
+    for k, u in enumerate(rng.standard_normal(4000)):
+        rows.append((1e-3 * k, u, x + 0.01 * rng.standard_normal()))
+        x = 0.9 * x + 0.1 * u
+    np.savetxt(folder / "run.csv", rows, delimiter=",", header="t,u_force,y_place", comments="")
+    with pytest.raises(BadInput, match="--allow-code"):
+        diagnose_recordings([folder / "run.csv"], folder / "code.toml")
+    assert not (folder / "ran").exists()
+    answers = [diagnose_recordings([folder / "run.csv"], folder / name, allow_code=True)["recordings"][0]["verdict"] for name in ("code.toml", "matrices.toml")]
+    assert (folder / "ran").exists()
+    assert answers[0] == answers[1]
