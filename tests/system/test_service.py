@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -283,7 +282,7 @@ def test_a_recording_that_cannot_be_written_stops_nothing(free_port, tmp_path):
     """The folder is gone after the start, and a file stands in its place."""
     site = site_of(free_port, tmp_path / "file" / "recordings")
     with serve.serving(site) as hub:
-        shutil.rmtree(tmp_path / "file")
+        (tmp_path / "file").rename(tmp_path / "gone")  # at once, while the service writes there
         (tmp_path / "file").write_text("in the way")
         with rig(site):
             eventually(lambda: hub.watches["bearing"].blocks > 20)
