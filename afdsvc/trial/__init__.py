@@ -2,15 +2,14 @@
 
 from afdsvc.trial.answer import Answer, Hidden
 from afdsvc.trial.field.answer import FieldAnswer
+from afdsvc.trial.field.catalogue import FieldOptions
 from afdsvc.trial.field.generate import FieldTrial
-from afdsvc.trial.field.options import FieldOptions
 from afdsvc.trial.folder import Paths, write
 from afdsvc.trial.generate import NOTHING, Trial, Wish, generate, generate_several
 from afdsvc.trial.options import Options
 from afdsvc.trial.pages import markdown, page
 from afdsvc.trial.plan import FIELD, Request, field_plan, make_trial, plan
-from afdsvc.trial.scoring.field_oracle import field_oracle
-from afdsvc.trial.scoring.field_score import FieldScore, field_score
+from afdsvc.trial.scoring.field_score import FieldScore, field_oracle, field_score
 from afdsvc.trial.scoring.oracle import Oracle, oracle
 from afdsvc.trial.scoring.score import Score, score
 from afdsvc.trial.seal import open_seal, seal

@@ -10,9 +10,8 @@ import numpy as np
 from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
 from afdsvc.trial.field.generate import FieldTrial
-from afdsvc.trial.field.model_files import model_files
 from afdsvc.trial.generate import Trial
-from afdsvc.trial.model_text import model_text
+from afdsvc.trial.model_text import model_files, model_text
 
 FORMATS = ("npz", "csv")
 

@@ -10,15 +10,14 @@ import numpy as np
 from afdsvc.api.model import Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.trial.answer import Answer, Hidden
-from afdsvc.trial.conditions.ambient import UNITS
-from afdsvc.trial.conditions.staging import TRAIN, stage, true_constants
+from afdsvc.trial.conditions import TRAIN, UNITS, stage, true_constants
 from afdsvc.trial.effects.catalogue import make, outside_at, physics_at, sites_of
 from afdsvc.trial.effects.effect import Effect, Truth
 from afdsvc.trial.effects.severity import scaled_to, visibility
 from afdsvc.trial.effects.site import Site, Sizes, sizes
 from afdsvc.trial.machines.machine import Machine
 from afdsvc.trial.options import Options
-from afdsvc.trial.simulation.run import Run, Signals, play
+from afdsvc.trial.simulation import Run, Signals, play
 
 DIRT, DIRT_RHO = 4, 0.04
 NOTHING = "nothing"

@@ -10,9 +10,8 @@ import numpy as np
 
 from afdsvc.errors import Refused
 from afdsvc.trial.effects.catalogue import changes_at, outside_at, physics_at
+from afdsvc.trial.field.catalogue import STREAM, FieldOptions, draws
 from afdsvc.trial.field.generate import FieldTrial, make
-from afdsvc.trial.field.options import FieldOptions
-from afdsvc.trial.field.plan import STREAM, draws
 from afdsvc.trial.generate import Trial, Wish, generate_several
 from afdsvc.trial.options import Options
 

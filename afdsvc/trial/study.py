@@ -19,8 +19,7 @@ from afdsvc.trial.field.generate import FieldTrial
 from afdsvc.trial.folder import Paths, write
 from afdsvc.trial.generate import Trial
 from afdsvc.trial.plan import Request, make_trial
-from afdsvc.trial.scoring.field_oracle import field_oracle
-from afdsvc.trial.scoring.field_score import field_score
+from afdsvc.trial.scoring.field_score import field_oracle, field_score
 from afdsvc.trial.scoring.oracle import Oracle, oracle
 from afdsvc.trial.scoring.rival import apart
 from afdsvc.trial.scoring.score import score

@@ -10,7 +10,7 @@ from afdsvc.errors import Refused
 from afdsvc.lti.statespace import Array
 from afdsvc.trial.effects.effect import Effect, Truth
 from afdsvc.trial.machines.machine import Machine
-from afdsvc.trial.simulation.run import Run, play, replay
+from afdsvc.trial.simulation import Run, play, replay
 
 TOLERANCE = 0.01  # relative, of rho
 SPAN = (-16.0, 14.0)  # log severities tried

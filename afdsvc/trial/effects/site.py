@@ -10,7 +10,7 @@ import numpy as np
 from afdsvc.lti.statespace import Array
 from afdsvc.trial.effects.effect import Effect, Truth
 from afdsvc.trial.machines.machine import Axis, Machine
-from afdsvc.trial.simulation.run import Run, play
+from afdsvc.trial.simulation import Run, play
 
 
 @dataclass(frozen=True, slots=True, eq=False)

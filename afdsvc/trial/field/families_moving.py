@@ -8,7 +8,7 @@ from afdsvc.api.model import Variable
 from afdsvc.lti.statespace import Array
 from afdsvc.trial.field import plants
 from afdsvc.trial.field.rig import Axis, Matrices, Rig, spread
-from afdsvc.trial.machines.controllers import filtered_pd
+from afdsvc.trial.machines.machine import filtered_pd
 
 Generator = np.random.Generator
 PENDULUM = '''"""Pendulum, angle from hanging down."""

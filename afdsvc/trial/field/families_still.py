@@ -9,7 +9,7 @@ from afdsvc.lti.statespace import Array
 from afdsvc.trial.field import plants
 from afdsvc.trial.field.families_moving import first_order, first_push
 from afdsvc.trial.field.rig import Axis, Matrices, Rig, spread
-from afdsvc.trial.machines.controllers import filtered_pd
+from afdsvc.trial.machines.machine import filtered_pd
 
 Generator = np.random.Generator
 

@@ -13,13 +13,12 @@ from afdsvc.errors import BadInput, Refused
 from afdsvc.lti.statespace import Array
 from afdsvc.trial.effects.effect import Effect, Truth
 from afdsvc.trial.field.answer import FieldAnswer, HiddenLaw
-from afdsvc.trial.field.catalogue import FAMILIES, LAWS, places
+from afdsvc.trial.field.catalogue import FAMILIES, LAWS, FieldOptions, places
 from afdsvc.trial.field.conditions import Conditions, conditions
 from afdsvc.trial.field.law import Sizes, Spot
-from afdsvc.trial.field.options import FieldOptions
 from afdsvc.trial.field.rig import Rig
-from afdsvc.trial.field.run import Run, Signals, play
 from afdsvc.trial.field.severity import Measure, check, scaled, usable
+from afdsvc.trial.field.simulation import Run, Signals, play
 from afdsvc.trial.field.staging import QUIET_LOOP, stage, true_constants
 from afdsvc.trial.laws import field_codes as f
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from afdsvc.trial.effects.effect import Effect
-from afdsvc.trial.field.kinds_command import FRICTION
+from afdsvc.trial.field.kinds_motion import FRICTION
 from afdsvc.trial.field.law import Law, Spot
 from afdsvc.trial.laws import field_codes as f
 

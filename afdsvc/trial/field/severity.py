@@ -10,9 +10,8 @@ import numpy as np
 from afdsvc.errors import Refused
 from afdsvc.lti.statespace import Array
 from afdsvc.trial.effects.effect import Effect, Truth
-from afdsvc.trial.field.kernel import OPEN
 from afdsvc.trial.field.rig import Rig
-from afdsvc.trial.field.run import Run, modelled, play
+from afdsvc.trial.field.simulation import OPEN, Run, modelled, play
 
 TOLERANCE = 0.01  # of the share
 GRID = np.arange(-4.5, 7.0, 1.25)  # log severities tried from small to large

@@ -8,15 +8,13 @@ import numpy as np
 from scipy.signal import lfilter
 
 from afdsvc.lti.statespace import Array
-from afdsvc.trial.conditions.ambient import wandering
+from afdsvc.trial.conditions import wandering
 from afdsvc.trial.effects.effect import Truth
 from afdsvc.trial.field import plants
-from afdsvc.trial.field.conditions import Conditions
-from afdsvc.trial.field.excitation import SHAPES
-from afdsvc.trial.field.kernel import CONTROLLED, OPEN, RELAY
-from afdsvc.trial.field.kinds_command import SUPPLY
+from afdsvc.trial.field.conditions import SHAPES, Conditions
+from afdsvc.trial.field.kinds_motion import SUPPLY
 from afdsvc.trial.field.rig import Rig
-from afdsvc.trial.field.run import Run, Signals, play
+from afdsvc.trial.field.simulation import CONTROLLED, OPEN, RELAY, Run, Signals, play
 
 Generator = np.random.Generator
 PREROLL = 4.0  # times tau that pass before the recording of a running machine begins

@@ -14,7 +14,7 @@ import numba
 from afdsvc.trial.laws import codes as c
 from afdsvc.trial.laws import memory as ml
 from afdsvc.trial.laws import scalar as sl
-from afdsvc.trial.laws import states as st
+from afdsvc.trial.laws import scalar as st
 from afdsvc.trial.laws.codes import Row
 
 

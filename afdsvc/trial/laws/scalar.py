@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numba
+import numpy as np
 
 from afdsvc.trial.laws.codes import Row
 
@@ -99,3 +100,111 @@ def rectified(y: float, p: Row) -> float:
 def quantised(y: float, p: Row) -> float:
     """Steps of p0 on a grid shifted by p1."""
     return p[0] * math.floor((y - p[1]) / p[0] + 0.5) + p[1]
+
+
+# s^-1/2 = (1/pi) integral of x^-1/2 / (s + x) dx, as a sum over nodes evenly spaced in log x.
+_SPACING = 1.15
+NODES = 4.0 * np.exp(_SPACING * np.arange(8))  # 4 to 12,500 rad/s
+WEIGHTS = np.sqrt(NODES) * _SPACING / np.pi
+WEIGHTS[0] += 2 / np.pi * np.sqrt(NODES[0]) * np.exp(-_SPACING / 4)  # all that lies below the lowest node
+ABOVE = 2 / np.pi / np.sqrt(NODES[-1]) * np.exp(-_SPACING / 4)  # all that lies above the highest
+
+
+@numba.njit(cache=True, error_model="numpy")
+def resonance(u: float, p: Row, s: Row, ds: Row) -> float:
+    """Second order, p0 rad/s, damping ratio p1, with a relaxing branch (10 % of the stiffness, cut at 2 p0): gain 1 at rest."""
+    w = p[0]
+    ds[0] = s[1]
+    ds[1] = w * w * (u - s[0]) - 2.0 * p[1] * w * s[1] - 0.1 * w * w * (s[0] - s[2])
+    ds[2] = 2.0 * w * (s[0] - s[2])
+    return s[0]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def creep(u: float, p: Row, s: Row, ds: Row) -> float:
+    """Logarithmic creep as three equal relaxations 30 ms, 0.2 s and 1.4 s: u + p0 times their mean."""
+    ds[0] = (u - s[0]) / 0.03
+    ds[1] = (u - s[1]) / 0.2
+    ds[2] = (u - s[2]) / 1.4
+    return u + p[0] * (s[0] + s[1] + s[2]) / 3.0
+
+
+@numba.njit(cache=True, error_model="numpy")
+def memory_polynomial(u: float, p: Row, s: Row, ds: Row) -> float:
+    """u + p0 u (w / p1 + (w / p1)^2), w the command of p2 seconds before (as a lag): products of now and before."""
+    ds[0] = (u - s[0]) / p[2]
+    w = s[0] / p[1]
+    return u + p[0] * u * (w + w * w)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def flexible_mode(q: float, v: float, p: Row, s: Row, ds: Row) -> float:
+    """A mass p0 (relative) on a joint of p1 rad/s, damping ratio p2, 10 % stiffer at a stretch p3 by contact that grows; its pull on the axis."""
+    stretch = s[0] - q
+    ds[0] = s[1]
+    ds[1] = -p[1] ** 2 * stretch * (1.0 + 0.1 * abs(stretch / p[3]) ** 1.5) - 2.0 * p[2] * p[1] * (s[1] - v)
+    return -p[0] * ds[1]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def hysteretic_force(v: float, p: Row, s: Row, ds: Row) -> float:
+    """Bouc-Wen force -p0 z; z is driven by the motion in units of p1, with exponent p2 and skew p3."""
+    z = s[0]
+    turning = p[3] + (1.0 - p[3]) * math.copysign(1.0, v * z)
+    ds[0] = v / p[1] * (1.0 - abs(z) ** p[2] * turning)
+    return -p[0] * z
+
+
+@numba.njit(cache=True, error_model="numpy")
+def fractional_damping(v: float, p: Row, s: Row, ds: Row) -> float:
+    """-p0 times the half derivative of the position, by the nodes above."""
+    total = ABOVE * v
+    for k in range(8):
+        ds[k] = v - NODES[k] * s[k]
+        total += WEIGHTS[k] * s[k]
+    return float(-p[0] * total)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def gyroscopic(at: list[int], p: Row, x: Row, speed: float, dx: Row) -> None:
+    """Turning rotor: -p0 speed v2 on the first axis, 0.9 p0 speed v1 on the second (an inertia not quite round)."""
+    dx[at[1]] -= p[0] * speed * x[at[3]]
+    dx[at[3]] += 0.9 * p[0] * speed * x[at[1]]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def cross_coupled(at: list[int], p: Row, x: Row, speed: float, dx: Row) -> None:
+    """Swirling film: -k q2 on the first axis, k q1 on the second, k = p0 (speed / p1)^0.9."""
+    k = p[0] * abs(speed / p[1]) ** 0.9
+    dx[at[1]] -= k * x[at[2]]
+    dx[at[3]] += k * x[at[0]]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def unbalance(at: list[int], p: Row, speed: float, angle: float, dx: Row) -> None:
+    """Eccentricity p0 at phase p1, 5 % weaker on the second axis."""
+    pull = p[0] * speed * speed
+    dx[at[1]] += pull * math.cos(angle + p[1])
+    dx[at[3]] += 0.95 * pull * math.sin(angle + p[1])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def stiffness_follows(at: list[int], p: Row, x: Row, signal: float, dx: Row) -> None:
+    """Stiffness p3 (first axis) and p4 (second) grow by p0 (e^(0.4 d) - 1) / 0.4, d the signal's deviation from p1 in units of p2."""
+    d = (signal - p[1]) / p[2]
+    more = p[0] * math.expm1(0.4 * d) / 0.4
+    dx[at[1]] -= more * p[3] * x[at[0]]
+    if at[3] >= 0:
+        dx[at[3]] -= more * p[4] * x[at[2]]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def parametric(at: list[int], p: Row, x: Row, t: float, dx: Row) -> None:
+    """Stiffness p3 modulated by p0 sin(p1 t + p2)."""
+    dx[at[1]] -= p[0] * p[3] * math.sin(p[1] * t + p[2]) * x[at[0]]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def bilinear(at: list[int], p: Row, x: Row, v: Row, dx: Row) -> None:
+    """Damping of the axis modulated by a command: p0 (command / p1) velocity."""
+    dx[at[1]] += p[0] * v[at[4]] / p[1] * x[at[1]]

@@ -12,8 +12,7 @@ from afdsvc.api.model import Variable
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 from afdsvc.plants.gas_bearing import DISPLACEMENT_LIMIT, NOISE_VARIANCE, SAMPLE_TIME, TABLE_0_1
-from afdsvc.trial.machines.controllers import additive, lqg, proportional
-from afdsvc.trial.machines.machine import Axis, Machine, Recording
+from afdsvc.trial.machines.machine import Axis, Machine, Recording, additive, lqg, proportional
 
 KNOWN_TO = 0.02  # relative standard deviation of every physical constant
 GAIN = 0.2  # V/um, the damping sign for the constants of table 0.1

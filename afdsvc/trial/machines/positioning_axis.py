@@ -9,8 +9,7 @@ import numpy as np
 
 from afdsvc.api.model import Variable
 from afdsvc.lti.statespace import Array
-from afdsvc.trial.machines.controllers import additive, filtered_pd
-from afdsvc.trial.machines.machine import Axis, Machine, Recording
+from afdsvc.trial.machines.machine import Axis, Machine, Recording, additive, filtered_pd
 
 MASS, DAMPING = 62.0, 310.0  # kg, N s/m
 KNOWN_TO = 0.02

@@ -13,8 +13,7 @@ import numpy as np
 from afdsvc.api.model import Variable
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.plants.amb_turboexpander import CURRENT_GAIN, DISPLACEMENT_LIMIT, NOISE_SD, SAMPLE_TIME, STIFFNESS
-from afdsvc.trial.machines.controllers import additive, filtered_pd
-from afdsvc.trial.machines.machine import Axis, Machine, Recording
+from afdsvc.trial.machines.machine import Axis, Machine, Recording, additive, filtered_pd
 from afdsvc.trial.options import Options
 
 MASS = 21.2  # kg

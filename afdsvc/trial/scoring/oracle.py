@@ -14,7 +14,7 @@ from afdsvc.lti.statespace import Array
 from afdsvc.trial.effects.effect import Effect, Truth
 from afdsvc.trial.generate import Trial
 from afdsvc.trial.laws import codes as c
-from afdsvc.trial.simulation.run import Run, Signals, play, replay
+from afdsvc.trial.simulation import Run, Signals, play, replay
 
 Data = list[tuple[Run, Signals]]
 STEP = 1e-3  # relative step of the finite differences

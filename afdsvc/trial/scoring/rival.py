@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from afdsvc.errors import AfdsvcError
-from afdsvc.trial.conditions.staging import TRAIN
+from afdsvc.trial.conditions import TRAIN
 from afdsvc.trial.effects.catalogue import CHANGE, changes_at, make
 from afdsvc.trial.effects.effect import Effect, Truth
 from afdsvc.trial.effects.severity import scaled_to
@@ -22,7 +22,7 @@ from afdsvc.trial.effects.site import Site, Sizes, sizes
 from afdsvc.trial.generate import Trial
 from afdsvc.trial.scoring.matching import same_change
 from afdsvc.trial.scoring.oracle import Data, gauss_newton, prior, residuals, simulated
-from afdsvc.trial.simulation.run import Signals
+from afdsvc.trial.simulation import Signals
 
 UNDECIDABLE = 4.65  # below this d the best possible test is wrong more often than once in a hundred
 SHARED = ("frequency", "phase", "damping_ratio", "delay", "time_constant")  # shapes a rival takes over from what is hidden

@@ -9,12 +9,12 @@ import pytest
 
 from afdsvc.errors import BadInput, Refused
 from afdsvc.trial import NOTHING, Options, generate, generate_several
-from afdsvc.trial.conditions.staging import TRAIN
+from afdsvc.trial.conditions import TRAIN
 from afdsvc.trial.effects.catalogue import changes_at, outside_at, physics_at
 from afdsvc.trial.effects.effect import Truth
 from afdsvc.trial.effects.severity import difference, visibility
 from afdsvc.trial.generate import Trial, Wish
-from afdsvc.trial.simulation.run import play, replay
+from afdsvc.trial.simulation import play, replay
 
 BEARING = Options(controller="proportional", periods=1)
 AXIS = Options(machine="positioning_axis", periods=1)

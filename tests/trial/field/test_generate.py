@@ -15,7 +15,7 @@ from afdsvc.trial import FIELD, FieldAnswer, FieldOptions, field_oracle, field_p
 from afdsvc.trial.effects.effect import Truth
 from afdsvc.trial.field.catalogue import FAMILIES, FEATURES, LAWS, laws_at
 from afdsvc.trial.field.generate import generate, make
-from afdsvc.trial.field.run import play
+from afdsvc.trial.field.simulation import play
 
 ONE = FieldOptions("motor", ("dry",))
 TWO = FieldOptions("arm", ("uneven_zone", "drag"), True)

@@ -12,10 +12,9 @@ from scipy.integrate import solve_ivp
 from afdsvc.trial.effects.effect import Truth
 from afdsvc.trial.field.catalogue import FAMILIES, LAWS
 from afdsvc.trial.field.generate import sizes
-from afdsvc.trial.field.kernel import CONTROLLED, OPEN
 from afdsvc.trial.field.law import Spot
 from afdsvc.trial.field.rig import Rig
-from afdsvc.trial.field.run import Run, play
+from afdsvc.trial.field.simulation import CONTROLLED, OPEN, Run, play
 
 SAMPLES = 80
 

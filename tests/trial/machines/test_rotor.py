@@ -9,7 +9,7 @@ from afdsvc.explain.pipeline import explain
 from afdsvc.files.model.model_file import parse_model
 from afdsvc.plugins.manager import load
 from afdsvc.trial.generate import Trial, generate
-from afdsvc.trial.machines.controllers import held
+from afdsvc.trial.machines.machine import held
 from afdsvc.trial.machines.rotor import RotorOptions, rotor
 from afdsvc.trial.model_text import model_text
 

@@ -9,7 +9,7 @@ from afdsvc.trial import NOTHING, Options, generate, oracle
 from afdsvc.trial.effects.effect import Truth
 from afdsvc.trial.scoring.oracle import prior, refit, residuals
 from afdsvc.trial.scoring.rival import UNDECIDABLE, apart
-from afdsvc.trial.simulation.run import replay
+from afdsvc.trial.simulation import replay
 
 SHORT = Options(controller="proportional", periods=1)
 

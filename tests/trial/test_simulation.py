@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from afdsvc.trial import NOTHING, Options, generate
+from afdsvc.trial import NOTHING, Options, generate, simulation
 from afdsvc.trial.machines.machine import Machine
-from afdsvc.trial.simulation import kernel
-from afdsvc.trial.simulation.run import play, replay
+from afdsvc.trial.simulation import play, replay
 
 
 def sampled(machine: Machine, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -99,7 +98,7 @@ def test_integrator_converges_with_its_step() -> None:
     """Halving the step of a strongly nonlinear case changes the outputs by less than a thousandth of the noise."""
     from dataclasses import replace
 
-    from afdsvc.trial.simulation.run import play
+    from afdsvc.trial.simulation import play
 
     trial = generate("clearance", "state:horizontal_rate", 1.0, np.random.default_rng(5), Options(controller="proportional", periods=1))
     fine = replace(trial.machine, substeps=2 * trial.machine.substeps)
@@ -115,6 +114,6 @@ def test_a_replay_reads_nothing_beyond_what_it_is_given(monkeypatch) -> None:
     cut = {name: getattr(short, name)[:n] for name in ("alpha", "ref", "noise", "colour", "push")}
     short = replace(short, aux=short.aux[: n + 1], **cut)
     compiled = play(trial.machine, trial.truth, short)
-    monkeypatch.setattr("afdsvc.trial.simulation.run.integrate", kernel.run.py_func)
+    monkeypatch.setattr("afdsvc.trial.simulation.integrate", simulation.integrate.py_func)
     assert np.allclose(play(trial.machine, trial.truth, short).y, compiled.y)
     assert np.allclose(replay(trial.machine, trial.truth, short, compiled.u).y, compiled.y)

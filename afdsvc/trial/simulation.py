@@ -1,4 +1,6 @@
-"""The loop: a continuous plant with effects, integrated by Runge-Kutta 4 in fixed steps, under a sampled controller.
+"""One recording before and after it is made: what is played, what happens around it, and what came back.
+
+The loop: a continuous plant with effects, integrated by Runge-Kutta 4 in fixed steps, under a sampled controller.
 
 Every control sample: read the outputs (sensor effects, noise, reading effects), step the controller, hold its command,
 integrate ``substeps`` steps. Written apart from the simulator of the product and sharing no code with it.
@@ -8,12 +10,18 @@ Arrays are handed on one by one, without tuples or views in the inner loops: tha
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numba
 import numpy as np
 
+from afdsvc.errors import Refused
+from afdsvc.lti.statespace import Array
+from afdsvc.trial.effects.effect import Truth, tables
 from afdsvc.trial.laws import codes as c
 from afdsvc.trial.laws import dispatch as d
 from afdsvc.trial.laws.scalar import quantised
+from afdsvc.trial.machines.machine import Machine
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -141,7 +149,7 @@ def _step(laws, code, at, p, offset, A, B, u, w, k, aux, X, room, m, clock, t, l
 
 
 @numba.njit(cache=True, error_model="numpy")
-def run(code, at, p, offset, A, B, C, Ak, Bk, Ck, Dk, e, given, closed, noise, w, aux, t0, dt, substeps):  # type: ignore[no-untyped-def]
+def integrate(code, at, p, offset, A, B, C, Ak, Bk, Ck, Dk, e, given, closed, noise, w, aux, t0, dt, substeps):  # type: ignore[no-untyped-def]
     """Return readings y (n, p), commands u (n, m) and plant states x (n, nx) at the sampling instants.
 
     ``code`` to ``offset``: tables of the effects (`afdsvc.trial.effects.effect.tables`), whose states follow the plant's; A, B, C the
@@ -180,3 +188,67 @@ def run(code, at, p, offset, A, B, C, Ak, Bk, Ck, Dk, e, given, closed, noise, w
                 _around(aux, k, share + width, air)
                 _sense(code, at, p, clean, air, m, clock)
     return out_y, out_u, out_x
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """A recording to be made: alpha (n, m), ref (n, p), aux (n + 1, a), sensor noise (n, p), coloured noise of unit rms
+    (n, p), disturbance of the rates (n, nx), absolute time of the first sample, and samples to drop at the start."""
+
+    name: str
+    alpha: Array
+    ref: Array
+    aux: Array
+    noise: Array
+    colour: Array
+    push: Array
+    t0: float
+    skip: int
+
+    def quiet(self) -> Run:
+        """Return the run without any noise."""
+        return replace(self, noise=0 * self.noise, colour=0 * self.colour, push=0 * self.push)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signals:
+    """What came back, from the first sample of the run: readings y (n, p), commands u (n, m), plant states x (n, nx)."""
+
+    y: Array
+    u: Array
+    x: Array
+
+    def kept(self, run: Run) -> Signals:
+        """Return the part that is recorded."""
+        return Signals(self.y[run.skip :], self.u[run.skip :], self.x[run.skip :])
+
+
+def play(machine: Machine, truth: Truth, run: Run) -> Signals:
+    """Return the closed loop's signals; raises `Refused` when it leaves the machine's reach."""
+    entry = np.hstack([-run.ref, run.alpha])
+    return _integrate(machine, truth, run, entry, np.zeros((1, run.alpha.shape[1])), True)
+
+
+def replay(machine: Machine, truth: Truth, run: Run, u: Array) -> Signals:
+    """Return the plant's answer to given commands u (n, m), with the run's noise."""
+    return _integrate(machine, truth, run, np.zeros((1, run.alpha.shape[1] + run.ref.shape[1])), u, False)
+
+
+def _integrate(machine: Machine, truth: Truth, run: Run, entry: Array, u: Array, closed: bool) -> Signals:
+    K = machine.loop
+    control = tuple(np.ascontiguousarray(M) for M in (K.A, K.B, K.C, K.D))
+    y, out_u, x = integrate(  # type: ignore[call-arg]  # a compiled function takes what it was compiled for
+        *tables(truth.everything), *machine.matrices(truth.constants()), *control, entry, np.ascontiguousarray(u), closed,
+        run.noise + _hidden_noise(truth, run), run.push, run.aux, run.t0, machine.dt, machine.substeps,
+    )
+    if closed and not np.abs(y).max() <= machine.reach:
+        raise Refused(f"{machine.name}: {', '.join(e.physics for e in truth.everything)} drives it beyond {machine.reach:.3g}")
+    return Signals(y, out_u, x)
+
+
+def _hidden_noise(truth: Truth, run: Run) -> Array:
+    extra = np.zeros_like(run.noise)
+    for effect in truth.everything:
+        if effect.code == c.NOISE:
+            extra[:, effect.at[0]] += effect.values[0] * run.colour[:, effect.at[0]]
+    return extra

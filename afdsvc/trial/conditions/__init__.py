@@ -1,1 +1,0 @@
-"""What a machine is recorded under: excitation, ambient signals, noise."""

@@ -1,1 +1,0 @@
-"""Integration of a made-up machine under its controller."""
