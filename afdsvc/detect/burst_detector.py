@@ -16,6 +16,7 @@ import numpy as np
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, ResidualBlock
 from afdsvc.api.evidence import Evidence, Severity
+from afdsvc.detect.features.burst_noise import BurstNoise
 from afdsvc.detect.features.data_checks import BurstChecks, PlayedLines, Runs
 from afdsvc.detect.features.nuisances import NONE as NO_NUISANCES
 from afdsvc.detect.features.nuisances import Cleaning, Nuisances
@@ -35,7 +36,8 @@ BOUND = 2.0  # standard errors beyond an early estimate where the severity hardl
 class Finding:
     """What a statistic says about one burst: ``statistic`` against ``threshold``, one fit per fault, their weights.
 
-    ``early``: the data chose when to stop, so severities are biased away from zero; they are reported as bounds.
+    ``early``: the data chose when to stop, so severities are biased away from zero; they are reported as bounds. ``refused`` says why
+    the burst must not be judged although its signals are complete.
     """
 
     statistic: float
@@ -45,6 +47,7 @@ class Finding:
     parts: Mapping[str, float] = field(default_factory=dict)
     output: str = ""
     early: bool = False
+    refused: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +81,7 @@ class BurstStatistic(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Playing:
-    """A burst in progress."""
+    """A burst in progress; ``refused`` says why the statistic cannot judge it, "" where it can."""
 
     burst: Burst
     name: str
@@ -87,7 +90,9 @@ class Playing:
     checks: BurstChecks
     sums: Any
     shown: PlayedLines
+    noise: BurstNoise
     decided: bool = False
+    refused: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,8 +179,9 @@ class BurstDetector:
         asked = now.asked[first : first + len(piece)]
         checks = now.checks.add(piece.y, piece.u, piece.r, piece.alpha, asked, longest)
         shown = now.shown if checks.bad else now.shown.add(piece, first, burst, self.nuisances)
-        now = replace(now, checks=checks, shown=shown)
-        if not now.decided and not checks.bad and not checks.gap:
+        noise = now.noise if checks.bad else now.noise.add(series[:, 0], piece, first, burst, self.nuisances)
+        now = replace(now, checks=checks, shown=shown, noise=noise)
+        if not (now.decided or now.refused or checks.bad or checks.gap):
             sums, early = self.statistic.step(now.sums, BurstSamples(first, piece.dt, series, piece))
             now = replace(now, sums=sums)
             if early is not None:
@@ -191,9 +197,12 @@ class BurstDetector:
         limits = self.problem.limits
         limit = np.full(self.problem.plant.inputs, np.inf) if limits is None else np.asarray(limits.input, dtype=float)
         checks = BurstChecks(limit, gap=piece.k0 > piece.burst_start)
-        sums = self.statistic.start(burst, piece.dt)
         shown, name = PlayedLines.start(self.problem.plant.inputs), piece.burst_name or burst.name
-        return Playing(burst, name, piece.burst_start, asked, checks, sums, shown)
+        try:
+            sums, refused = self.statistic.start(burst, piece.dt), ""
+        except AfdsvcError as error:
+            sums, refused = None, str(error)
+        return Playing(burst, name, piece.burst_start, asked, checks, sums, shown, BurstNoise.start(self.problem.plant.outputs), refused=refused)
 
     def _early(self, state: BurstDetectorState, now: Playing, finding: Finding, piece: ResidualBlock) -> list[Evidence]:
         """Report a finding before the burst has ended, unless something speaks against it (then the end decides)."""
@@ -210,15 +219,25 @@ class BurstDetector:
             return []
         problem = self.problem
         complaint = now.checks.complaint(now.burst.samples, self.frozen, problem.input_names, problem.output_names)
-        complaint = complaint or now.shown.complaint(problem, now.burst)
-        judgement = self._judgement(state)
+        complaint = complaint or now.refused or now.shown.complaint(problem, now.burst)
+        judgement, unusable = self._judgement(state), now.checks.bad or now.checks.gap or now.refused
         try:
-            findings = [] if now.checks.bad or now.checks.gap else self.statistic.decide(now.sums, now.burst, dt)
+            findings = [] if unusable else self.statistic.decide(now.sums, now.burst, dt)
         except AfdsvcError as error:
             findings, complaint = [], complaint or str(error)
         findings = findings or [Finding(float("nan"), float("nan"))]
         about = (self.name, problem.machine, k, dt, now.name)
-        return [evidence(*about, f, judgement, complaint, self.sure) for f in findings]
+        return [evidence(*about, f, judgement, complaint or f.refused or self._loud(now, f), self.sure) for f in findings]
+
+    def _loud(self, now: Playing, finding: Finding) -> str:
+        """Return the sentence that the burst was louder or quieter than stated.
+
+        "" when it was not, when the finding stands all the same, and for a statistic that knows no faults: it looks for just that.
+        """
+        share, p = now.noise.loudness(self.gate.level, self.gate.estimated)
+        if share == 1.0 or not finding.fits or finding.statistic > max(share, 1.0) * finding.threshold:
+            return ""
+        return f"during the burst the residual beside its lines has {share**0.5:.3g} times the stated standard deviation (p = {p:.2g})"
 
     def _judgement(self, state: BurstDetectorState) -> Judgement:
         """Return whether the quiet data can be trusted, as they are or with one fault's share taken out."""
@@ -325,6 +344,6 @@ def burst_detector(
     data need an explanation.
     """
     filters = regressors(problem) if filters is None else filters
-    gate, explain = replace(gate, settle=filters.settling()), shared(filters)
+    gate, explain = replace(gate, settle=filters.settling(), estimated=problem.noise_samples), shared(filters)
     streaming = explain if regressing else filters.without_faults()
     return BurstDetector(name, problem, statistic, streaming, gate, explain, sure, frozen, nuisances)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -10,12 +11,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from afdsvc.api.bursts import Burst
-from afdsvc.api.detection import DetectionProblem, Detector, ResidualBlock
+from afdsvc.api.detection import DetectionProblem, Detector, Noise, ResidualBlock
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block
 from afdsvc.detect.features.innovations import ResidualFilter
 from afdsvc.detect.features.noise_calibration import calibrate_noise
 from afdsvc.detect.features.whiteness_gate import Gate
+from afdsvc.detect.thresholds.power import tail_point
 from afdsvc.diagnosis.data_quality import Expectation, Finding, IntakeState, judge, longest_still
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.lti.statespace import Array, StateSpace
@@ -150,7 +152,7 @@ class Pipeline:
         )
 
 
-Design = Callable[[Array, Array | None, int], Pipeline]
+Design = Callable[[Noise, int], Pipeline]
 
 
 class Stream(Protocol):
@@ -190,8 +192,7 @@ class ExcitableStream(Stream, Protocol):
 class CalibratedPipeline:
     """A pipeline whose noise model comes from the machine's own first quiet samples.
 
-    Until ``samples`` have come without interruption nothing is judged. ``design(output_cov, process_cov, frozen_after)``
-    returns the pipeline.
+    Until ``samples`` have come without interruption nothing is judged. ``design(noise, frozen_after)`` returns the pipeline.
     """
 
     plant: StateSpace
@@ -259,7 +260,9 @@ def calibrated(plant: StateSpace, u: Array, y: Array, design: Design) -> tuple[P
 
     The longest run of equal samples seen here sets what counts as a frozen sensor later.
     """
-    noise = calibrate_noise(plant, u, y)
-    pipeline = design(noise.output_cov, noise.process_cov, max(50, 4 * longest_still(y)))
-    sd = ", ".join(f"{s:.3g}" for s in np.sqrt(np.diag(noise.covariance)))
-    return pipeline, Finding("calibrated", f"noise calibrated on {len(y)} quiet samples: residual sd {sd}")
+    pipeline = design(calibrate_noise(plant, u, y), max(50, 4 * longest_still(y)))
+    sd = ", ".join(f"{s:.3g}" for s in np.sqrt(np.diag(pipeline.problem.covariance)))
+    known = (2 * len(y)) ** -0.5
+    height = tail_point(pipeline.problem.false_alarms.per_burst)  # d ln Q(h) / d ln sd is about h^2
+    sure = f"known to {100 * known:.2g} %, alarm rates therefore to a factor of {math.exp(height**2 * known):.2g}"
+    return pipeline, Finding("calibrated", f"noise calibrated on {len(y)} quiet samples: residual sd {sd} ({sure})")

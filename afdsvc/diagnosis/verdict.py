@@ -59,9 +59,8 @@ def conclude(evidence: Sequence[Evidence]) -> Verdict:
     burst.
     """
     found = alarms(evidence)
-    untrusted = [e for e in evidence if not e.trustworthy]
     if not found:
-        reason = untrusted[-1].reason if untrusted and untrusted[-1] is evidence[-1] else ""
+        reason = "" if any(e.trustworthy for e in _newest(evidence)) else evidence[-1].reason if evidence else ""
         return Verdict(trustworthy=not reason, reason=reason)
     told = [list(group) for _, group in groupby((e for e in found if e.burst), key=lambda e: e.burst)] or [found]
     best = [strongest(group) for group in told]
@@ -71,8 +70,14 @@ def conclude(evidence: Sequence[Evidence]) -> Verdict:
         return Verdict(None, None, found[0].seconds, weighted[-1].weights, True)
     both = zip(reversed(best), reversed(told), strict=True)
     same = [group for e, group in takewhile(lambda b: b[0] is not None and b[0].fault == newest.fault, both)]
-    estimates = [s for s in (most_precise(group, newest.fault) for group in same) if s is not None]
-    return Verdict(newest.fault, pooled(estimates) if estimates else None, found[0].seconds, newest.weights, True)
+    estimates = [s for s in (_most_precise(group, newest.fault) for group in same) if s is not None]
+    return Verdict(newest.fault, _pooled(estimates) if estimates else None, found[0].seconds, newest.weights, True)
+
+
+def _newest(evidence: Sequence[Evidence]) -> Sequence[Evidence]:
+    """Return the decisions on the newest burst, or the newest one between bursts: one detector that cannot judge does not silence others."""
+    burst = evidence[-1].burst if evidence else ""
+    return [e for e in evidence if e.burst == burst] if burst else evidence[-1:]
 
 
 def strongest(decisions: Sequence[Evidence]) -> Evidence | None:
@@ -84,7 +89,7 @@ def strongest(decisions: Sequence[Evidence]) -> Evidence | None:
     return max(named, key=lambda e: (e.severity is not None, e.statistic - e.threshold), default=None)
 
 
-def most_precise(decisions: Sequence[Evidence], fault: str | None) -> Severity | None:
+def _most_precise(decisions: Sequence[Evidence], fault: str | None) -> Severity | None:
     """Return the severity with the smallest standard error among the decisions that name this fault, None when none tells any."""
     told = [e.severity for e in decisions if e.fault == fault and e.severity is not None]
     return min(told, key=lambda s: s.sd, default=None)
@@ -100,7 +105,7 @@ def open_question(decisions: Sequence[Evidence]) -> Question | None:
     return Question(decisions[-1].burst, suspects, told[-1] if told else TYPICAL)
 
 
-def pooled(newest_first: Sequence[Severity]) -> Severity:
+def _pooled(newest_first: Sequence[Severity]) -> Severity:
     """Return the weighted mean of independent estimates, newest first, leaving out older ones that do not agree.
 
     An older estimate joins while all of them together pass the chi-square test of one common value at 1 %: a fault that

@@ -4,7 +4,7 @@ present.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +12,10 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from afdsvc.api.bursts import Limits
 from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect.features.regressors import noise_sources
 from afdsvc.detect.statistics.fault_curves import LoopResponse, loop_response
 from afdsvc.excite.settings import BURST
-from afdsvc.excite.simulated_burst import faulty_loop
+from afdsvc.excite.simulated_burst import noisy_loop
 from afdsvc.lti.statespace import Array
 
 SEVERITIES = (-0.25, -0.5, -0.75, -1.0)
@@ -67,16 +68,14 @@ def room(problem: DetectionProblem, limits: Limits) -> Room:
     )
 
 
-def noise_deviations(problem: DetectionProblem) -> tuple[Array, Array]:
-    """Return the standard deviations of measured outputs ``(p,)`` and inputs ``(m,)`` in the healthy loop without
-    alpha.
-    """
-    m, p = problem.plant.inputs, problem.plant.outputs
-    loop = faulty_loop(problem, {})
-    B, D = loop.B[:, :p], loop.D[: m + p, :p].copy()
-    D[m:] += np.eye(p)  # what is measured contains the noise itself
-    Rv = problem.covariance
-    P = solve_discrete_lyapunov(loop.A, B @ Rv @ B.T) if loop.order else np.zeros((0, 0))
-    C = loop.C[: m + p]
-    sd = np.sqrt(np.maximum(np.diag(C @ P @ C.T + D @ Rv @ D.T), 0.0))
-    return sd[m:], sd[:m]
+def noise_deviations(problem: DetectionProblem, severities: Mapping[str, float] | None = None) -> tuple[Array, Array]:
+    """Return the standard deviations of measured outputs ``(p,)`` and inputs ``(m,)`` without alpha, in the healthy loop or with the
+    faults present; sensor and process noise."""
+    m = problem.plant.inputs
+    Bn, Dn = noise_sources(problem)
+    loop, q = noisy_loop(problem, severities or {}, Bn, Dn), Bn.shape[1]
+    B, C, D = loop.B[:, :q], loop.C, loop.D[:, :q].copy()
+    D[m : m + len(Dn)] += Dn  # what is measured contains the sensor noise itself
+    P = solve_discrete_lyapunov(loop.A, B @ B.T) if loop.order else np.zeros((0, 0))
+    sd = np.sqrt(np.maximum(np.diag(C @ P @ C.T + D @ D.T), 0.0))
+    return sd[m : m + len(Dn)], sd[:m]

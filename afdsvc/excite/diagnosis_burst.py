@@ -23,6 +23,7 @@ from afdsvc.detect.isolation import NONE
 from afdsvc.detect.thresholds.power import required_deflection, required_separation
 from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.amplitude_budget import Costs, Room, costs, room
+from afdsvc.excite.certificate import certificate
 from afdsvc.excite.expected_detection import ExpectedDetection, burst_detection
 from afdsvc.excite.power_allocation import candidates
 from afdsvc.excite.settings import BURST
@@ -70,7 +71,11 @@ def default_burst(
     plan = _best_plan(problem, _frame(problem, min(seconds, limits.seconds), name), left, aim)
     share = min(1.0, aim.goal(problem) / plan.reach) if 0 < plan.reach < np.inf else 1.0
     amplitude = min(plan.largest, plan.largest * share if output_amplitude is None else output_amplitude)
-    return _described(problem, _scaled(plan.unit, amplitude), amplitude, aim)
+    found = certificate(problem, limits, _scaled(plan.unit, amplitude), aim.severity)
+    if found.factor < 1:
+        amplitude, found = amplitude * found.factor, replace(found, factor=1.0)
+    made = _described(problem, _scaled(plan.unit, amplitude), amplitude, aim)
+    return replace(made, notes={**made.notes, "certificate": f"with any fault up to severity {aim.severity:g} {found}"})
 
 
 def second_burst(
@@ -117,13 +122,29 @@ def _reach(seen: ExpectedDetection, aim: Aim) -> float:
 
 
 def _frame(problem: DetectionProblem, seconds: float, name: str) -> Burst:
-    """Return the burst without lines: samples, ramps, settling."""
+    """Return the burst without lines: samples, ramps, settling.
+
+    Raises `Refused` where more than `BURST.ringing` of a transient remains in the steady part.
+    """
     samples = int(round(seconds / problem.plant.dt))
     ramp = max(int(BURST.ramp * samples), 1)
-    settle = min(decay(faulty_loop(problem, {}), 1e-3), int(BURST.settling * samples))
-    if samples - 2 * ramp - settle < 2 * BURST.fewest_periods:
+    shortest = 2 * BURST.fewest_periods + 2 * ramp
+    settle = _settling(problem, samples, name) if samples > shortest else 0
+    if samples < shortest + settle:
         raise BadInput(f"burst of {seconds:g} s has {samples} samples, too few for ramps, settling and {BURST.fewest_periods} periods")
     return Burst(name, problem.plant.inputs, samples, ramp, settle=settle)
+
+
+def _settling(problem: DetectionProblem, samples: int, name: str) -> int:
+    """Return the samples left out while the loop settles; refuses a burst most of which would measure the transient."""
+    loop, dt, most = faulty_loop(problem, {}), problem.plant.dt, int(BURST.settling * samples)
+    shortest = decay(loop, BURST.ringing)
+    if shortest > most:
+        raise Refused(
+            f"burst '{name}' of {samples * dt:.3g} s: the loop rings for {shortest * dt:.3g} s, until {100 * BURST.ringing:g} % of a transient remain; "
+            f"expected a burst of at least {shortest * dt / BURST.settling:.3g} s, or a controller that damps"
+        )
+    return min(decay(loop, BURST.settled), most)
 
 
 def _frequencies(frame: Burst, problem: DetectionProblem) -> Array:

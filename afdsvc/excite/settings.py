@@ -14,8 +14,12 @@ class BurstSettings:
 
     #: Share of the burst taken by each ramp.
     ramp: float = 0.05
+    #: Share of the transient to which the loop is left to settle before the lines are measured.
+    settled: float = 1e-3
     #: Largest share of the burst left out while the loop settles.
-    settling: float = 0.2
+    settling: float = 0.5
+    #: Largest share of the transient that may remain then; a loop that rings longer is refused the burst.
+    ringing: float = 0.05
     #: Number of candidate frequencies of the diagnosis burst, spaced geometrically.
     candidates: int = 48
     #: Fewest whole periods of the slowest line.

@@ -10,6 +10,7 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, ResidualBlock
+from afdsvc.detect.features.regressors import predictor_gain
 from afdsvc.errors import BadInput
 from afdsvc.lti.lft import star
 from afdsvc.lti.simulate import simulate
@@ -43,16 +44,21 @@ class SimulatedBurst:
 
 
 def faulty_loop(problem: DetectionProblem, severities: Mapping[str, float]) -> StateSpace:
-    """Return the loop from ``[v, alpha]`` (output noise, excitation) to ``[u, y, beta]`` with the faults present.
+    """Return the loop from ``[r, alpha]`` (innovations, excitation) to ``[u, y - r, beta]`` with the faults present.
 
-    ``y`` is what the sensors report without their noise. Raises `BadInput` when a fault makes the loop unstable.
+    ``y`` is what the sensors report; with sensor noise only and a stable plant r is that noise, otherwise it also drives the states
+    through the predictor's gain. Raises `BadInput` when a fault makes the loop unstable.
     """
-    g = problem.augmented.close(severities)
+    return noisy_loop(problem, severities, predictor_gain(problem, problem.augmented.plant), np.eye(problem.plant.outputs))
+
+
+def noisy_loop(problem: DetectionProblem, severities: Mapping[str, float], Bn: Array, Dn: Array) -> StateSpace:
+    """Return the loop from ``[e, alpha]`` to ``[u, y - Dn e, beta]``, noise e entering states by ``Bn (n, q)``, outputs by ``Dn (p, q)``."""
+    g, q = problem.augmented.close(severities), Bn.shape[1]
     n, m, p = g.order, g.inputs, g.outputs
-    B = np.hstack([np.zeros((n, p)), g.B])
     C = np.vstack([np.zeros((m, n)), g.C, g.C])
-    D = np.block([[np.zeros((m, p)), np.eye(m)], [np.zeros((p, p)), g.D], [np.eye(p), g.D]])
-    loop = star(StateSpace(g.A, B, C, D, g.dt), problem.interconnection, p, m)
+    D = np.block([[np.zeros((m, q)), np.eye(m)], [np.zeros((p, q)), g.D], [Dn, g.D]])
+    loop = star(StateSpace(g.A, np.hstack([Bn, g.B]), C, D, g.dt), problem.interconnection, p, m)
     if not loop.is_stable():
         worst = float(np.abs(loop.poles()).max())
         raise BadInput(f"with {dict(severities)} the loop has a pole of modulus {worst:.6g}; it cannot be simulated")
@@ -63,7 +69,7 @@ def simulate_burst(
     problem: DetectionProblem, alpha: Array, noise: Array, severities: Mapping[str, float] | None = None,
     loop: StateSpace | None = None,
 ) -> SimulatedBurst:
-    """Return the record of a run from rest: ``alpha (n, m)``, output noise ``noise (n, p)``; ``loop`` saves
+    """Return the record of a run from rest: ``alpha (n, m)``, innovations ``noise (n, p)``; ``loop`` saves
     rebuilding it.
     """
     loop = faulty_loop(problem, severities or {}) if loop is None else loop

@@ -18,8 +18,8 @@ from afdsvc.excite.simulated_burst import SimulatedBurst, played, simulate_burst
 from afdsvc.lti.lft import AugmentedPlant, FaultDirection, actuator_gain, augment, sensor_gain
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.plants.examples import unstable_second_order
 from afdsvc.plants.gas_bearing import gas_bearing
-from afdsvc.plants.unstable_second_order import unstable_second_order
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem
 from benchmarks.support.trials import innovations_loop
 

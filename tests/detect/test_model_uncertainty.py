@@ -19,9 +19,9 @@ from afdsvc.detect.uncertain_parameters import uncertain_parameters
 from afdsvc.errors import BadInput
 from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.excite.expected_detection import burst_detection, expected_detection
-from afdsvc.excite.simulated_burst import faulty_loop, played, simulate_burst
+from afdsvc.excite.simulated_burst import faulty_loop, noisy_loop, played, simulate_burst
+from afdsvc.plants.examples import unstable_second_order
 from afdsvc.plants.gas_bearing import gas_bearing
-from afdsvc.plants.unstable_second_order import unstable_second_order
 from afdsvc.testing.machines import bearing_problem, unstable_problem, with_rate
 
 LINE = (Line(0, 125.0, 0.1),)
@@ -39,18 +39,20 @@ def test_waves_and_coloured_noise_of_a_wrong_model_against_the_simulated_loop(de
     problem, n, windows = doubtful(0.01), 200, 1000
     omega = 2 * np.pi * 4 / (n * 1e-3)
     line, R = (Line(0, omega, 0.1),), np.sqrt(n / 2) * np.eye(2)
-    wrong = faulty_loop(replace(problem, augmented=problem.uncertain, uncertain=None, uncertainty={}), {"a11": deviation})
+    truth = replace(problem, augmented=problem.uncertain, uncertain=None, uncertainty={})
+    wrong = faulty_loop(truth, {"a11": deviation})
+    noisy = noisy_loop(truth, {"a11": deviation}, np.zeros((problem.plant.order, 1)), np.eye(1))
     rng, total = np.random.default_rng(2), n * windows + 400
     t = np.arange(total) * 1e-3
     template = np.column_stack([np.sin(omega * t[:n]), np.cos(omega * t[:n])]) / np.sqrt(n / 2 * problem.covariance[0, 0])
 
-    def coordinates(alpha, v):
-        r = simulate_burst(problem, alpha[:, None], v[:, None], loop=wrong).r[400:, 0]
+    def coordinates(alpha, v, loop):
+        r = simulate_burst(problem, alpha[:, None], v[:, None], loop=loop).r[400:, 0]
         return r.reshape(windows, n) @ template
 
     quiet = np.zeros(total)
-    wave = coordinates(0.1 * np.sin(omega * t), quiet)[-1]
-    noise = coordinates(quiet, rng.normal(size=total) * np.sqrt(0.11))
+    wave = coordinates(0.1 * np.sin(omega * t), quiet, wrong)[-1]
+    noise = coordinates(quiet, rng.normal(size=total) * np.sqrt(problem.output_cov[0, 0]), noisy)
     curves = fault_curves(as_faults(problem), line)
     point, covariance = curves.together({"a11": deviation})
     assert (R @ point).ravel() == pytest.approx(wave, abs=1e-6)

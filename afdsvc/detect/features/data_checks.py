@@ -187,7 +187,7 @@ class PlayedLines:
 
     def complaint(self, problem: DetectionProblem, burst: Burst) -> str:
         """Return which line is missing from the measured input, in one sentence; "" when none is missing or it cannot be decided."""
-        if not self.sums.n:
+        if not (self.sums.n and problem.loop_known):
             return ""
         omega = omegas(burst)
         found = np.linalg.pinv(self.sums.G, rcond=1e-12, hermitian=True) @ self.sums.B

@@ -30,7 +30,7 @@ from afdsvc.lti.whitening import innovations
 from afdsvc.stats.memo import Once
 
 NUDGE = 1e-5  # by which parameters are moved for derivatives
-_NO_GAIN = 1e-9  # a predictor gain below this is the rounding of a Riccati solver
+SAME = 1e-9  # share of the entries they are sums of by which two matrices may differ
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +156,7 @@ class _Way:
 def _way(problem: DetectionProblem, augmented: AugmentedPlant, name: str, Kp: Array) -> _Way:
     s, k, own = augmented.system, augmented.channels, augmented.channels_of(name)
     no_state = not Kp.any() or not s.C[own].any()  # then z is known without error, not estimated
-    exact = no_state and not s.D[own, own].any() and _no_return(s, own)
+    exact = no_state and not s.D[own, own].any() and no_return(s, own)
     Kd = np.zeros_like(Kp) if no_state else _gain_derivative(problem, augmented, name)
     return _Way(s.B[:, own] - Kp @ s.D[k:, own], s.D[k:, own], s.C[own], s.D[own, k:], Kd, exact)
 
@@ -167,7 +167,7 @@ def _gain_derivative(problem: DetectionProblem, augmented: AugmentedPlant, name:
     if problem.output_cov is None:
         return np.zeros((n, p))
     plants = [augmented.close({name: s * NUDGE}) for s in (1, -1)]
-    gains = [innovations(g, problem.output_cov, problem.process_cov).gain for g in plants]
+    gains = [innovations(g, problem.output_cov, problem.process_cov, problem.cross_cov).gain for g in plants]
     return np.asarray((gains[0] - gains[1]) / (2 * NUDGE))
 
 
@@ -175,7 +175,7 @@ def whitener(covariance: Array) -> Array:
     """Return ``L^-1`` with ``L L' = covariance``; raises `BadInput` when the covariance is not positive definite."""
     Xi = np.atleast_2d(np.asarray(covariance, dtype=float))
     try:
-        if not np.isfinite(Xi).all() or not np.allclose(Xi, Xi.T):
+        if not np.isfinite(Xi).all() or not np.allclose(Xi, Xi.T, atol=0):
             raise np.linalg.LinAlgError
         return np.asarray(np.linalg.inv(np.linalg.cholesky(Xi)))
     except np.linalg.LinAlgError:
@@ -193,12 +193,30 @@ def predictor_gain(problem: DetectionProblem, plant: StateSpace) -> Array:
     if f.order == 0 and plant.order == 0:
         return np.zeros((0, p))
     Kp = f.B[:, :p] if f.order == plant.order else np.full((plant.order, p), np.nan)
-    if not np.allclose(f.A, plant.A - Kp @ plant.C, atol=1e-9 * max(1.0, float(np.abs(plant.A).max()))):
+    parts = np.abs(plant.A) + np.abs(Kp) @ np.abs(plant.C)  # entry by entry: states may have any units
+    if not (np.abs(f.A - (plant.A - Kp @ plant.C)) <= SAME * parts).all():
         raise BadInput("the residual filter is not the predictor A - Kp C of the plant; both must share their states")
-    return np.asarray(np.where(np.abs(Kp).max() > _NO_GAIN, Kp, 0.0))
+    return np.asarray(Kp)
 
 
-def _no_return(s: StateSpace, channels: slice) -> bool:
+def noise_sources(problem: DetectionProblem) -> tuple[Array, Array]:
+    """Return how unit white noise enters states ``(n, q)`` and measured outputs ``(p, q)``: the stated process and sensor noise, or the
+    innovations ``x+ = .. + Kp r, y = .. + r`` where those are not stated."""
+    g = problem.augmented.plant
+    if problem.output_cov is None:
+        root = np.array(np.linalg.inv(whitener(problem.covariance)), dtype=np.float64)
+        return np.asarray(predictor_gain(problem, g) @ root), root
+    Q = np.zeros((g.order, g.order)) if problem.process_cov is None else problem.process_cov
+    S = np.zeros((g.order, g.outputs)) if problem.cross_cov is None else problem.cross_cov
+    joint = np.block([[Q, S], [S.T, problem.output_cov]])
+    size = np.sqrt(np.diag(joint))
+    size = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(joint / np.outer(size, size))
+    root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(root[: g.order]), np.asarray(root[g.order :])
+
+
+def no_return(s: StateSpace, channels: slice) -> bool:
     """Whether w of this fault never reaches its own z through the plant (checked on the Markov parameters)."""
     x = s.B[:, channels]
     for _ in range(s.order):

@@ -22,13 +22,14 @@ PARTS = 4
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """Settings: share of good data refused, lags, quiet samples remembered, samples to wait after a start or gap,
-    and the bounds of severity within which a fault may explain coloured data."""
+    """Settings: share of good data refused, lags, quiet samples remembered, samples to wait after a start or gap, and samples the
+    noise was ``estimated`` from (0: stated)."""
 
     level: float = 1e-3
     lags: int = 20
     window: int = 2500
     settle: int = 0
+    estimated: int = 0
 
     @property
     def needed(self) -> int:
@@ -73,7 +74,7 @@ class Gate:
                 False,
                 f"only {sums.n} quiet samples since {state.because}; expected {self.needed} to trust a decision",
             )
-        plain = whiteness(sums)
+        plain = whiteness(sums, self.estimated)
         return Judgement(plain.p >= self.level, plain.reason(self.level), plain)
 
     def explained(
@@ -87,7 +88,7 @@ class Gate:
             return None
         for i, (name, (low, high)) in enumerate(zip(names, bounds, strict=True)):
             theta = min(max(sums.severity(i)[0], low), high)
-            explained = whiteness_without(sums, i, theta)
+            explained = whiteness_without(sums, i, theta, self.estimated)
             if theta and explained.p >= self.level:
                 return Judgement(True, "", explained, name)
         return None

@@ -6,6 +6,9 @@
 of residual and features that all hypotheses share (`products`), so a sample costs the same however many there are; only
 the end of a block looks at every hypothesis. A crossing is noticed at the end of its block: at most one block late.
 
+Alarms come about in proportion to the information gained: with more of it than was expected (a reference moves) they would come too
+often. A `Clock` raises the boundary of each hypothesis as the information per block since its g last was zero demands.
+
 For one hypothesis the test is exactly minimax: no other reacts sooner, in the worst case, at the same average run length
 (G. V. Moustakides, *Ann. Statist.* 14, 1986).
 """
@@ -23,19 +26,45 @@ from numpy.typing import NDArray
 from afdsvc.detect.burst_detector import Finding
 from afdsvc.detect.features.sums import Products, add_products
 from afdsvc.detect.isolation import linear_fit, weights
+from afdsvc.detect.thresholds.average_run_length import boundary, run_length
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
+
+POINTS = 16  # of a clock
+LARGE = 8.0  # deflection per block beyond which no boundary is needed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clock:
+    """Boundary of one CUSUM of even steps by the deflection of a step: ``boundary (N,)`` at ``log_deflection (N,)``, both of them for
+    one run length; ``expected (H,)`` is the logarithm of every hypothesis' deflection per block in a loop at rest."""
+
+    log_deflection: Array
+    boundary: Array
+    expected: Array
+
+    @classmethod
+    def of(cls, deflection: Array, looks: float) -> Clock:
+        """Return the clock of hypotheses with these deflections per look that alarm once in so many looks."""
+        grid = np.geomspace(float(deflection.min()), max(LARGE, 2 * float(deflection.max())), POINTS)
+        found = [boundary(mu, looks) if 3 * run_length(mu, 1e-9) < looks else 0.0 for mu in grid.tolist()]
+        return cls(np.log(grid), np.array(found), np.log(deflection))
+
+
+def _no_clock(hypotheses: int) -> Clock:
+    return Clock(np.array([0.0, 1.0]), np.zeros(2), np.zeros(hypotheses))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CusumState:
-    """``g (H,)`` and samples ``n (H,)`` since each g last was zero; the products of all blocks in one row, ``total (M,)``,
+    """``g (H,)``, samples ``n (H,)`` and information ``gained (H,)`` since each g last was zero; the products of all blocks in one row, ``total (M,)``,
     and what they were when each g last was zero, ``began (H, M)``; the largest g so far; of the block that has begun:
     samples and products.
     """
 
     g: Array
     n: Array
+    gained: Array
     total: Array
     began: Array
     peak: float
@@ -47,7 +76,7 @@ class CusumState:
 @dataclass(frozen=True, slots=True, eq=False)
 class Cusum:
     """Hypotheses ``theta (H, p, F)`` per unit of severity, their ``severity (H,)``; ``fitted (K,)`` are those whose
-    severities are estimated; samples in a ``block``; ``boundary``.
+    severities are estimated; samples in a ``block``; ``boundary`` at the information expected, ``clock`` at more of it.
 
     ``at`` and ``quad`` hold theta and its products with the hypotheses along memory. Build one with `cusum`.
     """
@@ -59,13 +88,14 @@ class Cusum:
     boundary: float
     at: Array
     quad: Array
+    clock: Clock
 
     def start(self) -> CusumState:
         """Return the state at rest."""
         H, p, F = self.theta.shape
         M = p * F + F * (F + 1) // 2
         return CusumState(
-            np.zeros(H), np.zeros(H), np.zeros(M), np.zeros((H, M)), 0.0, 0, np.zeros((p, F)), np.zeros(M - p * F)
+            np.zeros(H), np.zeros(H), np.zeros(H), np.zeros(M), np.zeros((H, M)), 0.0, 0, np.zeros((p, F)), np.zeros(M - p * F)
         )
 
     def step(self, state: CusumState, flat: Array) -> tuple[CusumState, int, int]:
@@ -75,13 +105,18 @@ class Cusum:
         """
         if flat.shape[1] != sum(state.cross.shape):
             raise BadInput(f"series of {flat.shape[1]} columns; expected {' and '.join(map(str, state.cross.shape))} of residual and features")
-        g, n, total, began = state.g.copy(), state.n.copy(), state.total.copy(), state.began.copy()
+        g, n, gained, total, began = (a.copy() for a in (state.g, state.n, state.gained, state.total, state.began))
         cross, square = state.cross.copy(), state.square.copy()
         at, who, peak, begun = _cusum(
-            np.ascontiguousarray(flat), self.at, self.quad, self.severity, self.block, self.boundary, state.peak,
-            state.begun, g, n, total, began, cross, square,
+            np.ascontiguousarray(flat), self.at, self.quad, self.severity, self.block, self.boundary, self.clock.log_deflection,
+            self.clock.boundary, self.clock.expected, state.peak, state.begun, g, n, gained, total, began, cross, square,
         )
-        return CusumState(g, n, total, began, peak, begun, cross, square), at, who
+        return CusumState(g, n, gained, total, began, peak, begun, cross, square), at, who
+
+    def raised(self, state: CusumState, who: int) -> float:
+        """Return the boundary that hypothesis ``who`` has to cross."""
+        c = self.clock
+        return self.boundary + float(_raise(c.log_deflection, c.boundary, c.expected[who], state.gained[who], state.n[who] / self.block))
 
     def finding(
         self, state: CusumState, who: int, names: Sequence[str], bounds: tuple[float, float], sample: int
@@ -95,7 +130,8 @@ class Cusum:
         b, G = self._segment(state, who)
         fits = tuple(linear_fit(n, float(v), float(i), bounds) for n, v, i in zip(names, b, G, strict=True))
         parts = {"sample": float(sample), "delay_samples": float(state.n[who])}
-        return Finding(state.peak, self.boundary, fits, weights(fits), parts, early=True)
+        crossed, boundary = float(state.g[who]), self.raised(state, who)
+        return Finding(crossed if crossed > boundary else state.peak, boundary, fits, weights(fits), parts, early=True)
 
     def _segment(self, state: CusumState, who: int) -> tuple[Array, Array]:
         """Return score and information ``(K,)`` of the fitted hypotheses since g of ``who`` last was zero."""
@@ -106,18 +142,22 @@ class Cusum:
         return products.score(theta), np.diag(products.information(theta))
 
 
-def cusum(theta: Array, severity: Array, fitted: Sequence[int], block: int, boundary: float) -> Cusum:
+def cusum(
+    theta: Array, severity: Array, fitted: Sequence[int], block: int, boundary: float, clock: Clock | None = None
+) -> Cusum:
     """Return the CUSUMs of the hypotheses ``theta (H, p, F)`` at the given severities."""
     H, p, F = theta.shape
     i, j = np.triu_indices(F)
     twice = np.where(i == j, 1.0, 2.0)
     quad = np.einsum("hqj,hqj->jh", theta[:, :, i], theta[:, :, j]) * twice[:, None]
     at = np.ascontiguousarray(theta.reshape(H, p * F).T)
-    return Cusum(theta, np.asarray(severity, dtype=float), np.array(fitted, dtype=np.intp), block, boundary, at, quad)
+    return Cusum(theta, np.asarray(severity, dtype=float), np.array(fitted, dtype=np.intp), block, boundary, at, quad, clock or _no_clock(H))
 
 
 @njit(cache=True)
-def _cusum(flat, at, quad, severity, block, boundary, peak, begun, g, n, total, began, cross, square):  # type: ignore[no-untyped-def]
+def _cusum(  # type: ignore[no-untyped-def]
+    flat, at, quad, severity, block, boundary, deflection, boundaries, expected, peak, begun, g, n, gained, total, began, cross, square
+):
     score, information, p = np.zeros(g.size), np.zeros(g.size), cross.shape[0]
     for t in range(flat.shape[0]):
         add_products(flat[t, :p], flat[t, p:], cross, square)
@@ -131,12 +171,24 @@ def _cusum(flat, at, quad, severity, block, boundary, peak, begun, g, n, total, 
         total[cross.size :] += square
         cross[:] = 0.0
         square[:] = 0.0
-        highest = _advanced(g, n, total, began, severity, score, information, block)
-        if highest >= 0:
-            peak = max(peak, g[highest])
-            if g[highest] > boundary:
-                return t, highest, peak, begun
+        _advanced(g, n, gained, total, began, severity, score, information, block)
+        highest, margin = -1, -np.inf
+        for h in range(g.size):
+            peak = max(peak, g[h])
+            if g[h] > boundary:
+                over = g[h] - boundary - _raise(deflection, boundaries, expected[h], gained[h], n[h] / block)
+                if over > margin:
+                    highest, margin = h, over
+        if margin > 0.0:
+            return t, highest, peak, begun
     return -1, -1, peak, begun
+
+
+@njit(cache=True)
+def _raise(deflection, boundaries, expected, gained, blocks):  # type: ignore[no-untyped-def]
+    """Return what the boundary is raised by when so much information came in so many blocks."""
+    found = 0.5 * np.log(gained / blocks) if gained > 0.0 else expected
+    return max(np.interp(found, deflection, boundaries) - np.interp(expected, deflection, boundaries), 0.0) if found > expected else 0.0
 
 
 @njit(cache=True)
@@ -150,15 +202,12 @@ def _combined(M, v, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _advanced(g, n, total, began, severity, score, information, block):  # type: ignore[no-untyped-def]
-    """Advance every g by one block, those down to zero begin anew; return the highest (-1 without any)."""
-    highest = -1
+def _advanced(g, n, gained, total, began, severity, score, information, block):  # type: ignore[no-untyped-def]
+    """Advance every g by one block; those down to zero begin anew."""
     for h in range(g.size):
         g[h] += severity[h] * (score[h] - 0.5 * severity[h] * information[h])
         n[h] += block
+        gained[h] += severity[h] ** 2 * information[h]
         if g[h] <= 0.0:
-            g[h], n[h] = 0.0, 0.0
+            g[h], n[h], gained[h] = 0.0, 0.0, 0.0
             began[h] = total
-        if highest < 0 or g[h] > g[highest]:
-            highest = h
-    return highest

@@ -15,7 +15,8 @@ import numpy as np
 from afdsvc.api.bursts import Line
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.features.demodulation import coefficients
-from afdsvc.detect.features.regressors import whitener
+from afdsvc.detect.features.regressors import noise_sources, whitener
+from afdsvc.errors import BadInput
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.lft import AugmentedPlant
 from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
@@ -25,9 +26,8 @@ from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
 class Paths:
     """Responses from alpha at L frequencies and T severities: to y and r ``(T, L, p, m)``, to u ``(T, L, m, m)``.
 
-    ``y`` is the plant output before measurement noise as the (possibly faulty) sensors report it. ``noise (T, L, p,
-    p)`` leads from the residual of the healthy machine to that of the faulty one: a fault colours the loop's own
-    noise.
+    ``y`` is the plant output before measurement noise as the (possibly faulty) sensors report it. ``noise (T, L, p, q)`` leads from
+    unit white noise to the normalised residual: a fault colours the loop's own noise.
     """
 
     y: ComplexArray
@@ -38,36 +38,45 @@ class Paths:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopResponse:
-    """The loop at L frequencies, open where faults enter; `paths` closes it for any fault and severity."""
+    """The loop at L frequencies, open where faults enter; `paths` closes it for any fault and severity.
+
+    ``driven (L, channels + p, q)`` leads from unit white process and sensor noise to ``[z, y]``; None where sensor noise is all there
+    is. ``Li`` normalises the residual.
+    """
 
     augmented: AugmentedPlant
     plant: ComplexArray
     controller: ComplexArray
     residual: ComplexArray
+    Li: Array
+    driven: ComplexArray | None = None
 
     def paths(self, fault: str, severities: Sequence[float] | Array) -> Paths:
         """Return the responses under one fault at every severity."""
-        s = np.asarray(severities, dtype=float)
-        k, own = self.augmented.channels, self.augmented.channels_of(fault)
-        Gzw, Gzu = self.plant[:, own, own], self.plant[:, own, k:]
-        Gyw, Gyu = self.plant[:, k:, own], self.plant[:, k:, k:]
-        th = s[:, None, None, None]
-        direct = th * np.broadcast_to(Gzu, (len(s), *Gzu.shape))
-        inner = np.linalg.solve(np.eye(own.stop - own.start) - th * Gzw, direct)
-        return self._close(Gyu + Gyw @ inner)
+        own = self.augmented.channels_of(fault)
+        return self._closed(np.asarray(severities, dtype=float)[:, None, None, None], range(own.start, own.stop))
 
     def together(self, severities: Mapping[str, float]) -> Paths:
         """Return the responses with several faults present at once (T = 1)."""
-        k, th = self.augmented.channels, self.augmented.severities(severities)[:, None]
-        inner = np.linalg.solve(np.eye(k) - th * self.plant[:, :k, :k], th * self.plant[:, :k, k:])
-        return self._close((self.plant[:, k:, k:] + self.plant[:, k:, :k] @ inner)[None])
+        return self._closed(self.augmented.severities(severities)[None, None, :, None], range(self.augmented.channels))
 
     def healthy(self) -> Paths:
         """Return the responses without a fault (T = 1)."""
         k = self.augmented.channels
-        return self._close(self.plant[None, :, k:, k:])
+        return self._close(self.plant[None, :, k:, k:], None if self.driven is None else self.driven[None, :, k:])
 
-    def _close(self, G: ComplexArray) -> Paths:
+    def _closed(self, th: Array, own: range) -> Paths:
+        """Return the responses for severities ``th (T, 1, 1 or channels, 1)`` of the channels ``own``."""
+        k, channels = self.augmented.channels, slice(own.start, own.stop)
+        inner = np.eye(len(own)) - th * self.plant[:, channels, channels]
+
+        def with_faults(into: ComplexArray) -> ComplexArray:
+            direct = th * np.broadcast_to(into[:, channels], (len(th), *into[:, channels].shape))
+            return np.asarray(into[:, k:] + self.plant[:, k:, channels] @ np.linalg.solve(inner, direct), dtype=np.complex128)
+
+        return self._close(with_faults(self.plant[:, :, k:]), None if self.driven is None else with_faults(self.driven))
+
+    def _close(self, G: ComplexArray, disturbance: ComplexArray | None) -> Paths:
         p, m = G.shape[-2:]
         Kuy, Kua = self.controller[:, :m, :p], self.controller[:, :m, p:]
         loop, drive = np.eye(m) - Kuy @ G, np.broadcast_to(Kua, (*G.shape[:2], m, m))
@@ -75,17 +84,29 @@ class LoopResponse:
         y = np.asarray(G @ u, dtype=np.complex128)
         from_y, from_u = self.residual[:, :, :p], self.residual[:, :, p:]
         loop_y = np.eye(p) - G @ Kuy
-        noise = (from_y + from_u @ Kuy) @ np.linalg.solve(loop_y, np.broadcast_to(np.linalg.inv(from_y), loop_y.shape))
+        # Sensor noise alone is what the filter whitens, whatever the fault: then it is found from the healthy residual.
+        noise = np.broadcast_to(np.linalg.inv(from_y), loop_y.shape) if disturbance is None else disturbance
+        noise = self.Li @ ((from_y + from_u @ Kuy) @ np.linalg.solve(loop_y, noise))
+        noise = noise @ np.linalg.inv(self.Li) if disturbance is None else noise
         return Paths(y, u, from_y @ y + from_u @ u, np.asarray(noise, dtype=np.complex128))
 
 
 def loop_response(problem: DetectionProblem, omega: Sequence[float] | Array) -> LoopResponse:
-    """Return the loop at the frequencies [rad/s]."""
+    """Return the loop at the frequencies [rad/s]; raises `BadInput` where the controller is not known."""
+    if not problem.loop_known:
+        raise BadInput(
+            f"machine '{problem.machine}' states no controller: what its loop makes of an excitation is not known; state [controller] "
+            "in its model, or use the detector 'regression'"
+        )
+
     def at(system: StateSpace) -> ComplexArray:
         return frequency_response(system, np.asarray(omega, dtype=float))
 
-    controller, residual = at(problem.interconnection), at(problem.innovations)
-    return LoopResponse(problem.augmented, at(problem.augmented.system), controller, residual)
+    controller, residual, driven = at(problem.interconnection), at(problem.innovations), None
+    if problem.process_cov is not None and problem.process_cov.any():
+        s, k, (Bn, Dn) = problem.augmented.system, problem.augmented.channels, noise_sources(problem)
+        driven = at(StateSpace(s.A, Bn, s.C, np.vstack([np.zeros((k, Bn.shape[1])), Dn]), s.dt))
+    return LoopResponse(problem.augmented, at(problem.augmented.system), controller, residual, whitener(problem.covariance), driven)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,8 +146,7 @@ class FaultCurves:
         return np.asarray((high - low) / (2 * h))
 
     def _noise(self, paths: Paths) -> Array:
-        T = self.Li @ paths.noise @ np.linalg.inv(self.Li)
-        return _covariance(T @ np.swapaxes(T.conj(), -1, -2))
+        return _covariance(paths.noise @ np.swapaxes(paths.noise.conj(), -1, -2))
 
     def _points(self, paths: Paths) -> Array:
         picked = np.stack([paths.r[:, i, :, column] for i, column in enumerate(self.inputs)], axis=1)

@@ -24,7 +24,7 @@ from afdsvc.detect.features.quiet_window import NOTHING, Recent
 from afdsvc.detect.features.regressors import regressors
 from afdsvc.detect.features.shared_filter import Filters, shared
 from afdsvc.detect.features.whiteness_gate import Gate, GateState, Judgement, finite
-from afdsvc.detect.statistics.cusum import Cusum, CusumState, cusum
+from afdsvc.detect.statistics.cusum import Clock, Cusum, CusumState, cusum
 from afdsvc.detect.thresholds import average_run_length
 from afdsvc.detect.thresholds.cusum_boundary import rate_boundary
 from afdsvc.detect.thresholds.joint_false_alarm_rate import joint_rate
@@ -204,9 +204,11 @@ def passive_detector(
         raise BadInput(f"detector '{name}': the loop's own noise shows none of the faults; expected a burst for them")
     theta, block = np.full(len(which), severity), max(1, round(BLOCK / problem.plant.dt))
     boundary = _boundary(problem, noise, filters, which, theta, block)
-    gate = replace(gate, settle=filters.settling())
+    gate = replace(gate, settle=filters.settling(), estimated=problem.noise_samples)
     silence = math.ceil(silence_seconds / problem.plant.dt)
-    test = cusum(filters.theta[which], theta, range(len(which)), block, boundary)
+    looks = 3600 / (problem.false_alarms.per_hour * problem.plant.dt * block)
+    clock = Clock.of(np.abs(theta) * np.sqrt(block * passive[which]), looks)
+    test = cusum(filters.theta[which], theta, range(len(which)), block, boundary, clock)
     return PassiveDetector(name, problem, filters, gate, which, test, silence, sure, frozen, nuisances)
 
 

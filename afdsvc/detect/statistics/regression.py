@@ -11,35 +11,47 @@ variance in short bursts; mean and variance to order 1/n are computed from the l
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.burst_detector import BurstSamples, Finding
+from afdsvc.detect.combinations import JOINED, Combination, combined, course, weighed
+from afdsvc.detect.features.burst_noise import compared, energy
 from afdsvc.detect.features.demodulation import Basis, BasisSums, project
 from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
-from afdsvc.detect.features.regressors import Regressors
+from afdsvc.detect.features.regressors import Regressors, no_return
 from afdsvc.detect.features.shared_filter import Filters
 from afdsvc.detect.features.sums import Products
-from afdsvc.detect.isolation import anything_log_evidence, linear_fit, weights
+from afdsvc.detect.isolation import NONE as NONE_OF_THESE
+from afdsvc.detect.isolation import Fit, anything_log_evidence, linear_fit, weights
 from afdsvc.detect.thresholds import maximum
 from afdsvc.detect.thresholds.regressor_information import NoiseDriven, noise_driven
 from afdsvc.lti.statespace import Array
 
 UNSEEN = 1e-9  # a fault whose information is below this share of the best seen one is invisible to this burst
+PARTS = 8  # of a burst, each with its own severity
+CONSTANT = 1e-3  # p-value below which a severity is said to have changed, or energy to be unexplained
+OPEN = 0.05  # odds of the likeliest pair against the likeliest single fault from which pairs are weighed with them
+NEGLIGIBLE = 1e-6  # weight of a combination that is not listed
 CURVATURE = 2.0  # errors of first-order severities seen are 1.2 to 2.2 times the severity's square
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegressionSums:
-    """Products of residual and features, the residual on the excited lines, and the nuisances learnt so far."""
+    """Products of residual and features, the residual on the excited lines, the nuisances learnt so far, the energy of the residual, and
+    products and energy as they were at the end of every part of the burst."""
 
     products: Products
     lines: BasisSums
     cleaning: Cleaning | None = None
+    energy: float = 0.0
+    parts: tuple[tuple[Products, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +59,8 @@ class Regression:
     """Statistic of the regression detector. ``false_alarm`` is per burst, ``bounds`` those of the severities, ``sd``
     the standard deviations of the model's uncertain parameters, which are averaged out, ``nuisances`` what is projected
     out of residual and regressors, ``theta (K, p, F)`` makes the regressors from the features in the series. Severities of
-    the standard errors of the faults of ``first_order`` include twice the square of the severity.
+    the standard errors of the faults of ``first_order`` include twice the square of the severity. ``estimated`` counts the samples that
+    the noise was estimated from (0: stated); faults of ``feedthrough`` do not change the signal they multiply, but for the loop.
     """
 
     names: tuple[str, ...]
@@ -59,6 +72,8 @@ class Regression:
     theta: Array
     nuisances: Nuisances = NONE
     first_order: frozenset[str] = frozenset()
+    estimated: int = 0
+    feedthrough: frozenset[str] = frozenset()
 
     def start(self, burst: Burst, dt: float) -> RegressionSums:
         """Return empty sums."""
@@ -72,7 +87,14 @@ class Regression:
         basis = self.nuisances.basis(_omega(samples.block.burst), angle is not None)
         lines = sums.lines if sums.products.n else BasisSums.empty(basis, self.outputs)
         lines = lines.add(basis, samples.first, samples.dt, e, angle)
-        return RegressionSums(sums.products.add(clean), lines, cleaning), None
+        assert samples.block.burst is not None  # noqa: S101 - the frame hands over samples of bursts only
+        length, products, total, parts = -(-samples.block.burst.samples // PARTS), sums.products, sums.energy, sums.parts
+        edges = range(samples.first - samples.first % length + length, samples.first + len(clean), length)
+        for a, b in pairwise((samples.first, *edges, samples.first + len(clean))):
+            part = clean[a - samples.first : b - samples.first]
+            products, total = products.add(part), energy(np.ascontiguousarray(part[:, 0]), total)
+            parts = (*parts, (products, total)) if b % length == 0 or b == samples.block.burst.samples else parts
+        return RegressionSums(products, lines, cleaning, total, parts), None
 
     def decide(self, sums: RegressionSums, burst: Burst, dt: float) -> Sequence[Finding]:
         """Return one finding for all outputs together."""
@@ -82,7 +104,74 @@ class Regression:
         fits = tuple(linear_fit(name, float(v), float(g), self.bounds) for name, v, g in both)
         parts = {"samples": float(sums.products.n)}
         adjusted = tuple(replace(f, sd=float(np.hypot(f.sd, CURVATURE * f.severity**2))) if f.fault in self.first_order else f for f in fits)
-        return [Finding(statistic, h, adjusted, weights(fits, self._anything(sums, burst)), parts)]
+        finding = Finding(statistic, h, adjusted, weights(fits, self._anything(sums, burst)), parts)
+        return [self._explained(finding, sums, b, G) if statistic > h else finding]
+
+    def _explained(self, finding: Finding, sums: RegressionSums, b: Array, G: Array) -> Finding:
+        """Return a finding that two faults explain, or one whose fault changed during the burst, or what remains unexplained."""
+        n, seen = sums.products.n, np.flatnonzero(np.diag(G) > UNSEEN * np.diag(G).max(initial=0.0)).tolist()
+        found = combined(b, G, seen, self.bounds)
+        single = max((c for c in found if len(c.faults) == 1), key=lambda c: c.gain, default=None)
+        if single is None:
+            return finding
+        pair = max((c for c in found if len(c.faults) == 2), key=lambda c: c.gain, default=single)
+        bent = self._bent(single, G, n) / 2
+        if len(pair.faults) == 2 and pair.score(n) - single.score(n) > bent + math.log(OPEN):
+            return self._left(self._paired(finding, found, pair, n), sums, pair)
+        changed = self._changed(finding, sums, single)
+        return changed if changed is not finding else self._left(finding, sums, single)
+
+    def _paired(self, finding: Finding, found: Sequence[Combination], pair: Combination, n: int) -> Finding:
+        """Return the finding with single faults and pairs weighed, and fits of the likeliest pair."""
+        kept = {name: w for name, w in weighed(found, self.names, n).items() if w > NEGLIGIBLE}
+        together = Fit(JOINED.join(self.names[i] for i in pair.faults), float(pair.severity.min()), math.inf, pair.gain, pair.gain)
+        product = abs(float(pair.severity.prod()))  # what the second fault makes of the first is not in the regressors
+        both = zip(pair.faults, pair.severity.tolist(), np.hypot(np.sqrt(np.diag(pair.covariance)), product).tolist(), strict=True)
+        told = {f"together.{what}.{self.names[i]}": v for i, s, sd in both for what, v in (("severity", s), ("sd", sd))}
+        return replace(finding, fits=(*finding.fits, together), weights=kept, parts={**finding.parts, **told})
+
+    def _changed(self, finding: Finding, sums: RegressionSums, single: Combination) -> Finding:
+        """Return the finding with the course of its fault and its severity at the end, where the fault did not stay the same."""
+        i = single.faults[0]
+        products = [products for products, _ in sums.parts]
+        b, G = (np.array(v) for v in zip(*(self._own(p, i) for p in products), strict=True))
+        told = course(np.diff(b, prepend=0.0), np.diff(G, prepend=0.0))
+        bent = 0.0 if told is None or self.names[i] not in self.first_order else CURVATURE * float(single.severity[0]) ** 2
+        if told is None or not told.p < CONSTANT or np.ptp(told.severity) < 2 * bent:
+            return finding
+        severity, sd = told.now()
+        fits = tuple(replace(f, severity=float(np.clip(severity, *self.bounds)), sd=sd) if f.fault == self.names[i] else f for f in finding.fits)
+        parts = {f"course.{k}": float(s) for k, s in enumerate(told.severity)}
+        return replace(finding, fits=fits, parts={**finding.parts, **parts, "course_p": told.p, "onset_part": float(told.onset)})
+
+    def _own(self, products: Products, fault: int) -> tuple[float, float]:
+        theta = self.theta[fault : fault + 1]
+        return float(products.score(theta)[0]), float(products.information(theta)[0, 0])
+
+    def _left(self, finding: Finding, sums: RegressionSums, best: Combination) -> Finding:
+        """Return the finding without a name where the residual holds more energy than noise and the best explanation."""
+        theta = self.theta[list(best.faults)]
+        b, G = sums.products.score(theta), sums.products.information(theta)
+        left = sums.energy - 2 * float(best.severity @ b) + float(best.severity @ G @ best.severity)
+        left -= self._bent(best, sums.products.information(self.theta), sums.products.n) + self._uncertain(sums)
+        share, p = compared(left, sums.products.n * self.outputs, self.estimated * self.outputs, CONSTANT)
+        if not share > 1.0:
+            return finding
+        return replace(finding, weights={NONE_OF_THESE: 1.0}, parts={**finding.parts, "unexplained_share": share - 1, "unexplained_p": p})
+
+    def _bent(self, best: Combination, G: Array, n: int) -> float:
+        """Return the energy that first-order regressors may leave: of the loop's noise alone where the fault does not feed back on itself."""
+        own = [i for i in best.faults if self.names[i] in self.first_order]
+        held = {i: min(G[i, i], n * self.noise.passive[i]) if self.names[i] in self.feedthrough else G[i, i] for i in own}
+        return float(sum((CURVATURE * float(s) ** 2) ** 2 * held[i] for i, s in zip(best.faults, best.severity, strict=True) if i in held))
+
+    def _uncertain(self, sums: RegressionSums) -> float:
+        """Return the energy that the model's uncertain parameters explain."""
+        if not len(self.sd):
+            return 0.0
+        own = self.theta[len(self.names) :]
+        b, G = sums.products.score(own), sums.products.information(own)
+        return float(b @ np.linalg.solve(G + np.diag(1 / self.sd**2), b))
 
     def test(self, sums: RegressionSums, burst: Burst) -> tuple[float, float]:
         """Return statistic and threshold only."""
@@ -128,7 +217,9 @@ def regression(
     p, rate = problem.plant.outputs, problem.false_alarms.per_burst
     noise = noise_driven(problem, filters if isinstance(filters, Regressors) else None)
     first_order = frozenset(n for n, exact in zip(filters.names, filters.exact, strict=False) if not exact)
-    return Regression(problem.fault_names, filters.sd, p, rate, problem.severity_range, noise, filters.theta, nuisances, first_order)
+    s = problem.augmented.system
+    straight = frozenset(n for n in problem.fault_names if no_return(s, problem.augmented.channels_of(n)))
+    return Regression(problem.fault_names, filters.sd, p, rate, problem.severity_range, noise, filters.theta, nuisances, first_order, problem.noise_samples, straight)
 
 
 def _omega(burst: Burst | None) -> tuple[float, ...]:

@@ -6,11 +6,13 @@ from collections.abc import Iterable
 
 from afdsvc.api.detection import DetectorDesign
 from afdsvc.plugins.detectors.baselines import DESIGNS as BASELINES
+from afdsvc.plugins.detectors.burst_detectors import (
+    FaultCurvesDesign,
+    IteratedRegressionDesign,
+    MatchedFilterDesign,
+    RegressionDesign,
+)
 from afdsvc.plugins.detectors.cusum import ActiveCusumDesign, PassiveCusumDesign
-from afdsvc.plugins.detectors.fault_curves import FaultCurvesDesign
-from afdsvc.plugins.detectors.iterated_regression import IteratedRegressionDesign
-from afdsvc.plugins.detectors.matched_filter import MatchedFilterDesign
-from afdsvc.plugins.detectors.regression import RegressionDesign
 from afdsvc.plugins.hookspecs import hookimpl
 
 

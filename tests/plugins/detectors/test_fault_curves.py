@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from afdsvc.errors import BadInput
-from afdsvc.plugins.detectors.fault_curves import FaultCurvesDesign
+from afdsvc.plugins.detectors.burst_detectors import FaultCurvesDesign
 
 QUIET, DT = 3000, 2e-4
 

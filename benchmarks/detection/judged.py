@@ -1,0 +1,38 @@
+"""One burst on a true machine, judged by one detector."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from afdsvc.api.bursts import Burst
+from afdsvc.api.detection import DetectionProblem, Detector, ResidualBlock
+from afdsvc.api.evidence import Evidence
+from afdsvc.lti.simulate import simulate
+from benchmarks.detection.truth import TrueMachine
+from benchmarks.detection.truth_problem import alpha_of, loss_of
+
+QUIET = 3000  # samples before the burst
+
+
+def judged(
+    machine: TrueMachine, problem: DetectionProblem, detector: Detector, burst: Burst, seed: int,
+    loss: Mapping[str, float] | np.ndarray | None = None, noisier: float = 1.0, units: tuple[float, float] = (1.0, 1.0),
+) -> Evidence:
+    """Return the decision on a burst after quiet samples; ``loss`` by fault, or ``(samples, faults)`` over the burst; ``noisier`` multiplies
+    the noise of the burst. ``units`` multiply the numbers of inputs and outputs between machine and detector."""
+    alpha = alpha_of(burst, machine.dt, QUIET)
+    course = np.zeros((len(alpha), len(problem.fault_names)))
+    course[0 if isinstance(loss, Mapping) else QUIET :] = loss_of(problem, dict(loss)) if isinstance(loss, Mapping) else 0.0 if loss is None else loss
+    run = machine.run(np.random.default_rng(seed), alpha, course, noisier=np.r_[np.ones(QUIET), np.full(burst.samples, noisier)])
+    u, y, beta = units[0] * run["u"], units[1] * run["y"], units[1] * run["beta"]
+    r, _ = simulate(problem.innovations, np.hstack([y, u]))
+    burst = replace(burst, lines=tuple(replace(line, amplitude=units[0] * line.amplitude) for line in burst.lines))
+    state, found = detector.start(), []
+    for a, b, playing in ((0, QUIET, None), (QUIET, len(alpha), burst)):
+        parts = (r, beta, u, y, units[0] * alpha)
+        state, evidence = detector.step(state, ResidualBlock(a, machine.dt, *(x[a:b] for x in parts), playing, burst.name if playing else "", QUIET))
+        found += evidence
+    return found[-1]

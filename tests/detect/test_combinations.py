@@ -1,0 +1,77 @@
+"""Two faults at once, faults that change inside a burst, and energy that nothing explains."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from afdsvc.api.bursts import Burst, Line
+from afdsvc.api.detection import FalseAlarms
+from afdsvc.detect.combinations import combined, course, weighed
+from afdsvc.plugins.detectors.burst_detectors import RegressionDesign
+from benchmarks.detection.judged import judged
+from benchmarks.detection.truth import machines
+from benchmarks.detection.truth_problem import loss_of, problem_of
+
+MACHINE = next(m for m in machines() if m.name == "direct feedthrough")
+PROBLEM = problem_of(MACHINE, FalseAlarms(1e-2))
+BURST = Burst("b", 2, 2000, 100, tuple(Line(i, w + 70.0 * i, 2.5) for i in range(2) for w in (220.0, 610.0)), settle=60)
+DETECTOR = RegressionDesign().design(PROBLEM, {})
+
+
+def found(loss, runs=20):
+    return [judged(MACHINE, PROBLEM, DETECTOR, BURST, seed, loss) for seed in range(runs)]
+
+
+@pytest.mark.parametrize("faults", [("a0", "s0"), ("a1", "s1")])
+def test_both_of_two_faults_are_named(faults):
+    evidence = found(dict.fromkeys(faults, -0.2))
+    assert Counter(e.fault for e in evidence)["+".join(faults)] >= 19
+    for e in evidence:
+        if e.fault:
+            assert all(abs(e.parts[f"together.severity.{f}"] + 0.2) < 5 * e.parts[f"together.sd.{f}"] for f in faults)
+
+
+def test_pairs_that_do_the_same_share_the_weight():
+    """Both actuators or both sensors a fifth weaker: the same loop gain."""
+    for e in found({"a0": -0.2, "a1": -0.2}, 5):
+        assert (e.detected, e.fault) == (True, None)
+        assert e.weights["a0+a1"] + e.weights["s0+s1"] > 0.99
+
+
+@pytest.mark.parametrize("fault", ["a0", "s1"])
+def test_one_fault_stays_one(fault):
+    assert Counter(e.fault for e in found({fault: -0.2}))[fault] >= 19
+
+
+def test_a_fault_that_begins_in_the_burst_is_reported_at_its_present_severity():
+    after = (np.arange(BURST.samples) >= BURST.samples // 2)[:, None] * loss_of(PROBLEM, {"a0": -0.3})
+    for e in found(after, 6):
+        assert (e.fault, e.parts["onset_part"]) == ("a0", 4.0)
+        assert e.severity is not None
+        assert abs(e.severity.value + 0.3) < 5 * e.severity.sd
+        assert [e.parts[f"course.{k}"] < -0.15 for k in range(8)] == [False] * 4 + [True] * 4
+    assert all("onset_part" not in e.parts for e in found({"a0": -0.3}, 6))
+
+
+def test_energy_that_nothing_explains_withholds_the_name():
+    rng = np.random.default_rng(0)
+    rattle = rng.normal(0, 0.3, (BURST.samples, 1)) * loss_of(PROBLEM, {"s0": 1.0}) + loss_of(PROBLEM, {"a0": -0.3})  # a loose contact
+    evidence = found(rattle, 6)
+    assert all(e.detected and e.fault is None and e.weights == {"none_of_these": 1.0} for e in evidence)
+
+
+def test_faults_that_cannot_be_told_apart_are_not_combined():
+    G = np.array([[100.0, 100.0, 0.0], [100.0, 100.0, 0.0], [0.0, 0.0, 50.0]])
+    all_of = combined(np.array([-30.0, -30.0, -20.0]), G, [0, 1, 2], (-1.0, 0.0))
+    assert [c.faults for c in all_of] == [(0,), (1,), (2,), (0, 2), (1, 2)]
+    weights = weighed(all_of, ("a", "b", "c"), 1000)
+    assert weights["a"] == pytest.approx(weights["b"])
+    assert weights["a+c"] == pytest.approx(weights["b+c"])
+    assert max(c.gain for c in all_of) == pytest.approx(30**2 / 200 + 20**2 / 100)
+
+
+def test_a_course_that_stays_the_same_has_uniform_p_values():
+    rng, G = np.random.default_rng(1), np.full(8, 400.0)
+    p = [course(-0.2 * G + 20 * rng.standard_normal(8), G).p for _ in range(2000)]
+    assert np.mean(np.array(p) < 0.1) == pytest.approx(0.1, abs=0.02)

@@ -1,0 +1,51 @@
+"""Units decide nothing: states, inputs and outputs in 1e-12 or 1e12 of a unit lead to the same decisions."""
+
+import numpy as np
+import pytest
+
+from afdsvc.api.bursts import Burst, Line
+from afdsvc.api.detection import FalseAlarms
+from afdsvc.detect.features.noise_calibration import calibrate_noise
+from afdsvc.lti.statespace import StateSpace
+from afdsvc.lti.whitening import innovations
+from afdsvc.plugins.manager import load
+from benchmarks.detection.judged import judged
+from benchmarks.detection.truth import machines
+from benchmarks.detection.truth_problem import problem_of
+
+BASE = {m.name: m for m in machines()}
+UNITS = {"tiny states": (1e-12, 1, 1), "huge states": (1e12, 1, 1), "tiny signals": (1, 1e-12, 1e-12), "opposed": (1e9, 1e-9, 1e-12)}
+
+
+def decided(base, scaled, kind, units):
+    problem = problem_of(scaled, FalseAlarms(1e-2))
+    size = float(base.spread()[1].max())
+    burst = Burst("b", base.shape[1], 2000, 100, tuple(Line(i, w + 70.0 * i, 8 * size) for i in range(base.shape[1]) for w in (220.0, 610.0)), settle=100)
+    return judged(base, problem, load().get("detectors", kind).design(problem, {}), burst, 3, {"a0": -0.12}, units=units)
+
+
+@pytest.mark.parametrize("kind", ["matched_filter", "regression", "iterated_regression"])
+@pytest.mark.parametrize("name", ["unstable", "direct feedthrough"])
+def test_decisions(kind, name):
+    machine = BASE[name]
+    n, m, p = machine.shape
+    before = decided(machine, machine, kind, (1.0, 1.0))
+    for s, i, o in UNITS.values():
+        scaled = machine.scaled(s * np.logspace(-0.5, 0.5, n), np.full(m, i), np.full(p, o))
+        after = decided(machine, scaled, kind, (i, o))
+        assert (after.detected, after.fault, after.reason) == (before.detected, before.fault, before.reason)
+        assert after.statistic == pytest.approx(before.statistic, rel=1e-4)
+        assert after.threshold == pytest.approx(before.threshold, rel=1e-3)  # found by sampling
+
+
+@pytest.mark.parametrize("units", UNITS.values(), ids=list(UNITS))
+def test_calibration(units):
+    machine, (s, i, o) = BASE["process noise large"], units
+    n, m, p = machine.shape
+    found = []
+    for one in (machine, machine.scaled(np.full(n, s), np.full(m, i), np.full(p, o))):
+        run = one.run(np.random.default_rng(1), np.zeros((3000, m)))
+        plant = StateSpace(one.A, one.B, one.C, one.D, one.dt)
+        noise = calibrate_noise(plant, run["u"], run["y"])
+        found.append(innovations(plant, noise.output_cov, noise.process_cov, noise.cross_cov).covariance)
+    assert found[1] / o**2 == pytest.approx(found[0], rel=1e-3)

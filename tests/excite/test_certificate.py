@@ -1,0 +1,60 @@
+"""Bursts that are safe before they are played: against the truth simulator, transients and noise included."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from afdsvc.api.bursts import Burst, Line
+from afdsvc.errors import Refused
+from afdsvc.excite.certificate import certificate
+from afdsvc.excite.diagnosis_burst import Aim, default_burst
+from benchmarks.detection.truth import TrueMachine, machines
+from benchmarks.detection.truth_problem import alpha_of, loss_of, problem_of
+
+MACHINES = {m.name: m for m in machines()}
+
+
+def ringing(radius: float) -> TrueMachine:
+    """An oscillator that a weak controller leaves ringing."""
+    c, s = radius * np.cos(0.3), radius * np.sin(0.3)
+    A, B, C = np.array([[c, s], [-s, c]]), np.array([[0.0], [1.0]]), np.eye(2)
+    return TrueMachine("ringing", A, B, C, np.zeros((2, 1)), np.array([[0.0, -1e-4]]), -0.05 * np.eye(2), 1e-4 * np.eye(2), 0.01 * np.eye(2))
+
+
+@pytest.mark.parametrize("name", ["order 8, process noise small", "process noise large", "unstable", "one input, three outputs", "ringing"])
+def test_no_limit_is_passed_with_any_fault(name):
+    machine = ringing(0.99) if name == "ringing" else MACHINES[name]
+    problem, aim = problem_of(machine, room=9.0), Aim(severity=-0.3)
+    burst = default_burst(problem, problem.limits, 2.0, 1e3 * float(problem.limits.output.max()), aim)  # as large as may be
+    assert certificate(problem, problem.limits, burst, -0.3).factor >= 1 - 1e-9
+    assert "% of the room below the limit of" in burst.notes["certificate"]
+    for k, fault in enumerate([None, *problem.fault_names]):
+        loss = None if fault is None else loss_of(problem, {fault: -0.3 if machine.name != "unstable" else -0.02})
+        y = machine.run(np.random.default_rng(k), alpha_of(burst, machine.dt, 500), loss)["y"]
+        assert (np.abs(y) <= problem.limits.output).all()
+
+
+def test_a_transient_counts_and_not_only_the_steady_line():
+    problem = problem_of(ringing(0.999))
+    line = Line(0, 280.0, 1.0)  # beside the resonance: beats for longer than the ramp
+    burst = Burst("b", 1, 3000, 20, (line,))
+    limits = replace(problem.limits, input=np.full(1, 1e9), alpha=np.full(1, 1e9))
+    found = certificate(problem, limits, burst, -0.1)
+    steady = certificate(problem, limits, replace(burst, samples=6000, ramp=2900), -0.1)
+    assert found.factor < 0.8 * steady.factor
+
+
+def test_noise_that_fills_a_limit_is_refused_by_name():
+    machine = MACHINES["process noise large"]
+    problem = problem_of(machine, room=5.0)
+    with pytest.raises(Refused, match="noise alone reaches the limit of output 'y"):
+        certificate(problem, problem.limits, Burst("b", 2, 1000, 50, (Line(0, 300.0, 1.0),)), -0.5)
+
+
+def test_a_loop_that_rings_through_the_burst_is_refused_in_words():
+    problem = problem_of(ringing(0.997))
+    with pytest.raises(Refused, match=r"the loop rings for .* expected a burst of at least"):
+        default_burst(problem, problem.limits, 1.5, aim=Aim(severity=-0.3))
+    longer = default_burst(problem, problem.limits, 6.0, aim=Aim(severity=-0.3))
+    assert longer.settle > 0.2 * longer.samples
