@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -12,6 +14,7 @@ from afdsvc.api.port import DrivablePort, Drive, Port
 from afdsvc.api.signals import Block
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.hal.lease import LeaseTimer
+from afdsvc.hal.store import Store
 from afdsvc.transport.freshness import FRESH_SECONDS, Freshness
 from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.transport.zenoh_session import Transport
@@ -19,7 +22,10 @@ from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys, session_of
 from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, EventKind, Lease, RigDescription, RigEvent
 
+log = logging.getLogger(__name__)
 HEARTBEAT_SECONDS = 2.0
+FORWARD_SECONDS = 0.25  # between two looks at the store
+MOST_EARLY = 1000  # events that wait for the network; later ones go first
 LONGEST_LEAD_SECONDS = 10.0
 LONGEST_LEASE_SECONDS = 10.0  # a longer word of honour would outlive whoever gave it
 EMERGENCY = "emergency stop by signal; bursts are refused until the rig agent is started again"
@@ -32,7 +38,8 @@ class RigAgent:
     Nothing the control thread does waits for the network. Setting ``emergency`` (from a signal handler, say) silences alpha
     at the next block and refuses every later burst. ``truth`` lists what a simulator injects as (sample, sentence); it is
     told when it happens. ``patient`` is for a port that is not in real time: it waits rather than lose blocks. ``connect``
-    waits until the network is there (or the event is set); control goes on meanwhile. Without it the network is there.
+    waits until the network is there (or the event is set); control goes on meanwhile. Without it the network is there. ``store``
+    keeps the blocks that the service does not acknowledge.
     """
 
     keys: Keys
@@ -45,13 +52,15 @@ class RigAgent:
     emergency: threading.Event = field(default_factory=threading.Event)
     patient: bool = False
     connect: Callable[[threading.Event], None] | None = None
+    store: Store | None = None
 
     def __post_init__(self) -> None:
         self._lock = threading.Lock()
         self._joined = threading.Event()
-        self._post = OutgoingQueue(
-            self.transport.publish, f"post of {self.description.machine}", patient=self.patient, ready=self._joined
-        )
+        self._early: deque[tuple[str, bytes]] = deque(maxlen=MOST_EARLY)
+        ready, publish = (self._joined, self.transport.publish) if self.store is None else (None, self._send)
+        self._post = OutgoingQueue(publish, f"post of {self.description.machine}", patient=self.patient, ready=ready)
+        self._over = threading.Event()
         self._emergency_told = False
         self._twin: Refused | None = None
         self.truth = sorted(self.truth)
@@ -68,6 +77,11 @@ class RigAgent:
         return self.description.machine
 
     @property
+    def playing(self) -> bool:
+        """Whether a burst plays or is about to."""
+        return bool(self._playing)
+
+    @property
     def limits(self) -> Limits | None:
         """Limits of the machine; None when it can only be watched."""
         return self.description.limits
@@ -78,6 +92,9 @@ class RigAgent:
         Raises `Refused` when the machine has a rig agent already.
         """
         joining = threading.Thread(target=self._join_late, name=f"connection of {self.machine}", daemon=True)
+        storing = threading.Thread(target=self._forward, name=f"store of {self.machine}", daemon=True)
+        if self.store is not None:
+            storing.start()
         try:
             if self.connect is None:
                 self._join()
@@ -90,6 +107,9 @@ class RigAgent:
         finally:
             self.port.close()
             self._post.close()
+            if self.store is not None:
+                self._over.set()
+                storing.join(3)
             if self.connect is not None:  # also after a failure of the machine, which must not wait for the network
                 self.stopping.set()
                 joining.join(3)
@@ -101,6 +121,36 @@ class RigAgent:
         self._open_doors()
         self._event(EventKind.RIG_STARTED, f"{1 / self.port.dt:g} Hz, {self.description.driver}")
         self._joined.set()  # what was measured before is sent now
+
+    def _send(self, key: str, payload: bytes) -> None:
+        """Send a message; before the network is there, events wait for it and blocks are in the store."""
+        if not self._joined.is_set():
+            if key != self.keys.block(self.machine):
+                self._early.append((key, payload))
+            return
+        while self._early:
+            self.transport.publish(*self._early.popleft())
+        self.transport.publish(key, payload)
+
+    def _forward(self) -> None:
+        """Look after the store until the agent ends."""
+        assert self.store is not None  # noqa: S101 - the thread is started only then
+        while not self._over.wait(FORWARD_SECONDS):
+            try:
+                self.store.tick(lambda data: self.transport.ask(self.keys.stored(self.machine), data))
+                for session, ranges in self.store.statement().items() if self.store.acknowledged else ():
+                    lost = ", ".join(f"{start} to {end - 1}" for start, end in ranges)
+                    self._event(EventKind.NOTE, f"samples {lost} of session {session} could not be kept: the store was full or failed")
+            except AfdsvcError as error:
+                log.debug("what is stored cannot be delivered now: %s", error)
+            except Exception:
+                log.exception("the store of '%s' failed", self.machine)
+        self.store.close()
+
+    def _on_receipt(self, _key: str, payload: bytes) -> None:
+        receipt = codec.decode_receipt(payload)
+        if self.store is not None and receipt.machine == self.machine:
+            self.store.receive(receipt)
 
     def _join_late(self) -> None:
         assert self.connect is not None  # noqa: S101 - the thread is started only then
@@ -133,6 +183,8 @@ class RigAgent:
         t.serve(keys.stop(self.machine), self._on_stop)
         t.serve(keys.description(self.machine), lambda _: codec.encode_description(self.description))
         t.subscribe(keys.lease(self.machine), self._on_lease, missed=False)
+        if self.store is not None:
+            t.subscribe(keys.receipt(self.machine), self._on_receipt, missed=False)
         t.watch(keys.service_alive(), self._on_service)
         t.announce(keys.alive(self.machine, self.description.session))
 
@@ -156,7 +208,8 @@ class RigAgent:
         self._k = block.k0 + len(block)
         while self.truth and self.truth[0][0] <= self._k:
             self._event(EventKind.FAULT_INJECTED, self.truth.pop(0)[1])
-        self._post.send(self.keys.block(self.machine), codec.encode_block, block)
+        encode = codec.encode_block if self.store is None else self.store.encode
+        self._post.send(self.keys.block(self.machine), encode, block)
         if self.emergency.is_set() and not self._emergency_told:
             self._emergency_told = True
             self._event(EventKind.NOTE, EMERGENCY)
@@ -234,7 +287,7 @@ class RigAgent:
             request = codec.decode_burst_request(payload)
             burst = request.burst.name
             self._refuse_stale(request)
-            self._freshness.refuse_repeated(payload)
+            self._freshness.refuse_repeated(codec.encode_burst_request(request))
             self._accept(request)
         except AfdsvcError as refusal:
             return self._refused(burst, str(refusal))

@@ -136,10 +136,10 @@ class ControlLoop(ABC):
 
     def check(self, burst: Burst, limits: Limits) -> None:
         """Raise `Refused` when the burst would break a limit in a healthy machine; nothing moves."""
-        bounds = tightest(self._limits, limits)
+        bounds = _tightest(self._limits, limits)
         refuse_burst(burst, self.dt, bounds)
         if self._prediction is not None:
-            refuse_prediction(burst, self.dt, bounds, self._prediction)
+            _refuse_prediction(burst, self.dt, bounds, self._prediction)
 
     @contextmanager
     def arm(self, limits: Limits) -> Iterator[_Drive]:
@@ -148,7 +148,7 @@ class ControlLoop(ABC):
             raise Refused("the machine is armed already; one drive at a time")
         if self._closed:
             raise Refused("the machine is closed")
-        self._armed = tightest(self._limits, limits)
+        self._armed = _tightest(self._limits, limits)
         try:
             yield _Drive(self)
         finally:
@@ -244,7 +244,7 @@ class _Drive:
         return self._loop._excitation.ended_because  # noqa: SLF001
 
 
-def refuse_prediction(burst: Burst, dt: float, limits: Limits, prediction: Prediction) -> None:
+def _refuse_prediction(burst: Burst, dt: float, limits: Limits, prediction: Prediction) -> None:
     """Raise `Refused` when the nominal model says the burst drives an input or output beyond its limit."""
     response, _ = simulate(prediction.system, burst.play(dt))
     peak = np.abs(response).max(axis=0)
@@ -257,7 +257,7 @@ def refuse_prediction(burst: Burst, dt: float, limits: Limits, prediction: Predi
             raise Refused(f"burst '{burst.name}' would drive output {i} to {found:.3g} with noise; its limit is {bound:.3g}")
 
 
-def tightest(a: Limits, b: Limits) -> Limits:
+def _tightest(a: Limits, b: Limits) -> Limits:
     """Return the tighter of two sets of limits, entry by entry; raises `Refused` when their shapes differ."""
     if (a.output.shape, a.input.shape) != (b.output.shape, b.input.shape):
         raise Refused(f"limits for {b.output.size} outputs and {b.input.size} inputs do not fit this machine")

@@ -110,5 +110,7 @@ class Housekeeper:
     def _guarded(self, work: Callable[[], object]) -> None:
         try:
             work()
+        except BadInput as error:
+            log.error("housekeeping failed: %s", error)
         except Exception:
             log.exception("housekeeping failed")

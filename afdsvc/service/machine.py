@@ -9,6 +9,8 @@ from pathlib import Path
 
 from afdsvc.api.clock import Clock
 from afdsvc.api.evidence import Evidence
+from afdsvc.api.intervals import Intervals
+from afdsvc.api.signals import Block
 from afdsvc.diagnosis.pipeline import Outcome, Stream
 from afdsvc.diagnosis.verdict import Verdict, conclude, model_gap
 from afdsvc.errors import BadInput
@@ -46,6 +48,7 @@ class MachineMonitor:
         self.trouble = self.doubt = ""
         self._last = float("-inf")
         self._twins: set[str] = set()
+        self._taken = "", Intervals()
         self._foreign: set[str] = set()
         self._fresh: list[Finding] = []
         self._decisions, self._concluded = 0, (-1, Verdict())
@@ -57,7 +60,7 @@ class MachineMonitor:
         except BadInput as error:
             self.say("warning", f"a block could not be read: {error}")
             return None
-        if self._is_foreign("block", block.machine) or self._is_twin(block.session):
+        if self._is_foreign("block", block.machine) or self._is_twin(block.session) or self._is_repeated(block):
             return None
         self.session = block.session
         self.blocks += 1
@@ -186,6 +189,14 @@ class MachineMonitor:
             self._foreign.add(machine)
             self.say("error", f"the rig agent of '{self.machine}' sent a {kind} of machine '{machine[:64]}'; such messages are ignored")
         return machine != self.machine
+
+    def _is_repeated(self, block: Block) -> bool:
+        """Whether a block has been taken already: a new network session brings again what publishers keep."""
+        session, taken = self._taken if self._taken[0] == block.session else (block.session, Intervals())
+        repeated = taken.covers(block.k0, block.k0 + len(block))
+        taken.add(block.k0, block.k0 + len(block))
+        self._taken = session, taken
+        return repeated
 
     def _is_twin(self, session: str) -> bool:
         return session in self._twins

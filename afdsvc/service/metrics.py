@@ -42,6 +42,10 @@ class Collector:
                     family.add_metric([m.machine], value(m))
                 yield family
         yield self._alarms(status, GaugeMetricFamily)
+        waits = GaugeMetricFamily("afdsvc_longest_wait_seconds", "longest wait of the last 10 to 20 minutes", labels=["of"])
+        for what, wait in status.longest_waits.items():
+            waits.add_metric([what], wait)
+        yield waits
         yield GaugeMetricFamily("afdsvc_uptime_seconds", "time since the service started", value=status.uptime)
         yield CounterMetricFamily("afdsvc_recording_bytes", "bytes written", value=status.recording_bytes)
         yield CounterMetricFamily("afdsvc_dropped_messages", "messages dropped", value=status.recording_dropped)

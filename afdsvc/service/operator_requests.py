@@ -6,11 +6,12 @@ import dataclasses
 import math
 import secrets
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
-from afdsvc.errors import AfdsvcError, BadInput
+from afdsvc.errors import AfdsvcError, BadInput, Refused
 from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.service.hub import Hub
 from afdsvc.service.scheduler import BurstOrder
@@ -20,9 +21,10 @@ from afdsvc.wire.messages import Alarm, Command, CommandReply
 
 Arguments = Mapping[str, Any]
 SAFE = ("stop", "pause")  # obeyed however wrong a clock is: they only end or hold back excitation
-QUESTIONS = ("status", "alarms", "history")  # requests that change nothing
+QUESTIONS = ("status", "alarms", "history", "ticket")  # requests that change nothing
+TICKETS = 100  # of the last bursts that were asked for
 ANSWERED_AT_ONCE = 16  # requests of people: a stop does not wait for the design of a burst
-PATIENCE = 2.0  # seconds a person waits for the disk to keep what they did
+PATIENCE = 0.5  # seconds a person waits for the disk to keep what they did
 
 
 class Requests:
@@ -30,23 +32,38 @@ class Requests:
 
     def __init__(self, hub: Hub) -> None:
         self._hub, self._freshness = hub, Freshness(hub.clock)
+        self._bursts, self._tickets = ThreadPoolExecutor(ANSWERED_AT_ONCE, "burst asked for"), dict[str, Future[Any]]()
 
-    def serve(self, secured: bool = False) -> None:
-        """Answer requests from the network; those that change something are obeyed once and soon, or refused.
+    def serve(self, operators: Sequence[str] | None = None) -> None:
+        """Answer requests from the network; those that change something are obeyed once and soon, or refused, and audited.
 
-        On a ``secured`` site they must say when they were made.
+        ``operators`` are those of a secured site: each asks at a key of their own and must say when.
         """
         transport, keys = self._hub.transport, self._hub.keys
-        check = partial(self._refuse_stale, secured)
-        transport.serve(keys.command(), lambda payload: answer(self.handlers(), payload, check), ANSWERED_AT_ONCE)
+        for operator in [""] if operators is None else operators:
+            transport.serve(keys.command(operator), partial(self._obey, operator), ANSWERED_AT_ONCE)
         transport.serve(keys.question(), lambda payload: answer(self.questions(), payload))
 
-    def _refuse_stale(self, secured: bool, command: Command, payload: bytes) -> None:
-        if command.name in QUESTIONS or not (secured or command.t_ns):
+    def _obey(self, operator: str, payload: bytes) -> bytes:
+        began = self._hub.clock.monotonic()
+        try:
+            return answer(self.handlers(), payload, partial(self._admit, operator), partial(self._audit, operator))
+        finally:
+            self._hub.watchdog.note("requests", self._hub.clock.monotonic() - began)
+
+    def _audit(self, operator: str, command: Command, reply: CommandReply) -> None:
+        if command.name not in QUESTIONS and self._hub.audit:
+            self._hub.audit.add(operator or command.asked_by, command.name, command.arguments, reply.error or "done")
+
+    def _admit(self, operator: str, command: Command) -> None:
+        """Raise `Refused` for a command that is not by the ``operator`` whose key it came by, stale, or not new."""
+        if operator not in ("", command.asked_by):
+            raise Refused(f"the request says that '{command.asked_by[:64]}' asks; it came from '{operator}'")
+        if command.name in QUESTIONS or not (operator or command.t_ns):
             return
         if command.name not in SAFE:
             self._freshness.refuse_old(command.t_ns)
-        self._freshness.refuse_repeated(payload)
+        self._freshness.refuse_repeated(codec.encode_command(command))
 
     def handlers(self) -> dict[str, Callable[[Arguments, str], Any]]:
         """Return them by name."""
@@ -54,6 +71,7 @@ class Requests:
             "status": lambda a, who: self._hub.status(),
             "alarms": lambda a, who: list(self._hub.alarms.alarms.values()),
             "history": self._history,
+            "ticket": self._ticket,
             "ack": self._acknowledge,
             "confirm": lambda a, who: self._done(self._hub.alarms.confirm(_id(a), who, _comment(a), self._now())),
             "reset": lambda a, who: self._done(self._hub.alarms.reset(_id(a), who, _comment(a), self._now())),
@@ -85,8 +103,37 @@ class Requests:
         return alarm
 
     def _burst(self, a: Arguments, who: str) -> dict[str, str]:
-        wanted = BurstOrder(f"asked by {who}", purpose=str(a.get("purpose") or "diagnose"))
-        return {"burst": self._requests_to(a).ask(wanted)}
+        """Ask for a burst, which takes as long as its design; with the argument ``later`` the answer is a ticket at once."""
+        order = BurstOrder(f"asked by {who}", purpose=str(a.get("purpose") or "diagnose"))
+        requests = self._requests_to(a)
+        if not a.get("later"):
+            return {"burst": requests.ask(order)}
+        ticket = secrets.token_hex(8)
+        self._tickets[ticket] = self._bursts.submit(self._played, requests, order, who)
+        for old in list(self._tickets)[:-TICKETS]:
+            self._tickets.pop(old, None)
+        return {"ticket": ticket}
+
+    def _played(self, requests: BurstRequests, order: BurstOrder, who: str) -> dict[str, str]:
+        outcome = "the service failed"
+        try:
+            name = requests.ask(order)
+            outcome = f"burst {name} accepted"
+            return {"burst": name}
+        except AfdsvcError as error:
+            outcome = str(error)
+            raise
+        finally:
+            if self._hub.audit:
+                self._hub.audit.add(who, "burst", {"machine": requests.machine, "purpose": order.purpose}, outcome)
+
+    def _ticket(self, a: Arguments, who: str) -> dict[str, Any]:
+        """Return the result of what a ticket was given for, or the ticket while there is none; raises its refusal."""
+        ticket = str(a.get("ticket") or "")
+        if ticket not in self._tickets:
+            raise BadInput(f"ticket '{ticket[:40]}' is unknown; the service keeps the last {TICKETS} until it stops")
+        result = self._tickets[ticket]
+        return result.result() if result.done() else {"ticket": ticket}
 
     def _requests_to(self, a: Arguments) -> BurstRequests:
         watches, burst_requests = self._hub.watches, self._hub.burst_requests
@@ -122,12 +169,14 @@ Handler = Callable[[Mapping[str, Any], str], Any]
 
 
 def answer(
-    handlers: Mapping[str, Handler], payload: bytes, check: Callable[[Command, bytes], None] = lambda command, payload: None
-) -> bytes:
-    """Return the encoded reply; every failure, that of ``check`` too, becomes one sentence."""
+    handlers: Mapping[str, Handler], payload: bytes, check: Callable[[Command], None] = lambda command: None,
+    tell: Callable[[Command, CommandReply], None] = lambda command, reply: None,
+) -> bytes:  # fmt: skip
+    """Return the encoded reply; every failure, that of ``check`` too, becomes one sentence. ``tell`` learns what was replied."""
+    command = None
     try:
         command = codec.decode_command(payload)
-        check(command, payload)
+        check(command)
         handler = handlers.get(command.name)
         if handler is None:
             raise BadInput(f"unknown command '{command.name}'; known are {', '.join(sorted(handlers))}")
@@ -136,6 +185,8 @@ def answer(
         reply = CommandReply(False, error=str(error))
     except Exception as error:
         reply = CommandReply(False, error=f"{type(error).__name__}: {error}")
+    if command:
+        tell(command, reply)
     return codec.encode_command_reply(reply)
 
 

@@ -6,14 +6,15 @@ an operator may ask the service anything; a viewer may look. Whatever is not all
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from afdsvc.files.site import Site
+from afdsvc.transport.certificates import common_name, rig_name
 from afdsvc.wire.keys import ROOT, Keys
 
-SERVICE = "service"
 SPEAK = ["put", "declare_queryable", "reply", "liveliness_token"]
 LISTEN = ["declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query"]
 EVERYTHING = f"{ROOT}/**"
@@ -31,11 +32,6 @@ class Access:
 NOBODY = Access()
 
 
-def rig_name(machine: str) -> str:
-    """Return the common name of a rig agent's certificate."""
-    return f"rig.{machine}"
-
-
 @dataclass(frozen=True, slots=True)
 class _Role:
     """What the peers of a role may say and hear, as key expressions."""
@@ -46,19 +42,24 @@ class _Role:
     asks: Sequence[str] = ()
 
 
-def access_control(keys: Keys, machines: Sequence[str], operators: Sequence[str], viewers: Sequence[str]) -> dict[str, Any]:
-    """Return zenoh's ``access_control`` section; nothing is allowed but what is listed."""
+def access_control(
+    keys: Keys, machines: Sequence[str], operators: Sequence[str], viewers: Sequence[str], common: Callable[[str], str] = str
+) -> dict[str, Any]:
+    """Return zenoh's ``access_control`` section; nothing is allowed but what is listed.
+
+    ``common`` returns the common name of a bearer's newest certificate.
+    """
     open_to_see = [keys.blocks(), keys.events(), keys.descriptions(), keys.residuals(), keys.evidences(), keys.alarms()]
     seen = [*open_to_see, keys.all_alive(), keys.status(), keys.service_alive()]
     roles = {f"rig-{i}": _rig(keys, machine) for i, machine in enumerate(machines)}
-    roles["operators"] = _Role(operators, [], seen, [keys.command(), keys.question()])
+    roles |= {f"operator-{i}": _Role([name], [], seen, [keys.command(name), keys.question()]) for i, name in enumerate(operators)}
     roles["viewers"] = _Role(viewers, [], seen, [keys.question()])
     filled = {id: role for id, role in roles.items() if role.names}
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": [rule for id, role in filled.items() for rule in _rules(id, role)],
-        "subjects": [{"id": id, "cert_common_names": list(role.names)} for id, role in filled.items()],
+        "subjects": [{"id": id, "cert_common_names": [common(name) for name in role.names]} for id, role in filled.items()],
         "policies": [{"rules": [r["id"] for r in _rules(id, role)], "subjects": [id]} for id, role in filled.items()],
     }
 
@@ -68,7 +69,8 @@ def _rig(keys: Keys, machine: str) -> _Role:
         keys.block(machine), keys.event(machine), keys.description(machine), keys.burst(machine), keys.stop(machine),
         keys.sessions(machine),
     ]
-    return _Role([rig_name(machine)], own, [keys.lease(machine), keys.service_alive(), keys.sessions(machine)])
+    heard = [keys.lease(machine), keys.receipt(machine), keys.service_alive(), keys.sessions(machine)]
+    return _Role([rig_name(machine)], own, heard, [keys.stored(machine)])
 
 
 def _rules(id: str, role: _Role) -> list[dict[str, Any]]:
@@ -98,4 +100,5 @@ def access_of(site: Site, identity: str) -> Access:
     if security is None:
         return Access(identity)
     machines = [m.id for m in site.machines]
-    return Access(identity, access_control(Keys(site.site), machines, security.operators, security.viewers))
+    rules = access_control(Keys(site.site), machines, security.operators, security.viewers, partial(common_name, security))
+    return Access(identity, rules)

@@ -19,7 +19,10 @@ class Freshness:
         self._clock, self._seen, self._lock = clock, dict[bytes, float](), threading.Lock()
 
     def refuse_repeated(self, payload: bytes) -> None:
-        """Raise `Refused` for a request that has come before, bit for bit; honest ones differ in time and nonce."""
+        """Raise `Refused` for a request that has come before; honest ones differ in time and nonce.
+
+        ``payload`` is the request encoded anew: bytes that no reader looks at make no new request of an old one.
+        """
         digest, now = hashlib.sha256(payload).digest(), self._clock.monotonic()
         with self._lock:
             while self._seen and (len(self._seen) >= MOST_REMEMBERED or next(iter(self._seen.values())) < now - 2 * FRESH_SECONDS):

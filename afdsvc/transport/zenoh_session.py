@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from afdsvc.transport.certificates import key_files
 log = logging.getLogger(__name__)
 CLOSING_SECONDS = 2.0
 HEARD_SECONDS = 0.5
+HALF_OPEN = 4000  # connections that have not said anything yet (zenoh gives each 10 s): a stranger's do not keep rigs out
 Receive = Callable[[str, bytes], None]
 Answer = Callable[[bytes], bytes]
 
@@ -53,6 +55,7 @@ def configuration(settings: site_file.Transport, hub: bool, access: Access = NOB
     put("scouting/multicast/enabled", False)
     put("scouting/gossip/enabled", False)
     put("transport/shared_memory/enabled", False)
+    put("transport/unicast/accept_pending", HALF_OPEN)
     put("connect/retry", {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2})
     if not hub:
         put("connect/timeout_ms", round(1000 * settings.patience_seconds))
@@ -90,9 +93,10 @@ class Transport:
         self._session: zenoh.Session | None = None
         self._publishers: dict[str, Any] = {}
         self._keep: list[Any] = []
+        self._declared: list[Callable[[], Any]] = []
         self._pools: list[ThreadPoolExecutor] = []
         self._heard: dict[str, tuple[float, bool]] = {}
-        self._lock = threading.Lock()
+        self._lock, self._closing = threading.Lock(), threading.Event()
         self.lost = 0
 
     def __enter__(self) -> Transport:
@@ -111,6 +115,7 @@ class Transport:
 
     def close(self) -> None:
         """Close the session; harmless when called twice. A peer that does not answer delays this by `CLOSING_SECONDS` at most."""
+        self._closing.set()
         session, self._session = self._session, None
         if session is None:
             return
@@ -120,12 +125,37 @@ class Transport:
         closing.start()
         closing.join(CLOSING_SECONDS)
 
+    def reopen(self, access: Access) -> None:
+        """Close the session and open one with new certificates and access rules; whatever was declared is declared again.
+
+        Whoever publishes meanwhile waits, for as long as it cannot be opened: a rig's service may be away. What is not open stays so.
+        """
+        with self._lock:
+            session, self._session, self._access = self._session, None, access
+            if session is None:
+                return
+            self._publishers.clear()
+            self._keep.clear()
+            _closed(session)
+            while not self._closing.is_set():
+                with suppress(NoPeer):
+                    self.open()
+                    self._keep += [make() for make in self._declared]
+                    return
+                self._closing.wait(0.5)
+
+    def _declare(self, make: Callable[[], Any]) -> None:
+        self._keep.append(make())
+        self._declared.append(make)
+
     def publish(self, key: str, payload: bytes, keep: bool = True) -> None:
         """Send bytes; late or stalled subscribers get what they missed from the publisher's cache.
 
         What only its newest value matters of (``keep`` False) is not cached, and never waits for a stalled subscriber: it is
         dropped for that one. Anything else may wait for some seconds, so send it from a thread that can.
         """
+        if not keep and self._session is None:
+            return  # the session is being opened anew: a lease, say, must not wait for it
         self._publisher(key, keep).put(payload)
 
     def heard(self, key: str) -> bool:
@@ -160,17 +190,21 @@ class Transport:
                 log.exception("a message on %s could not be handled", sample.key_expr)
 
         if not missed:
-            self._keep.append(self._open().declare_subscriber(pattern, hear))
+            self._declare(lambda: self._open().declare_subscriber(pattern, hear))
             return
-        subscriber = ext.declare_advanced_subscriber(
-            self._open(),
-            pattern,
-            hear,
-            recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
-            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=self._settings.cache_blocks),
-            subscriber_detection=True,
-        )
-        self._keep += [subscriber, subscriber.sample_miss_listener(self._count_miss)]
+
+        def declare() -> Any:
+            subscriber = ext.declare_advanced_subscriber(
+                self._open(),
+                pattern,
+                hear,
+                recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+                history=ext.HistoryConfig(detect_late_publishers=True, max_samples=self._settings.cache_blocks),
+                subscriber_detection=True,
+            )
+            return subscriber, subscriber.sample_miss_listener(self._count_miss)
+
+        self._declare(declare)
 
     def serve(self, key: str, answer: Answer, threads: int = 0) -> None:
         """Answer queries on a key; an exception becomes an error reply with its sentence.
@@ -187,11 +221,11 @@ class Transport:
                     query.reply_err(str(error).encode())
 
         if not threads:
-            self._keep.append(self._open().declare_queryable(key, reply))
+            self._declare(lambda: self._open().declare_queryable(key, reply))
             return
         pool = ThreadPoolExecutor(threads, f"answers at {key}")
         self._pools.append(pool)
-        self._keep.append(self._open().declare_queryable(key, lambda query: pool.submit(reply, query)))
+        self._declare(lambda: self._open().declare_queryable(key, lambda query: pool.submit(reply, query)))
 
     def ask(self, key: str, payload: bytes, timeout: float = 5.0) -> bytes:
         """Send a query and return the first reply; raises `PeerSilent` or `AfdsvcError` with the peer's own words."""
@@ -206,7 +240,7 @@ class Transport:
 
     def announce(self, key: str) -> None:
         """Show that this process is alive, until the session closes or the process dies."""
-        self._keep.append(self._open().liveliness().declare_token(key))
+        self._declare(lambda: self._open().liveliness().declare_token(key))
 
     def watch(self, pattern: str, changed: Callable[[str, bool], None]) -> None:
         """Call ``changed(key, alive)`` whenever a token appears or goes, first for those that are there."""
@@ -214,7 +248,7 @@ class Transport:
         def hear(sample: zenoh.Sample) -> None:
             changed(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
-        self._keep.append(self._open().liveliness().declare_subscriber(pattern, hear, history=True))
+        self._declare(lambda: self._open().liveliness().declare_subscriber(pattern, hear, history=True))
 
     def alive(self, pattern: str) -> list[str]:
         """Return the keys of the live tokens that match."""
@@ -247,6 +281,7 @@ class Transport:
         return f"no answer at {key}: it does not run, or '{who}' lacks permission for this request at this secured site"
 
     def _why_not(self, error: str) -> str:
+        error = error.partition(" at /")[0]  # where in zenoh's own source
         where = ", ".join(self._settings.listen if self._hub else self._settings.endpoints())
         if self._hub:
             return f"zenoh cannot listen at {where} ({error}); is another service running there?"

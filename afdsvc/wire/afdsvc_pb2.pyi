@@ -143,6 +143,24 @@ class Lease(_message.Message):
     seconds: float
     def __init__(self, machine: _Optional[str] = ..., burst: _Optional[str] = ..., seconds: _Optional[float] = ...) -> None: ...
 
+class Receipt(_message.Message):
+    __slots__ = ("machine", "ranges")
+    MACHINE_FIELD_NUMBER: _ClassVar[int]
+    RANGES_FIELD_NUMBER: _ClassVar[int]
+    machine: str
+    ranges: _containers.RepeatedCompositeFieldContainer[SampleRange]
+    def __init__(self, machine: _Optional[str] = ..., ranges: _Optional[_Iterable[_Union[SampleRange, _Mapping]]] = ...) -> None: ...
+
+class SampleRange(_message.Message):
+    __slots__ = ("session", "start", "end")
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    START_FIELD_NUMBER: _ClassVar[int]
+    END_FIELD_NUMBER: _ClassVar[int]
+    session: str
+    start: int
+    end: int
+    def __init__(self, session: _Optional[str] = ..., start: _Optional[int] = ..., end: _Optional[int] = ...) -> None: ...
+
 class RigEvent(_message.Message):
     __slots__ = ("timestamp", "machine", "session", "kind", "burst", "cause", "k")
     class Kind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
@@ -382,7 +400,14 @@ class MachineStatus(_message.Message):
     def __init__(self, machine: _Optional[str] = ..., session: _Optional[str] = ..., state: _Optional[str] = ..., reason: _Optional[str] = ..., blocks: _Optional[int] = ..., lost_blocks: _Optional[int] = ..., late: _Optional[int] = ..., head_room: _Optional[float] = ..., block_age: _Optional[float] = ..., burst: _Optional[str] = ..., next_burst: _Optional[float] = ..., trustworthy: _Optional[bool] = ..., alarms: _Optional[_Iterable[_Union[Alarm, _Mapping]]] = ...) -> None: ...
 
 class ServiceStatus(_message.Message):
-    __slots__ = ("timestamp", "site", "version", "uptime", "machines", "recording", "recording_bytes", "recording_failure", "recording_dropped")
+    __slots__ = ("timestamp", "site", "version", "uptime", "machines", "recording", "recording_bytes", "recording_failure", "recording_dropped", "longest_waits")
+    class LongestWaitsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
     TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
     SITE_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
@@ -392,6 +417,7 @@ class ServiceStatus(_message.Message):
     RECORDING_BYTES_FIELD_NUMBER: _ClassVar[int]
     RECORDING_FAILURE_FIELD_NUMBER: _ClassVar[int]
     RECORDING_DROPPED_FIELD_NUMBER: _ClassVar[int]
+    LONGEST_WAITS_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     site: str
     version: str
@@ -401,7 +427,8 @@ class ServiceStatus(_message.Message):
     recording_bytes: int
     recording_failure: str
     recording_dropped: int
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., site: _Optional[str] = ..., version: _Optional[str] = ..., uptime: _Optional[float] = ..., machines: _Optional[_Iterable[_Union[MachineStatus, _Mapping]]] = ..., recording: _Optional[str] = ..., recording_bytes: _Optional[int] = ..., recording_failure: _Optional[str] = ..., recording_dropped: _Optional[int] = ...) -> None: ...
+    longest_waits: _containers.ScalarMap[str, float]
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., site: _Optional[str] = ..., version: _Optional[str] = ..., uptime: _Optional[float] = ..., machines: _Optional[_Iterable[_Union[MachineStatus, _Mapping]]] = ..., recording: _Optional[str] = ..., recording_bytes: _Optional[int] = ..., recording_failure: _Optional[str] = ..., recording_dropped: _Optional[int] = ..., longest_waits: _Optional[_Mapping[str, float]] = ...) -> None: ...
 
 class Command(_message.Message):
     __slots__ = ("name", "arguments", "asked_by", "timestamp", "nonce")

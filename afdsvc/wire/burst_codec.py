@@ -11,7 +11,7 @@ from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 from afdsvc.wire import afdsvc_pb2 as pb
 from afdsvc.wire.keys import checked_machine
-from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, Lease
+from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, Lease, Receipt
 from afdsvc.wire.parsing import build, count, nanoseconds, parse, positive, required, stamp
 
 
@@ -70,6 +70,23 @@ def decode_lease(data: bytes) -> Lease:
     message = parse(pb.Lease, data)
     required(message, "machine", "burst")
     return Lease(checked_machine(message.machine), message.burst, positive(message, "seconds"))
+
+
+def encode_receipt(receipt: Receipt) -> bytes:
+    """Return the message."""
+    ranges = [build(pb.SampleRange, session=session, start=start, end=end) for session, start, end in receipt.ranges]
+    return build(pb.Receipt, machine=receipt.machine, ranges=ranges).SerializeToString()
+
+
+def decode_receipt(data: bytes) -> Receipt:
+    """Return the receipt; raises `BadInput` when it names no machine or a range that ends before it begins."""
+    message = parse(pb.Receipt, data)
+    required(message, "machine")
+    ranges = tuple((r.session, count(r, "start"), count(r, "end")) for r in message.ranges)
+    for session, start, end in ranges:
+        if end < start:
+            raise BadInput(f"Receipt message with samples {start} to {end} of session '{session[:40]}'; expected an end behind the start")
+    return Receipt(checked_machine(message.machine), ranges)
 
 
 def _burst_message(burst: Burst) -> pb.Burst:

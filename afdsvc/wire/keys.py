@@ -74,6 +74,14 @@ class Keys:
         """Renewals from whoever asked for a burst; without them the rig ends it, so no machine is excited after the service has died."""
         return self._of(machine, "lease")
 
+    def receipt(self, machine: str) -> str:
+        """What the service has recorded, published by it every second: the rig keeps everything else on its disk."""
+        return self._of(machine, "receipt")
+
+    def stored(self, machine: str) -> str:
+        """Query to the service with a block of samples that the rig kept during an outage."""
+        return self._of(machine, "stored")
+
     def alive(self, machine: str, session: str) -> str:
         """Liveliness token of one start of a rig; it names the session so that a second rig of the same id is seen."""
         return f"{self._of(machine, 'alive')}/{checked_id('session', session)}"
@@ -102,12 +110,16 @@ class Keys:
         """State of the service and its machines, published every second for displays."""
         return f"{ROOT}/{self.site}/{SERVICE}/status"
 
-    def command(self) -> str:
-        """Query to the service from people: status, burst, alarms, ack, confirm, shelve, pause, resume."""
-        return f"{ROOT}/{self.site}/{SERVICE}/command"
+    def command(self, operator: str = "") -> str:
+        """Query to the service from people: status, burst, alarms, ack, confirm, shelve, pause, resume.
+
+        On a secured site every operator has one of their own, so that the key says who asks.
+        """
+        key = f"{ROOT}/{self.site}/{SERVICE}/command"
+        return f"{key}/{checked_id('operator', operator)}" if operator else key
 
     def question(self) -> str:
-        """Query to the service that changes nothing: status, alarms, history; apart, so that viewers can be let at it."""
+        """Query to the service that changes nothing: status, alarms, history, ticket; apart, so that viewers can be let at it."""
         return f"{ROOT}/{self.site}/{SERVICE}/question"
 
     def blocks(self) -> str:

@@ -81,6 +81,14 @@ class Lease:
     seconds: float
 
 
+@dataclass(frozen=True, slots=True)
+class Receipt:
+    """What the service has recorded of a machine, as (session, first sample, sample after the last)."""
+
+    machine: str
+    ranges: tuple[tuple[str, int, int], ...]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RigDescription:
     """What a rig says of itself; ``limits`` is None for a machine that can only be watched.
@@ -197,7 +205,10 @@ class MachineStatus:
 
 @dataclass(frozen=True, slots=True)
 class ServiceStatus:
-    """How the service is; ``recording_failure`` says why nothing is recorded, "" when all is well."""
+    """How the service is; ``recording_failure`` says why nothing is recorded, "" when all is well.
+
+    ``longest_waits`` [s] are those of the last 10 to 20 minutes, by what waited.
+    """
 
     site: str
     version: str
@@ -208,6 +219,7 @@ class ServiceStatus:
     recording_bytes: int = 0
     recording_failure: str = ""
     recording_dropped: int = 0
+    longest_waits: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ def encode_status(status: ServiceStatus) -> bytes:
     message = build(
         pb.ServiceStatus, timestamp=stamp(s.t_ns), site=s.site, version=s.version, uptime=s.uptime,
         machines=[_machine_message(m) for m in s.machines], recording=s.recording, recording_bytes=s.recording_bytes,
-        recording_failure=s.recording_failure, recording_dropped=s.recording_dropped,
+        recording_failure=s.recording_failure, recording_dropped=s.recording_dropped, longest_waits=dict(s.longest_waits),
     )
     return message.SerializeToString()
 
@@ -37,7 +37,7 @@ def decode_status(data: bytes) -> ServiceStatus:
     required(m, "site", "timestamp")
     return ServiceStatus(
         m.site, m.version, nanoseconds(m.timestamp), m.uptime, tuple(_machine(x) for x in m.machines), m.recording,
-        count(m, "recording_bytes"), m.recording_failure, count(m, "recording_dropped"),
+        count(m, "recording_bytes"), m.recording_failure, count(m, "recording_dropped"), dict(m.longest_waits),
     )
 
 

@@ -3,8 +3,8 @@
     python benchmarks/soak/run.py --minutes 30 --rigs 8 --seed 1
 
 The service runs in a process of its own, the rigs in two (several agents each); a proxy between them is stalled and cut,
-processes are stopped and killed, a stranger sends rubbish, a second agent claims a machine's id, and every other machine has
-a fault. Afterwards the recordings on disk are counted sample by sample: every gap must lie in the time of something that was
+processes are stopped, hung and killed, the disk is filled and recordings are deleted, a stranger sends rubbish, floods and half-opens
+connections, a second agent claims a machine's id (16 kinds in all), and every other machine has a fault. Afterwards the recordings on disk are counted sample by sample: every gap must lie in the time of something that was
 done to it on purpose. Prints what was held; exit 1 when anything was not.
 """
 
@@ -22,27 +22,31 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks.support
 
+from afdsvc.app.ask import ask_service
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import read_site
+from afdsvc.service import operator_requests
 from afdsvc.service.alarm_history import History
 from afdsvc.transport.zenoh_session import Transport
+from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import AlarmKind
+from afdsvc.wire.messages import AlarmKind, BurstStop, Lease
 from benchmarks.support.messages import EXAMPLES
 from benchmarks.support.mutation import mutate_bytes
 from benchmarks.support.proxy import Proxy
 
 FAULTS = ("horizontal_actuator", "vertical_actuator", "horizontal_sensor", "vertical_sensor")
 HERE = Path(__file__).parent
-CACHE_BLOCKS = 400  # 20 s of samples a rig keeps for a service that is away
+CACHE_BLOCKS = 400  # 20 s of samples a rig keeps in memory for a service that is away
+STORE_MEGABYTES = 200.0  # and on its disk: 8 minutes
 MARGIN = 15.0  # seconds after a disturbance in which its gap may still begin: a reconnection takes some
 
 
@@ -96,6 +100,8 @@ bursts = {{every_seconds = 9.0, jitter_seconds = 2.0, first_after_seconds = {2 +
 [transport]
 listen = ["tcp/127.0.0.1:{port}"]
 cache_blocks = {CACHE_BLOCKS}
+store = "store"
+store_megabytes = {STORE_MEGABYTES}
 [recording]
 folder = "recordings"
 max_minutes = 5
@@ -128,7 +134,10 @@ before_seconds = 10
 
     def disturb(self, restart_service: bool) -> None:
         """Do something bad and undo it."""
-        acts = [self.kill_rigs, self.hang_rigs, self.stall, self.cut, self.rubbish, self.twin]
+        acts = [
+            self.kill_rigs, self.hang_rigs, self.stop_rigs, self.stall, self.cut, self.rubbish, self.twin, self.hang_service,
+            self.delete_recording, self.fill_disk, self.half_open, self.flood, self.identify, self.false_receipts,
+        ]  # fmt: skip
         act = self.rng.choice(acts + ([self.kill_service, self.stop_service] if restart_service else []))
         act()
 
@@ -158,6 +167,86 @@ before_seconds = 10
         process.send_signal(signal.SIGSTOP)
         time.sleep(self.rng.uniform(1, 4))
         process.send_signal(signal.SIGCONT)
+        noted.end = time.time()
+
+    def stop_rigs(self) -> None:
+        """Stop a process of rigs in order and start it again."""
+        group = self.rng.randrange(len(self.groups))
+        noted = self._note("rigs stopped in order", self.groups[group])
+        process = self.processes[group]
+        assert process is not None
+        process.terminate()
+        process.wait()
+        time.sleep(self.rng.uniform(0.2, 3))
+        self.start_rigs(group)
+        time.sleep(12)
+        noted.end = time.time()
+
+    def hang_service(self) -> None:
+        """Stop the service's process for some seconds, or for longer than a link lives."""
+        assert self.service is not None
+        seconds = self.rng.choice((self.rng.uniform(1, 8), self.rng.uniform(12, 25)))
+        noted = self._note("service hung", tuple(self.ids))
+        self.service.send_signal(signal.SIGSTOP)
+        time.sleep(seconds)
+        self.service.send_signal(signal.SIGCONT)
+        noted.end = time.time()
+
+    def delete_recording(self) -> None:
+        """Delete the recording that is being written of one machine: what was in it is gone."""
+        id = self.rng.choice(self.ids)
+        written = sorted((self.folder / "recordings").glob(f"{id}-2*.mcap"), key=lambda path: path.stat().st_mtime)
+        if written:
+            began = next((b.t0_ns / 1e9 for b in Recording(written[-1]).blocks()), time.time())
+            noted = self._note("recording deleted", (id,))
+            written[-1].unlink()
+            noted.start, noted.end = began, time.time()
+
+    def fill_disk(self) -> None:
+        """Leave no room on the disk of the recordings for some seconds."""
+        noted = self._note("disk full", tuple(self.ids))
+        ballast = self.folder / "recordings" / "ballast"
+        with suppress(OSError), ballast.open("wb", buffering=0) as file:
+            while True:
+                file.write(bytes(1 << 20))
+        time.sleep(self.rng.uniform(3, 12))
+        ballast.unlink()
+        time.sleep(12)  # the recorder tries again every 10 s
+        noted.end = time.time()
+
+    def half_open(self) -> None:
+        """Open 400 connections to the service and say nothing."""
+        noted = self._note("connections left half-open", ())
+        with ExitStack() as stack, suppress(OSError):
+            for _ in range(400):
+                stack.enter_context(socket.create_connection(("127.0.0.1", self.port), timeout=2))
+            time.sleep(self.rng.uniform(2, 12))
+        noted.end = time.time()
+
+    def flood(self) -> None:
+        """Ask the service as fast as it answers, for some seconds."""
+        noted = self._note("flood of requests", ())
+        with suppress(AfdsvcError), Transport(read_site(self.service_site).transport, False) as stranger:
+            until = time.monotonic() + self.rng.uniform(2, 6)
+            while time.monotonic() < until:
+                operator_requests.ask(lambda payload: stranger.ask(Keys("soak").command(), payload, 2.0), "history", "eve")
+        noted.end = time.time()
+
+    def identify(self) -> None:
+        """Ask for an identification burst, whose design is long work."""
+        noted = self._note("identification burst asked for", ())
+        with suppress(AfdsvcError):
+            ask_service(read_site(self.service_site), "burst", "kim", machine=self.rng.choice(self.ids), purpose="identify")
+        noted.end = time.time()
+
+    def false_receipts(self) -> None:
+        """Send leases and stops of machines and bursts that are not there."""
+        noted = self._note("leases and stops of others", ())
+        with suppress(AfdsvcError), Transport(read_site(self.service_site).transport, False) as stranger:
+            for id in self.ids:
+                stranger.publish(Keys("soak").lease(id), codec.encode_lease(Lease(id, "b-none", 2.0)))
+                with suppress(AfdsvcError):
+                    stranger.ask(Keys("soak").stop(id), codec.encode_burst_stop(BurstStop(id, "nothing", "eve", "b-none")), 1.0)
         noted.end = time.time()
 
     def stall(self) -> None:
@@ -363,14 +452,35 @@ def processor(soak: Soak) -> str:
     return f"{100 * (last - first) / (over - began):.0f} % of a core, {100 * (last - first) / (over - began) / soak.rigs:.1f} % a machine"
 
 
+@contextmanager
+def small_disk(folder: Path, megabytes: float) -> Iterator[None]:
+    """Mount a disk of a stated size, which can be filled without harm; needs root."""
+    folder.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={megabytes:.0f}m", "afdsvc-soak", str(folder)], check=True)
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def bursts(soak: Soak) -> str:
+    """Return how many bursts the machines played."""
+    played = [
+        len({r.burst.name for path in (soak.folder / "recordings").glob(f"{id}-2*.mcap") for r in Recording(path).requests()})
+        for id in soak.ids
+    ]  # fmt: skip
+    return f"{sum(played)} asked for, {min(played)} to {max(played)} a machine"
+
+
 def main() -> int:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--rigs", type=int, default=8)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--disk", type=float, default=4000.0, help="megabytes of the disk of the recordings")
     asked = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, small_disk(Path(folder) / "recordings", asked.disk):
         soak = Soak(Path(folder), asked.rigs, Random(asked.seed))
         try:
             soak.run(60 * asked.minutes)
@@ -391,6 +501,7 @@ def tell(soak: Soak, minutes: float, seed: int, stopped: float) -> int:
     print(f"{len(soak.done)} disturbances: " + ", ".join(f"{k} {sum(d.what == k for d in soak.done)}" for k in kinds))
     print(f"samples recorded {samples} ({samples / (300_000 * minutes * soak.rigs):.1%} of all); gaps explained {accounted} ({missing} samples), unexplained {len(wrong)}")
     print(f"faults told rightly {told} of {len(soak.faults)}; false alarms {len(false)}; not or wrongly told {len(never)}")
+    print(f"bursts: {bursts(soak)}")
     print(f"memory of the service: {memory(soak)}")
     print(f"processor of the service: {processor(soak)}")
     print(f"service stopped in {stopped:.1f} s; recordings left unfinished {len(unfinished)}; tracebacks in its log {len(errors)}")

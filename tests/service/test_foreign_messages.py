@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.signals import Block, Channel
+from afdsvc.diagnosis.pipeline import Outcome
 from afdsvc.errors import Refused
 from afdsvc.hal.agent import RigAgent
 from afdsvc.service.clock import FastClock, RealClock
@@ -66,3 +67,15 @@ def test_a_new_session_counts_its_samples_anew_before_its_first_block():
     watch.seconds_seen = 369.0
     watch.appeared("new")
     assert watch.seconds_seen == 0.0
+
+
+def test_what_publishers_send_again_to_a_new_network_session_is_taken_once_and_late_blocks_still_are():
+    watch, _, passed = monitor()
+    watch.pipeline = SimpleNamespace(step=lambda block: Outcome((), (), None))
+
+    def sent(session: str, seq: int) -> bytes:
+        return codec.encode_block(Block("m1", session, seq, 50 * seq, 1e-3, 10**18, CHANNELS, np.ones((50, 2))))
+
+    for session, seq in (("s", 0), ("s", 2), ("s", 0), ("s", 1), ("s", 2), ("t", 0), ("t", 0)):
+        watch.take_block(sent(session, seq))
+    assert [(b.session, b.seq) for b, _ in passed] == [("s", 0), ("s", 2), ("s", 1), ("t", 0)]

@@ -15,6 +15,7 @@ from afdsvc.api.signals import Channel
 from afdsvc.hal.agent import RigAgent
 from afdsvc.service.clock import FastClock, RealClock
 from afdsvc.service.operator_requests import Requests, ask
+from afdsvc.service.watchdog import Watchdog
 from afdsvc.transport.freshness import FRESH_SECONDS
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
@@ -22,6 +23,7 @@ from afdsvc.wire.messages import BurstRequest, Command, RigDescription
 
 NOW = 1_700_000_000_000_000_000
 YEAR = 365 * 86400 * 10**9
+UNREAD = b"\xfa\x3f\x01x"  # a protobuf field of number 1023, which no reader looks at
 BURST = Burst("b1", 1, 100, 10, (Line(0, 50.0, 0.1),))
 
 
@@ -34,9 +36,9 @@ def rig(k: int = 0) -> RigAgent:
     return agent
 
 
-def asked(agent: RigAgent, t_ns: int = NOW, start: int = 0, session: str = "", k: int = 0) -> str:
+def asked(agent: RigAgent, t_ns: int = NOW, start: int = 0, session: str = "", k: int = 0, beside: bytes = b"") -> str:
     """Return why a burst was refused, "" for one that was accepted."""
-    payload = codec.encode_burst_request(BurstRequest("m1", BURST, 2.0, "test", t_ns, start, session, k))
+    payload = codec.encode_burst_request(BurstRequest("m1", BURST, 2.0, "test", t_ns, start, session, k)) + beside
     reply = codec.decode_burst_reply(agent._on_burst(payload))
     agent._playing = ""
     return reply.reason
@@ -51,6 +53,7 @@ def test_a_burst_request_is_obeyed_once():
     agent = rig()
     assert asked(agent) == ""
     assert "has come before" in asked(agent)
+    assert "has come before" in asked(agent, beside=UNREAD)
     assert asked(agent, NOW + 1) == ""
 
 
@@ -71,27 +74,34 @@ class Answers:
     def serve(self, key, answer, threads=0):
         self.served[key] = answer
 
+    def answer(self, payload: bytes) -> bytes:
+        key = next(key for key in self.served if "/command" in key)
+        return self.served[key](payload)
+
 
 def service(secured: bool) -> tuple[Answers, list[str]]:
     done: list[str] = []
     line = Answers()
-    hub = SimpleNamespace(transport=line, keys=Keys("t"), clock=RealClock(), status=lambda: "well")
+    hub = SimpleNamespace(
+        transport=line, keys=Keys("t"), clock=RealClock(), status=lambda: "well", audit=None, watchdog=Watchdog(RealClock())
+    )  # fmt: skip
     requests = Requests(hub)
     requests.handlers = lambda: {name: lambda a, who, name=name: done.append(name) for name in ("burst", "resume", "stop", "pause", "status")}
-    requests.serve(secured)
+    requests.serve(["kim"] if secured else None)
     return line, done
 
 
 def answered(line: Answers, payload: bytes) -> str:
-    return codec.decode_command_reply(line.served[Keys("t").command()](payload)).error
+    return codec.decode_command_reply(line.answer(payload)).error
 
 
 @pytest.mark.parametrize("secured", [True, False])
 def test_a_command_is_obeyed_once_and_soon(secured):
     line, done = service(secured)
     payloads: list[bytes] = []
-    ask(lambda payload: (payloads.append(payload), line.served[Keys("t").command()](payload))[1], "burst", "kim")
+    ask(lambda payload: (payloads.append(payload), line.answer(payload))[1], "burst", "kim")
     assert "has come before" in answered(line, payloads[0])
+    assert "has come before" in answered(line, payloads[0] + UNREAD)
     old = codec.encode_command(Command("burst", {}, "kim", time.time_ns() - round(1e9 * FRESH_SECONDS) - 10**10, "n"))
     assert "by its time stamp" in answered(line, old)
     assert done == ["burst"]
@@ -105,6 +115,13 @@ def test_a_secured_site_wants_to_know_when_and_others_obey_old_clients():
     open_line, obeyed = service(False)
     assert answered(open_line, bare) == answered(open_line, bare) == ""
     assert (done, obeyed) == (["status"], ["burst", "burst"])
+
+
+def test_an_operator_speaks_for_nobody_else():
+    """The key a request comes by says who sends it, since zenoh's access rules bind it to a certificate."""
+    line, done = service(True)
+    assert "says that 'lee' asks; it came from 'kim'" in answered(line, codec.encode_command(Command("stop", {}, "lee", time.time_ns(), "n")))
+    assert done == []
 
 
 @pytest.mark.parametrize("name", ["stop", "pause"])
@@ -123,7 +140,8 @@ def test_an_unsecured_service_says_so_at_its_start(tmp_path, free_port):
         capture_output=True, text=True, check=True, timeout=120,
     )  # fmt: skip
     said = [json.loads(line) for line in done.stderr.splitlines()]
-    assert [line["message"] for line in said if line["level"] == "warning"] == [
+    warnings = [line["message"] for line in said if line["level"] == "warning" and line["logger"] != "afdsvc.service.watchdog"]
+    assert warnings == [
         f"{tmp_path / 'site.toml'}: key 'transport.security' is missing: whoever reaches tcp/127.0.0.1:{free_port} may read all signals "
         "and excite the machines"
     ]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 
 import pytest
 
@@ -15,8 +17,6 @@ from benchmarks.support.proxy import Proxy
 
 
 def free_port() -> int:
-    import socket
-
     with socket.socket() as s:
         s.bind(("127.0.0.1", 0))
         return s.getsockname()[1]
@@ -166,3 +166,13 @@ def test_a_slow_answer_holds_up_no_other_where_threads_answer(settings):
         assert other.ask("a/command", b"stop", 3.0) == b"stop"
         free.set()
         slow.join()
+
+
+def test_strangers_who_connect_and_say_nothing_keep_nobody_out(settings):
+    """400 connections that never begin to speak: with zenoh's own bound, 100, rigs were shut out for 10 s at a time."""
+    host, port = settings.listen[0].removeprefix("tcp/").split(":")
+    with Transport(settings, hub=True), ExitStack() as strangers:
+        for _ in range(400):
+            strangers.enter_context(socket.create_connection((host, int(port)), timeout=5))
+        with Transport(settings, hub=False) as rig:
+            assert rig.alive("afdsvc/**") == []

@@ -16,7 +16,7 @@ METHODS = [name for name, f in inspect.getmembers(Keys, inspect.isfunction) if n
 def key(name, site="plant", machine="m1"):
     method = getattr(Keys(site), name)
     wanted = inspect.signature(method).parameters
-    return method(*({"machine": machine, "session": "s1"}[p] for p in wanted))
+    return method(*({"machine": machine, "session": "s1", "operator": "kim"}[p] for p in wanted))
 
 
 def test_the_block_key_is_the_documented_one():

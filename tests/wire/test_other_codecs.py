@@ -26,6 +26,7 @@ from afdsvc.wire.messages import (
     Finding,
     Lease,
     MachineStatus,
+    Receipt,
     RigDescription,
     RigEvent,
     ServiceStatus,
@@ -73,6 +74,7 @@ MESSAGES = {
     "burst_reply": BurstReply(False, "b1", "already playing"),
     "burst_stop": BurstStop("m1", "asked to", "kim", "b1"),
     "lease": Lease("m1", "b1", 2.0),
+    "receipt": Receipt("m1", (("s0", 5, 9), ("s1", 0, 2**40))),
     "event": RigEvent("m1", "s1", T, EventKind.BURST_ABORTED, 77, "b1", "an output reached its limit"),
     "description": RigDescription(
         "m1",
@@ -168,6 +170,7 @@ def message_of(kind, **changes):
         "command": "Command",
         "command_reply": "CommandReply",
         "lease": "Lease",
+        "receipt": "Receipt",
         "burst_reply": "BurstReply",
         "burst_stop": "BurstStop",
     }

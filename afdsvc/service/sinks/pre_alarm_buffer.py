@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from afdsvc.api.signals import Block
-from afdsvc.files.recording.foxglove_log import Level
+from afdsvc.files.recording.foxglove import Level
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.lti.statespace import Array

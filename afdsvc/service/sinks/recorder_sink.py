@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import datetime
+import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
 
 from afdsvc import __version__
+from afdsvc.api.intervals import Intervals
 from afdsvc.api.signals import Block, residual_block
-from afdsvc.files.recording.foxglove_log import Level
+from afdsvc.files.recording.foxglove import Level
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.recorder import Recorder, RecordingFailed, RecordingSettings
 from afdsvc.files.site import Recording
 from afdsvc.lti.statespace import Array
+from afdsvc.service.sinks.fan_out import FanOut
 from afdsvc.wire import codec
-from afdsvc.wire.messages import AlarmChange, AlarmKind, BurstRequest, Finding, RigEvent
+from afdsvc.wire.messages import AlarmChange, AlarmKind, BurstRequest, Finding, Receipt, RigEvent
 
+SESSIONS, PIECES = 16, 100  # that a receipt names
+LATE_SECONDS = 30.0  # without a block end a recording of blocks that were delivered later
 LEVELS = {"info": Level.INFO, "warning": Level.WARNING, "error": Level.ERROR}
 
 
@@ -27,15 +32,42 @@ def alarm_sentence(change: AlarmChange) -> str:
     return f"alarm {change.alarm.id} {change.event}{by}{why}"
 
 
+class Receipts:
+    """Which samples of a machine are on the disk, by session: what its rig need not keep any more. Any thread may call."""
+
+    def __init__(self) -> None:
+        self._sessions: dict[str, Intervals] = {}
+        self._lock = threading.Lock()
+
+    def add(self, session: str, start: int, end: int) -> None:
+        """Note samples from ``start`` up to, and without, ``end``; of more than `SESSIONS` the oldest is forgotten."""
+        with self._lock:
+            self._sessions.setdefault(session, Intervals()).add(start, end)
+            if len(self._sessions) > SESSIONS:
+                del self._sessions[next(iter(self._sessions))]
+
+    def covers(self, session: str, start: int, end: int) -> bool:
+        """Whether all these samples are on the disk."""
+        with self._lock:
+            return session in self._sessions and self._sessions[session].covers(start, end)
+
+    def receipt(self, machine: str) -> Receipt:
+        """Return the message to the rig; of very many pieces the newest."""
+        with self._lock:
+            return Receipt(machine, tuple((s, *pair) for s, found in self._sessions.items() for pair in found.pairs()[-PIECES:]))
+
+
 class RecorderSink:
     """Records one machine. The file is begun with the first message, so a machine that never speaks leaves none.
 
-    ``site`` and ``model`` are the texts put inside; ``facts`` further lines of its header.
+    ``site`` and ``model`` are the texts put inside; ``facts`` further lines of its header. ``receipts`` learns what is on the disk.
     """
 
     def __init__(
-        self, settings: Recording, machine: str, site: str, model: str, start_ns: int, facts: Mapping[str, str]
-    ) -> None:
+        self, settings: Recording, machine: str, site: str, model: str, start_ns: int, facts: Mapping[str, str],
+        receipts: Receipts | None = None,
+    ) -> None:  # fmt: skip
+        self._receipts, self._unkept = receipts or Receipts(), list[tuple[str, int, int]]()
         moment = datetime.datetime.fromtimestamp(start_ns / 1e9, datetime.UTC)
         self.base = _unused(settings.folder / f"{machine}-{moment:%Y%m%dT%H%M%S}")
         self._settings = RecordingSettings(
@@ -65,7 +97,13 @@ class RecorderSink:
 
     def block(self, block: Block, payload: bytes) -> None:
         """Record the bytes as they came."""
-        self._open().block(payload, block)
+        self._unkept.append((block.session, block.k0, block.k0 + len(block)))
+        try:
+            self._open().block(payload, block)
+        except RecordingFailed:
+            self._unkept.clear()
+            raise
+        self._note_kept()
 
     def residual(self, block: Block, residual: Array) -> None:
         """Record the whitened residual."""
@@ -97,11 +135,18 @@ class RecorderSink:
         """Flush when it is due."""
         if self._recorder:
             self._recorder.tick()
+            self._note_kept()
 
     def close(self) -> None:
         """Finish the file."""
         if self._recorder:
             self._recorder.close()
+
+    def _note_kept(self) -> None:
+        if self._recorder and self._recorder.flushed and not self._recorder.failure:
+            for samples in self._unkept:
+                self._receipts.add(*samples)
+            self._unkept.clear()
 
     def _open(self) -> Recorder:
         """Return the recorder; while its first file cannot be made, it is tried as rarely as any later one."""
@@ -123,6 +168,45 @@ class RecorderSink:
         except OSError as error:
             raise RecordingFailed(f"{self._settings.path.parent}: cannot be made: {error.strerror}") from None
         return Recorder(self._settings, self.header)
+
+
+class LateRecorder(FanOut):
+    """Records blocks that a rig kept during an outage and delivered later, as a recording of that time.
+
+    They stay apart from the recording of what was judged live, whose order is the order of the judgement.
+    """
+
+    def __init__(
+        self, settings: Recording, machine: str, site: str, model: str, facts: Mapping[str, str], receipts: Receipts
+    ) -> None:  # fmt: skip
+        super().__init__([])
+        self._arguments, self._facts, self._receipts = (settings, machine, site, model), {**facts, "delivered": "later"}, receipts
+        self._sink: RecorderSink | None = None
+        self._last = 0.0
+
+    @property
+    def paths(self) -> list[Path]:
+        """The files being written."""
+        return self._sink.paths if self._sink else []
+
+    def block(self, block: Block, payload: bytes) -> None:
+        """Record a block."""
+        self._sink = self._sink or RecorderSink(*self._arguments, block.t0_ns, self._facts, self._receipts)
+        self._last = time.monotonic()
+        self._sink.block(block, payload)
+
+    def tick(self) -> None:
+        """Flush when it is due; finish a file to which nothing comes any more."""
+        if self._sink:
+            self._sink.tick()
+            if time.monotonic() - self._last > LATE_SECONDS:
+                self.close()
+
+    def close(self) -> None:
+        """Finish the file."""
+        sink, self._sink = self._sink, None
+        if sink:
+            sink.close()
 
 
 def _unused(base: Path) -> Path:

@@ -8,7 +8,7 @@ import pytest
 from afdsvc.app import commissioning
 from afdsvc.errors import BadInput
 from afdsvc.files.site import Machine
-from afdsvc.hal.rotation import REFRESH, SpeedProfile
+from afdsvc.hal.simulator import REFRESH, SpeedProfile
 from afdsvc.service.clock import FastClock
 
 

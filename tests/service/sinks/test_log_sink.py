@@ -1,0 +1,35 @@
+"""The service's log says in one line each what happens to a machine."""
+
+from __future__ import annotations
+
+import logging
+
+from afdsvc.api.evidence import Evidence, Severity
+from afdsvc.service.sinks.log_sink import LogSink
+from afdsvc.wire.messages import Alarm, AlarmChange, EventKind, Finding, RigEvent
+
+
+def evidence(burst: str, detector: str, **more: object) -> Finding:
+    return Finding(Evidence(detector, "bearing", 0, 1.0, 12.3, 40.0, more.pop("detected", False), burst=burst, **more), "s", 0)
+
+
+def test_bursts_decisions_alarms_and_people(caplog):
+    caplog.set_level(logging.INFO)
+    sink, severity = LogSink("bearing"), Severity(-0.5, 0.01)
+    sink.event(RigEvent("bearing", "s", 0, EventKind.BURST_STARTED, burst="b1"), b"")
+    sink.finding(evidence("b1", "chi_square"))
+    sink.finding(evidence("b1", "cusum"))  # the same again: not written
+    sink.finding(evidence("b2", "chi_square", detected=True, fault="horizontal_actuator", severity=severity))
+    sink.finding(evidence("", "limit_check", detected=True))  # no burst: alarms tell
+    sink.finding(evidence("b3", "chi_square", trustworthy=False, reason="the actuator saturated"))
+    alarm = Alarm("a1", "bearing", "horizontal_actuator", 0, 0, severity=severity)
+    sink.alarm(AlarmChange(alarm, "raised", 0))
+    sink.alarm(AlarmChange(alarm, "acknowledged", 0, "ann", "on my way"))
+    assert [r.getMessage() for r in caplog.records] == [
+        "bearing: burst started b1",
+        "bearing: chi_square: no fault (statistic 12.3, threshold 40)",
+        "bearing: chi_square: horizontal_actuator -50.0 ± 1.0 % (statistic 12.3, threshold 40)",
+        "bearing: chi_square: the actuator saturated (statistic 12.3, threshold 40)",
+        "bearing: alarm a1 (horizontal_actuator -50.0 ± 1.0 %) raised",
+        "bearing: alarm a1 (horizontal_actuator -50.0 ± 1.0 %) acknowledged by ann: on my way",
+    ]
