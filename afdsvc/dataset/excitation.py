@@ -9,8 +9,8 @@ import numpy as np
 
 from afdsvc.api.model import Model
 from afdsvc.dataset.experiment import Run
-from afdsvc.dataset.finding import Finding
 from afdsvc.dataset.periods import fold
+from afdsvc.dataset.sample_checks import Finding
 from afdsvc.lti.statespace import Array
 
 LEVELS_APART = 1.2

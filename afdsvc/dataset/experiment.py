@@ -77,8 +77,8 @@ def prepare(model: Model, traces: Sequence[Trace]) -> list[Run]:
 
 
 def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:
-    U = np.column_stack([np.zeros((len(trace), 0)), *(_column(trace, f"u_{v.name}") for v in model.inputs)])
-    Y = np.column_stack([_column(trace, f"y_{v.name}") for v in model.outputs])
+    U = np.column_stack([np.zeros((len(trace), 0)), *(trace.column(f"u_{v.name}") for v in model.inputs)])
+    Y = np.column_stack([trace.column(f"y_{v.name}") for v in model.outputs])
     n = len(trace)
     if n < 50:
         raise BadInput(f"{trace.name}: {n} samples; expected at least 50")
@@ -118,13 +118,6 @@ def _check_readings(trace: Trace, model: Model, Y: Array) -> None:
             raise BadInput(f"{trace.name}: y_{v.name} is infinite at sample {int(np.argmax(np.isinf(y)))}; expected a number, or nan for a gap")
         if not np.isfinite(y).any():
             raise BadInput(f"{trace.name}: y_{v.name} has no reading at all; expected recordings with readings of every output")
-
-
-def _column(trace: Trace, name: str) -> Array:
-    if not trace.has(name):
-        have = ", ".join(c.name for c in trace.channels)
-        raise BadInput(f"{trace.name}: column '{name}' of the model is missing; the recording has {have}")
-    return trace.column(name)
 
 
 def _optional(trace: Trace, name: str, n: int) -> Array:

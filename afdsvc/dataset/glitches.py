@@ -13,8 +13,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from afdsvc.dataset.resolution import grid
 from afdsvc.lti.statespace import Array
+
+
+def grid(column: Array) -> float:
+    """Return the step of the grid the values lie on: at most half of them may differ, and all differences be multiples."""
+    values = np.unique(column)
+    if not 3 <= len(values) <= len(column) / 2:
+        return 0.0
+    gaps = np.diff(values)
+    step = float(gaps.min())
+    multiples = gaps / step
+    return step if np.abs(multiples - np.round(multiples)).max() < 0.02 * max(1.0, float(np.median(multiples))) else 0.0
+
 
 FAR = 12.0  # standard deviations from the cubic through the neighbours
 COARSE = 0.3  # steps of a coarse reading that count as one deviation

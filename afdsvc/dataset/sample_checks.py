@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy import stats
 
 from afdsvc.api.model import Model
 from afdsvc.dataset.experiment import Run
-from afdsvc.dataset.finding import Finding
-from afdsvc.dataset.glitches import Glitch
+from afdsvc.dataset.glitches import Glitch, grid
 from afdsvc.dataset.periods import fold
-from afdsvc.dataset.resolution import grid
 from afdsvc.lti.statespace import Array
+
+Kind = Literal["ok", "warning", "stop"]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What the check found about one ``topic``, as a sentence; "stop" forbids a conclusion, "warning" limits it."""
+
+    kind: Kind
+    topic: str
+    sentence: str
+
 
 STUCK = 0.002  # share of the samples at one extreme from which a signal counts as clipped
 CROWDED = 3.0  # how many times as many samples lie at the extreme as on the next step inwards

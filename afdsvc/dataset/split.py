@@ -30,11 +30,11 @@ def split(runs: Sequence[Run], holdout: Sequence[Run]) -> Split:
         return Split(tuple(runs), tuple(holdout))
     if len(runs) > 1:
         return Split(tuple(runs[:-1]), (runs[-1],))
-    first, last = parts(runs[0], 1 - HELD_SHARE)
+    first, last = _parts(runs[0], 1 - HELD_SHARE)
     return Split((first,), (last,))
 
 
-def parts(run: Run, share: float) -> tuple[Run, Run]:
+def _parts(run: Run, share: float) -> tuple[Run, Run]:
     """Return the first ``share`` of a run and the rest; the cut falls on a whole period where one is near."""
     cut = int(len(run) * share)
     if run.period and len(run) >= 3 * run.period:

@@ -57,7 +57,7 @@ def explain(
     found = search(base, offered, mapper, progress, lambda path: not tested(base.problem, path, rng).absent)
     progress("testing", 0.85)
     after = tested(found.problem, found.end, rng) if found.end is not found.start else None
-    answer = verdict(found, before, after, rng)
+    answer = verdict(found, before, after)
     progress("reporting", 0.9)
     explanation = report(found, answer, roles, findings, offered, experiment)
     progress("reporting", 1.0)

@@ -161,8 +161,8 @@ def _quiet(run: Run, n: int, window: Array) -> NDArray[np.bool_]:
     if run.period:  # what repeats is taken out where three periods or more tell what it is
         orders = bins * run.period / n
         return np.abs(orders - np.round(orders)) > (0.6 if n >= 3 * run.period else 1.6) * run.period / n
-    drive = np.abs(np.fft.rfft(run.U[-n:] * window, axis=0)).max(1)
-    return np.asarray(drive < 0.02 * drive.max())
+    drive = np.abs(np.fft.rfft(run.U[-n:] * window, axis=0)).max(1, initial=0.0)
+    return np.asarray(drive <= 0.02 * drive.max())
 
 
 def _centre(size: Array, k: int) -> float:

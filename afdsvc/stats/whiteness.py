@@ -132,17 +132,21 @@ class Whiteness:
         return f"the mean of the quiet residual is not zero (p = {self.offset:.2g})"
 
 
-def whiteness(sums: LagSums) -> Whiteness:
-    """Return the tests of the residual itself; raises `BadInput` when there are fewer than ten samples per lag."""
-    return _tests(sums.n, sums.residual, sums.mean[0])
+def whiteness(sums: LagSums, estimated: int = 0) -> Whiteness:
+    """Return the tests of the residual itself; raises `BadInput` when there are fewer than ten samples per lag.
+
+    ``estimated`` counts the samples that the stated covariance was itself estimated from (0: known): two estimates then differ by the
+    errors of both.
+    """
+    return _tests(sums.n, sums.residual, sums.mean[0], estimated)
 
 
-def whiteness_without(sums: LagSums, fault: int, theta: float) -> Whiteness:
+def whiteness_without(sums: LagSums, fault: int, theta: float, estimated: int = 0) -> Whiteness:
     """Return the tests of ``r - theta psi`` for one fault."""
-    return _tests(sums.n, *sums.without(fault, theta))
+    return _tests(sums.n, *sums.without(fault, theta), estimated)
 
 
-def _tests(n: int, products: Array, total: Array) -> Whiteness:
+def _tests(n: int, products: Array, total: Array, estimated: int) -> Whiteness:
     lags, p = products.shape[0] - 1, products.shape[1]
     if n < 10 * lags:
         raise BadInput(f"{n} quiet samples for {lags} lags; expected at least {10 * lags}")
@@ -157,8 +161,9 @@ def _tests(n: int, products: Array, total: Array) -> Whiteness:
     likelihood = n * (float(np.trace(C0)) - math.log(float(np.linalg.det(C0))) - p)
     dof = p * (p + 1) / 2
     bartlett = 1 + (2 * p + 1 - 2 / (p + 1)) / (6 * n)  # brings the mean of the ratio to its degrees of freedom
+    both = 1 + n / estimated if estimated else 1.0
     return Whiteness(
-        n, float(chdtrc(p * p * lags, Q)), float(chdtrc(dof, max(likelihood / bartlett, 0.0))),
+        n, float(chdtrc(p * p * lags, Q)), float(chdtrc(dof, max(likelihood / bartlett / both, 0.0))),
         float(chdtrc(p, float(total @ total) / n)), sd,
     )
 

@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import cont2discrete, lfilter
 
 from afdsvc.api.model import Model, Quantity
-from afdsvc.api.signals import Trace
+from afdsvc.api.signals import Channel, Trace
 from afdsvc.errors import BadInput
 from afdsvc.explain.pipeline import explain
 from afdsvc.explain.report.explanation import Explanation
@@ -139,3 +140,22 @@ def test_a_column_of_the_model_that_is_missing_is_named(spring, recorded):
     cut = Trace("cut", trace.dt, trace.channels[:1], trace.values[:, :1])
     with pytest.raises(BadInput, match="y_position"):
         explain(spring, [cut], [], FEW)
+
+
+def test_a_gain_that_is_off_is_a_constant_and_not_physics(spring):
+    """A staircase drives the stated model with 4 % more gain and slow noise: curves, lags and hysteresis fit, too, and are not named."""
+    rng = np.random.default_rng(5)
+    accelerated = replace(spring, plant=replace(spring.plant, B=np.array([[0.0], [1.0]])))  # the input is an acceleration: its gain is no free number
+    A, B, *_ = cont2discrete((spring.plant.A, np.array([[0.0], [1.04]]), spring.plant.C, spring.plant.D), 2e-3)
+    recordings = []
+    for name in "abcd":
+        u = np.repeat(rng.uniform(-1e4, 1e4, 40), 50)
+        x, y = np.zeros(2), np.empty(len(u))
+        for k, now in enumerate(u):
+            y[k] = x[0]
+            x = A @ x + B[:, 0] * now
+        noise = lfilter([0.02 * np.sqrt(1 - 0.9**2)], [1, -0.9], rng.standard_normal(len(u)))
+        recordings.append(Trace(name, 2e-3, (Channel("u_force"), Channel("y_position")), np.column_stack([u, y + noise])))
+    answer = explain(accelerated, recordings[:3], recordings[3:], afdsvc_physics())
+    assert answer.verdict == "parameter_change"
+    assert {n.physics for n in answer.named if n.weight > 0.2} == {"parameter_change"}

@@ -77,3 +77,11 @@ def test_an_excitation_that_the_model_answers_wrongly_at_every_line_is_no_mains(
         lines = np.arange(70, 131, 3)  # of 0.5 Hz, 50 Hz among them
         left = [noise(rng) + 0.14 * np.sin(2 * np.pi * np.outer(t, lines) / 2 + rng.uniform(0, 6, lines.size)).sum(1)[:, None] for _ in range(2)]
         assert not tones([run()] * 2, left)
+
+
+def test_a_tone_is_heard_in_a_recording_without_inputs():
+    """A free decay has no drive, so every frequency is free of it."""
+    decay = run()
+    decay = Run("r", DT, 0.0, np.zeros((len(decay), 0)), decay.Y, np.zeros((len(decay), 0)), decay.Y, ())
+    found = tones([decay], [with_tone(np.random.default_rng(0), 0.5)])
+    assert [t.omega for t in found] == pytest.approx([OMEGA], abs=np.pi / (PERIOD * PERIODS * DT))

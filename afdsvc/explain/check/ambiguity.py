@@ -9,8 +9,8 @@ import numpy as np
 from afdsvc.api.model import Model
 from afdsvc.dataset.excitation import played
 from afdsvc.dataset.experiment import Run
-from afdsvc.dataset.finding import Finding
-from afdsvc.dataset.rotation import speeds
+from afdsvc.dataset.periods import speeds
+from afdsvc.dataset.sample_checks import Finding
 from afdsvc.explain.search.machine import bandwidth
 
 SHORT = 0.12  # phase [rad] by which one sample of delay differs from one of lag, third order; see `_timing`

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
-from afdsvc.dataset.columns import columns
+from afdsvc.dataset.arrays import columns
 from afdsvc.dataset.excitation import SINE, excitation
 from afdsvc.dataset.experiment import prepare
-from afdsvc.dataset.finding import Finding
-from afdsvc.dataset.sample_checks import samples
+from afdsvc.dataset.sample_checks import Finding, samples
 from afdsvc.errors import BadInput
 from afdsvc.explain.check.ambiguity import ambiguities
+from afdsvc.explain.check.clock import clock
 from afdsvc.explain.check.gain import gains
 from afdsvc.explain.check.information import information
 from afdsvc.explain.check.lines import lines
@@ -36,6 +36,7 @@ def check(model: Model, traces: Sequence[Trace]) -> tuple[Finding, ...]:
     return (
         *columns(model, traces, runs),
         *loop(nom, runs),
+        *clock(nom, runs),
         *samples(model, runs),
         *response(nom, runs),
         *gains(nom, seen),

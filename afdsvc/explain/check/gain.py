@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from afdsvc.dataset.finding import Finding
+from afdsvc.dataset.sample_checks import Finding
 from afdsvc.explain.check.lines import ComplexArray, Lines, response
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.lti.statespace import Array

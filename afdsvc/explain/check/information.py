@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from afdsvc.dataset.experiment import Run
-from afdsvc.dataset.finding import Finding
 from afdsvc.dataset.periods import wandering
+from afdsvc.dataset.sample_checks import Finding
 from afdsvc.explain.check.lines import Lines, response
 from afdsvc.explain.simulate.nominal import Entry, Nominal
 from afdsvc.lti.statespace import Array

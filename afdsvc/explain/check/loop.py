@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from afdsvc.dataset.experiment import Run
-from afdsvc.dataset.finding import Finding
+from afdsvc.dataset.sample_checks import Finding
 from afdsvc.explain.simulate.nominal import Nominal
 
 MARGIN = 1e-9

@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy import signal
+from scipy import signal, stats
 
 from afdsvc.dataset.experiment import Run
-from afdsvc.dataset.finding import Finding
+from afdsvc.dataset.sample_checks import Finding
 from afdsvc.explain.gap.decision import gap
 from afdsvc.explain.gap.signals import Signals
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.explain.simulate.simulator import Simulator
 from afdsvc.lti.statespace import Array
 
-CLEAR = 0.3  # largest correlation with an input, or its size, at any lag, from which an output responds without a further test
+CLEAR = 0.3  # smallest correlation with an input, or its size, at any lag, from which an output responds without a further test
+CHANCE = 1e-3  # probability with which the largest correlation of unrelated signals may count as clear
 CAUSED = 0.5  # rms of what the model says the inputs cause, over that of the output, below which nothing is expected to show
 REPEATS = 0.02  # share of the output that repeats with the excitation, from which it responds
 
@@ -29,7 +30,7 @@ def response(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
     model = nominal.model
     if not model.inputs or any(r.W is not None or r.commanded for r in runs):
         return
-    silent = [j for j in range(len(model.outputs)) if _expected(nominal, runs, j) and _correlation(runs, j) < CLEAR]
+    silent = [j for j in range(len(model.outputs)) if _expected(nominal, runs, j) and not _correlated(runs, j)]
     if not silent:
         return
     given = [Signals(r.Y[:, silent], r.U, r.U[:, :0], r.U[:, :0], r.dt, r.period) for r in runs]
@@ -56,13 +57,23 @@ def _expected(nominal: Nominal, runs: Sequence[Run], j: int) -> bool:
         return not np.sqrt(np.mean([np.var(c) for c in caused])) < CAUSED * size
 
 
-def _correlation(runs: Sequence[Run], j: int) -> float:
-    """Return the largest correlation of an output with an input or its size over all lags, in any recording."""
-    return max(
-        _largest(np.nan_to_num(r.Y[:, j] - np.nanmean(r.Y[:, j])), x) for r in runs for u in (r.U - r.U.mean(0)).T for x in (u, np.abs(u) - np.abs(u).mean())
+def _correlated(runs: Sequence[Run], j: int) -> bool:
+    """Whether an output is clearly correlated with an input or its size at some lag, in any recording."""
+    return any(
+        _clear(np.nan_to_num(r.Y[:, j] - np.nanmean(r.Y[:, j])), x) for r in runs for u in (r.U - r.U.mean(0)).T for x in (u, np.abs(u) - np.abs(u).mean())
     )
 
 
-def _largest(y: Array, u: Array) -> float:
+def _clear(y: Array, u: Array) -> bool:
+    """Whether the largest correlation over all lags is `CLEAR` and more than unrelated signals of these spectra reach by chance.
+
+    The variance of a correlation of unrelated signals is the sum over lags of the product of their autocorrelations, over their length
+    (Bartlett, "On the theoretical specification and sampling properties of autocorrelated time-series", 1946).
+    """
     size = np.linalg.norm(y) * np.linalg.norm(u)
-    return float(np.abs(signal.correlate(y, u, method="fft")).max() / size) if size > 0 else 0.0
+    if size == 0:
+        return False
+    largest = float(np.abs(signal.correlate(y, u, method="fft")).max() / size)
+    own = [signal.correlate(x, x, method="fft") / float(x @ x) for x in (y, u)]
+    variance = max(float(own[0] @ own[1]), 1.0) / len(y)
+    return largest > max(CLEAR, float(stats.norm.isf(CHANCE / (2 * len(y)))) * np.sqrt(variance))

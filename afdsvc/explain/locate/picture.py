@@ -17,8 +17,9 @@ from afdsvc.explain.locate.words import described
 from afdsvc.explain.report.explanation import Law
 from afdsvc.explain.search.evidence import blocks, left_out
 from afdsvc.explain.search.fit import Coordinates, Fit, fit
-from afdsvc.explain.search.forward import Candidate, Found
+from afdsvc.explain.search.forward import Found
 from afdsvc.explain.search.problem import Point, Problem
+from afdsvc.explain.search.ranking import Candidate
 from afdsvc.explain.simulate.effects import Effect
 from afdsvc.lti.statespace import Array
 
@@ -126,5 +127,6 @@ def _law(drawn: Site, heights: Array, sd: Array, named: Array | None, gained: fl
     x, adds = drawn.knots, drawn.knots if drawn.adds else 0.0
     y, band = adds + drawn.factor * heights, WIDE * abs(drawn.factor) * sd
     beside = None if named is None else adds + drawn.factor * named
-    said = f"{drawn.words}: {described(x, y, np.abs(band), drawn.adds, drawn.of)}; on left-out blocks it removes {100 * max(gained, 0.0):.0f} % of the squared error"
+    tested = f"on left-out blocks it removes {100 * gained:.0f} % of the squared error" if gained > 0 else "left-out blocks do not confirm it"
+    said = f"{drawn.words}: {described(x, y, np.abs(band), drawn.adds, drawn.of)}; {tested}"
     return Law(drawn.words, drawn.against, drawn.unit, drawn.of.unit, x, y, y - band, y + band, beside, said)

@@ -15,7 +15,7 @@ from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.machine import bandwidth
 from afdsvc.explain.search.problem import Problem
 from afdsvc.lti.statespace import Array
-from afdsvc.stats.periodic import repeating
+from afdsvc.stats.spectral_peaks import repeating
 
 TAIL = 0.05  # share of the power outside the band, on either side
 MATTERS = 0.2  # share lost without a group, over the largest, from which the group is named

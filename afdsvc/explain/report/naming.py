@@ -10,8 +10,9 @@ import numpy as np
 from afdsvc.api.physics import Coefficient, Hypothesis
 from afdsvc.explain.report.explanation import Estimate, Named, Nearest, Rejected
 from afdsvc.explain.search.fit import Coordinates, Fit, fit, logarithmic
-from afdsvc.explain.search.forward import Candidate, Found, Step, is_constant
+from afdsvc.explain.search.forward import Found, Step
 from afdsvc.explain.search.problem import Point, Problem
+from afdsvc.explain.search.ranking import Candidate, is_constant, mechanism
 from afdsvc.explain.simulate.effects import Effect
 from afdsvc.explain.verdict.verdict import Claim, Verdict
 from afdsvc.lti.statespace import Array
@@ -42,8 +43,7 @@ def _each_once(claims: Sequence[Claim]) -> list[Claim]:
     """Return the claims with the shapes of one thing taken as one, the first of them, their weights added."""
     first: dict[tuple[str, ...], Claim] = {}
     for c in claims:
-        h = c.candidate.hypothesis
-        what = (h.physics, h.site, h.notes.get("of", h.notes.get("variant", "")))
+        what = mechanism(c.candidate.hypothesis)
         first[what] = replace(first[what], weight=first[what].weight + c.weight) if what in first else c
     return list(first.values())
 
@@ -116,7 +116,7 @@ def rejections(found: Found, claimed: Sequence[str], error: Callable[[Point], fl
 def _why(c: Candidate, step: Step) -> str:
     """Return why a candidate is not claimed: what the accepted one does better, or what it lacks."""
     best = step.candidates[0]
-    closes = f"closes {100 * c.evidence.share:.0f} % of the gap"
+    closes = f"closes {100 * c.evidence.share:.0f} % of the gap" if c.evidence.share > 0 else "closes nothing of the gap"
     if not step.accepted:
         return f"{closes}; {step.reason}" if c is best else f"{closes}, less than {best.hypothesis.key}, which is not accepted either"
     return f"{closes} on left-out blocks, {best.hypothesis.key} {100 * best.evidence.share:.0f} %"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from afdsvc.api.physics import Physics
-from afdsvc.dataset.finding import Finding
+from afdsvc.dataset.sample_checks import Finding
 from afdsvc.dataset.split import Split
 from afdsvc.explain.check.check import insufficient_excitation, one_frequency
 from afdsvc.explain.experiment.next_experiment import experiment_after, first_experiment
@@ -83,18 +83,19 @@ def _excited(verdict: Verdict, findings: Sequence[Finding]) -> Verdict:
 def _final(found: Found, verdict: Verdict, play: Player, roles: Split) -> tuple[Verdict, Fit]:
     """Return the verdict and the final fit: with the claimed effects, else the numbers refitted, else the model as stated.
 
-    What does worse on the recordings held out than the model as stated is withdrawn.
+    What does worse on the recordings held out than the model as stated is withdrawn; what does not do better there than the
+    model refitted without effects, or worse than a constant, is not certain.
     """
     last = list(found.end)[-1]
     claimed = {c.candidate.hypothesis.key for c in verdict.claims}
-    stated = _error(play, roles, found.problem.start())
+    stated, refitted = (_error(play, roles, p) for p in (found.problem.start(), found.start[last].point))
     if claimed:
         final = _with(found, claimed)
         error = _error(play, roles, final.point)
         if error <= WORSE * stated:
-            return verdict, final
+            return verdict if error < min(refitted, 1.0) else _doubted(verdict, error, refitted, found.problem.settings.uncertain), final
         verdict = _withdrawn(verdict, stated, error)
-    if _error(play, roles, found.start[last].point) <= WORSE * stated:
+    if refitted <= WORSE * stated:
         return verdict, found.start[last]
     return verdict, fit(found.problem, found.problem.start(), last, found.start[last].tau, iterations=0)
 
@@ -109,6 +110,15 @@ def _with(found: Found, keys: set[str]) -> Fit:
 
 def _error(play: Player, roles: Split, point: Point) -> float:
     return float(np.mean(play.nrmse(roles.heldout, point)))
+
+
+def _doubted(verdict: Verdict, error: float, refitted: float, most: float) -> Verdict:
+    why = (
+        f"on the recordings held out the error is {100 * error:.3g} %, and {100 * refitted:.3g} % for the model refitted without an "
+        "effect, so no name is certain"
+    )
+    claims = tuple(replace(c, weight=min(c.weight, most)) for c in verdict.claims)
+    return replace(verdict, claims=claims, sentences=(*verdict.sentences, why))
 
 
 def _withdrawn(verdict: Verdict, before: float, after: float) -> Verdict:

@@ -57,11 +57,16 @@ def _interpolated(problem: Problem) -> tuple[Problem, dict[float, Fit]]:
     held = problem, base_path(problem, problem.settings.horizons, taus, problem.start())
     plant = problem.nominal.plant
     driven = any(r.W is not None or r.commanded or bool(np.ptp(r.REF, axis=0).max(initial=0.0) > 0) for r in problem.runs)
-    if plant.discrete or not plant.inputs or problem.nominal.model.controller is not None or driven:
+    if plant.discrete or not plant.inputs or problem.nominal.model.controller is not None or driven or _stepped(problem):
         return held
     smooth = replace(problem, ramped=True)
     other = smooth, base_path(smooth, problem.settings.horizons, taus, problem.start())
     return min(held, other, key=lambda pair: sum(f.deviance for f in pair[1].values()))
+
+
+def _stepped(problem: Problem) -> bool:
+    """Whether the inputs are constant over most sample intervals: a staircase is held, not smooth."""
+    return bool(np.median(np.concatenate([np.abs(np.diff(r.U, axis=0)).max(1) for r in problem.runs])) == 0)
 
 
 def _horizons(problem: Problem, path: dict[float, Fit]) -> tuple[float, ...]:

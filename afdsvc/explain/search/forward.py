@@ -18,8 +18,8 @@ from afdsvc.explain.search.fit import Fit, fit
 from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
 from afdsvc.explain.search.path import Trial, added_path, ends, fewer_path, trial
 from afdsvc.explain.search.problem import Problem
+from afdsvc.explain.search.ranking import Candidate, is_constant, is_reason, weights, winner
 from afdsvc.explain.search.screen import Screen, Screened
-from afdsvc.explain.settings import Settings
 from afdsvc.lti.statespace import Array
 from afdsvc.stats.spectral_peaks import peaks
 from afdsvc.stats.tones import tones
@@ -28,24 +28,8 @@ Mapper = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 Progress = Callable[[str, float], None]
 
 
-CONSTANT = "parameter_change"
-WHOLE = 0.8  # share of the gap that a constant has to close to be a reason
 REFIT = 4  # iterations of the refit to a part of the recordings
 STARTS = 2  # of every hypothesis that are tried, by what they promise
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
-    """A hypothesis fitted along the horizons, with its evidence over the model without it."""
-
-    hypothesis: Hypothesis
-    path: dict[float, Fit]
-    evidence: Evidence
-
-    @property
-    def fit(self) -> Fit:
-        """The fit at the decision horizon."""
-        return self.path[list(self.path)[-1]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,18 +138,20 @@ class Rounds(Settled):
         return _decided(ranked, limited, self, by_chance, further)
 
     def ranked(self, found: Sequence[Candidate]) -> tuple[list[Candidate], str]:
-        """Return candidates by gain, the simplest of those that fit alike first; and what limits the best one."""
-        settings, limited = self.problem.settings, self.limited
-        ordered = sorted(found, key=lambda c: -c.evidence.gain)
-        first = [c for c in ordered if is_reason(c, limited)] or ordered
-        if not first:
+        """Return the winner, the other candidates by gain, and what limits the best fit.
+
+        Where the best fit leaves only noise, constants of the model are reasons like any other.
+        """
+        ordered, limited = sorted(found, key=lambda c: -c.evidence.gain), self.limited
+        reasons = [c for c in ordered if is_reason(c, limited)] or ordered
+        if not reasons:
             return [], limited
-        near = _near(first, settings, limited)
-        if limited == "model" and len(near) > 1 and not self.predictable(first[0].path):
+        first = winner(reasons, self.problem.settings, limited)
+        contested = reasons[0] is not ordered[0] or weights(reasons, self.problem.settings, limited).max() < 1
+        if limited == "model" and contested and not self.predictable(ordered[0].path):
             limited = "noise"
-            near = _near(first, settings, limited)
-        winner = min(near, key=lambda c: (complexity(c.hypothesis), -c.evidence.gain))
-        return [winner, *(c for c in ordered if c is not winner)], limited
+            first = winner(ordered, self.problem.settings, limited)
+        return [first, *(c for c in ordered if c is not first)], limited
 
     def evidence(self, path: dict[float, Fit], base: dict[float, Fit], h: Hypothesis) -> Evidence:
         """Return the evidence for one hypothesis; a constant of the model costs nothing, it is there already."""
@@ -228,38 +214,6 @@ def _noise(problem: Problem, base: Fit) -> list[Array]:
         return list(base.residuals)
     noise = [differing(r, e) for r, e in zip(problem.runs, base.residuals, strict=True)]
     return [e if d is None else d for d, e in zip(noise, base.residuals, strict=True)]
-
-
-def complexity(h: Hypothesis) -> float:
-    """Return what orders hypotheses that fit alike: fewer parameters first, descriptions of curves behind mechanisms."""
-    return sum(c.free and not c.nuisance for c in h.parameters) + (2.0 if getattr(h, "description", False) else 0.0)
-
-
-def _near(ordered: Sequence[Candidate], settings: Settings, limited: str) -> list[Candidate]:
-    """Return the candidates that fit as well as the first."""
-    best = ordered[0].evidence
-    return [c for c in ordered if alike(c.evidence, best, c.evidence.gain, best.gain, settings, limited)]
-
-
-def alike(one: Evidence, best: Evidence, gain: float, highest: float, settings: Settings, limited: str) -> bool:
-    """Whether a gain is as good as the highest: within what chance moves it, or within a small share of what it closes."""
-    if gain >= highest - settings.likely:
-        return True
-    return limited == "model" and bool(one.closing(np.array(gain)) >= (1 - settings.tie) * best.closing(np.array(highest)))
-
-
-def is_reason(c: Candidate, limited: str) -> bool:
-    """Whether a candidate can be the reason of a gap.
-
-    Where the model limits, constants that are off are one only where they close nearly all of the gap: with physics left out any fit
-    moves them.
-    """
-    return limited == "noise" or not is_constant(c.hypothesis) or c.evidence.share > WHOLE
-
-
-def is_constant(h: Hypothesis) -> bool:
-    """Whether a hypothesis says that a number of the model is off, not that physics is missing."""
-    return h.physics == CONSTANT
 
 
 def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: dict[float, float], further: bool) -> Step:

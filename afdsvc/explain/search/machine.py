@@ -9,7 +9,7 @@ import numpy as np
 from afdsvc.api.model import Variable
 from afdsvc.api.physics import Axis, Hypothesis, Machine, Physics, Size
 from afdsvc.dataset.experiment import Run
-from afdsvc.dataset.resolution import grid
+from afdsvc.dataset.glitches import grid
 from afdsvc.dataset.units import is_velocity
 from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.problem import Problem

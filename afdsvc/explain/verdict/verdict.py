@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.explain.gap.finding import Gap
-from afdsvc.explain.search.forward import Candidate, Found, Step, is_constant
-from afdsvc.explain.verdict.weights import look_alikes, weights
+from afdsvc.explain.search.forward import Found, Step
+from afdsvc.explain.search.ranking import Candidate, is_constant, look_alikes, weights
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,11 +37,11 @@ class Verdict:
     explained: tuple[float, float]
 
 
-def verdict(found: Found, gap: Gap, remainder: Gap | None, rng: np.random.Generator) -> Verdict:
+def verdict(found: Found, gap: Gap, remainder: Gap | None) -> Verdict:
     """Return the verdict of a search, the gap before it and the one that remains after it."""
     accepted = [s for s in found.steps if s.accepted]
-    strained = _strained(found)
     explained = _explained(found)
+    strained = (*_strained(found), *_incomplete(remainder, explained[0]))
     if not accepted:
         word, sentences = _nothing(found, gap, strained)
         return Verdict(word, (), sentences, gap, remainder, explained)
@@ -49,7 +49,8 @@ def verdict(found: Found, gap: Gap, remainder: Gap | None, rng: np.random.Genera
     if not gap.present and found.problem.weighting.even and not is_constant(first):
         why = f"{first.key} fits better, but {_lower(gap.sentence)}; it is not claimed"
         return Verdict("unexplained" if gap.total > DOUBT else "consistent", (), (why, *strained), gap, remainder, explained)
-    claims = [c for k, s in enumerate(accepted, 1) for c in _claims(s, k, bool(strained), found, rng)]
+    open_ended = remainder is not None and remainder.present
+    claims = [c for k, s in enumerate(accepted, 1) for c in _claims(s, k, bool(strained) or (open_ended and k > 1), found)]
     firsts = [next(c for c in claims if c.effect == k) for k in range(1, len(accepted) + 1)]
     word = "parameter_change" if all(is_constant(c.candidate.hypothesis) for c in firsts) else "omitted_physics"
     return Verdict(word, tuple(claims), (*_rest(gap, remainder, explained), *strained), gap, remainder, explained)
@@ -70,11 +71,11 @@ def _nothing(found: Found, gap: Gap, strained: Sequence[str]) -> tuple[str, tupl
     return "consistent", (gap.sentence, *stop)
 
 
-def _claims(step: Step, number: int, strained: bool, found: Found, rng: np.random.Generator) -> list[Claim]:
+def _claims(step: Step, number: int, doubted: bool, found: Found) -> list[Claim]:
     settings = found.problem.settings
     alike = look_alikes(step.candidates, settings, step.limited)
-    w = weights(alike, settings, step.limited, rng)
-    if strained:
+    w = weights(alike, settings, step.limited)
+    if doubted:
         w = np.minimum(w, settings.uncertain)
     order = [0, *sorted(range(1, len(alike)), key=lambda k: -w[k])]
     return [Claim(alike[k], float(w[k]), number, alike[k].evidence.share) for k in order]
@@ -89,6 +90,13 @@ def _strained(found: Found) -> tuple[str, ...]:
         return ()
     names = ", ".join(f"{e.name or f'{e.matrix}[{e.row}, {e.column}]'} ({t:+.1f})" for e, t in far[:4])
     return (f"the fit moves numbers of the model by more than {limit:g} stated standard deviations: {names}; no name is certain then",)
+
+
+def _incomplete(remainder: Gap | None, explained: float) -> tuple[str, ...]:
+    """Return a sentence where more remains to be explained than is explained."""
+    if remainder is None or not remainder.present or remainder.total * (1 - explained) <= explained:
+        return ()
+    return ("a flexible model predicts more of what remains than the named effects explain; no name is certain then",)
 
 
 def _explained(found: Found) -> tuple[float, float]:

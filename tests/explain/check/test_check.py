@@ -12,7 +12,7 @@ import pytest
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare, repetition
-from afdsvc.dataset.finding import Finding
+from afdsvc.dataset.sample_checks import Finding
 from afdsvc.errors import BadInput
 from afdsvc.explain.check.check import check, insufficient_excitation, objection, one_frequency
 from afdsvc.explain.check.information import posterior_sd

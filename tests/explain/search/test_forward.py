@@ -11,9 +11,9 @@ from afdsvc.explain.search.base import settled
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.fit import Coordinates, fit, jacobian, weighted
 from afdsvc.explain.search.forward import search
+from afdsvc.explain.search.ranking import look_alikes, weights
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
-from afdsvc.explain.verdict.weights import look_alikes, weights
 from afdsvc.plugins.physics.coulomb_friction import CoulombFriction
 from afdsvc.plugins.physics.dead_zone import DeadZone
 from afdsvc.plugins.physics.sensor_lag import SensorLag
@@ -45,7 +45,7 @@ def test_dry_friction_is_found_where_only_speed_is_measured(found):
 
 def test_its_weight_counts_resampled_blocks(found):
     alike = look_alikes(found.steps[0].candidates, Settings())
-    w = weights(alike, Settings(), found.limited, np.random.default_rng(0))
+    w = weights(alike, Settings(), found.limited)
     assert w.sum() == pytest.approx(1.0)
     friction = sum(x for x, c in zip(w, alike, strict=True) if c.hypothesis.physics == "coulomb_friction")
     assert friction > 0.9  # its variants share the vote: while the motor moves they are one force

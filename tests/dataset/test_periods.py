@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from afdsvc.api.signals import Channel, Trace
-from afdsvc.dataset.rotation import without_rotation
+from afdsvc.dataset.periods import without_rotation
 
 NAMES = tuple(Channel(n, "") for n in ("u_a", "y_a", "aux_angle", "aux_speed"))
 

@@ -1,0 +1,109 @@
+"""Which candidate comes first, and how sure that is: how often it is the best when the blocks of the recordings are drawn anew."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from afdsvc.api.physics import Hypothesis
+from afdsvc.explain.search.evidence import Evidence
+from afdsvc.explain.search.fit import Fit
+from afdsvc.explain.settings import Settings
+from afdsvc.lti.statespace import Array
+
+CONSTANT = "parameter_change"
+WHOLE = 0.8  # share of the gap that a constant has to close to be a reason
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A hypothesis fitted along the horizons, with its evidence over the model without it."""
+
+    hypothesis: Hypothesis
+    path: dict[float, Fit]
+    evidence: Evidence
+
+    @property
+    def fit(self) -> Fit:
+        """The fit at the decision horizon."""
+        return self.path[list(self.path)[-1]]
+
+
+def mechanism(h: Hypothesis) -> tuple[str, ...]:
+    """Return what the shapes of one mechanism share: physics, site, and the constant that is meant."""
+    return h.physics, h.site, h.notes.get("of", h.notes.get("variant", "") if is_constant(h) else "")
+
+
+def winner(reasons: Sequence[Candidate], settings: Settings, limited: str) -> Candidate:
+    """Return the mechanism with the most weight, the simplest of those within `Settings.tie`; of its shapes the simplest that fits alike."""
+    votes: dict[tuple[str, ...], float] = {}
+    shapes: dict[tuple[str, ...], list[Candidate]] = {}
+    for c, w in zip(reasons, weights(reasons, settings, limited), strict=True):
+        what = mechanism(c.hypothesis)
+        votes[what] = votes.get(what, 0.0) + float(w)
+        shapes.setdefault(what, []).append(c)
+    near = [k for k, v in votes.items() if v >= max(votes.values()) - settings.tie]
+    firsts = [_simplest(shapes[k], settings, limited) for k in near]
+    return min(firsts, key=lambda c: (complexity(c.hypothesis), -c.evidence.gain))
+
+
+def _simplest(shapes: Sequence[Candidate], settings: Settings, limited: str) -> Candidate:
+    """Return the simplest of candidates, ordered by gain, that fit as well as the first."""
+    best = shapes[0].evidence
+    near = [c for c in shapes if alike(c.evidence, best, c.evidence.gain, best.gain, settings, limited)]
+    return min(near, key=lambda c: (complexity(c.hypothesis), -c.evidence.gain))
+
+
+def complexity(h: Hypothesis) -> float:
+    """Return what orders hypotheses that fit alike: fewer parameters first, descriptions of curves behind mechanisms."""
+    return sum(c.free and not c.nuisance for c in h.parameters) + (2.0 if getattr(h, "description", False) else 0.0)
+
+
+def alike(one: Evidence, best: Evidence, gain: float, highest: float, settings: Settings, limited: str) -> bool:
+    """Whether a gain is as good as the highest: within what chance moves it, or within a small share of what it closes."""
+    if gain >= highest - settings.likely:
+        return True
+    return limited == "model" and bool(one.closing(np.array(gain)) >= (1 - settings.tie) * best.closing(np.array(highest)))
+
+
+def is_reason(c: Candidate, limited: str) -> bool:
+    """Whether a candidate can be the reason of a gap.
+
+    Where the model limits, constants that are off are one only where they close nearly all of the gap: with physics left out any fit
+    moves them.
+    """
+    return limited == "noise" or not is_constant(c.hypothesis) or c.evidence.share > WHOLE
+
+
+def is_constant(h: Hypothesis) -> bool:
+    """Whether a hypothesis says that a number of the model is off, not that physics is missing."""
+    return h.physics == CONSTANT
+
+
+def weights(candidates: Sequence[Candidate], settings: Settings, limited: str) -> Array:
+    """Return the share of resamplings in which each candidate comes first, ``(len(candidates),)``, sum 1.
+
+    A resampling draws the left-out blocks with replacement (Efron 1979). Those that fit alike share the vote.
+    """
+    if not candidates:
+        return np.zeros(0)
+    count = len(candidates[0].evidence.before)
+    drawn = np.random.default_rng(count).integers(0, count, (settings.resamples, count))
+    gains = np.array([c.evidence.resampled(drawn) for c in candidates])
+    votes = np.zeros(len(candidates))
+    for column in gains.T:
+        best = int(np.argmax(column))
+        near = [alike(c.evidence, candidates[best].evidence, g, column[best], settings, limited) for c, g in zip(candidates, column, strict=True)]
+        votes[near] += 1.0 / sum(near)
+    return np.asarray(votes / votes.sum())
+
+
+def look_alikes(candidates: Sequence[Candidate], settings: Settings, limited: str = "model") -> list[Candidate]:
+    """Return the first candidate and the reasons that close nearly as much and gain as they must."""
+    if not candidates:
+        return []
+    least, best = settings.alike * candidates[0].evidence.closed, candidates[0]
+    others = [c for c in candidates[1:] if is_reason(c, limited) or is_constant(best.hypothesis)]
+    return [best, *(c for c in others if c.evidence.closed >= least and c.evidence.gain > settings.evidence)]

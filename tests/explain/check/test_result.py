@@ -1,0 +1,105 @@
+"""The check before any fit: each thing that is wrong with a recording is named, with its cure, and nothing else stops."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from afdsvc.api.signals import Channel, Trace
+from afdsvc.explain.check.result import check_all
+from afdsvc.files.model.model_file import parse_model
+from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.simulate import simulate
+from afdsvc.plugins.manager import load
+
+LIBRARY = [offer.thing for offer in load().family("physics")]
+TEXT = """
+name = "motor"
+time = "continuous"
+inputs = [{name = "voltage", unit = "V"}]
+outputs = [{name = "speed", unit = "rad/s"}]
+num = [12.0]
+den = [0.08, 1]
+"""
+DT = 5e-3
+
+
+def _recorded(model, *, gain=1.0, shift=0, dt=DT, seed=1, unrelated=False):
+    """Random steps through the model's own plant, with a gain, a delay in samples, or readings of another day."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-5, 5, 400), 20)[:, None]
+    driven = np.repeat(rng.uniform(-5, 5, 400), 20)[:, None] if unrelated else np.roll(u, shift, axis=0)
+    y = gain * (simulate(sample_zoh(model.plant, DT), driven)[0] + 0.2 * rng.standard_normal((len(u), 1)))
+    return Trace("run.csv", dt, (Channel("u_voltage"), Channel("y_speed")), np.hstack([u, y]))
+
+
+@pytest.fixture(scope="module")
+def model():
+    return parse_model(TEXT, "motor.toml")
+
+
+def test_a_model_that_fits_is_ready(model):
+    found = check_all(model, [_recorded(model)], LIBRARY)
+    assert found.verdict in ("ready", "limited")
+    (output,) = found.outputs
+    assert output.r2 > 0.99
+    assert output.gain == pytest.approx(1.0, abs=0.01)
+    assert output.delay == 0.0
+    assert found.offers.axes == ("velocity speed [rad/s], its position is not in the model, driven by voltage",)
+    assert found.offers.tried["coulomb_friction"] == ("state:speed",)
+    assert "aux_speed" in found.offers.absent["unbalance"]
+    assert found.plan.method == "auto"
+    assert set(found.parameters) == {"A[1,1]", "B[1,1]"}
+    assert max(found.parameters.values()) < 0.1
+
+
+def test_gain_and_delay_are_measured(model):
+    (output,) = check_all(model, [_recorded(model, gain=0.7, shift=4)], LIBRARY).outputs
+    assert output.gain == pytest.approx(0.65, abs=0.06)
+    assert output.delay == pytest.approx(4 * DT)
+
+
+@pytest.mark.parametrize(
+    ("change", "topic", "words"),
+    [
+        ({"gain": 1 / 1000}, "units", ["times what the model says, about 1/1000", "expected the model's unit"]),
+        ({"gain": -1.0}, "units", ["y_speed is of the opposite sign"]),
+        ({"unrelated": True}, "response", ["y_speed does not respond to u_voltage", "recorded together"]),
+    ],
+)
+def test_what_does_not_fit_is_refused_by_name(model, change, topic, words):
+    found = check_all(model, [_recorded(model, **change)], LIBRARY)
+    assert found.verdict == "refused"
+    stops = " ".join(f.sentence for f in found.findings if f.kind == "stop" and f.topic == topic)
+    assert all(word in stops for word in words), found.findings
+
+
+def test_milliseconds_taken_for_seconds_are_suspected(model):
+    found = check_all(model, [_recorded(model, dt=1000 * DT)], LIBRARY)
+    (said,) = (f.sentence for f in found.findings if f.topic == "clock")
+    assert "sampled every 5 s and the model's fastest time constant is 0.08 s" in said
+    assert "t_ms" in said
+
+
+def test_a_recording_shorter_than_the_model_is_slow(model):
+    found = check_all(model, [_recorded(model, dt=DT / 1e5)], LIBRARY)
+    assert any(f.topic == "clock" and "record for 0.24 s or more" in f.sentence for f in found.findings)
+
+
+def test_a_missing_column_is_a_finding_and_not_an_error(model):
+    trace = _recorded(model)
+    other = replace(trace, channels=(Channel("u_voltage"), Channel("y_current")))
+    found = check_all(model, [other], LIBRARY)
+    assert found.verdict == "refused"
+    assert "--map y_current=y_speed" in found.findings[0].sentence
+    assert found.plan.method == ""
+    assert found.outputs == ()
+
+
+def test_a_state_that_is_no_velocity_has_no_friction(model):
+    other = parse_model(TEXT.replace('unit = "rad/s"', 'unit = "A"'), "motor.toml")
+    found = check_all(other, [_recorded(model)], LIBRARY)
+    assert found.offers.axes == ()
+    assert "velocity" in found.offers.absent["coulomb_friction"]

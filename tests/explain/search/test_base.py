@@ -1,0 +1,54 @@
+"""How inputs run between samples, where a recording leaves both open."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from afdsvc.api.model import Model, Variable
+from afdsvc.api.signals import Channel, Trace
+from afdsvc.dataset.experiment import prepare
+from afdsvc.explain.search.base import settled
+from afdsvc.explain.search.build import build
+from afdsvc.explain.settings import Settings
+from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.lti.statespace import StateSpace
+
+DT, FINE = 0.01, 50
+
+
+def lag() -> Model:
+    plant = StateSpace(np.array([[-10.0]]), np.array([[10.0]]), np.array([[1.0]]), np.zeros((1, 1)))
+    return Model("lag", (Variable("u"),), (Variable("y"),), (Variable("x"),), plant)
+
+
+def recording(fine: np.ndarray) -> Trace:
+    """Return what the lag does under an input sampled ``FINE`` times in a sample, by exact steps."""
+    a = np.exp(-10.0 * DT / FINE)
+    x, y = 0.0, np.empty(len(fine))
+    for k, u in enumerate(fine):
+        y[k] = x
+        x = a * x + (1 - a) * u
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(len(fine) // FINE)
+    return Trace("r", DT, (Channel("u_u"), Channel("y_y")), np.column_stack([fine[::FINE], y[::FINE] + noise]))
+
+
+def ramped(trace: Trace) -> bool:
+    runs = prepare(lag(), [trace])
+    return settled(build(nominal(lag(), DT), runs, Settings())).problem.ramped
+
+
+def test_an_input_of_an_analogue_source_is_smooth_and_one_of_a_converter_is_held():
+    t = np.arange(800 * FINE) * DT / FINE
+    smooth = np.sin(9.0 * t) + 0.7 * np.sin(31.0 * t + 1.0)
+    assert ramped(recording(smooth))
+    assert not ramped(recording(np.repeat(smooth[::FINE], FINE)))
+
+
+@pytest.mark.parametrize("delay", [0, FINE // 2])
+def test_a_staircase_is_held_even_where_a_shift_of_the_clock_makes_smoothness_fit_better(delay):
+    levels = np.random.default_rng(1).uniform(-1, 1, 40)
+    held = np.repeat(levels, 20 * FINE)
+    early = replace(recording(np.roll(held, -delay)), values=recording(np.roll(held, -delay)).values.copy())
+    early.values[:, 0] = held[::FINE]  # the machine moves before its input is read
+    assert not ramped(early)

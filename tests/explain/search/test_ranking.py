@@ -1,0 +1,58 @@
+"""Which hypothesis comes first, and what a weight counts."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from afdsvc.explain.search.evidence import Evidence
+from afdsvc.explain.search.ranking import Candidate, is_reason, look_alikes, weights, winner
+from afdsvc.explain.settings import Settings
+
+BLOCKS, COUNT = 20, 400.0
+S = Settings()
+
+
+def candidate(physics: str, closed: float, parameters: int = 1, site: str = "input:u", variant: str = "", share: float = 0.5) -> Candidate:
+    """Return a candidate that leaves the share ``1 - closed`` of the loss in every block."""
+    after = np.full(BLOCKS, 1 - closed)
+    coefficients = tuple(SimpleNamespace(free=True, nuisance=False) for _ in range(parameters))
+    hypothesis = SimpleNamespace(physics=physics, site=site, key=f"{physics}@{site}#{variant}", notes={"variant": variant}, parameters=coefficients)
+    gain = -COUNT * np.log(1 - closed)
+    return Candidate(hypothesis, {}, Evidence({0.0: gain}, share, np.ones(BLOCKS), after, COUNT, COUNT, 0.0))
+
+
+def test_hypotheses_that_fit_alike_share_the_vote_and_the_simplest_goes_first():
+    many, few, other = candidate("curve", 0.900, 3), candidate("friction", 0.895, 1), candidate("lag", 0.5, 1)
+    assert weights([many, few, other], S, "model") == pytest.approx([0.5, 0.5, 0.0])
+    assert winner([many, few, other], S, "model") is few
+
+
+def test_the_shapes_of_one_mechanism_add_their_weights():
+    """Two shapes of a curve hold two thirds of the votes, the simpler lag one third."""
+    curves = [candidate("curve", 0.9, 2, variant=v) for v in ("square", "cube")]
+    lag = candidate("lag", 0.9, 1)
+    assert winner([*curves, lag], S, "model").hypothesis.physics == "curve"
+    assert winner([curves[0], lag], S, "model") is lag
+
+
+def test_a_hypothesis_that_is_never_best_is_not_first_however_simple():
+    assert winner([candidate("curve", 0.9, 3), candidate("friction", 0.8, 1)], S, "model").hypothesis.physics == "curve"
+
+
+def test_where_noise_limits_only_the_likelihood_counts():
+    """The shares differ by less than a twentieth, the gains by 18."""
+    one, two = candidate("curve", 0.900, 3), candidate("friction", 0.895, 1)
+    assert winner([one, two], S, "noise") is one
+
+
+def test_a_constant_is_a_reason_where_it_closes_nearly_all_or_noise_limits():
+    some, most = candidate("parameter_change", 0.5, share=0.5), candidate("parameter_change", 0.9, share=0.9)
+    assert not is_reason(some, "model")
+    assert is_reason(most, "model")
+    assert is_reason(some, "noise")
+
+
+def test_look_alikes_close_half_of_what_the_first_one_closes():
+    first, near, far = candidate("curve", 0.9), candidate("friction", 0.6), candidate("lag", 0.3)
+    assert look_alikes([first, near, far], S) == [first, near]

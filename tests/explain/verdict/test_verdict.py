@@ -1,0 +1,44 @@
+"""When a name is not certain although it fits best."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from afdsvc.explain.search.evidence import Evidence
+from afdsvc.explain.search.ranking import Candidate
+from afdsvc.explain.settings import Settings
+from afdsvc.explain.verdict.verdict import _incomplete, verdict
+
+
+def candidate(physics: str) -> Candidate:
+    """Return a candidate that closes nine tenths of the gap in every block."""
+    hypothesis = SimpleNamespace(physics=physics, site="input:u", key=physics, notes={}, parameters=())
+    return Candidate(hypothesis, {}, Evidence({0.0: 900.0}, 0.9, np.ones(20), np.full(20, 0.1), 400.0, 400.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("explained", "predictable", "present", "doubted"),
+    [(0.3, 0.9, True, True), (0.6, 0.9, True, False), (0.3, 0.9, False, False), (0.3, 0.3, True, False)],
+)
+def test_no_name_is_certain_where_more_can_still_be_predicted_than_is_explained(explained, predictable, present, doubted):
+    """Of the residual 30 % are explained; of the other 70 % a flexible model predicts 90 %: 63 %."""
+    assert bool(_incomplete(SimpleNamespace(present=present, total=predictable), explained)) == doubted
+
+
+def test_nothing_is_doubted_where_nothing_remains_to_be_tested():
+    assert _incomplete(None, 0.1) == ()
+
+
+@pytest.mark.parametrize(("present", "certain"), [(True, [1.0, 0.8]), (False, [1.0, 1.0])])
+def test_further_effects_are_certain_only_where_nothing_predictable_remains(present, certain):
+    settings = Settings()
+    steps = [SimpleNamespace(accepted=True, candidates=[candidate(name)], limited="model") for name in ("friction", "slew")]
+    point = SimpleNamespace(theta=np.zeros(0), effects=())
+    found = SimpleNamespace(
+        steps=steps, problem=SimpleNamespace(settings=settings, nominal=SimpleNamespace(entries=()), weighting=SimpleNamespace(even=True)),
+        end={0.0: SimpleNamespace(point=point)}, evidence=steps[0].candidates[0].evidence,
+    )
+    left = SimpleNamespace(present=present, total=0.1, p_value=0.01, depends_on=())
+    answer = verdict(found, SimpleNamespace(present=True, total=0.9, sentence=""), left)
+    assert [c.weight for c in answer.claims] == certain
