@@ -13,13 +13,13 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from afdsvc.errors import BadInput
-from afdsvc.files.bounds import BOUNDS, file_size
+from afdsvc.files.validation import BOUNDS, file_size
 
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 Positive = Annotated[float, Field(gt=0)]
 
 
-def plain_id(value: str) -> str:
+def _plain_id(value: str) -> str:
     """Return an id that can be part of keys and file names; raises `ValueError` naming the signs expected."""
     if not _ID.fullmatch(value):
         raise ValueError("expected letters, digits, '-', '_' and '.'")
@@ -46,7 +46,7 @@ class Security(_Strict):
         taken = next((name for name in value if name in ("service", "ca") or name.startswith("rig.")), None)
         if taken is not None:
             raise ValueError(f"'{taken}' names a certificate of the site itself; expected the name of a person")
-        return [plain_id(name) for name in value]
+        return [_plain_id(name) for name in value]
 
     @model_validator(mode="after")
     def _distinct(self) -> Security:
@@ -57,7 +57,11 @@ class Security(_Strict):
 
 
 class Transport(_Strict):
-    """Where the service listens and how the others find it; by default on the loopback interface only."""
+    """Where the service listens and how the others find it; by default on the loopback interface only.
+
+    A rig keeps ``cache_blocks`` blocks in memory, and what the service does not acknowledge in the folder ``store``, at most
+    ``store_megabytes`` for each machine.
+    """
 
     listen: list[str] = ["tcp/127.0.0.1:7447"]
     connect: list[str] = []
@@ -66,6 +70,8 @@ class Transport(_Strict):
     trusted_network: bool = False
     patience_seconds: Positive = 5.0
     cache_blocks: Annotated[int, Field(ge=10)] = 4000
+    store: Path | None = None
+    store_megabytes: Positive = 1000.0
 
     @model_validator(mode="after")
     def _known_peers_only(self) -> Transport:
@@ -257,7 +263,7 @@ class Machine(_Strict):
     @field_validator("id")
     @classmethod
     def _plain(cls, value: str) -> str:
-        return plain_id(value)
+        return _plain_id(value)
 
     @model_validator(mode="after")
     def _one_source(self) -> Machine:
@@ -287,7 +293,7 @@ class Site(_Strict):
     @field_validator("site")
     @classmethod
     def _plain(cls, value: str) -> str:
-        return plain_id(value)
+        return _plain_id(value)
 
     @model_validator(mode="after")
     def _distinct(self) -> Site:
@@ -309,7 +315,7 @@ def read_site(path: Path) -> Site:
     """Read and validate a site file; raises `BadInput` naming file, key, value found and value expected.
 
     Paths inside the file are relative to its folder. A site that names no folder for recordings keeps them in the state directory
-    of its systemd unit (``STATE_DIRECTORY``), where there is one.
+    of its systemd unit (``STATE_DIRECTORY``), where there is one; rigs keep there what is not acknowledged, in ``store``.
     """
     try:
         file_size(path, BOUNDS.text)
@@ -354,7 +360,9 @@ def _anchored(site: Site, folder: Path | None) -> Site:
     kept = folder if stated or not state else Path(state.split(":")[0])
     recording = site.recording.model_copy(update={"folder": kept / site.recording.folder})
     alarms = site.alarms.model_copy(update={"history": site.alarms.history and folder / site.alarms.history})
-    transport, secure = site.transport, site.transport.security
+    store = site.transport.store
+    kept_by_rigs = folder / store if store else Path(state.split(":")[0]) / "store" if state else None
+    transport, secure = site.transport.model_copy(update={"store": kept_by_rigs}), site.transport.security
     if secure:
         keys = secure.model_copy(update={"keys": folder / secure.keys})
         transport = transport.model_copy(update={"security": keys})

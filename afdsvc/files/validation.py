@@ -3,13 +3,61 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from afdsvc.errors import BadInput
-from afdsvc.files.bounds import BOUNDS, file_size
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """What a file may hold; sizes in bytes after decompression.
+
+    Tables are held in memory as a whole, recordings are read chunk by chunk; each may expand to its ``free`` size, beyond that to
+    ``expansion`` times the size of the file.
+    """
+
+    table: int = 4_000_000_000
+    table_free: int = 256_000_000
+    table_expansion: int = 100
+    recording_free: int = 1_000_000_000
+    recording_expansion: int = 200
+    chunk: int = 256_000_000
+    columns: int = 4096
+    line: int = 1_000_000
+    text: int = 16_000_000
+
+
+BOUNDS = Bounds()
+
+
+def table_bytes(size: int) -> int:
+    """Return how many bytes a table in a file of ``size`` bytes may hold."""
+    return min(BOUNDS.table, max(BOUNDS.table_free, BOUNDS.table_expansion * size))
+
+
+def recording_bytes(size: int) -> int:
+    """Return how many bytes the chunks of a recording of ``size`` bytes may hold."""
+    return max(BOUNDS.recording_free, BOUNDS.recording_expansion * size)
+
+
+def refuse_more(path: Path, found: int, most: int, what: str) -> None:
+    """Raise `BadInput` when a file holds more of something than it may."""
+    if found > most:
+        raise BadInput(f"{path}: holds {found:,} {what}; at most {most:,} are read from this file")
+
+
+def file_size(path: Path, most: int) -> int:
+    """Return the size of a file; raises `BadInput` when it is larger than ``most`` bytes or cannot be read."""
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror or error}") from None
+    refuse_more(path, size, most, "bytes")
+    return size
 
 
 class Strict(BaseModel):
@@ -50,19 +98,19 @@ def validated(schema: type[T], data: object, source: str) -> T:
 
 
 def _sentence(schema: type[BaseModel], error: Any) -> str:
-    key, kind, message = dotted(error["loc"]), error["type"], str(error["msg"])
+    key, kind, message = _dotted(error["loc"]), error["type"], str(error["msg"])
     if kind == "missing":
         return f"key '{key}' is missing; {_wanted_keys(schema, error['loc'])}"
     if kind == "extra_forbidden":
         return f"key '{key}' is not known; {_wanted_keys(schema, error['loc'])}"
-    found = shortened(error["input"])
+    found = _shortened(error["input"])
     if kind == "value_error":
         detail = message.removeprefix("Value error, ")
         return f"key '{key}': {detail}" if key else detail
     return f"key '{key}' is {found}; {message[0].lower()}{message[1:]}".replace("input should be", "expected")
 
 
-def dotted(location: tuple[int | str, ...]) -> str:
+def _dotted(location: tuple[int | str, ...]) -> str:
     """Return a place in a file as people write it: ``inputs[0].unit``."""
     text = ""
     for part in location:
@@ -70,7 +118,7 @@ def dotted(location: tuple[int | str, ...]) -> str:
     return text
 
 
-def shortened(value: object, longest: int = 60) -> str:
+def _shortened(value: object, longest: int = 60) -> str:
     """Return a value as it can stand inside a sentence."""
     text = repr(value)
     return text if len(text) <= longest else f"{text[: longest - 3]}..."

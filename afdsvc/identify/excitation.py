@@ -78,26 +78,26 @@ def require_excitation(
     least = SETTINGS.least_movement * scale if scale is not None else np.zeros(len(names))
     for j, name in enumerate(names):
         if not any(np.ptp(r.u[:, j]) > least[j] for r in recordings):
-            raise BadInput(f"input '{name}' never moves; {advice(order, outputs, band_hz)}")
+            raise BadInput(f"input '{name}' never moves; {_advice(order, outputs, band_hz)}")
     found, wanted = excitation(recordings), needed_order(order, outputs)
     for name, lines in zip(names, found.lines, strict=True):
         if 2 * lines < wanted:
             raise BadInput(
                 f"input '{name}' holds {lines} spectral line{'s' if lines != 1 else ''}: persistent excitation of order "
                 f"{2 * lines}, expected {wanted} for a model of order {order}; "
-                f"{advice(order, outputs, band_hz)}"
+                f"{_advice(order, outputs, band_hz)}"
             )
     for name, share in zip(names, found.dependence, strict=True):
         if share > SETTINGS.largest_dependence:
             raise BadInput(
                 f"the other inputs explain {100 * share:.3g} % of input '{name}' (at most "
                 f"{100 * SETTINGS.largest_dependence:.3g} %), so their "
-                f"effects cannot be separated; excite one input after the other, or {advice(order, outputs, band_hz)}"
+                f"effects cannot be separated; excite one input after the other, or {_advice(order, outputs, band_hz)}"
             )
     return found
 
 
-def advice(order: int, outputs: int, band_hz: tuple[float, float]) -> str:
+def _advice(order: int, outputs: int, band_hz: tuple[float, float]) -> str:
     """Return in words which burst would support the order."""
     lines = max(2 * needed_order(order, outputs), 20)
     low, high = band_hz

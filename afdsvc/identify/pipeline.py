@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
 from afdsvc.dataset.arrays import Recording
-from afdsvc.errors import AfdsvcError, BadInput
+from afdsvc.errors import AfdsvcError, BadInput, IllConditioned
 from afdsvc.identify.fit import ResponseBand
 from afdsvc.identify.methods import registry
 from afdsvc.identify.methods.hansen import loop_is_stable
@@ -82,6 +82,33 @@ def identify(
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What `identify` will do by itself: the ``method`` ("" where it refuses), and why, in one sentence."""
+
+    method: str = ""
+    sentence: str = ""
+
+
+WHY = {
+    "hansen": "the controller is known, so the deviation from the nominal model is identified in the loop (hansen) and the plant rebuilt from it",
+    "auto": "no controller is stated and nothing was recorded of one: PBSIDopt where prediction errors show feedback, else the subspace method",
+}
+
+
+def planned(model: Model, traces: Sequence[Trace], options: IdentifyOptions = IdentifyOptions()) -> Plan:
+    """Return what `identify` will do with these recordings, or why it will refuse them; nothing is fitted."""
+    try:
+        order = nominal_plant(model, traces[0].dt).order
+        problem = prepare(model, traces, (), samples_needed(len(model.inputs), len(model.outputs), order))
+        method = _method(problem, options)
+        lines = registry.exciting(problem, problem.training, order).lines
+    except BadInput as error:
+        return Plan("", f"identify refuses: {error}")
+    held = ", ".join(f"{v.name} {n}" for v, n in zip(model.inputs, lines, strict=True))
+    return Plan(method, f"{WHY.get(method, method)}; spectral lines of the inputs: {held}; the last quarter of each recording is held out unless --holdout names others")
+
+
 def _method(problem: Prepared, options: IdentifyOptions) -> str:
     if options.method != "auto":
         return options.method
@@ -101,13 +128,19 @@ def _open_or_closed(problem: Prepared, options: IdentifyOptions) -> Outcome:
     when the prediction errors show no trace of feedback, or when PBSIDopt finds a plant that cannot have run in open
     loop.
     """
-    first = registry.pbsid(problem, replace(options, groups=0))
-    model = first.fit.model
+    try:
+        model = registry.pbsid(problem, replace(options, groups=0)).fit.model
+    except IllConditioned:  # no predictor of this order: nothing that a test for feedback could rest on
+        return registry.subspace(problem, options)
     errors = np.vstack([model.errors(r.u, r.y) for r in problem.training])
     tests = residual_tests(errors, np.vstack([r.u for r in problem.training]))
     feedback = tests.p_feedback.min() * tests.p_feedback.size < SETTINGS.feedback_level
-    usable = all(can_be_simulated(model.system, len(r)) for r in (*problem.training, *problem.heldout))
-    return registry.pbsid(problem, options) if feedback and usable else registry.subspace(problem, options)
+    closed = feedback and _usable(problem, model.system)
+    return registry.pbsid(problem, options) if closed else registry.subspace(problem, options)
+
+
+def _usable(problem: Prepared, system: StateSpace) -> bool:
+    return all(can_be_simulated(system, len(r)) for r in (*problem.training, *problem.heldout))
 
 
 def _run(method: str, problem: Prepared, options: IdentifyOptions, rng: np.random.Generator | None) -> Outcome:
@@ -144,6 +177,8 @@ def _cross_check(
         other = registry.pbsid(problem, replace(options, order=None, horizon=None)).fit
     except AfdsvcError as error:
         return None, (f"no cross-check by PBSIDopt: {error}",)
+    if problem.fact is None and not _usable(problem, other.system):
+        return None, ("no cross-check: the plant that PBSIDopt finds on these recordings is unstable, so it cannot have run in open loop",)
     excited = _excited(problem.training, band)
     if other.band is None or not excited.any():
         return None, ()

@@ -11,14 +11,14 @@ from scipy import linalg
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
 from afdsvc.dataset.arrays import Recording, together
-from afdsvc.dataset.rotation import without_rotation
+from afdsvc.dataset.periods import without_rotation
 from afdsvc.dataset.screening import screen
 from afdsvc.errors import BadInput
 from afdsvc.identify.methods.hansen import settling_samples
 from afdsvc.identify.parameters.structure import model_structure
 from afdsvc.identify.settings import SETTINGS
 from afdsvc.lti.coprime import Factorisation
-from afdsvc.lti.factorise import factorise
+from afdsvc.lti.python_control import factorise
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
@@ -62,10 +62,10 @@ def prepare(model: Model, traces: Sequence[Trace], heldout: Sequence[Trace], nee
     together(training + away)
     dt = traces[0].dt
     nominal = nominal_plant(model, dt)
-    fact = None if model.controller is None else factorise(nominal, controller_at(model.controller, dt))
+    fact = None if model.controller is None else factorise(nominal, _controller_at(model.controller, dt))
     if fact is not None:
         for trace, recording in zip((*traces, *heldout), (*training, *away), strict=True):
-            require_controller(fact, model, trace, recording)
+            _require_controller(fact, model, trace, recording)
     signs = tuple(c.name for c in traces[0].channels if c.role in ("alpha", "beta", "ref"))
     played = tuple(_played(model, t, r) for t, r in zip(traces, training, strict=True))
     played = played if any(p.u.any() for p in played) and not any(_referenced(model, t) for t in traces) else ()
@@ -87,7 +87,7 @@ def nominal_plant(model: Model, dt: float) -> StateSpace:
     return plant
 
 
-def controller_at(controller: StateSpace, dt: float) -> StateSpace:
+def _controller_at(controller: StateSpace, dt: float) -> StateSpace:
     """Return the controller at the sample time; a continuous one with states is refused (how it was sampled
     matters)."""
     if not controller.order:
@@ -101,7 +101,7 @@ def controller_at(controller: StateSpace, dt: float) -> StateSpace:
     return controller
 
 
-def require_controller(fact: Factorisation, model: Model, trace: Trace, recording: Recording) -> None:
+def _require_controller(fact: Factorisation, model: Model, trace: Trace, recording: Recording) -> None:
     """Raise `BadInput` when the recorded excitation shows that another controller ran than the model names.
 
     ``Vt u - Ut y`` must be alpha (through a fixed filter) minus ``Ut ref``; the remainder is compared with
@@ -168,9 +168,5 @@ def _recording(model: Model, trace: Trace) -> Recording:
 
 def _columns(trace: Trace, role: str, names: Sequence[str], optional: bool = False) -> Array:
     """Return one role in the model's order; a missing optional column is zero, any other `BadInput`."""
-    missing = [name for name in names if not trace.has(f"{role}_{name}")]
-    if missing and not optional:
-        found = ", ".join(c.name for c in trace.channels)
-        raise BadInput(f"{trace.name}: no column '{role}_{missing[0]}'; it has {found}")
-    zero = np.zeros(len(trace))
-    return np.column_stack([zero if name in missing else trace.column(f"{role}_{name}") for name in names])
+    wanted = [f"{role}_{name}" for name in names]
+    return np.column_stack([np.zeros(len(trace)) if optional and not trace.has(name) else trace.column(name) for name in wanted])

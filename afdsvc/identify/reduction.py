@@ -31,10 +31,10 @@ from afdsvc.identify.methods.indirect import Mismatch
 from afdsvc.identify.numerics.impulse_fit import approach
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.frequency import frequency_response
-from afdsvc.lti.port_exchange import exchange
 from afdsvc.lti.reduce import balanced_truncation, closed_loop_truncation, weighted_truncation
 from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, ComplexArray, StateSpace, block_diagonal
+from afdsvc.lti.yjbk import exchange
 
 TRUNCATIONS = ("balanced", "frequency_weighted", "closed_loop", "coprime")
 

@@ -21,13 +21,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from afdsvc.errors import BadInput, IllConditioned
-from afdsvc.lti.algebraic_loop import solve_loop
 from afdsvc.lti.conditioning import require_identity
 from afdsvc.lti.lft import star
-from afdsvc.lti.observer_search import invariant_half
-from afdsvc.lti.reachability import trim
-from afdsvc.lti.stability import require_stabilising, require_stable
-from afdsvc.lti.statespace import Array, StateSpace, common_dt
+from afdsvc.lti.stabilise import invariant_half
+from afdsvc.lti.stability import require_stabilising, require_stable, trim
+from afdsvc.lti.statespace import Array, StateSpace, common_dt, solve_loop
 
 OBSERVER_LIMIT = 1e6
 

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.errors import BadInput
-from afdsvc.lti.algebraic_loop import solve_loop
-from afdsvc.lti.statespace import Array, StateSpace, common_dt
+from afdsvc.lti.statespace import Array, StateSpace, common_dt, solve_loop
 
 
 def star(upper: StateSpace, lower: StateSpace, down: int, up: int) -> StateSpace:

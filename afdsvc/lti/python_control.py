@@ -1,7 +1,7 @@
 """The public interface for systems of python-control.
 
 Each function takes and returns `control.StateSpace` (transfer functions, numbers and arrays are converted) in positive
-feedback ``u = K y``. All four use the same choice of coprime factors (`afdsvc.lti.factorise.factorise`), so beta of
+feedback ``u = K y``. All four use the same choice of coprime factors (`afdsvc.lti.python_control.factorise`), so beta of
 `augmented_controller` is the output of `deviation` and the input of `whitening`.
 """
 
@@ -13,11 +13,39 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from afdsvc.errors import BadInput
-from afdsvc.lti.factorise import factorise
+from afdsvc.errors import BadInput, IllConditioned
+from afdsvc.lti.coprime import Factorisation, controller_factorisation, observer_form, proportional_factorisation
 from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.lti.transfer_function import from_polynomials, from_roots
 from afdsvc.lti.whitening import whitening_filter
 from afdsvc.lti.yjbk import deviation_system, interconnection
+
+
+def factorise(plant: StateSpace, controller: StateSpace) -> Factorisation:
+    """Return coprime factors of the plant and the controller that stabilises it (positive feedback ``u = K y``).
+
+    1. a static controller P: ``F = (I - P D)^-1 P C``, so V = I, Vt is static and beta = y - N alpha;
+    2. a controller of the plant's order: its observer form when well conditioned, so J_K has the plant's order;
+    3. any other: the general form, of order n + n_K, with the cheapest gains keeping half the loop's stability margin.
+
+    Raises `NotStabilising` with the offending pole, `BadInput` when the widths do not fit.
+    """
+    wanted = (plant.inputs, plant.outputs)
+    if (controller.outputs, controller.inputs) != wanted:
+        raise BadInput(
+            f"the controller has {controller.outputs} outputs and {controller.inputs} inputs; a plant with "
+            f"{plant.inputs} "
+            f"inputs and {plant.outputs} outputs needs {wanted[0]} and {wanted[1]}"
+        )
+    if not controller.order:
+        return proportional_factorisation(plant, controller.D)
+    if controller.order == plant.order:
+        try:
+            return observer_form(plant, controller)
+        except IllConditioned:
+            pass  # the general form has twice the order and no such condition
+    return controller_factorisation(plant, controller)
+
 
 UNSPECIFIED = 1.0  # stands in for python-control's dt=True: discrete, sample time not said
 
@@ -90,6 +118,33 @@ def from_control(system: Any, name: str = "system") -> tuple[StateSpace, Any]:
         )
     dt = system.dt
     return StateSpace.of(system.A, system.B, system.C, system.D, _seconds(dt)), dt
+
+
+def as_state_space(system: Any) -> StateSpace:
+    """Return a system of python-control or scipy.signal (object, or tuple of 2, 3 or 4 parts as there) as `StateSpace`.
+
+    Transfer functions are realised by `from_polynomials`, so that the first state of each output has its unit. Raises `BadInput` for
+    anything else.
+    """
+    if isinstance(system, StateSpace):
+        return system
+    if isinstance(system, tuple) and 2 <= len(system) <= 4:
+        return _of_parts(system, 0.0)
+    if all(hasattr(system, part) for part in "ABCD"):
+        return StateSpace.of(system.A, system.B, system.C, system.D, _seconds(system.dt))
+    if hasattr(system, "num") and hasattr(system, "den"):
+        num, den = ([[p]] if np.ndim(p[0]) == 0 else [[np.asarray(e) for e in row] for row in p] for p in (system.num, system.den))
+        return from_polynomials(num, den, _seconds(system.dt))
+    if all(hasattr(system, part) for part in ("zeros", "poles", "gain")) and not callable(system.zeros):
+        return from_roots(system.zeros, system.poles, float(system.gain), _seconds(system.dt))
+    raise BadInput(f"the system is a {type(system).__name__}; expected one of python-control or scipy.signal, or (num, den), (zeros, poles, gain), (A, B, C, D)")
+
+
+def _of_parts(parts: tuple[Any, ...], dt: float) -> StateSpace:
+    if len(parts) == 2:
+        num, den = (np.atleast_1d(np.asarray(p, dtype=np.float64)) for p in parts)
+        return from_polynomials([[num]], [[den]], dt)
+    return from_roots(parts[0], parts[1], float(parts[2]), dt) if len(parts) == 3 else StateSpace.of(parts[0], parts[1], parts[2], parts[3], dt)
 
 
 def to_control(system: StateSpace, dt: Any) -> Any:

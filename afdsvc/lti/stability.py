@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from afdsvc.errors import BadInput, NotStabilising
 from afdsvc.lti.scaling import state_scaling
@@ -65,14 +66,14 @@ def require_stabilising(plant: StateSpace, controller: StateSpace) -> None:
     if margin > MARGIN:
         return
     dt = plant.dt or controller.dt
-    reason = hidden_mode(plant, pole, "plant") or hidden_mode(controller, pole, "controller") or SIGN
+    reason = _hidden_mode(plant, pole, "plant") or _hidden_mode(controller, pole, "controller") or SIGN
     raise NotStabilising(
         f"the closed loop (positive feedback, u = K y) has the pole {describe_pole(pole, dt)}: the controller does not "
         f"stabilise the plant; {reason}"
     )
 
 
-def hidden_mode(system: StateSpace, pole: complex, name: str) -> str:
+def _hidden_mode(system: StateSpace, pole: complex, name: str) -> str:
     """Return a sentence if ``pole`` is a mode that inputs do not reach or outputs do not see, else ""."""
     n = system.order
     if not n or np.abs(eigenvalues(system.A) - pole).min() > 1e-6 * max(abs(pole), 1e-3):
@@ -94,3 +95,24 @@ def _unit_rows(M: Array) -> Array:
     """Return M with every nonzero row scaled to length one."""
     length = np.linalg.norm(M, axis=1, keepdims=True)
     return np.asarray(M / np.where(length > 0, length, 1.0), dtype=np.float64)
+
+
+def trim(system: StateSpace) -> StateSpace:
+    """Return the system without the states no input reaches or no output sees, judged by exact zeros only."""
+    edges = system.A != 0
+    reached = _closure(edges, (system.B != 0).any(axis=1))
+    seen = _closure(edges.T, (system.C != 0).any(axis=0))
+    keep = np.flatnonzero(reached & seen)
+    if keep.size == system.order:
+        return system
+    return StateSpace(system.A[np.ix_(keep, keep)], system.B[keep], system.C[:, keep], system.D, system.dt)
+
+
+def _closure(edges: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the nodes reached from ``start`` when ``edges[i, j]`` leads from j to i."""
+    reached = start.copy()
+    while True:
+        grown = reached | (edges & reached[None, :]).any(axis=1)
+        if (grown == reached).all():
+            return reached
+        reached = grown

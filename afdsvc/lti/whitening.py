@@ -15,11 +15,10 @@ from numpy.typing import ArrayLike
 
 from afdsvc.errors import BadInput, IllConditioned
 from afdsvc.lti.coprime import Factorisation
-from afdsvc.lti.reachability import trim
 from afdsvc.lti.riccati import covariance, cross_covariance, riccati
 from afdsvc.lti.scaling import state_scaling
 from afdsvc.lti.stabilise import mirror
-from afdsvc.lti.stability import describe_pole, worst_pole
+from afdsvc.lti.stability import describe_pole, trim, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace
 
 
@@ -80,12 +79,22 @@ def _predictor(plant: StateSpace, Q: Array, R: Array, S: Array) -> tuple[Array, 
         if not Q.any() and not S.any():
             _refuse_border(plant)
             return _without_process_noise(plant, R)
-        P, F = riccati(plant.A.T, plant.C.T, Q, R, S, plant.dt)
+        return _with_process_noise(plant, Q, R, S)
     except IllConditioned as failed:
         raise IllConditioned(
             f"the plant with the pole {describe_pole(pole, plant.dt)} has no steady innovations for this noise: {failed}"
         ) from failed
-    return P, -F.T
+
+
+def _with_process_noise(plant: StateSpace, Q: Array, R: Array, S: Array) -> tuple[Array, Array]:
+    """Return the solution of the Riccati equation, solved in units in which sensor noise and what states do at the outputs are of size one."""
+    whitener = np.linalg.inv(np.linalg.cholesky(R))
+    t = state_scaling(plant.A)
+    t = t / max(float(np.linalg.norm(whitener @ plant.C * t[None, :])), 1e-300)
+    A, C = plant.A * (t[None, :] / t[:, None]), whitener @ plant.C * t[None, :]
+    unit = np.eye(len(R))
+    P, F = riccati(A.T, C.T, Q / np.outer(t, t), unit, S @ whitener.T / t[:, None], plant.dt)
+    return P * np.outer(t, t), t[:, None] * (-F.T @ whitener)
 
 
 def _without_process_noise(plant: StateSpace, R: Array) -> tuple[Array, Array]:
@@ -132,7 +141,8 @@ def _visibility(A: Array, C: Array) -> Array:
 
 
 def whitening_filter(
-    fact: Factorisation, output_cov: ArrayLike, process_cov: ArrayLike | None = None, regularise: float = 0.0
+    fact: Factorisation, output_cov: ArrayLike, process_cov: ArrayLike | None = None, regularise: float = 0.0,
+    cross_cov: ArrayLike | None = None,
 ) -> tuple[StateSpace, Array]:
     """Return the stable filter ``W^-1`` from beta to the innovations r, and the covariance of r, shape ``(p, p)``.
 
@@ -140,7 +150,7 @@ def whitening_filter(
     The order is at most n + n_K; for an observer ``W^-1 = (A - Kp C | Kp + L; -C | I)`` up to sign of the state.
     """
     plant, n, m = fact.plant, fact.plant.order, fact.plant.inputs
-    nominal = innovations(plant, output_cov, process_cov, None, regularise)
+    nominal = innovations(plant, output_cov, process_cov, cross_cov, regularise)
     R, gain = fact.R, nominal.gain
     B_eff = plant.B - gain @ plant.D
     # e = (plant copy in R) - x^ : what alpha does cancels, what beta does remains.

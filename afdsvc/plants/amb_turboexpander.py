@@ -18,11 +18,9 @@ from afdsvc.api.plant import PhysicalPlant
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 from afdsvc.plants.rotor import magnetic_rotor
-from afdsvc.plants.rotor.elements import Element
-from afdsvc.plants.rotor.finite_elements import Disc, rotor_matrices
-from afdsvc.plants.rotor.magnetic_rotor import MagneticBearing, MagneticRotor
+from afdsvc.plants.rotor.finite_elements import Disc, Element, rotor_matrices
+from afdsvc.plants.rotor.magnetic_rotor import Instrumentation, MagneticBearing, MagneticRotor, rotor_plant
 from afdsvc.plants.rotor.modes import RIGID
-from afdsvc.plants.rotor.plant import Instrumentation, rotor_plant
 
 NODES = 40  # P1
 NOMINAL_RPM = 31500  # P1

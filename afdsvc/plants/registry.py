@@ -13,7 +13,7 @@ from afdsvc.errors import BadInput
 PLANTS = {
     "amb_turboexpander": "afdsvc.plants.amb_turboexpander",
     "gas_bearing": "afdsvc.plants.gas_bearing",
-    "unstable_second_order": "afdsvc.plants.unstable_second_order",
+    "unstable_second_order": "afdsvc.plants.examples",
 }
 
 

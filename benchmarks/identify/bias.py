@@ -18,8 +18,8 @@ from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
 from afdsvc.identify.methods.subspace import decompose, realise
 from afdsvc.identify.reduction import compare_reductions, refine
 from afdsvc.identify.validation import relative_error
-from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response
+from afdsvc.lti.python_control import factorise
 from afdsvc.lti.statespace import StateSpace
 
 GAIN, SAMPLES, SEGMENT = 0.2, 200_000, 2000

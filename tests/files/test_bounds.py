@@ -18,7 +18,6 @@ from mcap.records import Chunk
 from mcap.writer import CompressionType, Writer
 
 from afdsvc.errors import BadInput
-from afdsvc.files.bounds import BOUNDS, table_bytes
 from afdsvc.files.recording.mcap_records import Loss, read_items
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import read_site
@@ -27,6 +26,7 @@ from afdsvc.files.tables.foreign_mcap import read_topics
 from afdsvc.files.tables.formats import read_columns
 from afdsvc.files.tables.mapping import Time
 from afdsvc.files.tables.mat5 import read_mat5
+from afdsvc.files.validation import BOUNDS, table_bytes
 
 MEGABYTE = 1_000_000
 
@@ -184,10 +184,10 @@ def test_mapped_topics_of_others_are_kept_up_to_a_bound(tmp_path, monkeypatch):
         for k in range(200):
             writer.add_message(channel, k * 10**7, b'{"value": 1.0, "more": "%s"}' % (b"x" * 10_000), k * 10**7)
         writer.finish()
-    read_topics(path, {"u_force": "/force.value"}, Time())
+    read_topics(path, read_items(path), {"u_force": "/force.value"}, Time())
     monkeypatch.setattr(foreign_mcap, "table_bytes", lambda size: MEGABYTE)
     with pytest.raises(BadInput, match=r"bytes in mapped messages; at most 1,000,000"):
-        read_topics(path, {"u_force": "/force.value"}, Time())
+        read_topics(path, read_items(path), {"u_force": "/force.value"}, Time())
 
 
 def test_a_text_of_any_length_is_not_read(tmp_path):

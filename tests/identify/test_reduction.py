@@ -7,8 +7,8 @@ from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.identify.methods.hansen import excited_loop, rebuilt_plant
 from afdsvc.identify.reduction import TRUNCATIONS, compare_reductions, judged, refine
-from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response
+from afdsvc.lti.python_control import factorise
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.yjbk import deviation_system
 

@@ -6,8 +6,8 @@ import pytest
 from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.identify.numerics.impulse_fit import approach
-from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response
+from afdsvc.lti.python_control import factorise
 from afdsvc.lti.statespace import StateSpace
 from benchmarks.identify.spectral import direct_spectral, indirect_spectral
 

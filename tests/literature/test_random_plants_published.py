@@ -14,7 +14,7 @@ from afdsvc.lti.reduce import balanced_truncation, hankel_singular_values
 from afdsvc.lti.riccati import kalman_predictor_gain, lqr
 from afdsvc.lti.stability import is_stable
 from afdsvc.lti.yjbk import deviation_system
-from afdsvc.plants.random_stable import random_stable
+from afdsvc.plants.examples import random_stable
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])

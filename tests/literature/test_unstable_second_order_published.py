@@ -16,7 +16,7 @@ from afdsvc.lti.lft import fault_signature
 from afdsvc.lti.riccati import kalman_predictor_gain, lqr
 from afdsvc.lti.whitening import whitening_filter
 from afdsvc.lti.yjbk import interconnection
-from afdsvc.plants.unstable_second_order import unstable_second_order
+from afdsvc.plants.examples import unstable_second_order
 
 OMEGA, EXCITATION = 125.0, 0.1  # rad/s and amplitude of alpha
 

@@ -14,14 +14,14 @@ from afdsvc.lti.coprime import (
     proportional_factorisation,
     stable_controller_factorisation,
 )
-from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response
+from afdsvc.lti.python_control import factorise
 from afdsvc.lti.riccati import kalman_predictor_gain, lqr
 from afdsvc.lti.stabilise import gain_with_margin
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.yjbk import controller_from, interconnection, plant_from
+from afdsvc.plants.examples import unstable_second_order
 from afdsvc.plants.gas_bearing import gas_bearing
-from afdsvc.plants.unstable_second_order import unstable_second_order
 
 OMEGA = np.linspace(0.01, 3.1, 15)
 

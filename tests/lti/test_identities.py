@@ -18,9 +18,9 @@ from afdsvc.lti.coprime import (
     proportional_factorisation,
     stable_controller_factorisation,
 )
-from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.lft import star
+from afdsvc.lti.python_control import factorise
 from afdsvc.lti.riccati import kalman_predictor_gain, lqr
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.stability import is_stable

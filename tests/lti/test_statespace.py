@@ -9,11 +9,11 @@ from scipy.signal import cont2discrete
 
 from afdsvc.errors import BadInput, IllConditioned
 from afdsvc.lti.frequency import frequency_response
-from afdsvc.lti.port_exchange import exchange
-from afdsvc.lti.reachability import trim
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.scaling import balanced, rescale
+from afdsvc.lti.stability import trim
 from afdsvc.lti.statespace import StateSpace, block_diagonal, common_dt
+from afdsvc.lti.yjbk import exchange
 from afdsvc.plants.gas_bearing import gas_bearing
 
 OMEGA = np.geomspace(0.1, 10, 7)

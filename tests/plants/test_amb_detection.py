@@ -12,7 +12,7 @@ from afdsvc.excite.simulated_burst import played, simulate_burst
 from afdsvc.lti.whitening import innovations, whitening_filter
 from afdsvc.plants.amb_turboexpander import NOISE_SD, amb_turboexpander
 from afdsvc.plugins.controllers.lqg import Lqg
-from afdsvc.plugins.detectors.matched_filter import MatchedFilterDesign
+from afdsvc.plugins.detectors.burst_detectors import MatchedFilterDesign
 
 BEFORE = 3000
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from afdsvc.errors import BadInput
-from afdsvc.plants.random_stable import random_stable
+from afdsvc.plants.examples import random_stable, unstable_second_order
 from afdsvc.plants.registry import PLANTS, plant
-from afdsvc.plants.unstable_second_order import unstable_second_order
 
 
 @pytest.mark.parametrize("name", sorted(PLANTS))

@@ -36,7 +36,7 @@ def write_improved(explanation: Explanation, path: Path, aux: Mapping[str, float
         write_model(_linear(explanation, plant), path)
         return [path]
     file = path.with_suffix(".py")
-    model, text = dynamics(explanation, file, aux)
+    model, text = _dynamics(explanation, file, aux)
     file.write_text(text, encoding="utf-8")
     write_model(replace(model, origin=str(path)), path)
     return [path, file]
@@ -82,7 +82,7 @@ def _noise(explanation: Explanation) -> Array | None:
     return np.array(floor, dtype=np.float64)
 
 
-def dynamics(explanation: Explanation, file: Path, aux: Mapping[str, float]) -> tuple[Model, str]:
+def _dynamics(explanation: Explanation, file: Path, aux: Mapping[str, float]) -> tuple[Model, str]:
     """Return the model whose dynamics are in ``file`` (beside it) and the text of that file."""
     nominal, point, old = explanation.nominal, explanation.point, explanation.nominal.model
     plant, effects = nominal.at(point.theta), point.effects

@@ -5,17 +5,19 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from afdsvc.api.model import Dynamics, Model, Quantity, Variable
+from afdsvc.api.model import Dynamics, Model, Quantity, Variable, default_states
 from afdsvc.errors import BadInput
-from afdsvc.files.model.schema import LinearTable, Matrix, ModelTable, UncertaintyTable
+from afdsvc.files.model.schema import Inline, LinearTable, Matrix, ModelTable, UncertaintyTable, toml_text
 from afdsvc.files.model.stepped import stepped_model, unit_text
-from afdsvc.files.model.toml_text import Inline, toml_text
 from afdsvc.files.model.user_code import linear_part, load_dynamics
+from afdsvc.files.unfinished import writing
 from afdsvc.files.validation import read_text, toml_table, validated
 from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.lti.transfer_function import from_polynomials, from_roots
 
 # Keys of Model.extra, so that a file is written back in the form in which it was read.
 RELATIVE, DYNAMICS = "uncertainty.relative", "dynamics"
@@ -28,6 +30,8 @@ def read_model(path: str | Path, allow_code: bool = False) -> Model:
     ``plant`` is the linear part the code offers (None when it offers none). An FMI unit (``.fmu``) may stand for a whole file:
     names, units and step are then its own.
     """
+    if Path(path).suffix.lower() in (".csv", ".parquet", ".mat", ".npz", ".mcap"):
+        raise BadInput(f"{path}: is a recording; expected the model (MODEL.toml) here, recordings after it")
     text = unit_text(Path(path)) if str(path).lower().endswith(".fmu") else read_text(Path(path))
     return parse_model(text, str(path), allow_code)
 
@@ -49,7 +53,7 @@ def parse_model(text: str, source: str, allow_code: bool = False) -> Model:
         parameters={k: Quantity(q.value, q.unit, q.relative_sd) for k, q in table.parameters.items()},
         entry_sd=_entry_sd(table, None if dynamics else plant, source),
         output_sd=_output_sd(table, source),
-        process_cov=covariance(table.noise.process_cov if table.noise else None, _order(table, None if dynamics else plant), source),
+        process_cov=_covariance(table.noise.process_cov if table.noise else None, _order(table, None if dynamics else plant), source),
         controller=_controller(table, source),
         origin=source,
         raw="" if stepped else text,
@@ -64,8 +68,9 @@ def write_model(model: Model, path: str | Path) -> None:
     text = model_text(model, path.parent)
     partial = path.with_name(path.name + ".part")
     try:
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
+        with writing(partial):
+            partial.write_text(text, encoding="utf-8")
+            os.replace(partial, path)
     except OSError as error:
         raise BadInput(f"{path}: cannot be written: {error.strerror or error}") from None
 
@@ -91,12 +96,12 @@ def model_text(model: Model, folder: Path | None = None) -> str:
 def _plant(table: ModelTable, dynamics: Dynamics | None, source: str) -> StateSpace | None:
     if dynamics is not None:
         return linear_part(dynamics)
-    return linear_system(table, len(table.inputs), len(table.outputs), source)
+    return _linear_system(table, len(table.inputs), len(table.outputs), source)
 
 
 def _states(table: ModelTable, plant: StateSpace | None, source: str) -> tuple[Variable, ...]:
     if plant is not None and not table.states:
-        return tuple(Variable(f"x{i + 1}") for i in range(plant.order))
+        return default_states(plant, [Variable(v.name, v.unit) for v in table.outputs])
     if plant is not None and len(table.states) != plant.order:
         found, wanted = len(table.states), plant.order
         raise BadInput(f"{source}: key 'states' names {found} states; expected {wanted}, as many as A has")
@@ -109,7 +114,7 @@ def _order(table: ModelTable, plant: StateSpace | None) -> int:
 
 def _entry_sd(table: ModelTable, plant: StateSpace | None, source: str) -> dict[str, Array]:
     if plant is not None:
-        return entry_deviations(plant, table.uncertainty, source)
+        return _entry_deviations(plant, table.uncertainty, source)
     if table.uncertainty is not None:
         wanted = "expected relative_sd of each parameter where the model states dynamics"
         raise BadInput(f"{source}: key 'uncertainty' is about matrices; {wanted}")
@@ -128,7 +133,7 @@ def _output_sd(table: ModelTable, source: str) -> Array | None:
 def _controller(table: ModelTable, source: str) -> StateSpace | None:
     if table.controller is None:
         return None
-    return linear_system(table.controller, len(table.outputs), len(table.inputs), source, "controller.")
+    return _linear_system(table.controller, len(table.outputs), len(table.inputs), source, "controller.")
 
 
 def _form(table: ModelTable) -> dict[str, object]:
@@ -178,7 +183,7 @@ def _uncertainty_keys(model: Model) -> dict[str, object]:
     relative = float(model.extra.get(RELATIVE, DEFAULT_RELATIVE_SD))
     keys: dict[str, object] = {"relative": relative} if RELATIVE in model.extra else {}
     for name, deviation in model.entry_sd.items():
-        if not np.array_equal(deviation, relative_deviation(getattr(model.plant, name), relative)):
+        if not np.array_equal(deviation, _relative_deviation(getattr(model.plant, name), relative)):
             keys[name] = deviation.tolist()
     return keys
 
@@ -191,18 +196,45 @@ def _noise_keys(model: Model) -> dict[str, object]:
 DEFAULT_RELATIVE_SD = 0.05
 
 
-def linear_system(table: LinearTable, inputs: int, outputs: int, source: str, prefix: str = "") -> StateSpace:
-    """Return the system of four matrices; raises `BadInput` naming file, key, shape found and shape expected."""
+def _linear_system(table: LinearTable, inputs: int, outputs: int, source: str, prefix: str = "") -> StateSpace:
+    """Return the system of a table; raises `BadInput` naming file, key, shape found and shape expected."""
+    if table.form[0] != "A":
+        return _transfer_function(table, inputs, outputs, source, prefix)
     order = len(table.A or [])
     shapes = {"A": (order, order), "B": (order, inputs), "C": (outputs, order), "D": (outputs, inputs)}
     matrices = {}
     for name, shape in shapes.items():
         why = f"{order} states, {inputs} inputs and {outputs} outputs"
-        matrices[name] = checked_matrix(getattr(table, name), shape, f"{source}: key '{prefix}{name}'", why)
+        given = getattr(table, name)
+        matrices[name] = np.zeros(shape) if given is None else _checked_matrix(given, shape, f"{source}: key '{prefix}{name}'", why)
     return StateSpace(**matrices, dt=table.dt)
 
 
-def checked_matrix(rows: Matrix, shape: tuple[int, int], where: str, why: str) -> Array:
+def _transfer_function(table: LinearTable, inputs: int, outputs: int, source: str, prefix: str) -> StateSpace:
+    """Return the system of polynomials or roots."""
+    try:
+        if table.poles is not None:
+            if (inputs, outputs) != (1, 1):
+                raise BadInput(f"zeros, poles and gain are for one input and one output, not {inputs} and {outputs}; expected num and den")
+            zeros, poles = ([complex(*r) if isinstance(r, list) else complex(r) for r in roots or []] for roots in (table.zeros, table.poles))
+            return from_roots(zeros, poles, table.gain or 0.0, table.dt)
+        num, den = (_polynomials(getattr(table, key), inputs, outputs, key) for key in ("num", "den"))
+        return from_polynomials(num, den, table.dt)
+    except BadInput as error:
+        raise BadInput(f"{source}: {f'table {prefix[:-1]}: ' if prefix else ''}{error}") from None
+
+
+def _polynomials(given: Any, inputs: int, outputs: int, key: str) -> list[list[list[float]]]:
+    """Return polynomials by output and input; a plain list is that of one input and output, or the denominator of all."""
+    flat = not any(isinstance(part, list) for part in given)
+    if flat and (key == "den" or inputs == outputs == 1):
+        return [[given] * inputs] * outputs
+    if flat or len(given) != outputs or any(len(row) != inputs for row in given):
+        raise BadInput(f"key '{key}' is not a list of {outputs} outputs of {inputs} inputs; expected {key} = [[[1, 2], ...], ...], output by output")
+    return list(given)
+
+
+def _checked_matrix(rows: Matrix, shape: tuple[int, int], where: str, why: str) -> Array:
     """Return rows as an array; raises `BadInput` for ragged rows or another shape (``[]`` is any empty matrix)."""
     widths = sorted({len(row) for row in rows})
     if len(widths) > 1:
@@ -215,32 +247,32 @@ def checked_matrix(rows: Matrix, shape: tuple[int, int], where: str, why: str) -
     return np.array(rows, dtype=np.float64)
 
 
-def entry_deviations(plant: StateSpace, table: UncertaintyTable | None, source: str) -> dict[str, Array]:
+def _entry_deviations(plant: StateSpace, table: UncertaintyTable | None, source: str) -> dict[str, Array]:
     """Return absolute standard deviations of the entries of A, B, C and D, shapes as theirs."""
     relative = DEFAULT_RELATIVE_SD if table is None else table.relative
-    deviations = {name: relative_deviation(getattr(plant, name), relative) for name in "ABCD"}
+    deviations = {name: _relative_deviation(getattr(plant, name), relative) for name in "ABCD"}
     for name in "ABCD":
         rows = None if table is None else getattr(table, name)
         if rows is not None:
             where = f"{source}: key 'uncertainty.{name}'"
-            given = checked_matrix(rows, deviations[name].shape, where, f"the entries of {name}")
+            given = _checked_matrix(rows, deviations[name].shape, where, f"the entries of {name}")
             if (given < 0).any():
                 raise BadInput(f"{where} holds {given.min()}; expected standard deviations of 0 or more")
             deviations[name] = given
     return deviations
 
 
-def relative_deviation(matrix: Array, relative: float) -> Array:
+def _relative_deviation(matrix: Array, relative: float) -> Array:
     """Return the deviation of every entry that is not 0 or +-1 (those are structure, not measured) as a share of it."""
     return np.where(np.isin(matrix, (0.0, 1.0, -1.0)), 0.0, relative * np.abs(matrix))
 
 
-def covariance(rows: Matrix | None, order: int, source: str) -> Array | None:
+def _covariance(rows: Matrix | None, order: int, source: str) -> Array | None:
     """Return the covariance of the state noise; raises `BadInput` unless it is symmetric and not negative."""
     if rows is None:
         return None
     where = f"{source}: key 'noise.process_cov'"
-    cov = checked_matrix(rows, (order, order), where, f"{order} states")
+    cov = _checked_matrix(rows, (order, order), where, f"{order} states")
     if not np.array_equal(cov, cov.T):
         raise BadInput(f"{where} is not symmetric; expected a covariance")
     if order and np.linalg.eigvalsh(cov)[0] < -1e-12 * max(np.abs(cov).max(), 1e-300):

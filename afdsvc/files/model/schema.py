@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import json
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from afdsvc.files.validation import Strict
 
 Matrix = list[list[float]]
+Polynomials = list[float] | list[list[list[float]]]
+Roots = list[float | Annotated[list[float], Field(min_length=2, max_length=2)]]
+FORMS = (("num", "den"), ("zeros", "poles", "gain"), ("A", "B", "C", "D"))
+QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(.*?)\s*(?:(?:\+-|±)\s*([\d.]+)\s*%)?\s*")
 Name = Annotated[str, Field(min_length=1, pattern=r"^\S(.*\S)?$")]
 Positive = Annotated[float, Field(gt=0)]
 
@@ -27,11 +34,22 @@ class StateTable(VariableTable):
 
 
 class ParameterTable(Strict):
-    """A physical parameter and how well it is known."""
+    """A physical parameter and how well it is known; on one line: a number, or ``"95.1 kg +- 2 %"``."""
 
     value: float
     unit: str = ""
     relative_sd: Annotated[float, Field(ge=0)] = 0.05
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_line(cls, value: Any) -> Any:
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            return {"value": value}
+        found = QUANTITY.fullmatch(value) if isinstance(value, str) else None
+        if found is None:
+            return value
+        number, unit, percent = found.groups()
+        return {"value": float(number), "unit": unit} | ({"relative_sd": float(percent) / 100} if percent else {})
 
 
 class UncertaintyTable(Strict):
@@ -52,7 +70,9 @@ class NoiseTable(Strict):
 
 
 class LinearTable(Strict):
-    """Four matrices on one time base."""
+    """A linear system on one time base: matrices (D may be left out, and of a static gain all but D), ``num`` over ``den``
+    (coefficients, highest power first; for several inputs or outputs a list for each output of a list for each input), or
+    ``zeros``, ``poles`` and ``gain``, a complex root as ``[re, im]``."""
 
     time: Literal["continuous", "discrete"]
     sample_time: Positive | None = None
@@ -60,6 +80,19 @@ class LinearTable(Strict):
     B: Matrix | None = None
     C: Matrix | None = None
     D: Matrix | None = None
+    num: Polynomials | None = None
+    den: Polynomials | None = None
+    zeros: Roots | None = None
+    poles: Roots | None = None
+    gain: float | None = None
+
+    @field_validator("A", "B", "C", "D", mode="before")
+    @classmethod
+    def _rows(cls, value: Any, info: Any) -> Any:
+        if isinstance(value, list) and value and not any(isinstance(row, list) for row in value):
+            column = "".join(f"[{v}], " for v in value)[:-2]
+            raise ValueError(f"{value} is a flat list; expected rows: [{value}] is one row, [{column}] one column")
+        return value
 
     @model_validator(mode="after")
     def _one_time_base(self) -> LinearTable:
@@ -74,9 +107,31 @@ class LinearTable(Strict):
         """Sample time in seconds, 0 when continuous."""
         return self.sample_time or 0.0
 
+    @property
+    def form(self) -> tuple[str, ...]:
+        """The keys of the form that is given: the transfer function's, the roots', or the matrices'."""
+        return next(form for form in FORMS if form[0] == "A" or any(getattr(self, key) is not None for key in form))
+
     def missing(self) -> list[str]:
-        """Return the names of the matrices that are not there."""
-        return [name for name in "ABCD" if getattr(self, name) is None]
+        """Return the keys that the given form needs and lacks; ``zeros`` and ``D`` may be left out, and all but D of a gain."""
+        absent = [key for key in self.form if getattr(self, key) is None and key != "zeros"]
+        if self.form[0] != "A":
+            return absent
+        return [] if absent in ([], ["D"], ["A", "B", "C"]) and (self.A or self.D is not None) else absent
+
+    def several(self) -> list[str]:
+        """Return the first keys of the forms that are given, where there is more than one."""
+        given = [next(key for key in form if getattr(self, key) is not None) for form in FORMS if any(getattr(self, key) is not None for key in form)]
+        return given if len(given) > 1 else []
+
+
+def _form(table: LinearTable) -> None:
+    """Raise `ValueError` unless one form of a linear system is given, and whole."""
+    if table.several():
+        raise ValueError(f"keys {' and '.join(table.several())} are both given; expected matrices, num and den, or poles and gain")
+    if table.missing():
+        what = "matrix" if table.form[0] == "A" else "key"
+        raise ValueError(f"{what} {', '.join(table.missing())} is missing; expected A, B, C and D, or num and den, or zeros, poles and gain")
 
 
 class ControllerTable(LinearTable):
@@ -84,8 +139,7 @@ class ControllerTable(LinearTable):
 
     @model_validator(mode="after")
     def _complete(self) -> ControllerTable:
-        if self.missing():
-            raise ValueError(f"matrix {', '.join(self.missing())} is missing; expected A, B, C and D")
+        _form(self)
         return self
 
 
@@ -113,10 +167,9 @@ class ModelTable(LinearTable):
 
     @model_validator(mode="after")
     def _matrices_or_dynamics(self) -> ModelTable:
-        absent = self.missing()
-        if self.dynamics is None and absent:
-            raise ValueError(f"matrix {', '.join(absent)} is missing; expected A, B, C and D, or dynamics")
-        if self.dynamics is not None and len(absent) < 4:
+        if self.dynamics is None:
+            _form(self)
+        elif any(getattr(self, key) is not None for form in FORMS for key in form):
             raise ValueError("both matrices and dynamics are given; expected one of the two")
         return self
 
@@ -132,5 +185,51 @@ class ModelTable(LinearTable):
             if state.rate_of is not None and (state.rate_of not in states or state.rate_of == state.name):
                 others = ", ".join(n for n in states if n != state.name) or "none"
                 found = f"rate_of of '{state.name}' is '{state.rate_of}'"
-                raise ValueError(f"states: {found}; expected another state ({others})")
+                cure = f"; where '{state.rate_of}' is not in the model, leave rate_of out: a unit such as rad/s says that it is a speed"
+                raise ValueError(f"states: {found}; expected another state ({others}){cure}")
         return self
+
+
+class Inline(dict[str, object]):
+    """A table written on one line."""
+
+
+def toml_text(table: Mapping[str, object]) -> str:
+    """Return the text; numbers come back bit for bit, empty tables and lists of no entries are left out at the top."""
+    plain = {k: v for k, v in table.items() if not _is_section(v)}
+    sections = {k: v for k, v in table.items() if isinstance(v, dict) and _is_section(v) and v}
+    text = _lines(plain)
+    for name, section in sections.items():
+        text += f"\n[{_key(name)}]\n{_lines(section)}"
+    return text
+
+
+def _lines(table: Mapping[str, object]) -> str:
+    return "".join(f"{_key(name)} = {_value(value)}\n" for name, value in table.items())
+
+
+def _is_section(value: object) -> bool:
+    return isinstance(value, dict) and not isinstance(value, Inline)
+
+
+def _value(value: object) -> str:
+    if isinstance(value, str):
+        # JSON strings are TOML strings but for the one control character JSON lets pass.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, float):
+        return _number(value)
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{_key(k)} = {_value(v)}' for k, v in value.items())}}}"
+    return json.dumps(value)
+
+
+def _number(value: float) -> str:
+    """Return whole numbers without a point (a sign on zero would be lost that way) and others as Python writes them."""
+    whole = value.is_integer() and abs(value) < 1e15 and str(value) != "-0.0"
+    return str(int(value)) if whole else repr(value)
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _value(name)

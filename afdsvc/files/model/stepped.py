@@ -13,8 +13,7 @@ import numpy as np
 from afdsvc.api.model import SteppedPlant
 from afdsvc.errors import BadInput
 from afdsvc.explain.simulate.steps import continuous
-from afdsvc.files.model.schema import ModelTable, PerturbationTable
-from afdsvc.files.model.toml_text import Inline, toml_text
+from afdsvc.files.model.schema import Inline, ModelTable, PerturbationTable, toml_text
 from afdsvc.files.model.user_code import load_code, refuse_code
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.statespace import Array, StateSpace

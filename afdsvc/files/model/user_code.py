@@ -35,7 +35,7 @@ def refuse_code(reference: str, source: str, allow_code: bool, key: str = "") ->
 
     ``source`` is the file that must lie in a trusted folder, ``key`` (the file's key ``dynamics`` by default) is for the sentence.
     """
-    if not allow_code and not trusted(Path(source)):
+    if not allow_code and not _trusted(Path(source)):
         kind = "compiled code" if reference.endswith(".fmu") else "Python code"
         where = key or f"{source}: key 'dynamics'"
         raise BadInput(
@@ -71,7 +71,7 @@ def _imported(place: str, where: str) -> ModuleType:
         raise BadInput(f"{where}, which cannot be imported: {type(error).__name__}: {error}") from error
 
 
-def trusted(path: Path) -> bool:
+def _trusted(path: Path) -> bool:
     """Return whether a file lies in one of the folders of the environment variable `TRUSTED` (separated as in PATH).
 
     A model inside a recording is no file of its own and never trusted.

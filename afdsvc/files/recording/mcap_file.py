@@ -58,6 +58,7 @@ class McapFile:
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, str], int] = {}
         self._sequences: dict[int, int] = {}
+        self._kept = 0  # bytes that were forced to the disk
         try:
             self._begin(header)
         except OSError:
@@ -102,13 +103,15 @@ class McapFile:
         self._writer.flush()
         self._stream.flush()
         os.fdatasync(self._stream.fileno())
+        self._kept = self.size
 
     def there(self) -> bool:
-        """Whether the file still stands under its name: it may have been deleted, moved or replaced."""
+        """Whether the file still stands under its name, as long as it was: it may have been deleted, moved, replaced or cut."""
         try:
-            return os.path.samestat(os.stat(self.path), os.fstat(self._stream.fileno()))
+            named, written = os.stat(self.path), os.fstat(self._stream.fileno())
         except OSError:
             return False
+        return os.path.samestat(named, written) and written.st_size >= self._kept
 
     def finish(self) -> None:
         """Write the index, force everything to the disk, and close."""
@@ -142,3 +145,19 @@ class McapFile:
         count = self._sequences.get(channel, 0) if sequence is None else sequence
         self._sequences[channel] = count + 1
         self._writer.add_message(channel, t_ns, data, t_ns, count & 0xFFFFFFFF)
+
+
+BLOCK, RESIDUAL, EVENT, FINDING, REQUEST, DESCRIPTION, PREVIEW, LOG = (
+    "block", "residual", "event", "evidence", "request", "description", "preview", "log",
+)  # fmt: skip
+
+
+def topic(machine: str, what: str) -> str:
+    """Return the topic of one kind of message of one machine: ``/bearing-1/block``."""
+    return f"/{machine}/{what}"
+
+
+def parts(name: str) -> tuple[str, str]:
+    """Return machine and kind of a topic; ("", "") when it is not one of ours."""
+    pieces = name.split("/")
+    return (pieces[1], pieces[2]) if len(pieces) == 3 and not pieces[0] else ("", "")

@@ -6,6 +6,7 @@ crash has no end, and one bad chunk is no reason to lose those behind it.
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -22,8 +23,8 @@ from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metada
 from mcap.stream_reader import CRCValidationError
 
 from afdsvc.errors import BadInput
-from afdsvc.files.bounds import BOUNDS, recording_bytes, refuse_more
-from afdsvc.files.tables.formats import refuse_pointer
+from afdsvc.files.tables.formats import opened
+from afdsvc.files.validation import BOUNDS, recording_bytes, refuse_more
 
 MAGIC = bytes([137, 77, 67, 65, 80, 48, 13, 10])
 _PLAIN: dict[int, Callable[[ReadDataStream], McapRecord]] = {
@@ -65,10 +66,8 @@ def read_items(path: Path) -> Iterator[Item]:
     Raises `BadInput` when the file cannot be opened, is no MCAP file, or its chunks state more bytes than are read. Memory is that
     of one chunk.
     """
-    refuse_pointer(path)
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        start = file.read(len(MAGIC))
+    with opened(path) as file:
+        size, start = os.fstat(file.fileno()).st_size, file.read(len(MAGIC))
         if start != MAGIC:
             raise BadInput(f"{path}: is not an MCAP file: it begins with {start!r}" if start else f"{path}: is empty")
         refuse_more(path, _stated_bytes(file, size), recording_bytes(size), "bytes in its chunks")

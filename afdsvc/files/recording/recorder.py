@@ -10,11 +10,9 @@ from pathlib import Path
 
 from afdsvc.api.signals import Block, Channel
 from afdsvc.errors import BadInput
-from afdsvc.files.recording import foxglove_log, topics
-from afdsvc.files.recording.foxglove_log import Level, encode_log
+from afdsvc.files.recording import foxglove, mcap_file
+from afdsvc.files.recording.foxglove import DecisionLog, Level, Preview, encode_log, event_sentence, evidence_sentence
 from afdsvc.files.recording.mcap_file import Header, McapFile
-from afdsvc.files.recording.preview import Preview
-from afdsvc.files.recording.sentences import DecisionLog, event_sentence, evidence_sentence
 from afdsvc.wire.messages import BurstRequest, Finding, RigDescription, RigEvent
 
 
@@ -71,6 +69,11 @@ class Recorder:
         return self.paths[-1] if self.paths else self._settings.path
 
     @property
+    def flushed(self) -> bool:
+        """Whether everything that was written has been forced to the disk."""
+        return self._unflushed == 0
+
+    @property
     def bytes_written(self) -> int:
         """Bytes in all files of this recording."""
         return self.finished_bytes + (self._file.size if self._file else 0)
@@ -81,7 +84,7 @@ class Recorder:
 
     def residual(self, data: bytes, block: Block) -> None:
         """Record a block of the whitened residual."""
-        name = topics.topic(block.machine, topics.RESIDUAL)
+        name = mcap_file.topic(block.machine, mcap_file.RESIDUAL)
         self._write(lambda file: file.wire(name, "Block", block.t0_ns, data, block.seq))
 
     def finding(self, data: bytes, finding: Finding) -> None:
@@ -94,7 +97,7 @@ class Recorder:
 
     def request(self, data: bytes, request: BurstRequest) -> None:
         """Record a requested burst: its lines are needed to evaluate the response later."""
-        name = topics.topic(request.machine, topics.REQUEST)
+        name = mcap_file.topic(request.machine, mcap_file.REQUEST)
         self._write(lambda file: file.wire(name, "BurstRequest", request.t_ns, data))
 
     def description(self, data: bytes, description: RigDescription) -> None:
@@ -219,18 +222,18 @@ class Recorder:
         self._flushed, self._unflushed = self._monotonic(), 0
 
     def _gone(self, file: McapFile) -> None:
-        """Give up a file that was deleted under the recorder: nothing of it is left; the next message begins a new one."""
+        """Give up a file that was deleted or cut under the recorder: what is left of it is not relied on; the next message begins a new one."""
         self._unflushed, self.paths = self._written, [path for path in self.paths if path != file.path]
         try:
-            self._fail(file.path, FileNotFoundError(errno.ENOENT, "the file was deleted, moved or replaced while it was being written"))
+            self._fail(file.path, FileNotFoundError(errno.ENOENT, "the file was deleted, moved, replaced or cut short while it was being written"))
         finally:
             self._failed_at = float("-inf")
 
     def _block(self, file: McapFile, data: bytes, block: Block) -> None:
-        file.wire(topics.topic(block.machine, topics.BLOCK), "Block", block.t0_ns, data, block.seq)
+        file.wire(mcap_file.topic(block.machine, mcap_file.BLOCK), "Block", block.t0_ns, data, block.seq)
         if self._settings.preview_hertz:
             preview = self._preview(block.channels)
-            name, schema = topics.topic(block.machine, topics.PREVIEW), (preview.schema_name, preview.schema)
+            name, schema = mcap_file.topic(block.machine, mcap_file.PREVIEW), (preview.schema_name, preview.schema)
             for t_ns, sample in preview.messages(block, self._settings.preview_hertz):
                 file.message(name, schema, t_ns, sample, preview.metadata)
 
@@ -241,23 +244,23 @@ class Recorder:
 
     def _finding(self, file: McapFile, data: bytes, finding: Finding) -> None:
         evidence = finding.evidence
-        file.wire(topics.topic(evidence.machine, topics.FINDING), "Evidence", finding.t_ns, data)
+        file.wire(mcap_file.topic(evidence.machine, mcap_file.FINDING), "Evidence", finding.t_ns, data)
         if self._decisions.worth_telling(evidence):
             _tell(file, finding.t_ns, *evidence_sentence(evidence), evidence.machine)
 
     def _event(self, file: McapFile, data: bytes, event: RigEvent) -> None:
-        file.wire(topics.topic(event.machine, topics.EVENT), "RigEvent", event.t_ns, data)
+        file.wire(mcap_file.topic(event.machine, mcap_file.EVENT), "RigEvent", event.t_ns, data)
         _tell(file, event.t_ns, *event_sentence(event), event.machine)
 
 
 def _describe(file: McapFile, data: bytes, description: RigDescription) -> None:
-    name = topics.topic(description.machine, topics.DESCRIPTION)
+    name = mcap_file.topic(description.machine, mcap_file.DESCRIPTION)
     file.wire(name, "RigDescription", description.t_ns, data)
 
 
 def _tell(file: McapFile, t_ns: int, level: Level, text: str, machine: str) -> None:
-    schema = (foxglove_log.NAME, foxglove_log.SCHEMA)
-    file.message(topics.topic(machine, topics.LOG), schema, t_ns, encode_log(t_ns, level, text, machine))
+    schema = (foxglove.NAME, foxglove.SCHEMA)
+    file.message(mcap_file.topic(machine, mcap_file.LOG), schema, t_ns, encode_log(t_ns, level, text, machine))
 
 
 def _sentence(path: Path, error: OSError) -> str:

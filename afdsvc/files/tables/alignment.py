@@ -12,8 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from afdsvc.errors import BadInput
-from afdsvc.files.tables.resampling import FLAT, STOP, reach, resampled
-from afdsvc.files.tables.time_base import JITTER, shortest_step
+from afdsvc.files.tables.time_base import FLAT, JITTER, STOP, reach, resampled, shortest_step
 from afdsvc.lti.statespace import Array
 
 SAME_STEP, SAME_PHASE = 1e-4, 1e-3  # relative differences of sample times, and of phases in samples, taken for rounding

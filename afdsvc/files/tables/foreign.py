@@ -10,31 +10,41 @@ import numpy as np
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.errors import BadInput
+from afdsvc.files.recording.reader import Recording
 from afdsvc.files.tables.alignment import Group, aligned
 from afdsvc.files.tables.foreign_mcap import read_topics
 from afdsvc.files.tables.formats import read_columns
-from afdsvc.files.tables.mapping import OWN_TIMES, DataMapping, Source, Time
-from afdsvc.files.tables.tables import TIME
-from afdsvc.files.tables.units import converted, product, same_unit
+from afdsvc.files.tables.mapping import OWN_TIMES, DataMapping, Source, Time, converted, product, same_unit
+from afdsvc.files.tables.tables import PREPARED
+from afdsvc.files.tables.time_base import TIME, UNITS, is_stamped, own_time, seconds
 from afdsvc.lti.statespace import Array
 
-PREPARED = "prepared"  # the note of a trace that holds the sentences, one a line
 _AUX_UNITS = {"aux_speed": "rad/s", "aux_angle": "rad"}
 
 
-def read_foreign(path: Path, mapping: DataMapping, model: Model | None = None) -> list[Trace]:
-    """Return the mapped signals of a table or MCAP file, one trace per stretch without a gap.
+def read_foreign_columns(path: Path, mapping: DataMapping, model: Model | None = None) -> list[Trace]:
+    """Return the mapped columns of a table as traces, see `read_foreign_topics`."""
+    return _mapped(path, *_table(path, _places(mapping), mapping.time), mapping, model)
+
+
+def read_foreign_topics(recording: Recording, mapping: DataMapping, model: Model | None = None) -> list[Trace]:
+    """Return the mapped topics of an MCAP file, one trace per stretch without a gap.
 
     Units become the model's where it has any, the sample time the mapping's, else that of a discrete model, else the slowest
     signal's. The note `PREPARED` of every trace says all that was done. Raises `BadInput` naming file, signal and place.
     """
+    found = read_topics(recording.path, recording.items(), _places(mapping), mapping.time)
+    return _mapped(recording.path, *found, mapping, model)
+
+
+def _places(mapping: DataMapping) -> dict[str, str]:
+    return {signal: source.place for signal, source in mapping.signals.items()}
+
+
+def _mapped(path: Path, groups: Sequence[Group], done: Sequence[str], mapping: DataMapping, model: Model | None) -> list[Trace]:
+    remarks = list(done)
     wanted = mapping.resample.dt or (model.plant.dt if model and model.plant and model.plant.discrete else None)
-    places = {signal: source.place for signal, source in mapping.signals.items()}
-    if path.suffix.lower() == ".mcap":
-        groups, remarks = read_topics(path, places, mapping.time)
-    else:
-        groups, remarks = _table(path, places, mapping.time)
-    units = model_units(model)
+    units = _model_units(model)
     named, channels = [], []
     for group in groups:
         columns = {}
@@ -43,14 +53,14 @@ def read_foreign(path: Path, mapping: DataMapping, model: Model | None = None) -
             channels.append(channel)
             remarks.append(sentence)
         named.append(Group(group.name, group.t, columns))
-    pieces, done = aligned(named, str(path), wanted, mapping.resample.gap, mapping.time.regular)
-    notes = {"path": str(path), PREPARED: "\n".join([*remarks, *done])}
+    pieces, aligning = aligned(named, str(path), wanted, mapping.resample.gap, mapping.time.regular)
+    notes = {"path": str(path), PREPARED: "\n".join([*remarks, *aligning])}
     order = _order(channels)
     sorted_channels = tuple(channels[i] for i in order)
     return [Trace(path.name, p.dt, sorted_channels, np.ascontiguousarray(p.values[:, order]), p.start, notes) for p in pieces]
 
 
-def model_units(model: Model | None) -> dict[str, str]:
+def _model_units(model: Model | None) -> dict[str, str]:
     """Return the unit of every signal a model speaks of."""
     if model is None:
         return dict(_AUX_UNITS)
@@ -69,7 +79,7 @@ def prepared(traces: Sequence[Trace]) -> list[str]:
 
 def in_model_units(trace: Trace, model: Model) -> Trace:
     """Return the trace with the model's units: given where it has none, converted, with a note, where it has others."""
-    units, remarks = model_units(model), []
+    units, remarks = _model_units(model), []
     values, channels = trace.values, []
     for i, channel in enumerate(trace.channels):
         wanted = units.get(channel.name, "")
@@ -111,6 +121,9 @@ def _table(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Grou
     absent = next((place for place in places.values() if place not in columns), None)
     if absent is not None:
         raise BadInput(f"{path}: no column '{absent}' to be mapped; it has {', '.join(columns)}")
+    stamped = next((place for place in places.values() if is_stamped(columns[place])), None)
+    if stamped is not None:
+        raise BadInput(f"{path}: column '{stamped}' holds time stamps; expected numbers in a signal")
     t, sentence, used = _table_time(columns, time, path)
     remarks = [sentence]
     left = [name for name in columns if name not in {*places.values(), used}]
@@ -127,7 +140,9 @@ def _table(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Grou
 
 def _table_time(columns: Mapping[str, Array], time: Time, path: Path) -> tuple[Array | None, str, str]:
     """Return the times [s] of a table (None: none are stored), how they are known, and the column they come from."""
-    column = TIME if time.place in OWN_TIMES else time.place
+    column = (own_time(columns) or TIME) if time.place in OWN_TIMES else time.place
+    if column in columns and (is_stamped(columns[column]) or (time.place in OWN_TIMES and UNITS.get(column, 1.0) != 1.0)):
+        return *seconds(columns[column], column), column
     if column in columns:
         t = converted(columns[column], time.unit, "s", f"{path}: time '{column}'")
         return t, f"the time of a sample is column {column} [{time.unit}]", column

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,11 @@ import numpy as np
 from mcap.records import Channel, Message, Schema
 
 from afdsvc.errors import BadInput
-from afdsvc.files.bounds import file_size, refuse_more, table_bytes
-from afdsvc.files.recording.mcap_records import Item, Loss, read_items
+from afdsvc.files.recording.mcap_records import Item, Loss
 from afdsvc.files.tables.alignment import Group
 from afdsvc.files.tables.foreign_messages import Decode, decoder, number, stamp_ns
-from afdsvc.files.tables.mapping import OWN_TIMES, Time
-from afdsvc.files.tables.units import converted
+from afdsvc.files.tables.mapping import OWN_TIMES, Time, converted
+from afdsvc.files.validation import file_size, refuse_more, table_bytes
 from afdsvc.lti.statespace import Array
 
 
@@ -42,13 +41,13 @@ class _Topic:
             self.times.setdefault("field", []).append(number(message, time.place, f"{self.name}.{time.place}"))
 
 
-def read_topics(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group], list[str]]:
-    """Return one group of columns per topic (times in s, from the file's first), and sentences on time and damage.
+def read_topics(path: Path, items: Iterable[Item], places: Mapping[str, str], time: Time) -> tuple[list[Group], list[str]]:
+    """Return one group of columns per topic of an MCAP file's records (times in s, from the file's first), and sentences on time and damage.
 
     ``places`` maps signals to ``topic.field``. Raises `BadInput` for a topic or field that is not there or no number, and for
     messages without the time that was asked for.
     """
-    topics, losses = _read(path, places, time)
+    topics, losses = _read(path, items, places, time)
     chosen, sentence = _clock(list(topics.values()), time, path)
     times = _seconds(topics, chosen, time, path)
     groups = []
@@ -58,10 +57,10 @@ def read_topics(path: Path, places: Mapping[str, str], time: Time) -> tuple[list
     return groups, [sentence, *losses]
 
 
-def _read(path: Path, places: Mapping[str, str], time: Time) -> tuple[dict[str, _Topic], list[str]]:
+def _read(path: Path, items: Iterable[Item], places: Mapping[str, str], time: Time) -> tuple[dict[str, _Topic], list[str]]:
     """Return the mapped topics with their decoded samples, and sentences on damage."""
     file, most = _File(), table_bytes(file_size(path, sys.maxsize))
-    for item in read_items(path):
+    for item in items:
         file.take(item, places)
         refuse_more(path, file.kept, most, "bytes in mapped messages")
     topics = _wanted(places, {c.topic: file.kind(c) for c in file.channels.values()}, path)

@@ -55,7 +55,7 @@ def _of(factory: Any, encoding: str, schema: Schema | None, where: str) -> Decod
 
 def number(message: Any, path: str, where: str) -> float:
     """Return the number at a path such as ``pose.position.x`` or ``current[0]``; raises `BadInput` naming what there is."""
-    value = at(message, path)
+    value = _at(message, path)
     if isinstance(value, Real):  # bool and numpy numbers too
         try:
             return float(value)
@@ -67,7 +67,7 @@ def number(message: Any, path: str, where: str) -> float:
     raise BadInput(f"{where}: {found}; expected a number, and it has {listed or 'none'}")
 
 
-def at(message: Any, path: str) -> Any:
+def _at(message: Any, path: str) -> Any:
     """Return what stands at a path, None where there is nothing."""
     for name, index in _STEP.findall(path):
         try:
@@ -82,7 +82,7 @@ def at(message: Any, path: str) -> Any:
 def stamp_ns(message: Any) -> int | None:
     """Return the time a message carries in its header [ns], None where it carries none or an empty one."""
     for path in _STAMPS:
-        found = at(message, path)
+        found = _at(message, path)
         parts = [_first(found, names) for names in (_SECONDS, _NANOS)]
         if all(isinstance(part, (int, float)) and -_LATEST < part < _LATEST for part in parts):
             return (int(parts[0]) * 10**9 + int(parts[1])) or None
@@ -116,7 +116,7 @@ def _names(message: Any) -> list[str]:
 
 
 def _first(message: Any, names: tuple[str, ...]) -> Any:
-    return next((v for v in (at(message, name) for name in names) if v is not None), None)
+    return next((v for v in (_at(message, name) for name in names) if v is not None), None)
 
 
 def _why(error: Exception) -> str:

@@ -1,12 +1,13 @@
-"""Foreign tables as columns of numbers: CSV, Parquet, MAT (5 and 7.3), NPZ."""
+"""Foreign tables as columns of numbers or time stamps: CSV, Parquet, MAT (5 and 7.3), NPZ."""
 
 from __future__ import annotations
 
 import csv
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import h5py
 import numpy as np
@@ -15,8 +16,8 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from afdsvc.errors import BadInput
-from afdsvc.files.bounds import BOUNDS, file_size, refuse_more, table_bytes
 from afdsvc.files.tables.mat5 import read_mat5
+from afdsvc.files.validation import BOUNDS, file_size, refuse_more, table_bytes
 from afdsvc.lti.statespace import Array
 
 Columns = dict[str, Array]
@@ -24,11 +25,14 @@ _LFS = b"version https://git-lfs"
 
 
 def read_columns(path: Path) -> Columns:
-    """Return columns by name, shape ``(n,)``, empty cells as NaN; raises `BadInput` naming file, column and row."""
+    """Return columns by name, shape ``(n,)``, empty cells as NaN; raises `BadInput` naming file, column and row.
+
+    A column of time stamps (ISO 8601 with or without zone in CSV, dates in Parquet) is ``datetime64[ns]``, in UTC where zones are given.
+    """
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise BadInput(f"{path}: tables end in {', '.join(_READERS)}; this one ends in '{path.suffix}'")
-    refuse_pointer(path)
+    opened(path).close()
     file_size(path, BOUNDS.table)
     try:
         return reader(path)
@@ -38,15 +42,17 @@ def read_columns(path: Path) -> Columns:
         raise BadInput(f"{path}: not a readable {path.suffix} file: {_first_line(error)}") from None
 
 
-def refuse_pointer(path: Path) -> None:
-    """Raise `BadInput` when the file cannot be opened, or when Git LFS has left its pointer in the file's place."""
+def opened(path: Path) -> BinaryIO:
+    """Return the file, opened; raises `BadInput` when it cannot be, or when Git LFS has left its pointer in the file's place."""
     try:
-        with path.open("rb") as file:
-            start = file.read(len(_LFS))
+        file = path.open("rb")
     except OSError as error:
         raise BadInput(f"{path}: cannot be read: {error.strerror or error}") from None
-    if start == _LFS:
+    if file.read(len(_LFS)) == _LFS:
+        file.close()
         raise BadInput(f"{path}: is a Git LFS pointer, not the file itself; run 'git lfs pull' to fetch it")
+    file.seek(0)
+    return file
 
 
 def _csv(path: Path) -> Columns:
@@ -56,7 +62,10 @@ def _csv(path: Path) -> Columns:
     delimiter = next((d for d in ",;\t" if d in first), ",")
     header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
     _refuse_names(path, header)
+    if header and all(_is_number(name.replace(",", ".")) for name in header):
+        raise BadInput(f"{path}: the first row holds numbers ({first.strip()[:40]}); expected the names of the columns, such as t,u_force,y_position")
     point = "," if delimiter != "," and "," in second else "."
+    stamps = [name for name, cell in zip(header, next(csv.reader([second], delimiter=delimiter), []), strict=False) if _is_stamp(cell)]
     try:
         table = pyarrow.csv.read_csv(
             path,
@@ -64,16 +73,35 @@ def _csv(path: Path) -> Columns:
             read_options=pyarrow.csv.ReadOptions(column_names=header, skip_rows=1),
             parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
             convert_options=pyarrow.csv.ConvertOptions(
-                column_types=dict.fromkeys(header, pa.float64()), decimal_point=point
+                column_types=dict.fromkeys(header, pa.float64()) | dict.fromkeys(stamps, pa.string()), decimal_point=point
             ),
         )
     except pa.ArrowInvalid:
-        _name_bad_cell(path, header, delimiter, point)
+        _name_bad_cell(path, header, stamps, delimiter, point)
         raise
-    return {name: _numbers(path, name, table[name].to_numpy()) for name in header}
+    return {name: _stamps(path, name, table[name]) if name in stamps else _numbers(path, name, table[name].to_numpy()) for name in header}
 
 
-def _name_bad_cell(path: Path, header: list[str], delimiter: str, point: str) -> None:
+_STAMP = re.compile(r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?\s*(Z|[+-]\d\d:?\d\d)?\s*")
+
+
+def _is_stamp(cell: str) -> bool:
+    return bool(_STAMP.fullmatch(cell))
+
+
+def _stamps(path: Path, name: str, column: Any) -> Any:
+    """Return a column of ISO 8601 texts as UTC times; raises `BadInput` naming the row of the first that is none."""
+    texts = [text.strip().replace(",", ".") for text in column.to_pylist()]
+    bad = next((i for i, text in enumerate(texts) if not _is_stamp(text)), None)
+    if bad is not None:
+        raise BadInput(f"{path}: column '{name}', row {bad + 1} holds '{texts[bad]}'; expected a time such as 2026-11-21T10:00:00.125+01:00")
+    zoned = [bool(re.search(r"(Z|[+-]\d\d:?\d\d)$", text[10:])) for text in texts]
+    if any(zoned) and not all(zoned):
+        raise BadInput(f"{path}: column '{name}', row {zoned.index(not zoned[0]) + 1} holds '{texts[zoned.index(not zoned[0])]}'; expected a zone in all rows or in none")
+    return pa.array(texts).cast(pa.timestamp("ns", "UTC" if all(zoned) else None)).to_numpy(zero_copy_only=False)
+
+
+def _name_bad_cell(path: Path, header: list[str], stamps: list[str], delimiter: str, point: str) -> None:
     """Raise `BadInput` naming row and column of the first cell that is not a number, or the row of another length."""
     with path.open(encoding="utf-8-sig", newline="") as file:
         for row, cells in enumerate(csv.reader(file, delimiter=delimiter)):
@@ -83,7 +111,7 @@ def _name_bad_cell(path: Path, header: list[str], delimiter: str, point: str) ->
                 wanted = f"expected {len(header)}, as many as the header"
                 raise BadInput(f"{path}: row {row} has {len(cells)} cells; {wanted}")
             for name, cell in zip(header, cells, strict=True):
-                if not _is_number(cell.replace(point, ".")):
+                if name not in stamps and not _is_number(cell.replace(point, ".")):
                     raise BadInput(f"{path}: column '{name}', row {row} holds '{cell}'; expected a number")
 
 
@@ -163,6 +191,8 @@ def _named(path: Path, variables: Iterable[tuple[str, Any]]) -> Columns:
 
 def _numbers(path: Path, name: str, values: Any) -> Array:
     """Return a vector of doubles; raises `BadInput` for other shapes and types and integers no double can hold."""
+    if values.dtype.kind == "M":
+        return np.asarray(values.astype("datetime64[ns]").reshape(-1))
     if values.dtype.kind not in "fiub":
         raise BadInput(f"{path}: column '{name}' holds {values.dtype} values; expected real numbers")
     if values.size != max(values.shape, default=1):

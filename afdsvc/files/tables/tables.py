@@ -11,33 +11,43 @@ from afdsvc.api.model import Model
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.errors import BadInput
 from afdsvc.files.tables.formats import Columns, read_columns
-from afdsvc.files.tables.time_base import time_base
+from afdsvc.files.tables.time_base import TIME, is_stamped, own_time, seconds, time_base
 from afdsvc.lti.statespace import Array
 
-TIME = "t"
+PREPARED = "prepared"  # the note of a trace that holds the sentences on what was done to its samples, one a line
 SAME_STEP = 1e-4  # relative difference of sample times that is taken for rounding
 
 
 def read_table(
-    path: str | Path, mapping: Mapping[str, str] | None = None, dt: float | None = None, allow_nan: bool = False
+    path: str | Path, mapping: Mapping[str, str] | None = None, dt: float | None = None, allow_nan: bool = False, default_dt: float | None = None
 ) -> Trace:
     """Return the table as a trace named after its file.
 
-    Columns are ``t`` [s] and ``u_, y_, alpha_, beta_, ref_, aux_`` names; ``mapping`` renames columns (to "": left
-    out). ``dt`` [s] is the sample time of a table without ``t`` and must agree with it otherwise. Raises `BadInput`
+    Columns are the time (``t`` [s], ``t_ms``, ``t_us``, ``t_ns``, or a column of time stamps) and ``u_, y_, alpha_, beta_, ref_, aux_`` names; ``mapping`` renames columns (to "": left
+    out). ``dt`` [s] is the sample time of a table without time and must agree with it otherwise, ``default_dt`` need not. Raises `BadInput`
     naming file, column and row (counted from 1 below the header) for whatever is wrong; NaN is wrong unless allowed.
     """
     path = Path(path)
-    columns = renamed(read_columns(path), mapping or {}, str(path))
+    return table_trace(_renamed(read_columns(path), mapping or {}, str(path)), path, dt, allow_nan, default_dt)
+
+
+def table_trace(columns: Columns, path: Path, dt: float | None = None, allow_nan: bool = False, default_dt: float | None = None) -> Trace:
+    """Return columns by name as a trace named after ``path``, as `read_table` does."""
+    columns = dict(columns)
     _refuse_unequal(columns, path)
-    t0, step = _time(columns.pop(TIME, None), dt, path)
+    time = own_time(columns)
+    t, said = seconds(columns.pop(time), time) if time else (None, "")
+    t0, step = _time(t, time or TIME, dt, default_dt, path)
+    stamped = next((name for name, column in columns.items() if is_stamped(column)), None)
+    if stamped is not None:
+        raise BadInput(f"{path}: column '{stamped}' holds time stamps beside the time '{time or TIME}'; leave it out with --map {stamped}=")
     channels = tuple(_channel(name, path) for name in columns)
     if not channels:
         raise BadInput(f"{path}: has no signal; expected columns such as u_<input> and y_<output>")
     values = np.column_stack(list(columns.values()))
     if not allow_nan:
         _refuse_nan(values, channels, path)
-    return Trace(path.name, step, channels, values, t0, {"path": str(path)})
+    return Trace(path.name, step, channels, values, t0, {"path": str(path), **({PREPARED: said} if said else {})})
 
 
 def with_units(trace: Trace, model: Model) -> Trace:
@@ -48,7 +58,7 @@ def with_units(trace: Trace, model: Model) -> Trace:
     return Trace(trace.name, trace.dt, channels, trace.values, trace.t0, trace.notes)
 
 
-def renamed(columns: Columns, mapping: Mapping[str, str], where: str) -> Columns:
+def _renamed(columns: Columns, mapping: Mapping[str, str], where: str) -> Columns:
     """Return the columns under their new names; raises `BadInput` for a column that is not there or a name twice."""
     unknown = [name for name in mapping if name not in columns]
     if unknown:
@@ -67,7 +77,8 @@ def _channel(name: str, path: Path) -> Channel:
     try:
         return Channel(name)
     except BadInput as error:
-        raise BadInput(f"{path}: {error}, or a mapping of this column") from None
+        cure = "; rename the column, name it with --map COLUMN=u_name, or let afdsvc init write a mapping file"
+        raise BadInput(f"{path}: {error}{cure}") from None
 
 
 def _refuse_unequal(columns: Columns, path: Path) -> None:
@@ -79,16 +90,17 @@ def _refuse_unequal(columns: Columns, path: Path) -> None:
         raise BadInput(f"{path}: has no rows; expected samples")
 
 
-def _time(t: Array | None, dt: float | None, path: Path) -> tuple[float, float]:
+def _time(t: Array | None, column: str, dt: float | None, default: float | None, path: Path) -> tuple[float, float]:
     if t is None:
+        dt = dt or default
         if dt is None or not dt > 0:
-            raise BadInput(f"{path}: has no column 't', and no sample time is known; expected one of the two")
+            raise BadInput(f"{path}: has no column 't', and no sample time is known; expected t in seconds, t_ms, or a column of ISO 8601 time stamps")
         return 0.0, dt
-    t0, step = time_base(t, f"{path}: column 't'")
+    t0, step = time_base(t, f"{path}: column '{column}'")
     if not dt:
         return t0, step
     if abs(step - dt) > SAME_STEP * dt:
-        raise BadInput(f"{path}: column 't' has a sample time of {step:.6g} s; expected {dt:.6g} s")
+        raise BadInput(f"{path}: column '{column}' has a sample time of {step:.6g} s; expected {dt:.6g} s")
     return t0, dt
 
 

@@ -11,6 +11,7 @@ from afdsvc.files.model.model_file import model_text
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.files.tables.tables import with_units
+from afdsvc.files.unfinished import writing
 from afdsvc.wire.codec import encode_block
 from afdsvc.wire.keys import checked_machine
 
@@ -45,11 +46,12 @@ def import_traces(
     models = {machine: model.raw or model_text(model)} if model else {}
     # One file, whatever its size: a table is one thing.
     settings = RecordingSettings(Path(path), max_bytes=1 << 62, max_seconds=float("inf"), overwrite=overwrite)
-    recorder = Recorder(settings, Header(models=models))
-    recorder.facts("import", facts)
-    for block in _blocks(traces, machine, start_ns):
-        recorder.block(encode_block(block), block)
-    recorder.close()
+    with writing(Path(path)):
+        recorder = Recorder(settings, Header(models=models))
+        recorder.facts("import", facts)
+        for block in _blocks(traces, machine, start_ns):
+            recorder.block(encode_block(block), block)
+        recorder.close()
     return recorder.path
 
 

@@ -19,11 +19,10 @@ from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.lft import star
-from afdsvc.lti.port_exchange import exchange
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.stability import worst_pole
 from afdsvc.lti.statespace import Array, StateSpace
-from afdsvc.lti.yjbk import interconnection, plant_from
+from afdsvc.lti.yjbk import exchange, interconnection, plant_from
 
 #: Where filter transients count as died out.
 _SETTLED = 1e-4

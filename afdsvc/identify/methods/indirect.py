@@ -18,9 +18,9 @@ import numpy as np
 from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput, IllConditioned
 from afdsvc.identify.fit import Estimate, Fit
+from afdsvc.identify.numerics.impulse_fit import closed_slopes, differences, filtered_slopes
 from afdsvc.identify.numerics.innovations_form import InnovationsForm, fitted_errors
 from afdsvc.identify.numerics.prediction_errors import eliminate_state, sweep
-from afdsvc.identify.parameters.closed_loop_gradients import closed_slopes, differences, filtered_slopes
 from afdsvc.identify.parameters.noise_structure import Slopes, require_samplable
 from afdsvc.identify.parameters.structure import Structure
 from afdsvc.lti.coprime import Factorisation

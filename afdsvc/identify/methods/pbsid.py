@@ -18,7 +18,7 @@ from scipy import linalg
 from afdsvc.dataset.arrays import Recording, scaled, scales
 from afdsvc.errors import BadInput
 from afdsvc.identify.numerics.compression import Route, compress, lags
-from afdsvc.identify.numerics.innovations_form import InnovationsForm
+from afdsvc.identify.numerics.innovations_form import InnovationsForm, with_stable_predictor
 from afdsvc.lti.statespace import Array, StateSpace
 
 
@@ -79,8 +79,8 @@ def decompose_predictor_factor(
 
 
 def realise_predictor(predictor: Predictor, order: int) -> InnovationsForm:
-    """Return the model of one order in the signals' own units; raises `BadInput` when the windows cannot show the
-    order."""
+    """Return the model of one order in the signals' own units, its predictor stable; raises `BadInput` when the windows cannot
+    show the order."""
     if not 1 <= order <= len(predictor.singular_values):
         raise BadInput(f"order {order}; the future window shows orders 1 to {len(predictor.singular_values)}")
     m, p = len(predictor.u_scale), len(predictor.y_scale)
@@ -102,4 +102,4 @@ def realise_predictor(predictor: Predictor, order: int) -> InnovationsForm:
         predictor.dt,
     )
     covariance = e.T @ e / predictor.windows * np.outer(predictor.y_scale, predictor.y_scale)
-    return InnovationsForm(system, np.asarray(K / predictor.y_scale), np.asarray(covariance))
+    return with_stable_predictor(InnovationsForm(system, np.asarray(K / predictor.y_scale), np.asarray(covariance)))

@@ -11,7 +11,7 @@ import numpy as np
 from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
 from afdsvc.identify.excitation import Excitation, require_excitation, supported_order
-from afdsvc.identify.fit import Fit
+from afdsvc.identify.fit import Fit, jackknife_band
 from afdsvc.identify.methods.black_box_pem import black_box_pem
 from afdsvc.identify.methods.greybox import GreyboxOptions, fit_greybox, greybox_band
 from afdsvc.identify.methods.hansen import rebuilt_plant, youla_signals
@@ -25,7 +25,6 @@ from afdsvc.identify.parameters.structure import Structure, model_structure
 from afdsvc.identify.preparation import Prepared
 from afdsvc.identify.reduction import ReducedPlant, compare_reductions, judged, refine
 from afdsvc.identify.settings import SETTINGS
-from afdsvc.identify.uncertainty import jackknife_band
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, StateSpace
@@ -61,7 +60,7 @@ def hansen(problem: Prepared, options: IdentifyOptions) -> Outcome:
     """Identify S from (eta, eps), rebuild the plant, reduce it."""
     fact = _known_controller(problem, "hansen")
     signals = [youla_signals(fact, r).centred() for r in problem.training]
-    offered = _exciting(problem, signals, options.order or problem.nominal.order)
+    offered = exciting(problem, signals, options.order or problem.nominal.order)
     largest = 2 * problem.nominal.order + fact.controller.order + 4
     largest = min(largest, supported_order(offered.persistent_order, problem.nominal.outputs))
     found, order, reason = _open_loop_order(signals, problem.slowest, largest, options)
@@ -167,7 +166,7 @@ def subspace(problem: Prepared, options: IdentifyOptions) -> Outcome:
     if problem.fact is not None or problem.closed_loop_signs:
         signs = ", ".join(problem.closed_loop_signs) or "[controller] in the model"
         raise BadInput(f"method 'subspace' is biased in closed loop, and this is one ({signs}); use hansen or pbsid")
-    _exciting(problem, problem.training, options.order or problem.nominal.order)
+    exciting(problem, problem.training, options.order or problem.nominal.order)
     found, order, reason = _open_loop_order(problem.training, problem.slowest, 2 * problem.nominal.order + 8, options)
     order = max(order, 1)
     fit = Fit(
@@ -188,9 +187,9 @@ def subspace(problem: Prepared, options: IdentifyOptions) -> Outcome:
 
 def pbsid(problem: Prepared, options: IdentifyOptions) -> Outcome:
     """Identify the plant from u and y with feedback present or not, by PBSIDopt."""
-    _exciting(problem, problem.training, options.order or problem.nominal.order)
+    exciting(problem, problem.training, options.order or problem.nominal.order)
     if problem.played:  # noise that the controller brings back to u is no excitation to rely on
-        _exciting(problem, problem.played, options.order or problem.nominal.order)
+        exciting(problem, problem.played, options.order or problem.nominal.order)
     past, order, reason = _closed_loop_order(problem, options)
     found = decompose_predictor(problem.training, past)
     fit = Fit("pbsid", realise_predictor(found, order), found.singular_values, reason, notes=(f"past window {past}",))
@@ -230,7 +229,7 @@ def _closed_loop_order(problem: Prepared, options: IdentifyOptions) -> tuple[int
 def greybox(problem: Prepared, options: IdentifyOptions, rng: np.random.Generator | None) -> Outcome:
     """Fit physical parameters (or uncertain entries) by maximum likelihood on u and y."""
     structure = _structure(problem, options)
-    _exciting(problem, problem.training, problem.nominal.order)
+    exciting(problem, problem.training, problem.nominal.order)
     entries = problem.model.dynamics is None
     settings = GreyboxOptions(starts=options.starts, prior=entries if options.prior is None else options.prior)
     fit = fit_greybox(structure, problem.training, settings, rng)
@@ -241,7 +240,7 @@ def indirect(problem: Prepared, options: IdentifyOptions) -> Outcome:
     """Fit physical parameters through S(theta), what was found becoming the nominal plant until it stays."""
     fact, structure = _known_controller(problem, "indirect"), _structure(problem, options)
     signals = [youla_signals(fact, r).centred() for r in problem.training]
-    _exciting(problem, signals, problem.nominal.order)
+    exciting(problem, signals, problem.nominal.order)
     sd = problem.model.output_sd
     noise = None if sd is None else Noise(np.diag(sd**2), problem.model.process_cov)
     fit = fit_recentred(structure, fact, problem.training, noise, options.norm)
@@ -277,7 +276,8 @@ def _known_controller(problem: Prepared, method: str) -> Factorisation:
     return problem.fact
 
 
-def _exciting(problem: Prepared, recordings: Sequence[Recording], order: int) -> Excitation:
+def exciting(problem: Prepared, recordings: Sequence[Recording], order: int) -> Excitation:
+    """Return the excitation of recordings where it supports the order; raises `BadInput` with the burst that would."""
     names = [v.name for v in problem.model.inputs]
     size = np.max([r.u.std(axis=0) for r in problem.training], axis=0)
     return require_excitation(recordings, order, names, problem.nominal.outputs, band_hz(problem.nominal), size)
@@ -333,4 +333,4 @@ def _banded(
     return replace(fit, band=band)
 
 
-__all__ = ["Outcome", "band_hz", "greybox", "hansen", "indirect", "omega_grid", "pbsid", "pem", "subspace"]
+__all__ = ["Outcome", "band_hz", "exciting", "greybox", "hansen", "indirect", "omega_grid", "pbsid", "pem", "subspace"]

@@ -23,7 +23,7 @@ from afdsvc.identify.methods.hansen import settling_samples, youla_signals
 from afdsvc.identify.methods.indirect import Mismatch, fit_indirect, judged
 from afdsvc.identify.parameters.structure import Structure
 from afdsvc.lti.coprime import Factorisation
-from afdsvc.lti.factorise import factorise
+from afdsvc.lti.python_control import factorise
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace

@@ -9,6 +9,7 @@ from scipy import linalg
 
 from afdsvc.errors import IllConditioned
 from afdsvc.lti.simulate import simulate
+from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, StateSpace
 
 #: Residual power of outputs of unit power below which a recording counts as free of noise.
@@ -42,10 +43,10 @@ def fitted_errors(system: StateSpace, inputs: Array, outputs: Array) -> Array:
     """Return ``outputs - system(inputs)`` with the initial state fitted by least squares, shape ``(N, p)``."""
     forced, _ = simulate(system, inputs)
     errors = outputs - forced
-    return np.asarray(errors - initial_response(system, errors))
+    return np.asarray(errors - _initial_response(system, errors))
 
 
-def initial_response(system: StateSpace, errors: Array) -> Array:
+def _initial_response(system: StateSpace, errors: Array) -> Array:
     """Return the free response ``C A^k x0`` that fits the errors best, shape ``(N, p)``."""
     if not system.order:
         return np.zeros_like(errors)
@@ -61,6 +62,19 @@ def initial_response(system: StateSpace, errors: Array) -> Array:
     response = np.zeros_like(errors)
     response[:count] = (flat @ x0).reshape(count, -1)
     return response
+
+
+def with_stable_predictor(model: InnovationsForm) -> InnovationsForm:
+    """Return the model with the gain of the Kalman filter for the same noise where ``A - K C`` is not stable.
+
+    A regression gives any gain; the filter's has the same spectrum of ``y`` and a predictor that forgets its initial state.
+    Raises `IllConditioned` when no such gain exists.
+    """
+    system = model.system
+    if is_stable(system.A - model.gain @ system.C, system.dt):
+        return model
+    root = linalg.cholesky(model.covariance, lower=True).T
+    return InnovationsForm(system, *noise_model(system.A, system.C, root @ model.gain.T, root))
 
 
 def noise_model(A: Array, C: Array, state_errors: Array, output_errors: Array) -> tuple[Array, Array]:

@@ -86,7 +86,7 @@ def test_what_nobody_stated_has_its_default():
     m = parse_model(text, "axis.toml")
     assert np.array_equal(m.entry_sd["A"], [[0, 0], [0, 0.05 * 2.1]])
     assert (m.output_sd, m.process_cov, m.controller, dict(m.parameters)) == (None, None, None, {})
-    assert m.states == (Variable("x1"), Variable("x2"))
+    assert m.states == (Variable("position", "m"), Variable("position_rate", "m/s", "position"))
 
 
 def same(a: Model, b: Model) -> None:
@@ -152,6 +152,10 @@ def test_any_model_comes_back_bit_for_bit(data, n, m, p, dt):
         ("D = [[0]]", "D = [[0, 1]]", ["'D'", "(1, 2)", "expected (1, 1)"]),
         ("D = [[-1.0]]", "D = [[-1.0, 0.0]]", ["'controller.D'", "(1, 2)", "expected (1, 1)"]),
         ("D = [[-1.0]]", "", ["'controller'", "matrix D is missing"]),
+        ("B = [[0], [0.0105]]", "B = [0, 0.0105]", ["'B'", "[[0, 0.0105]] is one row", "[[0], [0.0105]] one column"]),
+        ("D = [[0]]", "num = [1]", ["num and A are both given"]),
+        ("B = [[0], [0.0105]]", "", ["matrix B is missing", "num and den"]),
+        ("[parameters]\nmass = {value = 95.1, unit = \"kg\", relative_sd = 0.02}", '[parameters]\nmass = "heavy"', ["'parameters.mass'", "'heavy'"]),
         ("sample_time = 0.001", "", ["'controller'", "sample_time is missing"]),
         ("sample_time = 0.001", "sample_time = -0.001", ["'controller.sample_time'", "-0.001", "greater than 0"]),
         ('time = "continuous"', 'time = "continuous"\nsample_time = 0.1', ["continuous", "0.1"]),
@@ -175,7 +179,7 @@ def test_any_model_comes_back_bit_for_bit(data, n, m, p, dt):
         ),
         ("B = [[0], [0.1]]", "B = [[0], [-0.1]]", ["'uncertainty.B'", "-0.1", "0 or more"]),
         ("B = [[0], [0.1]]", "B = [[0.1]]", ["'uncertainty.B'", "(1, 1)", "expected (2, 1)"]),
-        ('rate_of = "q"', 'rate_of = "x"', ["rate_of of 'v' is 'x'", "(q)"]),
+        ('rate_of = "q"', 'rate_of = "x"', ["rate_of of 'v' is 'x'", "(q)", "leave rate_of out"]),
         ('rate_of = "q"', 'rate_of = "v"', ["rate_of of 'v' is 'v'"]),
         ('name = "v"', 'name = "q"', ["'q' twice"]),
         (', {name = "v", unit = "m/s", rate_of = "q"}', "", ["'states' names 1", "expected 2"]),
@@ -193,6 +197,60 @@ def test_what_is_wrong_is_named(tmp_path, old, new, words):
     with pytest.raises(BadInput) as error:
         read_model(path)
     assert all(word in str(error.value) for word in [str(path), *words]), str(error.value)
+
+
+MOTOR = """
+name = "motor"
+time = "continuous"
+inputs = [{name = "voltage", unit = "V"}]
+outputs = [{name = "speed", unit = "rpm"}]
+"""
+SPEED = (Variable("speed", "rpm"),)
+
+
+@pytest.mark.parametrize(
+    ("lines", "A", "B", "C", "D", "states"),
+    [
+        ("num = [12.0]\nden = [0.5, 1]", [[-2]], [[24]], [[1]], [[0]], SPEED),
+        ("poles = [-2]\ngain = 24", [[-2]], [[24]], [[1]], [[0]], SPEED),
+        ("num = [1]\nden = [1, 0]", [[0]], [[1]], [[1]], [[0]], SPEED),
+        ("A = [[-2]]\nB = [[24]]\nC = [[1]]", [[-2]], [[24]], [[1]], [[0]], SPEED),
+        ("num = [1, 6]\nden = [1, 2]", [[-2]], [[4]], [[1]], [[1]], (Variable("x1"),)),
+        ("zeros = [-3]\npoles = [[-1, 2], [-1, -2]]\ngain = 10", [[-2, 1], [-5, 0]], [[10], [30]], [[1, 0]], [[0]], (*SPEED, Variable("x2"))),
+        ("num = [10]\nden = [1, 2, 5]", [[0, 1], [-5, -2]], [[0], [10]], [[1, 0]], [[0]], (*SPEED, Variable("speed_rate", "rpm/s", "speed"))),
+        ("D = [[3]]", np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[3]], ()),
+    ],
+)
+def test_models_as_people_have_them(lines, A, B, C, D, states):
+    """A motor whose speed is measured needs neither a position nor names of states."""
+    m = parse_model(MOTOR + lines, "motor.toml")
+    for name, wanted in zip("ABCD", (A, B, C, D), strict=True):
+        np.testing.assert_array_equal(getattr(m.plant, name), wanted)
+    assert m.states == states
+    same(parse_model(model_text(m), "again.toml"), m)
+
+
+def test_parameters_on_one_line():
+    text = MOTOR + 'D = [[3]]\n[parameters]\nmass = "95.1 kg +- 2 %"\nstiffness = 4e3\ndamping = "20 N/(m/s)"'
+    assert parse_model(text, "m.toml").parameters == {
+        "mass": Quantity(95.1, "kg", 0.02), "stiffness": Quantity(4e3), "damping": Quantity(20.0, "N/(m/s)"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ("num = [1, 2, 3]\nden = [1, 2]", ["degree 2", "degree 1"]),
+        ("num = [1]\nden = [0]", ["denominator is zero"]),
+        ("num = [1]", ["key den is missing"]),
+        ("num = [[[1], [2]]]\nden = [1, 2]", ["'num'", "1 outputs of 1 inputs"]),
+        ("poles = [[-1, 2]]\ngain = 1", ["poles", "conjugate"]),
+    ],
+)
+def test_transfer_functions_that_are_none_are_named(lines, words):
+    with pytest.raises(BadInput) as error:
+        parse_model(MOTOR + lines, "motor.toml")
+    assert all(word in str(error.value) for word in ["motor.toml", *words]), str(error.value)
 
 
 def test_several_offences_are_all_told():

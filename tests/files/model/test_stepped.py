@@ -9,8 +9,8 @@ from afdsvc.files.model import stepped
 from afdsvc.files.model.model_file import model_text, parse_model, read_model
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.plants.stepped.comparison import compared
 from afdsvc.plants.stepped.fmi_unit import UnitDescription
+from afdsvc.plants.stepped.linearise import compared
 from afdsvc.testing.fmi_units import build_slide
 
 CODE = """

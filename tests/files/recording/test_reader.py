@@ -15,7 +15,7 @@ from afdsvc.wire.codec import encode_block
 
 def test_a_whole_recording_has_no_loss_and_everything_in_it(record, blocks, an_event, a_finding):
     recording = Recording(record(count=12))
-    assert (recording.loss, recording.finished, recording.machines) == ("", True, ("m1",))
+    assert (recording.loss, recording.contents.finished, recording.machines) == ("", True, ("m1",))
     assert recording.site == "[site]\nname='plant'"
     assert list(recording.events()) == [an_event()]
     assert list(recording.findings("m1")) == [a_finding()]
@@ -37,7 +37,7 @@ def test_wherever_it_is_cut_all_that_is_complete_is_there(record, tmp_path):
     for length in cuts(raw):
         cut.write_bytes(raw[:length])
         recording = Recording(cut)
-        assert not recording.finished
+        assert not recording.contents.finished
         assert "was not closed" in recording.loss
         kept.append([b.seq for b in recording.blocks()])
     assert all(seqs == list(range(len(seqs))) for seqs in kept)
@@ -61,7 +61,7 @@ def test_what_is_torn_off_is_stated(record, tmp_path):
 
 
 def recording_tail(recording):
-    return int(recording.losses[0].sentence.split()[2])
+    return int(recording.contents.losses[0].sentence.split()[2])
 
 
 def test_zeros_at_the_end_are_a_torn_file(record, tmp_path):
@@ -94,7 +94,7 @@ def test_a_damaged_chunk_costs_itself_and_nothing_else(record, chunk):
     assert [b.seq for b in recording.blocks()] == [seq for seq in range(5) if seq != chunk]
     assert "chunk" in recording.loss
     assert "0.000 s of data) is damaged" in recording.loss or "s of data is damaged" in recording.loss
-    assert recording.losses[0].start_ns > 0
+    assert recording.contents.losses[0].start_ns > 0
 
 
 def test_a_damaged_attachment_is_told_and_left_out(record):

@@ -15,7 +15,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from afdsvc import __version__
 from afdsvc.api.bursts import Burst, Line
-from afdsvc.files.recording.foxglove_log import Level
+from afdsvc.files.recording.foxglove import Level
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.recording.recorder import Recorder, RecordingFailed, RecordingSettings
@@ -237,7 +237,7 @@ assert recorder.failure == ""
 recorder.close()
 torn, whole = (Recording(p) for p in recorder.paths)
 kept = [b.seq for b in torn.blocks()]
-assert kept == list(range(lost[0])) and "no complete record" in torn.loss and not torn.finished, (kept, torn.loss)
+assert kept == list(range(lost[0])) and "no complete record" in torn.loss and not torn.contents.finished, (kept, torn.loss)
 assert [b.seq for b in whole.blocks()] == list(range(50, 60)) and whole.loss == ""
 assert whole.metadata["gap"]["messages"] == str(len(lost)), whole.metadata
 print("went on")
@@ -319,20 +319,22 @@ def test_killed_while_recording_loses_less_than_half_a_second(tmp_path):
     assert recording.attachments["m1/model.toml"] == b"the model"
 
 
-@pytest.mark.parametrize("how", ["deleted", "moved", "replaced", "folder deleted"])
+@pytest.mark.parametrize("how", ["deleted", "moved", "replaced", "folder deleted", "cut short"])
 def test_a_recording_that_is_deleted_is_noticed_and_a_new_one_begun(tmp_path, blocks, how):
     recorder, (first, *rest) = Recorder(RecordingSettings(tmp_path / "in" / "r.mcap", flush_seconds=0.0)), blocks(6)
     recorder.block(encode_block(first), first)
     lost = recorder.path
     if how == "moved":
         lost.rename(tmp_path / "elsewhere.mcap")
+    elif how == "cut short":
+        os.truncate(lost, 100)
     elif how == "folder deleted":
         shutil.rmtree(lost.parent)
     else:
         lost.unlink()
     if how == "replaced":
         lost.write_text("something else")
-    with pytest.raises(RecordingFailed, match=r"r.mcap: cannot be written: the file was deleted, moved or replaced"):
+    with pytest.raises(RecordingFailed, match=r"r.mcap: cannot be written: the file was deleted, moved, replaced or cut short"):
         recorder.block(encode_block(rest[0]), rest[0])
     assert lost not in recorder.paths
     for block in rest[1:]:

@@ -12,10 +12,10 @@ from mcap.writer import Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
 from afdsvc.errors import BadInput
-from afdsvc.files.recording.schemas import pool_of
-from afdsvc.files.tables.foreign import prepared, read_foreign
+from afdsvc.files.open import Naming, open_file
+from afdsvc.files.recording.foxglove import pool_of
+from afdsvc.files.tables.foreign import prepared
 from afdsvc.files.tables.foreign_messages import number, numeric_paths, stamp_ns
-from afdsvc.files.tables.loading import Naming, load_traces
 from afdsvc.files.tables.mapping import DataMapping
 
 T0 = 1_763_000_000_123_456_789
@@ -23,6 +23,10 @@ DT_NS, N = 1_000_000, 400
 LATE_NS = 250_000  # from stamp to log
 U = np.sin(2 * np.pi * 3 * np.arange(N) / 1000)
 Y = np.random.default_rng(0).standard_normal(N)
+
+
+def read_foreign(path, mapping, model=None):
+    return open_file(path, Naming(mapping)).traces(model)
 
 
 def mapping(**signals) -> DataMapping:
@@ -272,8 +276,8 @@ def test_a_torn_file_gives_what_is_complete_and_says_so(tmp_path):
 def test_a_recording_that_is_not_ours_asks_for_a_mapping(tmp_path):
     path = write_json(tmp_path / "e.mcap", True)
     with pytest.raises(BadInput, match=r"holds no samples of afdsvc; expected a mapping of its topics \(--mapping FILE\.toml\): it has .*encoder"):
-        load_traces(path, Naming())
-    (trace,) = load_traces(path, Naming(None, {"encoder.angle.deg[0]": "y_angle"}))
+        open_file(path, Naming()).traces()
+    (trace,) = open_file(path, Naming(None, {"encoder.angle.deg[0]": "y_angle"})).traces()
     assert len(trace) == N
 
 

@@ -1,17 +1,21 @@
 """Mapping files: what may stand in them, and tables read through them with every change told."""
 
+from __future__ import annotations
+
 import h5py
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import scipy.io
+from hypothesis import given
+from hypothesis import strategies as st
 
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import parse_model
-from afdsvc.files.tables.foreign import prepared, read_foreign
-from afdsvc.files.tables.loading import Naming, load_traces
-from afdsvc.files.tables.mapping import DataMapping, read_mapping
+from afdsvc.files.open import Naming, open_file
+from afdsvc.files.tables.foreign import prepared
+from afdsvc.files.tables.mapping import DataMapping, converted, product, read_mapping, same_unit
 
 MODEL = """
 name = "axis"
@@ -34,6 +38,10 @@ y_position = {from = "Pos", unit = "inch"}
 u_force = {from = "Current", unit = "mA", factor = 2.5, factor_unit = "N/A", offset = -100.0}
 """
 N = 2000
+
+
+def read_foreign(path, mapping, model=None):
+    return open_file(path, Naming(mapping)).traces(model)
 
 
 def columns() -> dict[str, np.ndarray]:
@@ -147,14 +155,14 @@ def test_gaps_of_a_table_become_pieces(mapping, tmp_path):
 
 def test_pairs_of_the_command_line_go_before_the_file(mapping, tmp_path):
     write_csv(tmp_path / "a.csv", columns())
-    (trace,) = load_traces(tmp_path / "a.csv", Naming(mapping, {"Counter": "aux_counter"}))
+    (trace,) = open_file(tmp_path / "a.csv", Naming(mapping, {"Counter": "aux_counter"})).traces()
     np.testing.assert_array_equal(trace.column("aux_counter"), np.arange(N))
 
 
 def test_pairs_without_a_file_rename_and_are_told(tmp_path):
     t = np.arange(100) * 1e-3
     write_csv(tmp_path / "a.csv", {"t": t, "I": t, "y_x": t, "note": t})
-    (trace,) = load_traces(tmp_path / "a.csv", Naming(None, {"I": "u_x", "note": ""}))
+    (trace,) = open_file(tmp_path / "a.csv", Naming(None, {"I": "u_x", "note": ""})).traces()
     assert prepared([trace]) == ["a.csv: u_x is I", "a.csv: note is left out"]
 
 
@@ -199,3 +207,52 @@ def test_a_mapping_that_does_not_fit_is_refused_by_place(change, said, tmp_path)
     path.write_text(MAPPING.replace(*change))
     with pytest.raises(BadInput, match=said):
         read_foreign(tmp_path / "a.csv", read_mapping(path), parse_model(MODEL, "axis.toml"))
+
+
+KNOWN = [
+    ("rpm", "rad/s", 2 * np.pi / 60), ("deg", "rad", np.pi / 180), ("inch", "mm", 25.4), ("lbf", "N", 4.4482216152605),
+    ("cycle/s", "rad/s", 2 * np.pi), ("um", "m", 1e-6), ("mV", "V", 1e-3), ("bar", "Pa", 1e5), ("kHz", "Hz", 1e3), ("min", "s", 60.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("source", "target", "factor"), KNOWN)
+def test_a_unit_is_converted_by_its_definition(source, target, factor):
+    values = np.array([-2.0, 0.0, 1.0, 3.5])
+    np.testing.assert_allclose(converted(values, source, target, "here"), factor * values, rtol=1e-14)
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1), st.sampled_from(KNOWN))
+def test_there_and_back_is_where_it_began(values, units):
+    source, target, _ = units
+    there = converted(np.array(values), source, target, "here")
+    np.testing.assert_allclose(converted(there, target, source, "here"), values, rtol=1e-13, atol=1e-300)
+
+
+def test_temperatures_are_points_on_a_scale():
+    np.testing.assert_allclose(converted(np.array([0.0, 100.0]), "degC", "K", "here"), [273.15, 373.15])
+
+
+def test_one_unit_in_two_spellings_leaves_every_bit():
+    values = np.random.default_rng(0).standard_normal(9)
+    for other in ("um", "µm", "micrometer"):
+        assert same_unit("um", other, "here")
+        assert converted(values, "um", other, "here") is values
+
+
+def test_a_product_has_the_unit_of_the_product():
+    assert same_unit(product("A", "N/A", "here"), "N", "here")
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "said"),
+    [
+        ("m", "N", "here: 'm' cannot become 'N': their dimensions differ"),
+        ("furlongs_of_mine", "m", "here: unit 'furlongs_of_mine' is not known"),
+        ("m/(", "m", "unit 'm/\\(' is not known"),
+        ("Hz", "rad/s", "differ by 2 pi or not.*'cycle/s'"),
+        ("rpm", "Hz", "differ by 2 pi or not"),
+    ],
+)
+def test_what_is_wrong_or_ambiguous_is_refused(source, target, said):
+    with pytest.raises(BadInput, match=said):
+        converted(np.ones(2), source, target, "here")

@@ -95,6 +95,35 @@ def test_other_people_write_csv_otherwise(tmp_path, content):
     assert [c.name for c in trace.channels] == ["u_a", "y_b"]
 
 
+STAMPS = {
+    "zone": ["2026-10-25T02:59:59.990+02:00", "2026-10-25T02:59:59.995+02:00", "2026-10-25T02:00:00.000+01:00", "2026-10-25T02:00:00.005+01:00"],
+    "utc": [f"2026-11-21T10:00:00.{5 * k:03d}Z" for k in range(4)],
+    "none": [f"2026-11-21 10:00:00,{5 * k:03d}" for k in range(4)],
+}
+
+
+@pytest.mark.parametrize(("kind", "start"), [("zone", "2026-10-25T00:59:59.990000"), ("utc", "2026-11-21T10:00:00.000000"), ("none", "2026-11-21T10:00:00.000000")])
+def test_time_stamps_become_seconds(tmp_path, kind, start):
+    """The first ones go over the end of summer time: the zone counts, not the hour that is written."""
+    path = tmp_path / "log.csv"
+    path.write_text("Zeit;u_force;y_position\n" + "".join(f"{stamp};1;{k}\n" for k, stamp in enumerate(STAMPS[kind])))
+    trace = read_table(path)
+    assert (trace.t0, trace.dt, [c.name for c in trace.channels]) == (0.0, 0.005, ["u_force", "y_position"])
+    assert f"the time stamps of Zeit in seconds from {start}" in trace.notes["prepared"]
+
+
+def test_dates_in_parquet_become_seconds(tmp_path):
+    stamps = np.datetime64("2026-11-21T10:00:00", "us") + 5000 * np.arange(4)
+    pq.write_table(pa.table({"when": stamps, "u_force": np.zeros(4)}), tmp_path / "log.parquet")
+    assert read_table(tmp_path / "log.parquet").dt == 0.005
+
+
+def test_milliseconds_in_the_name_of_the_time(tmp_path):
+    (tmp_path / "log.csv").write_text("t_ms,u_force\n0,1\n5,2\n10,3\n")
+    trace = read_table(tmp_path / "log.csv")
+    assert (trace.dt, trace.notes["prepared"]) == (0.005, "t is t_ms, converted to s")
+
+
 def test_columns_are_renamed_and_left_out(tmp_path):
     path = text(tmp_path / "a.csv", "time,Force [N],u_old,junk\n0,1,2,3\n0.5,1,2,3\n")
     mapping = {"time": "t", "Force [N]": "u_force", "u_old": "u_new", "junk": ""}
@@ -125,6 +154,11 @@ def test_columns_are_renamed_and_left_out(tmp_path):
         ("t,u_a\n0,1\n1,2\n", {"dt": 0.5}, ["sample time of 1 s", "expected 0.5 s"]),
         ("t\n0\n1\n", {}, ["no signal"]),
         ("", {}, ["Empty CSV file"]),
+        ("0.0,1.5,2.5\n0.1,1,2\n", {}, ["first row holds numbers (0.0,1.5,2.5)", "t,u_force,y_position"]),
+        ("t,speed_rpm\n0,1\n1,2\n", {}, ["'speed_rpm' has no role", "--map", "afdsvc init"]),
+        ("t,u_a\n2026-11-21T10:00:00,1\n2026-11-21T10:00:01Z,2\n", {}, ["'t', row 2", "zone in all rows or in none"]),
+        ("t,u_a\n2026-11-21T10:00:00,1\nlater,2\n", {}, ["'t', row 2 holds 'later'", "2026-11-21T10:00:00.125+01:00"]),
+        ("t,when,u_a\n0,2026-11-21T10:00:00,1\n1,2026-11-21T10:00:00,1\n", {}, ["'when' holds time stamps", "--map when="]),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_named(tmp_path, content, options, words):

@@ -17,8 +17,8 @@ from afdsvc.identify.methods.hansen import (
     settling_samples,
     youla_signals,
 )
-from afdsvc.lti.factorise import factorise
 from afdsvc.lti.frequency import frequency_response
+from afdsvc.lti.python_control import factorise
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import StateSpace

@@ -9,7 +9,7 @@ from afdsvc.identify.methods.greybox import fit_greybox
 from afdsvc.identify.methods.indirect import fit_indirect
 from afdsvc.identify.parameters.structure import Parameter, Structure, physical_structure
 from afdsvc.lti.coprime import observer_factorisation
-from afdsvc.lti.factorise import factorise
+from afdsvc.lti.python_control import factorise
 from afdsvc.lti.riccati import kalman_predictor_gain, lqr
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.statespace import StateSpace

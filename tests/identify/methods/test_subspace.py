@@ -8,8 +8,7 @@ from scipy import signal
 
 from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
-from afdsvc.identify.methods.subspace import WEIGHTINGS, decompose, realise
-from afdsvc.identify.parameters.stable import stable_transition
+from afdsvc.identify.methods.subspace import WEIGHTINGS, decompose, realise, stable_transition
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from afdsvc.errors import BadInput
-from afdsvc.plants.rotor.elements import Element
-from afdsvc.plants.rotor.finite_elements import Disc, rotor_matrices
+from afdsvc.plants.rotor.finite_elements import Disc, Element, rotor_matrices
 from afdsvc.plants.rotor.ross import from_six, rotor_from_ross
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from afdsvc.files.tables.resampling import FLAT, STOP, reach, resampled
+from afdsvc.files.tables.time_base import FLAT, STOP, reach, resampled
 
 
 def resample(signal, step: float, dt: float, period: float | None = None, seconds: float = 3.0, phase: float = 0.0) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Preview messages are protobuf: the library reads back time, index and every value, zeros included."""
+"""The log message is Foxglove's own, field by field."""
 
 from __future__ import annotations
 
@@ -10,7 +10,36 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from afdsvc.api.signals import Block, Channel
-from afdsvc.files.recording.preview import Preview
+from afdsvc.files.recording.foxglove import NAME, SCHEMA, Level, Preview, encode_log
+
+
+def plain(schema: bytes) -> list[bytes]:
+    files = FileDescriptorSet.FromString(schema).file
+    for file in files:
+        file.ClearField("source_code_info")
+        for message in file.message_type:
+            for field in message.field:
+                field.ClearField("json_name")  # derived from the name
+    return [file.SerializeToString(deterministic=True) for file in files if file.package == "foxglove"]
+
+
+def test_layout_is_the_published_one():
+    from foxglove.messages import Log
+
+    theirs = Log.get_schema()
+    assert (theirs.name, theirs.encoding) == (NAME, "protobuf")
+    assert plain(SCHEMA) == plain(theirs.data)
+
+
+def test_bytes_are_the_ones_their_package_writes():
+    from foxglove.messages import Log, LogLevel, Timestamp
+
+    t_ns = 1_763_000_000_123_456_789
+    theirs = Log(
+        timestamp=Timestamp(sec=t_ns // 10**9, nsec=t_ns % 10**9), level=LogLevel.Warning, message="Å: slow", name="m1"
+    )
+    assert encode_log(t_ns, Level.WARNING, "Å: slow", "m1") == theirs.encode()
+
 
 CHANNELS = tuple(Channel(f"aux_{i}", "um") for i in range(20))  # from the 14th on tags have two bytes
 DOUBLES = st.floats(allow_nan=False)

@@ -5,9 +5,8 @@ import pytest
 
 from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import BadInput
-from afdsvc.identify.fit import ResponseBand
+from afdsvc.identify.fit import ResponseBand, jackknife_band, without_group
 from afdsvc.identify.methods.subspace import decompose, realise
-from afdsvc.identify.uncertainty import jackknife_band, without_group
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from afdsvc.errors import BadInput
-from afdsvc.plants.rotor.elements import Element
-from afdsvc.plants.rotor.finite_elements import Disc, rotor_matrices
-from afdsvc.plants.rotor.magnetic_rotor import MagneticBearing, magnetic_rotor
-from afdsvc.plants.rotor.plant import Instrumentation, rotor_plant
+from afdsvc.plants.rotor.finite_elements import Disc, Element, rotor_matrices
+from afdsvc.plants.rotor.magnetic_rotor import Instrumentation, MagneticBearing, magnetic_rotor, rotor_plant
 from afdsvc.plugins.controllers.lqg import Lqg
 
 INSTRUMENTS = Instrumentation(1e-4, 0.3, 100.0, 3.0)

@@ -1,0 +1,31 @@
+"""What names of columns say of quantity, unit and role."""
+
+import pytest
+
+from afdsvc.files.tables.header import Heading, heading
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("speed_rpm", ("speed", "rpm", "y")),
+        ("voltage_V", ("voltage", "V", "u")),
+        ("Motor Torque [Nm]", ("motor_torque", "N*m", "u")),
+        ("position (mm)", ("position", "mm", "y")),
+        ("u_force", ("force", "", "u")),
+        ("u_force_N", ("force", "N", "u")),
+        ("y_position", ("position", "", "y")),
+        ("aux_temperature", ("temperature", "", "aux")),
+        ("t_ms", ("t", "ms", "t")),
+        ("timestamp", ("timestamp", "", "t")),
+        ("Counter", ("counter", "", "aux")),
+        ("bearing_left", ("bearing_left", "", "aux")),
+    ],
+)
+def test_names_say_what_they_are(name, expected):
+    found = heading(name)
+    assert (found.label, found.unit, found.role) == expected
+
+
+def test_what_is_said_on_the_command_line_wins():
+    assert heading("Counter", outputs=["Counter"]) == Heading("Counter", "counter", "", "y")
