@@ -22,15 +22,48 @@ The rooms, from mathematics to the command line; each imports only from those ab
 - `present`: terminal, HTML pages, Rerun
 - `trial`: blind trials of `explain`: a truth written apart from everything it tests
 - `app`: the use cases, one file per command
-- `testing`: conformance suites and fixtures for plugin authors
-- `scaffold`: new plugins as packages, and the check of what they hold
+- `testing`: for plugin authors: conformance suites, and new plugins as packages
 - `cli`: arguments, nothing else
+
+In Python: `load`, `Model`, `check`, `identify`, `explain`, `diagnose` and `design`; see docs/reference/python.md.
 """
 
+from __future__ import annotations
+
+import importlib
 import os
+import sys
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from afdsvc.api.model import Model as Model
+    from afdsvc.api.signals import Trace as Trace
+    from afdsvc.errors import BadInput as BadInput
 
 # One thread for linear algebra: the matrices are small, processes run side by side. Read by numpy once, when it is imported.
 for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 __version__ = "0.1.0"
+
+_PLACES = {"Model": "api.model", "Trace": "api.signals", "BadInput": "errors"}  # every other name comes from `app.interface`
+__all__ = ["BadInput", "Model", "Trace", "check", "design", "diagnose", "explain", "identify", "load"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what a name of the interface needs when it is asked for: the command line must start fast."""
+    if name not in __all__:
+        raise AttributeError(f"module 'afdsvc' has no attribute '{name}'")
+    return getattr(importlib.import_module(f"afdsvc.{_PLACES.get(name, 'app.interface')}"), name)
+
+
+class _Interface(ModuleType):
+    """`afdsvc.identify` and `afdsvc.explain` are functions here and packages below: importing a package must not take the function away."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (name in __all__ and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Interface

@@ -1,5 +1,15 @@
-"""``python -m afdsvc`` is the command line."""
+"""``afdsvc`` and ``python -m afdsvc`` are the command line."""
 
-from afdsvc.cli import main
+import signal
 
-main()
+
+def main() -> None:
+    """Run the command line; Ctrl-C ends it at once, the seconds of its imports included."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from afdsvc.cli import main as run
+
+    run()
+
+
+if __name__ == "__main__":
+    main()

@@ -8,6 +8,7 @@ from typing import Any
 import typer.main
 
 from afdsvc.cli import app
+from afdsvc.files.model import schema
 from afdsvc.plugins.manager import FAMILIES, load
 
 HERE = Path(__file__).parent / "reference"
@@ -54,7 +55,65 @@ def plugins_page() -> str:
     return "".join(parts)
 
 
-PAGES = {"commands.md": commands_page, "plugins.md": plugins_page}
+MODEL_KEYS = {
+    "name": "what the machine is called",
+    "time": '`"continuous"` or `"discrete"`',
+    "sample_time": "seconds, of a discrete model",
+    "A": "rows: `[[0, 1], [-4, -2]]`; a column is `[[0], [1]]`", "B": "states by inputs", "C": "outputs by states", "D": "outputs by inputs; zero where left out",
+    "num": "numerator, highest power first; for several inputs or outputs a list for each output of a list for each input",
+    "den": "denominator, likewise; one list serves all",
+    "zeros": "of one input and output; a complex root is `[re, im]`", "poles": "likewise, conjugates both", "gain": "of zeros and poles",
+    "inputs": '`[{name = "force", unit = "N"}]`', "outputs": '`[{name = "position", unit = "mm"}]`',
+    "states": "names and units; `rate_of` names the state that this one is the rate of. Left out: a state that is an output, or the rate of one, is known as that",
+    "dynamics": "instead of matrices: `file.py:object`, a Python simulator, or an FMI unit `file.fmu`",
+    "parameters": 'physical numbers: `mass = "95.1 kg +- 2 %"`, `mass = 95.1`, or `{value, unit, relative_sd}`',
+    "uncertainty": "how well entries of the matrices are known", "noise": "of outputs and states",
+    "controller": "the one that ran, in positive feedback `u = K (y - ref)`; the same keys for its matrices, num and den, or roots",
+    "perturbation": "how the linear part of a simulator that only steps is looked for",
+    "value": "", "unit": "text, as pint knows it: `mm`, `N`, `rad/s`", "relative_sd": "standard deviation as a share of the value",
+    "relative": "standard deviation of every entry that is not 0 or +-1, as a share of it", "output_sd": "one per output, in its unit",
+    "process_cov": "covariance of the noise on the states", "rate_of": "the state that this one is the rate of",
+    "amplitude": "pushes, one per input, in its unit", "samples": "of each push", "order": "of the linear part",
+}  # fmt: skip
+MODEL_TABLES = (
+    ("The file", "ModelTable"), ("`inputs`, `outputs`", "VariableTable"), ("`states`", "StateTable"), ("`[parameters]`", "ParameterTable"),
+    ("`[uncertainty]`", "UncertaintyTable"), ("`[noise]`", "NoiseTable"), ("`[controller]`", "ControllerTable"), ("`[perturbation]`", "PerturbationTable"),
+)  # fmt: skip
+MODEL_INTRODUCTION = """# MODEL.toml
+
+What the simulation believes of a machine. Three ways to state the same motor, whose speed is measured:
+
+```toml
+name = "motor"
+time = "continuous"
+inputs = [{name = "voltage", unit = "V"}]
+outputs = [{name = "speed", unit = "rad/s"}]
+num = [12.0]            # 12 / (0.08 s + 1)
+den = [0.08, 1]
+```
+
+with `poles = [-12.5]` and `gain = 150` instead of `num` and `den`, or with `A = [[-12.5]]`, `B = [[150]]`, `C = [[1]]`. No position is needed
+beside a speed: its unit says that forces act on it. `afdsvc init TABLE` writes a first file from a recording, `afdsvc check` compares
+one with recordings. An unknown key, a missing one or a wrong shape is one sentence with file, key, what was found and what was expected.
+"""
+
+
+def model_page() -> str:
+    """Return the page of every key of MODEL.toml."""
+    parts = [GENERATED + MODEL_INTRODUCTION]
+    for title, name in MODEL_TABLES:
+        schema_class = getattr(schema, name)
+        parts.append(f"\n## {title}\n\n{' '.join((schema_class.__doc__ or '').split())}\n\n| key | meaning | default |\n|---|---|---|\n")
+        parts += [_key_row(key, field) for key, field in schema_class.model_fields.items()]
+    return "".join(parts)
+
+
+def _key_row(key: str, field: Any) -> str:
+    default = "required" if field.is_required() else "" if field.default in (None, "") or field.default_factory else f"`{field.default}`"
+    return f"| `{key}` | {_cell(MODEL_KEYS[key])} | {default} |\n"
+
+
+PAGES = {"commands.md": commands_page, "plugins.md": plugins_page, "model-file.md": model_page}
 
 if __name__ == "__main__":
     for name, page in PAGES.items():

@@ -23,6 +23,19 @@ class FalseAlarms:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """White noises per sample: ``output_cov (p, p)`` on the outputs, ``process_cov (n, n)`` on the states, ``cross_cov (n, p)`` of the two.
+
+    ``samples`` counts those the noise was estimated from, 0 for stated noise.
+    """
+
+    output_cov: Array
+    process_cov: Array | None = None
+    cross_cov: Array | None = None
+    samples: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class DetectionProblem:
     """Everything a detector may know when it is designed.
 
@@ -32,9 +45,11 @@ class DetectionProblem:
     from beta to r. ``output_names`` has length p, ``severity_range`` the bounds of every fault. ``limits`` are those of the
     rig (None when not stated): an actuator at its limit spoils a burst. ``uncertain`` is the same plant with its
     uncertain parameters pulled out, ``uncertainty`` their relative standard deviations by name; None and empty for a model
-    that is taken as certain. ``output_cov (p, p)`` and ``process_cov (n, n)`` are the noises the innovations were made
-    from, where known: a parameter of A or C also moves the predictor's gain. ``speed`` [rad/s] is that of a machine that turns,
-    0 otherwise.
+    that is taken as certain. ``output_cov (p, p)``, ``process_cov (n, n)`` and ``cross_cov (n, p)`` are the noises the
+    innovations were made from, where known: a parameter of A or C also moves the predictor's gain. ``noise_samples`` counts the samples
+    they were estimated from (0: stated). ``speed`` [rad/s] is that of a machine that turns,
+    0 otherwise. ``loop_known`` is False where no controller is stated: ``interconnection`` then belongs to one that stands in, and what
+    the loop makes of an excitation is not known.
     """
 
     machine: str
@@ -54,6 +69,9 @@ class DetectionProblem:
     output_cov: Array | None = None
     process_cov: Array | None = None
     speed: float = 0.0
+    loop_known: bool = True
+    cross_cov: Array | None = None
+    noise_samples: int = 0
 
     @property
     def fault_names(self) -> tuple[str, ...]:

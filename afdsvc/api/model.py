@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
+
+from afdsvc.errors import BadInput
+from afdsvc.lti.python_control import as_state_space
 from afdsvc.lti.statespace import Array, StateSpace
 
 
@@ -88,3 +92,89 @@ class Model:
     raw: str = ""
     extra: Mapping[str, Any] = field(default_factory=dict)
     opened: Callable[[], SteppedPlant] | None = None
+
+    @classmethod
+    def from_system(
+        cls, system: Any, inputs: Names = (), outputs: Names = (), states: Names = (), *,
+        name: str = "model", relative_sd: float = 0.05, output_sd: Sequence[float] | None = None, controller: Any = None,
+    ) -> Model:  # fmt: skip
+        """Return a model of a linear system of python-control or scipy.signal.
+
+        Parameters
+        ----------
+        system : control.StateSpace, control.TransferFunction, scipy.signal.lti, tuple
+            The plant; a tuple is ``(num, den)``, ``(zeros, poles, gain)`` or ``(A, B, C, D)`` in continuous time.
+        inputs, outputs, states : list of str, or dict of str to str
+            Names, or names with their units. Without names they are ``u1``, ``y1``; states that are an output as it stands, or
+            the rate of one, are known as that.
+        relative_sd : float
+            How well entries are known that are neither 0 nor +-1, as a share of them.
+        output_sd : sequence of float, optional
+            Standard deviation of the noise of each output, in its unit.
+        controller : same kinds as `system`, optional
+            The controller that ran, in positive feedback ``u = K (y - ref)``.
+
+        Returns
+        -------
+        Model
+
+        Raises
+        ------
+        BadInput
+            For anything that is not a proper linear system, and for names that are too many or too few.
+
+        Examples
+        --------
+        >>> import afdsvc, control
+        >>> motor = afdsvc.Model.from_system(control.tf(12.0, [0.08, 1]), {"voltage": "V"}, {"speed": "rad/s"})
+        >>> motor.plant.A.tolist(), motor.states[0]
+        ([[-12.5]], Variable(name='speed', unit='rad/s', rate_of=None))
+        """
+        plant = as_state_space(system) if states else _scaled_as_outputs(as_state_space(system))
+        ins, outs = (_variables(n, count, role) for n, count, role in ((inputs, plant.inputs, "u"), (outputs, plant.outputs, "y")))
+        named = _variables(states, plant.order, "x") if states else default_states(plant, outs)
+        sd = {k: np.where(np.isin(getattr(plant, k), (0.0, 1.0, -1.0)), 0.0, relative_sd * np.abs(getattr(plant, k))) for k in "ABCD"}
+        noise = None if output_sd is None else np.asarray(output_sd, dtype=np.float64)
+        K = None if controller is None else as_state_space(controller)
+        return cls(name, ins, outs, named, plant, sample_time=plant.dt, entry_sd=sd, output_sd=noise, controller=K)
+
+
+def _scaled_as_outputs(plant: StateSpace) -> StateSpace:
+    """Return the plant with every state that alone makes an output scaled to be that output."""
+    scale = np.ones(plant.order)
+    for row in plant.C:
+        if np.count_nonzero(row) == 1:
+            scale[np.flatnonzero(row)[0]] = row[np.flatnonzero(row)[0]]
+    return StateSpace(plant.A * scale[:, None] / scale, plant.B * scale[:, None], plant.C / scale, plant.D, plant.dt)
+
+
+Names = Sequence[str] | Mapping[str, str]
+
+
+def _variables(names: Names, count: int, role: str) -> tuple[Variable, ...]:
+    """Return variables of some names with their units; raises `BadInput` where there are not as many as the system has."""
+    units = dict(names) if isinstance(names, Mapping) else dict.fromkeys(names or [f"{role}{k + 1}" for k in range(count)], "")
+    if len(units) != count:
+        what = {"u": "inputs", "y": "outputs", "x": "states"}[role]
+        raise BadInput(f"{what} {', '.join(units)}: {len(units)} names; expected {count}, as many as the system has")
+    return tuple(Variable(name, unit) for name, unit in units.items())
+
+
+def default_states(plant: StateSpace, outputs: Sequence[Variable]) -> tuple[Variable, ...]:
+    """Return the states of a model that names none: ``x1``, ``x2``, ... where nothing more is known of them.
+
+    A state that is an output as it stands has its name and unit; in continuous time the state that is its rate, by the rows of A and B,
+    is known as that. So laws of force find where to act.
+    """
+    found = [Variable(f"x{i + 1}") for i in range(plant.order)]
+    for v, row, through in zip(outputs, plant.C, plant.D, strict=True):
+        if np.count_nonzero(row) == 1 and row.max() == 1 and not through.any():
+            found[int(np.argmax(row))] = v
+    for i, row in enumerate(plant.A if not plant.discrete else ()):
+        rate = int(np.argmax(row))
+        if np.count_nonzero(row) == 1 and row[rate] == 1 and not plant.B[i].any() and rate > i and found[rate].name == f"x{rate + 1}":
+            unit = found[i].unit
+            found[rate] = Variable(f"{found[i].name}_rate", f"{unit}/s" if unit.replace("°", "").isalpha() else "", found[i].name)
+    unique = len({v.name for v in found}) == len(found)
+    return tuple(found) if unique else tuple(Variable(f"x{i + 1}") for i in range(plant.order))
+

@@ -126,11 +126,13 @@ class Trace:
         return any(c.name == name for c in self.channels)
 
     def column(self, name: str) -> Array:
-        """Return one channel by name, shape ``(n,)``; raises `BadInput` when it is missing."""
-        for i, c in enumerate(self.channels):
-            if c.name == name:
-                return self.values[:, i]
-        raise BadInput(f"{self.name}: no column '{name}'; it has {', '.join(c.name for c in self.channels)}")
+        """Return one channel by name, shape ``(n,)``; raises `BadInput` with the likeliest other name when it is missing."""
+        names = [c.name for c in self.channels]
+        if name in names:
+            return self.values[:, names.index(name)]
+        alike = [n for n in names if n.partition("_")[0] == name.partition("_")[0]]
+        cure = f"; --map {alike[0]}={name} takes {alike[0]} for it" if len(alike) == 1 else ""
+        raise BadInput(f"{self.name}: no column '{name}'; it has {', '.join(names)}{cure}")
 
     def span(self, start: int, stop: int) -> Trace:
         """Return samples ``start`` to ``stop`` (exclusive) as a trace of its own."""

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import time
+from functools import partial
 from typing import Any
 
+from afdsvc.errors import AfdsvcError
 from afdsvc.files.site import Site
 from afdsvc.service import operator_requests
 from afdsvc.service.operator_requests import QUESTIONS
@@ -12,6 +15,7 @@ from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire.keys import Keys
 
 DESIGN_SECONDS = 60.0  # a burst is designed before it is accepted
+ASKED_SECONDS = 0.05  # between two questions whether it is
 
 
 def ask_service(site: Site, name: str, asked_by: str, **arguments: Any) -> Any:
@@ -20,7 +24,15 @@ def ask_service(site: Site, name: str, asked_by: str, **arguments: Any) -> Any:
     On a secured site ``asked_by`` is the name in the certificate that is shown.
     """
     with Transport(site.transport, False, access_of(site, asked_by)) as transport:
-        keys = Keys(site.site)
-        key = keys.question() if name in QUESTIONS else keys.command()
-        timeout = DESIGN_SECONDS if name == "burst" else site.transport.patience_seconds
-        return operator_requests.ask(lambda payload: transport.ask(key, payload, timeout), name, asked_by, **arguments)
+        keys, patience = Keys(site.site), site.transport.patience_seconds
+        question = partial(transport.ask, keys.question(), timeout=patience)
+        command = partial(transport.ask, keys.command(asked_by if site.transport.security else ""), timeout=patience)
+        if name != "burst":
+            return operator_requests.ask(question if name in QUESTIONS else command, name, asked_by, **arguments)
+        answer, until = operator_requests.ask(command, name, asked_by, later=True, **arguments), time.monotonic() + DESIGN_SECONDS
+        while "ticket" in answer:
+            if time.monotonic() > until:
+                raise AfdsvcError(f"no burst has been designed and accepted within {DESIGN_SECONDS:g} s")
+            time.sleep(ASKED_SECONDS)
+            answer = operator_requests.ask(question, "ticket", asked_by, ticket=answer["ticket"])
+        return answer

@@ -20,7 +20,8 @@ import pyarrow.parquet as pq
 from joblib import Parallel, delayed, parallel_config
 
 from afdsvc.errors import AfdsvcError, BadInput
-from afdsvc.files.tables.loading import Naming
+from afdsvc.files.open import Naming
+from afdsvc.files.unfinished import writing
 from afdsvc.files.validation import read_text
 
 TASKS = ("diagnose", "identify", "explain")
@@ -171,5 +172,6 @@ def _write(rows: Sequence[Mapping[str, Any]], out: Path) -> None:
     schema = pa.schema(COLUMNS)
     table = pa.Table.from_pylist([{name: row.get(name) for name in schema.names} for row in rows], schema)
     partial = out.with_name(out.name + ".part")
-    pq.write_table(table, partial)
-    partial.replace(out)
+    with writing(partial):
+        pq.write_table(table, partial)
+        partial.replace(out)

@@ -12,27 +12,30 @@ import numpy as np
 from afdsvc.api.bursts import Burst, Limits
 from afdsvc.api.clock import Clock
 from afdsvc.api.control_plugins import DesignedController
-from afdsvc.api.detection import DetectionProblem, Detector, FalseAlarms
+from afdsvc.api.detection import DetectionProblem, Detector, FalseAlarms, Noise
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.plant import PhysicalPlant
 from afdsvc.api.port import Port
 from afdsvc.api.signals import Channel
 from afdsvc.app import stepped_machine
+from afdsvc.dataset.experiment import sampled
 from afdsvc.diagnosis.data_quality import Expectation
 from afdsvc.errors import BadInput, NotStabilising
+from afdsvc.excite.amplitude_budget import noise_deviations
 from afdsvc.excite.identification_bursts import Band, multisine_burst, random_binary_burst, sweep_burst
 from afdsvc.files import site as site_file
 from afdsvc.files.model.model_file import model_text, read_model
 from afdsvc.files.tables.tables import read_table
 from afdsvc.hal.control_loop import LoopSettings, Prediction
 from afdsvc.hal.replay import Replay, blocks_of
-from afdsvc.hal.rotation import SpeedProfile
-from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, Simulator
+from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, Simulator, SpeedProfile
 from afdsvc.lti.lft import AugmentedPlant, FaultDirection, augment, star
-from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.python_control import factorise
+from afdsvc.lti.sampling import sample_noise, sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import innovations, whitening_filter
+from afdsvc.lti.yjbk import interconnection
 from afdsvc.plants.registry import plant as plant_by_name
 from afdsvc.plugins.controllers.lqg import gains
 from afdsvc.plugins.fault_set import FaultSet, chosen_faults, usual_faults
@@ -62,6 +65,11 @@ class Commissioned:
     physical: PhysicalPlant | None = None
     faults: FaultSet | None = None
     allow_code: bool = False
+
+    @property
+    def noise(self) -> Noise | None:
+        """The stated noise, None where it is not stated."""
+        return None if self.output_cov is None else Noise(self.output_cov, self.process_cov)
 
     def model_text(self) -> str:
         """Return what the simulation believes as MODEL.toml text, for recordings."""
@@ -162,7 +170,7 @@ def _read_watched(config: site_file.Machine, allow_code: bool) -> RecordedMachin
 
 
 def _from_model(config: site_file.Machine, plugins: Plugins, watched: RecordedMachine) -> Commissioned:
-    """A model file describes a machine that is watched, or driven in a loop of ours; the model's own controller only simulates."""
+    """A model file describes a machine that is watched in the loop of the controller it states, or driven in a loop of ours."""
     model = watched.model
     if model.plant is None:
         raise BadInput(f"{model.origin}: expected a linear model (A, B, C, D) to watch a machine")
@@ -177,11 +185,33 @@ def _from_model(config: site_file.Machine, plugins: Plugins, watched: RecordedMa
     if stepped_machine.is_driven(config):
         limits = stepped_machine.checked_limits(stepped_machine.stated_limits(config), len(model.inputs), len(model.outputs))
         controller = plugins.get("controllers", config.controller.kind).design(discrete, config.controller.settings)
+    elif model.controller is not None:
+        controller = _stated_controller(model, discrete)
     return Commissioned(
-        config, discrete, model.inputs, model.outputs, _model_cov(config, model), None, controller,
+        config, discrete, model.inputs, model.outputs, _model_cov(config, model), _process_cov(model, discrete.dt), controller,
         augment(discrete, _directions(config, discrete, model.inputs, model.outputs, plugins)),
         limits, watched.channels, raw_model=model.raw,
     )  # fmt: skip
+
+
+def _stated_controller(model: Model, plant: StateSpace) -> DesignedController:
+    """Return the controller a model states, as it closes the loop around the plant; raises `BadInput` where it cannot."""
+    assert model.controller is not None  # noqa: S101 - asked for where one is stated
+    K = sampled(model.controller, plant.dt)
+    if K is None:
+        raise BadInput(f"{model.origin}: [controller] has sample_time {model.controller.dt:g} s; expected {plant.dt:g} s, that of the samples")
+    try:
+        fact = factorise(plant, K)
+    except BadInput as error:
+        raise BadInput(f"{model.origin}: [controller]: {error}; state the controller that ran (positive feedback, u = K y)") from error
+    return DesignedController("stated", fact, interconnection(fact), f"the controller of the model, of order {K.order}")
+
+
+def _process_cov(model: Model, dt: float) -> Array | None:
+    """Return the covariance of the noise on the states per sample; a continuous model states an intensity."""
+    if model.process_cov is None or model.plant is None or model.plant.discrete:
+        return model.process_cov
+    return sample_noise(model.plant.A, model.process_cov, dt)
 
 
 def _controller_settings(controller: site_file.Named, plant: PhysicalPlant) -> Mapping[str, Any]:
@@ -241,10 +271,10 @@ def _channels(inputs: tuple[Variable, ...], outputs: tuple[Variable, ...], known
     return tuple(columns)
 
 
-def problem(machine: Commissioned, output_cov: Array, process_cov: Array | None, alarms: FalseAlarms) -> DetectionProblem:
+def problem(machine: Commissioned, noise: Noise, alarms: FalseAlarms) -> DetectionProblem:
     """Return the detection problem for known noise; raises `BadInput` when the plant is undetectable from its outputs."""
-    residual = innovations(machine.plant, output_cov, process_cov)
-    jk, whitening = _loop(machine, output_cov, process_cov)
+    residual = innovations(machine.plant, noise.output_cov, noise.process_cov, noise.cross_cov)
+    jk, whitening = _loop(machine, noise)
     return DetectionProblem(
         machine.config.id,
         machine.plant,
@@ -257,22 +287,25 @@ def problem(machine: Commissioned, output_cov: Array, process_cov: Array | None,
         alarms,
         tuple(v.name for v in machine.inputs),
         limits=machine.limits,
-        output_cov=output_cov,
-        process_cov=process_cov,
+        output_cov=noise.output_cov,
+        process_cov=noise.process_cov,
+        cross_cov=noise.cross_cov,
+        noise_samples=noise.samples,
         speed=machine.speed,
+        loop_known=machine.controller is not None,
     )
 
 
-def _loop(machine: Commissioned, output_cov: Array, process_cov: Array | None) -> tuple[StateSpace, StateSpace]:
+def _loop(machine: Commissioned, noise: Noise) -> tuple[StateSpace, StateSpace]:
     """Return J_K and the filter from beta to r.
 
     Where no controller is stated, the LQ controller of the nominal model stands in: the passive detectors need some loop to
-    reckon what its noise gives away. Such a machine has no beta, and bursts are not available on it.
+    reckon what its noise gives away. What bursts do in such a loop is not known.
     """
     if machine.controller is None:
         return _stand_in(machine.plant), StateSpace.gain(np.eye(machine.plant.outputs), machine.plant.dt)
     fact = machine.controller.factorisation
-    return machine.controller.interconnection, whitening_filter(fact, output_cov, process_cov)[0]
+    return machine.controller.interconnection, whitening_filter(fact, noise.output_cov, noise.process_cov, 0.0, noise.cross_cov)[0]
 
 
 def _stand_in(G: StateSpace) -> StateSpace:
@@ -337,10 +370,11 @@ def _stepped(machine: Commissioned, settings: LoopSettings, clock: Clock) -> Por
 def prediction(machine: Commissioned) -> Prediction:
     """Return how alpha shows in y and u of the nominal loop: N and M, and the peak of the noise to allow for."""
     fact = machine.controller.factorisation if machine.controller else None
-    if fact is None or machine.output_cov is None:
+    if fact is None or machine.noise is None:
         raise BadInput(f"machine '{machine.config.id}' has no controller or no noise ('output_sd'); bursts cannot be predicted")
     both = fact.R.select(slice(None), range(machine.plant.inputs))
-    return Prediction(both, 5 * np.sqrt(np.diag(machine.output_cov)))
+    y_sd, _ = noise_deviations(problem(machine, machine.noise, FalseAlarms()))
+    return Prediction(both, 5 * y_sd)
 
 
 IDENTIFICATION = {"identify": "multisine", "identify_binary": "random binary", "identify_sweep": "sweep"}
@@ -359,8 +393,8 @@ def identification_burst(machine: Commissioned, purpose: str, rng: np.random.Gen
     expected = prediction(machine)
     answer = np.abs(simulate(expected.system, unit.play(dt))[0]).max(axis=0)
     room = np.concatenate([limits.input, limits.output - expected.noise])
-    size = 0.5 * float(np.min(room / np.maximum(answer, 1e-12)))
-    size = min(size, float(np.min(limits.alpha / np.maximum(np.abs(unit.play(dt)).max(axis=0), 1e-12))))
+    size = 0.5 * float(np.min(room / np.maximum(answer, 1e-300)))
+    size = min(size, float(np.min(limits.alpha / np.maximum(np.abs(unit.play(dt)).max(axis=0), 1e-300))))
     lines = tuple(replace(line, amplitude=size * line.amplitude) for line in unit.lines)
     return replace(unit, lines=lines, waveform=None if unit.waveform is None else size * unit.waveform)
 

@@ -23,11 +23,11 @@ def design_files(site_file: Path, machine: str | None, out: Path | None, allow_c
     site, plugins = read_site(site_file), load()
     config = site.machine(machine) if machine else site.machines[0]
     parts = commissioning.commission(config, plugins, allow_code=allow_code)
-    if parts.limits is None or parts.output_cov is None:
+    if parts.limits is None or parts.noise is None:
         raise BadInput(f"machine '{config.id}' can be watched, not excited; there is no burst to design")
     alarms = {d.kind: FalseAlarms(d.false_alarms_per_1000_bursts / 1000, d.false_alarms_per_day / 24) for d in config.detectors}
     first = next(iter(alarms.values()), FalseAlarms())
-    problem = commissioning.problem(parts, parts.output_cov, parts.process_cov, first)
+    problem = commissioning.problem(parts, parts.noise, first)
     wanted = config.bursts
     burst = default_burst(problem, parts.limits, wanted.seconds, wanted.output_amplitude, Aim(severity=wanted.severity))
     per_hour = 3600 / wanted.every_seconds if wanted.every_seconds else 0.0

@@ -2,29 +2,39 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.model import Model
-from afdsvc.api.signals import Block
+from afdsvc.api.signals import Block, Trace
 from afdsvc.app import commissioning
 from afdsvc.app.commissioning import Commissioned, RecordedMachine
 from afdsvc.app.pipelines import pipeline_of
+from afdsvc.detect.features.innovations import decay
 from afdsvc.diagnosis.verdict import conclude
 from afdsvc.errors import BadInput
+from afdsvc.excite.recorded_bursts import marked, recorded_bursts
 from afdsvc.files.model.model_file import read_model
+from afdsvc.files.open import MappedTopics, Naming, OwnRecording, Table, open_file
+from afdsvc.files.recording.mcap_file import BLOCK, REQUEST
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Detector, Driver, Machine
 from afdsvc.files.tables.foreign import prepared
-from afdsvc.files.tables.loading import TABLES, Naming, foreign_mapping, is_ours, load_traces, own_traces
 from afdsvc.files.tables.to_recording import import_traces
 from afdsvc.hal.replay import blocks_of
+from afdsvc.lti.lft import star
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.operator_requests import plain
+from afdsvc.wire.messages import BurstRequest
+
+CALIBRATED = 2 / 3  # of the quiet samples before the first burst
 
 
 def diagnose_recordings(
@@ -39,36 +49,41 @@ def diagnose_recordings(
     plugins, given = load(), None if model is None else read_model(model, allow_code)
     found: list[dict[str, Any]] = []
     for path in paths:
-        if path.suffix.lower() in TABLES or not is_ours(Recording(path), naming):
-            found += _diagnose_foreign(path, given, calibrate, calibrate_on, plugins, detectors, naming)
+        file = open_file(path, naming)
+        if isinstance(file, OwnRecording):
+            found += _diagnose_own(file, given, calibrate, plugins, detectors)
         else:
-            found += _diagnose_mcap(path, given, calibrate, plugins, detectors)
+            found += _diagnose_foreign(path, file, given, calibrate, calibrate_on, plugins, detectors)
     return {"recordings": found}
 
 
-def evidence_of(machine: Commissioned, blocks: Iterable[Block], bursts: Iterable[Burst], plugins: Plugins) -> Replayed:
+def evidence_of(machine: Commissioned, blocks: Iterable[Block], bursts: Iterable[Burst], plugins: Plugins) -> Replay:
     """Return everything the detectors and checks say about blocks in their order."""
-    stream = pipeline_of(machine, plugins)
+    replay = Replay(machine, plugins)
     for burst in bursts:
-        stream.announce(burst)
-    replayed = Replayed()
+        replay.stream.announce(burst)
     for block in blocks:
-        outcome = stream.step(block)
-        replayed.evidence += outcome.evidence
-        replayed.remarks += [f.message for f in outcome.findings]
-        replayed.follow(block)
-    return replayed
+        replay.take(block)
+    return replay
 
 
-class Replayed:
-    """What came of a replay: evidence, remarks, the spans of bursts as (name, first sample, samples, dt), the session."""
+class Replay:
+    """A machine's pipeline over blocks: evidence, remarks, the spans of bursts as (name, first sample, samples, dt), the session."""
 
-    def __init__(self) -> None:
+    def __init__(self, machine: Commissioned, plugins: Plugins) -> None:
+        self.machine, self.stream = machine, pipeline_of(machine, plugins)
         self.evidence: list[Evidence] = []
         self.remarks: list[str] = []
         self.spans: list[tuple[str, int, int, float]] = []
         self.session = ""
         self.seconds = 0.0
+
+    def take(self, block: Block) -> None:
+        """Judge a block."""
+        outcome = self.stream.step(block)
+        self.evidence += outcome.evidence
+        self.remarks += [f.message for f in outcome.findings]
+        self.follow(block)
 
     def follow(self, block: Block) -> None:
         """Extend the span of the burst that is playing."""
@@ -82,27 +97,106 @@ class Replayed:
             self.spans.append((block.burst, block.k0, len(block), block.dt))
 
 
-def _diagnose_mcap(
-    path: Path, model: Model | None, calibrate: float | None, plugins: Plugins, detectors: Sequence[str]
+def _diagnose_own(
+    file: OwnRecording, model: Model | None, calibrate: float | None, plugins: Plugins, detectors: Sequence[str]
 ) -> list[dict[str, Any]]:
-    recording = Recording(path)
+    """Diagnose every machine of a recording of ours, in one pass over the file."""
+    recording, machines = file.recording, dict[str, _RecordedMachine]()
+    at_once = model is None and "site.toml" in recording.front.attachments and "import" not in recording.front.metadata
+    for id, message in recording.decoded(None, BLOCK, REQUEST):
+        if id not in machines:
+            machines[id] = _RecordedMachine(id, file, at_once, model, calibrate, plugins, detectors)
+        machines[id].take(message)
     if not recording.machines:
-        raise BadInput(f"{path}: holds no samples of any machine")
-    found = []
-    for id in recording.machines:
-        machine = _watched_by(detectors, _machine_of(recording, id, model, calibrate, plugins))
-        bursts = [r.burst for r in recording.requests(id)]
-        replayed = evidence_of(machine, recording.blocks(id), bursts, plugins)
-        remarks = [*([recording.loss] if recording.loss else []), *replayed.remarks]
-        imported = prepared(own_traces(recording, None, id)[:1]) if "import" in recording.metadata else []
-        found.append(document(str(path), id, replayed, {b.name: b for b in bursts}, machine, remarks, imported))
-    return found
+        raise BadInput(f"{recording.path}: holds no samples of any machine")
+    return [machines[id].document() for id in recording.machines if machines[id].seen]
 
 
-def _machine_of(recording: Recording, id: str, model: Model | None, calibrate: float | None, plugins: Plugins) -> Commissioned:
+@dataclass
+class _RecordedMachine:
+    """A machine of a recording. Its blocks wait until the burst in them is known, and to the end unless it is known ``at_once``."""
+
+    id: str
+    file: OwnRecording
+    at_once: bool
+    model: Model | None
+    calibrate: float | None
+    plugins: Plugins
+    detectors: Sequence[str]
+    waiting: deque[Block] = field(default_factory=deque)
+    bursts: dict[str, Burst] = field(default_factory=dict)
+    replay: Replay | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def seen(self) -> bool:
+        """Whether there were samples."""
+        return bool(self.waiting) or self.replay is not None
+
+    def take(self, message: object) -> None:
+        """Take a block or the request of a burst."""
+        if isinstance(message, BurstRequest):
+            self.bursts[message.burst.name] = message.burst
+            if self.replay:
+                self.replay.stream.announce(message.burst)
+        elif isinstance(message, Block):
+            self.waiting.append(message)
+        while self.at_once and self.waiting and (not self.waiting[0].burst or self.waiting[0].burst in self.bursts):
+            self._begun().take(self.waiting.popleft())
+
+    def document(self) -> dict[str, Any]:
+        """Judge what is left and return the machine's part of ``diagnose --json``."""
+        replay, recording = self._begun(), self.file.recording
+        for block in self.waiting:
+            replay.take(block)
+        remarks = [*([recording.loss] if recording.loss else []), *replay.remarks]
+        return document(str(recording.path), self.id, replay, self.bursts, replay.machine, remarks, self.notes)
+
+    def _begun(self) -> Replay:
+        if self.replay is None:
+            blocks, recording = list(self.waiting), self.file.recording
+            machine = _watched_by(self.detectors, _machine_of(recording, self.id, blocks, self.model, self.calibrate, self.plugins))
+            imported = self.file.joined(blocks) if not self.at_once and "import" in recording.metadata else []
+            machine, played = _excited(machine, imported, self.calibrate)
+            self.notes, self.waiting = prepared(imported[:1]), deque(marked(blocks, played))
+            self.bursts |= {burst.name: burst for _, burst in played}
+            self.replay = Replay(machine, self.plugins)
+            for burst in self.bursts.values():
+                self.replay.stream.announce(burst)
+        return self.replay
+
+
+def _played(machine: Commissioned, trace: Trace) -> list[tuple[int, Burst]]:
+    """Return the bursts in a trace's ``alpha_`` columns with their first samples; raises `BadInput` when a column is missing."""
+    names = [f"alpha_{v.name}" for v in machine.inputs]
+    found = [c.name for c in trace.channels if c.role == "alpha"]
+    if not trace.role("alpha").any():
+        return []
+    if sorted(found) != sorted(names):
+        raise BadInput(f"{trace.name}: excitation in the columns {', '.join(found)}; expected {', '.join(names)}, one for each input of the model")
+    loop = machine.plant if machine.controller is None else star(machine.plant, machine.controller.interconnection, *machine.plant.D.shape)
+    settle = decay(loop, 1e-3) if loop.is_stable() else len(trace)
+    return recorded_bursts(np.column_stack([trace.column(n) for n in names]), trace.dt, settle, settle)
+
+
+def _excited(
+    machine: Commissioned, traces: Sequence[Trace], calibrate: float | None
+) -> tuple[Commissioned, list[tuple[int, Burst]]]:
+    """Return the machine and the bursts of its traces; unless its length is given, calibration ends before the first of them, two
+    thirds of the quiet samples being used."""
+    offsets = [round((t.t0 - traces[0].t0) / t.dt) for t in traces]
+    played = [(k + first, burst) for t, k in zip(traces, offsets, strict=True) for first, burst in _played(machine, t)]
+    if not played or calibrate:
+        return machine, played
+    seconds = min(machine.config.calibrate_seconds, CALIBRATED * played[0][0] * machine.plant.dt)
+    return replace(machine, config=machine.config.model_copy(update={"calibrate_seconds": seconds})), played
+
+
+def _machine_of(
+    recording: Recording, id: str, blocks: Sequence[Block], model: Model | None, calibrate: float | None, plugins: Plugins
+) -> Commissioned:
     """Return the machine as its recording describes it; a model named by the caller takes precedence over the embedded one."""
-    first = next(recording.blocks(id))
-    watched = None
+    first, watched = blocks[0], None
     inside = model or recording.model(id)
     if inside is not None:
         watched = RecordedMachine(inside, first.dt, first.channels)
@@ -110,33 +204,30 @@ def _machine_of(recording: Recording, id: str, model: Model | None, calibrate: f
         return commissioning.commission_embedded(recording.site, f"{recording.path}:site.toml", id, plugins, watched)
     if watched is None:
         raise BadInput(f"{recording.path}: carries neither site nor model; give one with --model MODEL.toml")
-    samples = sum(len(b) for b in recording.blocks(id))
+    samples = sum(len(b) for b in blocks)
     return commissioning.commission(_bare(id, calibrate or samples * first.dt / 2), plugins, watched)
 
 
 def _diagnose_foreign(
-    path: Path, model: Model | None, calibrate: float | None, on: Path | None, plugins: Plugins, detectors: Sequence[str], naming: Naming
+    path: Path, file: Table | MappedTopics, model: Model | None, calibrate: float | None, on: Path | None, plugins: Plugins, detectors: Sequence[str]
 ) -> list[dict[str, Any]]:
     """Diagnose a table, or a recording of others: every stretch without a gap by itself."""
-    nominal = _wanted_model(path, model, naming)
-    traces = load_traces(path, naming, nominal)
+    if model is None:
+        if isinstance(file, MappedTopics):
+            file.mapping()  # without it, that is what is missing first
+        raise BadInput(f"{path}: a table carries no model; give one with --model MODEL.toml")
+    traces = file.traces(model)
     found = []
     for number, trace in enumerate(traces, 1):
         config = _bare(path.stem.replace(" ", "_"), calibrate or len(trace) * trace.dt / 2, on)
-        watched = RecordedMachine(nominal, trace.dt, trace.channels)
+        watched = RecordedMachine(model, trace.dt, trace.channels)
         machine = _watched_by(detectors, commissioning.commission(config, plugins, watched))
-        replayed = evidence_of(machine, blocks_of(trace, config.id, "table", 0), [], plugins)
+        machine, played = _excited(machine, [trace], calibrate)
+        bursts = {burst.name: burst for _, burst in played}
+        replayed = evidence_of(machine, marked(blocks_of(trace, config.id, "table", 0), played), bursts.values(), plugins)
         name = str(path) if len(traces) == 1 else f"{path} ({number})"
-        found.append(document(name, config.id, replayed, {}, machine, replayed.remarks, prepared([trace])))
+        found.append(document(name, config.id, replayed, bursts, machine, replayed.remarks, prepared([trace])))
     return found
-
-
-def _wanted_model(path: Path, model: Model | None, naming: Naming) -> Model:
-    if model is not None:
-        return model
-    if path.suffix.lower() not in TABLES:
-        foreign_mapping(Recording(path), naming)  # without it, that is what is missing first
-    raise BadInput(f"{path}: a table carries no model; give one with --model MODEL.toml")
 
 
 def _watched_by(detectors: Sequence[str], machine: Commissioned) -> Commissioned:
@@ -157,7 +248,7 @@ def _bare(id: str, calibrate: float, on: Path | None = None) -> Machine:
 def document(
     name: str,
     machine: str,
-    replayed: Replayed,
+    replayed: Replay,
     bursts: Mapping[str, Burst],
     parts: Commissioned,
     remarks: Sequence[str],
@@ -227,7 +318,7 @@ def _promised(parts: Commissioned, seconds: float) -> dict[str, float]:
     return {d.kind: d.false_alarms_per_day * seconds / 86400 for d in parts.config.detectors}
 
 
-def _passive(replayed: Replayed) -> list[dict[str, Any]]:
+def _passive(replayed: Replay) -> list[dict[str, Any]]:
     """Return the decisions made outside bursts."""
     return [decision(e) for e in replayed.evidence if not e.burst]
 
@@ -237,7 +328,7 @@ def import_recording(
 ) -> dict[str, Any]:
     """Write a table, or a recording of others, as a recording of ours; returns what was written and what was done for it."""
     nominal, naming = read_model(model) if model else None, Naming.of(mapping_file, mapping)
-    traces = load_traces(table, naming, nominal)
+    traces = open_file(table, naming).traces(nominal)
     made = import_traces(traces, out, nominal, machine=table.stem)
     first, samples = traces[0], sum(len(t) for t in traces)
     return {

@@ -17,15 +17,15 @@ from afdsvc.errors import BadInput
 from afdsvc.explain.pipeline import explain
 from afdsvc.explain.report.explanation import Explanation
 from afdsvc.files.model.improved import write_improved
-from afdsvc.files.model.model_file import read_model
 from afdsvc.files.model.stepped import LINEARISED, REST
-from afdsvc.files.recording.reader import Recording
-from afdsvc.files.tables.foreign import PREPARED, prepared, read_foreign
-from afdsvc.files.tables.loading import TABLES, Naming, foreign_mapping, is_ours, load_table, own_traces
-from afdsvc.plants.stepped.comparison import compared
+from afdsvc.files.open import Naming, OpenFile, OwnRecording, Table, open_file, open_model
+from afdsvc.files.tables.foreign import prepared
+from afdsvc.files.tables.tables import PREPARED
+from afdsvc.files.unfinished import writing
+from afdsvc.plants.stepped.linearise import compared
 from afdsvc.plugins.manager import load
 
-RECORDING = ".mcap"
+WRITTEN = ("MODEL.toml", "MODEL.py", "report.html")
 REST_SECONDS = 0.1  # before a burst, for the loop to be simulated from
 Progress = Callable[[str, float | None], None]
 
@@ -59,37 +59,26 @@ def explain_files(
     is explained. Raises `BadInput` naming the file and what is wrong with it.
     """
     options = options or ExplainOptions()
-    nominal = model_of(model, options)
-    files = list(recordings) or ([model] if model.suffix.lower() == RECORDING else [])
+    nominal, beside = open_model(model, options.allow_code, options.machine)
+    files: Sequence[Path | OpenFile] = recordings or ([beside] if beside else [])
     if not files:
         raise BadInput(f"{model}: no recording is given to explain; expected at least one")
     train, held = (from_rest(traces(paths, nominal, options), nominal) for paths in (files, holdout))
-    folder = _folder(model, options)
-    found = explain(nominal, train, held, load_library(), mapper=parallel(options.jobs), progress=progress, trust_units=options.trust_units)
-    unit = [*nominal.extra.get(LINEARISED, ()), *compared(nominal, [*train, *held])]
-    found = replace(found, check=(*unit, *found.check), notes={**found.notes, "data": prepared([*train, *held])})
-    return _written(found, nominal, folder, means([*train, *held]), options)
+    folder = options.out or model.with_name(f"{model.stem}.explained")
+    with writing(folder, *(folder / name for name in WRITTEN)):
+        _make(folder)
+        found = explain(nominal, train, held, load_library(), mapper=parallel(options.jobs), progress=progress, trust_units=options.trust_units)
+        unit = [*nominal.extra.get(LINEARISED, ()), *compared(nominal, [*train, *held])]
+        found = replace(found, check=(*unit, *found.check), notes={**found.notes, "data": prepared([*train, *held])})
+        return _written(found, nominal, folder, means([*train, *held]), options)
 
 
-def model_of(path: Path, options: ExplainOptions) -> Model:
-    """Return the model in a MODEL.toml, or the one a recording carries; raises `BadInput` when there is none."""
-    if path.suffix.lower() != RECORDING:
-        return read_model(path, options.allow_code)
-    recording = Recording(path)
-    machine = options.machine or next(iter(recording.machines), "")
-    inside = recording.model(machine, options.allow_code) if machine else None
-    if inside is None:
-        raise BadInput(f"{path}: carries no model{f' of machine {machine}' if machine else ''}; expected a MODEL.toml before it")
-    return inside
-
-
-def traces(paths: Sequence[Path], model: Model, options: ExplainOptions) -> list[Trace]:
+def traces(paths: Sequence[Path | OpenFile], model: Model, options: ExplainOptions) -> list[Trace]:
     """Return every gapless piece of the files, with the model's units, each under a name of its own."""
     found: list[Trace] = []
     naming = Naming.of(options.mapping_file, options.mapping)
     for path in paths:
-        table = path.suffix.lower() in TABLES
-        pieces = _table(path, naming, model) if table else _recorded(Recording(path), naming, model, options.machine)
+        pieces = _pieces(open_file(path, naming) if isinstance(path, Path) else path, model, options.machine)
         found += [_named(t, f"{t.name} ({k})" if len(pieces) > 1 else t.name, found) for k, t in enumerate(pieces, 1)]
     return found
 
@@ -107,15 +96,16 @@ def from_rest(pieces: Sequence[Trace], model: Model) -> list[Trace]:
     ]
 
 
-def _recorded(recording: Recording, naming: Naming, model: Model, machine: str | None) -> list[Trace]:
-    if is_ours(recording, naming):
-        return _kept(recording, model, machine)
-    return read_foreign(recording.path, foreign_mapping(recording, naming), model)
+def _pieces(file: OpenFile, model: Model, machine: str | None) -> list[Trace]:
+    """Return the bursts of a recording of the service, each with a moment of rest before it; everything where there is none.
 
-
-def _kept(recording: Recording, model: Model, machine: str | None) -> list[Trace]:
-    """Return the bursts of a recording of the service, each with a moment of rest before it; everything where there is none."""
-    found, bursts = own_traces(recording, model, machine), _burst_spans(recording, machine)
+    Missing samples of a table become gaps.
+    """
+    if isinstance(file, Table):
+        return file.traces(model, gaps=True)
+    if not isinstance(file, OwnRecording):
+        return file.traces(model)
+    found, bursts = file.traces_and_bursts(model, machine)
     pieces = []
     for t in found:
         first = int(t.notes.get("k0", 0))
@@ -123,28 +113,6 @@ def _kept(recording: Recording, model: Model, machine: str | None) -> list[Trace
         rest = round(REST_SECONDS / t.dt)
         pieces += [t.span(max(a - rest, 0), min(b, len(t))) for a, b in inside]
     return pieces or found
-
-
-def _burst_spans(recording: Recording, machine: str | None) -> list[tuple[str, int, int]]:
-    """Return session, first sample and end of every burst that was played."""
-    spans: dict[tuple[str, str, str], tuple[int, int]] = {}
-    for block in recording.blocks(machine):
-        if block.burst:
-            key = (block.machine, block.session, block.burst)
-            a, b = spans.get(key, (block.k0, block.k0))
-            spans[key] = (min(a, block.k0), max(b, block.k0 + len(block)))
-    return [(session, a, b) for (_, session, _), (a, b) in spans.items()]
-
-
-def _table(path: Path, naming: Naming, model: Model) -> list[Trace]:
-    """Read a table; a sample time from the model serves where the table has no time, missing samples become gaps."""
-    dt = None if model.plant is None or not model.plant.discrete else model.plant.dt
-    try:
-        return load_table(path, naming, model, gaps=True)
-    except BadInput as error:
-        if dt is None or "no sample time is known" not in str(error):
-            raise
-        return load_table(path, naming, model, dt, gaps=True)
 
 
 def _named(trace: Trace, name: str, others: Iterable[Trace]) -> Trace:
@@ -179,13 +147,11 @@ def means(recordings: Sequence[Trace]) -> dict[str, float]:
     }
 
 
-def _folder(model: Path, options: ExplainOptions) -> Path:
-    folder = options.out or model.with_name(f"{model.stem}.explained")
+def _make(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(f"--out {folder}: no such folder can be made: {error.strerror or error}") from None
-    return folder
 
 
 def _written(
@@ -193,7 +159,7 @@ def _written(
 ) -> dict[str, Any]:
     from afdsvc.present.html.explain_page import explain_page  # imports matplotlib
 
-    target, page = folder / "MODEL.toml", folder / "report.html"
+    target, page = folder / WRITTEN[0], folder / WRITTEN[2]
     if nominal.origin and Path(nominal.origin).resolve() == target.resolve():
         raise BadInput(f"--out {folder}: the nominal model would be overwritten; expected another folder")
     written = write_improved(found, target, aux)

@@ -13,8 +13,8 @@ from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model, write_model
 from afdsvc.files.model.stepped import LINEARISED
+from afdsvc.files.open import Naming, open_file
 from afdsvc.files.tables.foreign import prepared
-from afdsvc.files.tables.loading import Naming, load_traces
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.pipeline import identify
 
@@ -23,7 +23,7 @@ def read_traces(
     paths: Sequence[Path], machine: str | None = None, naming: Naming = Naming(), model: Model | None = None
 ) -> list[Trace]:
     """Return the traces of recordings (every gapless piece) and tables, in the model's units; raises `BadInput` naming the file."""
-    return [trace for path in paths for trace in load_traces(path, naming, model, machine)]
+    return [trace for path in paths for trace in open_file(path, naming).traces(model, machine)]
 
 
 def identify_files(

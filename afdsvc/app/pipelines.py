@@ -9,10 +9,10 @@ from functools import lru_cache
 import numpy as np
 
 from afdsvc.api.bursts import Burst
-from afdsvc.api.detection import DetectionProblem, FalseAlarms
+from afdsvc.api.detection import DetectionProblem, FalseAlarms, Noise
 from afdsvc.app import commissioning
 from afdsvc.app.commissioning import Commissioned
-from afdsvc.diagnosis.pipeline import CalibratedPipeline, ExcitableStream, Pipeline, calibrated
+from afdsvc.diagnosis.pipeline import CalibratedPipeline, Design, ExcitableStream, Pipeline, calibrated
 from afdsvc.diagnosis.speed_schedule import SpeedPipeline
 from afdsvc.errors import BadInput
 from afdsvc.excite.diagnosis_burst import Aim, default_burst, second_burst
@@ -38,18 +38,18 @@ def pipeline_of(
         return calibrated(machine.plant, *commissioning.quiet_samples(machine, samples), design)[0]
     if samples:
         return CalibratedPipeline(machine.plant, commissioning.expectation(machine, 0), samples, design)
-    return design(*_stated_noise(machine), 50)
+    return design(_stated_noise(machine), 50)
 
 
-def _stated_noise(machine: Commissioned) -> tuple[np.ndarray, np.ndarray | None]:
-    if machine.output_cov is None:
+def _stated_noise(machine: Commissioned) -> Noise:
+    if machine.noise is None:
         raise BadInput(f"machine '{machine.config.id}': the noise is unknown; set 'output_sd' or 'calibrate_seconds'")
-    return machine.output_cov, machine.process_cov
+    return machine.noise
 
 
-def _design(machine: Commissioned, plugins: Plugins) -> Callable[[np.ndarray, np.ndarray | None, int], Pipeline]:
-    def design(output_cov: np.ndarray, process_cov: np.ndarray | None, frozen_after: int) -> Pipeline:
-        base = commissioning.problem(machine, output_cov, process_cov, FalseAlarms())
+def _design(machine: Commissioned, plugins: Plugins) -> Design:
+    def design(noise: Noise, frozen_after: int) -> Pipeline:
+        base = commissioning.problem(machine, noise, FalseAlarms())
         return Pipeline(base, commissioning.detectors(machine, base, plugins), commissioning.expectation(machine, frozen_after))
 
     return design
@@ -63,7 +63,7 @@ def _speed_pipeline(machine: Commissioned, plugins: Plugins, ready: Callable[[De
 
     def design(speed: float) -> Pipeline:
         if speed not in kept:
-            kept[speed] = _design(commissioning.at_speed(machine, speed), plugins)(*noise, 50)
+            kept[speed] = _design(commissioning.at_speed(machine, speed), plugins)(noise, 50)
             if ready:
                 ready(kept[speed].problem)
         made = kept[speed]

@@ -42,9 +42,9 @@ def fault_planes(recording: Recording, machine: str) -> list[Plane]:
 
 def _problem(recording: Recording, machine: str) -> DetectionProblem:
     found = commissioning.commission_embedded(recording.site, f"{recording.path}:site.toml", machine, load())
-    if found.output_cov is None:
+    if found.noise is None:
         raise AfdsvcError(f"machine '{machine}': the noise is unknown")
-    return commissioning.problem(found, found.output_cov, found.process_cov, FalseAlarms())
+    return commissioning.problem(found, found.noise, FalseAlarms())
 
 
 def _ordered(burst: Burst) -> tuple[Line, ...]:

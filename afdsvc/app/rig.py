@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import threading
 import uuid
-from contextlib import closing
+from contextlib import ExitStack, closing
 from functools import partial
 
 from afdsvc import __version__
@@ -13,12 +14,17 @@ from afdsvc.api.clock import Clock
 from afdsvc.app import commissioning
 from afdsvc.files.site import Site
 from afdsvc.hal.agent import RigAgent
+from afdsvc.hal.store import Store
 from afdsvc.plugins.manager import load
 from afdsvc.service.clock import RealClock
-from afdsvc.transport.access_rules import access_of, rig_name
+from afdsvc.transport.access_rules import access_of
+from afdsvc.transport.certificates import rig_name
+from afdsvc.transport.key_watch import KeyWatch
 from afdsvc.transport.zenoh_session import NoPeer, Transport
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import RigDescription
+
+log = logging.getLogger(__name__)
 
 
 def rig_agent(site: Site, id: str, transport: Transport, clock: Clock) -> RigAgent:
@@ -33,7 +39,16 @@ def rig_agent(site: Site, id: str, transport: Transport, clock: Clock) -> RigAge
         machine.config.driver.kind,
     )  # fmt: skip
     truth = [(round(f.at_seconds / port.dt), f"{f.name} {f.severity:g}") for f in machine.config.driver.faults]
-    return RigAgent(Keys(site.site), description, port, transport, clock, truth, patient=not machine.config.driver.real_time)
+    real_time = machine.config.driver.real_time
+    return RigAgent(
+        Keys(site.site), description, port, transport, clock, truth, patient=not real_time, store=_store(site, id, clock) if real_time else None
+    )
+
+
+def _store(site: Site, id: str, clock: Clock) -> Store | None:
+    """Return where blocks are kept that the service does not acknowledge, None where the site names no folder."""
+    folder, most = site.transport.store, site.transport.store_megabytes
+    return None if folder is None else Store(folder, id, 1e6 * most, clock)
 
 
 def run_rig(
@@ -54,7 +69,11 @@ def run_rig(
         agent = rig_agent(site, id, transport, clock)
         agent.stopping, agent.emergency = stop, emergency or threading.Event()
         agent.connect = None if waits else connect
-        agent.run(seconds)
+        with ExitStack() as stack:
+            if site.transport.security is not None:
+                keys = KeyWatch(site, rig_name(id), transport, clock, lambda: agent.playing, log.info)
+                stack.callback(keys.close)
+            agent.run(seconds)
 
 
 def _wait_for_service(transport: Transport, stop: threading.Event) -> None:

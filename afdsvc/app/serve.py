@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import hashlib
+import os
 import sys
 import tempfile
 import time
@@ -29,6 +31,7 @@ from afdsvc.files.recording.retention import Keep
 from afdsvc.files.site import Site
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.alarm_history import History
+from afdsvc.service.audit_log import AuditLog
 from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.service.clock import RealClock
 from afdsvc.service.housekeeping import Housekeeper
@@ -39,15 +42,17 @@ from afdsvc.service.notifications import NotificationQueue
 from afdsvc.service.operator_requests import Requests, plain
 from afdsvc.service.scheduler import Scheduler
 from afdsvc.service.sinks.fan_out import FanOut, Sink, ThreadedSink
+from afdsvc.service.sinks.log_sink import LogSink
 from afdsvc.service.sinks.pre_alarm_buffer import PreAlarmBuffer
 from afdsvc.service.sinks.publisher_sink import Publisher
-from afdsvc.service.sinks.recorder_sink import RecorderSink
+from afdsvc.service.sinks.recorder_sink import LateRecorder, Receipts, RecorderSink
 from afdsvc.service.status_page import serve_page
 from afdsvc.service.warm_up import WarmUp
-from afdsvc.transport.access_rules import SERVICE, access_of
+from afdsvc.transport.access_rules import access_of
+from afdsvc.transport.key_watch import KeyWatch
 from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.transport.zenoh_session import Transport
-from afdsvc.wire.keys import Keys
+from afdsvc.wire.keys import SERVICE, Keys
 from afdsvc.wire.messages import AlarmChange
 
 if TYPE_CHECKING:
@@ -78,7 +83,7 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         for machine in machines:
             id, diagnosis = machine.config.id, diagnosis_burst(machine)
             stream = pipeline_of(machine, plugins, diagnosis, beside)
-            sink = FanOut([*sinks.of(machine), Publisher(keys, post, news, transport.heard)])
+            sink = FanOut([*sinks.of(machine), LogSink(id), Publisher(keys, post, news, transport.heard)])
             watches[id] = MachineMonitor(id, stream, sink, clock)
             if machine.limits is not None and isinstance(stream, Pipeline):
                 rehearsed.append((stream, diagnosis(stream.problem)))
@@ -93,14 +98,18 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         policy = Policy(a.raise_after, a.clear_after, a.latch, a.shelve_minutes)
         hub = Hub(
             keys, __version__, watches, burst_requests, transport, clock, sinks.summary, sinks.files, policy=policy, history=history,
-            outboxes=outboxes,
+            outboxes=outboxes, audit=stack.enter_context(_audited(site, clock)), late=sinks.late,
         )  # fmt: skip
         housekeeper = sinks.housekeeper()
         rehearsals = WarmUp(rehearsed)
         rehearsals.start()
         stack.callback(rehearsals.close)
         hub.start()
-        Requests(hub).serve(site.transport.security is not None)
+        security = site.transport.security
+        if security is not None:
+            said = partial(hub.audit.add, "service") if hub.audit else print
+            stack.callback(KeyWatch(site, SERVICE, transport, clock, lambda: any(r.playing for r in burst_requests.values()), said).close)
+        Requests(hub).serve(None if security is None else security.operators)
         stack.callback(hub.stop)
         housekeeper.start()
         stack.callback(housekeeper.close)
@@ -111,6 +120,23 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         yield hub
 
 
+@contextmanager
+def _audited(site: Site, clock: Clock) -> Iterator[AuditLog]:
+    """Open the audit log of a site; the start of the service, with the hash of its site file, and its end are in it."""
+    log = AuditLog(audit_file(site), clock)
+    log.add("service", "start", {"version": __version__, "pid": os.getpid(), "site_sha256": hashlib.sha256(site.text.encode()).hexdigest()})
+    try:
+        yield log
+    finally:
+        log.add("service", "stop")
+        log.close()
+
+
+def audit_file(site: Site) -> Path:
+    """Return the file of a site's audit log, beside its recordings."""
+    return site.recording.folder / f"{site.site}-audit.jsonl"
+
+
 class SiteSinks:
     """The recordings of all machines and the one review of the site, and what went wrong with them."""
 
@@ -119,13 +145,19 @@ class SiteSinks:
         self._recorders: list[tuple[RecorderSink, ThreadedSink]] = []
         self._review: tuple[ReviewSink, ThreadedSink] | None = None
         self._boxes: list[ThreadedSink] = []
+        self.late: dict[str, tuple[Receipts, ThreadedSink]] = {}  # what rigs kept during an outage
+        self._late: list[LateRecorder] = []
         self.posts: list[OutgoingQueue] = []  # what is sent to viewers and must arrive, so that its drops are counted too
 
     def of(self, machine: Commissioned) -> list[Sink]:
         """Return the sinks of one machine; the review is shared, one tab per machine."""
         id, site = machine.config.id, self._site
         facts = {"site": site.site}
-        recorder = RecorderSink(site.recording, id, site.text, machine.model_text(), self._clock.now_ns(), facts)
+        receipts = Receipts()
+        recorder = RecorderSink(site.recording, id, site.text, machine.model_text(), self._clock.now_ns(), facts, receipts)
+        late = LateRecorder(site.recording, id, site.text, machine.model_text(), facts, receipts)
+        self._late.append(late)
+        self.late[id] = receipts, ThreadedSink(late, f"late recorder of {id}", _teller("recording of what came late"))
         recording = ThreadedSink(recorder, f"recorder of {id}", _teller("recording"))
         self._recorders.append((recorder, recording))
         if self._review is None and site.review.rerun != "off":
@@ -172,17 +204,17 @@ class SiteSinks:
         """Return files, bytes and failure of the recordings, and the messages dropped anywhere on their way out."""
         files = ", ".join(str(r.paths[-1]) for r, _ in self._recorders if r.paths)
         failure = next((t.failure for _, t in self._recorders if t.failure), "")
-        ways = [t for _, t in self._recorders] + self._boxes + ([self._review[1]] if self._review else []) + self.posts
+        ways = [t for _, t in self._recorders] + [t for _, t in self.late.values()] + self._boxes + ([self._review[1]] if self._review else []) + self.posts
         return files, sum(r.bytes_written for r, _ in self._recorders), failure, sum(way.dropped for way in ways)
 
     def files(self) -> list[Path]:
         """Return every file written so far."""
         reviews = self._review[0].paths if self._review else []
-        return [path for r, _ in self._recorders for path in r.paths] + list(reviews)
+        return [path for r, _ in self._recorders for path in r.paths] + [path for r in self._late for path in r.paths] + list(reviews)
 
     def close(self) -> None:
         """Finish every file."""
-        sinks = [recording for _, recording in self._recorders] + self._boxes + ([self._review[1]] if self._review else [])
+        sinks = [recording for _, recording in self._recorders] + [late for _, late in self.late.values()] + self._boxes + ([self._review[1]] if self._review else [])
         for sink in sinks:
             sink.leave()
         deadline = time.monotonic() + CLOSING_SECONDS
@@ -191,16 +223,22 @@ class SiteSinks:
 
 
 def _refuse_unkept(site: Site) -> None:
-    """Raise `BadInput` where recordings can never be kept; a full disk may have room later and is reported while the service runs."""
-    folder = site.recording.folder
+    """Raise `BadInput` where recordings or alarms can never be kept; a full disk may have room later and is reported while the service runs."""
+    _refuse_unwritable(site, "recording.folder", site.recording.folder, site.recording.folder)
+    if (history := site.alarms.history) is not None:
+        _refuse_unwritable(site, "alarms.history", history, history.parent)
+        if history.is_dir():
+            raise BadInput(f"{site.origin}: key 'alarms.history' is '{history}', a folder; expected a file")
+
+
+def _refuse_unwritable(site: Site, key: str, value: Path, folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return
+        tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-            wanted = "expected a folder that can be made and written"
-            raise BadInput(f"{site.origin}: key 'recording.folder' is '{folder}': {error.strerror}; {wanted}") from None
+            what = "a folder" if value == folder else "a file in a folder"
+            raise BadInput(f"{site.origin}: key '{key}' is '{value}': {error.strerror}; expected {what} that can be made and written") from None
 
 
 def _teller(what: str) -> Callable[[str], None]:

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from afdsvc.app.explain import ExplainOptions, load_library, model_of, traces
+from afdsvc.app.explain import ExplainOptions, load_library, traces
 from afdsvc.errors import BadInput
 from afdsvc.explain.pipeline import explain
+from afdsvc.files.model.model_file import read_model
 from afdsvc.trial.pages import markdown, page, summary
 from afdsvc.trial.plan import FIELD, MIX, Request, field_plan, plan
 from afdsvc.trial.study import Result, study, write_only
@@ -87,7 +88,7 @@ def from_files(model: Path, recordings: Sequence[Path], holdout: Path) -> Mappin
     """Return the document of ``explain --json`` for the files of a trial, without a next experiment: nothing but files is
     handed over."""
     options = ExplainOptions(jobs=1, allow_code=True)  # the code of a nominal model comes from the generator
-    nominal = model_of(model, options)
+    nominal = read_model(model, options.allow_code)
     train, held = (traces(paths, nominal, options) for paths in (recordings, [holdout]))
     return explain(nominal, train, held, load_library(), experiment=False).json(None, None)
 

@@ -14,26 +14,33 @@ from typing import Annotated
 import typer
 
 from afdsvc import __version__
-from afdsvc.cli import plugins, running
+from afdsvc.cli import plugins, running, site
+from afdsvc.cli.interrupt import INTERRUPTED, end_in_order, end_on_interrupt, leave
 from afdsvc.cli.options import Json, MachineOption, MappingOption, SiteFile, show
 from afdsvc.errors import AfdsvcError, BadInput
 
 app = typer.Typer(
-    name="afdsvc", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
+    name="afdsvc", no_args_is_help=True, pretty_exceptions_enable=False,
     help="Active fault diagnosis for closed-loop machines, and why a model disagrees with its recordings.",
 )  # fmt: skip
 app.add_typer(running.app)
 app.add_typer(plugins.app, name="plugins")
+app.add_typer(site.app, name="site")
 
 
 def main() -> None:
     """Run the command line: exit 0 done, 2 bad input or usage (one sentence), 1 unexpected failure."""
+    end_on_interrupt()
     try:
         app()
     except AfdsvcError as error:
         sys.exit(_fail(str(error), 2))
     except KeyboardInterrupt:
-        sys.exit(130)
+        leave()
+    except SystemExit as end:
+        if end.code == INTERRUPTED:  # typer's word for it
+            leave()
+        raise
     except BrokenPipeError:
         sys.exit(1)
     except Exception as error:
@@ -49,6 +56,7 @@ def _fail(sentence: str, code: int) -> int:
 def _stop_on_signals() -> threading.Event:
     """Return an event that SIGTERM and SIGINT set, so that every `with` block is left in order."""
     stop = threading.Event()
+    end_in_order()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     return stop
@@ -146,12 +154,20 @@ def _leave() -> None:
 
 
 @app.command()
-def certificates(site: SiteFile, as_json: Json = False) -> None:
-    """Make the private authority and certificates of a secured site: service, rigs, operators, viewers; what is there is kept."""
+def certificates(
+    site: SiteFile,
+    renew: Annotated[bool, typer.Option("--renew", help="Replace certificates that end within 30 days.")] = False,
+    revoke: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Void the certificate of a person or rig and make a new one; may be repeated.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Make the private authority and certificates of a secured site: service, rigs, operators, viewers; what is there is kept.
+
+    Certificates last a year. A running service takes up renewed and revoked ones by itself.
+    """
     from afdsvc.files.site import read_site
     from afdsvc.transport.certificates import make_certificates
 
-    made = [str(path) for path in make_certificates(read_site(site))]
+    made = [str(path) for path in make_certificates(read_site(site), renew=renew, revoke=revoke or [])]
     show(as_json, {"made": made}, lambda: print("\n".join(made) or "everything is there already"))
 
 
@@ -169,7 +185,7 @@ def diagnose(
 ) -> None:
     """Run the detectors over recordings: the same code and the same evidence as live."""
     from afdsvc.app.diagnose import diagnose_recordings
-    from afdsvc.files.tables.loading import Naming
+    from afdsvc.files.open import Naming
     from afdsvc.present.terminal import diagnosis_table
 
     document = diagnose_recordings(recordings, model, calibrate, calibrate_on, detector or [], Naming.of(mapping), allow_code)
@@ -197,6 +213,49 @@ def design(
 
 
 @app.command()
+def init(
+    recording: Annotated[Path, typer.Argument(metavar="TABLE", help="A table whose columns say what they are: speed_rpm, voltage_V, t_ms.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder of the files (default: that of the table).")] = None,
+    inputs: Annotated[list[str] | None, typer.Option("--input", metavar="COLUMN", help="A column that is an input; may be repeated.")] = None,
+    outputs: Annotated[list[str] | None, typer.Option("--output", metavar="COLUMN", help="A column that is an output; may be repeated.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Write a first MODEL.toml and a mapping file from a recording's columns."""
+    from afdsvc.app.init import init_files
+    from afdsvc.present.terminal import init_table
+
+    document = init_files(recording, out, inputs or [], outputs or [], overwrite)
+    show(as_json, document, lambda: init_table(document))
+
+
+@app.command()
+def check(
+    model: Annotated[Path, typer.Argument(metavar="MODEL.toml", help="The model (MODEL.toml), or a recording that carries it.")],
+    recordings: Annotated[list[Path] | None, typer.Argument(metavar="RECORDING...", help="MCAP recordings or tables.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE.html", help="Where the page goes.")] = None,
+    column: Annotated[list[str] | None, typer.Option("--map", metavar="COLUMN=u_name", help="Name a foreign column.")] = None,
+    mapping: MappingOption = None,
+    machine: MachineOption = None,
+    allow_code: Annotated[bool, typer.Option("--allow-code", help="Permit the model's Python simulator to run.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Compare a model with recordings before anything is fitted: units, clocks, excitation, what can be tried and what cannot.
+
+    Ends with exit code 2 where model and recordings do not fit together.
+    """
+    from afdsvc.app.check import check_files
+    from afdsvc.app.explain import ExplainOptions
+    from afdsvc.present.terminal import show_check
+
+    options = ExplainOptions(None, _mapping(column or []), allow_code, machine=machine, mapping_file=mapping)
+    result, document = check_files(model, recordings or [], options, out)
+    show(as_json, document, lambda: show_check(result, document))
+    if result.verdict == "refused":
+        raise typer.Exit(2)
+
+
+@app.command()
 def identify(
     model: Annotated[Path, typer.Argument(metavar="MODEL.toml", help="The nominal model (MODEL.toml).")],
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="MCAP recordings or tables.")],
@@ -218,7 +277,7 @@ def identify(
 ) -> None:
     """Identify the plant from recordings made in closed loop, and judge it on data not used."""
     from afdsvc.app.identify import identify_files
-    from afdsvc.files.tables.loading import Naming
+    from afdsvc.files.open import Naming
     from afdsvc.present.terminal import identify_table
 
     options = {

@@ -32,7 +32,7 @@ def plugins_new(
     as_json: Json = False,
 ) -> None:
     """Write a new plugin as a package that installs, conforms and works."""
-    from afdsvc.scaffold.write import write_plugin
+    from afdsvc.testing.plugin_package import write_plugin
 
     files = [str(path) for path in write_plugin(kind, name, out)]
     said = [*files, f"next: pip install -e '{out / name}[test]' && afdsvc plugins check {name}"]
@@ -46,7 +46,7 @@ def plugins_check(
 ) -> None:
     """Run the conformance suite on everything a plugin offers; exit 2 when something does not hold."""
     from afdsvc.present.terminal import check_table
-    from afdsvc.scaffold.examine import examine_package
+    from afdsvc.testing.plugin_package import examine_package
 
     rows = examine_package(package)
     show(as_json, {"checks": rows}, lambda: check_table(rows))

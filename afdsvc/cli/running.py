@@ -141,6 +141,26 @@ def pause(
 
 
 @app.command()
+def audit(
+    site: SiteOption = HERE,
+    file: Annotated[Path | None, typer.Option(help="A copy of the log instead of the site's own.")] = None,
+    expect: Annotated[str, typer.Option(metavar="HASH", help="The hash of a line noted earlier, which must still be there.")] = "",
+    last: Annotated[int, typer.Option(help="Show so many of the newest lines.")] = 20,
+    as_json: Json = False,
+) -> None:
+    """Check the audit log, who asked the service for what, and show its end: a line that was changed or removed is named."""
+    from afdsvc.app.serve import audit_file
+    from afdsvc.files.site import read_site
+    from afdsvc.present.terminal import audit_table
+    from afdsvc.service.audit_log import check
+
+    path = file or audit_file(read_site(site))
+    found = check(path, expect)
+    value = {"file": str(path), "lines": found.number, "hash": found.hash, "entries": list(found.entries[-last:] if last > 0 else ())}
+    show(as_json, value, lambda: audit_table(value))
+
+
+@app.command()
 def resume(machine: MachineOption = None, site: SiteOption = HERE, as_json: Json = False) -> None:
     """Play bursts again."""
     found = _ask(site, "resume", machine=machine)

@@ -5,13 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
+
+from afdsvc.present.text_plot import LEGEND, close_up, text_plot
+
+if TYPE_CHECKING:
+    from afdsvc.explain.check.result import CheckResult
 
 OUT = Console(markup=False, emoji=False)  # names and paths may hold brackets and colons
 ERR = Console(stderr=True, markup=False, emoji=False)
@@ -31,12 +36,12 @@ def progress(what: str, total: float) -> Iterator[Callable[[float | None], None]
         yield lambda done: bar.update(task, completed=done)
 
 
-def percent(severity: dict[str, float] | None) -> str:
+def _percent(severity: dict[str, float] | None) -> str:
     """Return a severity with its standard error in percent."""
     return "" if severity is None else f"{100 * severity['value']:+.1f} ± {100 * severity['sd']:.1f} %"
 
 
-def number(value: float | None) -> str:
+def _number(value: float | None) -> str:
     """Return a number in three digits; what is not finite is a dash."""
     return "-" if value is None else f"{value:.3g}"
 
@@ -62,7 +67,7 @@ def demo_table(document: dict[str, Any]) -> None:
         table.add_row("injected", "none", "", "")
     found = verdict["fault"] or ("a fault, not isolated" if verdict["first_detected_s"] is not None else "none")
     first = verdict["first_detected_s"]
-    table.add_row("found", found, percent(verdict["severity"]), "" if first is None else f"decided at {first:.1f} s")
+    table.add_row("found", found, _percent(verdict["severity"]), "" if first is None else f"decided at {first:.1f} s")
     OUT.print(table)
     _weights(verdict["weights"])
     OUT.print(f"recording  {document['recording']}", soft_wrap=True)
@@ -85,11 +90,11 @@ def diagnosis_table(document: dict[str, Any]) -> None:
                 table.add_row(
                     f"{burst['start_s']:.2f} s",
                     d["detector"],
-                    number(d["statistic"]),
-                    number(d["threshold"]),
+                    _number(d["statistic"]),
+                    _number(d["threshold"]),
                     decision,
                     d["fault"] or "",
-                    percent(d["severity"]),
+                    _percent(d["severity"]),
                 )
         if recording["bursts"]:
             OUT.print(table)
@@ -100,7 +105,7 @@ def diagnosis_table(document: dict[str, Any]) -> None:
             OUT.print(f"note: {remark}", soft_wrap=True)
         verdict = recording["verdict"]
         words = verdict["fault"] or ("a fault, not isolated" if verdict["first_detected_s"] is not None else "no fault")
-        OUT.print(f"verdict: {words} {percent(verdict['severity'])} {verdict.get('reason', '')}")
+        OUT.print(f"verdict: {words} {_percent(verdict['severity'])} {verdict.get('reason', '')}")
         _weights(verdict["weights"])
 
 
@@ -164,6 +169,8 @@ def status_table(status: dict[str, Any]) -> None:
         row = (m["machine"], m["state"], "\n".join(map(_briefly, calling)) or "none", _burst(m), _samples(m))
         table.add_row(*row, style=style)
     OUT.print(table)
+    if waits := status.get("longest_waits"):
+        OUT.print("longest waits " + ", ".join(f"{what} {seconds:.2f} s" for what, seconds in sorted(waits.items())), soft_wrap=True)
     for m in status["machines"]:
         if m["reason"]:
             OUT.print(f"{m['machine']}: {m['reason']}", soft_wrap=True)
@@ -176,7 +183,7 @@ def status_table(status: dict[str, Any]) -> None:
 
 def _briefly(alarm: dict[str, Any]) -> str:
     seen = "" if not alarm["acknowledged"] else f" (acknowledged by {alarm['acknowledged_by']})"
-    return f"{alarm['fault']} {percent(alarm['severity'])}{seen}"
+    return f"{alarm['fault']} {_percent(alarm['severity'])}{seen}"
 
 
 def _burst(m: dict[str, Any]) -> str:
@@ -189,24 +196,35 @@ def _samples(m: dict[str, Any]) -> str:
     return f"{m['blocks']} blocks{lost}{late}; head-room {100 * m['head_room']:.0f} %"
 
 
+def audit_table(audit: dict[str, Any]) -> None:
+    """Show who asked for what, and that nothing is missing."""
+    table = _table("", "line", "when", "who", "what", "outcome")
+    for e in audit["entries"]:
+        when = datetime.fromtimestamp(e["time_ns"] / 1e9).strftime("%Y-%m-%d %H:%M:%S")
+        said = " ".join(f"{k}={v}" for k, v in e["arguments"].items() if v not in (None, ""))
+        table.add_row(str(e["number"]), when, e["who"], f"{e['what']} {said}".strip(), e["outcome"])
+    OUT.print(table)
+    OUT.print(f"{audit['file']}: {audit['lines']} lines, unbroken; the last has the hash {audit['hash']}", soft_wrap=True)
+
+
 def alarm_table(alarms: list[dict[str, Any]]) -> None:
     """Show the alarms: those that need attention first, then shelved and ended ones."""
     table = _table("Alarms", "id", "state", "since", "severity", "count")
     by_urgency = sorted(alarms, key=lambda a: (not a["active"], bool(a["cause"]), -a["since_ns"]))
     for a in by_urgency:
         style = "bold red" if a["active"] and not (a["acknowledged"] or a["suppressed"] or a["shelved_until_ns"]) else ""
-        table.add_row(a["id"], alarm_state(a).partition(",")[0], moment(a["since_ns"]), percent(a["severity"]), str(a["count"]), style=style)
+        table.add_row(a["id"], _alarm_state(a).partition(",")[0], _moment(a["since_ns"]), _percent(a["severity"]), str(a["count"]), style=style)
     OUT.print(table)
     for a in by_urgency:
         people = ", ".join(f"{what} by {a[by]}" for what, by in PEOPLE if a[by])
         said = (f"{a['suppressed'] or a['sentence']}", a["comment"], people)
-        OUT.print(f"{a['id']} ({a['kind']}, {alarm_state(a)}): {'; '.join(filter(None, said))}", soft_wrap=True)
+        OUT.print(f"{a['id']} ({a['kind']}, {_alarm_state(a)}): {'; '.join(filter(None, said))}", soft_wrap=True)
 
 
 PEOPLE = (("acknowledged", "acknowledged_by"), ("confirmed", "confirmed_by"), ("shelved", "shelved_by"))
 
 
-def alarm_state(a: dict[str, Any]) -> str:
+def _alarm_state(a: dict[str, Any]) -> str:
     """Return how an alarm stands, in the words of OPC UA Part 9."""
     words = ["active" if a["active"] else "latched" if a["latched"] else "inactive"]
     words += ["acknowledged" if a["acknowledged"] else "unacknowledged"] if a["kind"] != "notice" else []
@@ -214,7 +232,7 @@ def alarm_state(a: dict[str, Any]) -> str:
     return ", ".join(words)
 
 
-def moment(t_ns: int) -> str:
+def _moment(t_ns: int) -> str:
     """Return a time as people read it, in this computer's time zone."""
     return datetime.fromtimestamp(t_ns / 1e9).astimezone().strftime("%Y-%m-%d %H:%M:%S")
 
@@ -223,7 +241,7 @@ def history_table(changes: list[dict[str, Any]]) -> None:
     """Show what happened to alarms, oldest first."""
     table = _table("What happened to alarms", "when", "alarm", "event", "by", "why")
     for c in changes:
-        table.add_row(moment(c["t_ns"]), c["alarm"]["id"], c["event"], c["who"] or "the service", c["why"])
+        table.add_row(_moment(c["t_ns"]), c["alarm"]["id"], c["event"], c["who"] or "the service", c["why"])
     OUT.print(table)
 
 
@@ -255,9 +273,70 @@ def explain_table(document: dict[str, Any]) -> None:
     title = f"|y - yhat| / |y - mean| on {', '.join(document['fit']['heldout'])}"
     table = _table(title, "output", "before", "after", "noise floor")
     for name, fit in document["fit"]["per_output"].items():
-        table.add_row(name, *(number(v) for v in (fit["before"]["nrmse"], fit["after"]["nrmse"], fit["noise_floor_nrmse"])))
+        table.add_row(name, *(_number(v) for v in (fit["before"]["nrmse"], fit["after"]["nrmse"], fit["noise_floor_nrmse"])))
     OUT.print(table)
     OUT.print(f"model  {document['model']}\nreport {document['report']}", soft_wrap=True)
+
+
+STYLES = {"stop": ("stops", "bold red"), "warning": ("limits", "yellow"), "ok": ("holds", "green")}
+
+
+def show_check(result: CheckResult, document: dict[str, Any]) -> None:
+    """Show the findings, worst first, a picture of every output, and what will be tried."""
+    for sentence in document["data"]:
+        OUT.print(f"note: {sentence}", soft_wrap=True)
+    for kind, (word, style) in STYLES.items():
+        for f in (f for f in result.findings if f.kind == kind):
+            OUT.print(Text(f"{word:6} ", style).append(f"{f.topic}: {f.sentence}", ""), soft_wrap=True)
+    for c in result.outputs:
+        part = close_up(c.measured, c.simulated)
+        late = f", {1e3 * c.delay:.3g} ms later" if c.delay else ""
+        unit = f" [{c.unit}]" if c.unit else ""
+        OUT.print(f"\n{c.output}{unit}, {c.t[part][0]:.4g} to {c.t[part][-1]:.4g} s, {c.how}: R2 {c.r2:.3f}, gain {c.gain:.3g}{late}", style="bold", soft_wrap=True)
+        OUT.print("\n".join([*text_plot(c.measured[part], c.simulated[part]), f"{'':10}{LEGEND}"]), no_wrap=True, overflow="crop")
+    OUT.print(f"\nidentify: {document['identify']['sentence']}", soft_wrap=True)
+    if result.outputs:
+        _offers(document["explain"])
+    OUT.print(f"report    {document['report']}", soft_wrap=True)
+
+
+def _offers(explain: dict[str, Any]) -> None:
+    axes = "; ".join(explain["axes"]) or "no state is known as a velocity, so laws of force have no place: state rate_of, or a unit such as rad/s"
+    OUT.print(f"explain:  motion: {axes}", soft_wrap=True)
+    OUT.print(f"          tries {', '.join(explain['tried'])}", soft_wrap=True)
+    lacking: dict[str, list[str]] = {}
+    for name, lacks in explain["not_tried"].items():
+        lacking.setdefault(lacks, []).append(name)
+    for lacks, names in lacking.items():
+        OUT.print(f"          not tried: {', '.join(names)} (needs {lacks})", soft_wrap=True)
+
+
+def site_table(document: dict[str, Any]) -> None:
+    """Show what every machine of a site file is, and what keeps it from starting."""
+    table = _table(f"site {document['site']}", "id", "what it is", "bursts", "starts")
+    for m in document["machines"]:
+        if m["problem"]:
+            table.add_row(m["id"], m["problem"], "", Text("no", "bold red"))
+            continue
+        sides = f"{', '.join(m['inputs'])} to {', '.join(m['outputs'])}"
+        what = f"{m['plant']}, {m['states']} states, {1 / m['sample_time']:.6g} Hz, {sides}; controller {m['controller']}, driver {m['driver']}, noise {m['noise']}"
+        table.add_row(m["id"], what, m["bursts"], Text("yes", "green"))
+    OUT.print(table)
+    for remark in document["remarks"]:
+        OUT.print(f"note: {remark}", soft_wrap=True)
+
+
+def init_table(document: dict[str, Any]) -> None:
+    """Show what each column was taken for, the first model, and what to do next."""
+    table = _table("", "column", "signal", "unit")
+    for c in document["columns"]:
+        table.add_row(c["column"], c["signal"], c["unit"] or "not stated")
+    OUT.print(table)
+    for name, fit in document["fits"].items():
+        OUT.print(f"{name}: {list(fit['num'])} / {list(fit['den'])} explains {100 * fit['r2']:.1f} % of its variance", soft_wrap=True)
+    OUT.print(f"model   {document['model']}\nmapping {document['mapping']}\nnext:", soft_wrap=True)
+    for command in document["next"]:
+        OUT.print(f"  {command}", soft_wrap=True)
 
 
 def import_table(document: dict[str, Any]) -> None:

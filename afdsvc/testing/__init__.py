@@ -1,1 +1,1 @@
-"""Shipped to plugin authors: conformance suites and fixtures."""
+"""For plugin authors: conformance suites, and new plugins as packages from templates."""

@@ -13,9 +13,8 @@ from afdsvc.api.detection import DetectionProblem, FalseAlarms
 from afdsvc.api.plant import PhysicalPlant
 from afdsvc.lti.lft import actuator_gain, augment, sensor_gain
 from afdsvc.lti.whitening import innovations, whitening_filter
+from afdsvc.plants.examples import random_stable, unstable_second_order
 from afdsvc.plants.gas_bearing import gas_bearing
-from afdsvc.plants.random_stable import random_stable
-from afdsvc.plants.unstable_second_order import unstable_second_order
 from afdsvc.plugins.controllers.lqg import Lqg
 from afdsvc.plugins.controllers.proportional import Proportional
 

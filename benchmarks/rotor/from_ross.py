@@ -14,8 +14,7 @@ import numpy as np
 
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.plants import amb_turboexpander as turbo
-from afdsvc.plants.rotor.magnetic_rotor import magnetic_rotor
-from afdsvc.plants.rotor.plant import Instrumentation, rotor_plant
+from afdsvc.plants.rotor.magnetic_rotor import Instrumentation, magnetic_rotor, rotor_plant
 from afdsvc.plants.rotor.ross import rotor_from_ross
 
 began, started = time.process_time(), time.perf_counter()

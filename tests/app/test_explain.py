@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from afdsvc.api.model import Model, Variable
-from afdsvc.app.explain import ExplainOptions, explain_files, means, model_of, traces
+from afdsvc.app.explain import ExplainOptions, explain_files, means, traces
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model, write_model
+from afdsvc.files.open import open_model
 from afdsvc.files.tables.tables import read_table
 from afdsvc.files.tables.to_recording import import_table
 from afdsvc.lti.statespace import StateSpace
@@ -176,7 +177,7 @@ def test_a_recording_of_the_service_is_explained_by_its_bursts_alone(tmp_path):
 
 
 def test_quiet_samples_between_bursts_are_left_out():
-    model = model_of(SHIPPED, ExplainOptions())
+    model = open_model(SHIPPED)[0]
     (burst,) = traces([SHIPPED], model, ExplainOptions())
     assert len(burst) * burst.dt == pytest.approx(2.6, abs=0.06)
     assert not burst.role("alpha")[: round(0.09 / burst.dt)].any()

@@ -59,6 +59,9 @@ def test_demo_names_the_fault(tmp_path: Path):
         (("diagnose", "wrong.toml"), ("wrong.toml", "MCAP")),
         (("diagnose", "table.csv"), ("table.csv", "--model")),
         (("diagnose", "table.csv", "--model", "model.toml"), ("column 'velocity' has no role",)),
+        (("explain", "table.csv", "model.toml"), ("table.csv: is a recording", "MODEL.toml")),
+        (("identify", "model.toml", "model.toml"), ("model.toml: is no recording",)),
+        (("identify", "model.toml", "other.csv"), ("no column 'u_force'", "--map u_torque=u_force")),
         (("demo", "--fault", "bearing"), ("--fault 'bearing'", "NAME=SEVERITY@SECONDS")),
         (("demo", "--fault", "a=-2@1"), ("severity -2",)),
         (("demo", "--plant", "none"), ("no plant 'none'", "gas_bearing")),
@@ -79,6 +82,8 @@ def test_bad_input_is_one_sentence(tmp_path: Path, arguments, words):
     for name, more in files.items():
         (tmp_path / name).write_text(head + machine + more)
     (tmp_path / "table.csv").write_text("t,u_force,velocity\n0,1,2\n0.1,1,2\n")
+    rows = "".join(f"{k},{k % 3},{k % 2}\n" for k in range(400))
+    (tmp_path / "other.csv").write_text(f"t,u_torque,y_q\n{rows}")
     (tmp_path / "model.toml").write_text(
         'name = "m"\ntime = "continuous"\ninputs = [{name = "force"}]\noutputs = [{name = "q"}]\n'
         "A = [[-1]]\nB = [[1]]\nC = [[1]]\nD = [[0]]\n"

@@ -18,10 +18,10 @@ from afdsvc.app.identify import identify_files
 from afdsvc.app.rig import run_rig
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model
+from afdsvc.files.open import Naming
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import read_site
 from afdsvc.files.tables.foreign import prepared
-from afdsvc.files.tables.loading import Naming
 from afdsvc.present.html.diagnose_page import diagnose_page
 
 MODEL = """

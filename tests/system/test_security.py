@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import shutil
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -15,11 +16,15 @@ from afdsvc.api.bursts import Burst, Line
 from afdsvc.app import serve
 from afdsvc.app.ask import ask_service
 from afdsvc.app.rig import run_rig
+from afdsvc.app.serve import audit_file
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, Transport, parse_site
-from afdsvc.transport.access_rules import Access, rig_name
-from afdsvc.transport.certificates import make_certificates
+from afdsvc.service.audit_log import check
+from afdsvc.service.operator_requests import ask
+from afdsvc.transport import key_watch
+from afdsvc.transport.access_rules import Access
+from afdsvc.transport.certificates import check_pair, days_left, ending, key_files, make_certificates, rig_name
 from afdsvc.transport.zenoh_session import NoPeer
 from afdsvc.transport.zenoh_session import Transport as Session
 from afdsvc.wire import codec
@@ -38,7 +43,7 @@ listen = ["tls/127.0.0.1:{port}"]
 patience_seconds = 2
 [transport.security]
 keys = "{keys}"
-operators = ["kim"]
+operators = ["kim", "lee"]
 viewers = ["panel"]
 [recording]
 folder = "recordings"
@@ -57,7 +62,7 @@ def certified(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("secured")
     made = make_certificates(site_of(1, folder))
     assert sorted(p.name for p in made if p.suffix == ".pem") == [
-        "ca.pem", "kim.pem", "panel.pem", "rig.bearing.pem", "rig.other.pem", "service.pem",
+        "ca.pem", "kim.pem", "lee.pem", "panel.pem", "rig.bearing.pem", "rig.other.pem", "service.pem",
     ]
     assert {oct(p.stat().st_mode & 0o777) for p in made if p.suffix == ".key"} == {"0o600"}
     return folder
@@ -102,6 +107,27 @@ def test_only_those_who_may_are_obeyed(free_port, certified, tmp_path):
         assert ask_service(site, "burst", "kim", machine="bearing")["burst"]
 
 
+def test_an_operator_cannot_speak_for_another_and_the_audit_log_says_who_asked(free_port, certified):
+    site = site_of(free_port, certified)
+    with running(site), Session(site.transport, False, Access("lee")) as lee:
+        with pytest.raises(AfdsvcError, match=UNHEARD):
+            ask(lambda payload: lee.ask(KEYS.command("kim"), payload, 1.0), "pause", "kim", machine="bearing")
+        with pytest.raises(AfdsvcError, match="says that 'kim' asks; it came from 'lee'"):
+            ask(lambda payload: lee.ask(KEYS.command("lee"), payload, 1.0), "pause", "kim", machine="bearing")
+        ask_service(site, "resume", "lee", machine="bearing")
+        burst = ask_service(site, "burst", "kim", machine="bearing")["burst"]
+    said = [(e["who"], e["what"], e["outcome"]) for e in check(audit_file(site)).entries]
+    began = max(i for i, (_, what, _) in enumerate(said) if what == "start")
+    assert said[began:] == [
+        ("service", "start", "done"),
+        ("lee", "pause", "the request says that 'kim' asks; it came from 'lee'"),
+        ("lee", "resume", "done"),
+        ("kim", "burst", "done"),
+        ("kim", "burst", f"burst {burst} accepted"),
+        ("service", "stop", "done"),
+    ]
+
+
 def unreadable(folder: Path, machine: str) -> int:
     """Return how often the service said that a message of the machine could not be read."""
     found = [e.data for path in folder.glob(f"{machine}-*.mcap") for e in Recording(path).messages(what="log")]
@@ -140,7 +166,7 @@ def test_strangers_and_foreign_certificates_do_not_get_in(free_port, certified, 
 
 def test_a_certificate_of_the_right_authority_but_of_nobody_listed_may_do_nothing(free_port, certified):
     site = site_of(free_port, certified)
-    security = site.transport.security.model_copy(update={"operators": ["kim", "mallory"]})
+    security = site.transport.security.model_copy(update={"operators": ["kim", "lee", "mallory"]})
     more = site.model_copy(update={"transport": site.transport.model_copy(update={"security": security})})
     make_certificates(more)
     with running(site):
@@ -148,6 +174,71 @@ def test_a_certificate_of_the_right_authority_but_of_nobody_listed_may_do_nothin
             ask_service(site, "status", "mallory")
         with pytest.raises(AfdsvcError, match=UNHEARD):
             ask_service(site, "burst", "mallory", machine="bearing")
+
+
+def test_certificates_are_renewed_and_revoked_without_a_restart(free_port, tmp_path, monkeypatch):
+    """A thief has kim's key: it is revoked while the service runs, kim's new one obeyed, and no sample counted twice."""
+    site = site_of(free_port, tmp_path)
+    make_certificates(site, days=20)
+    keys, stolen = tmp_path / "keys", tmp_path / "stolen"
+    shutil.copytree(keys, stolen)
+    thief = site_of(free_port, tmp_path, "stolen")
+    monkeypatch.setattr(key_watch, "LOOK_SECONDS", 0.2)
+    with running(site) as hub:
+        ask_service(thief, "pause", "kim", machine="bearing")
+        renewed = {p.name for p in make_certificates(site, renew=True) if p.suffix == ".pem"}
+        assert renewed == {"service.pem", "rig.bearing.pem", "rig.other.pem", "kim.pem", "lee.pem", "panel.pem"}
+        until(lambda: said(site, "new keys are taken up"))
+        until(lambda: ask_service(site, "status", "kim")["machines"][0]["state"] == "running")
+        ask_service(thief, "pause", "kim", machine="bearing")  # renewed is not revoked
+        make_certificates(site, revoke=["kim"])
+        until(lambda: said(site, "revoked certificates"))
+        until(lambda: ask_service(site, "resume", "kim", machine="bearing"))
+        with pytest.raises(AfdsvcError, match=UNHEARD):
+            ask_service(thief, "pause", "kim", machine="bearing")
+        make_certificates(site, revoke=[rig_name("bearing")])  # the rig reads its new one when it connects again
+        until(lambda: said(site, "revoked certificates", 2))
+        blocks = hub.watches["bearing"].blocks
+        until(lambda: hub.watches["bearing"].blocks > blocks + 40)
+        with Session(thief.transport, False, Access(rig_name("bearing"))) as pirate:
+            pirate.publish(KEYS.block("bearing"), b"not even a block")
+            time.sleep(1.0)
+    recording = Recording(next((tmp_path / "recordings").glob("bearing-*.mcap")))
+    starts = [block.k0 for block in recording.blocks()]
+    assert starts == sorted(set(starts))
+    assert unreadable(tmp_path / "recordings", "bearing") == 0
+    assert make_certificates(site, renew=True) == []
+
+
+def said(site: Site, words: str, times: int = 1) -> bool:
+    return sum(words in e["what"] for e in check(audit_file(site)).entries) >= times
+
+
+def until(condition, seconds: float = 30.0) -> None:
+    deadline = time.monotonic() + seconds
+    while True:
+        with suppress(AfdsvcError):
+            if condition():
+                return
+        assert time.monotonic() < deadline, "it never happened"
+        time.sleep(0.1)
+
+
+def test_half_of_a_new_pair_is_not_taken_up(tmp_path, certified):
+    shutil.copytree(certified / "keys", tmp_path / "keys")
+    shutil.copy(tmp_path / "keys" / "kim.key", tmp_path / "keys" / "service.key")
+    with pytest.raises(BadInput, match=r"service.pem: cannot be used with service.key"):
+        check_pair(key_files(site_of(1, tmp_path).transport.security, "service"))
+
+
+def test_a_certificate_that_ends_soon_is_reported(tmp_path):
+    site = site_of(1, tmp_path)
+    make_certificates(site, days=20)
+    assert ending(site.transport.security)[0].endswith("kim.pem: ends in 20 days; 'afdsvc certificates SITE.toml --renew' makes a new one")
+    assert len(ending(site.transport.security)) == 6
+    make_certificates(site, renew=True)
+    assert ending(site.transport.security) == []
+    assert 364 < days_left(tmp_path / "keys" / "kim.pem") < 366
 
 
 def test_what_is_there_is_kept_and_the_authority_key_is_needed_for_more(certified):

@@ -89,7 +89,7 @@ bursts = {every_seconds = 3.5, first_after_seconds = 0.5, seconds = 2.0}"""
     assert recording.loss == ""
     bursts = [r.burst for r in recording.requests("bearing")]
     plugins = load()
-    machine_ = diagnose._machine_of(recording, "bearing", None, None, plugins)
+    machine_ = diagnose._machine_of(recording, "bearing", list(recording.blocks("bearing")), None, None, plugins)
     again = diagnose.evidence_of(machine_, recording.blocks("bearing"), bursts, plugins)
     assert [f.evidence for f in recording.findings("bearing")] == live
     assert again.evidence == live

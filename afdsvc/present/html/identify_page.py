@@ -22,7 +22,7 @@ def identify_page(result: IdentifyResult, model_path: str | None = None, data: S
     the recordings."""
     figures = [
         ("Frequency response", "Identified plant with its 95 % band, the model it started from, and the plant before its "
-         "order was reduced where that was done.", _bode(result)),
+         "order was reduced where that was done.", _svg(bode(result))),
         ("On a recording not used", "Measured output and the predictions of both models.", _time(result)),
         ("Order", result.fit.order_reason or "The structure fixes the order.", _singular_values(result)),
         ("Residuals", "Correlations of the residual on held-out recordings; dashed lines contain 95 % of them when it is white and independent "
@@ -35,7 +35,8 @@ def identify_page(result: IdentifyResult, model_path: str | None = None, data: S
     )
 
 
-def _bode(result: IdentifyResult) -> str:
+def bode(result: IdentifyResult, nominal_given: bool = True) -> Figure:
+    """Return the magnitude of the frequency response with its 95 % band, beside the model it started from where one was given."""
     band = result.fit.band or _bare(result)
     outputs, inputs = band.value.shape[1:]
     figure, axes = _axes(outputs, inputs, 2.6)
@@ -47,7 +48,8 @@ def _bode(result: IdentifyResult) -> str:
         i, j = divmod(n, inputs)
         value = np.abs(band.value[:, i, j])
         ax.fill_between(hz, np.maximum(low[:, i, j], value * 1e-3), high[:, i, j], color=AFTER, alpha=0.25, lw=0)
-        ax.loglog(hz, nominal[:, i, j], color=BEFORE, label="before", lw=1.2)
+        if nominal_given:
+            ax.loglog(hz, nominal[:, i, j], color=BEFORE, label="before", lw=1.2)
         if full is not None:
             ax.loglog(hz, full[:, i, j], color=FULL, label="before reduction", lw=0.8, ls=":")
         ax.loglog(hz, value, color=AFTER, label="identified", lw=1.3)
@@ -56,7 +58,7 @@ def _bode(result: IdentifyResult) -> str:
         units = [side[at].unit or "1" for side, at in ((result.model.outputs, i), (result.model.inputs, j))]
         ax.set_ylabel(f"magnitude [{' / '.join(units)}]", fontsize=8)
     axes[0].legend(fontsize=7, frameon=False)
-    return _svg(figure)
+    return figure
 
 
 def _bare(result: IdentifyResult) -> ResponseBand:

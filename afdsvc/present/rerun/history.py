@@ -12,11 +12,11 @@ import rerun.blueprint as rrb
 from afdsvc.api.evidence import Evidence
 from afdsvc.diagnosis.verdict import alarms, strongest
 from afdsvc.errors import BadInput
-from afdsvc.files.recording import topics
-from afdsvc.files.recording.index import messages_on
+from afdsvc.files.recording import mcap_file
+from afdsvc.files.recording.reader import messages_on
 from afdsvc.present.rerun import paths
 from afdsvc.present.rerun.blueprint import whole_range
-from afdsvc.present.rerun.columns import Columns
+from afdsvc.present.rerun.paths import Columns
 from afdsvc.wire import codec
 from afdsvc.wire.messages import Finding
 
@@ -31,7 +31,7 @@ def severities(recordings: Iterable[Path]) -> dict[str, list[Told]]:
     """
     bursts: dict[tuple[str, str], list[Finding]] = {}
     for path in recordings:
-        for data in messages_on(path, topics.FINDING):
+        for data in messages_on(path, mcap_file.FINDING):
             finding = codec.decode_finding(data)
             if finding.evidence.burst:
                 bursts.setdefault((finding.evidence.machine, finding.session + finding.evidence.burst), []).append(finding)

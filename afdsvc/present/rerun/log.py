@@ -11,12 +11,11 @@ import rerun as rr
 
 from afdsvc.api.signals import Block
 from afdsvc.errors import BadInput
-from afdsvc.files.recording.foxglove_log import Level
-from afdsvc.files.recording.sentences import DecisionLog, event_sentence, evidence_sentence
+from afdsvc.files.recording.foxglove import DecisionLog, Level, event_sentence, evidence_sentence
 from afdsvc.present.rerun import paths
 from afdsvc.present.rerun.blueprint import MachineLayout, blueprint
-from afdsvc.present.rerun.columns import at
 from afdsvc.present.rerun.machine import MachineReview
+from afdsvc.present.rerun.paths import at
 from afdsvc.present.rerun.plane import Plane, log_planes, reach
 from afdsvc.present.rerun.signals import Groups, as_residual, by_group
 from afdsvc.wire.messages import EventKind, Finding, RigEvent
@@ -49,7 +48,7 @@ class ReviewLog:
         self._recording = rr.RecordingStream(paths.APPLICATION, recording_id=str(uuid.uuid4()))
         _connect(self._recording, file, live)
         self._recording.send_recording_name(file.stem if file else "live")
-        warm_up()
+        _warm_up()
 
     def block(self, block: Block) -> None:
         """Take samples."""
@@ -144,7 +143,7 @@ class ReviewLog:
             self.flush()
 
 
-def warm_up() -> None:
+def _warm_up() -> None:
     """Do what the first logging call would do (it takes up to a second), on a recording that is thrown away."""
     aside = rr.RecordingStream(f"{paths.APPLICATION} warm-up")
     memory = aside.memory_recording()

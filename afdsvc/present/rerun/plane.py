@@ -10,7 +10,7 @@ import rerun as rr
 
 from afdsvc.lti.statespace import Array
 from afdsvc.present.rerun import paths
-from afdsvc.present.rerun.columns import at
+from afdsvc.present.rerun.paths import at
 
 SEEN = 0.05  # share of the plane below which a curve is a dot at the origin
 

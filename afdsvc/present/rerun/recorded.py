@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from afdsvc.errors import BadInput
-from afdsvc.files.recording import topics
-from afdsvc.files.recording.foxglove_log import Level, decode_log
+from afdsvc.files.recording import mcap_file
+from afdsvc.files.recording.foxglove import Level, decode_log
 from afdsvc.files.recording.reader import Entry, Recording
 from afdsvc.present.rerun.log import LOOPBACK, QUIET_HERTZ, ReviewLog
 from afdsvc.present.rerun.plane import Plane
@@ -44,7 +44,7 @@ def review_recordings(
             raise BadInput(f"{recording.path}: holds no samples of any machine; {', '.join(recording.counts) or 'nothing'} is in it")
     name = opened[0].path.stem + (f"-and-{len(opened) - 1}" if len(opened) > 1 else "")
     target = Path(save) if save else Path(tempfile.mkdtemp(prefix="afdsvc-review-")) / f"{name}.rrd"
-    told = all(any(topics.parts(name)[1] == topics.LOG for name in recording.counts) for recording in opened)
+    told = all(any(mcap_file.parts(name)[1] == mcap_file.LOG for name in recording.counts) for recording in opened)
     log = ReviewLog(target, batch_seconds=5.0, quiet_hertz=0.0 if every_sample else QUIET_HERTZ, tell=not told)
     for recording, label in zip(opened, _labels(opened), strict=True):
         if len(opened) > 1:
@@ -95,18 +95,18 @@ def _extremes(recording: Recording, machine: str) -> dict[str, tuple[float, floa
 
 def _show(log: ReviewLog, entry: Entry) -> None:
     """Pass a message on; one that cannot be decoded is noted in the event log of its machine."""
-    machine, what = topics.parts(entry.topic)
+    machine, what = mcap_file.parts(entry.topic)
     try:
         match what:
-            case topics.BLOCK:
+            case mcap_file.BLOCK:
                 log.block(codec.decode_block(entry.data))
-            case topics.RESIDUAL:
+            case mcap_file.RESIDUAL:
                 log.residual(codec.decode_block(entry.data))
-            case topics.EVENT:
+            case mcap_file.EVENT:
                 log.event(codec.decode_event(entry.data))
-            case topics.FINDING:
+            case mcap_file.FINDING:
                 log.finding(codec.decode_finding(entry.data))
-            case topics.LOG:
+            case mcap_file.LOG:
                 log.note(*decode_log(entry.data))
     except BadInput as error:
         log.note(entry.t_ns, Level.WARNING, f"a message cannot be read: {error}", machine)

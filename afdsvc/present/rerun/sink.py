@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from afdsvc.api.signals import Block, residual_block
-from afdsvc.files.recording.foxglove_log import Level
+from afdsvc.files.recording.foxglove import Level
 from afdsvc.lti.statespace import Array
 from afdsvc.present.rerun.log import ReviewLog
 from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RigEvent

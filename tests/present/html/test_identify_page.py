@@ -8,7 +8,7 @@ import pytest
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.identify import IdentifyOptions, identify
-from afdsvc.lti.factorise import factorise
+from afdsvc.lti.python_control import factorise
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.yjbk import closed_loop

@@ -9,7 +9,7 @@ import pytest
 
 from afdsvc.api.evidence import Severity
 from afdsvc.errors import BadInput
-from afdsvc.files.recording.index import messages_on
+from afdsvc.files.recording.reader import messages_on
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.present.rerun.history import review_history, severities
 from afdsvc.wire.codec import encode_block, encode_finding

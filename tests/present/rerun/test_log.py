@@ -15,7 +15,7 @@ from rerun.error_utils import RerunWarning
 
 from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput
-from afdsvc.files.recording.foxglove_log import Level
+from afdsvc.files.recording.foxglove import Level
 from afdsvc.present.rerun import paths
 from afdsvc.present.rerun.blueprint import blueprint
 from afdsvc.present.rerun.log import ReviewLog

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from afdsvc.scaffold.write import write_plugin
 from afdsvc.testing.conformance import checks
+from afdsvc.testing.plugin_package import write_plugin
 
 PAGES = Path(__file__).parents[2] / "docs" / "tutorial"
 PRINTED = {

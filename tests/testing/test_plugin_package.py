@@ -9,8 +9,7 @@ import pytest
 
 from afdsvc.errors import BadInput
 from afdsvc.plugins.manager import load
-from afdsvc.scaffold.examine import examine_package
-from afdsvc.scaffold.write import KINDS, write_plugin
+from afdsvc.testing.plugin_package import KINDS, examine_package, write_plugin
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,1 +1,0 @@
-"""A new plugin as a package that installs, conforms and can be read in one go."""

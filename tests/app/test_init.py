@@ -1,0 +1,97 @@
+"""`afdsvc init` and `afdsvc site check`: first files from a log, and what a site file makes of its machines."""
+
+from __future__ import annotations
+
+import json
+import re
+import runpy
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from afdsvc.app.init import init_files
+from afdsvc.app.site_check import check_site
+from afdsvc.cli import app
+from afdsvc.errors import BadInput
+from afdsvc.files.model.model_file import read_model
+from afdsvc.files.tables.mapping import read_mapping
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("motor")
+    subprocess.run([sys.executable, str(ROOT / "examples" / "motor_recording.py")], cwd=folder, check=True, capture_output=True)
+    return folder
+
+
+def test_a_log_of_a_motor(logs: Path, tmp_path: Path):
+    """The recorded motor: 115 rpm/V, 0.08 s, and 0.8 V of friction, which makes both numbers look smaller."""
+    document = init_files(logs / "motor.csv", tmp_path)
+    model, mapping = read_model(document["model"]), read_mapping(document["mapping"])
+    assert [(v.name, v.unit) for v in (*model.inputs, *model.outputs)] == [("voltage", "V"), ("speed", "rpm")]
+    assert model.states[0].unit == "rpm"
+    assert mapping.signals["y_speed"].place == "speed_rpm"
+    assert 80 < document["fits"]["speed"]["num"][0] < 115
+    assert 0.05 < document["fits"]["speed"]["den"][0] < 0.08
+    with pytest.raises(BadInput, match=r"MODEL\.toml: is there already"):
+        init_files(logs / "motor.csv", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("header", "options", "words"),
+    [
+        ("t,alpha1,beta1", {}, ["is an input", "--input COLUMN", "alpha1, beta1"]),
+        ("t,voltage_V,thing", {}, ["is an output", "--output COLUMN"]),
+        ("t,voltage_V,thing", {"outputs": ["stuff"]}, ["no column 'stuff'", "voltage_V, thing"]),
+    ],
+)
+def test_columns_that_do_not_say_what_they_are(tmp_path: Path, header, options, words):
+    (tmp_path / "log.csv").write_text(header + "\n" + "".join(f"{k},{k % 7},{k % 5}\n" for k in range(100)))
+    with pytest.raises(BadInput) as error:
+        init_files(tmp_path / "log.csv", **options)
+    assert all(word in str(error.value) for word in words), str(error.value)
+    assert not (tmp_path / "MODEL.toml").exists()
+
+
+def test_roles_from_the_command_line(tmp_path: Path):
+    (tmp_path / "log.csv").write_text("t,a,b\n" + "".join(f"{k / 10},{(k // 9) % 2},{(k // 9) % 2 + k % 3 / 10}\n" for k in range(300)))
+    done = CliRunner().invoke(app, ["init", str(tmp_path / "log.csv"), "--input", "a", "--output", "b", "--json"])
+    assert done.exit_code == 0, done.output
+    assert [c["signal"] for c in json.loads(done.stdout)["columns"]] == ["u_a", "y_b"]
+
+
+def test_the_tutorial_from_a_log_to_a_law(logs: Path):
+    """Its commands as they are printed, after installation: the law is named, its figure is that of the motor."""
+    page = (ROOT / "docs" / "tutorial" / "from-a-log-to-a-law.md").read_text(encoding="utf-8")
+    commands = [line for block in re.findall(r"^```sh\n(.*?)^```", page, re.MULTILINE | re.DOTALL) for line in block.splitlines()]
+    own = [shlex.split(line)[1:] for line in commands if line.startswith("afdsvc ")]
+    assert len(commands) <= 6
+    for arguments in own:
+        done = subprocess.run([sys.executable, "-m", "afdsvc", *arguments, *(["--json"] if arguments[0] == "explain" else [])], cwd=logs, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert answer["verdict"] == "omitted_physics"
+    assert answer["named"][0]["physics"] == "coulomb_friction"
+    force = answer["named"][0]["parameters"]["force"]
+    assert force["value"] == pytest.approx(runpy.run_path(str(ROOT / "examples" / "motor_recording.py"))["FRICTION"], rel=0.05)
+    assert force["unit"] == "V"
+
+
+def test_a_site_is_checked_machine_by_machine(tmp_path: Path):
+    machine = '[[machines]]\nid = "{}"\nplant = "gas_bearing"\n{}'
+    wrong = 'controller = {kind = "proportional", settings = {gain = 5.0}}\n'
+    (tmp_path / "site.toml").write_text('site = "hall"\n' + machine.format("good", "") + machine.format("bad", wrong))
+    document = check_site(tmp_path / "site.toml")
+    good, bad = document["machines"]
+    assert (good["problem"], good["bursts"], good["sample_time"]) == ("", "on request", 0.0002)
+    assert "does not stabilise the plant" in bad["problem"]
+    assert "transport.security" in document["remarks"][0]
+    done = CliRunner().invoke(app, ["site", "check", str(tmp_path / "site.toml")])
+    assert done.exit_code == 2
+    assert "starts" in done.output

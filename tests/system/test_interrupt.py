@@ -1,0 +1,56 @@
+"""Ctrl-C: the command ends by itself or is ended, and nothing half-written stays."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+STUCK = """
+    import sys, time, os
+    from pathlib import Path
+    from afdsvc.cli.interrupt import end_on_interrupt
+    from afdsvc.files.unfinished import writing
+
+    end_on_interrupt()
+    folder = Path(sys.argv[1])
+    with writing(folder, folder / "half.txt"):
+        folder.mkdir()
+        (folder / "half.txt").write_text("half")
+        print("ready", flush=True)
+        while True:
+            try:
+                time.sleep(0.05)
+            except KeyboardInterrupt:
+                if sys.argv[2] == "hears":
+                    raise
+"""
+
+
+@pytest.mark.parametrize("command", ["hears", "hears nothing"])
+def test_what_is_being_written_is_removed(tmp_path: Path, command: str):
+    """The second swallows the interruption, as compiled code and libraries with threads do."""
+    script = tmp_path / "stuck.py"
+    script.write_text(textwrap.dedent(STUCK))
+    process = subprocess.Popen([sys.executable, str(script), str(tmp_path / "out"), command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode in (130, -signal.SIGINT)
+    assert ("afdsvc: interrupted" in errors) == (command == "hears nothing")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_failure_removes_what_is_new_and_keeps_what_was_there(tmp_path: Path):
+    from afdsvc.files.unfinished import writing
+
+    (tmp_path / "old").write_text("old")
+    with pytest.raises(RuntimeError), writing(tmp_path / "old", tmp_path / "new"):  # noqa: PT012
+        (tmp_path / "new").write_text("half")
+        raise RuntimeError
+    assert [p.name for p in tmp_path.iterdir()] == ["old"]
