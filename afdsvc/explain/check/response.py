@@ -76,4 +76,4 @@ def _clear(y: Array, u: Array) -> bool:
     largest = float(np.abs(signal.correlate(y, u, method="fft")).max() / size)
     own = [signal.correlate(x, x, method="fft") / float(x @ x) for x in (y, u)]
     variance = max(float(own[0] @ own[1]), 1.0) / len(y)
-    return largest > max(CLEAR, float(stats.norm.isf(CHANCE / (2 * len(y)))) * np.sqrt(variance))
+    return bool(largest > max(CLEAR, float(stats.norm.isf(CHANCE / (2 * len(y)))) * np.sqrt(variance)))
