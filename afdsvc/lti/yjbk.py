@@ -73,6 +73,43 @@ def controller_from(fact: Factorisation, Q: StateSpace) -> StateSpace:
     return star(J, Q, p, m)
 
 
+def youla_parameter(J_K: StateSpace, K: StateSpace) -> StateSpace:
+    """Return the Q ``(m, p)`` that realises a controller exactly, ``F_l(J_K, Q) = K``, of the orders of J_K and K together.
+
+    ``J_K`` maps ``[y, alpha]`` to ``[u, beta]``. Q is K seen through J_K solved for ``(alpha, y)``; its poles are those of the loop of K
+    with the *nominal* plant, so Q is stable exactly when K holds the healthy machine (Tay, Mareels and Moore, theorem 2.5.1).
+
+    >>> from afdsvc.testing.machines import bearing_problem
+    >>> J = bearing_problem("proportional").interconnection
+    >>> youla_parameter(J, StateSpace.gain([[0.3, 0.0], [0.0, 0.3]], J.dt)).is_stable()
+    True
+    """
+    m, p = K.outputs, K.inputs
+    solved = J_K.inverse().select([*range(p, p + m), *range(p)], [*range(m, m + p), *range(m)])  # (beta, u) -> (alpha, y)
+    return star(solved, K, p, m)
+
+
+def retuned_interconnection(J_K: StateSpace, Q: StateSpace, gain: float = 1.0) -> StateSpace:
+    """Return J_K with Q in place, ``[y, alpha] -> [u, beta]``: the excitation adds to ``gain * Q beta``, beta stays the residual.
+
+    It is the J_K form of K(Q) with the same ``Nt`` and ``Mt``: a healthy machine keeps S = 0, and what whitens beta still does.
+
+    >>> from afdsvc.testing.machines import bearing_problem
+    >>> J = bearing_problem().interconnection
+    >>> retuned_interconnection(J, StateSpace.gain(np.zeros((2, 2)), J.dt)).order == J.order
+    True
+    """
+    m, p = Q.outputs, Q.inputs
+    beside = StateSpace(
+        Q.A,
+        np.hstack([Q.B, np.zeros((Q.order, m))]),
+        np.vstack([gain * Q.C, np.zeros((p, Q.order))]),
+        np.block([[gain * Q.D, np.eye(m)], [np.eye(p), np.zeros((p, m))]]),
+        J_K.dt,
+    )
+    return star(J_K, beside, p, m)
+
+
 def plant_from(fact: Factorisation, S: StateSpace) -> StateSpace:
     """Return ``G(S) = (N + V S)(M + U S)^-1 = F_u(J_G, S)`` for a stable S of shape ``(p, m)`` (thesis 2.12).
 

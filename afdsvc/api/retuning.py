@@ -1,0 +1,58 @@
+"""The contract of retuning: what was diagnosed, what the loop is to minimise, and what a retuner hands out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from afdsvc.api.detection import DetectionProblem
+from afdsvc.errors import BadInput
+from afdsvc.lti.statespace import Array, StateSpace
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosed:
+    """A fault of the machine and the interval its severity lies in, ``low <= high`` (-1 is total loss, 0 healthy).
+
+    >>> Diagnosed("horizontal_actuator", -0.55, -0.45).middle
+    -0.5
+    """
+
+    fault: str
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if not self.low <= self.high:
+            raise BadInput(f"fault '{self.fault}': severities from {self.low} to {self.high}; expected the smaller one first")
+
+    @property
+    def middle(self) -> float:
+        """The middle of the interval."""
+        return (self.low + self.high) / 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopCost:
+    """The quadratic cost ``E[x' state x + u' input u]`` per sample, and the noises that cause it.
+
+    ``state (n, n)`` and ``input (m, m)`` are weights, ``process (n, n)`` and ``noise (p, p)`` covariances per sample of white noise on
+    the states and on the outputs. The states are those of the nominal plant, so a failing sensor hides no cost.
+    """
+
+    state: Array
+    input: Array
+    process: Array
+    noise: Array
+
+
+class RetunerDesign(Protocol):
+    """What a retuner plugin hands out: a way to choose Q for a damaged machine. It proposes; `afdsvc.retune.proof` decides."""
+
+    name: str
+    summary: str
+
+    def design(self, problem: DetectionProblem, found: Diagnosed, cost: LoopCost, settings: Mapping[str, Any]) -> StateSpace:
+        """Return a stable Q ``(m, p)`` from beta to alpha; raises `Refused` where nothing is gained, `BadInput` for a setting."""
+        ...

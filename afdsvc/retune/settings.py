@@ -1,0 +1,36 @@
+"""Settings of the design of Q and of its proof."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class RetuneSettings:
+    """Each number with its unit and meaning."""
+
+    #: Severities of the interval that are models of the design, both ends included.
+    models: int = 5
+    #: Weight of the healthy machine among the models: the doubt in the diagnosis. It keeps Q stable with a margin.
+    doubt: float = 0.01
+    #: Share of the running loop's cost below which a reduction is called nothing.
+    worthwhile: float = 0.02
+    #: Share of the reduction that a lower order of Q may lose.
+    order_loss: float = 0.02
+    #: Share of the running loop's stability margin ``1 - max|z|`` that every loop with Q keeps.
+    margin_kept: float = 0.25
+    #: Largest sensitivity ``|(I - G K)^-1|`` of a damaged loop with Q, unless the loop without Q has a larger one.
+    sensitivity: float = 6.0
+    #: Iterations of the search over the models.
+    iterations: int = 300
+    #: Times [s] of a change of the gain, the first that is smooth is taken; 0 is one sample.
+    switch_seconds: tuple[float, ...] = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)
+    #: Largest standard deviation of a signal during the switch, relative to the larger of those before and after it.
+    bump: float = 1.2
+    #: Noise peaks in standard deviations that must fit below the limits: exceeded with probability 4e-8 per sample.
+    noise_peak: float = 5.5
+    #: Rectangles of severity and gain that a stability proof may take.
+    rectangles: int = 400
+
+
+RETUNE = RetuneSettings()
