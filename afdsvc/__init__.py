@@ -9,6 +9,7 @@ The rooms, from mathematics to the command line; each imports only from those ab
 - `stats`: whiteness, periodic parts, tones, coloured noise, fit measures, Levenberg-Marquardt
 - `plants`: physics with named parameters and units; rotors; simulators that only step
 - `detect`: features, statistics and thresholds of the detectors
+- `retune`: Q for a damaged machine beside the running controller: its design, and the proof before anything moves
 - `excite`: design of bursts within limits
 - `identify`: closed-loop identification
 - `explain`: why simulation and recordings differ
