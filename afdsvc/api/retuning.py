@@ -47,6 +47,29 @@ class LoopCost:
     noise: Array
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Promise:
+    """What the loop with Q must measure: the mean of ``y' output y + u' input u`` over ``seconds`` is at most ``cost``.
+
+    ``output (p, p)`` and ``input (m, m)`` weight what sensors report and actuators get; samples of bursts do not count.
+    """
+
+    output: Array
+    input: Array
+    cost: float
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tuning:
+    """Q ``(m, p)`` from beta to alpha as a rig runs it; its gain rises over ``rise`` and falls over ``fall`` seconds (0: one sample)."""
+
+    Q: StateSpace
+    rise: float
+    fall: float
+    promise: Promise | None = None
+
+
 class RetunerDesign(Protocol):
     """What a retuner plugin hands out: a way to choose Q for a damaged machine. It proposes; `afdsvc.retune.proof` decides."""
 

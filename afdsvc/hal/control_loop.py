@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -13,10 +13,12 @@ import numpy as np
 from afdsvc.api.bursts import Burst, Limits
 from afdsvc.api.clock import Clock
 from afdsvc.api.port import PortStatus
+from afdsvc.api.retuning import Tuning
 from afdsvc.api.signals import Block, Channel
 from afdsvc.errors import BadInput, Refused
 from afdsvc.hal import control_sample
 from afdsvc.hal.burst_player import Excitation, refuse_burst
+from afdsvc.hal.tuning import RunningQ
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 
@@ -95,6 +97,7 @@ class ControlLoop(ABC):
         self._u = np.zeros(self.m)
         self._channels, self._limits, self._settings, self._clock = channels, limits, settings, clock
         self._prediction = prediction
+        self._tuning = RunningQ(self.m, self.p, interconnection.dt)
         self._range = PLAUSIBLE * limits.output if settings.sensor_range is None else np.array(settings.sensor_range, dtype=float)
         if self._range.shape != limits.output.shape:
             raise BadInput(f"key 'limits.sensor_range' has {self._range.size} values; expected {self.p}, one per output")
@@ -141,6 +144,32 @@ class ControlLoop(ABC):
         if self._prediction is not None:
             _refuse_prediction(burst, self.dt, bounds, self._prediction)
 
+    def retune(self, tuning: Tuning, reason_to_end: Callable[[], str] = lambda: "") -> None:
+        """Let Q act from the next sample on; its gain rises from rest over ``tuning.rise``.
+
+        ``reason_to_end`` is asked before every slice; what it returns ends Q (a lost lease, say). A limit met, a measured cost above the
+        promise and `restore` end it too. Raises `Refused` when Q does not fit, is not stable, or another one acts.
+        """
+        if self._closed:
+            raise Refused("the machine is closed")
+        if np.abs(self._K.D[self.m :, self.p :]).max(initial=0.0) > 0:
+            raise Refused("alpha reaches beta in the same sample (the plant has a direct term); Q cannot run beside this controller")
+        self._tuning.begin(tuning, reason_to_end)
+
+    def restore(self, reason: str) -> None:
+        """Let the gain of Q fall from the next sample on, over the time its tuning states; harmless when none acts."""
+        self._tuning.end(reason)
+
+    @property
+    def retuned(self) -> float:
+        """Gain of Q, 0 when none acts."""
+        return self._tuning.gain
+
+    @property
+    def restored_because(self) -> str:
+        """Why the last Q ended, "" while one acts or before the first."""
+        return self._tuning.ended_because
+
     @contextmanager
     def arm(self, limits: Limits) -> Iterator[_Drive]:
         """Hand out the drive; whatever happens inside, alpha is zero and the nominal controller on afterwards."""
@@ -169,7 +198,9 @@ class ControlLoop(ABC):
         while done < n:
             step = min(self._settings.slice, n - done)
             alpha = self._excitation.take(step) if name and edge == n else np.zeros((step, self.m))
+            self._tuning.ask()
             part = self._paced(alpha)
+            self._tuning.watch(part.u, part.y, CAUSES.get(part.cause, ""), self._k - step + part.at, bool(name))
             if part.cause != control_sample.NO_CAUSE and edge == n and name:
                 edge = done + part.at
                 self._excitation.cut(f"{CAUSES[part.cause]} at sample {self._k - step + part.at}")

@@ -106,10 +106,11 @@ class DrivenRig(ControlLoop):
                 if cause != control_sample.NO_CAUSE:
                     alpha[k] = 0.0
                 armed = limits is not None and cause == control_sample.NO_CAUSE
+                acts = self._tuning.acts
                 found = self._sample(y[k], alpha[k], armed, bounds, beta[k])
                 self._driver.write(self._u)
                 u[k] = self._u
-                if armed and found != control_sample.NO_CAUSE:
+                if (armed or acts) and found != control_sample.NO_CAUSE and cause == control_sample.NO_CAUSE:
                     cause, at = found, k
                 if self._rotor is not None and self._aux:
                     aux[k] = self._rotor.rotation()
@@ -123,9 +124,11 @@ class DrivenRig(ControlLoop):
         return Samples(u, y, beta, alpha, aux, cause, at)
 
     def _sample(self, y: Array, alpha: Array, armed: bool, bounds: Limits, beta: Array) -> int:
-        K = self._K
+        K, T = self._K, self._tuning
         return int(
-            control_sample.control_sample(K.A, K.B, K.C, K.D, self._xk, y, alpha, armed, bounds.output, bounds.input, self._u, beta)
+            control_sample.control_sample(
+                K.A, K.B, K.C, K.D, self._xk, T.q, T.motion, y, alpha, armed, bounds.output, bounds.input, self._u, beta
+            )
         )
 
     def _missed(self, began: float, ended: float) -> int:

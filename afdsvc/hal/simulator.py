@@ -177,6 +177,8 @@ class Simulator(ControlLoop):
             K.C,
             K.D,
             self._xk,
+            self._tuning.q,
+            self._tuning.motion,
             alpha,
             force,
             noise,

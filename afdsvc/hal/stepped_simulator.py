@@ -59,7 +59,7 @@ class SteppedSimulator(ControlLoop):
             self._unit.close()
 
     def _run(self, alpha: Array, limits: Limits | None) -> Samples:
-        n, K = len(alpha), self._K
+        n, K, T = len(alpha), self._K, self._tuning
         u, y, beta = np.empty((n, self.m)), np.empty((n, self.p)), np.empty((n, self.p))
         noise = self._noise.standard_normal((n, self.p)) @ self._chol.T
         bounds, cause, at = limits or self._limits, control_sample.NO_CAUSE, -1
@@ -69,12 +69,13 @@ class SteppedSimulator(ControlLoop):
             if cause != control_sample.NO_CAUSE:
                 alpha[k] = 0.0
             armed = limits is not None and cause == control_sample.NO_CAUSE
+            acts = T.acts
             found = int(
                 control_sample.control_sample(
-                    K.A, K.B, K.C, K.D, self._xk, y[k], alpha[k], armed, bounds.output, bounds.input, self._u, beta[k]
+                    K.A, K.B, K.C, K.D, self._xk, T.q, T.motion, y[k], alpha[k], armed, bounds.output, bounds.input, self._u, beta[k]
                 )
             )
-            if armed and found != control_sample.NO_CAUSE:
+            if (armed or acts) and found != control_sample.NO_CAUSE and cause == control_sample.NO_CAUSE:
                 cause, at = found, k
             u[k] = self._u
             self._answer = self._unit.advance(acting * self._u, self.dt)

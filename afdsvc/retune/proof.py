@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.api.retuning import Diagnosed, LoopCost
+from afdsvc.api.retuning import Diagnosed, LoopCost, Promise, Tuning
 from afdsvc.errors import Refused
 from afdsvc.lti.frequency import transfer
 from afdsvc.lti.lft import AugmentedPlant, star
@@ -86,6 +86,29 @@ def prove(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, Q: StateS
     return Proof(
         Q.order, rectangles, float(costs.before[k]), float(costs.after[k]), reached, *sensitive, rise, fall, bump_in, bump_out, room, tightest
     )
+
+
+def proved_tuning(
+    problem: DetectionProblem, found: Diagnosed, cost: LoopCost, Q: StateSpace, settings: RetuneSettings = RETUNE
+) -> tuple[Tuning, Proof]:
+    """Return Q as a rig runs it, with the times and the promise that were proved, and the proof; raises `Refused` like `prove`.
+
+    The promise weighs inputs and reported outputs by the variances the models predict with Q, the largest of the interval: in a machine
+    as diagnosed the mean is at most ``m + p``, ``promise_slack`` times that is what Q is ended for.
+
+    >>> from afdsvc.testing.machines import bearing_problem
+    >>> from afdsvc.retune.cost import loop_cost
+    >>> machine = bearing_problem("proportional")
+    >>> tuning, _ = proved_tuning(machine, Diagnosed("vertical_sensor", -0.4, -0.3), loop_cost(machine, {}), StateSpace.gain(0.02 * np.eye(2), 2e-4))
+    >>> tuning.promise.cost
+    6.0
+    """
+    proof, m, p = prove(problem, found, cost, Q, settings), Q.outputs, Q.inputs
+    models = [signal_model(problem, cost, {found.fault: s}) for s in severity_grid(problem, found, settings.models).tolist()]
+    variances = np.max([np.diag(output_covariance(with_q(model, Q)))[: m + p] for model in models], axis=0)
+    weights = 1 / np.maximum(variances, 1e-300)
+    promise = Promise(np.diag(weights[m:]), np.diag(weights[:m]), settings.promise_slack * (m + p), settings.promise_seconds)
+    return Tuning(Q, proof.rise_seconds, proof.fall_seconds, promise), proof
 
 
 def covered(problem: DetectionProblem, found: Diagnosed, Q: StateSpace, settings: RetuneSettings = RETUNE) -> int:

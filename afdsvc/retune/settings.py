@@ -29,6 +29,9 @@ class RetuneSettings:
     bump: float = 1.2
     #: Noise peaks in standard deviations that must fit below the limits: exceeded with probability 4e-8 per sample.
     noise_peak: float = 5.5
+    #: Time [s] over which a rig measures its cost with Q, and how many times the predicted one it may be.
+    promise_seconds: float = 2.0
+    promise_slack: float = 1.5
     #: Rectangles of severity and gain that a stability proof may take.
     rectangles: int = 400
 

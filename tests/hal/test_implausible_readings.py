@@ -75,7 +75,9 @@ def test_whatever_is_read_the_inputs_are_finite_and_within_their_limits(bearing,
     xk, u, beta = np.zeros(K.order), np.zeros(2), np.zeros(2)
     for y in readings:
         alpha = 0.5 * bounds.alpha
-        control_sample.control_sample(K.A, K.B, K.C, K.D, xk, np.array(y), alpha, armed, bounds.output, bounds.input, u, beta)
+        control_sample.control_sample(
+            K.A, K.B, K.C, K.D, xk, *control_sample.no_q(2, 2), np.array(y), alpha, armed, bounds.output, bounds.input, u, beta,
+        )
         assert np.isfinite(u).all()
         assert (np.abs(u) <= bounds.input).all()
         assert (np.abs(alpha) <= bounds.alpha).all()

@@ -1,0 +1,90 @@
+"""Q beside J_K on the rig: how it comes, why it goes, and whether it keeps its promise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from afdsvc.api.retuning import Tuning
+from afdsvc.errors import Refused
+from afdsvc.hal import control_sample
+from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
+from afdsvc.lti.statespace import Array
+
+MOST_STATES = 200  # of Q: more take longer than a control sample may
+
+
+class RunningQ:
+    """The state of Q in the control sample, ``q`` and ``motion`` of `afdsvc.hal.control_sample`, and what ends it."""
+
+    def __init__(self, inputs: int, outputs: int, dt: float) -> None:
+        self._m, self._p, self._dt = inputs, outputs, dt
+        self.q, self.motion = control_sample.no_q(inputs, outputs)
+        self._tuning: Tuning | None = None
+        self._ask: Callable[[], str] = lambda: ""
+        self._sum, self._samples = 0.0, 0
+        self.ended_because = ""
+
+    @property
+    def acts(self) -> bool:
+        """Whether Q adds to alpha, or is about to."""
+        return bool(self.motion[0] > 0 or self.motion[3] > 0)
+
+    @property
+    def gain(self) -> float:
+        """The gain of Q now."""
+        return float(0.5 - 0.5 * np.cos(np.pi * self.motion[0]))
+
+    def begin(self, tuning: Tuning, reason_to_end: Callable[[], str]) -> None:
+        """Put Q in place, at rest; raises `Refused` when it does not fit."""
+        Q = tuning.Q
+        if self.acts:
+            raise Refused("another Q acts; restore the machine first")
+        if Q.D.shape != (self._m, self._p) or Q.dt != self._dt:
+            raise Refused(f"Q is {Q.outputs} x {Q.inputs} at {Q.dt:g} s; expected {self._m} x {self._p} at {self._dt:g} s")
+        if not all(np.isfinite(M).all() for M in (Q.A, Q.B, Q.C, Q.D)) or not is_stable(Q.A, Q.dt):
+            raise Refused(f"Q is not stable; its pole is {describe_pole(worst_pole(np.nan_to_num(Q.A), Q.dt)[0], Q.dt)}")
+        if Q.order > MOST_STATES:
+            raise Refused(f"Q has {Q.order} states; at most {MOST_STATES} fit into a control sample")
+        reason = reason_to_end()
+        if reason:
+            raise Refused(f"{reason}, before the first sample")
+        held = control_sample.contiguous(Q)
+        self.q = held.A, held.B, held.C, held.D, np.zeros(Q.order)
+        steps = [1 / max(round(seconds / self._dt), 1) for seconds in (tuning.rise, tuning.fall)]
+        self.motion = np.array([0.0, *steps, 1.0])
+        self._tuning, self._ask, self.ended_because = tuning, reason_to_end, ""
+        self._sum, self._samples = 0.0, 0
+
+    def end(self, reason: str) -> None:
+        """Let the gain fall from the next sample on."""
+        if self.acts and not self.ended_because:
+            self.ended_because = reason
+            self.motion[3] = -1.0
+
+    def ask(self) -> None:
+        """End Q where there is a reason outside the loop."""
+        if self.acts and not self.ended_because:
+            reason = self._ask()
+            if reason:
+                self.end(reason)
+
+    def watch(self, u: Array, y: Array, cause: str, k: int, burst: bool) -> None:
+        """Note why the control sample has ended Q; count the cost while it acts alone, and end Q where the promise is broken."""
+        if self._tuning is None or self.ended_because:
+            return
+        if self.motion[3] <= 0:
+            self.ended_because = f"{cause} at sample {k}"
+            return
+        promise = self._tuning.promise
+        if promise is None or burst or self.motion[0] < 1:
+            return
+        self._sum += float(np.einsum("ni,ij,nj", y, promise.output, y) + np.einsum("ni,ij,nj", u, promise.input, u))
+        self._samples += len(u)
+        if self._samples * self._dt < promise.seconds:
+            return
+        measured = self._sum / self._samples
+        self._sum, self._samples = 0.0, 0
+        if not measured <= promise.cost:
+            self.end(f"the measured cost is {measured:.4g} over {promise.seconds:g} s; at most {promise.cost:.4g} was promised")
