@@ -24,17 +24,19 @@ from afdsvc.plants.registry import plant
 from afdsvc.plugins.manager import load
 
 
-def control_cost(samples: int = 20_000) -> tuple[float, float]:
+def control_cost(samples: int = 20_000, order_of_q: int = 0) -> tuple[float, float]:
     """Return seconds per control sample: compiled, called once per sample as around real hardware; and numpy."""
     bearing = plant("gas_bearing")
     design = load().get("controllers", "lqg").design(bearing.discrete(), bearing.recommended["lqg"])
     K = control_sample.contiguous(design.interconnection)
     control_sample.warm_up()
     xk, y, alpha, u, beta = np.zeros(K.order), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
-    bounds = np.full(2, 10.0)
+    bounds, n = np.full(2, 10.0), order_of_q
+    q = 0.5 * np.eye(n), np.zeros((n, 2)), np.zeros((2, n)), np.zeros((2, 2)), np.zeros(n)
+    motion = np.array([1.0, 1.0, 1.0, 1.0]) if n else np.zeros(4)
     start = time.perf_counter()
     for _ in range(samples):
-        control_sample.control_sample(K.A, K.B, K.C, K.D, xk, y, alpha, True, bounds, bounds, u, beta)
+        control_sample.control_sample(K.A, K.B, K.C, K.D, xk, q, motion, y, alpha, True, bounds, bounds, u, beta)
     compiled = (time.perf_counter() - start) / samples
     start = time.perf_counter()
     for _ in range(samples):

@@ -10,6 +10,7 @@ import pluggy
 from afdsvc.api.control_plugins import ControllerDesign, FaultKind
 from afdsvc.api.detection import DetectorDesign
 from afdsvc.api.notify import NotifierDesign
+from afdsvc.api.retuning import RetunerDesign
 
 PROJECT = "afdsvc"
 hookspec = pluggy.HookspecMarker(PROJECT)
@@ -34,6 +35,11 @@ def afdsvc_detectors() -> Iterable[DetectorDesign]:  # type: ignore[empty-body]
 @hookspec
 def afdsvc_physics() -> Iterable[Any]:  # type: ignore[empty-body]
     """Return the physics hypotheses a plugin offers."""
+
+
+@hookspec
+def afdsvc_retuners() -> Iterable[RetunerDesign]:  # type: ignore[empty-body]
+    """Return the designs of Q for a damaged machine a plugin offers."""
 
 
 @hookspec

@@ -17,6 +17,7 @@ FAMILIES = {
     "faults": "afdsvc_faults",
     "detectors": "afdsvc_detectors",
     "physics": "afdsvc_physics",
+    "retuners": "afdsvc_retuners",
     "drivers": "afdsvc_drivers",
     "notifiers": "afdsvc_notifiers",
 }

@@ -19,6 +19,8 @@ EXAMPLES = {
     ("faults", "actuator_gain"): {"input": 0},
     ("faults", "sensor_gain"): {"output": 1},
     ("faults", "parameter"): {"parameter": "stiffness_hh"},
+    ("retuners", "h2"): {"iterations": 30, "models": 2},
+    ("retuners", "reference_controller"): {"D": [[0.3, 0.0], [0.0, 0.2]]},
     ("notifiers", "webhook"): {"url": "http://127.0.0.1:9/alarms"},
 }
 ELSEWHERE = {

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from afdsvc.errors import BadInput
-from afdsvc.testing.conformance import controllers, detectors, drivers, faults, notifiers, physics
+from afdsvc.testing.conformance import controllers, detectors, drivers, faults, notifiers, physics, retuners
 from afdsvc.testing.conformance.named import is_named
 
 Check = Callable[[Any], None]
@@ -27,6 +27,7 @@ SUITES: dict[str, tuple[Check, ...]] = {
     "faults": (is_named, *faults.CHECKS),
     "notifiers": (is_named, *notifiers.CHECKS),
     "physics": (is_named, *physics.CHECKS),
+    "retuners": (is_named, *retuners.CHECKS),
 }
 
 
