@@ -24,6 +24,7 @@ from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import innovations
 
 WEIGHTS = ("state_weight", "input_weight", "process_weight")
+ROUNDING = 1e-12  # of the largest entry of a weight: less asymmetry than this is that of a product such as B B'
 DOUBLINGS = 40  # of the Lyapunov sums: 2^40 samples
 
 
@@ -53,7 +54,10 @@ def loop_cost(problem: DetectionProblem, settings: Mapping[str, Any]) -> LoopCos
 
 def _weight(name: str, value: Any, n: int) -> Array:
     array = np.asarray(value, dtype=float)
-    return covariance(name, np.diag(array) if array.ndim == 1 else array, n, definite=False)
+    array = np.diag(array) if array.ndim == 1 else array
+    if array.shape == (n, n) and np.abs(array - array.T).max(initial=0.0) < ROUNDING * np.abs(array).max(initial=0.0):
+        array = (array + array.T) / 2
+    return covariance(name, array, n, definite=False)
 
 
 def damaged_model(problem: DetectionProblem, cost: LoopCost, severities: Mapping[str, float]) -> StateSpace:

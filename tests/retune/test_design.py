@@ -159,6 +159,16 @@ def test_what_is_asked_wrongly_is_named():
         loop_cost(problem, {"weight": 1.0})
 
 
+def test_a_weight_that_is_symmetric_but_for_rounding_is_taken_and_another_is_not():
+    problem = random_problem(0)
+    product = np.diag([1.0, 1e-9, 1.0, 1.0])
+    product[0, 1] = 2.6e-17
+    assert loop_cost(problem, {"process_weight": product}).process[1, 0] == 1.3e-17
+    product[0, 1] = 1e-6
+    with pytest.raises(BadInput, match="process_weight is not symmetric"):
+        loop_cost(problem, {"process_weight": product})
+
+
 def test_the_best_controller_is_the_best_of_its_neighbours():
     problem = random_problem(3)
     cost, rng = loop_cost(problem, {}), np.random.default_rng(0)
