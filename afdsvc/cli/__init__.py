@@ -261,13 +261,15 @@ def identify(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="MCAP recordings or tables.")],
     holdout: Annotated[list[Path] | None, typer.Option(help="Recordings never used in fitting; may be repeated.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="MODEL.toml", help="File of the identified model.")] = None,
-    method: Annotated[str, typer.Option(help="auto, hansen, subspace, pbsid, pem, greybox or indirect")] = "auto",
+    method: Annotated[str, typer.Option(help="auto, hansen, subspace, pbsid, pem, output_error, greybox or indirect")] = "auto",
     order: Annotated[int | None, typer.Option(help="Order to identify (default: chosen from the data).")] = None,
     reduce_to: Annotated[int | None, typer.Option(help="Order of the plant (default: that of the nominal model).")] = None,
     weighting: Annotated[str | None, typer.Option(help="po-moesp, pi-moesp, n4sid or cva (subspace)")] = None,
     horizon: Annotated[int | None, typer.Option(help="Horizon of the subspace method (default: chosen from the data).")] = None,
     reduction: Annotated[str | None, typer.Option(help="Method of order reduction (default: the best of all, refined on the data).")] = None,
     norm: Annotated[int | None, typer.Option(help="1 or 2: the cost of the indirect method")] = None,
+    feedthrough: Annotated[bool | None, typer.Option("--feedthrough/--no-feedthrough", help="May the plant answer within a sample? (default: chosen from the data by auto, yes for subspace, else no)")] = None,
+    screening: Annotated[bool | None, typer.Option("--screening/--no-screening", help="Refuse recordings that are frozen, saturated or drift, or fit and report them (default: refuse where a controller is known).")] = None,
     free: Annotated[list[str] | None, typer.Option(metavar="PARAMETER", help="Parameter to estimate (default: all); may be repeated.")] = None,
     starts: Annotated[int | None, typer.Option(help="Number of starting points of the grey-box search.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the starting points.")] = 0,
@@ -282,7 +284,7 @@ def identify(
 
     options = {
         "method": method, "order": order, "reduce_to": reduce_to, "starts": starts, "weighting": weighting, "horizon": horizon,
-        "reduction": reduction, "norm": norm, "free": tuple(free) if free else None,
+        "reduction": reduction, "norm": norm, "free": tuple(free) if free else None, "feedthrough": feedthrough, "screening": screening,
     }  # fmt: skip
     document = identify_files(model, recordings, holdout or [], out, options, seed, allow_code, Naming.of(mapping))
     show(as_json, document, lambda: identify_table(document))

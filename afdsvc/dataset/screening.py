@@ -32,11 +32,25 @@ def screen(trace: Trace, needed: int) -> None:
         )
     columns = of_role(trace.channels, "u") + of_role(trace.channels, "y") + of_role(trace.channels, "alpha")
     _gaps(trace, columns)
-    _frozen(trace, of_role(trace.channels, "u") + of_role(trace.channels, "y"))
-    for column in of_role(trace.channels, "u"):
-        _saturation(trace, column)
-    for column in of_role(trace.channels, "y"):
-        _drift(trace, column)
+    for sentence in screening_notes(trace):
+        raise BadInput(sentence)
+
+
+def screening_notes(trace: Trace) -> list[str]:
+    """Return what speaks against fitting a trace without missing samples, a sentence each: frozen samples, saturation, drift."""
+    u, y = of_role(trace.channels, "u"), of_role(trace.channels, "y")
+    found = [_frozen(trace, u + y), *(_saturation(trace, c) for c in u), *(_drift(trace, c) for c in y)]
+    return [sentence for sentence in found if sentence]
+
+
+def without_gaps(trace: Trace) -> list[Trace]:
+    """Return the stretches of a trace in which no sample of u or y is missing, the trace itself where there is no gap."""
+    columns = of_role(trace.channels, "u") + of_role(trace.channels, "y")
+    whole = np.isfinite(trace.values[:, columns]).all(axis=1)
+    if whole.all():
+        return [trace]
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], whole.astype(int), [0]])))
+    return [trace.span(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _gaps(trace: Trace, columns: Sequence[int]) -> None:
@@ -49,18 +63,19 @@ def _gaps(trace: Trace, columns: Sequence[int]) -> None:
             )
 
 
-def _frozen(trace: Trace, columns: Sequence[int]) -> None:
+def _frozen(trace: Trace, columns: Sequence[int]) -> str:
     values = trace.values[:, columns]
     if not len(columns) or not np.ptp(values, axis=0).any():
-        return
+        return ""
     still = (np.diff(values, axis=0) == 0).all(axis=1)
     start, length = _longest_run(still)
     if length >= FROZEN_SAMPLES and not _commanded_steps(values):
-        raise BadInput(
+        return (
             f"{trace.name}: every signal stands still for {length} samples from {trace.t[start]:.6g} s on, so "
             "samples were lost "
             "(a gap) or the recorder froze; cut the recording there"
         )
+    return ""
 
 
 def _commanded_steps(values: Array) -> bool:
@@ -68,11 +83,11 @@ def _commanded_steps(values: Array) -> bool:
     return bool((np.diff(values, axis=0) == 0).all(axis=1).mean() > 0.5)
 
 
-def _saturation(trace: Trace, column: int) -> None:
+def _saturation(trace: Trace, column: int) -> str:
     u: Array = trace.values[:, column]
     levels = np.unique(u)
     if levels.size <= 5:  # a switched input lives at its ends
-        return
+        return ""
     for level, side in ((levels[-1], "highest"), (levels[0], "lowest")):
         at = u == level
         # Digital amplitudes repeat too, but the level next to an end stop is then about as frequent as the stop itself.
@@ -80,29 +95,31 @@ def _saturation(trace: Trace, column: int) -> None:
         count = int(np.count_nonzero(at))
         if count > max(SATURATED_SHARE * len(u), 5.0 * neighbour, 5.0):
             name = trace.channels[column]
-            raise BadInput(
+            return (
                 f"{trace.name}: '{name.name}' sits at its {side} value {level:.6g} {name.unit} in "
                 f"{100 * count / len(u):.3g} % of the "
                 f"samples (longest {_longest_run(at)[1]} in a row): the actuator saturates; excite with a "
                 "smaller amplitude"
             )
+    return ""
 
 
-def _drift(trace: Trace, column: int) -> None:
+def _drift(trace: Trace, column: int) -> str:
     y, t = trace.values[:, column], np.linspace(-1, 1, len(trace))
     y = y - y.mean()
     power = float(y @ y)
     if not power > 0:
-        return
+        return ""
     slope = float(t @ y) / float(t @ t)
     share = slope**2 * float(t @ t) / power
     if share > DRIFT_SHARE and _trend_p_value(y, slope * t) < 1e-3:
         name = trace.channels[column]
-        raise BadInput(
+        return (
             f"{trace.name}: '{name.name}' drifts by {2 * slope:.3g} {name.unit} over the recording "
             f"({100 * share:.3g} % of its power, expected at most {100 * DRIFT_SHARE:.3g} %); "
             "wait until the machine is warm, or remove the trend first"
         )
+    return ""
 
 
 def _trend_p_value(y: Array, line: Array) -> float:

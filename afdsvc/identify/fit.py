@@ -148,6 +148,23 @@ def jackknife_band(
     return ResponseBand(omega, value, covariance, freedom=len(repeated) - 1)
 
 
+def sandwich_band(
+    response: Callable[[Array], ComplexArray], curvature: Array, parts: Array, omega: Array, step: float = 1e-3
+) -> ResponseBand:
+    """Return the response at a minimum (the origin of its coordinates) with its covariance, valid for noise of any colour.
+
+    ``parts (groups, q)`` are gradients of groups of samples, long against the memory of the noise: they tell how much the minimum would move
+    without each, ``H^-1 (sum g g') H^-1`` with the ``curvature`` H. ``step`` is that of the central differences of the response.
+    """
+    count = len(parts)
+    moves = np.linalg.lstsq(curvature, (parts - parts.mean(axis=0)).T, rcond=1e-14)[0].T * np.sqrt(count / (count - 1))
+    slopes = np.stack([(response(h) - response(-h)) / (2 * step) for h in step * np.eye(len(curvature))])
+    shifts = np.tensordot(moves, slopes, axes=1)
+    split = np.stack([shifts.real, shifts.imag], axis=-1)
+    value = response(np.zeros(len(curvature))).astype(np.complex128)
+    return ResponseBand(omega, value, np.einsum("gkpmi,gkpmj->kpmij", split, split), freedom=count - 1)
+
+
 def without_group(recordings: Sequence[Recording], left_out: int, groups: int) -> list[Recording]:
     """Return the recordings without one of ``groups`` equal stretches of their concatenation; a cut makes two of
     one."""

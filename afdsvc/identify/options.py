@@ -10,7 +10,7 @@ from afdsvc.errors import BadInput
 from afdsvc.identify.methods.subspace import WEIGHTINGS
 from afdsvc.identify.reduction import TRUNCATIONS
 
-METHODS = ("auto", "hansen", "subspace", "pbsid", "pem", "greybox", "indirect")
+METHODS = ("auto", "hansen", "subspace", "pbsid", "pem", "output_error", "greybox", "indirect")
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,8 +19,11 @@ class IdentifyOptions:
 
     ``method``: "hansen" identifies S and rebuilds the plant (excitation through alpha or a reference alike), "subspace"
     and "pbsid" the plant from u and y (the former in open loop only), "greybox" physical parameters from u and y,
-    "indirect" the same through S; "auto" is hansen when the controller is known, pbsid when there is no sign of one.
-    ``order`` (of S for hansen) and ``horizon`` are chosen from the data when None; ``reduce_to`` is the order of the
+    "indirect" the same through S; "pem" and "output_error" refine a start from PBSIDopt by prediction or simulation errors. "auto" is hansen when
+    the controller is known; else method, horizon, feedthrough, order and noise model are chosen by samples left out (`cross_validation`).
+    ``feedthrough`` says whether the plant may answer within a sample (None: chosen by "auto", yes for subspace, no for pbsid, pem and
+    output_error: where feedback acts within a sample the two cannot be told apart). ``screening`` False reports what `screen` finds instead of
+    refusing it (None: refused where a controller is known). ``order`` (of S for hansen) and ``horizon`` are chosen from the data when None; ``reduce_to`` is the order of the
     plant handed back (None: that of the nominal model); ``reduction`` one of the truncations of `reduction`, "best" of
     them for the loop, or "refined": started from that and fitted to the recordings (`refinement`). ``norm`` belongs to
     indirect, ``starts`` and ``prior`` to greybox; ``process_states`` names states that process noise enters (None: the
@@ -40,6 +43,8 @@ class IdentifyOptions:
     free: tuple[str, ...] | None = None
     groups: int = 16
     cross_check: bool = True
+    feedthrough: bool | None = None
+    screening: bool | None = None
 
     def __post_init__(self) -> None:
         for name, known in (

@@ -10,8 +10,8 @@ import numpy as np
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
 from afdsvc.dataset.arrays import Recording
-from afdsvc.errors import AfdsvcError, BadInput, IllConditioned
-from afdsvc.identify.fit import ResponseBand
+from afdsvc.errors import AfdsvcError, BadInput
+from afdsvc.identify.fit import Fit, ResponseBand
 from afdsvc.identify.methods import registry
 from afdsvc.identify.methods.hansen import loop_is_stable
 from afdsvc.identify.methods.registry import Outcome, omega_grid
@@ -27,6 +27,7 @@ from afdsvc.identify.validation import (
     can_be_simulated,
     heldout_measures,
     predicted_outputs,
+    predicts_only,
     split,
     undamped_modes,
     validated,
@@ -34,7 +35,6 @@ from afdsvc.identify.validation import (
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.stats.fit_measures import Measures
-from afdsvc.stats.portmanteau import residual_tests
 
 
 def identify(
@@ -51,9 +51,8 @@ def identify(
     cannot support an answer: too short, not exciting, drifting, with gaps, with a saturated actuator, made with another
     or an unknown controller.
     """
-    order = options.order or nominal_plant(model, traces[0].dt).order if traces else 1
-    needed = SETTINGS.parametric_samples if options.method in ("greybox", "indirect") else samples_needed(len(model.inputs), len(model.outputs), order)
-    problem = prepare(model, traces, holdout, needed)
+    problem = prepare(model, traces, holdout, _needed(model, traces, options), options.screening)
+    whole = problem.training
     parts = split(problem.training, problem.heldout)
     kept = tuple(a.span(0, len(r)) for a, r in zip(problem.played, parts.training, strict=False))
     problem = replace(problem, training=parts.training, played=kept)
@@ -64,6 +63,11 @@ def identify(
     stable = None if problem.fact is None else loop_is_stable(fit.system, problem.fact.controller)
     before = _before(problem, parts, names)
     check, warning = _cross_check(problem, replace(outcome, fit=fit), options)
+    preview = _preview(problem, parts, fit)
+    if outcome.refit is not None and not holdout:
+        note = "validated on the samples kept away, then fitted once more to all of them: method and order as chosen, the fit on data not used as stated"
+        again = outcome.refit(whole)
+        fit = replace(again, heldout=fit.heldout, tests=fit.tests, notes=(*again.notes, note))
     return IdentifyResult(
         fit,
         improved_model(model, fit),
@@ -77,9 +81,19 @@ def identify(
         outcome.full,
         outcome.reductions,
         check,
-        _preview(problem, parts, fit.system),
-        (*warning, *_warnings(fit.heldout, before, stable), *_invented(fit.system, problem.nominal)),
+        preview,
+        (*problem.notes, *warning, *_warnings(fit.heldout, before, stable), *_invented(fit.system, problem.nominal)),
     )
+
+
+def _needed(model: Model, traces: Sequence[Trace], options: IdentifyOptions) -> int:
+    """Return the fewest samples of a recording: what the smallest horizon needs that shows the order, two windows where the order is chosen."""
+    if options.method in ("greybox", "indirect"):
+        return SETTINGS.parametric_samples
+    if options.method == "auto" and model.controller is None:
+        return 2 * (len(model.inputs) + len(model.outputs) + 1)
+    order = options.order or nominal_plant(model, traces[0].dt).order if traces else 1
+    return samples_needed(len(model.inputs), len(model.outputs), order)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +106,7 @@ class Plan:
 
 WHY = {
     "hansen": "the controller is known, so the deviation from the nominal model is identified in the loop (hansen) and the plant rebuilt from it",
-    "auto": "no controller is stated and nothing was recorded of one: PBSIDopt where prediction errors show feedback, else the subspace method",
+    "auto": "no controller is stated and nothing was recorded of one: method, order, feedthrough and noise model are chosen by samples left out",
 }
 
 
@@ -100,9 +114,9 @@ def planned(model: Model, traces: Sequence[Trace], options: IdentifyOptions = Id
     """Return what `identify` will do with these recordings, or why it will refuse them; nothing is fitted."""
     try:
         order = nominal_plant(model, traces[0].dt).order
-        problem = prepare(model, traces, (), samples_needed(len(model.inputs), len(model.outputs), order))
+        problem = prepare(model, traces, (), _needed(model, traces, options), options.screening)
         method = _method(problem, options)
-        lines = registry.exciting(problem, problem.training, order).lines
+        lines = registry.exciting(problem, problem.training, 1 if method == "auto" else order).lines
     except BadInput as error:
         return Plan("", f"identify refuses: {error}")
     held = ", ".join(f"{v.name} {n}" for v, n in zip(model.inputs, lines, strict=True))
@@ -123,22 +137,6 @@ def _method(problem: Prepared, options: IdentifyOptions) -> str:
     return "auto"
 
 
-def _open_or_closed(problem: Prepared, options: IdentifyOptions) -> Outcome:
-    """Identify without a controller: PBSIDopt, which feedback does not bias; the better conditioned open-loop method
-    when the prediction errors show no trace of feedback, or when PBSIDopt finds a plant that cannot have run in open
-    loop.
-    """
-    try:
-        model = registry.pbsid(problem, replace(options, groups=0)).fit.model
-    except IllConditioned:  # no predictor of this order: nothing that a test for feedback could rest on
-        return registry.subspace(problem, options)
-    errors = np.vstack([model.errors(r.u, r.y) for r in problem.training])
-    tests = residual_tests(errors, np.vstack([r.u for r in problem.training]))
-    feedback = tests.p_feedback.min() * tests.p_feedback.size < SETTINGS.feedback_level
-    closed = feedback and _usable(problem, model.system)
-    return registry.pbsid(problem, options) if closed else registry.subspace(problem, options)
-
-
 def _usable(problem: Prepared, system: StateSpace) -> bool:
     return all(can_be_simulated(system, len(r)) for r in (*problem.training, *problem.heldout))
 
@@ -146,13 +144,13 @@ def _usable(problem: Prepared, system: StateSpace) -> bool:
 def _run(method: str, problem: Prepared, options: IdentifyOptions, rng: np.random.Generator | None) -> Outcome:
     if method == "greybox":
         return registry.greybox(problem, options, rng)
-    if method == "auto":
-        return _open_or_closed(problem, options)
     ways = {
+        "auto": registry.chosen,
         "hansen": registry.hansen,
         "subspace": registry.subspace,
         "pbsid": registry.pbsid,
         "pem": registry.pem,
+        "output_error": registry.output_error,
         "indirect": registry.indirect,
     }
     return ways[method](problem, options)
@@ -185,7 +183,7 @@ def _cross_check(
     return agreement(_only(band, excited), _only(other.band, excited)), ()
 
 
-def _preview(problem: Prepared, parts: Split, system: StateSpace, samples: int = 600) -> Preview:
+def _preview(problem: Prepared, parts: Split, fit: Fit, samples: int = 600) -> Preview:
     """Return the middle of the first recording not used, with what nominal model and fit make of it."""
     recording = parts.heldout[0].centred()
     start = max(0, (len(recording) - samples) // 2)
@@ -194,7 +192,10 @@ def _preview(problem: Prepared, parts: Split, system: StateSpace, samples: int =
         before = predicted_outputs(problem.nominal, recording, problem.fact)[shown]
     except BadInput:
         before = None
-    after = predicted_outputs(system, recording, problem.fact)[shown]
+    if predicts_only(fit, [recording], problem.fact):
+        after = (recording.y - fit.model.errors(recording.u, recording.y))[shown]
+    else:
+        after = predicted_outputs(fit.system, recording, problem.fact)[shown]
     t = recording.dt * np.arange(start, start + len(after), dtype=np.float64)
     return Preview(parts.names[0], t, recording.y[shown], before, after)
 

@@ -12,7 +12,7 @@ from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
 from afdsvc.dataset.arrays import Recording, together
 from afdsvc.dataset.periods import without_rotation
-from afdsvc.dataset.screening import screen
+from afdsvc.dataset.screening import screen, screening_notes, without_gaps
 from afdsvc.errors import BadInput
 from afdsvc.identify.methods.hansen import settling_samples
 from afdsvc.identify.parameters.structure import model_structure
@@ -41,6 +41,7 @@ class Prepared:
     heldout: tuple[Recording, ...]
     closed_loop_signs: tuple[str, ...]
     played: tuple[Recording, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def slowest(self) -> float:
@@ -48,15 +49,21 @@ class Prepared:
         return settling_samples(self.fact.R if self.fact is not None else self.nominal, float(np.exp(-1)))
 
 
-def prepare(model: Model, traces: Sequence[Trace], heldout: Sequence[Trace], needed: int) -> Prepared:
+def prepare(model: Model, traces: Sequence[Trace], heldout: Sequence[Trace], needed: int, screening: bool | None = None) -> Prepared:
     """Return the prepared problem; raises `BadInput` for whatever does not fit, naming file, field and value.
 
-    Where the rotor angle was recorded, what turns with it is taken out of every signal.
+    Where the rotor angle was recorded, what turns with it is taken out of every signal. ``screening``: refuse recordings that `screen` refuses
+    (None: where a controller is known, which a saturated actuator or a drift contradicts); else they are fitted, cut at missing samples, and
+    the notes say so.
     """
     if not traces:
         raise BadInput("no recording was handed in; expected at least one")
-    for trace in (*traces, *heldout):
-        screen(trace, needed)
+    notes: list[str] = []
+    if model.controller is not None if screening is None else screening:
+        for trace in (*traces, *heldout):
+            screen(trace, needed)
+    else:
+        traces, heldout = (_kept(several, needed, notes) for several in (traces, heldout))
     traces, heldout = ([without_rotation(t) for t in several] for several in (traces, heldout))
     training, away = [_recording(model, t) for t in traces], [_recording(model, t) for t in heldout]
     together(training + away)
@@ -69,7 +76,21 @@ def prepare(model: Model, traces: Sequence[Trace], heldout: Sequence[Trace], nee
     signs = tuple(c.name for c in traces[0].channels if c.role in ("alpha", "beta", "ref"))
     played = tuple(_played(model, t, r) for t, r in zip(traces, training, strict=True))
     played = played if any(p.u.any() for p in played) and not any(_referenced(model, t) for t in traces) else ()
-    return Prepared(model, nominal, fact, tuple(r.centred() for r in training), tuple(away), signs, played)
+    return Prepared(model, nominal, fact, tuple(r.centred() for r in training), tuple(away), signs, played, tuple(notes))
+
+
+def _kept(traces: Sequence[Trace], needed: int, notes: list[str]) -> list[Trace]:
+    """Return the stretches without gaps that hold ``needed`` samples, and note what was found; raises `BadInput` where none is left."""
+    kept = []
+    for trace in traces:
+        pieces = [piece for piece in without_gaps(trace) if len(piece) >= needed]
+        if not pieces:
+            screen(trace, needed)  # says why
+        if len(pieces) > 1 or len(pieces[0]) < len(trace):
+            notes.append(f"{trace.name}: samples are missing; fitted {len(pieces)} stretches without gaps, {sum(map(len, pieces))} of {len(trace)} samples")
+        notes += [f"fitted in spite of this: {sentence}" for piece in pieces for sentence in screening_notes(piece)]
+        kept += pieces
+    return kept
 
 
 def nominal_plant(model: Model, dt: float) -> StateSpace:

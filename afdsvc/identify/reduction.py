@@ -24,7 +24,7 @@ from scipy import linalg
 
 from afdsvc.dataset.arrays import Recording
 from afdsvc.errors import AfdsvcError, BadInput
-from afdsvc.identify.fit import ResponseBand
+from afdsvc.identify.fit import ResponseBand, sandwich_band
 from afdsvc.identify.methods.black_box_pem import local_structure
 from afdsvc.identify.methods.hansen import excited_loop, loop_is_stable
 from afdsvc.identify.methods.indirect import Mismatch
@@ -183,27 +183,14 @@ class Refinement:
     point: Array
 
     def band(self, omega: Array, groups: int = 16) -> ResponseBand:
-        """Return the frequency response with its covariance.
-
-        Gradients of groups of samples (long against the noise's memory) tell how much the minimum would move without
-        each: ``H^-1 (sum g g') H^-1``, valid for noise of any colour.
-        """
+        """Return the frequency response with its covariance (`sandwich_band`)."""
         local, parts = self.objective.local(self.point), self.objective.group_gradients(self.point, groups)
-        count = len(parts)
-        moves = np.linalg.solve(local.curvature, (parts - parts.mean(axis=0)).T).T * np.sqrt(count / (count - 1))
-        structure, step = self.objective.structure, 1e-3
-        centre = self.point * structure.scales
+        structure = self.objective.structure
 
-        def response(z: Array) -> Array:
-            return np.asarray(frequency_response(structure.build(z), omega))
+        def response(z: Array) -> ComplexArray:
+            return frequency_response(structure.build((self.point + z) * structure.scales), omega)
 
-        slopes = np.stack(
-            [(response(centre + h) - response(centre - h)) / (2 * step) for h in np.diag(step * structure.scales)]
-        )
-        shifts = np.tensordot(moves, slopes, axes=1)
-        split = np.stack([shifts.real, shifts.imag], axis=-1)
-        covariance = np.einsum("gkpmi,gkpmj->kpmij", split, split)
-        return ResponseBand(omega, response(centre).astype(np.complex128), covariance, freedom=count - 1)
+        return sandwich_band(response, local.curvature, parts, omega)
 
 
 def refine(

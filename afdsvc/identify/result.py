@@ -93,6 +93,7 @@ class IdentifyResult:
                 "method": "pbsid",
                 "relative": self.cross_check.relative,
                 "deviations": self.cross_check.deviations,
+                "verdict": self.cross_check.verdict,
                 "sentence": self.cross_check.sentence,
             }
         if self.reductions:

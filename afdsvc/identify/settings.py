@@ -26,6 +26,10 @@ class IdentificationSettings:
     response_level: float = 1e-4
     #: Significance level of the test for feedback when no controller is stated.
     feedback_level: float = 0.01
+    #: Share of an input's power that the noise of the outputs causes, above which a recording counts as made in closed loop: the larger part.
+    feedback_share: float = 0.5
+    #: Largest order that is tried where nothing is known of the plant.
+    largest_order: int = 30
     #: Growth of an unstable mode over a recording up to which a simulation in open loop is evaluated.
     largest_growth: float = 1e3
     #: Largest condition number of the data matrix for the Gram route: relative error about 1e-16 times its square.

@@ -87,15 +87,27 @@ def validated(
 
     The residuals tested are one-step prediction errors when the fit has a noise model, simulation errors otherwise.
     """
-    found = heldout_measures(fit.system, recordings, fact)
     centred = [r.centred() for r in recordings]
+    by_prediction = predicts_only(fit, recordings, fact)
     if fit.model.gain.any():
         errors = np.vstack([fit.model.errors(r.u, r.y) for r in centred])
     else:
         errors = np.vstack([r.y - predicted_outputs(fit.system, r, fact) for r in centred])
-    tests = residual_tests(errors, np.vstack([r.u for r in centred]))
+    measured = np.vstack([r.y for r in centred])
+    found = measures(measured, measured - errors) if by_prediction else heldout_measures(fit.system, recordings, fact)
+    if by_prediction:
+        fit = replace(fit, notes=(*fit.notes, PREDICTED))
+    tests = residual_tests(errors, np.vstack([r.u for r in centred]), lags=min(25, len(errors) // 4))
     per_output: Mapping[str, Measures] = dict(zip(names, found, strict=True))
     return replace(fit, heldout=per_output, tests=tests)
+
+
+PREDICTED = "the plant is unstable and no controller is named, so the fit on data not used is that of one-step predictions, not of a simulation"
+
+
+def predicts_only(fit: Fit, recordings: Sequence[Recording], fact: Factorisation | None) -> bool:
+    """Whether a model can be judged by one-step predictions only: an unstable plant with a noise model and without its controller."""
+    return fact is None and bool(fit.model.gain.any()) and not all(can_be_simulated(fit.system, len(r)) for r in recordings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,34 +116,45 @@ class Agreement:
 
     ``relative`` is the median over frequency of ``|G1 - G2| / |G1|`` (spectral norms); ``deviations`` the median
     distance in combined standard deviations (about 0.8 expected when only noise separates them, far above 2 when one is
-    biased).
+    biased), ``farthest`` the distance that a tenth of the frequencies exceed (about 1.5 expected); ``resolution`` the median relative
+    difference that the bands would let pass (two combined standard deviations).
     """
 
     relative: float
     deviations: float
+    farthest: float = 0.0
+    resolution: float = 0.0
+
+    @property
+    def verdict(self) -> str:
+        """One of "agree", "differ", and "undecided": bands so wide that agreement would say nothing."""
+        if self.deviations >= MEDIAN_LIMIT or self.farthest >= FARTHEST_LIMIT:
+            return "differ"
+        return "undecided" if self.resolution > COARSEST else "agree"
 
     @property
     def sentence(self) -> str:
         """The verdict in words."""
-        verdict = (
-            "agree within their uncertainty"
-            if self.deviations < 2
-            else "differ by more than their uncertainty: do not trust either"
-        )
-        return (
-            f"the two routes differ by {100 * self.relative:.2g} % ({self.deviations:.2g} standard "
-            f"deviations): they {verdict}"
-        )
+        verdict = {
+            "agree": "they agree within their uncertainty",
+            "differ": "they differ by more than their uncertainty: do not trust either",
+            "undecided": f"this decides nothing, since the bands would let {100 * self.resolution:.2g} % pass: record longer or excite more",
+        }[self.verdict]
+        return f"the two routes differ by {100 * self.relative:.2g} % ({self.deviations:.2g} standard deviations): {verdict}"
+
+
+#: Limits of an agreement: median and upper tenth of the distance in standard deviations, and the coarsest resolution that confirms anything.
+MEDIAN_LIMIT, FARTHEST_LIMIT, COARSEST = 2.0, 4.0, 0.25
 
 
 def agreement(first: ResponseBand, second: ResponseBand) -> Agreement:
     """Return how well two responses on the same frequencies agree."""
-    relative = np.linalg.norm(first.value - second.value, ord=2, axis=(1, 2)) / np.linalg.norm(
-        first.value, ord=2, axis=(1, 2)
-    )
+    size = np.linalg.norm(first.value, ord=2, axis=(1, 2))
+    relative = np.linalg.norm(first.value - second.value, ord=2, axis=(1, 2)) / size
     spread = np.sqrt(first.sd**2 + second.sd**2)
     distance = np.abs(first.value - second.value) / np.where(spread > 0, spread, np.inf)
-    return Agreement(float(np.median(relative)), float(np.median(distance)))
+    passed = 2 * np.linalg.norm(spread, axis=(1, 2)) / size
+    return Agreement(float(np.median(relative)), float(np.median(distance)), float(np.quantile(distance, 0.9)), float(np.median(passed)))
 
 
 def relative_error(found: ComplexArray, truth: ComplexArray) -> float:

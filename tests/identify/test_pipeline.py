@@ -185,7 +185,7 @@ def test_no_controller_and_no_sign_of_one_takes_the_open_loop_method(oscillators
     found = identify(
         Model("box", PLANT.inputs, PLANT.outputs, PLANT.states, system, sample_time=1.0), [trace], options=QUICK
     )
-    assert found.fit.method == "subspace"
+    assert found.fit.method in ("subspace", "output_error")  # whatever the samples left out speak for, but nothing made for a loop
     assert found.fit.order == 6
 
 

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+import afdsvc
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.identify import IdentifyOptions, identify
-from afdsvc.identify.validation import undamped_modes
+from afdsvc.identify.fit import ResponseBand
+from afdsvc.identify.validation import agreement, undamped_modes
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plants.gas_bearing import gas_bearing
@@ -44,3 +46,46 @@ def test_the_orbit_of_a_rotor_is_not_taken_for_the_plant_silently(bearing, obser
     assert told[0] == []
     assert len(told[1]) == 1
     assert "periodic disturbance" in told[1][0]
+
+
+def _bands(difference, sd):
+    omega = np.geomspace(0.1, 3, 60)
+    value = np.ones((60, 1, 1), dtype=complex)
+    covariance = np.broadcast_to(0.5 * sd**2 * np.eye(2), (60, 1, 1, 2, 2))
+    return ResponseBand(omega, value, covariance), ResponseBand(omega, value * (1 + difference), covariance)
+
+
+@pytest.mark.parametrize(
+    ("difference", "sd", "verdict"),
+    [(0.01, 0.01, "agree"), (0.48, 0.27, "undecided"), (0.1, 0.01, "differ")],
+    ids=["narrow bands", "48 % and 1.3 standard deviations", "ten per cent"],
+)
+def test_wide_bands_are_no_agreement(difference, sd, verdict):
+    found = agreement(*_bands(difference, sd))
+    assert found.relative == pytest.approx(difference)
+    assert found.deviations == pytest.approx(difference / (sd * np.sqrt(2)))
+    assert found.verdict == verdict
+    assert ("agree within" in found.sentence) is (verdict == "agree")
+
+
+def test_a_tenth_of_the_frequencies_far_off_is_no_agreement():
+    first, second = _bands(0.0, 0.01)
+    off = second.value.copy()
+    off[:8] += 0.1
+    assert agreement(first, ResponseBand(second.omega, off, second.covariance)).verdict == "differ"
+
+
+@pytest.mark.parametrize("method", ["pbsid", "pem"])
+def test_an_unstable_plant_is_validated_by_prediction_without_its_controller(method):
+    """x+ = 1.05 x + u under u = -0.4 y + probe: the controller is not named, and the plant cannot be simulated."""
+    rng, x = np.random.default_rng(1), 0.0
+    u, y = np.zeros((4000, 1)), np.zeros((4000, 1))
+    for k in range(4000):
+        y[k] = x + 0.1 * rng.standard_normal()
+        u[k] = -0.4 * (y[k - 1] if k else 0.0) + rng.standard_normal()
+        x = 1.05 * x + u[k, 0]
+    found = afdsvc.identify(u, y, dt=1.0, method=method, order=2, groups=0)
+    assert np.abs(found.system.poles()).max() == pytest.approx(1.05, abs=0.01)
+    assert any("one-step predictions" in note for note in found.result.fit.notes)
+    # noise of 0.1 on the output: what a predictor leaves is little more than that
+    assert found.result.after["y1"].nrmse == pytest.approx(0.1 / y[3000:].std(), rel=0.35)

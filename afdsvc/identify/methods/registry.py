@@ -9,10 +9,11 @@ from typing import cast
 import numpy as np
 
 from afdsvc.dataset.arrays import Recording
-from afdsvc.errors import BadInput
+from afdsvc.errors import AfdsvcError, BadInput
+from afdsvc.identify.cross_validation import Choice, Feedback, choose_candidate, feedback_of, fitted_candidate
 from afdsvc.identify.excitation import Excitation, require_excitation, supported_order
 from afdsvc.identify.fit import Fit, jackknife_band
-from afdsvc.identify.methods.black_box_pem import black_box_pem
+from afdsvc.identify.methods.black_box_pem import black_box_band, black_box_pem
 from afdsvc.identify.methods.greybox import GreyboxOptions, fit_greybox, greybox_band
 from afdsvc.identify.methods.hansen import rebuilt_plant, youla_signals
 from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
@@ -25,6 +26,7 @@ from afdsvc.identify.parameters.structure import Structure, model_structure
 from afdsvc.identify.preparation import Prepared
 from afdsvc.identify.reduction import ReducedPlant, compare_reductions, judged, refine
 from afdsvc.identify.settings import SETTINGS
+from afdsvc.identify.validation import can_be_simulated
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, StateSpace
@@ -32,11 +34,15 @@ from afdsvc.lti.statespace import Array, StateSpace
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """A fit, the full-order plant it came from where it was reduced, and the reductions that were compared."""
+    """A fit, the full-order plant it came from where it was reduced, and the reductions that were compared.
+
+    ``refit`` fits the same structure to other recordings, where it was chosen by samples left out.
+    """
 
     fit: Fit
     full: StateSpace | None = None
     reductions: tuple[ReducedPlant, ...] = ()
+    refit: Callable[[Sequence[Recording]], Fit] | None = None
 
 
 def band_hz(plant: StateSpace) -> tuple[float, float]:
@@ -169,9 +175,10 @@ def subspace(problem: Prepared, options: IdentifyOptions) -> Outcome:
     exciting(problem, problem.training, options.order or problem.nominal.order)
     found, order, reason = _open_loop_order(problem.training, problem.slowest, 2 * problem.nominal.order + 8, options)
     order = max(order, 1)
+    feedthrough = options.feedthrough is not False
     fit = Fit(
         "subspace",
-        realise(found, order, stable=True),
+        realise(found, order, stable=True, feedthrough=feedthrough),
         found.singular_values,
         reason,
         notes=(f"horizon {found.horizon}",),
@@ -179,7 +186,7 @@ def subspace(problem: Prepared, options: IdentifyOptions) -> Outcome:
 
     def estimate(recordings: Sequence[Recording]) -> StateSpace:
         return realise(
-            decompose(recordings, found.horizon, cast(Weighting, options.weighting)), order, stable=True
+            decompose(recordings, found.horizon, cast(Weighting, options.weighting)), order, stable=True, feedthrough=feedthrough
         ).system
 
     return Outcome(_banded(fit, estimate, problem.training, options))
@@ -191,25 +198,81 @@ def pbsid(problem: Prepared, options: IdentifyOptions) -> Outcome:
     if problem.played:  # noise that the controller brings back to u is no excitation to rely on
         exciting(problem, problem.played, options.order or problem.nominal.order)
     past, order, reason = _closed_loop_order(problem, options)
-    found = decompose_predictor(problem.training, past)
-    fit = Fit("pbsid", realise_predictor(found, order), found.singular_values, reason, notes=(f"past window {past}",))
+    feedthrough = bool(options.feedthrough)
+    found = decompose_predictor(problem.training, past, feedthrough=feedthrough)
+    fit = Fit("pbsid", realise_predictor(found, order), found.singular_values, reason, notes=(f"past window {past}, {'with' if feedthrough else 'without'} feedthrough",))
 
     def estimate(recordings: Sequence[Recording]) -> StateSpace:
-        return realise_predictor(decompose_predictor(recordings, past), order).system
+        return realise_predictor(decompose_predictor(recordings, past, feedthrough=feedthrough), order).system
 
     return Outcome(_banded(fit, estimate, problem.training, options))
 
 
 def pem(problem: Prepared, options: IdentifyOptions) -> Outcome:
     """Identify the plant from u and y by prediction errors, a black box started from PBSIDopt."""
+    return _black_box(problem, options, noise=True)
+
+
+def output_error(problem: Prepared, options: IdentifyOptions) -> Outcome:
+    """Identify the plant from u and y by simulation errors (open loop), a black box started from PBSIDopt."""
+    return _black_box(problem, options, noise=False)
+
+
+def _black_box(problem: Prepared, options: IdentifyOptions, noise: bool) -> Outcome:
     fit = pbsid(problem, replace(options, groups=0)).fit
-    past, order = int(fit.notes[0].rsplit(" ", 1)[1]), fit.order
+    model = black_box_pem(fit.model, problem.training, noise)
+    band = black_box_band(model, problem.training, omega_grid(model.system.dt), noise, options.groups) if options.groups else None
+    return Outcome(replace(fit, method="pem" if noise else "output_error", model=model, band=band))
 
-    def estimate(recordings: Sequence[Recording]) -> StateSpace:
-        return black_box_pem(realise_predictor(decompose_predictor(recordings, past), order), recordings).system
 
-    fit = replace(fit, method="pem", model=black_box_pem(fit.model, problem.training))
-    return Outcome(_banded(fit, estimate, problem.training, options))
+def chosen(problem: Prepared, options: IdentifyOptions) -> Outcome:
+    """Identify the plant from u and y; method, horizon, feedthrough, order and noise model by samples left out."""
+    exciting(problem, problem.training, 1)
+    feedback = feedback_of(problem.training)
+    answers = feedback.p < SETTINGS.feedback_level
+    loop = answers and feedback.share > SETTINGS.feedback_share
+    fixed = (options.order, options.horizon, options.feedthrough)
+    tries = [(loop, True), (False, True), (True, False)] if answers else [(False, True)]
+    for loop, simulated in dict.fromkeys(tries):  # a loop around an unstable plant shows in that no simulation is better than the mean
+        try:
+            choice = choose_candidate(problem.training, SETTINGS.largest_order, answers, loop, simulated, *fixed)
+        except BadInput:
+            if (loop, simulated) == tries[-1]:
+                raise
+            continue
+        if choice.loss < 1 or (loop, simulated) == tries[-1]:
+            break
+    notes = (_feedback_note(feedback, loop),) if answers else ()
+    fit = _fitted_choice(problem.training, choice, options, notes, simulated)
+    return Outcome(fit, refit=lambda recordings: _fitted_choice(recordings, choice, options, notes, simulated))
+
+
+def _fitted_choice(recordings: Sequence[Recording], choice: Choice, options: IdentifyOptions, notes: tuple[str, ...], simulated: bool) -> Fit:
+    """Return the fit of the candidate chosen, of the next best where its model cannot be simulated over the recordings (and must be)."""
+    for c in (choice.candidate, *choice.others):
+        try:
+            model = fitted_candidate(c, recordings)
+        except (AfdsvcError, np.linalg.LinAlgError):
+            continue
+        if not simulated or all(can_be_simulated(model.system, len(r)) for r in recordings):
+            break
+    else:
+        raise BadInput("no candidate that was chosen by samples left out could be fitted to all of them; give method and order")
+    if c != choice.candidate:
+        notes = (*notes, f"fitted to all samples, the candidate chosen gave no stable model; the next best did: order {c.order} by {c.sentence}")
+    fit = Fit(c.refined or c.method, model, order_reason=choice.sentence, notes=(c.sentence, *notes))
+    if not options.groups:
+        return fit
+    if c.refined:
+        return replace(fit, band=black_box_band(model, recordings, omega_grid(model.system.dt), c.refined == "pem", options.groups))
+    return _banded(fit, lambda several: fitted_candidate(c, several).system, recordings, options)
+
+
+def _feedback_note(feedback: Feedback, loop: bool) -> str:
+    found = f"past outputs predict the inputs (p = {feedback.p:.2g}; up to {100 * feedback.share:.2g} % of an input's power)"
+    if loop:
+        return f"{found}: taken as recorded in closed loop, identified by methods that feedback does not bias"
+    return f"{found}: if a controller was at work, name it in the model, or compare with method pem: a method for open loop is biased by about that share"
 
 
 def _closed_loop_order(problem: Prepared, options: IdentifyOptions) -> tuple[int, int, str]:
@@ -333,4 +396,4 @@ def _banded(
     return replace(fit, band=band)
 
 
-__all__ = ["Outcome", "band_hz", "exciting", "greybox", "hansen", "indirect", "omega_grid", "pbsid", "pem", "subspace"]
+__all__ = ["Outcome", "band_hz", "chosen", "exciting", "greybox", "hansen", "indirect", "omega_grid", "output_error", "pbsid", "pem", "subspace"]

@@ -9,11 +9,13 @@ from scipy import linalg
 
 from afdsvc.errors import IllConditioned
 from afdsvc.lti.simulate import simulate
-from afdsvc.lti.stability import is_stable
+from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace
 
 #: Residual power of outputs of unit power below which a recording counts as free of noise.
 NOISELESS = 1e-18
+#: Size of a simulation beyond which nothing can be fitted to it: its square is still a number.
+LARGEST = 1e150
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,14 +37,23 @@ class InnovationsForm:
         return StateSpace(s.A - self.gain @ s.C, B, s.C, D, s.dt)
 
     def errors(self, u: Array, y: Array) -> Array:
-        """Return the prediction errors ``y - yhat``, shape ``(N, p)``, with the initial state that makes them least."""
-        return fitted_errors(self.predictor(), np.hstack([u, y]), y)
+        """Return the prediction errors ``y - yhat``, shape ``(N, p)``, with the initial state that makes them least.
+
+        An unstable predictor is replaced by the stable one of the same spectrum (`with_stable_predictor`); raises `IllConditioned` where there
+        is none.
+        """
+        return fitted_errors(with_stable_predictor(self).predictor(), np.hstack([u, y]), y)
 
 
 def fitted_errors(system: StateSpace, inputs: Array, outputs: Array) -> Array:
-    """Return ``outputs - system(inputs)`` with the initial state fitted by least squares, shape ``(N, p)``."""
+    """Return ``outputs - system(inputs)`` with the initial state fitted by least squares, shape ``(N, p)``.
+
+    Raises `IllConditioned` where an unstable system leaves the range of numbers.
+    """
     forced, _ = simulate(system, inputs)
     errors = outputs - forced
+    if not float(np.abs(errors).max(initial=0.0)) < LARGEST:
+        raise IllConditioned(f"the model has the pole {describe_pole(worst_pole(system.A, system.dt)[0], system.dt)}: it cannot run over {len(inputs)} samples")
     return np.asarray(errors - _initial_response(system, errors))
 
 
@@ -50,13 +61,11 @@ def _initial_response(system: StateSpace, errors: Array) -> Array:
     """Return the free response ``C A^k x0`` that fits the errors best, shape ``(N, p)``."""
     if not system.order:
         return np.zeros_like(errors)
-    impulse = StateSpace(system.A, np.eye(system.order), system.C, np.zeros((system.outputs, system.order)), system.dt)
     count = min(len(errors), _memory(system, len(errors)))
-    rows = np.empty((count, system.outputs, system.order))
-    row = impulse.C
-    for k in range(count):
-        rows[k] = row
-        row = row @ system.A
+    rows, power = system.C[None], system.A
+    while len(rows) < count:  # C A^k for twice as many k
+        rows, power = np.concatenate([rows, rows @ power]), power @ power
+    rows = rows[:count]
     flat = rows.reshape(-1, system.order)
     x0 = linalg.lstsq(flat, errors[:count].ravel())[0]
     response = np.zeros_like(errors)
