@@ -28,7 +28,7 @@ from afdsvc.identify.numerics.innovations_form import InnovationsForm, noise_mod
 from afdsvc.identify.numerics.input_matrices import regress_input_matrices
 from afdsvc.lti.statespace import Array, StateSpace
 
-#: Largest modulus of a pole that the guarantee leaves.
+#: Largest modulus of a pole that the guarantee leaves on short recordings; on long ones it is nearer to one (`realise`).
 LIMIT = 0.9999
 
 
@@ -125,7 +125,8 @@ def realise(subspace: Subspace, order: int, stable: bool = False, feedthrough: b
         raise BadInput(f"order {order} with horizon {s} and {p} outputs; expected an order from 1 to {(s - 1) * p}")
     Gamma = subspace.basis[:, :order]
     C = Gamma[:p]
-    A = stable_transition(Gamma, p) if stable else linalg.lstsq(Gamma[:-p], Gamma[p:])[0]
+    limit = max(LIMIT, 1 - 0.1 / max(subspace.windows, 1))  # a mode this slow loses a tenth over the recordings: no data tell it from an integrator
+    A = stable_transition(Gamma, p, limit) if stable else linalg.lstsq(Gamma[:-p], Gamma[p:])[0]
     gain, covariance = _noise(subspace, A, C, order)
     # An unstable A cannot be simulated: there B and D are found through the stable predictor instead.
     predictor = gain if np.abs(np.linalg.eigvals(A)).max() >= 1 else None
