@@ -6,6 +6,7 @@ import pytest
 import afdsvc
 from afdsvc.dataset.arrays import Recording
 from afdsvc.identify.cross_validation import choose_candidate, feedback_of, fitted_candidate
+from afdsvc.identify.numerics.innovations_form import fitted_errors
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
@@ -79,8 +80,8 @@ def test_steady_samples_saturation_and_gaps_are_fitted_and_said():
 
 #: Fit on the last 40 % by the CVA of another tool (sippy_unipi 1.0.1, BIC over orders 1 to 12, feedthrough), per cent. Automatic choices may be behind by five points on one
 #: set, not by the 17 to 29 of a switch to a method without feedthrough; on pH no linear model of any tool simulates the held-out part, so a model is all that is asked.
-PEERS = {"winding": 73.6, "thermic_res_wall": 83.5, "flutter": 21.2, "glassfurnace": 41.0}
-COLUMNS = {"winding": (5, 7), "thermic_res_wall": (2, 3), "flutter": (1, 2), "pHdata": (3, 4), "glassfurnace": (4, 10)}
+PEERS = {"winding": 73.6, "thermic_res_wall": 83.5, "flutter": 21.2, "ballbeam": 90.0, "glassfurnace": 41.0}
+COLUMNS = {"winding": (5, 7), "thermic_res_wall": (2, 3), "flutter": (1, 2), "ballbeam": (1, 2), "pHdata": (3, 4), "glassfurnace": (4, 10)}
 """Columns: up to the first number inputs (after time where there is one), up to the second outputs."""
 
 
@@ -93,8 +94,6 @@ def test_public_sets_with_automatic_choices(name, measured):
     z = (table - table[:cut].mean(axis=0)) / table[:cut].std(axis=0)
     found = afdsvc.identify(z[:cut, start:m], z[:cut, m:p], dt=1.0, groups=0).result.fit.system
     held = Recording.of(z[cut:, start:m], z[cut:, m:p], 1.0)
-    from afdsvc.identify.validation import predicted_outputs
-
-    left = held.y - predicted_outputs(found, held)
+    left = fitted_errors(found, held.u, held.y)  # a mode that grows a little may still be simulated this far
     fit = 100 * np.mean(1 - np.linalg.norm(left, axis=0) / np.linalg.norm(held.y - held.y.mean(axis=0), axis=0))
     assert fit > PEERS.get(name, -np.inf) - 5

@@ -19,7 +19,7 @@ from afdsvc.identify.methods.hansen import rebuilt_plant, youla_signals
 from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
 from afdsvc.identify.methods.repeated_indirect import Noise, fit_recentred
 from afdsvc.identify.methods.subspace import Subspace, Weighting, decompose, realise
-from afdsvc.identify.numerics.innovations_form import InnovationsForm
+from afdsvc.identify.numerics.innovations_form import InnovationsForm, fitted_errors
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.order import answer_p, choose_horizon, choose_order, memory, simulated_order
 from afdsvc.identify.parameters.structure import Structure, model_structure
@@ -254,7 +254,7 @@ def _fitted_choice(recordings: Sequence[Recording], choice: Choice, options: Ide
             model = fitted_candidate(c, recordings)
         except (AfdsvcError, np.linalg.LinAlgError):
             continue
-        if not simulated or all(can_be_simulated(model.system, len(r)) for r in recordings):
+        if not simulated or _simulates(model, recordings):
             break
     else:
         raise BadInput("no candidate that was chosen by samples left out could be fitted to all of them; give method and order")
@@ -266,6 +266,16 @@ def _fitted_choice(recordings: Sequence[Recording], choice: Choice, options: Ide
     if c.refined:
         return replace(fit, band=black_box_band(model, recordings, omega_grid(model.system.dt), c.refined == "pem", options.groups))
     return _banded(fit, lambda several: fitted_candidate(c, several).system, recordings, options)
+
+
+def _simulates(model: InnovationsForm, recordings: Sequence[Recording]) -> bool:
+    """Whether simulations of a model over the recordings miss less than the outputs' power, and one that grows has a predictor to be judged by."""
+    try:
+        left = sum((fitted_errors(model.system, r.u, r.y) ** 2).sum(axis=0) for r in recordings)
+    except AfdsvcError:
+        return False
+    stable = all(can_be_simulated(model.system, len(r)) for r in recordings)
+    return bool((left < sum((r.y**2).sum(axis=0) for r in recordings)).all()) and (stable or bool(model.gain.any()))
 
 
 def _feedback_note(feedback: Feedback, loop: bool) -> str:
