@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -97,20 +97,32 @@ class Evidence:
 Path = Mapping[float, Fit]
 
 
-def evidence(path: Path, base: Path, spans: list[tuple[int, int, int]], scale: Array, gap: float, parameters: int) -> Evidence:
-    """Return the evidence of a path over the base path; ``gap`` is what could be closed at the decision horizon."""
+def evidence(
+    path: Path, base: Path, spans: list[tuple[int, int, int]], scale: Array, gap: float, parameters: int, taus: Mapping[float, float],
+) -> Evidence:
+    """Return the evidence of a path over the base path; ``gap`` is what could be closed at the decision horizon.
+
+    ``taus`` are the correlation times that samples are counted by, the same for all hypotheses that are compared.
+    """
     last = list(path)[-1]
     mine, theirs = left_out(path[last], spans, scale), left_out(base[last], spans, scale)
     taken = float(theirs.sum() - mine.sum()) / base[last].tau
     eased = 2 * (base[last].penalty - path[last].penalty)
-    count = path[last].samples / path[last].own_tau
+    count = path[last].samples / taus[last]
     independent, fixed = path[last].samples / base[last].own_tau, eased - parameters * np.log(max(8.0, count))
     return Evidence(
-        {h: _gain(path[h], base[h], parameters) for h in path}, (taken + eased) / gap, theirs, mine, count, independent, fixed,
+        {h: _gain(path[h], base[h], parameters, taus[h]) for h in path}, (taken + eased) / gap, theirs, mine, count, independent, fixed,
     )
 
 
-def _gain(fit: Fit, base: Fit, parameters: int) -> float:
-    tau = fit.own_tau
+def noise_times(paths: Sequence[Path]) -> dict[float, float]:
+    """Return by horizon the correlation time of what the fit that leaves least leaves: of all, the nearest to the noise.
+
+    Compared with their own correlation times, hypotheses whose misfit is short-lived would gain most.
+    """
+    return {h: min((path[h] for path in paths), key=lambda f: f.deviance).own_tau for h in paths[0]}
+
+
+def _gain(fit: Fit, base: Fit, parameters: int, tau: float) -> float:
     likelihood = (base.deviance - fit.deviance) / tau
     return float(likelihood + 2 * (base.penalty - fit.penalty) - parameters * np.log(max(8.0, fit.samples / tau)))

@@ -13,7 +13,7 @@ from afdsvc.api.physics import Hypothesis, Machine, Physics
 from afdsvc.explain.noise.surrogates import chance
 from afdsvc.explain.noise.weighting import differing
 from afdsvc.explain.search.base import Settled
-from afdsvc.explain.search.evidence import Evidence, blocks, evidence, left_out
+from afdsvc.explain.search.evidence import Evidence, blocks, evidence, left_out, noise_times
 from afdsvc.explain.search.fit import Fit, fit
 from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
 from afdsvc.explain.search.path import Trial, added_path, ends, fewer_path, trial
@@ -133,7 +133,8 @@ class Rounds(Settled):
         tried = _promising(list(self.mapper(partial(trial, part, start, self.taus, starts=STARTS), shortlist)), s.polished)
         tried = [replace(t, points=tuple(replace(q, x0=path[h].point.x0) for q, h in zip(t.points, ends(path), strict=True))) for t in tried]
         fitted = list(self.mapper(partial(added_path, p, path, self.taus), tried))
-        found = [Candidate(t.hypothesis, q, self.evidence(q, path, t.hypothesis)) for t, q in zip(tried, fitted, strict=True)]
+        counted = noise_times(fitted) if fitted else {}
+        found = [Candidate(t.hypothesis, q, self.evidence(q, path, t.hypothesis, counted)) for t, q in zip(tried, fitted, strict=True)]
         ranked, limited = self.ranked(found)
         return _decided(ranked, limited, self, by_chance, further)
 
@@ -153,13 +154,13 @@ class Rounds(Settled):
             first = winner(ordered, self.problem.settings, limited)
         return [first, *(c for c in ordered if c is not first)], limited
 
-    def evidence(self, path: dict[float, Fit], base: dict[float, Fit], h: Hypothesis) -> Evidence:
+    def evidence(self, path: dict[float, Fit], base: dict[float, Fit], h: Hypothesis, taus: dict[float, float] | None = None) -> Evidence:
         """Return the evidence for one hypothesis; a constant of the model costs nothing, it is there already."""
-        return self.over(path, base, 0 if is_constant(h) else sum(c.free for c in h.parameters))
+        return self.over(path, base, 0 if is_constant(h) else sum(c.free for c in h.parameters), taus)
 
-    def over(self, path: dict[float, Fit], base: dict[float, Fit], count: int) -> Evidence:
-        """Return the evidence for a path of ``count`` more parameters."""
-        return evidence(path, base, self.spans, list(self.start.values())[-1].sd, self.gap, count)
+    def over(self, path: dict[float, Fit], base: dict[float, Fit], count: int, taus: dict[float, float] | None = None) -> Evidence:
+        """Return the evidence for a path of ``count`` more parameters; samples count by ``taus``, or by the path's own residual."""
+        return evidence(path, base, self.spans, list(self.start.values())[-1].sd, self.gap, count, taus or noise_times([path]))
 
     def without_idle(self, path: dict[float, Fit]) -> dict[float, Fit]:
         """Return the path without effects that do not pay beside the others."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -85,18 +86,20 @@ def is_constant(h: Hypothesis) -> bool:
 def weights(candidates: Sequence[Candidate], settings: Settings, limited: str) -> Array:
     """Return the share of resamplings in which each candidate comes first, ``(len(candidates),)``, sum 1.
 
-    A resampling draws the left-out blocks with replacement (Efron 1979). Those that fit alike share the vote.
+    A resampling draws the left-out blocks with replacement (Efron 1979). Mechanisms that fit alike share the
+    vote equally, and so do the shapes of each.
     """
     if not candidates:
         return np.zeros(0)
     count = len(candidates[0].evidence.before)
     drawn = np.random.default_rng(count).integers(0, count, (settings.resamples, count))
     gains = np.array([c.evidence.resampled(drawn) for c in candidates])
-    votes = np.zeros(len(candidates))
+    votes, kinds = np.zeros(len(candidates)), [mechanism(c.hypothesis) for c in candidates]
     for column in gains.T:
         best = int(np.argmax(column))
         near = [alike(c.evidence, candidates[best].evidence, g, column[best], settings, limited) for c, g in zip(candidates, column, strict=True)]
-        votes[near] += 1.0 / sum(near)
+        shapes = Counter(what for what, n in zip(kinds, near, strict=True) if n)
+        votes += [n and 1.0 / (len(shapes) * shapes[what]) for what, n in zip(kinds, near, strict=True)]
     return np.asarray(votes / votes.sum())
 
 
