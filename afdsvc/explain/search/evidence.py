@@ -57,8 +57,7 @@ class Evidence:
     ``gains`` are twice the logarithm of the ratio of the posteriors in independent samples, less the price of the parameters, by
     horizon. ``share`` is the part of the gap closed at the decision horizon: of the loss on left-out blocks in independent samples,
     and of the distance of the model's numbers from what is stated. ``before`` and ``after`` are the losses of the left-out blocks;
-    ``count`` and ``independent`` the independent samples of the residual with and without the effect, ``fixed`` the part of the
-    gain that does not depend on the blocks.
+    ``count`` the independent samples of all outputs, ``fixed`` the part of the gain that does not depend on the blocks.
     """
 
     gains: Mapping[float, float]
@@ -66,7 +65,6 @@ class Evidence:
     before: Array
     after: Array
     count: float
-    independent: float
     fixed: float
 
     @property
@@ -76,12 +74,12 @@ class Evidence:
 
     @property
     def closed(self) -> float:
-        """The gain as a share: 1 - exp(-gain per independent sample of the residual without the effect)."""
+        """The gain as a share: 1 - exp(-gain per independent sample)."""
         return float(self.closing(np.array(self.gain)))
 
     def closing(self, gain: Array) -> Array:
         """Return gains as shares."""
-        return np.asarray(1 - np.exp(-np.clip(gain / self.independent, -5.0, 50.0)))
+        return np.asarray(1 - np.exp(-np.clip(gain / self.count, -5.0, 50.0)))
 
     def resampled(self, drawn: NDArray[np.int64]) -> Array:
         """Return the gain for blocks drawn with replacement, ``drawn (resamples, blocks)``."""
@@ -109,10 +107,9 @@ def evidence(
     taken = float(theirs.sum() - mine.sum()) / base[last].tau
     eased = 2 * (base[last].penalty - path[last].penalty)
     count = path[last].samples / taus[last]
-    independent, fixed = path[last].samples / base[last].own_tau, eased - parameters * np.log(max(8.0, count))
-    return Evidence(
-        {h: _gain(path[h], base[h], parameters, taus[h]) for h in path}, (taken + eased) / gap, theirs, mine, count, independent, fixed,
-    )
+    fixed = eased - parameters * np.log(max(8.0, count))
+    gains = {h: _gain(path[h], base[h], parameters, taus[h]) for h in path}
+    return Evidence(gains, (taken + eased) / gap, theirs, mine, count * len(scale), fixed)
 
 
 def noise_times(paths: Sequence[Path]) -> dict[float, float]:

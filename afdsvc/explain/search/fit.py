@@ -180,8 +180,8 @@ def fit(
 
     The log-likelihood is ``-N/(2 tau) sum_j log(SSE_j/N)``: noise variances are estimated under the hypothesis, and correlated
     samples count as ``N/tau``, which keeps the priors alive. Steps are those of Levenberg and Marquardt; between them the Jacobian
-    follows by Broyden's rule, and is worked out anew where a step fails. ``known`` is a Jacobian to begin with; ``exact`` False
-    leaves the last one as it is.
+    follows by Broyden's rule, and is worked out anew where a step fails. ``known`` is a Jacobian to begin with; with ``exact`` False
+    it is worked out anew once at most, and the last one is left as it is.
     """
     c = Coordinates(problem, point)
     q = c.pack(c.unpack(c.pack(point)))
@@ -192,7 +192,7 @@ def fit(
         value = n / tau * float(np.log(rms(residuals)).sum()) + c.penalty(q)
         return value if np.isfinite(value) else np.inf
 
-    cost, damping, fresh = cost_of(q, residuals), 1e-3, known is None
+    cost, damping, fresh, renewed = cost_of(q, residuals), 1e-3, known is None, known is None
     J = jacobian(problem, c, q, horizon, residuals) if known is None else known
     for _ in range(iterations):
         H, g = _normal(J, residuals, tau, c, q)
@@ -202,9 +202,9 @@ def fit(
             J, fresh_now = _followed(J, step[0] - q, residuals, step[1]), False
             q, residuals, cost, damping = step
         if fall < ENOUGH:
-            if fresh or not exact:
+            if fresh or (renewed and not exact):
                 break
-            J, fresh, damping = jacobian(problem, c, q, horizon, residuals), True, 1e-3
+            J, fresh, renewed, damping = jacobian(problem, c, q, horizon, residuals), True, True, 1e-3
             continue
         fresh = fresh_now
     if exact and not fresh:
@@ -235,7 +235,7 @@ def _improving(
     cost_of: Callable[[Array, Sequence[Array]], float],
 ) -> tuple[Array, tuple[Array, ...], float, float] | None:
     """Return coordinates, residuals, cost and damping after a step that lowers the cost; None when none does."""
-    for _ in range(4):
+    for _ in range(8):
         step = -np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
         step[: c.k] = np.clip(step[: c.k], -5, 5)
         step[c.k : c.shared] = np.clip(step[c.k : c.shared], -1.5, 1.5)

@@ -39,13 +39,19 @@ class Trial:
 
 
 def trial(problem: Problem, base: Mapping[float, Fit], taus: Taus, screened: Mapping[float, Screened], starts: int) -> Trial:
-    """Return the best of the starts after a few iterations at both ends of the horizons."""
+    """Return the best of the starts after a few iterations at both ends of the horizons.
+
+    Where the base has bent the model's numbers beyond what its owner states, fits begin at the stated ones, too.
+    """
     points, falls = [], []
     for h in ends(base):
         brief = []
         for start in screened[h].starts[:starts]:
             p = _begin(problem, base[h], start, h)
             brief.append(fit(problem, p, h, taus[h], BRIEF, borrowed(problem, base[h], p, h), exact=False))
+            if np.abs(base[h].point.theta).max(initial=0.0) > problem.settings.strained:
+                stated = replace(base[h].point, theta=np.zeros_like(base[h].point.theta))
+                brief.append(fit(problem, stated.added(start.effect), h, taus[h], BRIEF, exact=False))
         best = min(brief, key=lambda f: f.cost)
         points.append(best.point)
         falls.append(base[h].cost - best.cost)
