@@ -9,11 +9,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from afdsvc.explain.search.fit import Fit
+from afdsvc.explain.search.fit import Coordinates, Fit, weighted
+from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.settings import Settings
 from afdsvc.lti.statespace import Array
 
 LONGEST_STEP = 3.0  # in coordinates: how far the fit without a block may be from the fit with it
+SHARES = (1.0, 0.5, 0.25)  # of that step that are tried
 
 
 def blocks(fit: Fit, settings: Settings) -> list[tuple[int, int, int]]:
@@ -28,26 +30,57 @@ def blocks(fit: Fit, settings: Settings) -> list[tuple[int, int, int]]:
 
 
 def left_out(fit: Fit, spans: list[tuple[int, int, int]], scale: Array) -> Array:
-    """Return the loss of every block when it is left out, by one Newton step from the whole fit; outputs divided by ``scale``.
-
-    The step is taken in what all recordings share; initial states stay where they are.
-    """
-    shared = fit.shared
-    p = len(fit.sd)
-    first = np.concatenate([[0], np.cumsum([e.size for e in fit.residuals])])
-    weight = np.tile(1 / (fit.sd * np.sqrt(fit.tau)), 1)
+    """Return the loss of every block when it is left out, to first order; outputs divided by ``scale``."""
     losses = []
-    for r, a, b in spans:
-        e = fit.residuals[r][a:b]
-        J = fit.J[first[r] + a * p : first[r] + b * p, :shared]
-        w = np.tile(weight, b - a)
-        Jw = J * w[:, None]
-        H = fit.H[:shared, :shared] - Jw.T @ Jw
-        H[np.diag_indices_from(H)] += 1e-6 * np.diag(fit.H)[:shared]
-        step = np.clip(np.linalg.lstsq(H, Jw.T @ (e.ravel() * w), rcond=1e-12)[0], -LONGEST_STEP, LONGEST_STEP)
-        predicted = e + (J @ step).reshape(e.shape)
+    for span in spans:
+        rows, e = _block(fit, span)
+        predicted = e + (fit.J[rows, : fit.shared] @ _newton(fit, span)).reshape(e.shape)
         losses.append(float(((predicted / scale) ** 2).sum()))
     return np.array(losses)
+
+
+def refitted(problem: Problem, horizon: float, fit: Fit, spans: list[tuple[int, int, int]], scale: Array) -> Array:
+    """Return the loss of every block when it is left out, simulated after one Newton step; outputs divided by ``scale``.
+
+    The step is halved until the other blocks and the prior are followed better than by the whole fit; where none is, it is not taken.
+    """
+    c = Coordinates(problem, fit.point)
+    q, losses = c.pack(fit.point), []
+    for span in spans:
+        step, (r, a, b) = np.zeros(c.size), span
+        step[: fit.shared] = _newton(fit, span)
+        whole, best = _others(fit, fit.residuals, span) + c.penalty(q), fit.residuals[r][a:b]
+        for share in SHARES:
+            there = c.unpack(q + share * step)
+            residuals = weighted(problem, there, horizon)
+            if _others(fit, residuals, span) + c.penalty(c.pack(there)) <= whole:
+                best = residuals[r][a:b]
+                break
+        losses.append(float(((best / scale) ** 2).sum()))
+    return np.array(losses)
+
+
+def _block(fit: Fit, span: tuple[int, int, int]) -> tuple[slice, Array]:
+    """Return the rows of a block in the Jacobian, and its residual."""
+    (r, a, b), p = span, len(fit.sd)
+    first = sum(e.size for e in fit.residuals[:r])
+    return slice(first + a * p, first + b * p), fit.residuals[r][a:b]
+
+
+def _newton(fit: Fit, span: tuple[int, int, int]) -> Array:
+    """Return the Newton step, in what all recordings share, from the whole fit to the one without a block."""
+    rows, e = _block(fit, span)
+    w = np.tile(1 / (fit.sd * np.sqrt(fit.tau)), len(e))
+    Jw = fit.J[rows, : fit.shared] * w[:, None]
+    H = fit.H[: fit.shared, : fit.shared] - Jw.T @ Jw
+    H[np.diag_indices_from(H)] += 1e-6 * np.diag(fit.H)[: fit.shared]
+    return np.asarray(np.clip(np.linalg.lstsq(H, Jw.T @ (e.ravel() * w), rcond=1e-12)[0], -LONGEST_STEP, LONGEST_STEP))
+
+
+def _others(fit: Fit, residuals: Sequence[Array], span: tuple[int, int, int]) -> float:
+    """Return half the weighted sum of squares of residuals outside a block."""
+    (r, a, b), w = span, 1 / (fit.sd * np.sqrt(fit.tau))
+    return 0.5 * float(sum(((e * w) ** 2).sum() for e in residuals) - ((residuals[r][a:b] * w) ** 2).sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,21 +128,19 @@ class Evidence:
 Path = Mapping[float, Fit]
 
 
-def evidence(
-    path: Path, base: Path, spans: list[tuple[int, int, int]], scale: Array, gap: float, parameters: int, taus: Mapping[float, float],
-) -> Evidence:
+def evidence(path: Path, base: Path, mine: Array, theirs: Array, gap: float, parameters: int, taus: Mapping[float, float]) -> Evidence:
     """Return the evidence of a path over the base path; ``gap`` is what could be closed at the decision horizon.
 
-    ``taus`` are the correlation times that samples are counted by, the same for all hypotheses that are compared.
+    ``mine`` and ``theirs`` are the losses of their left-out blocks; ``taus`` the correlation times that samples are counted by, the same
+    for all hypotheses that are compared.
     """
     last = list(path)[-1]
-    mine, theirs = left_out(path[last], spans, scale), left_out(base[last], spans, scale)
     taken = float(theirs.sum() - mine.sum()) / base[last].tau
     eased = 2 * (base[last].penalty - path[last].penalty)
     count = path[last].samples / taus[last]
     fixed = eased - parameters * np.log(max(8.0, count))
     gains = {h: _gain(path[h], base[h], parameters, taus[h]) for h in path}
-    return Evidence(gains, (taken + eased) / gap, theirs, mine, count * len(scale), fixed)
+    return Evidence(gains, (taken + eased) / gap, theirs, mine, count * len(path[last].sd), fixed)
 
 
 def noise_times(paths: Sequence[Path]) -> dict[float, float]:

@@ -13,7 +13,7 @@ from afdsvc.api.physics import Hypothesis, Machine, Physics
 from afdsvc.explain.noise.surrogates import chance
 from afdsvc.explain.noise.weighting import differing
 from afdsvc.explain.search.base import Settled
-from afdsvc.explain.search.evidence import Evidence, blocks, evidence, left_out, noise_times
+from afdsvc.explain.search.evidence import Evidence, blocks, evidence, noise_times, refitted
 from afdsvc.explain.search.fit import Fit, fit
 from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
 from afdsvc.explain.search.path import Trial, added_path, ends, fewer_path, trial
@@ -70,7 +70,7 @@ def search(
     ``predictable`` is False where the residual of a path is noise, and the recordings are long enough to show it.
     """
     problem, start, limited = settled.problem, settled.start, settled.limited
-    rounds = Rounds(problem, settled.taus, start, limited, mapper, predictable)
+    rounds = Rounds(problem, settled.taus, start, limited, mapper, predictable, {})
     path = start
     steps: list[Step] = []
     seen = _seen(problem, path, limited)
@@ -110,20 +110,27 @@ class Rounds(Settled):
 
     mapper: Mapper
     predictable: Callable[[dict[float, Fit]], bool]
+    losses: dict[Fit, Array]
 
     @property
     def spans(self) -> list[tuple[int, int, int]]:
         """The blocks that are left out."""
         return blocks(list(self.start.values())[-1], self.problem.settings)
 
+    def left_out(self, path: dict[float, Fit]) -> Array:
+        """Return the losses of the blocks when they are left out, at the decision horizon; each fit is asked once."""
+        last, f = list(path.items())[-1]
+        if f not in self.losses:
+            self.losses[f] = refitted(self.problem, last, f, self.spans, list(self.start.values())[-1].sd)
+        return self.losses[f]
+
     @property
     def gap(self) -> float:
         """What could be closed at the decision horizon: the loss, where the noise is known what is above it, and the distance of
         the model's numbers from what is stated."""
         base, w = list(self.start.values())[-1], self.problem.weighting
-        loss = float(left_out(base, self.spans, base.sd).sum())
         floor = 0.0 if w.even else float(base.samples * (w.noise / base.sd**2).sum())
-        return max(loss - floor, float(np.sqrt(2.0 * base.samples))) / base.tau + 2 * base.penalty
+        return max(float(self.left_out(self.start).sum()) - floor, float(np.sqrt(2.0 * base.samples))) / base.tau + 2 * base.penalty
 
     def next(self, path: dict[float, Fit], offered: Sequence[Hypothesis], further: bool) -> Step:
         """Screen all hypotheses, fit the promising ones along the horizons, rank them and decide on the first."""
@@ -134,6 +141,7 @@ class Rounds(Settled):
         tried = [replace(t, points=tuple(replace(q, x0=path[h].point.x0) for q, h in zip(t.points, ends(path), strict=True))) for t in tried]
         fitted = list(self.mapper(partial(added_path, p, path, self.taus), tried))
         counted = noise_times(fitted) if fitted else {}
+        list(self.mapper(self.left_out, fitted))
         found = [Candidate(t.hypothesis, q, self.evidence(q, path, t.hypothesis, counted)) for t, q in zip(tried, fitted, strict=True)]
         ranked, limited = self.ranked(found)
         return _decided(ranked, limited, self, by_chance, further)
@@ -160,7 +168,7 @@ class Rounds(Settled):
 
     def over(self, path: dict[float, Fit], base: dict[float, Fit], count: int, taus: dict[float, float] | None = None) -> Evidence:
         """Return the evidence for a path of ``count`` more parameters; samples count by ``taus``, or by the path's own residual."""
-        return evidence(path, base, self.spans, list(self.start.values())[-1].sd, self.gap, count, taus or noise_times([path]))
+        return evidence(path, base, self.left_out(path), self.left_out(base), self.gap, count, taus or noise_times([path]))
 
     def without_idle(self, path: dict[float, Fit]) -> dict[float, Fit]:
         """Return the path without effects that do not pay beside the others."""

@@ -12,7 +12,7 @@ from afdsvc.explain.search.fit import Coordinates, Fit, borrowed, fit, rms, weig
 from afdsvc.explain.search.problem import Point, Problem
 from afdsvc.explain.search.screen import Screened, Start
 
-BRIEF = 6  # iterations in which a start has to show what it is worth
+GLANCE, BRIEF = 2, 4  # iterations of every start, and of those that are best after them
 Taus = Mapping[float, float]
 
 
@@ -45,14 +45,14 @@ def trial(problem: Problem, base: Mapping[float, Fit], taus: Taus, screened: Map
     """
     points, falls = [], []
     for h in ends(base):
-        brief = []
-        for start in screened[h].starts[:starts]:
-            p = _begin(problem, base[h], start, h)
-            brief.append(fit(problem, p, h, taus[h], BRIEF, borrowed(problem, base[h], p, h), exact=False))
-            if np.abs(base[h].point.theta).max(initial=0.0) > problem.settings.strained:
-                stated = replace(base[h].point, theta=np.zeros_like(base[h].point.theta))
-                brief.append(fit(problem, stated.added(start.effect), h, taus[h], BRIEF, exact=False))
-        best = min(brief, key=lambda f: f.cost)
+        chosen = [s.effect for s in screened[h].starts[:starts]]
+        begun = [_begin(problem, base[h], start, h) for start in screened[h].starts[:starts]]
+        families = [[fit(problem, p, h, taus[h], GLANCE, borrowed(problem, base[h], p, h), exact=False) for p in begun]]
+        if np.abs(base[h].point.theta).max(initial=0.0) > problem.settings.strained:
+            stated = replace(base[h].point, theta=np.zeros_like(base[h].point.theta))
+            families.append([fit(problem, stated.added(e), h, taus[h], GLANCE, exact=False) for e in chosen])
+        firsts = [min(family, key=lambda f: f.cost) for family in families]
+        best = min((fit(problem, f.point, h, taus[h], BRIEF, f.J, exact=False) for f in firsts), key=lambda f: f.cost)
         points.append(best.point)
         falls.append(base[h].cost - best.cost)
     return Trial(next(iter(screened.values())).hypothesis, tuple(points), tuple(falls))

@@ -16,6 +16,8 @@ from afdsvc.explain.simulate.nominal import PYTHON_ANGLE, PYTHON_SUBSTEPS, Nomin
 from afdsvc.explain.simulate.steps import Steps, contiguous
 from afdsvc.lti.statespace import Array, StateSpace
 
+HELD = 1e-4  # error of an input held over a sub-step, over its rms
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulated:
@@ -50,7 +52,7 @@ class Simulator:
         ``closed`` feeds the simulated output back through the model's controller; ``free`` leaves out the correction of
         the states, for a simulation from the measured input alone. A simulation that diverges is nan from there on.
         """
-        least = max([4 if self.ramped else 1, *(e.hypothesis.substeps for e in effects)])
+        least = max([_fineness(run.U) if self.ramped else 1, *(e.hypothesis.substeps for e in effects)])
         theta = np.asarray(theta, dtype=np.float64)
         steps = self.nominal.steps(theta, least)
         simulated = self._play(run, theta, steps, x0, effects, closed, free)
@@ -118,6 +120,16 @@ class Simulator:
         if K is None or run.W is None:
             raise BadInput(f"{run.name}: the controller or what was added to its output is unknown; the loop cannot be closed")
         return (contiguous(K.A), contiguous(K.B), contiguous(K.C), contiguous(K.D)), run.W
+
+
+def _fineness(U: Array) -> int:
+    """Return the sub-steps, 4 at most, in which an input that runs smoothly may be held at the middle of each.
+
+    Holding it over ``h`` where it curves by ``u''`` is wrong by ``h^2 u'' / 24``.
+    """
+    size = float(np.sqrt(np.mean((U - U.mean(0)) ** 2)))
+    curved = float(np.sqrt(np.mean(np.diff(U, 2, axis=0) ** 2))) if len(U) > 2 else np.inf
+    return int(np.clip(np.ceil(np.sqrt(curved / (24 * HELD * size))), 1, 4)) if size > 0 and np.isfinite(curved) else 4
 
 
 def controller_of(nominal: Nominal, dt: float) -> StateSpace | None:

@@ -1,17 +1,18 @@
 """What blocks drawn anew say of a gain."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from afdsvc.explain.search.evidence import Evidence
+from afdsvc.explain.search.evidence import Evidence, noise_times
 
 BEFORE = np.full(20, 1.0)
 
 
 def evidence(after: np.ndarray, fixed: float = 0.0) -> Evidence:
-    return Evidence({0.0: 1.0}, 0.5, BEFORE, after, 100.0, 100.0, fixed)
+    return Evidence({0.0: 1.0}, 0.5, BEFORE, after, 100.0, fixed)
 
 
 def test_a_gain_in_every_block_holds_in_every_resampling():
@@ -35,3 +36,9 @@ def test_losses_with_and_without_the_effect_are_drawn_together():
 def test_the_price_of_the_parameters_counts():
     gain = evidence(np.full(20, 0.9))
     assert replace(gain, fixed=-100 * np.log(1 / 0.9) - 0.1).improves(400) == 0.0
+
+
+def test_hypotheses_are_compared_by_the_correlation_time_of_what_the_best_one_leaves():
+    """The fit that leaves less has the longer-lived residual: it is the nearer to the noise."""
+    poor, good = SimpleNamespace(deviance=100.0, own_tau=2.0), SimpleNamespace(deviance=-50.0, own_tau=9.0)
+    assert noise_times([{0.0: poor}, {0.0: good}]) == {0.0: 9.0}

@@ -1,6 +1,7 @@
 """The search on a motor whose speed is measured, with and without dry friction simulated by code of its own."""
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,15 @@ import pytest
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.search.base import settled
 from afdsvc.explain.search.build import build
+from afdsvc.explain.search.evidence import blocks, refitted
 from afdsvc.explain.search.fit import Coordinates, fit, jacobian, weighted
 from afdsvc.explain.search.forward import search
+from afdsvc.explain.search.machine import hypotheses, machine
+from afdsvc.explain.search.path import trial
 from afdsvc.explain.search.ranking import look_alikes, weights
+from afdsvc.explain.search.screen import Screened, Start
 from afdsvc.explain.settings import Settings
+from afdsvc.explain.simulate.effects import Effect
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.plugins.physics.coulomb_friction import CoulombFriction
 from afdsvc.plugins.physics.dead_zone import DeadZone
@@ -93,3 +99,37 @@ def test_the_jacobian_is_that_of_central_differences():
         ends = [np.vstack(weighted(p, c.unpack(q + s * step), 0.0)).ravel() for s in (1, -1)]
         expected = (ends[0] - ends[1]) / 2e-3
         assert J[:, k] == pytest.approx(expected, abs=1e-3 * max(np.abs(expected).max(), 1e-9))
+
+
+def test_losses_of_left_out_blocks_are_those_of_refits_without_them():
+    p = problem(60.0)
+    f = fit(p, p.start(), 0.0, 5.0)
+    spans = blocks(f, Settings())
+    found = refitted(p, 0.0, f, spans, f.sd)
+    for k in (3, 7, 16):  # not the first of a recording, whose initial state is not left out
+        r, a, b = spans[k]
+        runs = list(p.runs)
+        hidden = runs[r].Y.copy()
+        hidden[a:b] = np.nan
+        runs[r] = replace(runs[r], Y=hidden)
+        again = fit(replace(p, runs=tuple(runs)), f.point, 0.0, 5.0)
+        left = (weighted(p, again.point, 0.0)[r][a:b] / f.sd) ** 2
+        assert found[k] == pytest.approx(left.sum(), rel=0.02)
+
+
+def test_a_step_that_spoils_the_other_blocks_is_not_taken():
+    p = problem(60.0)
+    f = fit(p, p.start(), 0.0, 5.0)
+    spans = blocks(f, Settings())
+    away = refitted(p, 0.0, replace(f, J=-f.J), spans, f.sd)
+    assert away == pytest.approx([((f.residuals[r][a:b] / f.sd) ** 2).sum() for r, a, b in spans])
+
+
+def test_where_the_model_was_bent_hypotheses_begin_at_the_stated_numbers_too():
+    p = problem(60.0)
+    bent = fit(p, replace(p.start(), theta=np.full(len(p.start().theta), 20.0)), 0.0, 5.0, iterations=0)
+    h = next(iter(hypotheses([CoulombFriction()], machine(p, bent, 0.0, [], [], "model"))))
+    start = Start(Effect(h, np.array(h.starts[0], float)), 0.0, np.zeros(0), np.zeros(len(bent.H)))
+    screened = {0.0: Screened(h, (start,))}
+    falls = [trial(replace(p, settings=Settings(strained=s)), {0.0: bent}, {0.0: 5.0}, screened, 1).falls[0] for s in (5.0, np.inf)]
+    assert falls[0] > falls[1] + 10.0
