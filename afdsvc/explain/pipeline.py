@@ -16,7 +16,8 @@ from afdsvc.explain.check.check import checked
 from afdsvc.explain.check.still import refuse_still
 from afdsvc.explain.gap.decision import gap
 from afdsvc.explain.gap.finding import Gap
-from afdsvc.explain.locate.residual import names, signals
+from afdsvc.explain.gap.settings import GapSettings
+from afdsvc.explain.locate.residual import by_innovations, names, signals
 from afdsvc.explain.report.explanation import Explanation
 from afdsvc.explain.report.report import report
 from afdsvc.explain.search.base import settled
@@ -67,7 +68,8 @@ def explain(
 def tested(problem: Problem, path: dict[float, Fit], rng: np.random.Generator) -> Gap:
     """Return whether the residual of a path is predictable: that of the simulation where the plant allows one."""
     horizon, fit = list(path.items())[-1]
-    return gap(signals(problem, fit.point, horizon), *names(problem), rng)
+    point = by_innovations(problem, fit, horizon, GapSettings().whitening_order)
+    return gap(signals(problem, point, horizon), *names(problem), rng)
 
 
 def _mean_input(runs: Sequence[Run]) -> np.ndarray | None:
