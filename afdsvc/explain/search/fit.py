@@ -15,7 +15,7 @@ from afdsvc.lti.statespace import Array
 
 STEP = 1e-4  # finite difference, in units of the prior or of the parameter
 TINY = 1e-12
-ENOUGH = 0.1  # fall of the cost (log-likelihood) at which a fit ends
+ENOUGH, CONVERGED = 0.1, 1e-3  # fall of the cost (log-likelihood) at which a fit ends, and the fit of what is accepted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,13 +175,14 @@ def _column(problem: Problem, c: Coordinates, q: Array, at: Sequence[int], horiz
 
 def fit(
     problem: Problem, point: Point, horizon: float, tau: float, iterations: int = 100, known: Array | None = None, exact: bool = True,
+    enough: float = ENOUGH,
 ) -> Fit:
     """Return the local optimum of the posterior from ``point`` at one horizon.
 
     The log-likelihood is ``-N/(2 tau) sum_j log(SSE_j/N)``: noise variances are estimated under the hypothesis, and correlated
     samples count as ``N/tau``, which keeps the priors alive. Steps are those of Levenberg and Marquardt; between them the Jacobian
     follows by Broyden's rule, and is worked out anew where a step fails. ``known`` is a Jacobian to begin with; with ``exact`` False
-    it is worked out anew once at most, and the last one is left as it is.
+    it is worked out anew once at most, and the last one is left as it is. A fit ends where the cost falls by less than ``enough``.
     """
     c = Coordinates(problem, point)
     q = c.pack(c.unpack(c.pack(point)))
@@ -201,7 +202,7 @@ def fit(
         if step is not None:
             J, fresh_now = _followed(J, step[0] - q, residuals, step[1]), False
             q, residuals, cost, damping = step
-        if fall < ENOUGH:
+        if fall < enough:
             if fresh or (renewed and not exact):
                 break
             J, fresh, renewed, damping = jacobian(problem, c, q, horizon, residuals), True, True, 1e-3

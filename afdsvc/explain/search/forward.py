@@ -14,11 +14,11 @@ from afdsvc.explain.noise.surrogates import chance
 from afdsvc.explain.noise.weighting import differing
 from afdsvc.explain.search.base import Settled
 from afdsvc.explain.search.evidence import Evidence, blocks, evidence, noise_times, refitted
-from afdsvc.explain.search.fit import Fit, fit
+from afdsvc.explain.search.fit import CONVERGED, Fit, fit
 from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
 from afdsvc.explain.search.path import Trial, added_path, ends, fewer_path, trial
 from afdsvc.explain.search.problem import Problem
-from afdsvc.explain.search.ranking import Candidate, is_constant, is_reason, weights, winner
+from afdsvc.explain.search.ranking import Candidate, complexity, is_constant, is_reason, mechanism, weights, winner
 from afdsvc.explain.search.screen import Screen, Screened
 from afdsvc.lti.statespace import Array
 from afdsvc.stats.spectral_peaks import peaks
@@ -83,7 +83,7 @@ def search(
         steps.append(step)
         if not step.accepted:
             break
-        path = rounds.without_idle(step.candidates[0].path)
+        path = {h: fit(problem, f.point, h, f.tau, enough=CONVERGED) for h, f in rounds.without_idle(step.candidates[0].path).items()}
     return Found(problem, start, path, seen, tuple(_kept(s, path) for s in steps), limited, rounds.over(path, start, 0))
 
 
@@ -191,10 +191,25 @@ def _part(problem: Problem, path: dict[float, Fit], taus: dict[float, float]) ->
 
 
 def _promising(tried: Sequence[Trial], count: int) -> list[Trial]:
-    """Return the trials that fell most at the weakest correction, and half as many more of those that did at the strongest."""
-    by_last = sorted(tried, key=lambda t: -t.falls[-1])[:count]
-    by_first = [t for t in sorted(tried, key=lambda t: -t.falls[0])[:count] if t not in by_last]
-    return [*by_last, *by_first[: count // 2]]
+    """Return the trials of the mechanisms that fell most at the weakest correction, and of half as many more at the strongest.
+
+    Of every mechanism those are its best shape there and its simplest one.
+    """
+    shapes: dict[tuple[str, ...], list[Trial]] = {}
+    for t in tried:
+        shapes.setdefault(mechanism(t.hypothesis), []).append(t)
+    chosen: dict[str, Trial] = {}
+    most = 0
+    for end, more in ((-1, count), (0, count // 2)):
+        most += more
+        kinds: set[tuple[str, ...]] = {mechanism(t.hypothesis) for t in chosen.values()}
+        for best in sorted((max(same, key=lambda t: t.falls[end]) for same in shapes.values()), key=lambda t: -t.falls[end]):
+            if len(kinds | {mechanism(best.hypothesis)}) > most:
+                break
+            kinds.add(mechanism(best.hypothesis))
+            simplest = min(shapes[mechanism(best.hypothesis)], key=lambda t: (complexity(t.hypothesis), -t.falls[end]))
+            chosen |= {t.hypothesis.key: t for t in (best, simplest)}
+    return list(chosen.values())
 
 
 def _shortlist(problem: Problem, path: dict[float, Fit], offered: Sequence[Hypothesis], mapper: Mapper) -> tuple[list[dict[float, Screened]], dict[float, float]]:
@@ -228,7 +243,8 @@ def _noise(problem: Problem, base: Fit) -> list[Array]:
 def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: dict[float, float], further: bool) -> Step:
     """Return the round with its decision.
 
-    A plant that integrates is judged at the horizon where its evidence is clearest: its simulation sums up every disturbance.
+    A plant that integrates is judged at the horizon where its evidence is clearest: its simulation sums up every disturbance. At the
+    decision horizon every hypothesis has to gain, too.
     """
     s = rounds.problem.settings
     if not ranked:
@@ -238,7 +254,10 @@ def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: d
     gain, expected = gains[-1] if rounds.problem.regular else max(gains, key=lambda pair: pair[0] / pair[1])
     if rounds.limited == "noise" and is_constant(ranked[0].hypothesis):
         expected = s.constant  # one number that is known beforehand, not the best of many hypotheses
-    asked = [(gain, expected, "gain of likelihood"), (e.improves(s.resamples), s.sure, "share of resampled blocks that gain")]
+    asked = [
+        (gain, expected, "gain of likelihood"), (e.gain, min(s.evidence, expected), "gain at the decision horizon"),
+        (e.improves(s.resamples), s.sure, "share of resampled blocks that gain"),
+    ]
     if further or rounds.limited == "model":
         asked.append((e.share, s.share, "share of the gap"))
     if further and rounds.limited == "model":

@@ -73,16 +73,19 @@ def ends(path: Mapping[float, Fit]) -> list[float]:
 
 def added_path(problem: Problem, base: Mapping[float, Fit], taus: Taus, tried: Trial) -> dict[float, Fit]:
     """Return the fits with one more effect along the base's horizons, each from the one before; at the last from both ends of them, too."""
-    horizons = list(base)
+    *before, last = base
+
+    def added(point: Point, h: float) -> Fit:
+        known = borrowed(problem, base[h], point, h) if problem.regular else None  # the simulation of a plant that integrates bends more
+        return fit(problem, point, h, taus[h], known=known, exact=h == last)
+
     path: dict[float, Fit] = {}
     point = tried.points[0]
-    for h in horizons:
-        path[h] = fit(problem, point, h, taus[h], exact=h == horizons[-1])
+    for h in before:
+        path[h] = added(point, h)
         point = path[h].point
-    last = horizons[-1]
-    if len(horizons) > 1:
-        others = [fit(problem, p, last, taus[last]) for p in (tried.points[-1], path[horizons[0]].point)]
-        path[last] = min([path[last], *others], key=lambda f: f.cost)
+    starts = [point, tried.points[-1], path[before[0]].point] if before else [point]
+    path[last] = min((added(p, last) for p in starts), key=lambda f: f.cost)
     return path
 
 
