@@ -191,25 +191,14 @@ def _part(problem: Problem, path: dict[float, Fit], taus: dict[float, float]) ->
 
 
 def _promising(tried: Sequence[Trial], count: int) -> list[Trial]:
-    """Return the trials of the mechanisms that fell most at the weakest correction, and of half as many more at the strongest.
-
-    Of every mechanism those are its best shape there and its simplest one.
-    """
-    shapes: dict[tuple[str, ...], list[Trial]] = {}
-    for t in tried:
-        shapes.setdefault(mechanism(t.hypothesis), []).append(t)
-    chosen: dict[str, Trial] = {}
-    most = 0
-    for end, more in ((-1, count), (0, count // 2)):
-        most += more
-        kinds: set[tuple[str, ...]] = {mechanism(t.hypothesis) for t in chosen.values()}
-        for best in sorted((max(same, key=lambda t: t.falls[end]) for same in shapes.values()), key=lambda t: -t.falls[end]):
-            if len(kinds | {mechanism(best.hypothesis)}) > most:
-                break
-            kinds.add(mechanism(best.hypothesis))
-            simplest = min(shapes[mechanism(best.hypothesis)], key=lambda t: (complexity(t.hypothesis), -t.falls[end]))
-            chosen |= {t.hypothesis.key: t for t in (best, simplest)}
-    return list(chosen.values())
+    """Return the trials that fell most at the weakest correction, half as many more of those that did at the strongest, and of every
+    mechanism among them the simplest shape."""
+    chosen = sorted(tried, key=lambda t: -t.falls[-1])[:count]
+    chosen += [t for t in sorted(tried, key=lambda t: -t.falls[0])[:count] if t not in chosen][: count // 2]
+    for kind in {mechanism(t.hypothesis): None for t in chosen}:
+        shapes = [t for t in tried if mechanism(t.hypothesis) == kind]
+        chosen.append(min(shapes, key=lambda t: (complexity(t.hypothesis), -t.falls[-1])))
+    return list(dict.fromkeys(chosen))
 
 
 def _shortlist(problem: Problem, path: dict[float, Fit], offered: Sequence[Hypothesis], mapper: Mapper) -> tuple[list[dict[float, Screened]], dict[float, float]]:

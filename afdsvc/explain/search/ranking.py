@@ -104,9 +104,13 @@ def weights(candidates: Sequence[Candidate], settings: Settings, limited: str) -
 
 
 def look_alikes(candidates: Sequence[Candidate], settings: Settings, limited: str = "model") -> list[Candidate]:
-    """Return the first candidate and the reasons that close nearly as much and gain as they must."""
+    """Return the first candidate and the reasons that close nearly as much and gain as they must, one of every mechanism."""
     if not candidates:
         return []
     least, best = settings.alike * candidates[0].evidence.closed, candidates[0]
-    others = [c for c in candidates[1:] if is_reason(c, limited) or is_constant(best.hypothesis)]
-    return [best, *(c for c in others if c.evidence.closed >= least and c.evidence.gain > settings.evidence)]
+    found = {mechanism(best.hypothesis): best}
+    for c in candidates[1:]:
+        reason = is_reason(c, limited) or is_constant(best.hypothesis)
+        if reason and c.evidence.closed >= least and c.evidence.gain > settings.evidence:
+            found.setdefault(mechanism(c.hypothesis), c)
+    return list(found.values())

@@ -56,3 +56,8 @@ def test_a_constant_is_a_reason_where_it_closes_nearly_all_or_noise_limits():
 def test_look_alikes_close_half_of_what_the_first_one_closes():
     first, near, far = candidate("curve", 0.9), candidate("friction", 0.6), candidate("lag", 0.3)
     assert look_alikes([first, near, far], S) == [first, near]
+
+
+def test_of_every_mechanism_one_shape_is_a_look_alike():
+    first, shape, near = candidate("curve", 0.9, variant="cube"), candidate("curve", 0.89, variant="square"), candidate("friction", 0.8)
+    assert look_alikes([first, shape, near], S) == [first, near]
