@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -94,9 +95,14 @@ def stack(blocks: list) -> np.ndarray:
 
 @pytest.fixture
 def free_port() -> int:
-    """Return a free loopback port."""
+    """Return a loopback port that is free and the next one, too; below the range from which connections take theirs."""
+    import random
     import socket
 
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return int(s.getsockname()[1])
+    while True:
+        port = random.SystemRandom().randrange(20000, 32000)
+        with socket.socket() as one, socket.socket() as other:
+            with contextlib.suppress(OSError):
+                one.bind(("127.0.0.1", port))
+                other.bind(("127.0.0.1", port + 1))
+                return port

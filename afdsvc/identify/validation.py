@@ -164,12 +164,12 @@ def relative_error(found: ComplexArray, truth: ComplexArray) -> float:
     )
 
 
-#: Relative damping below which a mode counts as undamped, and how near in frequency a nominal one excuses it.
+#: Relative damping below which a mode counts as undamped, growing modes too, and how near in frequency a nominal one excuses it.
 LEAST_DAMPING, NEIGHBOURHOOD = 0.01, 0.2
 
 
 def undamped_modes(found: StateSpace, nominal: StateSpace) -> list[float]:
-    """Return the frequencies [Hz] of undamped modes of a discrete system that the nominal one does not have nearby."""
+    """Return the frequencies [Hz] of undamped and growing modes of a discrete system that the nominal one does not have nearby."""
     known = _undamped(nominal, 2 * LEAST_DAMPING)
     new = [w for w in _undamped(found, LEAST_DAMPING) if not (np.abs(known - w) < NEIGHBOURHOOD * w).any()]
     return [float(w / (2 * np.pi)) for w in new]
@@ -178,4 +178,4 @@ def undamped_modes(found: StateSpace, nominal: StateSpace) -> list[float]:
 def _undamped(system: StateSpace, least: float) -> Array:
     poles = system.poles().astype(np.complex128)
     rates = np.log(poles[(np.abs(poles) > 0) & (poles.imag > 0)]) / system.dt
-    return np.asarray(np.abs(rates[np.abs(rates.real) < least * np.abs(rates)]))
+    return np.asarray(np.abs(rates[-rates.real < least * np.abs(rates)]))

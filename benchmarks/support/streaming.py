@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import tracemalloc
 from collections.abc import Sequence
@@ -43,6 +44,7 @@ def work(detector: Detector, blocks: Sequence[ResidualBlock]) -> list[Work]:
     for block in blocks:
         state, _ = detector.step(state, block)
     state = detector.start()
+    gc.disable()  # finalisers of what earlier work left would be counted, too
     tracemalloc.start()
     try:
         for block in blocks:
@@ -56,6 +58,7 @@ def work(detector: Detector, blocks: Sequence[ResidualBlock]) -> list[Work]:
             found.append(Work(calls.count, tracemalloc.get_traced_memory()[1] - before))
     finally:
         tracemalloc.stop()
+        gc.enable()
     return found
 
 

@@ -24,6 +24,7 @@ def test_only_new_undamped_modes_are_told():
     assert undamped_modes(found, _oscillator(20.0, 0.3)) == [pytest.approx(50.0, rel=1e-3)]
     assert undamped_modes(found, _oscillator(52.0, 0.005)) == []
     assert undamped_modes(_oscillator(50.0, 0.05), _oscillator(20.0, 0.3)) == []
+    assert undamped_modes(_oscillator(50.0, -0.05), _oscillator(20.0, 0.3)) == [pytest.approx(50.0, rel=1e-3)]
 
 
 def test_the_orbit_of_a_rotor_is_not_taken_for_the_plant_silently(bearing, observer_loop, run_loop, binary):
