@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_discrete_lyapunov
 
 from afdsvc.api.bursts import Limits
 from afdsvc.api.detection import DetectionProblem
@@ -16,6 +15,7 @@ from afdsvc.detect.features.regressors import noise_sources
 from afdsvc.detect.statistics.fault_curves import LoopResponse, loop_response
 from afdsvc.excite.settings import BURST
 from afdsvc.excite.simulated_burst import noisy_loop
+from afdsvc.lti.lyapunov import discrete_lyapunov
 from afdsvc.lti.statespace import Array
 
 SEVERITIES = (-0.25, -0.5, -0.75, -1.0)
@@ -76,6 +76,6 @@ def noise_deviations(problem: DetectionProblem, severities: Mapping[str, float] 
     loop, q = noisy_loop(problem, severities or {}, Bn, Dn), Bn.shape[1]
     B, C, D = loop.B[:, :q], loop.C, loop.D[:, :q].copy()
     D[m : m + len(Dn)] += Dn  # what is measured contains the sensor noise itself
-    P = solve_discrete_lyapunov(loop.A, B @ B.T) if loop.order else np.zeros((0, 0))
+    P = discrete_lyapunov(loop.A, B @ B.T) if loop.order else np.zeros((0, 0))
     sd = np.sqrt(np.maximum(np.diag(C @ P @ C.T + D @ D.T), 0.0))
     return sd[m : m + len(Dn)], sd[:m]

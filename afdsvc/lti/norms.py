@@ -7,10 +7,11 @@ Sources: K. Zhou and J. C. Doyle, "Essentials of Robust Control", Prentice Hall,
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import eigvals, solve_discrete_lyapunov
+from scipy.linalg import eigvals
 
 from afdsvc.errors import BadInput
 from afdsvc.lti.frequency import transfer
+from afdsvc.lti.lyapunov import discrete_lyapunov
 from afdsvc.lti.scaling import balanced
 from afdsvc.lti.stability import require_stable
 from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
@@ -29,7 +30,7 @@ def output_covariance(system: StateSpace) -> Array:
     """
     _require_discrete(system)
     scaled, _ = balanced(system)
-    P = solve_discrete_lyapunov(scaled.A, scaled.B @ scaled.B.T) if system.order else np.zeros((0, 0))
+    P = discrete_lyapunov(scaled.A, scaled.B @ scaled.B.T) if system.order else np.zeros((0, 0))
     return np.asarray(scaled.C @ P @ scaled.C.T + scaled.D @ scaled.D.T, dtype=np.float64)
 
 
