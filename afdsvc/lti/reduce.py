@@ -9,10 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import schur, solve_continuous_lyapunov, solve_sylvester
+from scipy.linalg import schur, solve_continuous_lyapunov, solve_discrete_lyapunov, solve_sylvester
 
 from afdsvc.errors import BadInput, IllConditioned
-from afdsvc.lti.lyapunov import discrete_lyapunov
 from afdsvc.lti.scaling import balanced
 from afdsvc.lti.stability import require_stable
 from afdsvc.lti.statespace import Array, StateSpace, block_diagonal
@@ -104,7 +103,7 @@ def _gramian_factors(system: StateSpace) -> tuple[Array, Array]:
     """Return factors of the controllability and observability Gramians, ``P = Lc Lc'`` and ``Q = Lo Lo'``."""
     if not system.order:
         return np.zeros((0, 0)), np.zeros((0, 0))
-    solve = discrete_lyapunov if system.discrete else _continuous_gramian
+    solve = solve_discrete_lyapunov if system.discrete else _continuous_gramian
     P, Q = solve(system.A, system.B @ system.B.T), solve(system.A.T, system.C.T @ system.C)
     return _root(np.asarray(P, dtype=np.float64)), _root(np.asarray(Q, dtype=np.float64))
 

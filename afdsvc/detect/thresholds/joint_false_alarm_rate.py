@@ -21,9 +21,9 @@ from functools import lru_cache
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_lyapunov
 
 from afdsvc.detect.thresholds.regressor_information import NoiseDriven
-from afdsvc.lti.lyapunov import discrete_lyapunov
 from afdsvc.lti.reduce import balanced_truncation
 from afdsvc.lti.statespace import Array, StateSpace
 
@@ -89,7 +89,7 @@ def _rates(rawA: bytes, rawB: bytes, rawC: bytes, rawb: bytes, shape: tuple[int,
     if min(plan.paths for plan in plans) < FEWEST:
         return None
     rng = np.random.Generator(np.random.PCG64(1))
-    root = np.linalg.cholesky(discrete_lyapunov(A, B @ B.T) + 1e-14 * np.eye(n))
+    root = np.linalg.cholesky(solve_discrete_lyapunov(A, B @ B.T) + 1e-14 * np.eye(n))
     At, Bt, Ct = (np.ascontiguousarray(M.T) for M in (A, B, C))  # the loops run along memory
     sums = np.zeros((3, len(b)))
     for i, plan in enumerate(plans):
@@ -119,7 +119,7 @@ def _information(A: Array, B: Array, C: Array) -> float:
     """Return the mean of ``|C x|^2``; 0 where the loop does not survive, and a fault is seen all the sooner."""
     if np.abs(np.linalg.eigvals(A)).max(initial=0.0) >= 1:
         return 0.0
-    return float(np.trace(C @ discrete_lyapunov(A, B @ B.T) @ C.T))
+    return float(np.trace(C @ solve_discrete_lyapunov(A, B @ B.T) @ C.T))
 
 
 def _terms(at: NDArray[np.int64], weight: Array, onset: NDArray[np.int64], forgotten: int) -> Array:
