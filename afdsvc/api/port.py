@@ -6,11 +6,13 @@ inside ``with port.arm(limits) as drive``. Every exit from that block leaves alp
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from afdsvc.api.bursts import Burst, Limits
+from afdsvc.api.retuning import Tuning
 from afdsvc.api.signals import Block, Channel
 
 
@@ -85,4 +87,27 @@ class DrivablePort(Port, Protocol):
 
     def arm(self, limits: Limits) -> AbstractContextManager[Drive]:
         """Return the drive as a context manager; raises `Refused` when the machine is not fit to be excited."""
+        ...
+
+
+@runtime_checkable
+class TunablePort(Port, Protocol):
+    """A machine beside whose controller a Q can run. Its blocks bear the name of the Q that acts."""
+
+    def check_tuning(self, tuning: Tuning) -> None:
+        """Raise `Refused` when Q cannot run here; nothing moves."""
+        ...
+
+    def retune(self, tuning: Tuning, reason_to_end: Callable[[], str], name: str) -> None:
+        """Let Q act from the next sample on, until there is a reason to end it or the loop finds one; raises `Refused`."""
+        ...
+
+    @property
+    def retuned(self) -> float:
+        """Gain of Q, 0 when none acts."""
+        ...
+
+    @property
+    def restored_because(self) -> str:
+        """Why the last Q ended, "" while one acts or before the first."""
         ...

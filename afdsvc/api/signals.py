@@ -55,7 +55,8 @@ class Block:
     ``values`` has shape ``(n samples, n channels)``. ``k0`` is the index of the first sample since the rig started
     (``session`` names that start), ``seq`` counts blocks without gaps, ``t0_ns`` is the Unix time of the first sample.
     ``burst`` names the burst playing during this block ("" when none); a block never spans the edge of a burst.
-    ``late`` counts the control samples of this block that missed their deadline.
+    ``late`` counts the control samples of this block that missed their deadline. ``tuning`` names the Q that acts in the whole block,
+    with its full gain ("" when none); a block in which its gain moves bears another name.
     """
 
     machine: str
@@ -68,6 +69,7 @@ class Block:
     values: Array
     burst: str = ""
     late: int = 0
+    tuning: str = ""
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.shape[1] != len(self.channels):

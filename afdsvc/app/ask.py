@@ -9,12 +9,12 @@ from typing import Any
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.site import Site
 from afdsvc.service import operator_requests
-from afdsvc.service.operator_requests import QUESTIONS
+from afdsvc.service.operator_requests import QUESTIONS, RETUNING
 from afdsvc.transport.access_rules import access_of
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire.keys import Keys
 
-DESIGN_SECONDS = 60.0  # a burst is designed before it is accepted
+DESIGN_SECONDS = {"burst": 60.0, "retune": 600.0}  # what is designed before it is accepted
 ASKED_SECONDS = 0.05  # between two questions whether it is
 
 
@@ -24,15 +24,17 @@ def ask_service(site: Site, name: str, asked_by: str, **arguments: Any) -> Any:
     On a secured site ``asked_by`` is the name in the certificate that is shown.
     """
     with Transport(site.transport, False, access_of(site, asked_by)) as transport:
-        keys, patience = Keys(site.site), site.transport.patience_seconds
+        keys, patience, security = Keys(site.site), site.transport.patience_seconds, site.transport.security
+        tunes = security is not None and name in RETUNING and asked_by in security.tuners
+        key = keys.retuning(asked_by) if tunes else keys.command(asked_by if security else "")
         question = partial(transport.ask, keys.question(), timeout=patience)
-        command = partial(transport.ask, keys.command(asked_by if site.transport.security else ""), timeout=patience)
-        if name != "burst":
+        command = partial(transport.ask, key, timeout=patience)
+        if name not in DESIGN_SECONDS:
             return operator_requests.ask(question if name in QUESTIONS else command, name, asked_by, **arguments)
-        answer, until = operator_requests.ask(command, name, asked_by, later=True, **arguments), time.monotonic() + DESIGN_SECONDS
+        answer, until = operator_requests.ask(command, name, asked_by, later=True, **arguments), time.monotonic() + DESIGN_SECONDS[name]
         while "ticket" in answer:
             if time.monotonic() > until:
-                raise AfdsvcError(f"no burst has been designed and accepted within {DESIGN_SECONDS:g} s")
+                raise AfdsvcError(f"no {name} has been designed and accepted within {DESIGN_SECONDS[name]:g} s")
             time.sleep(ASKED_SECONDS)
             answer = operator_requests.ask(question, "ticket", asked_by, ticket=answer["ticket"])
         return answer

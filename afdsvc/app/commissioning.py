@@ -133,7 +133,7 @@ def _from_plant(config: site_file.Machine, plugins: Plugins) -> Commissioned:
     faults = _faults(config, physical, plugins)
     turns = bool(physical.speed or any(rpm for _, rpm in config.driver.speed))
     return Commissioned(
-        config, discrete, physical.inputs, physical.outputs, output_cov, None, controller, faults.augmented(physical), limits,
+        config, discrete, physical.inputs, physical.outputs, output_cov, _disturbance(config, discrete), controller, faults.augmented(physical), limits,
         _channels(physical.inputs, physical.outputs, True, turns), physical.speed, physical=physical, faults=faults,
     )  # fmt: skip
 
@@ -158,7 +158,8 @@ def at_speed(machine: Commissioned, speed: float) -> Commissioned:
     if worst >= 1:
         raise NotStabilising(f"machine '{machine.config.id}': the loop at {speed * 30 / np.pi:.0f} rpm has a pole of modulus {worst:.6g}")
     augmented = machine.faults.augmented(physical)
-    return replace(machine, plant=augmented.plant, augmented=augmented, speed=speed, physical=physical)
+    process = _disturbance(machine.config, augmented.plant)
+    return replace(machine, plant=augmented.plant, augmented=augmented, speed=speed, physical=physical, process_cov=process)
 
 
 def _read_watched(config: site_file.Machine, allow_code: bool) -> RecordedMachine:
@@ -188,7 +189,7 @@ def _from_model(config: site_file.Machine, plugins: Plugins, watched: RecordedMa
     elif model.controller is not None:
         controller = _stated_controller(model, discrete)
     return Commissioned(
-        config, discrete, model.inputs, model.outputs, _model_cov(config, model), _process_cov(model, discrete.dt), controller,
+        config, discrete, model.inputs, model.outputs, _model_cov(config, model), _disturbance(config, discrete, _process_cov(model, discrete.dt)), controller,
         augment(discrete, _directions(config, discrete, model.inputs, model.outputs, plugins)),
         limits, watched.channels, raw_model=model.raw,
     )  # fmt: skip
@@ -212,6 +213,22 @@ def _process_cov(model: Model, dt: float) -> Array | None:
     if model.process_cov is None or model.plant is None or model.plant.discrete:
         return model.process_cov
     return sample_noise(model.plant.A, model.process_cov, dt)
+
+
+def _disturbance(config: site_file.Machine, plant: StateSpace, otherwise: Array | None = None) -> Array | None:
+    """Return the covariance on the states of the white noise that the site states at the inputs."""
+    if config.input_sd is None:
+        return otherwise
+    if len(config.input_sd) != plant.inputs:
+        raise BadInput(f"key 'input_sd' has {len(config.input_sd)} values; expected {plant.inputs}, one per input")
+    scaled = plant.B * np.array(config.input_sd)
+    return np.asarray(scaled @ scaled.T, dtype=np.float64)
+
+
+def controller_settings(machine: Commissioned) -> Mapping[str, Any]:
+    """Return the settings the machine's controller was designed with."""
+    chosen = machine.config.controller
+    return chosen.settings if machine.physical is None else _controller_settings(chosen, machine.physical)
 
 
 def _controller_settings(controller: site_file.Named, plant: PhysicalPlant) -> Mapping[str, Any]:
@@ -424,10 +441,10 @@ def _simulator(machine: Commissioned, settings: LoopSettings, clock: Clock) -> S
 def _simulated(machine: Commissioned, noise: Array, faults: tuple[ScheduledFault, ...]) -> SimulatedPlant:
     """Return what is simulated: the model itself, or another one where the driver says so or the speed changes."""
     driver, config, physical = machine.config.driver, machine.config, machine.physical
-    faulty = machine.faults
+    faulty, disturbed = machine.faults, None if config.input_sd is None else np.diag(np.square(config.input_sd))
     if physical is None or faulty is None or not (driver.options or driver.speed):
         unbalance = None if physical is None else physical.unbalance
-        return SimulatedPlant(machine.augmented.close, noise, None, machine.speed, unbalance, faults)
+        return SimulatedPlant(machine.augmented.close, noise, disturbed, machine.speed, unbalance, faults)
     true = plant_by_name(config.plant or "", **{**config.options, **driver.options})
     if true.sample_time != physical.sample_time:
         raise BadInput(f"key 'driver.options' gives sample time {true.sample_time} s; the machine's is {physical.sample_time} s")
@@ -439,7 +456,7 @@ def _simulated(machine: Commissioned, noise: Array, faults: tuple[ScheduledFault
     def still(severities: Mapping[str, float]) -> StateSpace:
         return turning(severities, true.speed)
 
-    return SimulatedPlant(still, noise, None, true.speed, true.unbalance, faults, profile, turning)
+    return SimulatedPlant(still, noise, disturbed, true.speed, true.unbalance, faults, profile, turning)
 
 
 def _turned(physical: PhysicalPlant, speed: float) -> PhysicalPlant:

@@ -1,8 +1,9 @@
-"""`afdsvc demo`: a simulated machine in a second process, bursts, a fault, and a comparison of truth and result."""
+"""`afdsvc demo`: a simulated machine in a second process, bursts, a fault, a comparison of truth and result, and a Q that heals."""
 
 from __future__ import annotations
 
 import contextlib
+import getpass
 import re
 import socket
 import subprocess
@@ -10,23 +11,34 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from afdsvc.api.signals import of_role
+from afdsvc.app.ask import ask_service
 from afdsvc.app.diagnose import diagnose_recordings
 from afdsvc.app.serve import serving
 from afdsvc.errors import AfdsvcError, BadInput
+from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, read_site
 from afdsvc.plants.registry import plant as plant_by_name
 from afdsvc.service.hub import Hub
+from afdsvc.wire.messages import EventKind
 
+DISTURBANCE = 0.1  # of the inputs, in their unit, of a machine that is to be healed
 _FAULT = re.compile(r"(?P<name>[a-z0-9_]+)=(?P<severity>[-+0-9.eE]+)(@(?P<at>[0-9.]+))?")
 
 
 @dataclass(frozen=True, slots=True)
 class DemoOptions:
-    """What is demonstrated: plant, controller, rotor speed [rpm] (None: the plant's own), faults (name, severity, second), ..."""
+    """What is demonstrated: plant, controller, rotor speed [rpm] (None: the plant's own), faults (name, severity, second), ...
+
+    With ``heal`` the inputs are disturbed, and the Q that the service proposes for the fault is accepted.
+    """
 
     plant: str = "gas_bearing"
     controller: str = "lqg"
@@ -36,12 +48,14 @@ class DemoOptions:
     seed: int = 1
     out: Path = Path("recordings")
     every: float = 5.0
+    heal: bool = False
 
 
-def first_fault(plant: str) -> str:
-    """Return the default fault of a demonstration of this plant; raises `BadInput` without such a plant."""
+def first_fault(plant: str, heal: bool = False) -> str:
+    """Return the default fault of a demonstration of this plant, with ``heal`` a sensor's, which costs the loop most; may raise `BadInput`."""
     known = plant_by_name(plant)
-    return next(iter((*known.usual_faults, *known.fault_sites)))
+    names = (*known.usual_faults, *known.fault_sites)
+    return next((name for name in names if heal and name.endswith("sensor")), names[0])
 
 
 def parse_fault(text: str) -> tuple[str, float, float]:
@@ -62,6 +76,7 @@ def site_text(options: DemoOptions, port: int) -> str:
     """Return the site file of the demonstration."""
     faults = ", ".join(f'{{name = "{n}", severity = {s!r}, at_seconds = {t!r}}}' for n, s, t in options.faults)
     rpm = "" if options.rpm is None else f"rpm = {options.rpm}"
+    disturbed = f"input_sd = {[DISTURBANCE] * len(plant_by_name(options.plant).inputs)}" if options.heal else ""
     settings = "settings = {gain = 0.2}" if options.controller == "proportional" else "settings = {}"
     return f"""# Written by `afdsvc demo`: one simulated machine, zenoh on loopback.
 site = "demo"
@@ -79,6 +94,7 @@ rerun = "file"
 id = "bearing"
 plant = "{options.plant}"
 options = {{{rpm}}}
+{disturbed}
 driver = {{kind = "simulator", real_time = true, seed = {options.seed}, faults = [{faults}]}}
 controller = {{kind = "{options.controller}", {settings}}}
 bursts = {{every_seconds = {options.every!r}, jitter_seconds = 0.2, first_after_seconds = 2.0}}
@@ -91,10 +107,53 @@ def run_demo(options: DemoOptions, tell: Callable[[float, Hub], None]) -> dict[s
         path = Path(folder) / "site.toml"
         path.write_text(site_text(options, free_port()), encoding="utf-8")
         site = read_site(path)
-        with serving(site) as hub, rig_process(path, "bearing", options.seconds) as rig:
-            _wait(hub, rig, path.parent / "rig.log", options.seconds, tell)
+        with serving(site) as hub, rig_process(path, "bearing", options.seconds) as rig, ThreadPoolExecutor(1) as person:
+            healing = _Healing(site, person) if options.heal else None
+            _wait(hub, rig, path.parent / "rig.log", options.seconds, tell, healing)
             files = hub.files()
-    return _document(options, site, files)
+    return {**_document(options, site, files), **({} if healing is None else healing.document(files))}
+
+
+class _Healing:
+    """The person who accepts the first Q that is proposed; what became of it."""
+
+    def __init__(self, site: Site, person: ThreadPoolExecutor) -> None:
+        self._site, self._person = site, person
+        self._asked: Future[Any] | None = None
+
+    def accept(self, hub: Hub) -> None:
+        """Accept what is proposed, once."""
+        if self._asked is None and hub.retunings["bearing"].sentence:
+            self._asked = self._person.submit(ask_service, self._site, "retune", getpass.getuser(), machine="bearing")
+
+    def document(self, files: list[Path]) -> dict[str, Any]:
+        """Return the design sheet, or why there is none, and what was measured without bursts: healthy, damaged, healed."""
+        sheet: Any = {"refused": "no fault was named with its severity while the machine ran"}
+        if self._asked is not None:
+            refusal = self._asked.exception()
+            sheet = {"refused": str(refusal)} if refusal else self._asked.result()
+        return {"retuning": sheet, "measured": measured_deviations(next(f for f in files if f.suffix == ".mcap"))}
+
+
+def measured_deviations(path: Path) -> dict[str, dict[str, float]]:
+    """Return the standard deviation of every input and output of a recording, by stretch: healthy, damaged and healed.
+
+    A block in which a burst or the gain of a Q moves, or that follows on one, is left out.
+    """
+    recording = Recording(path)
+    since = min((e.k for e in recording.events() if e.kind is EventKind.FAULT_INJECTED), default=2**63)
+    stretches: dict[str, list[Any]] = {"healthy": [], "damaged": [], "healed": []}
+    before = None
+    for block in recording.blocks():
+        quiet = before is not None and not (block.burst or before.burst) and block.tuning == before.tuning
+        before = block
+        if quiet and not block.tuning.endswith(" moves"):
+            state = "healed" if block.tuning else "damaged" if block.k0 >= since else "healthy" if block.k0 + len(block) <= since else ""
+            columns = [i for role in ("u", "y") for i in of_role(block.channels, role)]
+            if state:
+                stretches[state].append(block.values[:, columns])
+    names = [] if before is None else [before.channels[i].name for role in ("u", "y") for i in of_role(before.channels, role)]
+    return {state: dict(zip(names, np.vstack(rows).std(axis=0).tolist(), strict=True)) for state, rows in stretches.items() if rows}
 
 
 @contextlib.contextmanager
@@ -114,12 +173,16 @@ def rig_process(site: Path, machine: str, seconds: float) -> Iterator[subprocess
                 process.wait()
 
 
-def _wait(hub: Hub, rig: subprocess.Popen[bytes], log: Path, seconds: float, tell: Callable[[float, Hub], None]) -> None:
+def _wait(
+    hub: Hub, rig: subprocess.Popen[bytes], log: Path, seconds: float, tell: Callable[[float, Hub], None], healing: _Healing | None
+) -> None:  # fmt: skip
     """Wait until the rig has run its seconds; say so when it fails."""
     watch = hub.watches["bearing"]
     deadline = time.monotonic() + seconds + 60
     while rig.poll() is None:
         tell(watch.seconds_seen, hub)
+        if healing:
+            healing.accept(hub)
         if time.monotonic() > deadline:
             raise AfdsvcError("the rig agent did not finish in time")
         time.sleep(0.2)

@@ -23,16 +23,17 @@ from afdsvc.errors import BadInput
 from afdsvc.excite.recorded_bursts import marked, recorded_bursts
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.open import MappedTopics, Naming, OwnRecording, Table, open_file
-from afdsvc.files.recording.mcap_file import BLOCK, REQUEST
+from afdsvc.files.recording.mcap_file import BLOCK, REQUEST, RETUNING
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Detector, Driver, Machine
 from afdsvc.files.tables.foreign import prepared
 from afdsvc.files.tables.to_recording import import_traces
 from afdsvc.hal.replay import blocks_of
 from afdsvc.lti.lft import star
+from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.operator_requests import plain
-from afdsvc.wire.messages import BurstRequest
+from afdsvc.wire.messages import BurstRequest, RetuneRequest
 
 CALIBRATED = 2 / 3  # of the quiet samples before the first burst
 
@@ -103,7 +104,7 @@ def _diagnose_own(
     """Diagnose every machine of a recording of ours, in one pass over the file."""
     recording, machines = file.recording, dict[str, _RecordedMachine]()
     at_once = model is None and "site.toml" in recording.front.attachments and "import" not in recording.front.metadata
-    for id, message in recording.decoded(None, BLOCK, REQUEST):
+    for id, message in recording.decoded(None, BLOCK, REQUEST, RETUNING):
         if id not in machines:
             machines[id] = _RecordedMachine(id, file, at_once, model, calibrate, plugins, detectors)
         machines[id].take(message)
@@ -125,6 +126,7 @@ class _RecordedMachine:
     detectors: Sequence[str]
     waiting: deque[Block] = field(default_factory=deque)
     bursts: dict[str, Burst] = field(default_factory=dict)
+    tunings: dict[str, StateSpace] = field(default_factory=dict)
     replay: Replay | None = None
     notes: list[str] = field(default_factory=list)
 
@@ -134,23 +136,32 @@ class _RecordedMachine:
         return bool(self.waiting) or self.replay is not None
 
     def take(self, message: object) -> None:
-        """Take a block or the request of a burst."""
-        if isinstance(message, BurstRequest):
+        """Take a block or the request of a burst or a Q."""
+        if isinstance(message, RetuneRequest):
+            self.tunings[message.name] = message.tuning.Q
+        elif isinstance(message, BurstRequest):
             self.bursts[message.burst.name] = message.burst
             if self.replay:
                 self.replay.stream.announce(message.burst)
         elif isinstance(message, Block):
             self.waiting.append(message)
         while self.at_once and self.waiting and (not self.waiting[0].burst or self.waiting[0].burst in self.bursts):
-            self._begun().take(self.waiting.popleft())
+            self._judge(self._begun(), self.waiting.popleft())
 
     def document(self) -> dict[str, Any]:
         """Judge what is left and return the machine's part of ``diagnose --json``."""
         replay, recording = self._begun(), self.file.recording
         for block in self.waiting:
-            replay.take(block)
+            self._judge(replay, block)
         remarks = [*([recording.loss] if recording.loss else []), *replay.remarks]
         return document(str(recording.path), self.id, replay, self.bursts, replay.machine, remarks, self.notes)
+
+    def _judge(self, replay: Replay, block: Block) -> None:
+        """Judge a block; detectors for the loop with a Q are designed when the first block bears its name, once."""
+        Q = self.tunings.pop(block.tuning, None)
+        if Q is not None:
+            replay.stream.announce_tuning(block.tuning, Q)
+        replay.take(block)
 
     def _begun(self) -> Replay:
         if self.replay is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -50,7 +50,8 @@ def _stated_noise(machine: Commissioned) -> Noise:
 def _design(machine: Commissioned, plugins: Plugins) -> Design:
     def design(noise: Noise, frozen_after: int) -> Pipeline:
         base = commissioning.problem(machine, noise, FalseAlarms())
-        return Pipeline(base, commissioning.detectors(machine, base, plugins), commissioning.expectation(machine, frozen_after))
+        expected, redesign = commissioning.expectation(machine, frozen_after), partial(commissioning.detectors, machine, plugins=plugins)
+        return Pipeline(base, redesign(base), expected, redesign=redesign)
 
     return design
 

@@ -24,6 +24,7 @@ from afdsvc.api.notify import Notify
 from afdsvc.app import commissioning
 from afdsvc.app.commissioning import Commissioned
 from afdsvc.app.pipelines import burst_design, diagnosis_burst, pipeline_of
+from afdsvc.app.retune import tuning_design
 from afdsvc.diagnosis.alarm_book import Policy
 from afdsvc.diagnosis.pipeline import Pipeline
 from afdsvc.errors import BadInput
@@ -40,6 +41,7 @@ from afdsvc.service.machine import MachineMonitor
 from afdsvc.service.metrics import serve_metrics
 from afdsvc.service.notifications import NotificationQueue
 from afdsvc.service.operator_requests import Requests, plain
+from afdsvc.service.retuning import Retuning
 from afdsvc.service.scheduler import Scheduler
 from afdsvc.service.sinks.fan_out import FanOut, Sink, ThreadedSink
 from afdsvc.service.sinks.log_sink import LogSink
@@ -79,6 +81,7 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         stack.callback(beside.shutdown, wait=False, cancel_futures=True)
         watches: dict[str, MachineMonitor] = {}
         burst_requests: dict[str, BurstRequests] = {}
+        retunings: dict[str, Retuning] = {}
         rehearsed: list[tuple[Pipeline, Burst]] = []
         for machine in machines:
             id, diagnosis = machine.config.id, diagnosis_burst(machine)
@@ -90,15 +93,16 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
             if machine.limits is not None:
                 scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(burst_requests)), 0.0)
                 burst_requests[id] = BurstRequests(id, burst_design(machine, stream, diagnosis), scheduler, stream, sink, keys, transport, clock)
+                retunings[id] = Retuning(burst_requests[id], tuning_design(machine, plugins), diagnosis)
         history = sinks.history()
         outboxes = open_outboxes(site, history, plugins)
         for outbox in outboxes:
             stack.callback(outbox.close)
-        a = site.alarms
-        policy = Policy(a.raise_after, a.clear_after, a.latch, a.shelve_minutes)
+        policy = Policy(site.alarms.raise_after, site.alarms.clear_after, site.alarms.latch, site.alarms.shelve_minutes)
         hub = Hub(
             keys, __version__, watches, burst_requests, transport, clock, sinks.summary, sinks.files, policy=policy, history=history,
             outboxes=outboxes, audit=stack.enter_context(_audited(site, clock)), late=sinks.late,
+            retunings=retunings,
         )  # fmt: skip
         housekeeper = sinks.housekeeper()
         rehearsals = WarmUp(rehearsed)
@@ -109,7 +113,7 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         if security is not None:
             said = partial(hub.audit.add, "service") if hub.audit else print
             stack.callback(KeyWatch(site, SERVICE, transport, clock, lambda: any(r.playing for r in burst_requests.values()), said).close)
-        Requests(hub).serve(None if security is None else security.operators)
+        Requests(hub).serve(*((None,) if security is None else (security.operators, security.tuners)))
         stack.callback(hub.stop)
         housekeeper.start()
         stack.callback(housekeeper.close)

@@ -77,18 +77,20 @@ def demo(
     healthy: Annotated[bool, typer.Option("--healthy", help="Inject no fault.")] = False,
     controller: Annotated[str, typer.Option(help="lqg or proportional")] = "lqg",
     rpm: Annotated[int | None, typer.Option(help="Rotor speed; the plant's own otherwise.")] = None,
-    seconds: Annotated[float, typer.Option(help="Length of the run.")] = 30.0,
+    seconds: Annotated[float | None, typer.Option(help="Length of the run; 30, with --heal 60.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 1,
+    heal: Annotated[bool, typer.Option("--heal", help="Disturb the inputs, and accept the Q that is proposed for the fault.")] = False,
     out: Annotated[Path, typer.Option(help="Folder of the recording.")] = Path("recordings"),
     as_json: Json = False,
 ) -> None:
-    """Watch a simulated machine from its first burst to a named fault, on this computer alone."""
+    """Watch a simulated machine from its first burst to a named fault, with --heal to a healed machine, on this computer alone."""
     from afdsvc.app.demo import DemoOptions, first_fault, parse_fault, run_demo
     from afdsvc.present.terminal import demo_table, progress
 
-    wanted = [] if healthy else fault or [f"{first_fault(plant)}=-0.5@12"]
-    options = DemoOptions(plant, controller, rpm, tuple(parse_fault(f) for f in wanted), seconds, seed, out)
-    with progress("running the machine", seconds) as tell:
+    wanted = [] if healthy else fault or [f"{first_fault(plant, heal)}=-0.5@12"]
+    length = seconds or (60.0 if heal else 30.0)
+    options = DemoOptions(plant, controller, rpm, tuple(parse_fault(f) for f in wanted), length, seed, out, heal=heal)
+    with progress("running the machine", length) as tell:
         document = run_demo(options, lambda done, hub: tell(done))
     show(as_json, document, lambda: demo_table(document))
 

@@ -116,6 +116,33 @@ def burst(
     show(as_json, found, lambda: print(f"burst {found['burst']} accepted"))
 
 
+Machine = Annotated[str | None, typer.Argument(metavar="MACHINE", help="Id of the machine; not needed where there is one only.")]
+
+
+@app.command()
+def retune(machine: Machine = None, site: SiteOption = HERE, as_json: Json = False) -> None:
+    """Accept what an alarm proposes: Q is designed for the fault that was named, proved, and let act beside the running controller.
+
+    Refused with one sentence where nothing can be gained, or where a limit, stability or sensitivity would suffer.
+    """
+    from afdsvc.present.terminal import retune_table
+
+    found = _ask(site, "retune", machine=machine)
+    show(as_json, found, lambda: retune_table(found))
+
+
+@app.command()
+def restore(
+    machine: Machine = None,
+    reason: Annotated[str, typer.Option(help="Why, for the recording.")] = "asked to",
+    site: SiteOption = HERE,
+    as_json: Json = False,
+) -> None:
+    """Go back to the controller as it was, over the time that was proved to be smooth."""
+    found = _ask(site, "restore", machine=machine, reason=reason)
+    show(as_json, found, lambda: print(f"machine {found['machine']} is restored"))
+
+
 @app.command()
 def stop(
     reason: Annotated[str, typer.Option(help="Why, for the recording.")] = "asked to",

@@ -21,10 +21,12 @@ from afdsvc.detect.thresholds.power import tail_point
 from afdsvc.diagnosis.data_quality import Expectation, Finding, IntakeState, judge, longest_still
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.retune.design import retuned_problem
 
 log = logging.getLogger(__name__)
 LONGEST_SETTLING = 20_000
 REMEMBERED = 64  # bursts known by name
+TUNINGS = 4  # loops with a Q known by name
 JUDGED = ("diagnose", "isolate")  # purposes of bursts that detectors are designed for; others have far too many lines
 
 
@@ -51,15 +53,19 @@ class Pipeline:
 
     After every start and every interruption the residual filter settles for a while before detectors see it: its initial
     state is unknown. Bursts are known by name from the requests (`announce`); blocks of an unknown burst are not judged, nor are
-    those of a burst made for something else than detection.
+    those of a burst made for something else than detection. The same holds for every Q beside the controller: ``redesign`` returns
+    detectors for the loop with it (`announce_tuning`), which take over with the first block that bears its name.
     """
 
     problem: DetectionProblem
     detectors: Sequence[Detector]
     expected: Expectation
     bursts: dict[str, Burst] = field(default_factory=dict)
+    redesign: Callable[[DetectionProblem], Sequence[Detector]] | None = None
 
     def __post_init__(self) -> None:
+        self._loops: dict[str, tuple[DetectionProblem, Sequence[Detector]]] = {"": (self.problem, self.detectors)}
+        self._tuning = ""
         self._intake = IntakeState()
         self._states: dict[str, Any] = {d.name: d.start() for d in self.detectors}
         self._broken: dict[str, str] = {}
@@ -87,6 +93,16 @@ class Pipeline:
         """Make a burst known before its blocks come; the memory of old ones is bounded."""
         remember(self.bursts, burst)
 
+    def announce_tuning(self, name: str, Q: StateSpace) -> DetectionProblem:
+        """Make a Q known before its blocks come, and return the problem of the loop with it; raises `Refused` where detectors cannot follow."""
+        if self.redesign is None:
+            raise Refused("the detectors of this machine cannot be designed anew, so no Q can run beside its controller")
+        problem = retuned_problem(self._loops[""][0], Q)
+        self._loops[name] = problem, self.redesign(problem)
+        for old in [known for known in self._loops if known not in ("", name, self._tuning)][:-TUNINGS]:
+            del self._loops[old]
+        return problem
+
     def step(self, block: Block) -> Outcome:
         """Return what the block leads to; a detector that fails is disabled with a finding and the others continue."""
         self._intake, judged = judge(self.expected, self._intake, block)
@@ -97,7 +113,8 @@ class Pipeline:
             return Outcome((), judged.findings, None, judged.lost_samples)
         r = self._residual(block)
         self._follow_burst(block)
-        if block.k0 + len(block) <= self._settled_at:
+        self._follow_tuning(block)
+        if block.k0 + len(block) <= self._settled_at or block.tuning not in self._loops:
             return Outcome((), judged.findings, r, judged.lost_samples)
         evidence, failures = self._judge_residual(block, r)
         return Outcome(tuple(evidence), (*judged.findings, *failures), r, judged.lost_samples)
@@ -112,6 +129,15 @@ class Pipeline:
     def _follow_burst(self, block: Block) -> None:
         if block.burst != self._burst[0]:
             self._burst = (block.burst, block.k0)
+
+    def _follow_tuning(self, block: Block) -> None:
+        """Let the detectors of the loop that runs now take over; they begin when its transient has passed."""
+        if block.tuning == self._tuning:
+            return
+        self._tuning, self._gap, self._settled_at = block.tuning, True, block.k0 + self._settle
+        if block.tuning in self._loops:
+            self.problem, self.detectors = self._loops[block.tuning]
+            self._states, self._broken = {d.name: d.start() for d in self.detectors}, {}
 
     def _judge_residual(self, block: Block, r: Array) -> tuple[list[Evidence], list[Finding]]:
         seen = self._seen(block, r)
@@ -160,6 +186,10 @@ class Stream(Protocol):
 
     def announce(self, burst: Burst) -> None:
         """Make a burst known before its blocks come."""
+        ...
+
+    def announce_tuning(self, name: str, Q: StateSpace) -> DetectionProblem:
+        """Make a Q known before its blocks come, and return the problem of the loop with it; raises `Refused` where that cannot be."""
         ...
 
     def step(self, block: Block) -> Outcome:
@@ -228,6 +258,12 @@ class CalibratedPipeline:
         remember(self.bursts, burst)
         if self.pipeline:
             self.pipeline.announce(burst)
+
+    def announce_tuning(self, name: str, Q: StateSpace) -> DetectionProblem:
+        """Make a Q known; raises `Refused` until the noise is."""
+        if self.pipeline is None:
+            raise Refused("the noise is not known yet")
+        return self.pipeline.announce_tuning(name, Q)
 
     def step(self, block: Block) -> Outcome:
         """Collect, then judge."""

@@ -24,7 +24,7 @@ from afdsvc.api.signals import Block
 from afdsvc.diagnosis.data_quality import Finding
 from afdsvc.diagnosis.pipeline import Outcome, Pipeline, remember
 from afdsvc.errors import AfdsvcError, BadInput, Refused
-from afdsvc.lti.statespace import Array
+from afdsvc.lti.statespace import Array, StateSpace
 
 RPM = 30 / np.pi  # rpm per rad/s
 SLACK = 0.6  # of the spacing: how far the speed may be from that of the model in use
@@ -80,6 +80,10 @@ class SpeedPipeline:
         remember(self.bursts, burst)
         if self._pipeline is not None:
             self._pipeline.announce(burst)
+
+    def announce_tuning(self, name: str, Q: StateSpace) -> DetectionProblem:
+        """Raise `Refused`: what is proved of Q holds at one speed."""
+        raise Refused("the speed of this machine is followed ('speed_step_rpm'), and what is proved of Q holds at one speed only")
 
     def step(self, block: Block) -> Outcome:
         """Return what a block leads to; between two speeds that is nothing but a sentence."""

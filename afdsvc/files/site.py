@@ -33,14 +33,16 @@ class _Strict(BaseModel):
 class Security(_Strict):
     """Mutual TLS: the folder of keys and certificates, and the people (names in their certificates) by what they may do.
 
-    Operators may do everything people can; viewers see samples, decisions and the status, and can ask for nothing else.
+    Operators may do everything people can, except that only tuners (operators or not) may let a Q act; viewers see samples,
+    decisions and the status, and can ask for nothing else.
     """
 
     keys: Path
     operators: list[str] = []
     viewers: list[str] = []
+    tuners: list[str] = []
 
-    @field_validator("operators", "viewers")
+    @field_validator("operators", "viewers", "tuners")
     @classmethod
     def _plain(cls, value: list[str]) -> list[str]:
         taken = next((name for name in value if name in ("service", "ca") or name.startswith("rig.")), None)
@@ -53,6 +55,8 @@ class Security(_Strict):
         both = sorted(set(self.operators) & set(self.viewers))
         if both:
             raise ValueError(f"'{both[0]}' is operator and viewer; expected one of both")
+        if both := sorted(set(self.tuners) & set(self.viewers)):
+            raise ValueError(f"'{both[0]}' is tuner and viewer; expected one of both")
         return self
 
 
@@ -241,8 +245,16 @@ class Bursts(_Strict):
     quiet_hours: list[tuple[time, time]] = []
 
 
+class Retune(Named):
+    """How Q is designed for a damaged machine: the retuner, its settings, and the weights of the cost (``state_weight``, ``input_weight``,
+    ``process_weight``) where they differ from those of the controller."""
+
+    kind: str = "h2"
+    cost: dict[str, Any] = {}
+
+
 class Machine(_Strict):
-    """One machine: plant or model, driver, controller, faults, limits, bursts, detectors."""
+    """One machine: plant or model, driver, controller, faults, limits, bursts, detectors, retuning."""
 
     id: str
     plant: str | None = None
@@ -254,9 +266,11 @@ class Machine(_Strict):
     speed_step_rpm: Positive | None = None
     limits: LimitSettings = LimitSettings()
     output_sd: list[Positive] | None = None
+    input_sd: list[Positive] | None = None
     calibrate_seconds: Annotated[float, Field(ge=0)] = 0.0
     calibrate_on: Path | None = None
     bursts: Bursts = Bursts()
+    retune: Retune = Retune()
     detectors: list[Detector] = [Detector(kind=kind) for kind in ("matched_filter", "regression", "cusum", "passive_cusum")]
     block: Annotated[int, Field(ge=10, le=5000)] = 250
 

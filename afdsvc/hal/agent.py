@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 from afdsvc.api.bursts import Limits
 from afdsvc.api.clock import Clock
-from afdsvc.api.port import DrivablePort, Drive, Port
+from afdsvc.api.port import DrivablePort, Drive, Port, TunablePort
 from afdsvc.api.signals import Block
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.hal.lease import LeaseTimer
@@ -20,7 +20,7 @@ from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys, session_of
-from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, EventKind, Lease, RigDescription, RigEvent
+from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, EventKind, Lease, RetuneRequest, RigDescription, RigEvent
 
 log = logging.getLogger(__name__)
 HEARTBEAT_SECONDS = 2.0
@@ -67,6 +67,9 @@ class RigAgent:
         self._pending: BurstRequest | None = None
         self._watchdog, self._freshness = LeaseTimer(self.clock), Freshness(self.clock)
         self._playing = self._halt = ""
+        self._tuned = self._undo = ""
+        self._pending_q: RetuneRequest | None = None
+        self._q_lease = LeaseTimer(self.clock)
         self._told_late = self._told_dropped = 0
         self._next_beat = float("-inf")
         self._k = 0
@@ -181,6 +184,8 @@ class RigAgent:
         t, keys = self.transport, self.keys
         t.serve(keys.burst(self.machine), self._on_burst)
         t.serve(keys.stop(self.machine), self._on_stop)
+        t.serve(keys.retune(self.machine), self._on_retune)
+        t.serve(keys.restore(self.machine), self._on_restore)
         t.serve(keys.description(self.machine), lambda _: codec.encode_description(self.description))
         t.subscribe(keys.lease(self.machine), self._on_lease, missed=False)
         if self.store is not None:
@@ -198,11 +203,40 @@ class RigAgent:
 
     def _pump(self) -> bool:
         """Pass one block on; return whether there was one."""
+        self._begin_q()
         block = self.port.read()
         if block is None:
             return False
         self._publish(block)
+        self._end_q()
         return True
+
+    def _begin_q(self) -> None:
+        """Let the Q act that was accepted."""
+        with self._lock:
+            request, self._pending_q = self._pending_q, None
+        if request is None or not isinstance(self.port, TunablePort):
+            return
+        try:
+            self.port.retune(request.tuning, self._reason_to_restore, request.name)
+        except Refused as refusal:
+            self._tuned = ""
+            self._event(EventKind.RETUNE_REFUSED, str(refusal), request.name)
+        else:
+            self._event(EventKind.RETUNED, f"accepted by {request.asked_by}: {request.proof}", request.name)
+
+    def _end_q(self) -> None:
+        """Report a Q that has gone, with its reason."""
+        port, name = self.port, self._tuned
+        if name and self._pending_q is None and isinstance(port, TunablePort) and port.restored_because and port.retuned == 0:
+            self._tuned = ""
+            self._event(EventKind.RESTORED, port.restored_because, name)
+
+    def _reason_to_restore(self) -> str:
+        """Return why no Q may act now, "" while one may."""
+        if self.emergency.is_set():
+            return EMERGENCY
+        return "the rig agent was asked to stop" if self.stopping.is_set() else self._undo or self._q_lease.expired()
 
     def _publish(self, block: Block) -> None:
         self._k = block.k0 + len(block)
@@ -327,7 +361,48 @@ class RigAgent:
         if (request.start - self._k) * self.port.dt > LONGEST_LEAD_SECONDS:
             raise Refused(f"the burst is to start at sample {request.start}; it is {self._k} now, which is too far ahead")
 
-    def _refuse_stale(self, request: BurstRequest) -> None:
+    def _on_retune(self, payload: bytes) -> bytes:
+        """Accept or refuse a Q; runs in a zenoh thread and leaves the request to the control thread."""
+        name = ""
+        try:
+            request = codec.decode_retune_request(payload)
+            name = request.name
+            self._refuse_stale(request)
+            self._freshness.refuse_repeated(codec.encode_retune_request(request))
+            self._accept_q(request)
+        except AfdsvcError as refusal:
+            self._event(EventKind.RETUNE_REFUSED, str(refusal), name)
+            return codec.encode_burst_reply(BurstReply(False, name, str(refusal)))
+        return codec.encode_burst_reply(BurstReply(True, name))
+
+    def _accept_q(self, request: RetuneRequest) -> None:
+        if self.emergency.is_set():
+            raise Refused(EMERGENCY)
+        self._refuse_other(request.machine)
+        if not isinstance(self.port, TunablePort):
+            raise Refused(f"the driver of machine '{self.machine}' runs no Q beside its controller")
+        if self._q_lease.service_gone:
+            raise Refused("the service is not connected; Q would not be supervised")
+        if request.lease > LONGEST_LEASE_SECONDS:
+            raise Refused(f"the lease is {request.lease:g} s; at most {LONGEST_LEASE_SECONDS:g} s are accepted without renewal")
+        self.port.check_tuning(request.tuning)
+        with self._lock:
+            if self._tuned:
+                raise Refused("another Q acts; restore the machine first")
+            self._q_lease.renew(request.lease)
+            self._tuned, self._undo, self._pending_q = request.name, "", request
+
+    def _on_restore(self, payload: bytes) -> bytes:
+        """Go back to Q = 0; runs in a zenoh thread, the control thread sees it at its next slice."""
+        stop: BurstStop = codec.decode_burst_stop(payload)
+        self._refuse_other(stop.machine)
+        with self._lock:
+            if self._tuned and stop.burst in ("", self._tuned):
+                self._undo = f"restored by {stop.asked_by}: {stop.reason}"
+                return codec.encode_burst_reply(BurstReply(True, self._tuned))
+        return codec.encode_burst_reply(BurstReply(False, stop.burst, "no such Q acts"))
+
+    def _refuse_stale(self, request: BurstRequest | RetuneRequest) -> None:
         """Refuse a request of long ago: by this session's samples, which no clock moves, or else by its time stamp."""
         if not request.session:
             return self._freshness.refuse_old(request.t_ns)
@@ -361,11 +436,12 @@ class RigAgent:
         lease: Lease = codec.decode_lease(payload)
         if lease.seconds > LONGEST_LEASE_SECONDS:
             raise Refused(f"a lease of {lease.seconds:g} s; at most {LONGEST_LEASE_SECONDS:g} s are accepted without renewal")
-        if lease.burst == self._playing and lease.machine == self.machine:
-            self._watchdog.renew(lease.seconds)
+        for name, timer in ((self._playing, self._watchdog), (self._tuned, self._q_lease)):
+            if lease.burst == name and lease.machine == self.machine:
+                timer.renew(lease.seconds)
 
     def _on_service(self, _key: str, alive: bool) -> None:
-        self._watchdog.service_gone = not alive
+        self._watchdog.service_gone = self._q_lease.service_gone = not alive
 
     def _event(self, kind: EventKind, cause: str, burst: str = "") -> None:
         event = RigEvent(self.machine, self.description.session, self.clock.now_ns(), kind, self._k, burst, cause)

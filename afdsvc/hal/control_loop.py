@@ -144,17 +144,22 @@ class ControlLoop(ABC):
         if self._prediction is not None:
             _refuse_prediction(burst, self.dt, bounds, self._prediction)
 
-    def retune(self, tuning: Tuning, reason_to_end: Callable[[], str] = lambda: "") -> None:
-        """Let Q act from the next sample on; its gain rises from rest over ``tuning.rise``.
-
-        ``reason_to_end`` is asked before every slice; what it returns ends Q (a lost lease, say). A limit met, a measured cost above the
-        promise and `restore` end it too. Raises `Refused` when Q does not fit, is not stable, or another one acts.
-        """
+    def check_tuning(self, tuning: Tuning) -> None:
+        """Raise `Refused` when Q cannot run here: it does not fit, is not stable, or another one acts."""
         if self._closed:
             raise Refused("the machine is closed")
         if np.abs(self._K.D[self.m :, self.p :]).max(initial=0.0) > 0:
             raise Refused("alpha reaches beta in the same sample (the plant has a direct term); Q cannot run beside this controller")
-        self._tuning.begin(tuning, reason_to_end)
+        self._tuning.check(tuning)
+
+    def retune(self, tuning: Tuning, reason_to_end: Callable[[], str] = lambda: "", name: str = "Q") -> None:
+        """Let Q act from the next sample on; its gain rises from rest over ``tuning.rise``. Blocks bear its ``name``.
+
+        ``reason_to_end`` is asked before every slice; what it returns ends Q (a lost lease, say). A limit met, a measured cost above the
+        promise and `restore` end it too. Raises `Refused` as `check_tuning`.
+        """
+        self.check_tuning(tuning)
+        self._tuning.begin(tuning, reason_to_end, name)
 
     def restore(self, reason: str) -> None:
         """Let the gain of Q fall from the next sample on, over the time its tuning states; harmless when none acts."""
@@ -194,7 +199,7 @@ class ControlLoop(ABC):
         name = self._excitation.name if self._excitation.playing else ""
         n = min(self._settings.block, self._excitation.left) if name else self._settings.block
         parts: list[Samples] = []
-        late0, done, edge = self._late, 0, n
+        late0, done, edge, gains = self._late, 0, n, [self._tuning.gain]
         while done < n:
             step = min(self._settings.slice, n - done)
             alpha = self._excitation.take(step) if name and edge == n else np.zeros((step, self.m))
@@ -205,19 +210,21 @@ class ControlLoop(ABC):
                 edge = done + part.at
                 self._excitation.cut(f"{CAUSES[part.cause]} at sample {self._k - step + part.at}")
             parts.append(part)
+            gains.append(self._tuning.gain)
             done += step
-        return self._cut(np.vstack([s.values() for s in parts]), edge, name, self._late - late0)
+        return self._cut(np.vstack([s.values() for s in parts]), edge, (name, self._tuning.label(gains)), self._late - late0)
 
-    def _cut(self, values: Array, edge: int, name: str, late: int) -> list[Block]:
-        pieces = [(0, edge, name), (edge, len(values), "")] if edge < len(values) else [(0, len(values), name)]
+    def _cut(self, values: Array, edge: int, names: tuple[str, str], late: int) -> list[Block]:
+        burst, tuning = names
+        pieces = [(0, edge, burst), (edge, len(values), "")] if edge < len(values) else [(0, len(values), burst)]
         k0 = self._k - len(values)
-        return [self._block(values[a:b], k0 + a, label, late if b == len(values) else 0) for a, b, label in pieces if b > a]
+        return [self._block(values[a:b], k0 + a, (label, tuning), late if b == len(values) else 0) for a, b, label in pieces if b > a]
 
-    def _block(self, values: Array, k0: int, burst: str, late: int) -> Block:
+    def _block(self, values: Array, k0: int, names: tuple[str, str], late: int) -> Block:
         assert self._start_ns is not None  # noqa: S101 - set by _paced before any block exists
         stamp = self._start_ns + round(k0 * self.dt * 1e9)
         s = self._settings
-        block = Block(s.machine, s.session, self._seq, k0, self.dt, stamp, self._channels, values, burst, late)
+        block = Block(s.machine, s.session, self._seq, k0, self.dt, stamp, self._channels, values, names[0], late, names[1])
         self._seq += 1
         return block
 

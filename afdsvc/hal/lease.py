@@ -1,4 +1,4 @@
-"""The lease of a burst: without renewal by the requester no burst starts or continues."""
+"""The lease of a burst or a Q: without renewal by the requester neither starts or continues."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from afdsvc.api.clock import Clock
 
 @dataclass
 class LeaseTimer:
-    """The asker's word that it is still there; a burst fades out when that word has expired or the service is gone."""
+    """The asker's word that it is still there; a burst fades out, and a Q goes, when that word has expired or the service is gone."""
 
     clock: Clock
     until: float = float("-inf")
@@ -20,7 +20,7 @@ class LeaseTimer:
         self.until = self.clock.monotonic() + seconds
 
     def expired(self) -> str:
-        """Return why the burst must end, "" while the lease holds."""
+        """Return why it must end, "" while the lease holds."""
         if self.service_gone:
             return "the service vanished"
         return "the lease expired: no renewal from the service" if self.clock.monotonic() > self.until else ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -24,7 +24,7 @@ class RunningQ:
         self._tuning: Tuning | None = None
         self._ask: Callable[[], str] = lambda: ""
         self._sum, self._samples = 0.0, 0
-        self.ended_because = ""
+        self.ended_because = self.name = ""
 
     @property
     def acts(self) -> bool:
@@ -36,8 +36,12 @@ class RunningQ:
         """The gain of Q now."""
         return float(0.5 - 0.5 * np.cos(np.pi * self.motion[0]))
 
-    def begin(self, tuning: Tuning, reason_to_end: Callable[[], str]) -> None:
-        """Put Q in place, at rest; raises `Refused` when it does not fit."""
+    def label(self, gains: Sequence[float]) -> str:
+        """Return what a block is called in which the gain of Q took these values: "" without it, its name with all of it."""
+        return "" if max(gains) == 0 else self.name if min(gains) == 1 else f"{self.name} moves"
+
+    def check(self, tuning: Tuning) -> None:
+        """Raise `Refused` when Q does not fit, is not stable, or another one acts."""
         Q = tuning.Q
         if self.acts:
             raise Refused("another Q acts; restore the machine first")
@@ -47,14 +51,18 @@ class RunningQ:
             raise Refused(f"Q is not stable; its pole is {describe_pole(worst_pole(np.nan_to_num(Q.A), Q.dt)[0], Q.dt)}")
         if Q.order > MOST_STATES:
             raise Refused(f"Q has {Q.order} states; at most {MOST_STATES} fit into a control sample")
+
+    def begin(self, tuning: Tuning, reason_to_end: Callable[[], str], name: str) -> None:
+        """Put Q in place, at rest; raises `Refused` as `check`, and where there is a reason to end it already."""
+        self.check(tuning)
         reason = reason_to_end()
         if reason:
             raise Refused(f"{reason}, before the first sample")
-        held = control_sample.contiguous(Q)
-        self.q = held.A, held.B, held.C, held.D, np.zeros(Q.order)
+        held = control_sample.contiguous(tuning.Q)
+        self.q = held.A, held.B, held.C, held.D, np.zeros(held.order)
         steps = [1 / max(round(seconds / self._dt), 1) for seconds in (tuning.rise, tuning.fall)]
         self.motion = np.array([0.0, *steps, 1.0])
-        self._tuning, self._ask, self.ended_because = tuning, reason_to_end, ""
+        self._tuning, self._ask, self.ended_because, self.name = tuning, reason_to_end, "", name
         self._sum, self._samples = 0.0, 0
 
     def end(self, reason: str) -> None:

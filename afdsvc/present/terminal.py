@@ -70,8 +70,21 @@ def demo_table(document: dict[str, Any]) -> None:
     table.add_row("found", found, _percent(verdict["severity"]), "" if first is None else f"decided at {first:.1f} s")
     OUT.print(table)
     _weights(verdict["weights"])
+    if "retuning" in document:
+        _healed(document["retuning"], document["measured"])
     OUT.print(f"recording  {document['recording']}", soft_wrap=True)
     OUT.print(f"review     rerun {document['rerun']}", soft_wrap=True)
+
+
+def _healed(sheet: dict[str, Any], measured: dict[str, dict[str, float]]) -> None:
+    """Show the Q that was accepted, and what was measured in the healthy, the damaged and the healed machine."""
+    if "refused" in sheet:
+        return OUT.print(f"no Q acted: {sheet['refused']}", soft_wrap=True)
+    retune_table(sheet)
+    table = _table("Measured standard deviations, without bursts", "", *measured)
+    for name in next(iter(measured.values())):
+        table.add_row(name, *(_number(stretch[name]) for stretch in measured.values()))
+    OUT.print(table)
 
 
 def _weights(weights: dict[str, float]) -> None:
@@ -172,13 +185,31 @@ def status_table(status: dict[str, Any]) -> None:
     if waits := status.get("longest_waits"):
         OUT.print("longest waits " + ", ".join(f"{what} {seconds:.2f} s" for what, seconds in sorted(waits.items())), soft_wrap=True)
     for m in status["machines"]:
-        if m["reason"]:
-            OUT.print(f"{m['machine']}: {m['reason']}", soft_wrap=True)
+        for said in (m["reason"], m.get("tuning")):
+            if said:
+                OUT.print(f"{m['machine']}: {said}", soft_wrap=True)
     failure = f"; NOT RECORDING: {status['recording_failure']}" if status["recording_failure"] else ""
     dropped = f"; {status['recording_dropped']} messages dropped" if status["recording_dropped"] else ""
     OUT.print(
         f"recording {status['recording'] or 'nothing'} ({status['recording_bytes'] / 1e6:.1f} MB){failure}{dropped}", soft_wrap=True
     )
+
+
+def retune_table(sheet: dict[str, Any]) -> None:
+    """Show the Q that acts now: variances, sensitivity and room before and after."""
+    low, high = (100 * s for s in sheet["severity"])
+    OUT.print(f"Q {sheet['tuning']} acts on {sheet['machine']}: {sheet['fault']} {low:.1f} to {high:.1f} %, {sheet['order']} states", soft_wrap=True)
+    table = _table("predicted for the middle of that interval", "", "without Q", "with Q")
+    for row in sheet["signals"]:
+        table.add_row(f"standard deviation of {row['signal']}", _number(row["before"]), _number(row["after"]))
+    table.add_row("cost, at worst", _number(sheet["cost_before"]), _number(sheet["cost_after"]))
+    table.add_row("sensitivity, at worst", _number(sheet["sensitivity_before"]), _number(sheet["sensitivity_after"]))
+    OUT.print(table)
+    OUT.print(
+        f"{100 * sheet['reached']:.0f} % of what the best controller of the damaged machine gains; gain rises over {sheet['rise_seconds']:g} s, falls over "
+        f"{sheet['fall_seconds']:g} s; if the machine is healthy after all: sensitivity {sheet['sensitivity_healthy']:.3g}; "
+        f"least room {100 * sheet['room']:.0f} % ({sheet['tightest']})", soft_wrap=True,
+    )  # fmt: skip
 
 
 def _briefly(alarm: dict[str, Any]) -> str:

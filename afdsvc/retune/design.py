@@ -126,7 +126,10 @@ def _designed(problem: DetectionProblem, fault: str, grid: Array, cost: LoopCost
         share = 100 * float(np.min(1 - best / before))
         raise Refused(f"'{fault}': nothing to gain; the best controller lowers the cost by {share:.2g} % (below {100 * settings.worthwhile:g} %)")
     healthy = damaged_model(problem, cost, {})
-    doubted = settings.doubt / controlled_cost(problem, cost, {}, best_controller(problem, cost, {}))
+    least = controlled_cost(problem, cost, {}, best_controller(problem, cost, {}))
+    if not least > 0:
+        raise Refused(f"'{fault}': nothing to gain; without disturbances the best controller of the healthy machine does nothing and costs nothing")
+    doubted = settings.doubt / least
     weights = np.concatenate([1 / (before - best) / len(grid), [doubted]])
     every = [*models, healthy]
     margin = min(with_q(model, none).stability_margin() for model in every)

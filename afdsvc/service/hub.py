@@ -10,7 +10,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from afdsvc.service.audit_log import AuditLog
 from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.service.machine import MachineMonitor
 from afdsvc.service.notifications import NotificationQueue
+from afdsvc.service.retuning import Retuning
 from afdsvc.service.sinks.fan_out import ThreadedSink
 from afdsvc.service.sinks.recorder_sink import Receipts
 from afdsvc.service.watchdog import Watchdog
@@ -45,7 +46,7 @@ HUNG_SECONDS = 20.0  # a thread that has not come round for so long is stuck
 
 @dataclass
 class Hub:
-    """Joins monitors (one per machine) and burst requests (one per machine that can be driven) with the transport.
+    """Joins monitors (one per machine), burst requests and retunings (one per machine that can be driven) with the transport.
 
     ``recording()`` returns file, bytes, failure and drops of the recorder for the status.
     """
@@ -64,6 +65,7 @@ class Hub:
     outboxes: Sequence[NotificationQueue] = ()
     audit: AuditLog | None = None
     late: Mapping[str, tuple[Receipts, ThreadedSink]] = field(default_factory=dict)
+    retunings: Mapping[str, Retuning] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._queue: queue.Queue[tuple[str, str, Any, float] | None] = queue.Queue(self.queue_size)
@@ -155,7 +157,8 @@ class Hub:
         requests = self.burst_requests.get(machine)
         watch = self.watches[machine]
         next_burst = requests.scheduler.seconds_to_next(requests.seconds) if requests else 0.0
-        return watch.status(requests.playing if requests else "", next_burst, self.alarms.of(machine))
+        tuning = self.retunings[machine].sentence if machine in self.retunings else ""
+        return replace(watch.status(requests.playing if requests else "", next_burst, self.alarms.of(machine)), tuning=tuning)
 
     def _put(self, kind: str, key: str, what: Any) -> None:
         """Leave a message to the worker. When too many wait the sender does too: its rigs then keep what they say, for minutes."""
@@ -253,6 +256,8 @@ class Hub:
         self.alarms.condition(watch.machine, "model_gap", AlarmKind.NOTICE, bool(watch.doubt), why, t_ns)
         if any(a.active for a in self.alarms.of(watch.machine)):
             self.alarms.group(watch.machine, watch.verdict().fault, t_ns)
+            if watch.machine in self.retunings:
+                self.retunings[watch.machine].propose(watch.verdict())
 
     def _pass_on(self, change: AlarmChange) -> None:
         """Pass a change of an alarm to the sinks and the notifiers."""
@@ -278,6 +283,8 @@ class Hub:
         requests = self.burst_requests.get(watch.machine)
         if requests:
             requests.heard(event)
+        if watch.machine in self.retunings:
+            self.retunings[watch.machine].heard(event)
 
     def _renew_for_ever(self) -> None:
         """Renew the leases of all machines."""
@@ -288,6 +295,8 @@ class Hub:
             self._renewed = now
             for requests in self.burst_requests.values():
                 requests.renew()
+            for retuning in self.retunings.values():
+                retuning.renew()
 
     def _tick_for_ever(self) -> None:
         self._ticked = self.clock.monotonic()

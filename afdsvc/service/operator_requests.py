@@ -14,15 +14,18 @@ from typing import Any
 from afdsvc.errors import AfdsvcError, BadInput, Refused
 from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.service.hub import Hub
+from afdsvc.service.retuning import Retuning
 from afdsvc.service.scheduler import BurstOrder
 from afdsvc.transport.freshness import Freshness
 from afdsvc.wire import codec
 from afdsvc.wire.messages import Alarm, Command, CommandReply
 
 Arguments = Mapping[str, Any]
-SAFE = ("stop", "pause")  # obeyed however wrong a clock is: they only end or hold back excitation
+Handler = Callable[[Arguments, str], Any]
+SAFE = ("stop", "pause", "restore")  # obeyed however wrong a clock is: they only end or hold back excitation
 QUESTIONS = ("status", "alarms", "history", "ticket")  # requests that change nothing
-TICKETS = 100  # of the last bursts that were asked for
+RETUNING = ("retune", "restore")  # what those may ask who may retune
+TICKETS = 100  # of the last bursts and retunings that were asked for
 ANSWERED_AT_ONCE = 16  # requests of people: a stop does not wait for the design of a burst
 PATIENCE = 0.5  # seconds a person waits for the disk to keep what they did
 
@@ -34,20 +37,25 @@ class Requests:
         self._hub, self._freshness = hub, Freshness(hub.clock)
         self._bursts, self._tickets = ThreadPoolExecutor(ANSWERED_AT_ONCE, "burst asked for"), dict[str, Future[Any]]()
 
-    def serve(self, operators: Sequence[str] | None = None) -> None:
+    def serve(self, operators: Sequence[str] | None = None, tuners: Sequence[str] = ()) -> None:
         """Answer requests from the network; those that change something are obeyed once and soon, or refused, and audited.
 
-        ``operators`` are those of a secured site: each asks at a key of their own and must say when.
+        ``operators`` are those of a secured site: each asks at a key of their own and must say when. Only ``tuners`` may retune there.
         """
-        transport, keys = self._hub.transport, self._hub.keys
+        transport, keys, handlers = self._hub.transport, self._hub.keys, self.handlers()
+        retuning = {name: handlers[name] for name in RETUNING}
+        if operators is not None:
+            handlers["retune"] = _not_yours
         for operator in [""] if operators is None else operators:
-            transport.serve(keys.command(operator), partial(self._obey, operator), ANSWERED_AT_ONCE)
+            transport.serve(keys.command(operator), partial(self._obey, operator, handlers), ANSWERED_AT_ONCE)
+        for tuner in tuners:
+            transport.serve(keys.retuning(tuner), partial(self._obey, tuner, retuning), ANSWERED_AT_ONCE)
         transport.serve(keys.question(), lambda payload: answer(self.questions(), payload))
 
-    def _obey(self, operator: str, payload: bytes) -> bytes:
+    def _obey(self, operator: str, handlers: Mapping[str, Handler], payload: bytes) -> bytes:
         began = self._hub.clock.monotonic()
         try:
-            return answer(self.handlers(), payload, partial(self._admit, operator), partial(self._audit, operator))
+            return answer(handlers, payload, partial(self._admit, operator), partial(self._audit, operator))
         finally:
             self._hub.watchdog.note("requests", self._hub.clock.monotonic() - began)
 
@@ -78,6 +86,8 @@ class Requests:
             "shelve": lambda a, who: self._done(self._hub.alarms.shelve(_id(a), who, _minutes(a), _comment(a), self._now())),
             "unshelve": lambda a, who: self._done(self._hub.alarms.unshelve(_id(a), who, self._now())),
             "burst": self._burst,
+            "retune": self._retune,
+            "restore": self._restore,
             "stop": lambda a, who: self._requests_to(a).stop(str(a.get("reason", "")), who),
             "pause": lambda a, who: self._pause(a, f"by {who}: {a.get('reason', '')}"),
             "resume": lambda a, who: self._pause(a, ""),
@@ -108,11 +118,41 @@ class Requests:
         requests = self._requests_to(a)
         if not a.get("later"):
             return {"burst": requests.ask(order)}
+        return self._promised(self._played, requests, order, who)
+
+    def _promised(self, work: Callable[..., Any], *arguments: Any) -> dict[str, str]:
+        """Return a ticket for work that is done in a thread of its own."""
         ticket = secrets.token_hex(8)
-        self._tickets[ticket] = self._bursts.submit(self._played, requests, order, who)
+        self._tickets[ticket] = self._bursts.submit(work, *arguments)
         for old in list(self._tickets)[:-TICKETS]:
             self._tickets.pop(old, None)
         return {"ticket": ticket}
+
+    def _retune(self, a: Arguments, who: str) -> dict[str, Any]:
+        """Design, prove and start Q for the machine's verdict; with the argument ``later`` the answer is a ticket at once."""
+        retuning = self._retuning_of(a)
+        return self._promised(self._retuned, retuning, who) if a.get("later") else self._retuned(retuning, who)
+
+    def _retuned(self, retuning: Retuning, who: str) -> dict[str, Any]:
+        outcome = "the service failed"
+        try:
+            sheet = retuning.ask(self._hub.watches[retuning.machine].verdict(), who)
+            outcome = f"Q {sheet['tuning']} accepted"
+            return sheet
+        except AfdsvcError as error:
+            outcome = str(error)
+            raise
+        finally:
+            if self._hub.audit:
+                self._hub.audit.add(who, "retune", {"machine": retuning.machine}, outcome)
+
+    def _restore(self, a: Arguments, who: str) -> dict[str, str]:
+        retuning = self._retuning_of(a)
+        retuning.restore(str(a.get("reason", "")), who)
+        return {"machine": retuning.machine}
+
+    def _retuning_of(self, a: Arguments) -> Retuning:
+        return self._hub.retunings[self._requests_to(a).machine]
 
     def _played(self, requests: BurstRequests, order: BurstOrder, who: str) -> dict[str, str]:
         outcome = "the service failed"
@@ -150,6 +190,10 @@ class Requests:
         return {"machine": requests.machine, "paused": why}
 
 
+def _not_yours(a: Arguments, who: str) -> None:
+    raise Refused(f"'{who[:64]}' may not retune; key 'transport.security.tuners' of the site file names who may")
+
+
 def _id(a: Arguments) -> str:
     return str(a.get("alarm") or "")
 
@@ -163,9 +207,6 @@ def _minutes(a: Arguments) -> float:
         return float(a.get("minutes") or 0)
     except (TypeError, ValueError):
         raise BadInput(f"minutes {a.get('minutes')!r}; expected a number") from None
-
-
-Handler = Callable[[Mapping[str, Any], str], Any]
 
 
 def answer(

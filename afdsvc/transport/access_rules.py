@@ -1,7 +1,7 @@
 """Access rules: zenoh's access control for one site, by the common names of the peers' certificates.
 
 Everything passes the service, which listens, so its rules are the site's. A rig may speak as itself and hear what is meant for it;
-an operator may ask the service anything; a viewer may look. Whatever is not allowed is dropped by zenoh before anybody sees it.
+an operator may ask the service anything but a Q, for which there are tuners; a viewer may look. Whatever is not allowed is dropped by zenoh before anybody sees it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ class _Role:
 
 
 def access_control(
-    keys: Keys, machines: Sequence[str], operators: Sequence[str], viewers: Sequence[str], common: Callable[[str], str] = str
+    keys: Keys, machines: Sequence[str], operators: Sequence[str], viewers: Sequence[str], common: Callable[[str], str] = str,
+    tuners: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return zenoh's ``access_control`` section; nothing is allowed but what is listed.
 
@@ -52,7 +53,9 @@ def access_control(
     open_to_see = [keys.blocks(), keys.events(), keys.descriptions(), keys.residuals(), keys.evidences(), keys.alarms()]
     seen = [*open_to_see, keys.all_alive(), keys.status(), keys.service_alive()]
     roles = {f"rig-{i}": _rig(keys, machine) for i, machine in enumerate(machines)}
-    roles |= {f"operator-{i}": _Role([name], [], seen, [keys.command(name), keys.question()]) for i, name in enumerate(operators)}
+    people = dict.fromkeys([*operators, *tuners])
+    asked = {name: [keys.command(name)] * (name in operators) + [keys.retuning(name)] * (name in tuners) for name in people}
+    roles |= {f"operator-{i}": _Role([name], [], seen, [*asked[name], keys.question()]) for i, name in enumerate(people)}
     roles["viewers"] = _Role(viewers, [], seen, [keys.question()])
     filled = {id: role for id, role in roles.items() if role.names}
     return {
@@ -67,7 +70,7 @@ def access_control(
 def _rig(keys: Keys, machine: str) -> _Role:
     own = [
         keys.block(machine), keys.event(machine), keys.description(machine), keys.burst(machine), keys.stop(machine),
-        keys.sessions(machine),
+        keys.retune(machine), keys.restore(machine), keys.sessions(machine),
     ]
     heard = [keys.lease(machine), keys.receipt(machine), keys.service_alive(), keys.sessions(machine)]
     return _Role([rig_name(machine)], own, heard, [keys.stored(machine)])
@@ -100,5 +103,5 @@ def access_of(site: Site, identity: str) -> Access:
     if security is None:
         return Access(identity)
     machines = [m.id for m in site.machines]
-    rules = access_control(Keys(site.site), machines, security.operators, security.viewers, partial(common_name, security))
+    rules = access_control(Keys(site.site), machines, security.operators, security.viewers, partial(common_name, security), security.tuners)
     return Access(identity, rules)

@@ -56,7 +56,7 @@ def names_of(site: Site) -> list[str]:
     security = site.transport.security
     if security is None:
         raise BadInput(f"{site.origin}: key 'transport.security' is missing; its 'keys' says where the certificates go")
-    return [SERVICE, *(rig_name(m.id) for m in site.machines), *security.operators, *security.viewers]
+    return [SERVICE, *(rig_name(m.id) for m in site.machines), *dict.fromkeys([*security.operators, *security.viewers, *security.tuners])]
 
 
 def make_certificates(site: Site, days: int = DAYS, renew: bool = False, revoke: Sequence[str] = ()) -> list[Path]:

@@ -23,7 +23,7 @@ class Signal(_message.Message):
     def __init__(self, name: _Optional[str] = ..., unit: _Optional[str] = ..., values: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Block(_message.Message):
-    __slots__ = ("timestamp", "machine", "session", "seq", "k0", "dt", "burst", "late", "signals")
+    __slots__ = ("timestamp", "machine", "session", "seq", "k0", "dt", "burst", "late", "tuning", "signals")
     TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
     MACHINE_FIELD_NUMBER: _ClassVar[int]
     SESSION_FIELD_NUMBER: _ClassVar[int]
@@ -32,6 +32,7 @@ class Block(_message.Message):
     DT_FIELD_NUMBER: _ClassVar[int]
     BURST_FIELD_NUMBER: _ClassVar[int]
     LATE_FIELD_NUMBER: _ClassVar[int]
+    TUNING_FIELD_NUMBER: _ClassVar[int]
     SIGNALS_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     machine: str
@@ -41,8 +42,9 @@ class Block(_message.Message):
     dt: float
     burst: str
     late: int
+    tuning: str
     signals: _containers.RepeatedCompositeFieldContainer[Signal]
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., machine: _Optional[str] = ..., session: _Optional[str] = ..., seq: _Optional[int] = ..., k0: _Optional[int] = ..., dt: _Optional[float] = ..., burst: _Optional[str] = ..., late: _Optional[int] = ..., signals: _Optional[_Iterable[_Union[Signal, _Mapping]]] = ...) -> None: ...
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., machine: _Optional[str] = ..., session: _Optional[str] = ..., seq: _Optional[int] = ..., k0: _Optional[int] = ..., dt: _Optional[float] = ..., burst: _Optional[str] = ..., late: _Optional[int] = ..., tuning: _Optional[str] = ..., signals: _Optional[_Iterable[_Union[Signal, _Mapping]]] = ...) -> None: ...
 
 class Line(_message.Message):
     __slots__ = ("input", "omega", "amplitude", "phase")
@@ -143,6 +145,60 @@ class Lease(_message.Message):
     seconds: float
     def __init__(self, machine: _Optional[str] = ..., burst: _Optional[str] = ..., seconds: _Optional[float] = ...) -> None: ...
 
+class RetuneRequest(_message.Message):
+    __slots__ = ("timestamp", "machine", "name", "states", "inputs", "outputs", "matrices", "dt", "rise", "fall", "promise", "fault", "low", "high", "lease", "asked_by", "session", "k", "proof")
+    TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
+    MACHINE_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    STATES_FIELD_NUMBER: _ClassVar[int]
+    INPUTS_FIELD_NUMBER: _ClassVar[int]
+    OUTPUTS_FIELD_NUMBER: _ClassVar[int]
+    MATRICES_FIELD_NUMBER: _ClassVar[int]
+    DT_FIELD_NUMBER: _ClassVar[int]
+    RISE_FIELD_NUMBER: _ClassVar[int]
+    FALL_FIELD_NUMBER: _ClassVar[int]
+    PROMISE_FIELD_NUMBER: _ClassVar[int]
+    FAULT_FIELD_NUMBER: _ClassVar[int]
+    LOW_FIELD_NUMBER: _ClassVar[int]
+    HIGH_FIELD_NUMBER: _ClassVar[int]
+    LEASE_FIELD_NUMBER: _ClassVar[int]
+    ASKED_BY_FIELD_NUMBER: _ClassVar[int]
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    K_FIELD_NUMBER: _ClassVar[int]
+    PROOF_FIELD_NUMBER: _ClassVar[int]
+    timestamp: _timestamp_pb2.Timestamp
+    machine: str
+    name: str
+    states: int
+    inputs: int
+    outputs: int
+    matrices: _containers.RepeatedScalarFieldContainer[float]
+    dt: float
+    rise: float
+    fall: float
+    promise: Promise
+    fault: str
+    low: float
+    high: float
+    lease: float
+    asked_by: str
+    session: str
+    k: int
+    proof: str
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., machine: _Optional[str] = ..., name: _Optional[str] = ..., states: _Optional[int] = ..., inputs: _Optional[int] = ..., outputs: _Optional[int] = ..., matrices: _Optional[_Iterable[float]] = ..., dt: _Optional[float] = ..., rise: _Optional[float] = ..., fall: _Optional[float] = ..., promise: _Optional[_Union[Promise, _Mapping]] = ..., fault: _Optional[str] = ..., low: _Optional[float] = ..., high: _Optional[float] = ..., lease: _Optional[float] = ..., asked_by: _Optional[str] = ..., session: _Optional[str] = ..., k: _Optional[int] = ..., proof: _Optional[str] = ...) -> None: ...
+
+class Promise(_message.Message):
+    __slots__ = ("output", "input", "cost", "seconds")
+    OUTPUT_FIELD_NUMBER: _ClassVar[int]
+    INPUT_FIELD_NUMBER: _ClassVar[int]
+    COST_FIELD_NUMBER: _ClassVar[int]
+    SECONDS_FIELD_NUMBER: _ClassVar[int]
+    output: _containers.RepeatedScalarFieldContainer[float]
+    input: _containers.RepeatedScalarFieldContainer[float]
+    cost: float
+    seconds: float
+    def __init__(self, output: _Optional[_Iterable[float]] = ..., input: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., seconds: _Optional[float] = ...) -> None: ...
+
 class Receipt(_message.Message):
     __slots__ = ("machine", "ranges")
     MACHINE_FIELD_NUMBER: _ClassVar[int]
@@ -174,6 +230,9 @@ class RigEvent(_message.Message):
         BURST_REFUSED: _ClassVar[RigEvent.Kind]
         FAULT_INJECTED: _ClassVar[RigEvent.Kind]
         NOTE: _ClassVar[RigEvent.Kind]
+        RETUNED: _ClassVar[RigEvent.Kind]
+        RESTORED: _ClassVar[RigEvent.Kind]
+        RETUNE_REFUSED: _ClassVar[RigEvent.Kind]
     UNSPECIFIED: RigEvent.Kind
     RIG_STARTED: RigEvent.Kind
     RIG_STOPPED: RigEvent.Kind
@@ -183,6 +242,9 @@ class RigEvent(_message.Message):
     BURST_REFUSED: RigEvent.Kind
     FAULT_INJECTED: RigEvent.Kind
     NOTE: RigEvent.Kind
+    RETUNED: RigEvent.Kind
+    RESTORED: RigEvent.Kind
+    RETUNE_REFUSED: RigEvent.Kind
     TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
     MACHINE_FIELD_NUMBER: _ClassVar[int]
     SESSION_FIELD_NUMBER: _ClassVar[int]
@@ -370,7 +432,7 @@ class AlarmChange(_message.Message):
     def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., alarm: _Optional[_Union[Alarm, _Mapping]] = ..., event: _Optional[str] = ..., who: _Optional[str] = ..., why: _Optional[str] = ...) -> None: ...
 
 class MachineStatus(_message.Message):
-    __slots__ = ("machine", "session", "state", "reason", "blocks", "lost_blocks", "late", "head_room", "block_age", "burst", "next_burst", "trustworthy", "alarms")
+    __slots__ = ("machine", "session", "state", "reason", "blocks", "lost_blocks", "late", "head_room", "block_age", "burst", "next_burst", "trustworthy", "alarms", "tuning")
     MACHINE_FIELD_NUMBER: _ClassVar[int]
     SESSION_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
@@ -384,6 +446,7 @@ class MachineStatus(_message.Message):
     NEXT_BURST_FIELD_NUMBER: _ClassVar[int]
     TRUSTWORTHY_FIELD_NUMBER: _ClassVar[int]
     ALARMS_FIELD_NUMBER: _ClassVar[int]
+    TUNING_FIELD_NUMBER: _ClassVar[int]
     machine: str
     session: str
     state: str
@@ -397,7 +460,8 @@ class MachineStatus(_message.Message):
     next_burst: float
     trustworthy: bool
     alarms: _containers.RepeatedCompositeFieldContainer[Alarm]
-    def __init__(self, machine: _Optional[str] = ..., session: _Optional[str] = ..., state: _Optional[str] = ..., reason: _Optional[str] = ..., blocks: _Optional[int] = ..., lost_blocks: _Optional[int] = ..., late: _Optional[int] = ..., head_room: _Optional[float] = ..., block_age: _Optional[float] = ..., burst: _Optional[str] = ..., next_burst: _Optional[float] = ..., trustworthy: _Optional[bool] = ..., alarms: _Optional[_Iterable[_Union[Alarm, _Mapping]]] = ...) -> None: ...
+    tuning: str
+    def __init__(self, machine: _Optional[str] = ..., session: _Optional[str] = ..., state: _Optional[str] = ..., reason: _Optional[str] = ..., blocks: _Optional[int] = ..., lost_blocks: _Optional[int] = ..., late: _Optional[int] = ..., head_room: _Optional[float] = ..., block_age: _Optional[float] = ..., burst: _Optional[str] = ..., next_burst: _Optional[float] = ..., trustworthy: _Optional[bool] = ..., alarms: _Optional[_Iterable[_Union[Alarm, _Mapping]]] = ..., tuning: _Optional[str] = ...) -> None: ...
 
 class ServiceStatus(_message.Message):
     __slots__ = ("timestamp", "site", "version", "uptime", "machines", "recording", "recording_bytes", "recording_failure", "recording_dropped", "longest_waits")

@@ -26,7 +26,7 @@ def encode_block(block: Block) -> bytes:
         raise BadInput(f"block {block.seq} of machine '{block.machine}' holds no samples; expected at least one")
     header = build(
         pb.Block, timestamp=stamp(block.t0_ns), machine=block.machine, session=block.session, seq=block.seq,
-        k0=block.k0, dt=block.dt, burst=block.burst, late=block.late,
+        k0=block.k0, dt=block.dt, burst=block.burst, late=block.late, tuning=block.tuning,
     )
     columns = np.ascontiguousarray(block.values.T, dtype="<f8")
     parts = [header.SerializeToString()]
@@ -43,7 +43,7 @@ def decode_block(data: bytes) -> Block:
     return Block(
         machine=message.machine, session=message.session, seq=count(message, "seq"), k0=count(message, "k0"),
         dt=positive(message, "dt"), t0_ns=nanoseconds(message.timestamp), channels=_channels_of(message),
-        values=_values_of(message), burst=message.burst, late=count(message, "late"),
+        values=_values_of(message), burst=message.burst, late=count(message, "late"), tuning=message.tuning,
     )
 
 

@@ -70,8 +70,16 @@ class Keys:
         """Query to the rig to end the burst now, over its ramp."""
         return self._of(machine, "stop")
 
+    def retune(self, machine: str) -> str:
+        """Query to the rig to let a Q act beside its controller; the reply says accepted or refused and why."""
+        return self._of(machine, "retune")
+
+    def restore(self, machine: str) -> str:
+        """Query to the rig to go back to Q = 0."""
+        return self._of(machine, "restore")
+
     def lease(self, machine: str) -> str:
-        """Renewals from whoever asked for a burst; without them the rig ends it, so no machine is excited after the service has died."""
+        """Renewals from whoever asked for a burst or a Q; without them the rig ends it, so no machine is excited after the service has died."""
         return self._of(machine, "lease")
 
     def receipt(self, machine: str) -> str:
@@ -111,12 +119,16 @@ class Keys:
         return f"{ROOT}/{self.site}/{SERVICE}/status"
 
     def command(self, operator: str = "") -> str:
-        """Query to the service from people: status, burst, alarms, ack, confirm, shelve, pause, resume.
+        """Query to the service from people: status, burst, retune, alarms, ack, confirm, shelve, pause, resume.
 
         On a secured site every operator has one of their own, so that the key says who asks.
         """
         key = f"{ROOT}/{self.site}/{SERVICE}/command"
         return f"{key}/{checked_id('operator', operator)}" if operator else key
+
+    def retuning(self, operator: str) -> str:
+        """Query to the service of a secured site from those who may retune: a key of its own for each, so that others can be kept from it."""
+        return f"{ROOT}/{self.site}/{SERVICE}/retuning/{checked_id('operator', operator)}"
 
     def question(self) -> str:
         """Query to the service that changes nothing: status, alarms, history, ticket; apart, so that viewers can be let at it."""

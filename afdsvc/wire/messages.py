@@ -9,6 +9,7 @@ from typing import Any
 
 from afdsvc.api.bursts import Burst, Limits
 from afdsvc.api.evidence import Evidence, Severity
+from afdsvc.api.retuning import Diagnosed, Tuning
 from afdsvc.api.signals import Channel
 
 
@@ -23,11 +24,14 @@ class EventKind(StrEnum):
     BURST_REFUSED = "burst_refused"
     FAULT_INJECTED = "fault_injected"
     NOTE = "note"
+    RETUNED = "retuned"
+    RESTORED = "restored"
+    RETUNE_REFUSED = "retune_refused"
 
 
 @dataclass(frozen=True, slots=True)
 class RigEvent:
-    """Something that happened on a rig at sample ``k`` of its session; ``cause`` is one sentence."""
+    """Something that happened on a rig at sample ``k`` of its session; ``burst`` names the burst, or the Q, ``cause`` is one sentence."""
 
     machine: str
     session: str
@@ -62,9 +66,29 @@ class BurstReply:
     reason: str = ""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RetuneRequest:
+    """A Q to act beside the running controller under the name ``name``; the reply is a `BurstReply`.
+
+    It was proved for the severities of ``found`` (``proof`` says what, in one sentence); the rig restores the machine when the lease [s]
+    runs out without renewal. ``session`` and ``k`` as in `BurstRequest`.
+    """
+
+    machine: str
+    name: str
+    tuning: Tuning
+    found: Diagnosed
+    lease: float
+    asked_by: str
+    t_ns: int
+    session: str = ""
+    k: int = 0
+    proof: str = ""
+
+
 @dataclass(frozen=True, slots=True)
 class BurstStop:
-    """The burst (any, when unnamed) is to end now; the reply is a `BurstReply`."""
+    """The burst, or the Q (any, when unnamed), is to end now; the reply is a `BurstReply`."""
 
     machine: str
     reason: str
@@ -74,7 +98,7 @@ class BurstStop:
 
 @dataclass(frozen=True, slots=True)
 class Lease:
-    """Whoever asked for the burst is still there and will be for so many seconds."""
+    """Whoever asked for the burst, or the Q, of this name is still there and will be for so many seconds."""
 
     machine: str
     burst: str
@@ -186,7 +210,7 @@ class AlarmChange:
 
 @dataclass(frozen=True, slots=True)
 class MachineStatus:
-    """State of one machine in the service; ``reason`` explains any state but running."""
+    """State of one machine in the service; ``reason`` explains any state but running, ``tuning`` says that a Q is proposed, or acts."""
 
     machine: str
     state: str
@@ -201,6 +225,7 @@ class MachineStatus:
     next_burst: float = 0.0
     trustworthy: bool = True
     alarms: tuple[Alarm, ...] = ()
+    tuning: str = ""
 
 
 @dataclass(frozen=True, slots=True)

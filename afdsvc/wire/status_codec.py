@@ -80,7 +80,7 @@ def _machine_message(m: MachineStatus) -> pb.MachineStatus:
     return build(
         pb.MachineStatus, machine=m.machine, session=m.session, state=m.state, reason=m.reason, blocks=m.blocks,
         lost_blocks=m.lost_blocks, late=m.late, head_room=m.head_room, block_age=m.block_age, burst=m.burst,
-        next_burst=m.next_burst, trustworthy=m.trustworthy, alarms=[_alarm_message(a) for a in m.alarms],
+        next_burst=m.next_burst, trustworthy=m.trustworthy, alarms=[_alarm_message(a) for a in m.alarms], tuning=m.tuning,
     )
 
 
@@ -89,7 +89,7 @@ def _machine(m: pb.MachineStatus) -> MachineStatus:
     return MachineStatus(
         checked_machine(m.machine), m.state, m.session, m.reason, count(m, "blocks"), count(m, "lost_blocks"),
         count(m, "late"), m.head_room, m.block_age, m.burst, m.next_burst, m.trustworthy,
-        tuple(_alarm(a) for a in m.alarms),
+        tuple(_alarm(a) for a in m.alarms), m.tuning,
     )
 
 

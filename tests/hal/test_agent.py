@@ -12,15 +12,17 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Burst, Line
+from afdsvc.api.retuning import Diagnosed, Promise, Tuning
 from afdsvc.app import commissioning
 from afdsvc.errors import Refused
 from afdsvc.files.site import Transport as Settings
 from afdsvc.hal.agent import RigAgent
+from afdsvc.lti.statespace import StateSpace
 from afdsvc.service.clock import RealClock
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import BurstRequest, BurstStop, EventKind, Lease, RigDescription
+from afdsvc.wire.messages import BurstRequest, BurstStop, EventKind, Lease, RetuneRequest, RigDescription
 
 KEYS = Keys("t")
 
@@ -183,3 +185,81 @@ def test_what_is_measured_before_the_network_is_there_is_sent_when_it_is(setting
         transport.close()
     assert caplog.records == []
     assert [b.seq for b in ear.blocks] == list(range(20))
+
+
+SOME_Q = StateSpace(np.diag([0.9, 0.5]), np.ones((2, 2)), 0.002 * np.ones((2, 2)), 0.01 * np.eye(2), 2e-4)
+FOUND = Diagnosed("horizontal_actuator", -0.5, -0.4)
+
+
+def retune_request(Q: StateSpace | None = None, lease: float = 1.0, name: str = "q1", promise: Promise | None = None, **changes) -> RetuneRequest:
+    made = RetuneRequest("bearing", name, Tuning(Q or SOME_Q, 0.01, 0.01, promise), FOUND, lease, "Ada", time.time_ns(), proof="proved")
+    return replace(made, **changes)
+
+
+def ask_retune(hub: Transport, wanted: RetuneRequest):
+    return codec.decode_burst_reply(hub.ask(KEYS.retune("bearing"), codec.encode_retune_request(wanted)))
+
+
+@pytest.mark.parametrize("how", ["person", "lease", "vanish", "promise"])
+def test_q_acts_until_there_is_a_reason_and_every_block_says_so(settings, bearing, plugins, how):
+    with Transport(settings, hub=True) as hub:
+        ear = Ear(hub)
+        with rig(settings, bearing(), plugins):
+            ear.wait(EventKind.RIG_STARTED)
+            broken = Promise(np.eye(2), np.eye(2), 1e-9, 0.3) if how == "promise" else None
+            assert ask_retune(hub, retune_request(lease=0.6 if how == "lease" else 5.0, promise=broken)).accepted
+            began = ear.wait(EventKind.RETUNED)
+            assert (began.burst, began.cause) == ("q1", "accepted by Ada: proved")
+            if how == "person":
+                other = ask_retune(hub, retune_request(name="q2"))
+                assert "another Q acts" in other.reason
+                time.sleep(0.2)
+                stop = BurstStop("bearing", "enough", "Ada")
+                assert codec.decode_burst_reply(hub.ask(KEYS.restore("bearing"), codec.encode_burst_stop(stop))).accepted
+            elif how == "vanish":
+                time.sleep(0.2)
+                hub._keep[-1].undeclare()
+            ended = ear.wait(EventKind.RESTORED, 5.0)
+            time.sleep(0.3)
+            if how == "person":
+                stop = codec.encode_burst_stop(BurstStop("bearing", "enough", "Ada"))
+                assert "no such Q acts" in codec.decode_burst_reply(hub.ask(KEYS.restore("bearing"), stop)).reason
+    words = {"person": "restored by Ada: enough", "lease": "no renewal", "vanish": "the service vanished", "promise": "was promised"}
+    assert words[how] in ended.cause
+    labels = [label for i, label in enumerate(b.tuning for b in ear.blocks) if i == 0 or label != ear.blocks[i - 1].tuning]
+    assert labels == ["", "q1 moves", "q1", "q1 moves", ""]
+    first = next(b for b in ear.blocks if b.tuning)
+    assert first.k0 == began.k
+    assert not ear.samples()[:, 4:6].any()  # alpha stays the burst
+
+
+def test_a_renewed_lease_carries_q(settings, bearing, plugins):
+    with Transport(settings, hub=True) as hub:
+        ear = Ear(hub)
+        with rig(settings, bearing(), plugins):
+            ear.wait(EventKind.RIG_STARTED)
+            assert ask_retune(hub, retune_request(lease=1.0)).accepted
+            ear.wait(EventKind.RETUNED)
+            for _ in range(20):
+                hub.publish(KEYS.lease("bearing"), codec.encode_lease(Lease("bearing", "q1", 1.0)))
+                time.sleep(0.1)
+            assert not [e for e in ear.events if e.kind is EventKind.RESTORED]
+            assert ear.wait(EventKind.RESTORED, 5.0).cause == "the lease expired: no renewal from the service"
+
+
+def test_what_is_wrong_with_a_q_is_told_and_nothing_moves(settings, bearing, plugins):
+    unstable = StateSpace(1.01 * np.eye(1), np.ones((1, 2)), 0.01 * np.ones((2, 1)), np.zeros((2, 2)), 2e-4)
+    with Transport(settings, hub=True) as hub:
+        ear = Ear(hub)
+        with rig(settings, bearing(), plugins):
+            ear.wait(EventKind.RIG_STARTED)
+            assert "Q is not stable" in ask_retune(hub, retune_request(unstable)).reason
+            assert "Q is 2 x 2 at 0.001 s; expected" in ask_retune(hub, retune_request(StateSpace.gain(np.eye(2), 1e-3))).reason
+            assert "for machine 'other'" in ask_retune(hub, retune_request(machine="other")).reason
+            assert "at most 10 s" in ask_retune(hub, retune_request(lease=60.0)).reason
+            assert "is for session 'x'" in ask_retune(hub, retune_request(session="x")).reason
+            assert "s ago by its time stamp" in ask_retune(hub, retune_request(t_ns=time.time_ns() - 10**12)).reason
+            assert "are not an RetuneRequest message" in codec.decode_burst_reply(hub.ask(KEYS.retune("bearing"), b"\xff\xff")).reason
+            time.sleep(0.2)
+    assert all(b.tuning == "" for b in ear.blocks)
+    assert sum(e.kind is EventKind.RETUNE_REFUSED for e in ear.events) == 7

@@ -45,6 +45,7 @@ patience_seconds = 2
 keys = "{keys}"
 operators = ["kim", "lee"]
 viewers = ["panel"]
+tuners = ["lee", "max"]
 [recording]
 folder = "recordings"
 [[machines]]
@@ -62,7 +63,7 @@ def certified(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("secured")
     made = make_certificates(site_of(1, folder))
     assert sorted(p.name for p in made if p.suffix == ".pem") == [
-        "ca.pem", "kim.pem", "lee.pem", "panel.pem", "rig.bearing.pem", "rig.other.pem", "service.pem",
+        "ca.pem", "kim.pem", "lee.pem", "max.pem", "panel.pem", "rig.bearing.pem", "rig.other.pem", "service.pem",
     ]
     assert {oct(p.stat().st_mode & 0o777) for p in made if p.suffix == ".key"} == {"0o600"}
     return folder
@@ -128,6 +129,33 @@ def test_an_operator_cannot_speak_for_another_and_the_audit_log_says_who_asked(f
     ]
 
 
+def test_only_tuners_may_retune_and_only_the_service_speaks_to_the_rig(free_port, certified):
+    site = site_of(free_port, certified)
+    unnamed = "no fault has been named with its severity"
+    with running(site) as hub:
+        for name in ("lee", "max"):
+            with pytest.raises(AfdsvcError, match=unnamed):
+                ask_service(site, "retune", name, machine="bearing")
+        with pytest.raises(AfdsvcError, match="'kim' may not retune; key 'transport.security.tuners'"):
+            ask_service(site, "retune", "kim", machine="bearing")
+        with pytest.raises(AfdsvcError, match=UNHEARD):
+            ask_service(site, "retune", "panel", machine="bearing")
+        with pytest.raises(AfdsvcError, match=UNHEARD):
+            ask_service(site, "pause", "max", machine="bearing")
+        for name in ("kim", "lee", "max"):  # going back is open to all of them
+            with pytest.raises(AfdsvcError, match="nothing is restored: no such Q acts"):
+                ask_service(site, "restore", name, machine="bearing")
+        for name in ("panel", "lee", rig_name("other")):
+            with Session(site.transport, False, Access(name)) as peer:
+                for key in (KEYS.retune("bearing"), KEYS.restore("bearing"), KEYS.retuning("max")):
+                    with pytest.raises(AfdsvcError, match=UNHEARD):
+                        peer.ask(key, b"", timeout=1.0)
+        assert hub.retunings["bearing"].acting == ""
+    said = [(e["who"], e["what"]) for e in check(audit_file(site)).entries]
+    assert ("kim", "retune") in said
+    assert ("max", "restore") in said
+
+
 def unreadable(folder: Path, machine: str) -> int:
     """Return how often the service said that a message of the machine could not be read."""
     found = [e.data for path in folder.glob(f"{machine}-*.mcap") for e in Recording(path).messages(what="log")]
@@ -187,7 +215,7 @@ def test_certificates_are_renewed_and_revoked_without_a_restart(free_port, tmp_p
     with running(site) as hub:
         ask_service(thief, "pause", "kim", machine="bearing")
         renewed = {p.name for p in make_certificates(site, renew=True) if p.suffix == ".pem"}
-        assert renewed == {"service.pem", "rig.bearing.pem", "rig.other.pem", "kim.pem", "lee.pem", "panel.pem"}
+        assert renewed == {"service.pem", "rig.bearing.pem", "rig.other.pem", "kim.pem", "lee.pem", "max.pem", "panel.pem"}
         until(lambda: said(site, "new keys are taken up"))
         until(lambda: ask_service(site, "status", "kim")["machines"][0]["state"] == "running")
         ask_service(thief, "pause", "kim", machine="bearing")  # renewed is not revoked
@@ -235,7 +263,7 @@ def test_a_certificate_that_ends_soon_is_reported(tmp_path):
     site = site_of(1, tmp_path)
     make_certificates(site, days=20)
     assert ending(site.transport.security)[0].endswith("kim.pem: ends in 20 days; 'afdsvc certificates SITE.toml --renew' makes a new one")
-    assert len(ending(site.transport.security)) == 6
+    assert len(ending(site.transport.security)) == 7
     make_certificates(site, renew=True)
     assert ending(site.transport.security) == []
     assert 364 < days_left(tmp_path / "keys" / "kim.pem") < 366

@@ -17,7 +17,7 @@ CHANNELS = (Channel("u_voltage", "V"), Channel("y_gap", "um"), Channel("beta_gap
 def block(values=None, **changes):
     values = np.arange(12.0).reshape(4, 3) if values is None else values
     fields = {"machine": "m1", "session": "s1", "seq": 7, "k0": 1750, "dt": 2e-4, "t0_ns": 1_763_000_000_123_456_789}
-    return Block(**(fields | {"channels": CHANNELS, "values": values, "burst": "b1", "late": 2} | changes))
+    return Block(**(fields | {"channels": CHANNELS, "values": values, "burst": "b1", "late": 2, "tuning": "q1"} | changes))
 
 
 def by_protobuf(b: Block) -> pb.Block:
@@ -29,6 +29,7 @@ def by_protobuf(b: Block) -> pb.Block:
         dt=b.dt,
         burst=b.burst,
         late=b.late,
+        tuning=b.tuning,
         signals=[
             pb.Signal(name=c.name, unit=c.unit, values=v.tolist()) for c, v in zip(b.channels, b.values.T, strict=True)
         ],
@@ -66,7 +67,7 @@ def test_bytes_are_the_ones_protobuf_writes_and_come_back_bit_for_bit(b):
     assert back.values.tobytes() == np.ascontiguousarray(b.values).tobytes()
     assert back.values.shape == b.values.shape
     assert back.values.flags.c_contiguous
-    for name in ("machine", "session", "seq", "k0", "dt", "t0_ns", "channels", "burst", "late"):
+    for name in ("machine", "session", "seq", "k0", "dt", "t0_ns", "channels", "burst", "late", "tuning"):
         assert getattr(back, name) == getattr(b, name)
 
 

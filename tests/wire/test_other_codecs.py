@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.evidence import Evidence, Severity
+from afdsvc.api.retuning import Diagnosed, Promise, Tuning
 from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput
+from afdsvc.lti.statespace import StateSpace
 from afdsvc.wire import afdsvc_pb2 as pb
 from afdsvc.wire import codec
 from afdsvc.wire.messages import (
@@ -27,6 +29,7 @@ from afdsvc.wire.messages import (
     Lease,
     MachineStatus,
     Receipt,
+    RetuneRequest,
     RigDescription,
     RigEvent,
     ServiceStatus,
@@ -66,13 +69,18 @@ SHELVED = Alarm(
     "a2", "m1", "frozen_sensor", T, T, kind=AlarmKind.SYSTEM, confirmed=True, confirmed_by="kim", latched=True, shelved_until_ns=T + 9,
     shelved_by="lee", suppressed="consequence of a1", cause="a1", ended_ns=T + 7, sentence="stands still", raised_by=("regression", "cusum"),
 )
+Q = StateSpace(np.array([[0.5, 1 / 3, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, -0.2]]), np.ones((3, 2)) / 7, np.arange(3.0)[None, :], np.array([[0.1, -0.0]]), 2e-4)
 ALARM = Alarm("a1", "m1", "horizontal_actuator", T, T + 5, 3, True, Severity(-0.5, 0.1), True, "kim", "seen")
-MACHINE = MachineStatus("m1", "stale", "s1", "no block for 3 s", 10, 1, 2, 0.7, 3.0, "b1", 12.5, False, (ALARM, SHELVED))
+MACHINE = MachineStatus("m1", "stale", "s1", "no block for 3 s", 10, 1, 2, 0.7, 3.0, "b1", 12.5, False, (ALARM, SHELVED), "Q acts")
 
 MESSAGES = {
     "burst_request": BurstRequest("m1", SINES, 2.0, "scheduler", T),
     "burst_reply": BurstReply(False, "b1", "already playing"),
     "burst_stop": BurstStop("m1", "asked to", "kim", "b1"),
+    "retune_request": RetuneRequest(
+        "m1", "q1", Tuning(Q, 0.0, 0.01, Promise(np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([[3.0]]), 4.5, 2.0)), Diagnosed("horizontal_actuator", -0.6, -0.5),
+        2.0, "kim", T, "s1", 77, "stable",
+    ),
     "lease": Lease("m1", "b1", 2.0),
     "receipt": Receipt("m1", (("s0", 5, 9), ("s1", 0, 2**40))),
     "event": RigEvent("m1", "s1", T, EventKind.BURST_ABORTED, 77, "b1", "an output reached its limit"),
@@ -173,6 +181,7 @@ def message_of(kind, **changes):
         "receipt": "Receipt",
         "burst_reply": "BurstReply",
         "burst_stop": "BurstStop",
+        "retune_request": "RetuneRequest",
     }
     message = getattr(pb, names[kind]).FromString(getattr(codec, f"encode_{kind}")(MESSAGES[kind]))
     for change in changes.values():
@@ -193,6 +202,13 @@ def message_of(kind, **changes):
         ("burst_request", lambda m: m.burst.waveform.add(values=[1.0]), "waveform columns of [1]"),
         ("burst_reply", lambda m: m.ClearField("reason"), "without reason"),
         ("burst_stop", lambda m: m.ClearField("asked_by"), "without asked_by"),
+        ("retune_request", lambda m: m.matrices.append(1.0), "with 21 numbers; expected 20"),
+        ("retune_request", lambda m: setattr(m, "states", 2**40), "numbers; expected"),
+        ("retune_request", lambda m: m.matrices.__setitem__(0, float("nan")), "NaN"),
+        ("retune_request", lambda m: setattr(m, "rise", -1.0), "times -1.0"),
+        ("retune_request", lambda m: setattr(m, "low", 0.0), "expected the smaller one first"),
+        ("retune_request", lambda m: m.promise.output.append(1.0), "weights of 5 and 1"),
+        ("retune_request", lambda m: m.ClearField("asked_by"), "without asked_by"),
         ("lease", lambda m: setattr(m, "seconds", float("inf")), "seconds = inf"),
         ("event", lambda m: setattr(m, "kind", 0), "kind 0"),
         ("event", lambda m: setattr(m, "kind", 99), "kind 99"),

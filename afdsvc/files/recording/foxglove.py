@@ -153,8 +153,11 @@ _WORDS = {
     EventKind.BURST_REFUSED: "burst '{burst}' refused",
     EventKind.FAULT_INJECTED: "simulated fault set in",
     EventKind.NOTE: "note",
+    EventKind.RETUNED: "retuned with '{burst}'",
+    EventKind.RESTORED: "restored, '{burst}' has gone",
+    EventKind.RETUNE_REFUSED: "Q '{burst}' refused",
 }
-_WARNINGS = {EventKind.BURST_ABORTED, EventKind.BURST_REFUSED}
+_WARNINGS = {EventKind.BURST_ABORTED, EventKind.BURST_REFUSED, EventKind.RESTORED, EventKind.RETUNE_REFUSED}
 
 
 def event_sentence(event: RigEvent) -> tuple[Level, str]:

@@ -147,8 +147,8 @@ class McapFile:
         self._writer.add_message(channel, t_ns, data, t_ns, count & 0xFFFFFFFF)
 
 
-BLOCK, RESIDUAL, EVENT, FINDING, REQUEST, DESCRIPTION, PREVIEW, LOG = (
-    "block", "residual", "event", "evidence", "request", "description", "preview", "log",
+BLOCK, RESIDUAL, EVENT, FINDING, REQUEST, RETUNING, DESCRIPTION, PREVIEW, LOG = (
+    "block", "residual", "event", "evidence", "request", "retuning", "description", "preview", "log",
 )  # fmt: skip
 
 

@@ -20,12 +20,13 @@ from afdsvc.files.recording import mcap_file
 from afdsvc.files.recording.mcap_records import End, Item, Loss, read_items, summary_channels
 from afdsvc.files.recording.traces import traces_of
 from afdsvc.wire import codec
-from afdsvc.wire.messages import BurstRequest, Finding, RigDescription, RigEvent
+from afdsvc.wire.messages import BurstRequest, Finding, RetuneRequest, RigDescription, RigEvent
 
-Decoded = Block | RigEvent | Finding | BurstRequest | RigDescription
+Decoded = Block | RigEvent | Finding | BurstRequest | RetuneRequest | RigDescription
 _DECODE: dict[str, Callable[[bytes], Decoded]] = {
     mcap_file.BLOCK: codec.decode_block, mcap_file.RESIDUAL: codec.decode_block, mcap_file.EVENT: codec.decode_event,
     mcap_file.FINDING: codec.decode_finding, mcap_file.REQUEST: codec.decode_burst_request, mcap_file.DESCRIPTION: codec.decode_description,
+    mcap_file.RETUNING: codec.decode_retune_request,
 }  # fmt: skip
 
 
@@ -192,6 +193,10 @@ class Recording:
     def requests(self, machine: str | None = None) -> Iterator[BurstRequest]:
         """Yield the bursts that were asked for."""
         return (r for _, r in self.decoded(machine, mcap_file.REQUEST) if isinstance(r, BurstRequest))
+
+    def retunings(self, machine: str | None = None) -> Iterator[RetuneRequest]:
+        """Yield every Q that was asked for."""
+        return (r for _, r in self.decoded(machine, mcap_file.RETUNING) if isinstance(r, RetuneRequest))
 
     def descriptions(self, machine: str | None = None) -> Iterator[RigDescription]:
         """Yield what the rigs said of themselves."""

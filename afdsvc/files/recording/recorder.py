@@ -13,7 +13,7 @@ from afdsvc.errors import BadInput
 from afdsvc.files.recording import foxglove, mcap_file
 from afdsvc.files.recording.foxglove import DecisionLog, Level, Preview, encode_log, event_sentence, evidence_sentence
 from afdsvc.files.recording.mcap_file import Header, McapFile
-from afdsvc.wire.messages import BurstRequest, Finding, RigDescription, RigEvent
+from afdsvc.wire.messages import BurstRequest, Finding, RetuneRequest, RigDescription, RigEvent
 
 
 class RecordingFailed(BadInput):
@@ -50,6 +50,7 @@ class Recorder:
         self._settings, self._header, self._monotonic = settings, header or Header(), monotonic
         self._part, self._previews, self._decisions = 0, dict[tuple[Channel, ...], Preview](), DecisionLog()
         self._descriptions: dict[str, tuple[bytes, RigDescription]] = {}
+        self._tunings: dict[str, tuple[bytes, RetuneRequest]] = {}
         self._attached: dict[str, tuple[str, bytes]] = {}
         self._file: McapFile | None = None
         self._opened = self._flushed = self._failed_at = monotonic()
@@ -99,6 +100,11 @@ class Recorder:
         """Record a requested burst: its lines are needed to evaluate the response later."""
         name = mcap_file.topic(request.machine, mcap_file.REQUEST)
         self._write(lambda file: file.wire(name, "BurstRequest", request.t_ns, data))
+
+    def retuning(self, data: bytes, request: RetuneRequest) -> None:
+        """Record a Q that was asked for: what bursts do while it acts follows from it. Repeated at the head of every later file."""
+        self._tunings[request.machine] = (data, request)
+        self._write(lambda file: _retuning(file, data, request))
 
     def description(self, data: bytes, description: RigDescription) -> None:
         """Record what a rig says of itself; repeated at the head of every later file."""
@@ -187,6 +193,8 @@ class Recorder:
             self._file.attach(name, media_type, data)
         for data, description in self._descriptions.values():
             _describe(self._file, data, description)
+        for data, request in self._tunings.values():
+            _retuning(self._file, data, request)
         return self._file
 
     def _next_path(self) -> Path:
@@ -256,6 +264,10 @@ class Recorder:
 def _describe(file: McapFile, data: bytes, description: RigDescription) -> None:
     name = mcap_file.topic(description.machine, mcap_file.DESCRIPTION)
     file.wire(name, "RigDescription", description.t_ns, data)
+
+
+def _retuning(file: McapFile, data: bytes, request: RetuneRequest) -> None:
+    file.wire(mcap_file.topic(request.machine, mcap_file.RETUNING), "RetuneRequest", request.t_ns, data)
 
 
 def _tell(file: McapFile, t_ns: int, level: Level, text: str, machine: str) -> None:

@@ -56,6 +56,7 @@ class ReviewLog:
         machine = self._machine(block.machine)
         machine.answers.say_nothing_yet(self._recording, block.t0_ns, self._start(block.t0_ns))
         machine.follow_burst(self._recording, block, self._start(block.t0_ns))
+        machine.follow_tuning(self._recording, block, self._start(block.t0_ns))
         self._send_when_due(block.t0_ns)
 
     def residual(self, block: Block) -> None:

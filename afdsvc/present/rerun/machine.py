@@ -138,6 +138,7 @@ class MachineReview:
         self.expected: dict[str, tuple[float, float]] = {}
         self._tracks: dict[tuple[str, str], DetectorTrack] = {}
         self._lanes: dict[str, Lane] = {}
+        self._tuning = ""
         self._burst: tuple[str, int] = ("", 0)
         self._end = ("", 0)
         self._end_ns = 0
@@ -167,6 +168,13 @@ class MachineReview:
             self._burst = (block.burst, block.t0_ns)
         self._end = (block.session, block.k0 + len(block))
         self._end_ns = block.t0_ns + round(len(block) * block.dt * 1e9)
+
+    def follow_tuning(self, recording: rr.RecordingStream, block: Block, start_ns: int) -> None:
+        """Mark in a lane where a Q acts."""
+        if block.tuning != self._tuning:
+            self._tuning = block.tuning
+            words = "" if not block.tuning else "changes" if block.tuning.endswith(" moves") else "Q acts"
+            self.lane("retuned").enter(recording, block.t0_ns, start_ns, words, paths.BURST)
 
     def end_burst(self, recording: rr.RecordingStream, start_ns: int) -> None:
         """End the burst that is playing, if any, with the last sample seen."""

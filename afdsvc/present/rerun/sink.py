@@ -8,7 +8,7 @@ from afdsvc.api.signals import Block, residual_block
 from afdsvc.files.recording.foxglove import Level
 from afdsvc.lti.statespace import Array
 from afdsvc.present.rerun.log import ReviewLog
-from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RigEvent
+from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RetuneRequest, RigEvent
 
 _LEVELS = {"info": Level.INFO, "warning": Level.WARNING, "error": Level.ERROR}
 
@@ -45,7 +45,7 @@ class ReviewSink:
         """Tell an event."""
         self._open(event.t_ns).event(event)
 
-    def request(self, request: BurstRequest) -> None:
+    def request(self, request: BurstRequest | RetuneRequest) -> None:
         """Nothing: a request is shown when it is played or refused."""
 
     def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from afdsvc.api.signals import Block
 from afdsvc.lti.statespace import Array
-from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RigEvent
+from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RetuneRequest, RigEvent
 
 log = logging.getLogger(__name__)
 
@@ -34,8 +34,8 @@ class Sink(Protocol):
         """Take an event of the rig."""
         ...
 
-    def request(self, request: BurstRequest) -> None:
-        """Take a burst that is about to be asked for."""
+    def request(self, request: BurstRequest | RetuneRequest) -> None:
+        """Take a burst or a Q that is about to be asked for."""
         ...
 
     def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
@@ -99,8 +99,8 @@ class ThreadedSink:
         """Queue an event."""
         self._put("event", event, payload)
 
-    def request(self, request: BurstRequest) -> None:
-        """Queue a burst request."""
+    def request(self, request: BurstRequest | RetuneRequest) -> None:
+        """Queue a request."""
         self._put("request", request)
 
     def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
@@ -189,8 +189,8 @@ class FanOut:
         for sink in self.sinks:
             sink.event(event, payload)
 
-    def request(self, request: BurstRequest) -> None:
-        """Pass a burst request on."""
+    def request(self, request: BurstRequest | RetuneRequest) -> None:
+        """Pass a request on."""
         for sink in self.sinks:
             sink.request(request)
 

@@ -7,7 +7,7 @@ import logging
 from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.api.signals import Block
 from afdsvc.lti.statespace import Array
-from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RigEvent
+from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RetuneRequest, RigEvent
 
 log = logging.getLogger(__name__)
 LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
@@ -39,9 +39,10 @@ class LogSink:
         """Write an event of the rig."""
         log.info("%s: %s%s", self._machine, event.kind.replace("_", " "), f" {event.burst}" * bool(event.burst) + f": {event.cause}" * bool(event.cause))
 
-    def request(self, request: BurstRequest) -> None:
-        """Write who asked for a burst."""
-        log.info("%s: burst %s asked for by %s", self._machine, request.burst.name, request.asked_by)
+    def request(self, request: BurstRequest | RetuneRequest) -> None:
+        """Write who asked for a burst or a Q."""
+        what = f"burst {request.burst.name}" if isinstance(request, BurstRequest) else f"Q {request.name} for {request.found.fault}"
+        log.info("%s: %s asked for by %s", self._machine, what, request.asked_by)
 
     def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
         """Write a notice."""

@@ -14,7 +14,7 @@ from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.lti.statespace import Array
 from afdsvc.wire import codec
-from afdsvc.wire.messages import AlarmChange, AlarmKind, BurstRequest, Finding, RigEvent
+from afdsvc.wire.messages import AlarmChange, AlarmKind, BurstRequest, Finding, RetuneRequest, RigEvent
 
 LEVELS = {"info": Level.INFO, "warning": Level.WARNING, "error": Level.ERROR}
 Write = Callable[[Recorder], None]
@@ -38,6 +38,7 @@ class PreAlarmBuffer:
         self._base, self._header, self._span, self._most = base, header, round(seconds * 1e9), most_bytes
         self._said: deque[_Said] = deque()
         self._requests: deque[BurstRequest] = deque(maxlen=64)
+        self._retuning: RetuneRequest | None = None
         self._bytes = 0
         self.paths: list[Path] = []
 
@@ -57,9 +58,12 @@ class PreAlarmBuffer:
         """Keep an event."""
         self._keep(event.t_ns, len(payload), lambda recorder: recorder.event(payload, event))
 
-    def request(self, request: BurstRequest) -> None:
-        """Keep a burst that was asked for."""
-        self._requests.append(request)
+    def request(self, request: BurstRequest | RetuneRequest) -> None:
+        """Keep a burst or a Q that was asked for."""
+        if isinstance(request, BurstRequest):
+            self._requests.append(request)
+        else:
+            self._retuning = request
 
     def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
         """Keep a sentence."""
@@ -87,6 +91,8 @@ class PreAlarmBuffer:
         path = self._base.with_name(f"{self._base.name}-alarm-{len(self.paths) + 1:03d}-{name}.mcap")
         path.parent.mkdir(parents=True, exist_ok=True)
         recorder = Recorder(RecordingSettings(path), self._header)
+        if self._retuning:
+            recorder.retuning(codec.encode_retune_request(self._retuning), self._retuning)
         for request in self._requests:
             recorder.request(codec.encode_burst_request(request), request)
         for said in self._said:

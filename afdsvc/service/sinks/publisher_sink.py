@@ -10,7 +10,7 @@ from afdsvc.lti.statespace import Array
 from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RigEvent
+from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RetuneRequest, RigEvent
 
 
 @dataclass
@@ -40,7 +40,7 @@ class Publisher:
     def event(self, event: RigEvent, payload: bytes) -> None:
         """Nothing: the rig published it."""
 
-    def request(self, request: BurstRequest) -> None:
+    def request(self, request: BurstRequest | RetuneRequest) -> None:
         """Nothing: the rig is asked directly."""
 
     def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:

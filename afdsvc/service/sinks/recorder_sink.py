@@ -18,7 +18,7 @@ from afdsvc.files.site import Recording
 from afdsvc.lti.statespace import Array
 from afdsvc.service.sinks.fan_out import FanOut
 from afdsvc.wire import codec
-from afdsvc.wire.messages import AlarmChange, AlarmKind, BurstRequest, Finding, Receipt, RigEvent
+from afdsvc.wire.messages import AlarmChange, AlarmKind, BurstRequest, Finding, Receipt, RetuneRequest, RigEvent
 
 SESSIONS, PIECES = 16, 100  # that a receipt names
 LATE_SECONDS = 30.0  # without a block end a recording of blocks that were delivered later
@@ -118,9 +118,12 @@ class RecorderSink:
         """Record an event as it came."""
         self._open().event(payload, event)
 
-    def request(self, request: BurstRequest) -> None:
-        """Record a burst that is asked for."""
-        self._open().request(codec.encode_burst_request(request), request)
+    def request(self, request: BurstRequest | RetuneRequest) -> None:
+        """Record a burst or a Q that is asked for."""
+        if isinstance(request, BurstRequest):
+            self._open().request(codec.encode_burst_request(request), request)
+        else:
+            self._open().retuning(codec.encode_retune_request(request), request)
 
     def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
         """Record a sentence."""

@@ -1,0 +1,133 @@
+"""Q beside the controller of one machine: designed and proved when a person accepts it, its lease renewed while it acts, and taken back."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from afdsvc.api.detection import DetectionProblem
+from afdsvc.api.retuning import Diagnosed, Tuning
+from afdsvc.diagnosis.verdict import Verdict
+from afdsvc.errors import AfdsvcError, Refused
+from afdsvc.service.burst_requests import BurstRequests
+from afdsvc.wire import codec
+from afdsvc.wire.messages import BurstStop, EventKind, Lease, RetuneRequest, RigEvent
+
+LEASE_SECONDS = 5.0
+ANSWER_SECONDS = 10.0
+DEVIATIONS = 3.0  # of the severity's standard error, on both sides: the interval Q is proved for
+OVER = (EventKind.RESTORED, EventKind.RETUNE_REFUSED, EventKind.RIG_STOPPED)
+
+Design = Callable[[DetectionProblem, Diagnosed], tuple[Tuning, str, Mapping[str, Any]]]
+
+
+@dataclass
+class Retuning:
+    """Retunes one machine, the one of ``bursts``.
+
+    ``design(problem, found)`` returns Q as a rig runs it, what was proved in one sentence, and the design sheet; it raises `Refused`. ``ready`` is
+    called with the problem of the loop with Q before Q acts.
+    """
+
+    bursts: BurstRequests
+    design: Design
+    ready: Callable[[DetectionProblem], object]
+
+    def __post_init__(self) -> None:
+        self._count, self._designing = itertools.count(1), threading.Lock()
+        self._session = self._proposed = ""
+        self.acting = ""  # the name of the Q
+        self.sentence = ""  # a Q is proposed, or acts
+
+    @property
+    def machine(self) -> str:
+        """Id of the machine."""
+        return self.bursts.machine
+
+    def propose(self, verdict: Verdict) -> None:
+        """Say once, for each fault that is named with its severity, that a person may accept a Q for it."""
+        if verdict.fault is None or verdict.severity is None or self.acting:
+            return
+        found = _interval(verdict, self.bursts.pipeline.problem)
+        self.sentence = f"proposed: 'afdsvc retune {self.machine}' designs Q for {_said(found)}"
+        if verdict.fault != self._proposed:
+            self._proposed = verdict.fault
+            self.bursts.sink.notice(self.machine, "info", self.sentence, self.bursts.clock.now_ns())
+
+    def ask(self, verdict: Verdict, who: str) -> dict[str, Any]:
+        """Design, prove and start Q for what the verdict names; returns the design sheet, raises `Refused` with the reason."""
+        if not self._designing.acquire(blocking=False):
+            raise Refused("a Q is being designed for this machine; wait for its answer")
+        try:
+            return self._asked(verdict, who)
+        finally:
+            self._designing.release()
+
+    def _asked(self, verdict: Verdict, who: str) -> dict[str, Any]:
+        of = self.bursts
+        if not of.session:
+            raise Refused(f"machine '{self.machine}' is not connected")
+        if self.acting:
+            raise Refused(f"{self.sentence}; restore the machine first")
+        if verdict.fault is None or verdict.severity is None:
+            raise Refused("no fault has been named with its severity, so there is nothing to design Q for")
+        problem = of.pipeline.problem
+        found = _interval(verdict, problem)
+        tuning, proof, sheet = self.design(problem, found)
+        name = f"{of.session[:8]}-q-{of.clock.now_ns() // 10**9 % 16**6:06x}-{next(self._count)}"
+        self.ready(of.pipeline.announce_tuning(name, tuning.Q))
+        newest = round(of.seconds / of.pipeline.dt)
+        request = RetuneRequest(self.machine, name, tuning, found, LEASE_SECONDS, who, of.clock.now_ns(), of.session, newest, proof)
+        of.sink.request(request)
+        self._begin(request)
+        return {"machine": self.machine, "tuning": name, "fault": found.fault, "severity": [found.low, found.high], **sheet}
+
+    def _begin(self, request: RetuneRequest) -> None:
+        of, self._session = self.bursts, request.session
+        self.acting, self.sentence = request.name, f"Q for {_said(request.found)} acts, accepted by {request.asked_by}"
+        try:
+            answer = of.transport.ask(of.keys.retune(self.machine), codec.encode_retune_request(request), ANSWER_SECONDS)
+            reply = codec.decode_burst_reply(answer)
+        except BaseException:
+            self._end()  # if the rig has accepted it yet, its lease runs out
+            raise
+        if not reply.accepted:
+            self._end()
+            raise Refused(reply.reason)
+
+    def restore(self, reason: str, who: str) -> None:
+        """Go back to Q = 0; raises `Refused` with the rig's reason when no Q acts."""
+        of, stop = self.bursts, BurstStop(self.machine, reason or "no reason given", who or "unknown")
+        reply = codec.decode_burst_reply(of.transport.ask(of.keys.restore(self.machine), codec.encode_burst_stop(stop)))
+        if not reply.accepted:
+            raise Refused(f"nothing is restored: {reply.reason}")
+
+    def renew(self) -> None:
+        """Renew the lease of the Q that acts; waits for nothing."""
+        of = self.bursts
+        if self.acting:
+            lease = Lease(self.machine, self.acting, LEASE_SECONDS)
+            of.transport.publish(of.keys.lease(self.machine), codec.encode_lease(lease), keep=False)
+
+    def heard(self, event: RigEvent) -> None:
+        """Take an event of the rig into account; another session than that of the Q knows none."""
+        if self.acting and (event.session != self._session or event.kind is EventKind.RIG_STOPPED or (event.kind in OVER and event.burst == self.acting)):
+            self._end()
+
+    def _end(self) -> None:
+        self.acting = self.sentence = self._proposed = ""
+
+
+def _interval(verdict: Verdict, problem: DetectionProblem) -> Diagnosed:
+    """Return the fault with its severity, `DEVIATIONS` standard errors to both sides, within what the machine can have."""
+    if verdict.fault is None or verdict.severity is None:
+        raise AfdsvcError("the verdict names no fault with its severity")
+    value, wide, (low, high) = verdict.severity.value, DEVIATIONS * verdict.severity.sd, problem.severity_range
+    return Diagnosed(verdict.fault, max(value - wide, low), min(value + wide, high))
+
+
+def _said(found: Diagnosed) -> str:
+    return f"{found.fault} {100 * found.low:.1f} to {100 * found.high:.1f} %"
