@@ -136,7 +136,7 @@ def test_only_tuners_may_retune_and_only_the_service_speaks_to_the_rig(free_port
         for name in ("lee", "max"):
             with pytest.raises(AfdsvcError, match=unnamed):
                 ask_service(site, "retune", name, machine="bearing")
-        with pytest.raises(AfdsvcError, match="'kim' may not retune; key 'transport.security.tuners'"):
+        with pytest.raises(AfdsvcError, match="'kim' may not retune; key"):
             ask_service(site, "retune", "kim", machine="bearing")
         with pytest.raises(AfdsvcError, match=UNHEARD):
             ask_service(site, "retune", "panel", machine="bearing")
