@@ -43,7 +43,7 @@ class Requests:
         ``operators`` are those of a secured site: each asks at a key of their own and must say when. Only ``tuners`` may retune there.
         """
         transport, keys, handlers = self._hub.transport, self._hub.keys, self.handlers()
-        retuning = {name: handlers[name] for name in RETUNING}
+        retuning = {name: handler for name, handler in handlers.items() if name in RETUNING}
         if operators is not None:
             handlers["retune"] = _not_yours
         for operator in [""] if operators is None else operators:
