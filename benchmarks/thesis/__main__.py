@@ -1,0 +1,99 @@
+"""Figures and tables of A. K. Sekunda, "Fault Diagnosis and Identification of Electro-Mechanical Systems", DTU 2017, and its papers P1 to P6.
+
+    python -m benchmarks.thesis list          every figure and table: what it shows, and its command or the reason why there is none
+    python -m benchmarks.thesis p5-0.14       one of them: the printed numbers and statements beside ours
+    python -m benchmarks.thesis pages         all of them, into docs/thesis/ (three minutes)
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Sequence
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.thesis import gas_bearing_figures, identification_figures, unavailable, unstable_plant_figures
+from benchmarks.thesis.figure import Figure, Row
+
+PAGES = Path(__file__).resolve().parents[2] / "docs" / "thesis"
+TITLES = {"chapter-1": "Chapter 1: introduction", "chapter-2": "Chapter 2: YJBK parameterisation", "chapter-3": "Chapter 3: the rig", "chapter-4": "Chapter 4: identification", "chapter-5": "Chapter 5: fault diagnosis",
+          "p1": "P1: turboexpander", "p2": "P2: modified Hansen scheme", "p3": "P3: active fault detection", "p4": "P4: unstable plant and uncertainty", "p5": "P5: diagnosis of the gas bearing", "p6": "P6: identification of the gas bearing"}  # fmt: skip
+MADE = "<!-- Written by python -m benchmarks.thesis pages; edit the code instead. -->\n\n"
+
+
+def figures() -> list[Figure]:
+    """Return every figure and table, page by page, in the order of the print."""
+    found = [*gas_bearing_figures.FIGURES, *unstable_plant_figures.FIGURES, *identification_figures.FIGURES, *unavailable.FIGURES]
+    return sorted(found, key=lambda f: (list(TITLES).index(f.page), f.name.startswith(("table", f"{f.page}-table")), [int(n) for n in re.findall(r"\d+", f.name)], f.name))
+
+
+def shown(value: float | bool | None) -> str:
+    """Return a number in four digits, a statement as yes or no."""
+    return "" if value is None else ("yes" if value else "no") if isinstance(value, bool | np.bool_) else f"{value:.4g}"
+
+
+def match(rows: Sequence[Row]) -> str:
+    """Return how print and result agree."""
+    wrong = sum(bool(r.erratum) and r.printed is not None for r in rows)
+    compared = sum(r.printed is not None for r in rows)
+    return f"{compared - wrong} of {compared}" + ("; the rest explained" if wrong else "")
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return the comparison as a Markdown table."""
+    lines = [f"| {r.what} | {shown(r.printed)} | {shown(r.ours)} | {shown(r.tolerance) if r.tolerance else ''} | {r.erratum} |" for r in rows]
+    return "| | print | ours | tolerance | remark |\n|---|---|---|---|---|\n" + "\n".join(lines) + "\n"
+
+
+def write_pages() -> None:
+    """Write a page for every chapter and paper, and the index."""
+    PAGES.mkdir(exist_ok=True)
+    index = ["| figure | shows | agrees | command, or why there is none |\n|---|---|---|---|\n"]
+    for page, group in groupby(figures(), key=lambda f: f.page):
+        parts = [MADE + f"# {TITLES[page]}\n"]
+        for f in group:
+            if f.remade is None:
+                index.append(f"| {f.name} | {f.shows} | | {f.reason} |\n")
+                continue
+            rows = f.remade()
+            print(f.name, match(rows), flush=True)
+            index.append(f"| [{f.name}]({page}.md#{f.name.replace('.', '')}) | {f.shows} | {match(rows)} | `{f.command}` |\n")
+            parts.append(f"\n## {f.name}\n\n{f.shows[0].upper() + f.shows[1:]}. `{f.command}`\n\n{table(rows)}")
+        if len(parts) > 1:
+            (PAGES / f"{page}.md").write_text("".join(parts), encoding="utf-8")
+    (PAGES / "README.md").write_text(MADE + INTRODUCTION + "".join(index), encoding="utf-8")
+
+
+INTRODUCTION = """# The figures and tables of the thesis
+
+A. K. Sekunda, *Fault Diagnosis and Identification of Electro-Mechanical Systems*, PhD thesis, Technical University of Denmark, 2017, with its
+publications P1 to P6. Each figure and table that can be made without the authors' rig is remade by the command in its row, which prints
+the numbers, and the statements that text and caption make about a plot, beside ours; `tests/thesis/` asserts every row. "Agrees" counts
+the printed ones; where print and result differ the page says why ([errata](../explanation/errata.md)). Plots without printed numbers are compared
+by what is said about them.
+
+"""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print a figure, the list, or write the pages."""
+    known, name = {f.name: f for f in figures()}, " ".join(arguments)
+    if name == "list":
+        for f in known.values():
+            print(f"{f.name:14} {f.shows:75} {f.reason or f.command}")
+    elif name == "pages":
+        write_pages()
+    elif name in known and known[name].remade is not None:
+        f = known[name]
+        print(f"{f.name}: {f.shows}\n\n{table(f.remade())}")
+    else:
+        print(f"{name}: {known[name].reason}" if name in known else __doc__)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

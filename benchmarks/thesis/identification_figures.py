@@ -1,0 +1,225 @@
+"""Chapter 4 and publications P1, P2 and P6: identification through S."""
+
+from __future__ import annotations
+
+import csv
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from afdsvc.dataset.arrays import Recording
+from afdsvc.identify.methods.hansen import rebuilt_plant
+from afdsvc.identify.methods.subspace import decompose, realise
+from afdsvc.lti.coprime import Factorisation, observer_factorisation
+from afdsvc.lti.frequency import frequency_response
+from afdsvc.lti.lft import fault_signature
+from afdsvc.lti.reduce import balanced_truncation
+from afdsvc.lti.riccati import kalman_predictor_gain, lqr
+from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.simulate import simulate
+from afdsvc.lti.stability import is_stable
+from afdsvc.lti.statespace import StateSpace
+from afdsvc.lti.yjbk import closed_loop, deviation_system
+from afdsvc.plants.amb_turboexpander import amb_turboexpander, turboexpander_rotor
+from afdsvc.plants.examples import random_stable
+from afdsvc.plants.gas_bearing import NOISE_VARIANCE, gas_bearing
+from afdsvc.plugins.controllers.lqg import Lqg
+from benchmarks.thesis.figure import Figure, Row
+from benchmarks.thesis.machines import bearing
+
+MONTE_CARLO = Path(__file__).resolve().parents[2] / "docs" / "reference" / "identification-monte-carlo.csv"
+STIFFNESS = "stiffness_b_y"
+
+
+def cost_plane() -> list[Row]:
+    """J(theta) over two actuator faults: no other minimum than the true one, and a parabola around it."""
+    loop, truth, grid = bearing(), (-0.3, -0.2), np.linspace(-0.6, 0.0, 13)
+    alpha = np.random.default_rng(1).choice([-1.0, 1.0], size=(400, 2))
+
+    def beta(a: float, b: float) -> np.ndarray:
+        S = fault_signature(loop.problem.augmented, loop.problem.interconnection, {"horizontal_actuator": a, "vertical_actuator": b})
+        return simulate(S, alpha)[0]
+
+    wanted = beta(*truth)
+    J = np.array([[0.5 * np.sum((beta(a, b) - wanted) ** 2) for b in grid] for a in grid])
+    i, j = np.unravel_index(J.argmin(), J.shape)
+    inner = J[1:-1, 1:-1]
+    lowest = np.all([inner < J[1 + a : 12 + a, 1 + b : 12 + b] for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)], axis=0)
+    return [Row("minimum at the true horizontal fault", truth[0], float(grid[i]), 1e-9), Row("and the vertical one", truth[1], float(grid[j]), 1e-9), Row("minima in the plane", 1, int(lowest.sum()))]
+
+
+@lru_cache(maxsize=1)
+def identified() -> tuple[Factorisation, StateSpace, StateSpace, StateSpace]:
+    """Return factors of a nominal model with half of the sampled A, the true bearing, its S, and S identified from alpha and beta."""
+    true = gas_bearing().discrete()
+    nominal = StateSpace(0.5 * true.A, true.B, true.C, true.D, true.dt)
+    F, L = lqr(nominal, 1e-4 * np.diag([0, 0, 1.0, 1, 0, 0]), np.eye(2)), kalman_predictor_gain(nominal, 0.01 * np.eye(6), np.eye(2))
+    fact, rng, n = observer_factorisation(nominal, F, L), np.random.default_rng(1), 8000
+    alpha = 2.0 * np.repeat(rng.choice([-1.0, 1.0], size=(n // 4, 2)), 4, axis=0)
+    d = np.sqrt(NOISE_VARIANCE) * rng.standard_normal((n, 2))
+    out, _ = simulate(closed_loop(fact, true).system, np.hstack([d, np.zeros((n, 4)), alpha]))
+    S = realise(decompose([Recording.of(alpha, out[:, 6:], true.dt)], 24), 8, stable=True).system
+    return fact, true, deviation_system(fact, true), S
+
+
+def apart(one: StateSpace, other: StateSpace) -> float:
+    """Return the largest difference of the responses over 50 to 5000 rad/s, relative to the largest of ``one``."""
+    w = np.geomspace(50, 5000, 100)
+    a, b = frequency_response(one, w), frequency_response(other, w)
+    return float(np.abs(a - b).max() / np.abs(a).max())
+
+
+def bode_of_s() -> list[Row]:
+    _, _, S, found = identified()
+    return [Row("identified S has the gain of the true one (relative error below 0.2)", True, apart(S, found) < 0.2)]
+
+
+def bode_of_g() -> list[Row]:
+    fact, true, _, found = identified()
+    G = rebuilt_plant(fact, found)
+    return [Row("G(S) reaches the true plant (relative error below 0.1)", True, apart(true, G) < 0.1), Row("the nominal plant does", False, apart(true, fact.plant) < 0.1), Row("its order exceeds the nominal one's", True, G.order > fact.plant.order)]
+
+
+def monte_carlo(low: float, high: float) -> dict[str, float]:
+    """Return the median fit of both methods over the kept study (sampled A), for theta in an interval, both outputs together."""
+    with MONTE_CARLO.open() as file:
+        rows = [r for r in csv.DictReader(file) if r["kind"] == "discrete" and r["truth vertical"] and low <= float(r["theta"]) < high]
+    return {m: float(np.nanmedian([float(r[f"{m} {o}"]) for r in rows for o in ("horizontal", "vertical") if r[f"{m} {o}"]])) for m in ("nominal", "PEM", "Hansen G(S)", "truth")}
+
+
+def fit_against_theta() -> list[Row]:
+    good, poor = monte_carlo(0.0, 0.1), monte_carlo(0.5, 1.0)
+    return [
+        Row("a good nominal model: both alike (within 0.05)", True, abs(good["PEM"] - good["Hansen G(S)"]) < 0.05),
+        Row("a poor one: the modified Hansen scheme is better", True, poor["Hansen G(S)"] > poor["PEM"]),
+        Row("and keeps the fit of the truth (within 0.05)", True, poor["truth"] - poor["Hansen G(S)"] < 0.05),
+    ]
+
+
+def table_4_1() -> list[Row]:
+    """The worst column, in simulation: rows of docs/reference/identification-table-4-1.md made anew, without PEM."""
+    fact, true, _, found = identified()
+    rng, n = np.random.default_rng(2), 4000
+    alpha = 2.0 * np.repeat(rng.choice([-1.0, 1.0], size=(n // 4, 2)), 4, axis=0)
+    d = np.sqrt(NOISE_VARIANCE) * rng.standard_normal((n, 2))
+    out, _ = simulate(closed_loop(fact, true).system, np.hstack([d, np.zeros((n, 4)), alpha]))
+    y, u = out[:, 2:4], out[:, 4:6]
+
+    def fit(G: StateSpace) -> np.ndarray:
+        return 1 - np.linalg.norm(y - simulate(G, u)[0], axis=0) / np.linalg.norm(y - y.mean(axis=0), axis=0)
+
+    full = rebuilt_plant(fact, found)
+    ceiling, best, reduced, nominal = (fit(G) for G in (true, full, balanced_truncation(full, 6).system, fact.plant))
+    other = "excitation and noise of the rig are not printed; compared with the fit of the true plant"
+    return [
+        Row("nominal model below 4 %", True, bool((nominal < 0.04).all())), Row("Hansen within 3 points of the true plant", True, bool((ceiling - best < 0.03).all())),
+        Row("reduction to the nominal order costs less than 2 points", True, bool((best - reduced < 0.02).all())),
+        Row("horizontal fit of G(S)", 0.7676, float(best[0]), 0.03, other, float(ceiling[0])), Row("vertical fit of G(S)", 0.8358, float(best[1]), 0.03, other, float(ceiling[1])),
+    ]  # fmt: skip
+
+
+# --- P1 --------------------------------------------------------------------------------------------------------------
+@lru_cache(maxsize=1)
+def expander() -> tuple:
+    plant = amb_turboexpander(sample_time=1e-3)
+    changed = plant.discrete(**{STIFFNESS: 0.5 * plant.parameters[STIFFNESS].value})
+    fact = Lqg().design(plant.discrete(), plant.recommended["lqg"]).factorisation
+    return plant, fact, changed, deviation_system(fact, changed)
+
+
+def singular_values() -> list[Row]:
+    rotor, values, w = turboexpander_rotor(), amb_turboexpander().values(), np.geomspace(10, 20e3, 400)
+    full, reduced = (np.linalg.svd(frequency_response(s, w), compute_uv=False)[:, 0] for s in (rotor.full_system(values), rotor.reduced(values, 8)))
+    apart_from = float(w[np.argmax(np.abs(full - reduced) > 0.1 * full)])
+    return [Row("largest singular values within 10 % up to [rad/s] ('approx.')", 20e3, apart_from, 2000)]
+
+
+def poles_of_g() -> list[Row]:
+    return [Row("the real plant has unstable poles", True, not expander()[2].is_stable())]
+
+
+def poles_of_s() -> list[Row]:
+    return [Row("S(theta) is stable", True, bool(is_stable(expander()[3].A, 1e-3)))]
+
+
+def changed_response() -> list[Row]:
+    plant, fact, changed, _ = expander()
+    w = np.geomspace(10, 2000, 60)
+    a, b = (np.linalg.svd(frequency_response(s, w), compute_uv=False)[:, 0] for s in (fact.plant, changed))
+    return [Row("half the stiffness changes the response by more than 10 % somewhere", True, bool((np.abs(a / b - 1) > 0.1).any()))]
+
+
+# --- P2 --------------------------------------------------------------------------------------------------------------
+@lru_cache(maxsize=1)
+def drawn() -> tuple:
+    """Return factors, true plant, true S, and S identified with noise of a tenth of beta (P2 section 4)."""
+    rng = np.random.default_rng(2)
+    while True:
+        true, nominal = random_stable(rng, dt=0.1)
+        fact = observer_factorisation(nominal, lqr(nominal, np.eye(4), np.eye(2)), kalman_predictor_gain(nominal, np.eye(4), np.eye(2)))
+        S = deviation_system(fact, true)
+        if is_stable(S.A, 0.1):
+            break
+    alpha = rng.standard_normal((6000, 2))
+    beta, _ = simulate(S, alpha)
+    found = realise(decompose([Recording.of(alpha, beta + 0.1 * beta.std(axis=0) * rng.standard_normal(beta.shape), 0.1)], 20), S.order, stable=True).system
+    return fact, true, S, found
+
+
+def p2_errors() -> list[Row]:
+    fact, true, S, found = drawn()
+    u = np.random.default_rng(3).standard_normal((2000, 2))
+    truth = simulate(true, u)[0]
+    before, after = ((truth - simulate(G, u)[0]).var(axis=0) for G in (fact.plant, rebuilt_plant(fact, found)))
+    twelve = "12 counts a realisation that is not minimal: four states of the plant and four of J_K are enough"
+    return [Row("variance of the error falls, output 1", True, bool(after[0] < before[0])), Row("output 2", True, bool(after[1] < before[1])),
+            Row("to below a hundredth", None, bool((after < 0.01 * before).all()), 0, "no number is printed; ours, kept", True), Row("order of the true S", 12, S.order, 0, twelve, 8)]  # fmt: skip
+
+
+def _relative(a: StateSpace, b: StateSpace) -> float:
+    w = np.geomspace(0.05, 30, 100)
+    x, y = frequency_response(a, w), frequency_response(b, w)
+    return float(np.abs(x - y).max() / np.abs(x).max())
+
+
+def p2_plants() -> list[Row]:
+    fact, true, _, found = drawn()
+    return [Row("the identified plant has almost the response of the real one (5 %)", True, _relative(true, rebuilt_plant(fact, found)) < 0.05), Row("the model has", False, _relative(true, fact.plant) < 0.05)]
+
+
+def p2_deviation() -> list[Row]:
+    _, _, S, found = drawn()
+    return [Row("the identified S has the response of the real one (5 %)", True, _relative(S, found) < 0.05)]
+
+
+def p1_theta() -> list[Row]:
+    from afdsvc.identify.methods.indirect import fit_indirect
+    from afdsvc.identify.parameters.structure import physical_structure
+
+    plant, fact, _, _ = expander()
+    nominal = plant.parameters[STIFFNESS].value
+    full = sample_zoh(turboexpander_rotor(31500.0).full_system(plant.values({STIFFNESS: 0.5 * nominal})), 1e-3)
+    alpha = 0.02 * np.random.default_rng(1).choice([-1.0, 1.0], size=(500, 4))
+    beta, _ = simulate(deviation_system(fact, full), alpha)
+    theta = fit_indirect(physical_structure(plant, [STIFFNESS]), fact, [Recording.of(alpha, beta, 1e-3)]).parameters[0].value / nominal - 1
+    return [Row("share of the stiffness that is lost", 0.502, -float(theta), 0.003)]
+
+
+FIGURES = [
+    Figure("figure-4.5", "the cost J(theta) over two parameters", cost_plane),
+    Figure("figure-4.9", "identified and true S", bode_of_s),
+    Figure("figure-4.10", "identified, true and nominal plant", bode_of_g),
+    Figure("figure-4.11", "fit against the error of the nominal model, from the kept study of benchmarks/identify/monte_carlo.py", fit_against_theta),
+    Figure("table-4.1", "fit of the identified models, the column with half of A in simulation (all: benchmarks/identify/table_4_1.py)", table_4_1),
+    Figure("p1-0.5", "singular values of full and reduced rotor", singular_values),
+    Figure("p1-0.6", "poles and zeros of G(theta)", poles_of_g),
+    Figure("p1-0.7", "poles and zeros of S(theta)", poles_of_s),
+    Figure("p1-0.8", "singular values of the real and the nominal system", changed_response),
+    Figure("p1-section-4", "the identified stiffness", p1_theta, long=True),
+    Figure("p2-0.8", "error of nominal and identified plant", p2_errors),
+    Figure("p2-0.9", "responses of real, identified and nominal plant", p2_plants),
+    Figure("p2-0.10", "real and identified S", p2_deviation),
+    Figure("p6-0.4", "fit against the error of the nominal model, from the kept study of benchmarks/identify/monte_carlo.py", fit_against_theta),
+    Figure("p6-table-0.1", "fit of the identified models, the column with half of A in simulation (all: benchmarks/identify/table_4_1.py)", table_4_1),
+]
