@@ -37,11 +37,11 @@ def loops():
     return problem, retuned_problem(problem, Q), Q
 
 
-def machines(problem, Q, severity: float) -> dict[str, np.ndarray]:
+def machines(problem, Q, severity: float, second: float = 0.0) -> dict[str, np.ndarray]:
     """Return u, y, beta of an ensemble ``(samples, runs, 2)`` of machines with sensor noise, J_K, Q and the burst."""
     rng, G, J = np.random.default_rng(11), problem.plant, problem.interconnection
     alpha = np.vstack([np.zeros((QUIET, 2)), BURST.play(G.dt)])
-    B, root = G.B * np.array([1 + severity, 1.0]), np.sqrt(np.diag(problem.output_cov))
+    B, root = G.B * np.array([1 + severity, 1 + second]), np.sqrt(np.diag(problem.output_cov))
     x, xj, xq = np.zeros((RUNS, G.order)), np.zeros((RUNS, J.order)), np.zeros((RUNS, Q.order))
     out = {name: np.empty((len(alpha), RUNS, 2)) for name in ("u", "y", "beta")}
     for k, a in enumerate(alpha):
@@ -90,3 +90,11 @@ def test_the_severity_is_unbiased_for_the_loop_with_q_and_biased_without(loops):
         z[name] = error.mean() / (error.std() / np.sqrt(len(found)))
     assert abs(z["with Q"]) < 4
     assert abs(z["without"]) > 6
+
+
+def test_a_second_fault_is_named_beside_the_one_q_was_designed_for(loops):
+    whole, (problem, _, Q) = bearing_problem("proportional"), loops
+    both = replace(problem, augmented=whole.augmented.reordered(["horizontal_actuator", "vertical_actuator"]))
+    for second, name in ((0.0, "horizontal_actuator"), (-0.4, "horizontal_actuator+vertical_actuator")):
+        found = decisions(retuned_problem(both, Q), RegressionDesign(), machines(problem, Q, TRUTH, second))
+        assert sum(e.fault == name for e in found) >= 0.95 * RUNS
