@@ -370,9 +370,10 @@ class RigAgent:
             self._refuse_stale(request)
             self._freshness.refuse_repeated(codec.encode_retune_request(request))
             self._accept_q(request)
-        except AfdsvcError as refusal:
-            self._event(EventKind.RETUNE_REFUSED, str(refusal), name)
-            return codec.encode_burst_reply(BurstReply(False, name, str(refusal)))
+        except Exception as error:
+            reason = str(error) if isinstance(error, AfdsvcError) else f"the request could not be checked: {type(error).__name__}: {error}"
+            self._event(EventKind.RETUNE_REFUSED, reason, name)
+            return codec.encode_burst_reply(BurstReply(False, name, reason))
         return codec.encode_burst_reply(BurstReply(True, name))
 
     def _accept_q(self, request: RetuneRequest) -> None:

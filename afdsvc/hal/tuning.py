@@ -47,10 +47,10 @@ class RunningQ:
             raise Refused("another Q acts; restore the machine first")
         if Q.D.shape != (self._m, self._p) or Q.dt != self._dt:
             raise Refused(f"Q is {Q.outputs} x {Q.inputs} at {Q.dt:g} s; expected {self._m} x {self._p} at {self._dt:g} s")
-        if not all(np.isfinite(M).all() for M in (Q.A, Q.B, Q.C, Q.D)) or not is_stable(Q.A, Q.dt):
-            raise Refused(f"Q is not stable; its pole is {describe_pole(worst_pole(np.nan_to_num(Q.A), Q.dt)[0], Q.dt)}")
         if Q.order > MOST_STATES:
             raise Refused(f"Q has {Q.order} states; at most {MOST_STATES} fit into a control sample")
+        if not all(np.isfinite(M).all() for M in (Q.A, Q.B, Q.C, Q.D)) or not is_stable(Q.A, Q.dt):
+            raise Refused(f"Q is not stable; its pole is {describe_pole(worst_pole(np.nan_to_num(Q.A), Q.dt)[0], Q.dt)}")
 
     def begin(self, tuning: Tuning, reason_to_end: Callable[[], str], name: str) -> None:
         """Put Q in place, at rest; raises `Refused` as `check`, and where there is a reason to end it already."""

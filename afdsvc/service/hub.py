@@ -157,7 +157,7 @@ class Hub:
         requests = self.burst_requests.get(machine)
         watch = self.watches[machine]
         next_burst = requests.scheduler.seconds_to_next(requests.seconds) if requests else 0.0
-        tuning = self.retunings[machine].sentence if machine in self.retunings else ""
+        tuning = self.retunings[machine].sentence if machine in self.retunings and watch.present else ""
         return replace(watch.status(requests.playing if requests else "", next_burst, self.alarms.of(machine)), tuning=tuning)
 
     def _put(self, kind: str, key: str, what: Any) -> None:
