@@ -6,49 +6,58 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from afdsvc.explain.noise.weighting import correlation_time, weighting
+from afdsvc.explain.noise.weighting import Weighting, correlation_time, weighting
 from afdsvc.explain.search.fit import Fit
-from afdsvc.explain.search.path import base_path
+from afdsvc.explain.search.path import base_path, whole_path
 from afdsvc.explain.search.problem import Problem
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settled:
-    """The problem with its weighting; the correlation times and the model refitted without effects, at every horizon.
+    """The problem with its weighting; the correlation times by horizon, and the model refitted without effects.
 
-    ``limited`` says what limits how well the recordings are followed: "noise" or "model".
+    ``start`` has the fits to whole recordings at the horizons that decide, ``rough`` those to their beginnings, ``part``, at every
+    horizon. ``limited`` says what limits how well the recordings are followed: "noise" or "model".
     """
 
     problem: Problem
+    part: Problem
     taus: dict[float, float]
     start: dict[float, Fit]
+    rough: dict[float, Fit]
     limited: str
 
 
 def settled(problem: Problem) -> Settled:
     """Return the problem with its weighting, correlation times and horizons, and the model refitted without effects."""
     s = problem.settings
-    problem, path = _interpolated(problem)
+    part, path = _interpolated(problem.beginning())
+    problem = replace(problem, ramped=part.ramped) if part is not problem else part
     taus = {h: f.own_tau for h, f in path.items()}
-    path = base_path(problem, s.horizons, taus, problem.start())
-    horizons = _horizons(problem, path)
-    path = {h: path[h] for h in horizons}
-    last = horizons[-1]
-    w = weighting(problem.runs, problem.residuals(path[last].point, last))
+    path = base_path(part, s.horizons, taus, part.start())
+    path = {h: path[h] for h in _horizons(part, path)}
+    start = whole_path(problem, taus, path)
+    last = list(path)[-1]
+    w = weighting(problem.runs, problem.residuals(start[last].point, last))
     limited = "model"
-    white = correlation_time([w(e) for e in problem.residuals(path[last].point, last)]) * s.independent < path[last].samples
-    if not w.even and white and np.max(path[last].sd**2 / w.floor) < s.noise_limited:
-        limited, horizons = "noise", (last,)
-        problem = replace(problem, weighting=w, settings=replace(s, theta_sd=1.0), offset_free=False, loads=())
-        start = replace(path[last].point, offset=np.zeros(len(problem.scale)), effects=())  # offsets and loads are hypotheses here
+    white = correlation_time([w(e) for e in problem.residuals(start[last].point, last)]) * s.independent < start[last].samples
+    if not w.even and white and np.max(start[last].sd**2 / w.floor) < s.noise_limited:
+        limited = "noise"
+        begin = replace(start[last].point, offset=np.zeros(len(problem.scale)), effects=())  # offsets and loads are hypotheses here
+        part, problem = _weighted(part, w), _weighted(problem, w)
         taus = {last: 1.0}
         for _ in range(2):
-            path = base_path(problem, horizons, taus, start)
+            path = base_path(part, (last,), taus, begin)
             taus = {last: path[last].own_tau}
     else:
-        taus = {h: path[h].own_tau for h in horizons}
-        path = base_path(problem, horizons, taus, problem.start())
-    return Settled(problem, taus, path, limited)
+        taus = {h: start.get(h, f).own_tau for h, f in path.items()}
+        path = base_path(part, list(path), taus, part.start())
+    return Settled(problem, part, taus, whole_path(problem, taus, path), path, limited)
+
+
+def _weighted(problem: Problem, w: Weighting) -> Problem:
+    """Return the problem where noise limits, whose noise is known apart from the model."""
+    return replace(problem, weighting=w, settings=replace(problem.settings, theta_sd=1.0), offset_free=False, loads=())
 
 
 def _interpolated(problem: Problem) -> tuple[Problem, dict[float, Fit]]:

@@ -174,15 +174,15 @@ def _column(problem: Problem, c: Coordinates, q: Array, at: Sequence[int], horiz
 
 
 def fit(
-    problem: Problem, point: Point, horizon: float, tau: float, iterations: int = 100, known: Array | None = None, exact: bool = True,
-    enough: float = ENOUGH,
+    problem: Problem, point: Point, horizon: float, tau: float, iterations: int = 100, known: Array | None = None,
+    renewals: int | None = None, enough: float = ENOUGH,
 ) -> Fit:
     """Return the local optimum of the posterior from ``point`` at one horizon.
 
     The log-likelihood is ``-N/(2 tau) sum_j log(SSE_j/N)``: noise variances are estimated under the hypothesis, and correlated
     samples count as ``N/tau``, which keeps the priors alive. Steps are those of Levenberg and Marquardt; between them the Jacobian
-    follows by Broyden's rule, and is worked out anew where a step fails. ``known`` is a Jacobian to begin with; with ``exact`` False
-    it is worked out anew once at most, and the last one is left as it is. A fit ends where the cost falls by less than ``enough``.
+    follows by Broyden's rule, and is worked out anew where a step fails. ``known`` is a Jacobian to begin with. With ``renewals`` it
+    is worked out anew as often at most, and the last one is left as it is. A fit ends where the cost falls by less than ``enough``.
     """
     c = Coordinates(problem, point)
     q = c.pack(c.unpack(c.pack(point)))
@@ -193,7 +193,7 @@ def fit(
         value = n / tau * float(np.log(rms(residuals)).sum()) + c.penalty(q)
         return value if np.isfinite(value) else np.inf
 
-    cost, damping, fresh, renewed = cost_of(q, residuals), 1e-3, known is None, known is None
+    cost, damping, fresh, renewed = cost_of(q, residuals), 1e-3, known is None, int(known is None)
     J = jacobian(problem, c, q, horizon, residuals) if known is None else known
     for _ in range(iterations):
         H, g = _normal(J, residuals, tau, c, q)
@@ -203,12 +203,12 @@ def fit(
             J, fresh_now = _followed(J, step[0] - q, residuals, step[1]), False
             q, residuals, cost, damping = step
         if fall < enough:
-            if fresh or (renewed and not exact):
+            if fresh or (renewals is not None and renewed >= renewals):
                 break
-            J, fresh, renewed, damping = jacobian(problem, c, q, horizon, residuals), True, True, 1e-3
+            J, fresh, renewed, damping = jacobian(problem, c, q, horizon, residuals), True, renewed + 1, 1e-3
             continue
         fresh = fresh_now
-    if exact and not fresh:
+    if renewals is None and not fresh:
         J = jacobian(problem, c, q, horizon, residuals)
     H, _ = _normal(J, residuals, tau, c, q)
     return Fit(c.unpack(q), tuple(residuals), J, H, tau, cost, rms(residuals), c.penalty(q), c.shared)

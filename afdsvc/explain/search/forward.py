@@ -16,7 +16,7 @@ from afdsvc.explain.search.base import Settled
 from afdsvc.explain.search.evidence import Evidence, blocks, evidence, noise_times, refitted
 from afdsvc.explain.search.fit import CONVERGED, Fit, fit
 from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
-from afdsvc.explain.search.path import Trial, added_path, ends, fewer_path, trial
+from afdsvc.explain.search.path import Trial, added_path, ends, fewer_path, trial, whole_path
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import Candidate, complexity, is_constant, is_reason, mechanism, weights, winner
 from afdsvc.explain.search.screen import Screen, Screened
@@ -28,7 +28,6 @@ Mapper = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 Progress = Callable[[str, float], None]
 
 
-REFIT = 4  # iterations of the refit to a part of the recordings
 STARTS = 2  # of every hypothesis that are tried, by what they promise
 
 
@@ -70,8 +69,8 @@ def search(
     ``predictable`` is False where the residual of a path is noise, and the recordings are long enough to show it.
     """
     problem, start, limited = settled.problem, settled.start, settled.limited
-    rounds = Rounds(problem, settled.taus, start, limited, mapper, predictable, {})
-    path = start
+    rounds = Rounds(problem, settled.part, settled.taus, start, settled.rough, limited, mapper, predictable, {})
+    path, rough = start, settled.rough
     steps: list[Step] = []
     seen = _seen(problem, path, limited)
     rounding = float(list(start.values())[-1].sd.max()) < problem.settings.rounding
@@ -79,11 +78,11 @@ def search(
         progress("searching", number / problem.settings.effects)
         seen = _seen(problem, path, limited)
         present = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
-        step = rounds.next(path, [h for h in hypotheses(library, seen) if h.key not in present], bool(steps))
+        step = rounds.next(path, rough, [h for h in hypotheses(library, seen) if h.key not in present], bool(steps))
         steps.append(step)
         if not step.accepted:
             break
-        path = {h: fit(problem, f.point, h, f.tau, enough=CONVERGED) for h, f in rounds.without_idle(step.candidates[0].path).items()}
+        path, rough = rounds.accepted(step.candidates[0])
     return Found(problem, start, path, seen, tuple(_kept(s, path) for s in steps), limited, rounds.over(path, start, 0))
 
 
@@ -132,19 +131,33 @@ class Rounds(Settled):
         floor = 0.0 if w.even else float(base.samples * (w.noise / base.sd**2).sum())
         return max(float(self.left_out(self.start).sum()) - floor, float(np.sqrt(2.0 * base.samples))) / base.tau + 2 * base.penalty
 
-    def next(self, path: dict[float, Fit], offered: Sequence[Hypothesis], further: bool) -> Step:
-        """Screen all hypotheses, fit the promising ones along the horizons, rank them and decide on the first."""
-        p, s = self.problem, self.problem.settings
-        part, start = _part(p, path, self.taus)
-        shortlist, by_chance = _shortlist(part, start, offered, self.mapper)
-        tried = _promising(list(self.mapper(partial(trial, part, start, self.taus, starts=STARTS), shortlist)), s.polished)
-        tried = [replace(t, points=tuple(replace(q, x0=path[h].point.x0) for q, h in zip(t.points, ends(path), strict=True))) for t in tried]
-        fitted = list(self.mapper(partial(added_path, p, path, self.taus), tried))
+    def next(self, path: dict[float, Fit], rough: dict[float, Fit], offered: Sequence[Hypothesis], further: bool) -> Step:
+        """Screen all hypotheses, fit the promising ones along the horizons, those that keep their promise to whole recordings, and
+        decide on the first."""
+        p, s = self.part, self.problem.settings
+        shortlist, by_chance = _shortlist(p, rough, offered, self.mapper)
+        tried = _promising(list(self.mapper(partial(trial, p, rough, self.taus, starts=STARTS), shortlist)), s.polished)
+        begun = _kept_promises(rough, list(self.mapper(partial(added_path, p, rough, self.taus), tried)), s.alike)
+        fitted = list(self.mapper(partial(whole_path, self.problem, self.taus, base=path), begun))
         counted = noise_times(fitted) if fitted else {}
         list(self.mapper(self.left_out, fitted))
-        found = [Candidate(t.hypothesis, q, self.evidence(q, path, t.hypothesis, counted)) for t, q in zip(tried, fitted, strict=True)]
+        found = []
+        for r, q in zip(begun, fitted, strict=True):
+            h = list(q.values())[-1].point.effects[-1].hypothesis
+            found.append(Candidate(h, q, self.evidence(q, path, h, counted), {k: replace(f, J=f.J[:0]) for k, f in r.items()}))
         ranked, limited = self.ranked(found)
         return _decided(ranked, limited, self, by_chance, further)
+
+    def accepted(self, first: Candidate) -> tuple[dict[float, Fit], dict[float, Fit]]:
+        """Return the path with a candidate and without effects that do not pay beside it, fitted to convergence, and its rough one."""
+        path = self.without_idle(first.path)
+        kept = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
+        path = {h: fit(self.problem, f.point, h, self.taus[h], enough=CONVERGED) for h, f in path.items()}
+        rough = {}
+        for h, f in first.rough.items():
+            point = replace(f.point, effects=tuple(e for e in f.point.effects if e.hypothesis.key in kept))
+            rough[h] = path[h] if self.part is self.problem and h in path else fit(self.part, point, h, self.taus[h])
+        return path, rough
 
     def ranked(self, found: Sequence[Candidate]) -> tuple[list[Candidate], str]:
         """Return the winner, the other candidates by gain, and what limits the best fit.
@@ -180,16 +193,6 @@ class Rounds(Settled):
         return path
 
 
-def _part(problem: Problem, path: dict[float, Fit], taus: dict[float, float]) -> tuple[Problem, dict[float, Fit]]:
-    """Return the beginning of every recording, long enough to choose hypotheses by, with the path refitted to it at its ends."""
-    total = sum(len(r) for r in problem.runs)
-    if total <= problem.settings.screened:
-        return problem, {h: path[h] for h in ends(path)}
-    share = problem.settings.screened / total
-    part = problem.of([r.span(0, max(1, int(share * len(r)))) for r in problem.runs], problem.x0)
-    return part, {h: fit(part, path[h].point, h, taus[h], REFIT) for h in ends(path)}
-
-
 def _promising(tried: Sequence[Trial], count: int) -> list[Trial]:
     """Return the trials that fell most at the weakest correction, half as many more of those that did at the strongest, and of every
     mechanism among them the simplest shape."""
@@ -199,6 +202,12 @@ def _promising(tried: Sequence[Trial], count: int) -> list[Trial]:
         shapes = [t for t in tried if mechanism(t.hypothesis) == kind]
         chosen.append(min(shapes, key=lambda t: (complexity(t.hypothesis), -t.falls[-1])))
     return list(dict.fromkeys(chosen))
+
+
+def _kept_promises(base: dict[float, Fit], paths: Sequence[dict[float, Fit]], share: float) -> list[dict[float, Fit]]:
+    """Return the paths whose fall of the cost is at least a share of the largest one, at the strongest or the weakest correction."""
+    falls = np.array([[base[h].cost - path[h].cost for h in ends(base)] for path in paths]).reshape(len(paths), -1)
+    return [path for path, fall in zip(paths, falls, strict=True) if (fall >= share * falls.max(axis=0)).any()]
 
 
 def _shortlist(problem: Problem, path: dict[float, Fit], offered: Sequence[Hypothesis], mapper: Mapper) -> tuple[list[dict[float, Screened]], dict[float, float]]:

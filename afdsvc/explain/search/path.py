@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from afdsvc.api.physics import Hypothesis
-from afdsvc.explain.search.fit import Coordinates, Fit, borrowed, fit, rms, weighted
+from afdsvc.explain.search.fit import ENOUGH, Coordinates, Fit, borrowed, fit, rms, weighted
 from afdsvc.explain.search.problem import Point, Problem
 from afdsvc.explain.search.screen import Screened, Start
 
@@ -47,12 +47,12 @@ def trial(problem: Problem, base: Mapping[float, Fit], taus: Taus, screened: Map
     for h in ends(base):
         chosen = [s.effect for s in screened[h].starts[:starts]]
         begun = [_begin(problem, base[h], start, h) for start in screened[h].starts[:starts]]
-        families = [[fit(problem, p, h, taus[h], GLANCE, borrowed(problem, base[h], p, h), exact=False) for p in begun]]
+        families = [[fit(problem, p, h, taus[h], GLANCE, borrowed(problem, base[h], p, h), renewals=0) for p in begun]]
         if np.abs(base[h].point.theta).max(initial=0.0) > problem.settings.strained:
             stated = replace(base[h].point, theta=np.zeros_like(base[h].point.theta))
-            families.append([fit(problem, stated.added(e), h, taus[h], GLANCE, exact=False) for e in chosen])
+            families.append([fit(problem, stated.added(e), h, taus[h], GLANCE, renewals=1) for e in chosen])
         firsts = [min(family, key=lambda f: f.cost) for family in families]
-        best = min((fit(problem, f.point, h, taus[h], BRIEF, f.J, exact=False) for f in firsts), key=lambda f: f.cost)
+        best = min((fit(problem, f.point, h, taus[h], BRIEF, f.J, renewals=1) for f in firsts), key=lambda f: f.cost)
         points.append(best.point)
         falls.append(base[h].cost - best.cost)
     return Trial(next(iter(screened.values())).hypothesis, tuple(points), tuple(falls))
@@ -72,12 +72,15 @@ def ends(path: Mapping[float, Fit]) -> list[float]:
 
 
 def added_path(problem: Problem, base: Mapping[float, Fit], taus: Taus, tried: Trial) -> dict[float, Fit]:
-    """Return the fits with one more effect along the base's horizons, each from the one before; at the last from both ends of them, too."""
+    """Return the fits with one more effect along the base's horizons, each from the one before; at the last from both ends of them, too.
+
+    Their Jacobians are not exact.
+    """
     *before, last = base
 
     def added(point: Point, h: float) -> Fit:
         known = borrowed(problem, base[h], point, h) if problem.regular else None  # the simulation of a plant that integrates bends more
-        return fit(problem, point, h, taus[h], known=known, exact=h == last)
+        return fit(problem, point, h, taus[h], known=known, renewals=1)
 
     path: dict[float, Fit] = {}
     point = tried.points[0]
@@ -87,6 +90,21 @@ def added_path(problem: Problem, base: Mapping[float, Fit], taus: Taus, tried: T
     starts = [point, tried.points[-1], path[before[0]].point] if before else [point]
     path[last] = min((added(p, last) for p in starts), key=lambda f: f.cost)
     return path
+
+
+def whole_path(
+    problem: Problem, taus: Taus, rough: Mapping[float, Fit], base: Mapping[float, Fit] | None = None, enough: float = ENOUGH
+) -> dict[float, Fit]:
+    """Return the fits to whole recordings that begin where those to their beginnings are, at the horizons that decide.
+
+    ``base`` are fits to whole recordings without the last effect.
+    """
+    found = {}
+    for h in ends(rough)[-1:] if problem.regular else ends(rough):
+        same = rough[h].samples == sum(len(r) for r in problem.runs)
+        known = borrowed(problem, base[h], rough[h].point, h) if base and problem.regular and not same else rough[h].J if same else None
+        found[h] = fit(problem, rough[h].point, h, taus[h], known=known, enough=enough)
+    return found
 
 
 def fewer_path(problem: Problem, path: Mapping[float, Fit], taus: Taus, left_out: int) -> dict[float, Fit]:

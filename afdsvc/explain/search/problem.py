@@ -82,6 +82,11 @@ class Problem:
         """Return the same problem on other runs."""
         return replace(self, runs=tuple(runs), x0=tuple(x0))
 
+    def beginning(self) -> Problem:
+        """Return the problem on the beginnings of the recordings, `Settings.screened` samples in all; itself where they are no longer."""
+        share = self.settings.screened / max(1, sum(len(r) for r in self.runs))
+        return self if share >= 1 else self.of([r.span(0, max(1, int(share * len(r)))) for r in self.runs], self.x0)
+
 
 def loop_known(problem: Problem) -> bool:
     """Whether the loop can be closed around the simulated plant: controller and what was added to its output are known, D is zero."""

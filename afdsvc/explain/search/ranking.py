@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,11 +20,15 @@ WHOLE = 0.8  # share of the gap that a constant has to close to be a reason
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A hypothesis fitted along the horizons, with its evidence over the model without it."""
+    """A hypothesis fitted along the horizons, with its evidence over the model without it.
+
+    ``path`` are the fits to whole recordings, ``rough`` those to their beginnings.
+    """
 
     hypothesis: Hypothesis
     path: dict[float, Fit]
     evidence: Evidence
+    rough: dict[float, Fit] = field(default_factory=dict)
 
     @property
     def fit(self) -> Fit:

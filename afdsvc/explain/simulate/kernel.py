@@ -22,6 +22,7 @@ from numba.extending import intrinsic
 _V, _M = types.float64[::1], types.float64[:, ::1]
 _I, _IV, _IM = types.int64, types.int64[::1], types.int64[:, ::1]
 LINEAR, CONTINUOUS, DISCRETE = 0, 1, 2  # kinds of plant: matrices, Python code for dx/dt, Python code for the next state
+DEGREE = 3  # of the polynomials by which an input runs smoothly between samples
 LIMIT = 1e150  # a state beyond it has diverged
 
 NUMBERS = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
@@ -203,16 +204,19 @@ def _middle(phih, x, gamh, ue, rows, base, s):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _between(U, k, w, out):  # type: ignore[no-untyped-def]
-    """Write the cubic through four samples around ``k``, at ``w`` of the way from sample k to k + 1."""
-    N = U.shape[0]
-    a, b, c = max(k - 1, 0), min(k + 1, N - 1), min(k + 2, N - 1)
-    l0 = -w * (w - 1) * (w - 2) / 6
-    l1 = (w + 1) * (w - 1) * (w - 2) / 2
-    l2 = -(w + 1) * w * (w - 2) / 2
-    l3 = (w + 1) * w * (w - 1) / 6
-    for j in range(out.size):
-        out[j] = l0 * U[a, j] + l1 * U[k, j] + l2 * U[b, j] + l3 * U[c, j]
+def _between(U, k, w, share, out, middle):  # type: ignore[no-untyped-def]
+    """Write the cubic through four samples around ``k`` from ``w`` of the way to sample k + 1 on: its coefficients in shares of the
+    interval, constant first, and its value half a share later."""
+    N, m = U.shape
+    before, after, second = max(k - 1, 0), min(k + 1, N - 1), min(k + 2, N - 1)
+    for j in range(m):
+        a, b, c, d = U[before, j], U[k, j], U[after, j], U[second, j]
+        c1, c2, c3 = c - a / 3 - b / 2 - d / 6, (a + c) / 2 - b, (d - a) / 6 + (b - c) / 2
+        out[j] = b + w * (c1 + w * (c2 + w * c3))
+        out[m + j] = share * (c1 + w * (2 * c2 + w * 3 * c3))
+        out[2 * m + j] = share * share * (c2 + 3 * w * c3)
+        out[3 * m + j] = share * share * share * c3
+        middle[j] = out[j] + (out[m + j] + (out[2 * m + j] + out[3 * m + j] / 2) / 2) / 2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -257,8 +261,9 @@ def simulate(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compi
     """Fill ``yhat (n, p)``, ``uhat (n, m)`` (the input before effects) and ``xhat (n, states)``.
 
     Open: ``U (n, m)`` is the measured input. Closed: ``u = K (yhat - R) + U`` with ``U`` what was added to the controller's
-    output. ``laws`` holds the addresses of the compiled laws. Samples where Y is not finite correct nothing. ``ramped`` (open only) takes the input to run smoothly from sample
-    to sample instead of being held; input laws then see no states. ``direct``: the input reaches the output at once.
+    output. ``laws`` holds the addresses of the compiled laws. Samples where Y is not finite correct nothing. ``ramped`` (open only)
+    takes the input to run smoothly from sample to sample instead of being held, ``gam`` and ``gamh`` its coefficients; input laws
+    then see no states. ``direct``: the input reaches the output at once.
     """
     N, p = Y.shape
     n, m, na, nk = x0.size, U.shape[1], AUX.shape[1], KA.shape[0]
@@ -268,6 +273,7 @@ def simulate(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compi
     xk, knew, e = np.zeros(nk), np.zeros(nk), np.zeros(p)
     u, ue, held, y = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(p)
     mean = np.zeros(m)
+    drive = np.zeros((DEGREE + 1) * m) if ramped else mean
     s, work, first = np.zeros(m + n + p + na + 1), np.zeros(2 * MOST_SIGNALS), np.zeros(MOST_SIGNALS)
     last = np.zeros(plan.shape[0])
     it = m + n + p + na
@@ -339,7 +345,7 @@ def simulate(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compi
             xhat[k, i] = x[i]
         for sub in range(nsub):
             if ramped:
-                _between(smooth, k, (sub + 0.5) / nsub, mean)
+                _between(smooth, k, sub / nsub, 1 / nsub, drive, mean)
                 for j in range(m):
                     s[j] = mean[j]
             elif shaped and sub > 0:
@@ -350,8 +356,8 @@ def simulate(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compi
             for j in forced:
                 f[j] = 0.0
             if kind == LINEAR:
-                _affine(phit, x, gamt, mean, new)
-                _middle(phih, x, gamh, mean, middle, m, s)
+                _affine(phit, x, gamt, drive, new)
+                _middle(phih, x, gamh, drive, middle, m, s)
             elif kind == DISCRETE:
                 for i in range(n):
                     xs[i] = x[i]

@@ -84,9 +84,9 @@ class Nominal:
             return dict(zip(self.model.parameters, self.parameters(theta).tolist(), strict=True))
         return {e.name: _start(self.plant, e) + float(v) * e.sd for v, e in zip(theta, self.entries, strict=True)}
 
-    def steps(self, theta: Array, least: int = 1) -> Steps:
-        """Return the matrices the simulation needs, in at least that many sub-steps."""
-        return _cached_steps(self, theta.tobytes(), least)
+    def steps(self, theta: Array, least: int = 1, degree: int = 0) -> Steps:
+        """Return the matrices the simulation needs, in at least that many sub-steps, for inputs that are polynomials of a degree."""
+        return _cached_steps(self, theta.tobytes(), least, degree)
 
     def moved(self, theta: Array) -> Model:
         """Return the model with its free numbers moved, to be written out."""
@@ -154,9 +154,9 @@ def _linear(model: Model, point: tuple[Array, Array], values: Array) -> StateSpa
 
 
 @lru_cache(maxsize=64)
-def _cached_steps(nominal: Nominal, theta: bytes, least: int) -> Steps:
+def _cached_steps(nominal: Nominal, theta: bytes, least: int, degree: int) -> Steps:
     plant = nominal.at(np.frombuffer(theta))
-    return steps(plant, nominal.dt, least, PYTHON_ANGLE, PYTHON_SUBSTEPS) if nominal.python else steps(plant, nominal.dt, least)
+    return steps(plant, nominal.dt, least, PYTHON_ANGLE, PYTHON_SUBSTEPS) if nominal.python else steps(plant, nominal.dt, least, degree=degree)
 
 
 def _continuous(name: str, plant: StateSpace, dt: float) -> StateSpace:

@@ -52,9 +52,9 @@ class Simulator:
         ``closed`` feeds the simulated output back through the model's controller; ``free`` leaves out the correction of
         the states, for a simulation from the measured input alone. A simulation that diverges is nan from there on.
         """
-        least = max([_fineness(run.U) if self.ramped else 1, *(e.hypothesis.substeps for e in effects)])
+        least = max([_fineness(run.U) if self.ramped and self.nominal.python else 1, *(e.hypothesis.substeps for e in effects)])
         theta = np.asarray(theta, dtype=np.float64)
-        steps = self.nominal.steps(theta, least)
+        steps = self.nominal.steps(theta, least, kernel.DEGREE if self.ramped and not closed and not self.nominal.python else 0)
         simulated = self._play(run, theta, steps, x0, effects, closed, free)
         finer = self._needed(simulated, theta, steps.nsub)
         if finer > steps.nsub:
@@ -123,7 +123,7 @@ class Simulator:
 
 
 def _fineness(U: Array) -> int:
-    """Return the sub-steps, 4 at most, in which an input that runs smoothly may be held at the middle of each.
+    """Return the sub-steps, 4 at most, in which Python code may hold an input that runs smoothly at the middle of each.
 
     Holding it over ``h`` where it curves by ``u''`` is wrong by ``h^2 u'' / 24``.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass
 
@@ -17,7 +18,10 @@ CONDITION = 1e6  # of eigenvectors, below which a logarithm by them keeps ten di
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Steps:
-    """The plant over one sub-step ``h`` and half of it: ``x+ = phi x + gam u + gx f``, held u and f; ``f`` adds to dx/dt."""
+    """The plant over one sub-step ``h`` and half of it: ``x+ = phi x + gam u + gx f``, held u and f; ``f`` adds to dx/dt.
+
+    Of an input that runs smoothly, ``u`` are the coefficients of its cubic in the share of the sub-step, constant first.
+    """
 
     nsub: int
     phi: Array
@@ -27,12 +31,14 @@ class Steps:
     gamh: Array
 
 
-def steps(plant: StateSpace, dt: float, least: int = 1, angle: float = STEP_ANGLE, most: int = MOST_SUBSTEPS) -> Steps:
-    """Return the sub-step matrices of a plant sampled every ``dt`` seconds."""
+def steps(
+    plant: StateSpace, dt: float, least: int = 1, angle: float = STEP_ANGLE, most: int = MOST_SUBSTEPS, degree: int = 0
+) -> Steps:
+    """Return the sub-step matrices of a plant sampled every ``dt`` seconds, for inputs that are polynomials of a ``degree``."""
     if plant.discrete:
         return _discrete_steps(plant)
     fastest = float(np.abs(plant.poles()).max(initial=0.0))
-    return _continuous_steps(plant, dt, int(np.clip(np.ceil(fastest * dt / angle), least, max(most, least))))
+    return _continuous_steps(plant, dt, int(np.clip(np.ceil(fastest * dt / angle), least, max(most, least))), degree)
 
 
 def continuous(plant: StateSpace) -> StateSpace | None:
@@ -63,20 +69,27 @@ def _logarithm(matrix: Array) -> Array:
         return np.asarray(sla.logm(matrix))
 
 
-def _continuous_steps(plant: StateSpace, dt: float, nsub: int) -> Steps:
+def _continuous_steps(plant: StateSpace, dt: float, nsub: int, degree: int = 0) -> Steps:
     h = dt / nsub
-    phi, gam, gx = _held(plant, h)
-    phih, gamh, _ = _held(plant, h / 2)
+    phi, gam, gx = _driven(plant, h, h, degree)
+    phih, gamh, _ = _driven(plant, h / 2, h, degree)
     return Steps(nsub, phi, gam, gx, phih, gamh)
 
 
-def _held(plant: StateSpace, h: float) -> tuple[Array, Array, Array]:
+def _driven(plant: StateSpace, t: float, h: float, degree: int) -> tuple[Array, Array, Array]:
+    """Return what state, coefficients of the input in ``s/h`` and held force make of the state after ``t`` (Van Loan 1978).
+
+    The derivatives of the input are states of a chain of integrators.
+    """
     n, m = plant.B.shape
-    big = np.zeros((2 * n + m, 2 * n + m))
-    big[:n] = np.hstack([plant.A, plant.B, np.eye(n)])
+    chain = n + m * (degree + 1)
+    big = np.zeros((chain + n, chain + n))
+    big[:n, :n], big[:n, n : n + m], big[:n, chain:] = plant.A, plant.B, np.eye(n)
+    big[n : chain - m, n + m : chain] = np.eye(m * degree)
     with np.errstate(over="ignore", invalid="ignore"):  # parameters of an intermediate fit may make the plant diverge
-        e = sla.expm(big * h)
-    return contiguous(e[:n, :n]), contiguous(e[:n, n : n + m]), contiguous(e[:n, n + m :])
+        e = sla.expm(big * t)
+    unit = np.repeat([math.factorial(r) / h**r for r in range(degree + 1)], m)
+    return contiguous(e[:n, :n]), contiguous(e[:n, n:chain] * unit), contiguous(e[:n, chain:])
 
 
 def _discrete_steps(plant: StateSpace) -> Steps:

@@ -73,6 +73,21 @@ def test_linear_plant_is_exact(model, recording, excitation):
     assert np.array_equal(y.y[:, 0], y.x[:, 0])
 
 
+def test_an_input_that_is_a_cubic_between_samples_is_followed_exactly(model, recording):
+    """Between four samples of a cubic there is only the cubic; the first and the last two intervals lack a sample."""
+    t = 0.01 * np.arange(60)
+    u = np.column_stack([1 + 2 * t - 9 * t**2 + 11 * t**3, t**3 - t])
+    plant = StateSpace.of(AXIS.A, [[0, 1], [20, 0]], [[1, 0]])
+    found = nominal(model(plant), 0.01)
+    y = Simulator(found, np.zeros((2, 1)), ramped=True).run(recording(u), np.zeros(len(found.entries)), np.array([0.3, -1.0]))
+
+    def rate(s, x):
+        return plant.A @ x + plant.B @ [1 + 2 * s - 9 * s**2 + 11 * s**3, s**3 - s]
+
+    ends = [solve_ivp(rate, (t[k], t[k + 1]), y.x[k], rtol=1e-11, atol=1e-13).y[:, -1] for k in range(1, 57)]
+    assert np.abs(y.x[2:58] - ends).max() < 1e-10
+
+
 def test_linear_plant_with_three_effects(model, recording, excitation, effect):
     effects = [
         effect(dead_zone, "input", [("u", 0)], [("u", 0)], [0.3]),
