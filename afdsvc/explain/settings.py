@@ -25,7 +25,8 @@ class Settings:
     independent : float
         Independent samples a weighted residual must be worth to count as noise that limits.
     screened : int
-        Samples that hypotheses are screened on, the beginning of every recording; all are used for those that are refined.
+        Samples that hypotheses are screened and first fitted on, the beginning of every recording; those that keep their promise are
+        fitted to whole recordings.
     refined, polished : int
         Hypotheses that are fitted with all numbers of the model after the linear screen, and those passed through all horizons.
     blocks, correlation_times : int
@@ -58,7 +59,7 @@ class Settings:
     uncertain : float
         Largest weight of a name that is not certain.
     alike : float
-        Share of the best hypothesis' share from which another one is a look-alike.
+        Share of what the best hypothesis closes from which another one is fitted to whole recordings, and is a look-alike.
     """
 
     horizons: tuple[float, ...] = (0.01, 0.001, 0.0)

@@ -137,7 +137,7 @@ class Rounds(Settled):
         p, s = self.part, self.problem.settings
         shortlist, by_chance = _shortlist(p, rough, offered, self.mapper)
         tried = _promising(list(self.mapper(partial(trial, p, rough, self.taus, starts=STARTS), shortlist)), s.polished)
-        begun = _kept_promises(rough, list(self.mapper(partial(added_path, p, rough, self.taus), tried)), s.alike)
+        begun = _kept_promises(rough, list(self.mapper(partial(added_path, p, rough, self.taus), tried)), s.alike, self.limited)
         fitted = list(self.mapper(partial(whole_path, self.problem, self.taus, base=path), begun))
         counted = noise_times(fitted) if fitted else {}
         list(self.mapper(self.left_out, fitted))
@@ -204,10 +204,16 @@ def _promising(tried: Sequence[Trial], count: int) -> list[Trial]:
     return list(dict.fromkeys(chosen))
 
 
-def _kept_promises(base: dict[float, Fit], paths: Sequence[dict[float, Fit]], share: float) -> list[dict[float, Fit]]:
-    """Return the paths whose fall of the cost is at least a share of the largest one, at the strongest or the weakest correction."""
+def _kept_promises(base: dict[float, Fit], paths: Sequence[dict[float, Fit]], share: float, limited: str) -> list[dict[float, Fit]]:
+    """Return the paths whose fall of the cost is a share of the largest one, at the strongest or the weakest correction.
+
+    Where the model limits, constants that are off do not set the measure: with physics left out any fit moves them.
+    """
+    last = [list(path.values())[-1].point.effects[-1].hypothesis for path in paths]
+    measure = [limited == "noise" or not is_constant(h) for h in last]
     falls = np.array([[base[h].cost - path[h].cost for h in ends(base)] for path in paths]).reshape(len(paths), -1)
-    return [path for path, fall in zip(paths, falls, strict=True) if (fall >= share * falls.max(axis=0)).any()]
+    best = falls[measure if any(measure) else slice(None)].max(axis=0, initial=0.0)
+    return [path for path, fall in zip(paths, falls, strict=True) if (fall >= share * best).any()]
 
 
 def _shortlist(problem: Problem, path: dict[float, Fit], offered: Sequence[Hypothesis], mapper: Mapper) -> tuple[list[dict[float, Screened]], dict[float, float]]:
