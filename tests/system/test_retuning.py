@@ -113,9 +113,10 @@ def test_what_an_alarm_proposes_a_person_accepts_and_takes_back(free_port, tmp_p
     again.stream.announce_tuning(name, asked.tuning.Q)
     for block in recording.blocks("bearing"):
         again.take(block)
-    assert again.evidence == live
+    assert [repr(e) for e in again.evidence] == [repr(e) for e in live]  # to the last bit; nan, where samples are missing, is nan
     document = diagnose.diagnose_recordings([path])["recordings"][0]
-    assert [d["statistic"] for b in document["bursts"] for d in b["decisions"]] == [e.statistic for e in live if e.burst]
+    offline = [d["statistic"] for b in document["bursts"] for d in b["decisions"] if d["trustworthy"]]
+    assert offline == [e.statistic for e in live if e.burst and e.trustworthy]
 
 
 def test_nothing_is_retuned_before_a_fault_is_named(free_port, tmp_path):
