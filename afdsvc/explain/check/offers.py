@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from afdsvc.api.physics import Axis, Machine, Physics, Size
+from afdsvc.api.physics import Axis, Hypothesis, Machine, Physics, Size
 from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.machine import hypotheses, machine
 from afdsvc.explain.search.problem import Problem
@@ -30,13 +30,13 @@ def offers(problem: Problem, library: Sequence[Physics]) -> Offers:
     none = np.zeros(0)
     stated = Fit(problem.start(), (), none, none, 1.0, 0.0, none, 0.0, 0)
     found = machine(problem, stated, 0.0 if problem.regular else problem.settings.horizons[0])
-    tried = _sites(library, found)
+    tried = _sites(hypotheses(library, found, not problem.regular))
     return Offers(tuple(_axis(a, found) for a in found.axes), tried, {p.name: _lacks(p, found) for p in library if p.name not in tried})
 
 
-def _sites(library: Sequence[Physics], machine: Machine) -> dict[str, tuple[str, ...]]:
+def _sites(offered: Sequence[Hypothesis]) -> dict[str, tuple[str, ...]]:
     sites: dict[str, list[str]] = {}
-    for hypothesis in hypotheses(library, machine):
+    for hypothesis in offered:
         sites.setdefault(hypothesis.physics, []).append(hypothesis.site)
     return {name: tuple(dict.fromkeys(places)) for name, places in sites.items()}
 

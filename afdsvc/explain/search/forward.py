@@ -78,7 +78,8 @@ def search(
         progress("searching", number / problem.settings.effects)
         seen = _seen(problem, path, limited)
         present = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
-        step = rounds.next(path, rough, [h for h in hypotheses(library, seen) if h.key not in present], bool(steps))
+        offered = [h for h in hypotheses(library, seen, not problem.regular) if h.key not in present]
+        step = rounds.next(path, rough, offered, bool(steps))
         steps.append(step)
         if not step.accepted:
             break

@@ -13,15 +13,21 @@ from afdsvc.dataset.glitches import grid
 from afdsvc.dataset.units import is_velocity
 from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.problem import Problem
+from afdsvc.explain.search.ranking import is_constant
 from afdsvc.explain.simulate.steps import continuous
 from afdsvc.lti.statespace import Array, StateSpace
 
 EXCITED = 0.99  # share of the input's power below the bandwidth
 
 
-def hypotheses(library: Sequence[Physics], machine: Machine) -> list[Hypothesis]:
-    """Return the hypotheses of every physics at every site where it makes sense."""
-    return [h for physics in library for h in physics.hypotheses(machine)]
+def hypotheses(library: Sequence[Physics], machine: Machine, corrected: bool = False) -> list[Hypothesis]:
+    """Return the hypotheses of every physics at every site where it makes sense.
+
+    Where a predictor is ``corrected`` by the outputs, the gain of a sensor acts as a stronger correction. It is left out: what the
+    plant shows of it is a product with the gains of the actuators.
+    """
+    found = [h for physics in library for h in physics.hypotheses(machine)]
+    return [h for h in found if not (corrected and is_constant(h) and h.stage == "output")]
 
 
 def machine(problem: Problem, base: Fit, horizon: float, tones: Sequence[float] = (), peaks: Sequence[float] = (), limited: str = "model") -> Machine:

@@ -22,6 +22,7 @@ from afdsvc.explain.simulate.effects import Effect
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.plugins.physics.coulomb_friction import CoulombFriction
 from afdsvc.plugins.physics.dead_zone import DeadZone
+from afdsvc.plugins.physics.parameter_change import ParameterChange
 from afdsvc.plugins.physics.sensor_lag import SensorLag
 
 _spec = importlib.util.spec_from_file_location("motor", Path(__file__).parents[1] / "motor.py")
@@ -61,6 +62,14 @@ def test_nothing_is_accepted_from_coloured_noise_alone():
     found = search(settled(problem(0.0, noise=8.0)), LIBRARY)
     assert not any(s.accepted for s in found.steps)
     assert "expected more than" in found.steps[0].reason
+
+
+def test_the_gain_of_a_sensor_is_no_reason_where_a_predictor_is_corrected():
+    base = settled(problem(0.0))
+    seen = machine(base.problem, list(base.start.values())[-1], 0.0)
+    stages = [[h.stage for h in hypotheses([ParameterChange()], seen, corrected)] for corrected in (False, True)]
+    assert "output" in stages[0]
+    assert stages[1] == [s for s in stages[0] if s != "output"] != []
 
 
 def test_the_answer_does_not_change_when_a_recording_is_cut():
