@@ -15,6 +15,8 @@ from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 
+SAME_RATE = 1e-6  # relative difference of sample times below which they are the same
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
@@ -74,6 +76,23 @@ def prepare(model: Model, traces: Sequence[Trace]) -> list[Run]:
         )
     labels = tuple(sorted({c.label for t in traces for c in t.channels if c.role == "aux"}))
     return [_run(model, trace, labels) for trace in traces]
+
+
+def joined(traces: Sequence[Trace]) -> list[Trace]:
+    """Return the traces with parts of one recording put together: those with the same columns whose time goes on where the last one ends."""
+    found: list[Trace] = []
+    for t in traces:
+        if found and _continues(found[-1], t):
+            found[-1] = replace(found[-1], values=np.vstack([found[-1].values, t.values]))
+        else:
+            found.append(t)
+    return found
+
+
+def _continues(first: Trace, second: Trace) -> bool:
+    ends = first.t0 + len(first) * first.dt
+    alike = first.channels == second.channels and abs(second.dt / first.dt - 1) < SAME_RATE
+    return alike and abs(second.t0 - ends) < first.dt / 2
 
 
 def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:

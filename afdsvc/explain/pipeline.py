@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from afdsvc.api.model import Model
-from afdsvc.api.physics import Physics
+from afdsvc.api.physics import Hypothesis, Physics
 from afdsvc.api.signals import Trace
-from afdsvc.dataset.experiment import Run, prepare
+from afdsvc.dataset.experiment import Run, joined, prepare
+from afdsvc.dataset.sample_checks import Finding
 from afdsvc.dataset.split import split
 from afdsvc.explain.check.check import checked
 from afdsvc.explain.check.still import refuse_still
@@ -20,15 +21,18 @@ from afdsvc.explain.gap.settings import GapSettings
 from afdsvc.explain.locate.residual import by_innovations, names, signals
 from afdsvc.explain.report.explanation import Explanation
 from afdsvc.explain.report.report import report
-from afdsvc.explain.search.base import settled
+from afdsvc.explain.search.base import Settled, coloured, settled
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.fit import Fit
-from afdsvc.explain.search.forward import Mapper, Progress, search
+from afdsvc.explain.search.forward import Found, Mapper, Progress, search
 from afdsvc.explain.search.problem import Problem
+from afdsvc.explain.search.ranking import mechanism
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.explain.verdict.holdout import doubted, judged
 from afdsvc.explain.verdict.verdict import verdict
 
+ATTEMPTS = 3  # searches, each without the first names that the recordings held out have refuted
 SEED = 20261122  # of the surrogates and of the resampled blocks: the same recordings give the same answer
 
 
@@ -39,13 +43,16 @@ def explain(
 ) -> Explanation:
     """Locate the gap between a model and recordings, name the physics left out, model it, and show the fit.
 
-    ``holdout`` is not looked at before the report; without one the last recording, or the last third of a single one, is held
-    out. ``mapper`` may run hypotheses in parallel; ``progress`` gets a word and a share (0 to 1). ``trust_units``
+    Nothing is fitted to ``holdout``; names that do worse there are withdrawn. Without one the last recording, or the last third of a
+    single one, is held out. ``mapper`` may run hypotheses in parallel; ``progress`` gets a word and a share (0 to 1). ``trust_units``
     makes warnings of what looks like wrong units or signs; ``experiment`` False leaves out the next experiment. Raises `BadInput`
     for recordings that do not fit the model.
     """
     progress("checking", 0.0)
+    given, recordings = len(recordings), joined(recordings)
     findings = checked(model, recordings, trust_units)
+    if len(recordings) < given:
+        findings = (*findings, Finding("ok", "recordings", f"{given - len(recordings)} files go on where others end, and are taken as parts of them"))
     runs = prepare(model, [*recordings, *holdout])
     roles = split(runs[: len(recordings)], runs[len(recordings) :])
     refuse_still(model, roles.heldout)
@@ -55,14 +62,37 @@ def explain(
     before = tested(base.problem, base.start, rng)
     if before.absent:  # noise limits: the refit may have moved numbers of the model to follow the recordings
         base = replace(base, limited="noise")
-    found = search(base, offered, mapper, progress, lambda path: not tested(base.problem, path, rng).absent)
-    progress("testing", 0.85)
-    after = tested(found.problem, found.end, rng) if found.end is not found.start else None
-    answer = verdict(found, before, after)
+    refuted: list[Hypothesis] = []
+    for _ in range(ATTEMPTS):
+        found = _searched(base, before, offered, mapper, progress, rng, [mechanism(h) for h in refuted])
+        after = tested(found.problem, found.end, rng) if found.end is not found.start else None
+        answer = judged(found, verdict(found, before, after), roles.heldout)
+        if not refuted:
+            first = found, answer
+        if not answer.refuted:
+            break
+        refuted.append(found.steps[0].candidates[0].hypothesis)
+    if not answer.verdict.claims:
+        found, answer = first
+    elif refuted:
+        why = f"{', '.join(h.key for h in refuted)} fits better, and does worse on the recordings held out: no name is certain"
+        answer = replace(answer, verdict=doubted(answer.verdict, why, base.problem.settings.uncertain))
     progress("reporting", 0.9)
     explanation = report(found, answer, roles, findings, offered, experiment)
     progress("reporting", 1.0)
     return explanation
+
+
+def _searched(
+    base: Settled, before: Gap, library: Sequence[Physics], mapper: Mapper, progress: Progress, rng: np.random.Generator,
+    refuted: Container[tuple[str, ...]],
+) -> Found:
+    """Return what the search finds; where it finds nothing and noise is not known, also under slow noise, which is divided out."""
+    found = search(base, library, mapper, progress, lambda path: not tested(base.problem, path, rng).absent, refuted)
+    if not base.problem.weighting.even or not found.steps or any(s.accepted for s in found.steps):
+        return found
+    again = coloured(base, 1 - np.clip(before.whitened, 0.0, 1.0))
+    return search(again, library, mapper, progress, lambda path: not tested(again.problem, path, rng).absent, refuted)
 
 
 def tested(problem: Problem, path: dict[float, Fit], rng: np.random.Generator) -> Gap:

@@ -1,11 +1,13 @@
 """Recordings made ready: loops cut in two, bursts without a stated controller, excitation that ran before the recording."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
-from afdsvc.dataset.experiment import prepare
+from afdsvc.dataset.experiment import joined, prepare
 from afdsvc.lti.statespace import StateSpace
 
 DT = 1e-2
@@ -66,3 +68,14 @@ def test_outputs_that_repeat_from_the_first_sample_are_steady(skipped, steady):
     (run,) = prepare(model(False), [Trace("r", DT, (Channel("u_force"), Channel("y_place")), values)])
     assert run.period == 200
     assert run.steady == steady
+
+
+def test_parts_of_one_recording_are_put_together_and_others_are_not():
+    rng = np.random.default_rng(1)
+    whole = Trace("r", 0.01, (Channel("u_a"), Channel("y_b")), rng.standard_normal((300, 2)), t0=5.0)
+    parts = [replace(whole, values=whole.values[a:b], t0=5.0 + 0.01 * a) for a, b in ((0, 100), (100, 220), (220, 300))]
+    (again,) = joined(parts)
+    assert again.t0 == whole.t0
+    np.testing.assert_array_equal(again.values, whole.values)
+    apart = [parts[0], replace(parts[1], t0=0.0), replace(parts[2], channels=(Channel("u_a"), Channel("y_c")))]
+    assert [len(t) for t in joined(apart)] == [100, 120, 80]

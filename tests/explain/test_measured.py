@@ -26,6 +26,7 @@ def answered(folder: Path, model: str, recording: Trace, held: str) -> Explanati
     return explain(read_model(folder / model), [recording], [read_table(folder / held)], afdsvc_physics())
 
 
+@pytest.mark.long
 def test_the_positioning_axis_shows_dry_friction_then_an_offset(measured):
     """Published: Coulomb friction 20.39 N (with viscous friction beside it), offset 3.16 N."""
     folder = measured / "emps"

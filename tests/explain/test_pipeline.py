@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from dataclasses import replace
 
@@ -18,6 +19,7 @@ from afdsvc.files.model.improved import write_improved
 from afdsvc.files.model.model_file import read_model
 from afdsvc.plugins.physics import afdsvc_physics
 
+module = importlib.import_module("afdsvc.explain.pipeline")
 LEVELS = (1.0, 0.5, 0.75, 0.8)
 
 
@@ -159,3 +161,20 @@ def test_a_gain_that_is_off_is_a_constant_and_not_physics(spring):
     answer = explain(accelerated, recordings[:3], recordings[3:], afdsvc_physics())
     assert answer.verdict == "parameter_change"
     assert {n.physics for n in answer.named if n.weight > 0.2} == {"parameter_change"}
+
+
+def test_what_the_recordings_held_out_refute_gives_way_to_another_name(spring, four, monkeypatch):
+    """The cubic spring is refuted by decree: the next search goes without it, and what it names is not certain."""
+    judged = module.judged
+
+    def decreed(found, verdict, runs):
+        answer = judged(found, verdict, runs)
+        cubic = any(c.candidate.hypothesis.physics == "cubic_stiffness" for c in answer.verdict.claims)
+        return replace(answer, refuted=True) if cubic else answer
+
+    monkeypatch.setattr(module, "judged", decreed)
+    again = explain(spring, four[:3], four[3:], some("cubic_stiffness", "clearance", "stiffness_follows_aux", "cogging"), experiment=False)
+    assert again.named
+    assert "cubic_stiffness" not in {n.physics for n in again.named}
+    assert max(n.weight for n in again.named) <= 0.8
+    assert any("cubic_stiffness" in s and "held out" in s for s in again.sentences)

@@ -58,6 +58,7 @@ def linear(stiffness: float, known: float) -> Model:
     return Model("oscillator", (Variable("force", "N"),), (Variable("position", "mm"),), states, plant, entry_sd=sd, output_sd=np.array([NOISE]))
 
 
+@pytest.mark.long
 def test_the_hysteretic_benchmark_is_told_and_fitted_to_the_noise():
     """From the model linearised at rest, known to 30 %: one loop, and on the held-out recording nearly the noise floor."""
     model = linear(STIFFNESS + ALPHA, 0.3)

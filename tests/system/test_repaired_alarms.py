@@ -42,6 +42,9 @@ def record(path: Path, level: float, seed: int, periods: int) -> Path:
     return path
 
 
+pytestmark = pytest.mark.long  # a search with the whole library before the first test
+
+
 @pytest.fixture(scope="module")
 def files(tmp_path_factory) -> tuple[Path, Path, Path]:
     """Nominal model, improved model, and a long recording neither was fitted to."""

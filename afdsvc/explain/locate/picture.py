@@ -65,7 +65,7 @@ def _drawn(found: Found, final: Fit, candidate: Candidate, drawn: Site, claimed:
     heights, sd, loss = _smoothed(problem, here, drawn, base.sd)
     if not np.isfinite(heights).all():
         return None
-    left = float(left_out(base, blocks(base, problem.settings), base.sd).sum())
+    left = float(left_out(base, blocks([len(e) for e in base.residuals], base.tau, problem.settings), base.sd).sum())
     return _law(drawn, heights, sd, beside if claimed else None, 1 - loss / left)
 
 
@@ -93,7 +93,7 @@ def _smoothed(problem: Problem, here: Fit, drawn: Site, scale: Array) -> tuple[A
     R = np.zeros_like(here.H)
     R[own, own] = bend.T @ bend
     size = float(np.trace(here.H[own, own])) / max(float(np.trace(R)), 1e-300)
-    spans, best = blocks(here, problem.settings), None
+    spans, best = blocks([len(e) for e in here.residuals], here.tau, problem.settings), None
     for ridge in RIDGES:
         H = here.H + ridge * size * R
         shift: Array = np.asarray(np.linalg.lstsq(H, -ridge * size * R @ q, rcond=1e-12)[0], dtype=np.float64)

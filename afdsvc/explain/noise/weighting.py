@@ -1,4 +1,4 @@
-"""How residuals are weighted: by the noise where it is known, evenly over frequency where the model limits.
+"""How residuals are weighted: by the noise where it is known, evenly over frequency where the model limits, or by their own spectrum.
 
 The excitation repeats in designed experiments; what differs between periods is noise, and its power per band is known apart
 from the model. The unexplained power above it, of which nothing is known, is spread evenly over frequency. The sum is what a
@@ -17,6 +17,7 @@ from afdsvc.dataset.experiment import Run
 from afdsvc.lti.statespace import Array
 
 LOWEST, WIDER = 16, 1.4  # coefficients in the lowest band; every further band is wider by this factor
+LEAST = 1e-6  # power in any band, over the mean power: what a residual holds below it is rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +32,11 @@ class Weighting:
     density: Array
     floor: Array
     noise: Array
+
+    @property
+    def measured(self) -> bool:
+        """Whether the noise is known apart from the model."""
+        return bool(np.isfinite(self.floor).all())
 
     @property
     def even(self) -> bool:
@@ -62,6 +68,16 @@ def weighting(runs: Sequence[Run], residuals: Sequence[Array]) -> Weighting:
     floor = np.mean(np.vstack(noise) ** 2, axis=0)
     density = variance + np.maximum(power - floor, 0.0) + 1e-12 * power
     return Weighting(at, np.sqrt(density), floor, width @ (variance / density))
+
+
+def own(residuals: Sequence[Array], noise: Array) -> Weighting:
+    """Return the weighting that divides residuals by their own spectrum (generalised least squares): slow noise hides less.
+
+    ``noise (p,)`` is the share of the weighted power that is taken to be noise.
+    """
+    at, _, variance = _bands(residuals)
+    power = np.mean(np.vstack(residuals) ** 2, axis=0)
+    return Weighting(at, np.sqrt(variance + LEAST * power), np.full(len(power), np.nan), noise)
 
 
 def differing(run: Run, residual: Array) -> Array | None:

@@ -16,29 +16,23 @@ from afdsvc.explain.experiment.next_experiment import experiment_after, first_ex
 from afdsvc.explain.locate.picture import picture
 from afdsvc.explain.locate.places import located
 from afdsvc.explain.noise.weighting import weighting
-from afdsvc.explain.report.courses import Player, courses, fits, player, white
+from afdsvc.explain.report.courses import courses, fits, white
 from afdsvc.explain.report.explanation import Explanation
 from afdsvc.explain.report.naming import names, nearest, rejections
 from afdsvc.explain.report.spectra import spectra
-from afdsvc.explain.search.fit import Fit, fit
+from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.forward import Found
-from afdsvc.explain.search.nuisance import NUISANCE
-from afdsvc.explain.search.problem import Point
 from afdsvc.explain.simulate.simulator import Simulator
+from afdsvc.explain.verdict.holdout import Judged, player
 from afdsvc.explain.verdict.verdict import Verdict
 
 SEED = 1  # of the flexible model's features
-WORSE = 1.1  # ratio of held-out errors, after to before, beyond which names are withdrawn
 
 
-def report(found: Found, verdict: Verdict, roles: Split, findings: Sequence[Finding], library: Iterable[Physics], experiment: bool = True) -> Explanation:
-    """Return the explanation: names, courses and fits on what was held out; names that do worse there are withdrawn.
-
-    ``experiment`` False leaves out the next experiment.
-    """
+def report(found: Found, answer: Judged, roles: Split, findings: Sequence[Finding], library: Iterable[Physics], experiment: bool = True) -> Explanation:
+    """Return the explanation: names, courses and fits on what was held out; ``experiment`` False leaves out the next experiment."""
     play, model = player(found), found.problem.nominal.model
-    before = found.problem.start()
-    verdict, final = _final(found, _excited(verdict, findings), play, roles)
+    before, verdict, final = found.problem.start(), _excited(answer.verdict, findings), answer.final
     held = courses(play, roles.heldout, "heldout", before, final.point)
     floor = _floor(found, final)
     outputs = [v.name for v in model.outputs]
@@ -71,63 +65,15 @@ def report(found: Found, verdict: Verdict, roles: Split, findings: Sequence[Find
 
 
 def _excited(verdict: Verdict, findings: Sequence[Finding]) -> Verdict:
-    """Return the verdict, or that the excitation does not allow one where nothing can be named."""
+    """Return the verdict, or that excitation or length of the recordings do not allow one where nothing can be named."""
     poor = insufficient_excitation(findings)
     if verdict.verdict == "unexplained":
         poor = poor or one_frequency(findings)
+    if verdict.verdict == "consistent" and not verdict.gap.enough:
+        poor = poor or "the residual changes too slowly for the length of the recordings to tell a gap from noise"
     if not poor or verdict.claims:
         return verdict
     return replace(verdict, verdict="insufficient_excitation", sentences=(poor, *verdict.sentences))
-
-
-def _final(found: Found, verdict: Verdict, play: Player, roles: Split) -> tuple[Verdict, Fit]:
-    """Return the verdict and the final fit: with the claimed effects, else the numbers refitted, else the model as stated.
-
-    What does worse on the recordings held out than the model as stated is withdrawn; what does not do better there than the
-    model refitted without effects, or worse than a constant, is not certain.
-    """
-    last = list(found.end)[-1]
-    claimed = {c.candidate.hypothesis.key for c in verdict.claims}
-    stated, refitted = (_error(play, roles, p) for p in (found.problem.start(), found.start[last].point))
-    if claimed:
-        final = _with(found, claimed)
-        error = _error(play, roles, final.point)
-        if error <= WORSE * stated:
-            return verdict if error < min(refitted, 1.0) else _doubted(verdict, error, refitted, found.problem.settings.uncertain), final
-        verdict = _withdrawn(verdict, stated, error)
-    if refitted <= WORSE * stated:
-        return verdict, found.start[last]
-    return verdict, fit(found.problem, found.problem.start(), last, found.start[last].tau, iterations=0)
-
-
-def _with(found: Found, keys: set[str]) -> Fit:
-    """Return the final fit with these effects only (and the unknown loads every fit has), refitted where others go."""
-    last = list(found.end)[-1]
-    end = found.end[last]
-    kept = tuple(e for e in end.point.effects if e.hypothesis.key in keys or e.hypothesis.family == NUISANCE)
-    return end if len(kept) == len(end.point.effects) else fit(found.problem, replace(end.point, effects=kept), last, end.tau)
-
-
-def _error(play: Player, roles: Split, point: Point) -> float:
-    return float(np.mean(play.nrmse(roles.heldout, point)))
-
-
-def _doubted(verdict: Verdict, error: float, refitted: float, most: float) -> Verdict:
-    why = (
-        f"on the recordings held out the error is {100 * error:.3g} %, and {100 * refitted:.3g} % for the model refitted without an "
-        "effect, so no name is certain"
-    )
-    claims = tuple(replace(c, weight=min(c.weight, most)) for c in verdict.claims)
-    return replace(verdict, claims=claims, sentences=(*verdict.sentences, why))
-
-
-def _withdrawn(verdict: Verdict, before: float, after: float) -> Verdict:
-    best = verdict.claims[0].candidate.hypothesis.key
-    why = (
-        f"on the recordings held out the error is {100 * after:.3g} % with {best} and {100 * before:.3g} % with the model as stated, "
-        "so nothing is claimed"
-    )
-    return replace(verdict, verdict="unexplained", claims=(), sentences=(why, *verdict.sentences))
 
 
 def _next(found: Found, verdict: Verdict) -> Mapping[str, Any] | None:

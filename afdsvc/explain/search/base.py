@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from afdsvc.explain.noise.weighting import Weighting, correlation_time, weighting
+from afdsvc.explain.noise.weighting import Weighting, correlation_time, own, weighting
 from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.path import base_path, whole_path
 from afdsvc.explain.search.problem import Problem
+from afdsvc.lti.statespace import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +54,19 @@ def settled(problem: Problem) -> Settled:
         taus = {h: start.get(h, f).own_tau for h, f in path.items()}
         path = base_path(part, list(path), taus, part.start())
     return Settled(problem, part, taus, whole_path(problem, taus, path), path, limited)
+
+
+def coloured(settled: Settled, noise: Array) -> Settled:
+    """Return the same problem with residuals divided by their own spectrum, and the model refitted; ``noise (p,)`` as in `own`."""
+    (last, f), found = list(settled.start.items())[-1], settled
+    for _ in range(2):
+        w = own(settled.problem.residuals(f.point, last), noise)
+        part, problem = replace(settled.part, weighting=w), replace(settled.problem, weighting=w)
+        rough = base_path(part, (last,), {last: 1.0}, f.point)
+        taus = {last: rough[last].own_tau}
+        start = whole_path(problem, taus, rough)
+        found, f = replace(settled, problem=problem, part=part, taus=taus, start=start, rough=rough), start[last]
+    return found
 
 
 def _weighted(problem: Problem, w: Weighting) -> Problem:

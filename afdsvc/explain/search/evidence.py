@@ -18,10 +18,9 @@ LONGEST_STEP = 3.0  # in coordinates: how far the fit without a block may be fro
 SHARES = (1.0, 0.5, 0.25)  # of that step that are tried
 
 
-def blocks(fit: Fit, settings: Settings) -> list[tuple[int, int, int]]:
-    """Return run, first and last sample of the left-out blocks: contiguous, about `Settings.blocks`, several correlation times long."""
-    lengths = [len(e) for e in fit.residuals]
-    least = max(settings.correlation_times * fit.tau, sum(lengths) / settings.blocks)
+def blocks(lengths: Sequence[int], tau: float, settings: Settings) -> list[tuple[int, int, int]]:
+    """Return run, first and last sample of blocks: contiguous, about `Settings.blocks`, several correlation times ``tau`` long."""
+    least = max(settings.correlation_times * tau, sum(lengths) / settings.blocks)
     found = []
     for r, n in enumerate(lengths):
         edges = np.linspace(0, n, max(1, round(n / least)) + 1).astype(int)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -16,7 +16,7 @@ from afdsvc.explain.search.base import Settled
 from afdsvc.explain.search.evidence import Evidence, blocks, evidence, noise_times, refitted
 from afdsvc.explain.search.fit import CONVERGED, Fit, fit
 from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
-from afdsvc.explain.search.path import Trial, added_path, ends, fewer_path, trial, whole_path
+from afdsvc.explain.search.path import Trial, added_path, bases, ends, fewer_path, trial, whole_path
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import Candidate, complexity, is_constant, is_reason, mechanism, weights, winner
 from afdsvc.explain.search.screen import Screen, Screened
@@ -62,9 +62,9 @@ class Found:
 
 def search(
     settled: Settled, library: Sequence[Physics], mapper: Mapper = map, progress: Progress = lambda what, share: None,
-    predictable: Callable[[dict[float, Fit]], bool] = lambda path: True,
+    predictable: Callable[[dict[float, Fit]], bool] = lambda path: True, excluded: Container[tuple[str, ...]] = (),
 ) -> Found:
-    """Return what the search finds; every effect accepted is refitted with all numbers of the model.
+    """Return what the search finds; every effect accepted is refitted with all numbers of the model. Mechanisms ``excluded`` are not tried.
 
     ``predictable`` is False where the residual of a path is noise, and the recordings are long enough to show it.
     """
@@ -78,7 +78,7 @@ def search(
         progress("searching", number / problem.settings.effects)
         seen = _seen(problem, path, limited)
         present = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
-        offered = [h for h in hypotheses(library, seen, not problem.regular) if h.key not in present]
+        offered = [h for h in hypotheses(library, seen, not problem.regular) if h.key not in present and mechanism(h) not in excluded]
         step = rounds.next(path, rough, offered, bool(steps))
         steps.append(step)
         if not step.accepted:
@@ -115,7 +115,8 @@ class Rounds(Settled):
     @property
     def spans(self) -> list[tuple[int, int, int]]:
         """The blocks that are left out."""
-        return blocks(list(self.start.values())[-1], self.problem.settings)
+        f = list(self.start.values())[-1]
+        return blocks([len(e) for e in f.residuals], f.tau, self.problem.settings)
 
     def left_out(self, path: dict[float, Fit]) -> Array:
         """Return the losses of the blocks when they are left out, at the decision horizon; each fit is asked once."""
@@ -137,7 +138,8 @@ class Rounds(Settled):
         decide on the first."""
         p, s = self.part, self.problem.settings
         shortlist, by_chance = _shortlist(p, rough, offered, self.mapper)
-        tried = _promising(list(self.mapper(partial(trial, p, rough, self.taus, starts=STARTS), shortlist)), s.polished)
+        begin = bases(p, rough, self.taus)
+        tried = _promising(list(self.mapper(partial(trial, p, begin, self.taus, starts=STARTS), shortlist)), s.polished)
         begun = _kept_promises(rough, list(self.mapper(partial(added_path, p, rough, self.taus), tried)), s.alike, self.limited)
         fitted = list(self.mapper(partial(whole_path, self.problem, self.taus, base=path), begun))
         counted = noise_times(fitted) if fitted else {}

@@ -38,24 +38,27 @@ class Trial:
     falls: tuple[float, ...]
 
 
-def trial(problem: Problem, base: Mapping[float, Fit], taus: Taus, screened: Mapping[float, Screened], starts: int) -> Trial:
-    """Return the best of the starts after a few iterations at both ends of the horizons.
-
-    Where the base has bent the model's numbers beyond what its owner states, fits begin at the stated ones, too.
-    """
-    points, falls = [], []
+def trial(problem: Problem, bases: Sequence[Mapping[float, Fit]], taus: Taus, screened: Mapping[float, Screened], starts: int) -> Trial:
+    """Return the best of the starts after a few iterations at both ends of the horizons, from every base; falls are over the first."""
+    base, points, falls = bases[0], [], []
     for h in ends(base):
-        chosen = [s.effect for s in screened[h].starts[:starts]]
-        begun = [_begin(problem, base[h], start, h) for start in screened[h].starts[:starts]]
-        families = [[fit(problem, p, h, taus[h], GLANCE, borrowed(problem, base[h], p, h), renewals=0) for p in begun]]
-        if np.abs(base[h].point.theta).max(initial=0.0) > problem.settings.strained:
-            stated = replace(base[h].point, theta=np.zeros_like(base[h].point.theta))
-            families.append([fit(problem, stated.added(e), h, taus[h], GLANCE, renewals=1) for e in chosen])
-        firsts = [min(family, key=lambda f: f.cost) for family in families]
-        best = min((fit(problem, f.point, h, taus[h], BRIEF, f.J, renewals=1) for f in firsts), key=lambda f: f.cost)
+        found = []
+        for b in (b[h] for b in bases):
+            begun = [_begin(problem, b, start, h) for start in screened[h].starts[:starts]]
+            family = [fit(problem, p, h, taus[h], GLANCE, borrowed(problem, b, p, h), renewals=0) for p in begun]
+            first = min(family, key=lambda f: f.cost)
+            found.append(fit(problem, first.point, h, taus[h], BRIEF, first.J, renewals=1))
+        best = min(found, key=lambda f: f.cost)
         points.append(best.point)
         falls.append(base[h].cost - best.cost)
     return Trial(next(iter(screened.values())).hypothesis, tuple(points), tuple(falls))
+
+
+def bases(problem: Problem, base: Mapping[float, Fit], taus: Taus) -> list[Mapping[float, Fit]]:
+    """Return where trials begin: the base, and where it has bent the model's numbers beyond what its owner states, the stated ones, too."""
+    bent = any(np.abs(base[h].point.theta).max(initial=0.0) > problem.settings.strained for h in ends(base))
+    stated = {h: fit(problem, replace(f.point, theta=np.zeros_like(f.point.theta)), h, taus[h], iterations=0) for h, f in base.items() if bent and h in ends(base)}
+    return [base, stated] if bent else [base]
 
 
 def _begin(problem: Problem, base: Fit, start: Start, horizon: float) -> Point:
@@ -103,7 +106,7 @@ def whole_path(
     for h in ends(rough)[-1:] if problem.regular else ends(rough):
         same = rough[h].samples == sum(len(r) for r in problem.runs)
         known = borrowed(problem, base[h], rough[h].point, h) if base and problem.regular and not same else rough[h].J if same else None
-        found[h] = fit(problem, rough[h].point, h, taus[h], known=known, enough=enough)
+        found[h] = fit(problem, rough[h].point, h, taus[h], known=known, renewals=None if known is None else 1, enough=enough)
     return found
 
 

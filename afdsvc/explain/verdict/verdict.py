@@ -41,19 +41,18 @@ def verdict(found: Found, gap: Gap, remainder: Gap | None) -> Verdict:
     """Return the verdict of a search, the gap before it and the one that remains after it."""
     accepted = [s for s in found.steps if s.accepted]
     explained = _explained(found)
-    strained = (*_strained(found), *_incomplete(remainder, explained[0]))
+    strained, complete = _strained(found), _complete(found, remainder, explained)
     if not accepted:
         word, sentences = _nothing(found, gap, strained)
         return Verdict(word, (), sentences, gap, remainder, explained)
-    first = accepted[0].candidates[0].hypothesis
-    if not gap.present and found.problem.weighting.even and not is_constant(first):
-        why = f"{first.key} fits better, but {_lower(gap.sentence)}; it is not claimed"
-        return Verdict("unexplained" if gap.total > DOUBT else "consistent", (), (why, *strained), gap, remainder, explained)
     open_ended = remainder is not None and remainder.present
-    claims = [c for k, s in enumerate(accepted, 1) for c in _claims(s, k, bool(strained) or (open_ended and k > 1), found)]
+    uncertain = found.problem.settings.uncertain
+    most = [min(complete, uncertain if strained or (open_ended and k) else 1.0) for k in range(len(accepted))]
+    claims = [c for k, s in enumerate(accepted) for c in _claims(s, k + 1, most[k], found)]
     firsts = [next(c for c in claims if c.effect == k) for k in range(1, len(accepted) + 1)]
     word = "parameter_change" if all(is_constant(c.candidate.hypothesis) for c in firsts) else "omitted_physics"
-    return Verdict(word, tuple(claims), (*_rest(gap, remainder, explained), *strained), gap, remainder, explained)
+    limit = (f"the named effects close {100 * complete:.0f} % of what can be explained; no name is surer than that",) if complete < 1 else ()
+    return Verdict(word, tuple(claims), (*_rest(gap, remainder, explained), *limit, *strained), gap, remainder, explained)
 
 
 DOUBT = 0.1  # share of the residual a flexible model predicts above which "consistent" is not said
@@ -71,12 +70,10 @@ def _nothing(found: Found, gap: Gap, strained: Sequence[str]) -> tuple[str, tupl
     return "consistent", (gap.sentence, *stop)
 
 
-def _claims(step: Step, number: int, doubted: bool, found: Found) -> list[Claim]:
+def _claims(step: Step, number: int, most: float, found: Found) -> list[Claim]:
     settings = found.problem.settings
     alike = look_alikes(step.candidates, settings, step.limited)
-    w = weights(alike, settings, step.limited)
-    if doubted:
-        w = np.minimum(w, settings.uncertain)
+    w = np.minimum(weights(alike, settings, step.limited), most)
     order = [0, *sorted(range(1, len(alike)), key=lambda k: -w[k])]
     return [Claim(alike[k], float(w[k]), number, alike[k].evidence.share) for k in order]
 
@@ -92,11 +89,18 @@ def _strained(found: Found) -> tuple[str, ...]:
     return (f"the fit moves numbers of the model by more than {limit:g} stated standard deviations: {names}; no name is certain then",)
 
 
-def _incomplete(remainder: Gap | None, explained: float) -> tuple[str, ...]:
-    """Return a sentence where more remains to be explained than is explained."""
-    if remainder is None or not remainder.present or remainder.total * (1 - explained) <= explained:
-        return ()
-    return ("a flexible model predicts more of what remains than the named effects explain; no name is certain then",)
+def _complete(found: Found, remainder: Gap | None, explained: tuple[float, float]) -> float:
+    """Return how much of what can be explained the named effects close: what no name closes may be another law in their place.
+
+    Where the noise is known, all above it can be explained (the upper end of the 95 % interval counts); else what a flexible model
+    predicts of the remainder.
+    """
+    share, sd = explained
+    if found.problem.weighting.measured:
+        return min(1.0, share + 2 * sd)
+    if remainder is None or not remainder.present:
+        return 1.0
+    return share / max(share + remainder.total * (1 - share), 1e-300)
 
 
 def _explained(found: Found) -> tuple[float, float]:
@@ -115,7 +119,3 @@ def _rest(gap: Gap, remainder: Gap | None, explained: tuple[float, float]) -> tu
         return (said,)
     follows = ", ".join(name for name, share in remainder.depends_on[:2] if share > 0)
     return (said, f"the remainder is not noise (p = {remainder.p_value:.2g}){' and follows ' + follows if follows else ''}")
-
-
-def _lower(sentence: str) -> str:
-    return sentence[:1].lower() + sentence[1:].rstrip(".")

@@ -14,7 +14,7 @@ from afdsvc.explain.search.evidence import blocks, refitted
 from afdsvc.explain.search.fit import Coordinates, fit, jacobian, weighted
 from afdsvc.explain.search.forward import search
 from afdsvc.explain.search.machine import hypotheses, machine
-from afdsvc.explain.search.path import trial
+from afdsvc.explain.search.path import bases, trial
 from afdsvc.explain.search.ranking import look_alikes, weights
 from afdsvc.explain.search.screen import Screened, Start
 from afdsvc.explain.settings import Settings
@@ -113,7 +113,7 @@ def test_the_jacobian_is_that_of_central_differences():
 def test_losses_of_left_out_blocks_are_those_of_refits_without_them():
     p = problem(60.0)
     f = fit(p, p.start(), 0.0, 5.0)
-    spans = blocks(f, Settings())
+    spans = blocks([len(e) for e in f.residuals], f.tau, Settings())
     found = refitted(p, 0.0, f, spans, f.sd)
     for k in (3, 7, 16):  # not the first of a recording, whose initial state is not left out
         r, a, b = spans[k]
@@ -129,7 +129,7 @@ def test_losses_of_left_out_blocks_are_those_of_refits_without_them():
 def test_a_step_that_spoils_the_other_blocks_is_not_taken():
     p = problem(60.0)
     f = fit(p, p.start(), 0.0, 5.0)
-    spans = blocks(f, Settings())
+    spans = blocks([len(e) for e in f.residuals], f.tau, Settings())
     away = refitted(p, 0.0, replace(f, J=-f.J), spans, f.sd)
     assert away == pytest.approx([((f.residuals[r][a:b] / f.sd) ** 2).sum() for r, a, b in spans])
 
@@ -140,5 +140,6 @@ def test_where_the_model_was_bent_hypotheses_begin_at_the_stated_numbers_too():
     h = next(iter(hypotheses([CoulombFriction()], machine(p, bent, 0.0, [], [], "model"))))
     start = Start(Effect(h, np.array(h.starts[0], float)), 0.0, np.zeros(0), np.zeros(len(bent.H)))
     screened = {0.0: Screened(h, (start,))}
-    falls = [trial(replace(p, settings=Settings(strained=s)), {0.0: bent}, {0.0: 5.0}, screened, 1).falls[0] for s in (5.0, np.inf)]
+    begin = [bases(replace(p, settings=Settings(strained=s)), {0.0: bent}, {0.0: 5.0}) for s in (5.0, np.inf)]
+    falls = [trial(p, b, {0.0: 5.0}, screened, 1).falls[0] for b in begin]
     assert falls[0] > falls[1] + 10.0

@@ -8,7 +8,7 @@ import pytest
 from afdsvc.explain.search.evidence import Evidence
 from afdsvc.explain.search.ranking import Candidate
 from afdsvc.explain.settings import Settings
-from afdsvc.explain.verdict.verdict import _incomplete, verdict
+from afdsvc.explain.verdict.verdict import _complete, verdict
 
 
 def candidate(physics: str) -> Candidate:
@@ -18,27 +18,29 @@ def candidate(physics: str) -> Candidate:
 
 
 @pytest.mark.parametrize(
-    ("explained", "predictable", "present", "doubted"),
-    [(0.3, 0.9, True, True), (0.6, 0.9, True, False), (0.3, 0.9, False, False), (0.3, 0.3, True, False)],
+    ("explained", "predictable", "present", "measured", "complete"),
+    [(0.3, 0.9, True, False, 0.3 / 0.93), (0.3, 0.9, False, False, 1.0), (0.7, 0.9, False, True, 0.8), (0.95, 0.9, False, True, 1.0)],
 )
-def test_no_name_is_certain_where_more_can_still_be_predicted_than_is_explained(explained, predictable, present, doubted):
+def test_no_name_is_surer_than_the_share_of_the_explainable_that_is_closed(explained, predictable, present, measured, complete):
     """Of the residual 30 % are explained; of the other 70 % a flexible model predicts 90 %: 63 %."""
-    assert bool(_incomplete(SimpleNamespace(present=present, total=predictable), explained)) == doubted
+    found = SimpleNamespace(problem=SimpleNamespace(weighting=SimpleNamespace(measured=measured)))
+    assert _complete(found, SimpleNamespace(present=present, total=predictable), (explained, 0.05)) == pytest.approx(complete)
 
 
-def test_nothing_is_doubted_where_nothing_remains_to_be_tested():
-    assert _incomplete(None, 0.1) == ()
+def test_all_is_explained_where_nothing_remains_to_be_tested():
+    found = SimpleNamespace(problem=SimpleNamespace(weighting=SimpleNamespace(measured=False)))
+    assert _complete(found, None, (0.1, 0.0)) == 1.0
 
 
-@pytest.mark.parametrize(("present", "certain"), [(True, [1.0, 0.8]), (False, [1.0, 1.0])])
+@pytest.mark.parametrize(("present", "certain"), [(True, [0.9 / 0.91, 0.8]), (False, [1.0, 1.0])])
 def test_further_effects_are_certain_only_where_nothing_predictable_remains(present, certain):
     settings = Settings()
     steps = [SimpleNamespace(accepted=True, candidates=[candidate(name)], limited="model") for name in ("friction", "slew")]
     point = SimpleNamespace(theta=np.zeros(0), effects=())
     found = SimpleNamespace(
-        steps=steps, problem=SimpleNamespace(settings=settings, nominal=SimpleNamespace(entries=()), weighting=SimpleNamespace(even=True)),
+        steps=steps, problem=SimpleNamespace(settings=settings, nominal=SimpleNamespace(entries=()), weighting=SimpleNamespace(even=True, measured=False)),
         end={0.0: SimpleNamespace(point=point)}, evidence=steps[0].candidates[0].evidence,
     )
     left = SimpleNamespace(present=present, total=0.1, p_value=0.01, depends_on=())
     answer = verdict(found, SimpleNamespace(present=True, total=0.9, sentence=""), left)
-    assert [c.weight for c in answer.claims] == certain
+    assert [c.weight for c in answer.claims] == pytest.approx(certain)

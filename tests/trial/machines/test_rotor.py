@@ -37,10 +37,8 @@ def test_trials_stay_inside_the_machines_limits_and_turn() -> None:
     assert made.answer.hidden[0].rho == pytest.approx(0.3, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    "physics",
-    ["unbalance", *(pytest.param(p, marks=pytest.mark.long) for p in ("gyroscopic_coupling", "cross_coupled_stiffness", "runout"))],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("physics", ["unbalance", "gyroscopic_coupling", "cross_coupled_stiffness", "runout"])
 def test_rotor_physics_is_found_blind_at_speed(physics: str) -> None:
     made = trial(physics)
     model = parse_model(model_text(made.machine), "MODEL.toml")

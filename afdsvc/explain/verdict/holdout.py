@@ -1,0 +1,148 @@
+"""What the recordings held out allow to be said: names that do not follow them better are doubted or withdrawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import ttest_1samp
+
+from afdsvc.dataset.experiment import Run
+from afdsvc.explain.noise.weighting import correlation_time
+from afdsvc.explain.search.evidence import blocks
+from afdsvc.explain.search.fit import Fit, fit, rms
+from afdsvc.explain.search.forward import Found
+from afdsvc.explain.search.heldout import on, played
+from afdsvc.explain.search.nuisance import NUISANCE
+from afdsvc.explain.search.problem import Point, Problem, loop_known
+from afdsvc.explain.search.ranking import is_constant
+from afdsvc.explain.verdict.verdict import DOUBT, Verdict
+from afdsvc.lti.statespace import Array
+
+WORSE = 1.1  # ratio of held-out errors, after to before, beyond which names are withdrawn
+WAYS = ("from the inputs", "in closed loop", "predicted")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Player:
+    """Plays a model over recordings: ``way`` is one of `WAYS`; only initial states are fitted."""
+
+    problem: Problem
+    way: str
+    horizon: float
+
+    def outputs(self, runs: Sequence[Run], point: Point) -> list[Array]:
+        """Return the simulated outputs ``(n, p)`` of every run, from the initial state that fits it best."""
+        there = on(self.problem, runs)
+        return played(there, replace(point, x0=there.x0), self.horizon)[0]
+
+    def nrmse(self, runs: Sequence[Run], point: Point) -> Array:
+        """Return ``|y - yhat| / |y - mean|`` of every output over all runs, ``(p,)``; infinite where a simulation left."""
+        return nrmse(np.vstack([r.Y for r in runs]), np.vstack(self.outputs(runs, point)))
+
+    def better(self, runs: Sequence[Run], before: Point, after: Point) -> float:
+        """Return how sure it is that ``after`` follows the recordings better than ``before``: 1 less the p-value of a t-test over blocks.
+
+        Tested is the logarithm of the ratio of their losses. Residuals are weighted as in the search; blocks are several correlation
+        times long, and outputs count by what ``before`` misses. 0 where a simulation left, or all blocks together are followed worse.
+        """
+        weighting, scale = self.problem.weighting, self.problem.scale
+        outputs = [self.outputs(runs, p) for p in (before, after)]
+        if not all(np.isfinite(y).all() for y in outputs[1]):
+            return 0.0
+        errors = [[(r.Y - y) / scale for r, y in zip(runs, pieces, strict=True)] for pieces in outputs]
+        first, second = ([weighting(np.nan_to_num(e)) for e in pieces] for pieces in errors)
+        first, second = ([e / rms(first) for e in pieces] for pieces in (first, second))
+        spans = blocks([len(r) for r in runs], correlation_time(first), self.problem.settings)
+        losses = np.array([[float((e[r][a:b] ** 2).sum()) for e in (first, second)] for r, a, b in spans]) + 1e-300
+        ratio = np.log(losses[:, 0] / losses[:, 1])
+        if len(ratio) < 2 or losses[:, 0].sum() <= losses[:, 1].sum() or not np.ptp(ratio) > 0:
+            return 0.0
+        return 1 - float(ttest_1samp(ratio, 0.0, alternative="greater").pvalue)
+
+
+def player(found: Found) -> Player:
+    """Return the way to play: from the inputs where the search could, else in closed loop where that is known, else predicted."""
+    problem, last = found.problem, list(found.end)[-1]
+    if last == 0.0:
+        return Player(problem, WAYS[problem.closed], 0.0)
+    if loop_known(problem):
+        return Player(replace(problem, closed=True), WAYS[1], 0.0)
+    return Player(problem, WAYS[2], last)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """A verdict and its final fit after a look at the recordings held out; ``refuted`` where there is a gap, but its first name does worse there."""
+
+    verdict: Verdict
+    final: Fit
+    refuted: bool = False
+
+
+def judged(found: Found, verdict: Verdict, runs: Sequence[Run]) -> Judged:
+    """Return the verdict and the final fit: with the claimed effects, else the numbers refitted, else the model as stated.
+
+    What does worse on the recordings held out than the model as stated is withdrawn. What does not do better there than the model
+    refitted without effects, block by block, or worse than a constant, is not certain; where that is all that speaks for a gap, it is
+    not claimed.
+    """
+    play, last, most, refuted = player(found), list(found.end)[-1], found.problem.settings.uncertain, False
+    stated, refitted = (_error(play, runs, p) for p in (found.problem.start(), found.start[last].point))
+    if verdict.claims:
+        first = verdict.claims[0].candidate.hypothesis
+        final = _with(found, {c.candidate.hypothesis.key for c in verdict.claims})
+        error = _error(play, runs, final.point)
+        without = found.problem.start() if is_constant(first) else found.start[last].point
+        shown = error < 1.0 and play.better(runs, without, final.point) > found.problem.settings.sure
+        alone = _rests_on_holdout(found, verdict)
+        held = (
+            f"on the recordings held out the error is {100 * error:.3g} % with {first.key}, {100 * stated:.3g} % with the model as stated "
+            f"and {100 * refitted:.3g} % with its numbers refitted"
+        )
+        if error <= WORSE * stated and (shown or not alone):
+            return Judged(verdict if shown and not alone else doubted(verdict, f"{held}: no name is certain", most), final)
+        verdict, refuted = unclaimed(verdict, f"{held}: nothing is claimed", alone), not alone
+    if refitted <= WORSE * stated:
+        return Judged(verdict, found.start[last], refuted)
+    return Judged(verdict, fit(found.problem, found.problem.start(), last, found.start[last].tau, iterations=0), refuted)
+
+
+def _rests_on_holdout(found: Found, verdict: Verdict) -> bool:
+    """Whether neither noise that is known nor a flexible model's prediction of the plain residual shows that there is a gap."""
+    w = found.problem.weighting
+    return not (w.measured or (w.even and verdict.gap.present) or is_constant(verdict.claims[0].candidate.hypothesis))
+
+
+def _with(found: Found, keys: set[str]) -> Fit:
+    """Return the final fit with these effects only (and the unknown loads every fit has), refitted where others go."""
+    last = list(found.end)[-1]
+    end = found.end[last]
+    kept = tuple(e for e in end.point.effects if e.hypothesis.key in keys or e.hypothesis.family == NUISANCE)
+    return end if len(kept) == len(end.point.effects) else fit(found.problem, replace(end.point, effects=kept), last, end.tau)
+
+
+def _error(play: Player, runs: Sequence[Run], point: Point) -> float:
+    return float(np.mean(play.nrmse(runs, point)))
+
+
+def unclaimed(verdict: Verdict, why: str, doubtful: bool) -> Verdict:
+    """Return the verdict without its names; ``why`` in a sentence. Where it is ``doubtful`` that there is a gap, its size decides."""
+    seen = not doubtful or verdict.gap.present or verdict.gap.total > DOUBT
+    return replace(verdict, verdict="unexplained" if seen else "consistent", claims=(), sentences=(why, *verdict.sentences))
+
+
+def doubted(verdict: Verdict, why: str, most: float) -> Verdict:
+    """Return the verdict with no name of more than this weight; ``why`` in a sentence."""
+    claims = tuple(replace(c, weight=min(c.weight, most)) for c in verdict.claims)
+    return replace(verdict, claims=claims, sentences=(*verdict.sentences, why))
+
+
+def nrmse(measured: Array, simulated: Array) -> Array:
+    """Return ``|y - yhat| / |y - mean|`` per output over the samples that were measured, ``(p,)``; infinite where simulation left."""
+    seen = np.isfinite(measured)
+    e = np.where(seen, measured - simulated, 0.0)
+    power = np.nansum((measured - np.nanmean(measured, axis=0)) ** 2, axis=0)
+    left = ~np.isfinite(e).all(0)
+    return np.where(left, np.inf, np.sqrt((np.where(left, 0.0, e) ** 2).sum(0) / np.maximum(power, 1e-300)))

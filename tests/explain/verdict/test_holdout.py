@@ -1,0 +1,79 @@
+"""What the recordings held out do to names: doubted where they do not improve, withdrawn where they do worse."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from afdsvc.explain.settings import Settings
+from afdsvc.explain.verdict import holdout as module
+from afdsvc.explain.verdict.holdout import Judged, Player
+from afdsvc.explain.verdict.verdict import Claim, Verdict
+
+
+@pytest.fixture
+def final(monkeypatch):
+    """Return what is judged of one claim of weight 1, with these errors of the three models on the recordings held out.
+
+    ``present``: a flexible model predicts the residual; ``even``: residuals are not weighted.
+    """
+    return lambda *errors, present=True, even=True: _judged(monkeypatch, *errors, present, even)
+
+
+def _judged(monkeypatch, stated: float, refitted: float, error: float, present: bool, even: bool) -> Judged:
+    points = {name: SimpleNamespace(name=name, effects=()) for name in ("stated", "refitted", "final")}
+    errors = {"stated": stated, "refitted": refitted, "final": error}
+    hypothesis = SimpleNamespace(key="law@input:u", family="", physics="law")
+    found = SimpleNamespace(
+        problem=SimpleNamespace(
+            start=lambda: points["stated"], settings=Settings(), weighting=SimpleNamespace(even=even, measured=False)
+        ),
+        start={0.0: SimpleNamespace(point=points["refitted"], tau=1.0)}, end={0.0: SimpleNamespace(point=points["final"])},
+    )
+    better = lambda runs, before, after: float(errors[after.name] < errors[before.name])  # noqa: E731
+    play = SimpleNamespace(nrmse=lambda runs, point: np.array([errors[point.name]]), better=better)
+    monkeypatch.setattr(module, "player", lambda found: play)
+    monkeypatch.setattr(module, "fit", lambda problem, point, *a, **k: SimpleNamespace(point=point))
+    claim = Claim(SimpleNamespace(hypothesis=hypothesis), 1.0, 1, 0.5)
+    verdict = Verdict("omitted_physics", (claim,), (), SimpleNamespace(present=present, total=0.02), None, (0.5, 0.1))
+    return module.judged(found, verdict, [])
+
+
+@pytest.mark.parametrize(
+    ("stated", "refitted", "error", "weight"),
+    [(0.5, 0.4, 0.2, 1.0), (0.5, 0.4, 0.45, 0.8), (5.0, 4.0, 2.0, 0.8)],
+)
+def test_a_name_is_certain_only_where_the_recordings_held_out_are_followed_better(final, stated, refitted, error, weight):
+    verdict = final(stated, refitted, error).verdict
+    assert [c.weight for c in verdict.claims] == [weight]
+    assert (weight < 1) == any("no name is certain" in s for s in verdict.sentences)
+
+
+def test_a_name_that_does_worse_than_the_model_as_stated_is_refuted(final):
+    answer = final(0.2, 0.2, 0.3)
+    assert answer.refuted
+    assert answer.verdict.verdict == "unexplained"
+    assert not answer.verdict.claims
+    assert not final(0.5, 0.4, 0.2).refuted
+
+
+@pytest.mark.parametrize(("present", "even"), [(False, True), (True, False)])
+def test_what_only_the_search_sees_is_claimed_where_the_recordings_held_out_show_it(final, present, even):
+    """No flexible model predicts the residual, or slow noise had to be divided out: the name rests on the search alone."""
+    shown, not_shown = (final(0.5, 0.4, error, present=present, even=even).verdict for error in (0.2, 0.45))
+    assert [c.weight for c in shown.claims] == [0.8]
+    assert not not_shown.claims
+    assert not_shown.verdict == ("unexplained" if present else "consistent")
+
+
+def test_better_in_every_block_is_sure_and_in_half_of_them_is_not(monkeypatch):
+    rng, n = np.random.default_rng(1), 4000
+    noise, missed = rng.standard_normal((n, 1)), np.sin(np.arange(n) / 9.0)[:, None]
+    problem = SimpleNamespace(weighting=lambda e: e, scale=np.ones(1), settings=Settings())
+    simulated = {"before": -noise - missed, "after": -noise, "another": -rng.standard_normal((n, 1)) - missed, "left": np.full((n, 1), np.nan)}
+    monkeypatch.setattr(Player, "outputs", lambda self, runs, point: [simulated[point]])
+    runs = [type("Recording", (), {"Y": np.zeros((n, 1)), "__len__": lambda self: n})()]
+    play = Player(problem, "from the inputs", 0.0)
+    assert play.better(runs, "before", "after") > 0.999
+    assert play.better(runs, "before", "another") < 0.95
+    assert play.better(runs, "before", "left") == 0.0
