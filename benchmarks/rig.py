@@ -28,8 +28,8 @@ def control_cost(samples: int = 20_000, order_of_q: int = 0) -> tuple[float, flo
     """Return seconds per control sample: compiled, called once per sample as around real hardware; and numpy."""
     bearing = plant("gas_bearing")
     design = load().get("controllers", "lqg").design(bearing.discrete(), bearing.recommended["lqg"])
-    K = control_sample.contiguous(design.interconnection)
-    control_sample.warm_up()
+    K = control_sample.contiguous_system(design.interconnection)
+    control_sample.compile_loops()
     xk, y, alpha, u, beta = np.zeros(K.order), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
     bounds, n = np.full(2, 10.0), order_of_q
     q = 0.5 * np.eye(n), np.zeros((n, 2)), np.zeros((2, n)), np.zeros((2, 2)), np.zeros(n)

@@ -13,7 +13,7 @@ import pytest
 
 from afdsvc.api.port import DrivablePort
 from afdsvc.app import commissioning
-from afdsvc.files.site import FaultInjection, Machine, Named
+from afdsvc.files.site import FaultInjection, MachineSection, PluginSection
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.clock import FastClock
@@ -34,16 +34,16 @@ def measured() -> Path:
     return Path(folder)
 
 
-def controller_settings(name: str) -> Named:
+def controller_settings(name: str) -> PluginSection:
     """Return one of the two controllers of the thesis."""
-    return Named(kind="proportional", settings={"gain": 0.2}) if name == "proportional" else Named(kind="lqg")
+    return PluginSection(kind="proportional", settings={"gain": 0.2}) if name == "proportional" else PluginSection(kind="lqg")
 
 
-def machine_config(controller: str = "lqg", rpm: int = 0, seed: int = 1, faults: dict | None = None, **more) -> Machine:
+def machine_config(controller: str = "lqg", rpm: int = 0, seed: int = 1, faults: dict | None = None, **more) -> MachineSection:
     """Return a gas bearing as a site file would describe it; ``faults`` maps names to (severity, second)."""
     injected = [FaultInjection(name=n, severity=s, at_seconds=t) for n, (s, t) in (faults or {}).items()]
     driver = {"kind": "simulator", "real_time": False, "seed": seed, "faults": injected}
-    return Machine(
+    return MachineSection(
         id="bearing",
         plant="gas_bearing",
         options={"rpm": rpm},

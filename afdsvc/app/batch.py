@@ -72,7 +72,7 @@ class Batch:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class BatchOutcome:
     """How a run of a batch ended: rows in the table, how many of them failed, how many were there from an earlier run."""
 
     table: Path
@@ -84,7 +84,7 @@ class Outcome:
 def run_batch(
     batch: Batch, recordings: Sequence[Path], out: Path, jobs: int = 2, cluster: str | None = None,
     progress: Callable[[int, int], None] = lambda done, of: None,
-) -> Outcome:
+) -> BatchOutcome:
     """Do what is missing, then write the table (Parquet) ``out``; parts are kept in the folder ``out`` + ``.parts``.
 
     ``cluster`` is the address of a Dask scheduler whose workers see the same files; without it ``jobs`` processes work here.
@@ -102,7 +102,7 @@ def run_batch(
             progress(kept + number, len(paths))
     rows = [json.loads(path.read_text(encoding="utf-8")) for path in paths.values()]
     _write(rows, out)
-    return Outcome(out, len(rows), sum(bool(row["error"]) for row in rows), kept)
+    return BatchOutcome(out, len(rows), sum(bool(row["error"]) for row in rows), kept)
 
 
 @contextmanager

@@ -28,7 +28,7 @@ from afdsvc.files.model.model_file import model_text, read_model
 from afdsvc.files.tables.tables import read_table
 from afdsvc.hal.control_loop import LoopSettings, Prediction
 from afdsvc.hal.replay import Replay, blocks_of
-from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, Simulator, SpeedProfile
+from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, SimulatedRig, SpeedProfile
 from afdsvc.lti.lft import AugmentedPlant, FaultDirection, augment, star
 from afdsvc.lti.python_control import factorise
 from afdsvc.lti.sampling import sample_noise, sample_zoh
@@ -37,7 +37,7 @@ from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import innovations, whitening_filter
 from afdsvc.lti.yjbk import interconnection
 from afdsvc.plants.registry import plant as plant_by_name
-from afdsvc.plugins.controllers.lqg import gains
+from afdsvc.plugins.controllers.lqg import lqg_gains
 from afdsvc.plugins.fault_set import FaultSet, chosen_faults, usual_faults
 from afdsvc.plugins.manager import Plugins
 from afdsvc.service.clock import FastClock
@@ -50,7 +50,7 @@ class Commissioned:
     ``plant`` is the nominal discrete plant; ``controller`` None when unknown (then the machine is watched only).
     """
 
-    config: site_file.Machine
+    config: site_file.MachineSection
     plant: StateSpace
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
@@ -94,7 +94,7 @@ class RecordedMachine:
 
 
 def commission(
-    config: site_file.Machine, plugins: Plugins, watched: RecordedMachine | None = None, allow_code: bool = False
+    config: site_file.MachineSection, plugins: Plugins, watched: RecordedMachine | None = None, allow_code: bool = False
 ) -> Commissioned:
     """Return the machine's parts; raises `BadInput` that names the machine and what is wrong with it.
 
@@ -122,7 +122,7 @@ def commission_embedded(
     return commission(config, plugins, watched)
 
 
-def _from_plant(config: site_file.Machine, plugins: Plugins) -> Commissioned:
+def _from_plant(config: site_file.MachineSection, plugins: Plugins) -> Commissioned:
     physical = plant_by_name(config.plant or "", **config.options)
     discrete = physical.discrete()
     controller = plugins.get("controllers", config.controller.kind).design(
@@ -138,7 +138,7 @@ def _from_plant(config: site_file.Machine, plugins: Plugins) -> Commissioned:
     )  # fmt: skip
 
 
-def _faults(config: site_file.Machine, physical: PhysicalPlant, plugins: Plugins) -> FaultSet:
+def _faults(config: site_file.MachineSection, physical: PhysicalPlant, plugins: Plugins) -> FaultSet:
     """Return the faults of the site file, or the plant's usual ones when it names none."""
     if config.faults is None:
         return usual_faults(physical)
@@ -162,7 +162,7 @@ def at_speed(machine: Commissioned, speed: float) -> Commissioned:
     return replace(machine, plant=augmented.plant, augmented=augmented, speed=speed, physical=physical, process_cov=process)
 
 
-def _read_watched(config: site_file.Machine, allow_code: bool) -> RecordedMachine:
+def _read_watched(config: site_file.MachineSection, allow_code: bool) -> RecordedMachine:
     if stepped_machine.is_driven(config):
         model, dt = stepped_machine.driven_model(config, allow_code)
         return RecordedMachine(model, dt, _channels(model.inputs, model.outputs, True, False))
@@ -170,7 +170,7 @@ def _read_watched(config: site_file.Machine, allow_code: bool) -> RecordedMachin
     return RecordedMachine(read_model(config.model or Path()), trace.dt, trace.channels)
 
 
-def _from_model(config: site_file.Machine, plugins: Plugins, watched: RecordedMachine) -> Commissioned:
+def _from_model(config: site_file.MachineSection, plugins: Plugins, watched: RecordedMachine) -> Commissioned:
     """A model file describes a machine that is watched in the loop of the controller it states, or driven in a loop of ours."""
     model = watched.model
     if model.plant is None:
@@ -215,7 +215,7 @@ def _process_cov(model: Model, dt: float) -> Array | None:
     return sample_noise(model.plant.A, model.process_cov, dt)
 
 
-def _disturbance(config: site_file.Machine, plant: StateSpace, otherwise: Array | None = None) -> Array | None:
+def _disturbance(config: site_file.MachineSection, plant: StateSpace, otherwise: Array | None = None) -> Array | None:
     """Return the covariance on the states of the white noise that the site states at the inputs."""
     if config.input_sd is None:
         return otherwise
@@ -231,18 +231,18 @@ def controller_settings(machine: Commissioned) -> Mapping[str, Any]:
     return chosen.settings if machine.physical is None else _controller_settings(chosen, machine.physical)
 
 
-def _controller_settings(controller: site_file.Named, plant: PhysicalPlant) -> Mapping[str, Any]:
+def _controller_settings(controller: site_file.PluginSection, plant: PhysicalPlant) -> Mapping[str, Any]:
     """A plant may recommend settings for a controller; the site file overrides them."""
     return {**plant.recommended.get(controller.kind, {}), **controller.settings}
 
 
-def _model_cov(config: site_file.Machine, model: Model) -> Array | None:
+def _model_cov(config: site_file.MachineSection, model: Model) -> Array | None:
     sd = config.output_sd if config.output_sd is not None else model.output_sd
     return None if sd is None else np.diag(np.square(np.asarray(sd, dtype=float)))
 
 
 def _directions(
-    config: site_file.Machine,
+    config: site_file.MachineSection,
     plant: StateSpace,
     inputs: tuple[Variable, ...],
     outputs: tuple[Variable, ...],
@@ -327,7 +327,7 @@ def _loop(machine: Commissioned, noise: Noise) -> tuple[StateSpace, StateSpace]:
 
 def _stand_in(G: StateSpace) -> StateSpace:
     """Return J_K of the observer-based LQ controller with default weights (D of the plant included)."""
-    F, L = gains(G, {})
+    F, L = lqg_gains(G, {})
     A = G.A + G.B @ F + L @ (G.C + G.D @ F)
     C = np.vstack([F, -(G.C + G.D @ F)])
     D = np.block([[np.zeros((G.inputs, G.outputs)), np.eye(G.inputs)], [np.eye(G.outputs), -G.D]])
@@ -422,7 +422,7 @@ def _broad(purpose: str, band: Band, seconds: float, rng: np.random.Generator) -
     return sweep_burst(band, seconds) if purpose == "identify_sweep" else multisine_burst(band, seconds, rng, "odd_random")
 
 
-def _simulator(machine: Commissioned, settings: LoopSettings, clock: Clock) -> Simulator:
+def _simulator(machine: Commissioned, settings: LoopSettings, clock: Clock) -> SimulatedRig:
     dt, driver, noise = machine.plant.dt, machine.config.driver, machine.output_cov
     if machine.controller is None or machine.limits is None or noise is None:
         raise BadInput(f"machine '{machine.config.id}' has no controller or no noise; it can only be replayed")
@@ -433,7 +433,7 @@ def _simulator(machine: Commissioned, settings: LoopSettings, clock: Clock) -> S
     faults = tuple(ScheduledFault(f.name, f.severity, round(f.at_seconds / dt)) for f in driver.faults)
     plant = _simulated(machine, noise, faults)
     interconnection = machine.controller.interconnection
-    return Simulator(
+    return SimulatedRig(
         plant, interconnection, machine.channels, machine.limits, settings, clock, driver.seed, prediction(machine)
     )
 

@@ -22,17 +22,17 @@ from afdsvc.diagnosis.verdict import conclude
 from afdsvc.errors import BadInput
 from afdsvc.excite.recorded_bursts import marked, recorded_bursts
 from afdsvc.files.model.model_file import read_model
-from afdsvc.files.open import MappedTopics, Naming, OwnRecording, Table, open_file
+from afdsvc.files.open import MappedTopics, Naming, OwnRecording, TableFile, open_file
 from afdsvc.files.recording.mcap_file import BLOCK, REQUEST, RETUNING
 from afdsvc.files.recording.reader import Recording
-from afdsvc.files.site import Detector, Driver, Machine
+from afdsvc.files.site import DetectorSection, DriverSection, MachineSection
 from afdsvc.files.tables.foreign import prepared
 from afdsvc.files.tables.to_recording import import_traces
 from afdsvc.hal.replay import blocks_of
 from afdsvc.lti.lft import star
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.manager import Plugins, load
-from afdsvc.service.operator_requests import plain
+from afdsvc.service.operator_requests import json_values
 from afdsvc.wire.messages import BurstRequest, RetuneRequest
 
 CALIBRATED = 2 / 3  # of the quiet samples before the first burst
@@ -58,9 +58,9 @@ def diagnose_recordings(
     return {"recordings": found}
 
 
-def evidence_of(machine: Commissioned, blocks: Iterable[Block], bursts: Iterable[Burst], plugins: Plugins) -> Replay:
+def evidence_of(machine: Commissioned, blocks: Iterable[Block], bursts: Iterable[Burst], plugins: Plugins) -> OfflineDiagnosis:
     """Return everything the detectors and checks say about blocks in their order."""
-    replay = Replay(machine, plugins)
+    replay = OfflineDiagnosis(machine, plugins)
     for burst in bursts:
         replay.stream.announce(burst)
     for block in blocks:
@@ -68,7 +68,7 @@ def evidence_of(machine: Commissioned, blocks: Iterable[Block], bursts: Iterable
     return replay
 
 
-class Replay:
+class OfflineDiagnosis:
     """A machine's pipeline over blocks: evidence, remarks, the spans of bursts as (name, first sample, samples, dt), the session."""
 
     def __init__(self, machine: Commissioned, plugins: Plugins) -> None:
@@ -127,7 +127,7 @@ class _RecordedMachine:
     waiting: deque[Block] = field(default_factory=deque)
     bursts: dict[str, Burst] = field(default_factory=dict)
     tunings: dict[str, StateSpace] = field(default_factory=dict)
-    replay: Replay | None = None
+    replay: OfflineDiagnosis | None = None
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -156,14 +156,14 @@ class _RecordedMachine:
         remarks = [*([recording.loss] if recording.loss else []), *replay.remarks]
         return document(str(recording.path), self.id, replay, self.bursts, replay.machine, remarks, self.notes)
 
-    def _judge(self, replay: Replay, block: Block) -> None:
+    def _judge(self, replay: OfflineDiagnosis, block: Block) -> None:
         """Judge a block; detectors for the loop with a Q are designed when the first block bears its name, once."""
         Q = self.tunings.pop(block.tuning, None)
         if Q is not None:
             replay.stream.announce_tuning(block.tuning, Q)
         replay.take(block)
 
-    def _begun(self) -> Replay:
+    def _begun(self) -> OfflineDiagnosis:
         if self.replay is None:
             blocks, recording = list(self.waiting), self.file.recording
             machine = _watched_by(self.detectors, _machine_of(recording, self.id, blocks, self.model, self.calibrate, self.plugins))
@@ -171,7 +171,7 @@ class _RecordedMachine:
             machine, played = _excited(machine, imported, self.calibrate)
             self.notes, self.waiting = prepared(imported[:1]), deque(marked(blocks, played))
             self.bursts |= {burst.name: burst for _, burst in played}
-            self.replay = Replay(machine, self.plugins)
+            self.replay = OfflineDiagnosis(machine, self.plugins)
             for burst in self.bursts.values():
                 self.replay.stream.announce(burst)
         return self.replay
@@ -220,7 +220,7 @@ def _machine_of(
 
 
 def _diagnose_foreign(
-    path: Path, file: Table | MappedTopics, model: Model | None, calibrate: float | None, on: Path | None, plugins: Plugins, detectors: Sequence[str]
+    path: Path, file: TableFile | MappedTopics, model: Model | None, calibrate: float | None, on: Path | None, plugins: Plugins, detectors: Sequence[str]
 ) -> list[dict[str, Any]]:
     """Diagnose a table, or a recording of others: every stretch without a gap by itself."""
     if model is None:
@@ -245,21 +245,21 @@ def _watched_by(detectors: Sequence[str], machine: Commissioned) -> Commissioned
     """Return the machine with other detectors, where any are named."""
     if not detectors:
         return machine
-    chosen = [Detector(kind=kind) for kind in detectors]
+    chosen = [DetectorSection(kind=kind) for kind in detectors]
     return replace(machine, config=machine.config.model_copy(update={"detectors": chosen}))
 
 
-def _bare(id: str, calibrate: float, on: Path | None = None) -> Machine:
+def _bare(id: str, calibrate: float, on: Path | None = None) -> MachineSection:
     """Return a machine known by its model alone, its noise learnt from its first seconds."""
     placeholder = Path("model.toml")
-    driver = Driver(kind="replay", recording=placeholder)
-    return Machine(id=id, model=placeholder, driver=driver, calibrate_seconds=calibrate, calibrate_on=on)
+    driver = DriverSection(kind="replay", recording=placeholder)
+    return MachineSection(id=id, model=placeholder, driver=driver, calibrate_seconds=calibrate, calibrate_on=on)
 
 
 def document(
     name: str,
     machine: str,
-    replayed: Replay,
+    replayed: OfflineDiagnosis,
     bursts: Mapping[str, Burst],
     parts: Commissioned,
     remarks: Sequence[str],
@@ -278,7 +278,7 @@ def document(
         "notes": list(notes),
         "verdict": {
             "fault": verdict.fault,
-            "severity": plain(verdict.severity),
+            "severity": json_values(verdict.severity),
             "first_detected_s": verdict.first_detected_s,
             "weights": dict(verdict.weights),
             "trustworthy": verdict.trustworthy,
@@ -299,13 +299,13 @@ def _burst(
         "seconds": samples * dt,
         "input": ", ".join(inputs),
         "frequencies_rad_s": [line.omega for line in lines],
-        "decisions": [decision(e) for e in evidence if e.burst == name],
+        "decisions": [decision_document(e) for e in evidence if e.burst == name],
     }
 
 
-def decision(e: Evidence) -> dict[str, Any]:
+def decision_document(e: Evidence) -> dict[str, Any]:
     """Return one decision as JSON values; an infinite threshold (nothing to decide on) is None."""
-    found: dict[str, Any] = plain(
+    found: dict[str, Any] = json_values(
         {
             "detector": e.detector,
             "output": e.output,
@@ -313,7 +313,7 @@ def decision(e: Evidence) -> dict[str, Any]:
             "detected": e.detected and e.trustworthy,
             "statistic": e.statistic,
             "threshold": e.threshold,
-            "severity": plain(e.severity),
+            "severity": json_values(e.severity),
             "weights": dict(e.weights),
             "seconds": e.seconds,
             "trustworthy": e.trustworthy,
@@ -329,9 +329,9 @@ def _promised(parts: Commissioned, seconds: float) -> dict[str, float]:
     return {d.kind: d.false_alarms_per_day * seconds / 86400 for d in parts.config.detectors}
 
 
-def _passive(replayed: Replay) -> list[dict[str, Any]]:
+def _passive(replayed: OfflineDiagnosis) -> list[dict[str, Any]]:
     """Return the decisions made outside bursts."""
-    return [decision(e) for e in replayed.evidence if not e.burst]
+    return [decision_document(e) for e in replayed.evidence if not e.burst]
 
 
 def import_recording(

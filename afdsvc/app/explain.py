@@ -18,11 +18,11 @@ from afdsvc.explain.pipeline import explain
 from afdsvc.explain.report.explanation import Explanation
 from afdsvc.files.model.improved import write_improved
 from afdsvc.files.model.stepped import LINEARISED, REST
-from afdsvc.files.open import Naming, OpenFile, OwnRecording, Table, open_file, open_model
+from afdsvc.files.open import Naming, OpenFile, OwnRecording, TableFile, open_file, open_model
 from afdsvc.files.tables.foreign import prepared
 from afdsvc.files.tables.tables import PREPARED
 from afdsvc.files.unfinished import writing
-from afdsvc.plants.stepped.linearise import compared
+from afdsvc.plants.stepped.linearise import linearisation_notes
 from afdsvc.plugins.manager import load
 
 WRITTEN = ("MODEL.toml", "MODEL.py", "report.html")
@@ -68,9 +68,9 @@ def explain_files(
     with writing(folder, *(folder / name for name in WRITTEN)):
         _make(folder)
         found = explain(nominal, train, held, load_library(), mapper=parallel(options.jobs), progress=progress, trust_units=options.trust_units)
-        unit = [*nominal.extra.get(LINEARISED, ()), *compared(nominal, [*train, *held])]
+        unit = [*nominal.extra.get(LINEARISED, ()), *linearisation_notes(nominal, [*train, *held])]
         found = replace(found, check=(*unit, *found.check), notes={**found.notes, "data": prepared([*train, *held])})
-        return _written(found, nominal, folder, means([*train, *held]), options)
+        return _written(found, nominal, folder, aux_means([*train, *held]), options)
 
 
 def traces(paths: Sequence[Path | OpenFile], model: Model, options: ExplainOptions) -> list[Trace]:
@@ -101,7 +101,7 @@ def _pieces(file: OpenFile, model: Model, machine: str | None) -> list[Trace]:
 
     Missing samples of a table become gaps.
     """
-    if isinstance(file, Table):
+    if isinstance(file, TableFile):
         return file.traces(model, gaps=True)
     if not isinstance(file, OwnRecording):
         return file.traces(model)
@@ -138,7 +138,7 @@ def parallel(jobs: int) -> Callable[[Callable[[Any], Any], Iterable[Any]], Itera
     return mapper
 
 
-def means(recordings: Sequence[Trace]) -> dict[str, float]:
+def aux_means(recordings: Sequence[Trace]) -> dict[str, float]:
     """Return the mean of every auxiliary signal over the recordings, sorted by name."""
     labels = sorted({c.label for t in recordings for c in t.channels if c.role == "aux"})
     return {

@@ -17,7 +17,7 @@ from afdsvc.detect.statistics.fault_curves import FaultCurves, fault_curves
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.recording.reader import Recording
 from afdsvc.plugins.manager import load
-from afdsvc.present.rerun.plane import Plane, Point
+from afdsvc.present.rerun.plane import PhasorPoint, Plane
 
 SEVERITIES = 40
 MOST = 2  # planes of one machine: those where something shows, then those where the faults would show most
@@ -51,7 +51,7 @@ def _ordered(burst: Burst) -> tuple[Line, ...]:
     return tuple(sorted(burst.lines, key=lambda line: line.omega))
 
 
-def _amplitudes(recording: Recording, machine: str, bursts: dict[str, Burst], problem: DetectionProblem) -> list[tuple[Point, np.ndarray]]:
+def _amplitudes(recording: Recording, machine: str, bursts: dict[str, Burst], problem: DetectionProblem) -> list[tuple[PhasorPoint, np.ndarray]]:
     """Return for every whole burst when it ended and its sines and cosines ``(2 L, p)`` in the normalised residual."""
     Li, found = whitener(problem.covariance), []
     kinds = {b.k0: b.burst for b in recording.blocks(machine)}
@@ -66,7 +66,7 @@ def _amplitudes(recording: Recording, machine: str, bursts: dict[str, Burst], pr
         if total.n >= 0.9 * (end - begin):
             lines = project(total, _basis(bursts[name]))
             t_ns = last.t0_ns + round(len(last) * last.dt * 1e9)
-            found.append((Point(t_ns, name, (0.0, 0.0)), np.linalg.solve(lines.R, lines.z)))
+            found.append((PhasorPoint(t_ns, name, (0.0, 0.0)), np.linalg.solve(lines.R, lines.z)))
     return found
 
 
@@ -82,7 +82,7 @@ def _added(sums: BasisSums, burst: Burst, start: int, block: Block, Li: np.ndarr
 
 
 def _planes(
-    curves: FaultCurves, lines: Sequence[Line], problem: DetectionProblem, played: list[tuple[Point, np.ndarray]], scale: float
+    curves: FaultCurves, lines: Sequence[Line], problem: DetectionProblem, played: list[tuple[PhasorPoint, np.ndarray]], scale: float
 ) -> list[Plane]:
     severities = {name: np.linspace(0, 0.999 * reach[0], SEVERITIES) for name, reach in reachable(problem).items()}
     points = {name: scale * curves.at(name, severity) for name, severity in severities.items()}
@@ -90,7 +90,7 @@ def _planes(
     for k, line in enumerate(lines):
         for j, output in enumerate(problem.output_names):
             shape = {name: found[:, 2 * k : 2 * k + 2, j] for name, found in points.items()}
-            seen = [Point(p.t_ns, p.burst, (scale * float(a[2 * k, j]), scale * float(a[2 * k + 1, j]))) for p, a in played]
+            seen = [PhasorPoint(p.t_ns, p.burst, (scale * float(a[2 * k, j]), scale * float(a[2 * k + 1, j]))) for p, a in played]
             title = f"fault curves: {output}, {line.omega / 2 / np.pi:.3g} Hz [sd]"
             ends = {name: float(severity[-1]) for name, severity in severities.items()}
             severity = max(max(map(abs, p.value)) for p in seen)

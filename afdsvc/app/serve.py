@@ -40,7 +40,7 @@ from afdsvc.service.hub import Hub
 from afdsvc.service.machine import MachineMonitor
 from afdsvc.service.metrics import serve_metrics
 from afdsvc.service.notifications import NotificationQueue
-from afdsvc.service.operator_requests import Requests, plain
+from afdsvc.service.operator_requests import Requests, json_values
 from afdsvc.service.retuning import Retuning
 from afdsvc.service.scheduler import Scheduler
 from afdsvc.service.sinks.fan_out import FanOut, Sink, ThreadedSink
@@ -256,4 +256,4 @@ def open_outboxes(site: Site, history: History, plugins: Plugins) -> list[Notifi
 
 
 def _as_values(notify: Notify) -> Callable[[AlarmChange], None]:
-    return lambda change: notify(plain(change))
+    return lambda change: notify(json_values(change))

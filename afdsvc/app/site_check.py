@@ -7,7 +7,7 @@ from typing import Any
 
 from afdsvc.app.commissioning import Commissioned, commission
 from afdsvc.errors import BadInput
-from afdsvc.files.site import Machine, read_site
+from afdsvc.files.site import MachineSection, read_site
 from afdsvc.plugins.manager import Plugins, load
 
 
@@ -18,7 +18,7 @@ def check_site(path: Path, allow_code: bool = False) -> dict[str, Any]:
     return {"site": site.site, "machines": [_machine(m, plugins, allow_code) for m in site.machines], "remarks": remarks}
 
 
-def _machine(config: Machine, plugins: Plugins, allow_code: bool) -> dict[str, Any]:
+def _machine(config: MachineSection, plugins: Plugins, allow_code: bool) -> dict[str, Any]:
     try:
         return {"id": config.id, "problem": "", **_described(commission(config, plugins, allow_code=allow_code))}
     except BadInput as error:

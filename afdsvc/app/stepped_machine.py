@@ -15,7 +15,7 @@ from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.model.user_code import load_code, refuse_code
-from afdsvc.files.site import STEPPED, Fault, Machine
+from afdsvc.files.site import STEPPED, Fault, MachineSection
 from afdsvc.hal.control_loop import LoopSettings, Prediction
 from afdsvc.hal.stepped_simulator import GainFault, SteppedSimulator
 from afdsvc.lti.statespace import Array
@@ -25,12 +25,12 @@ from afdsvc.plants.stepped.function_plant import FunctionPlant
 AT_REST = 0.01  # of an output's limit: how far from zero a simulator may rest
 
 
-def is_driven(config: Machine) -> bool:
+def is_driven(config: MachineSection) -> bool:
     """Whether a machine with a model runs in a loop of ours; a replay is only watched."""
     return config.driver.kind != "replay"
 
 
-def driven_model(config: Machine, allow_code: bool) -> tuple[Model, float]:
+def driven_model(config: MachineSection, allow_code: bool) -> tuple[Model, float]:
     """Return a driven machine's model and sample time [s]; raises `BadInput` when nothing states it.
 
     A model that is itself a simulator is opened where the driver is one too and code may run.
@@ -43,7 +43,7 @@ def driven_model(config: Machine, allow_code: bool) -> tuple[Model, float]:
     return model, float(dt)
 
 
-def stated_limits(config: Machine) -> Limits:
+def stated_limits(config: MachineSection) -> Limits:
     """Return the limits of the site file; a model knows none, so all that can do harm must be stated."""
     for name in ("output", "input"):
         if getattr(config.limits, name) is None:
@@ -62,7 +62,7 @@ def checked_limits(limits: Limits, inputs: int, outputs: int) -> Limits:
 
 
 def open_stepped(
-    config: Machine, sides: tuple[tuple[Variable, ...], tuple[Variable, ...]], controller: DesignedController, output_cov: Array,
+    config: MachineSection, sides: tuple[tuple[Variable, ...], tuple[Variable, ...]], controller: DesignedController, output_cov: Array,
     channels: tuple[Channel, ...], limits: Limits, faults: list[Fault], settings: LoopSettings, clock: Clock, prediction: Prediction,
     allow_code: bool = False,
 ) -> SteppedSimulator:  # fmt: skip
@@ -83,7 +83,7 @@ def open_stepped(
 
 
 def stepped_plant(
-    config: Machine, inputs: tuple[Variable, ...], outputs: tuple[Variable, ...], allow_code: bool
+    config: MachineSection, inputs: tuple[Variable, ...], outputs: tuple[Variable, ...], allow_code: bool
 ) -> SteppedPlant:
     """Return the simulator of a site file's driver, not begun yet."""
     driver = config.driver
@@ -119,7 +119,7 @@ def _refuse_unrest(unit: SteppedPlant, limits: Limits, name: str) -> None:
         raise BadInput(f"simulator {name} starts with output {at} at {y[at]:g}; expected deviations from an operating point at 0")
 
 
-def _gain_faults(config: Machine, faults: list[Fault], dt: float) -> list[GainFault]:
+def _gain_faults(config: MachineSection, faults: list[Fault], dt: float) -> list[GainFault]:
     """Return what the site injects; a simulator that is closed to us can lose gain at its ends, nothing else."""
     kinds = {"actuator_gain": "input", "sensor_gain": "output"}
     possible = {f.name: (kinds[f.kind], int(f.settings[kinds[f.kind]])) for f in faults if f.kind in kinds}

@@ -36,17 +36,17 @@ def trial_files(
         places = write_only(requests, folder, jobs, progress)
         return {"trials": len(places), "summary": f"{len(places)} trials written, none explained", "folder": str(folder)}
     done = study(requests, from_files, folder, jobs, keep, progress)
-    return report(done, folder)
+    return write_reports(done, folder)
 
 
 def in_order(count: int, seed: int, rho: float | None, kinds: Sequence[str], parts: Sequence[str]) -> list[Request]:
     """Return the requests of a study as they are run, shuffled: what is done when it is interrupted is a fair sample."""
-    requests = chosen(count, seed, rho, kinds, parts)
+    requests = study_requests(count, seed, rho, kinds, parts)
     np.random.default_rng(seed).shuffle(requests)
     return requests
 
 
-def chosen(count: int, seed: int, rho: float | None, kinds: Sequence[str], parts: Sequence[str]) -> list[Request]:
+def study_requests(count: int, seed: int, rho: float | None, kinds: Sequence[str], parts: Sequence[str]) -> list[Request]:
     """Return the requests of a study; raises `BadInput` naming the kind or part that no trial contains.
 
     With ``kinds`` or ``parts``, ``count`` trials of those are picked evenly from a larger plan.
@@ -93,7 +93,7 @@ def from_files(model: Path, recordings: Sequence[Path], holdout: Path) -> Mappin
     return explain(nominal, train, held, load_library(), experiment=False).json(None, None)
 
 
-def report(done: Sequence[Result], folder: Path) -> dict[str, Any]:
+def write_reports(done: Sequence[Result], folder: Path) -> dict[str, Any]:
     """Write both reports into the folder; returns their paths and the summary."""
     words, table = folder / "blind-trials.md", folder / "blind-trials.html"
     words.write_text(markdown(done), encoding="utf-8")

@@ -28,7 +28,7 @@ app.add_typer(plugins.app, name="plugins")
 app.add_typer(site.app, name="site")
 
 
-def main() -> None:
+def run_cli() -> None:
     """Run the command line: exit 0 done, 2 bad input or usage (one sentence), 1 unexpected failure."""
     end_on_interrupt()
     try:
@@ -173,8 +173,8 @@ def certificates(
     show(as_json, {"made": made}, lambda: print("\n".join(made) or "everything is there already"))
 
 
-@app.command()
-def diagnose(
+@app.command("diagnose")
+def diagnose_command(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="MCAP recordings, or tables with --model.")],
     model: Annotated[Path | None, typer.Option(metavar="MODEL.toml", help="The model, for recordings that carry none.")] = None,
     calibrate: Annotated[float | None, typer.Option(metavar="SECONDS", help="Seconds of data without bursts from which the noise is estimated.")] = None,
@@ -198,8 +198,8 @@ def diagnose(
     show(as_json, document, lambda: diagnosis_table(document))
 
 
-@app.command()
-def design(
+@app.command("design")
+def design_command(
     site: SiteFile,
     machine: MachineOption = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE.html", help="Where the page goes.")] = None,
@@ -231,8 +231,8 @@ def init(
     show(as_json, document, lambda: init_table(document))
 
 
-@app.command()
-def check(
+@app.command("check")
+def check_command(
     model: Annotated[Path, typer.Argument(metavar="MODEL.toml", help="The model (MODEL.toml), or a recording that carries it.")],
     recordings: Annotated[list[Path] | None, typer.Argument(metavar="RECORDING...", help="MCAP recordings or tables.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE.html", help="Where the page goes.")] = None,
@@ -257,8 +257,8 @@ def check(
         raise typer.Exit(2)
 
 
-@app.command()
-def identify(
+@app.command("identify")
+def identify_command(
     model: Annotated[Path, typer.Argument(metavar="MODEL.toml", help="The nominal model (MODEL.toml).")],
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="MCAP recordings or tables.")],
     holdout: Annotated[list[Path] | None, typer.Option(help="Recordings never used in fitting; may be repeated.")] = None,
@@ -292,8 +292,8 @@ def identify(
     show(as_json, document, lambda: identify_table(document))
 
 
-@app.command()
-def explain(
+@app.command("explain")
+def explain_command(
     model: Annotated[Path, typer.Argument(metavar="MODEL.toml", help="The nominal model (MODEL.toml), or a recording that carries it.")],
     recordings: Annotated[list[Path] | None, typer.Argument(metavar="RECORDING...", help="MCAP recordings or tables.")] = None,
     holdout: Annotated[list[Path] | None, typer.Option(help="Recordings never used in fitting; may be repeated.")] = None,
@@ -317,8 +317,8 @@ def explain(
     show(as_json, document, lambda: explain_table(document))
 
 
-@app.command()
-def trial(
+@app.command("trial")
+def trial_command(
     folder: Annotated[Path, typer.Option(metavar="DIR", help="Where trials, sealed answers, results and reports are kept.")] = Path("trials"),
     n: Annotated[int, typer.Option("--n", help="Number of trials in the plan.")] = 20,
     rho: Annotated[float | None, typer.Option(help="Size of the hidden effect: its rms in the outputs relative to the noise; in field trials its share of the held-out error.")] = None,
@@ -392,8 +392,8 @@ def _open(made: Path) -> None:
     open_viewer(made)
 
 
-@app.command()
-def recover(
+@app.command("recover")
+def recover_command(
     recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="A recording that was not closed, or is damaged.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE.mcap", help="A new file, instead of in place.")] = None,
     as_json: Json = False,
@@ -418,10 +418,10 @@ def import_(
 ) -> None:
     """Turn a foreign table into a recording, to the last bit; with a mapping, in its units and at its rate."""
     from afdsvc.app.diagnose import import_recording
-    from afdsvc.present.terminal import import_table
+    from afdsvc.present.terminal import show_import
 
     done = import_recording(table, out, model, _mapping(column or []), mapping)
-    show(as_json, done, lambda: import_table(done))
+    show(as_json, done, lambda: show_import(done))
 
 
 def _mapping(pairs: list[str]) -> dict[str, str]:

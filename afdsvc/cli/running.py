@@ -179,10 +179,10 @@ def audit(
     from afdsvc.app.serve import audit_file
     from afdsvc.files.site import read_site
     from afdsvc.present.terminal import audit_table
-    from afdsvc.service.audit_log import check
+    from afdsvc.service.audit_log import verify_chain
 
     path = file or audit_file(read_site(site))
-    found = check(path, expect)
+    found = verify_chain(path, expect)
     value = {"file": str(path), "lines": found.number, "hash": found.hash, "entries": list(found.entries[-last:] if last > 0 else ())}
     show(as_json, value, lambda: audit_table(value))
 

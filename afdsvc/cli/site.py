@@ -12,7 +12,7 @@ app = typer.Typer(no_args_is_help=True, help="Site files.")
 
 
 @app.callback()
-def site() -> None:
+def _site() -> None:
     """Site files."""
 
 

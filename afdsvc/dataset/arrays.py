@@ -17,10 +17,10 @@ from afdsvc.lti.statespace import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recording:
+class InputOutputData:
     """One uniformly sampled experiment: ``u (N, m)``, ``y (N, p)``, sample time ``dt`` [s], and where it came from.
 
-    Build one with `Recording.of`, which checks shapes and refuses missing samples.
+    Build one with `InputOutputData.of`, which checks shapes and refuses missing samples.
     """
 
     u: Array
@@ -29,7 +29,7 @@ class Recording:
     name: str = "recording"
 
     @classmethod
-    def of(cls, u: ArrayLike, y: ArrayLike, dt: float, name: str = "recording") -> Recording:
+    def of(cls, u: ArrayLike, y: ArrayLike, dt: float, name: str = "recording") -> InputOutputData:
         """Return a checked recording; raises `BadInput` naming the signal, the value found and the value wanted."""
         inputs, outputs = _columns(u, "input", name), _columns(y, "output", name)
         if inputs.shape[0] != outputs.shape[0]:
@@ -43,19 +43,19 @@ class Recording:
     def __len__(self) -> int:
         return int(self.u.shape[0])
 
-    def centred(self) -> Recording:
+    def centred(self) -> InputOutputData:
         """Return the recording with the mean of every signal removed: the operating point is not part of the model."""
-        return Recording(self.u - self.u.mean(axis=0), self.y - self.y.mean(axis=0), self.dt, self.name)
+        return InputOutputData(self.u - self.u.mean(axis=0), self.y - self.y.mean(axis=0), self.dt, self.name)
 
-    def span(self, start: int, stop: int) -> Recording:
+    def span(self, start: int, stop: int) -> InputOutputData:
         """Return samples ``start`` to ``stop`` (exclusive)."""
-        return Recording(self.u[start:stop], self.y[start:stop], self.dt, self.name)
+        return InputOutputData(self.u[start:stop], self.y[start:stop], self.dt, self.name)
 
 
-def together(recordings: Recording | Iterable[Recording]) -> list[Recording]:
+def together(recordings: InputOutputData | Iterable[InputOutputData]) -> list[InputOutputData]:
     """Return the recordings as a list that can be fitted together; raises `BadInput` when they do not belong
     together."""
-    several = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    several = [recordings] if isinstance(recordings, InputOutputData) else list(recordings)
     if not several:
         raise BadInput("no recording was handed in; expected at least one")
     first = several[0]
@@ -72,7 +72,7 @@ def together(recordings: Recording | Iterable[Recording]) -> list[Recording]:
     return several
 
 
-def scales(recordings: Sequence[Recording]) -> tuple[Array, Array]:
+def scales(recordings: Sequence[InputOutputData]) -> tuple[Array, Array]:
     """Return the root mean square of every input ``(m,)`` and output ``(p,)`` over all recordings; 1 where it is
     zero."""
     count = sum(len(r) for r in recordings)
@@ -80,9 +80,9 @@ def scales(recordings: Sequence[Recording]) -> tuple[Array, Array]:
     return _positive(np.sqrt(powers[0])), _positive(np.sqrt(powers[1]))
 
 
-def scaled(recordings: Sequence[Recording], u_scale: Array, y_scale: Array) -> list[Recording]:
+def scale_recordings(recordings: Sequence[InputOutputData], u_scale: Array, y_scale: Array) -> list[InputOutputData]:
     """Return the recordings divided by the scales, so that units do not decide what is numerically small."""
-    return [Recording(r.u / u_scale, r.y / y_scale, r.dt, r.name) for r in recordings]
+    return [InputOutputData(r.u / u_scale, r.y / y_scale, r.dt, r.name) for r in recordings]
 
 
 def _positive(scale: Array) -> Array:
@@ -102,7 +102,7 @@ def _columns(signal: ArrayLike, side: str, name: str) -> Array:
     return array
 
 
-def columns(model: Model, traces: Sequence[Trace], runs: Sequence[Run]) -> Iterator[Finding]:
+def check_columns(model: Model, traces: Sequence[Trace], runs: Sequence[Run]) -> Iterator[Finding]:
     """Yield what there is to say on columns and sampling; missing ones were refused before."""
     seconds = sum(len(r) for r in runs) * runs[0].dt
     yield Finding(

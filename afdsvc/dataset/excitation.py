@@ -20,7 +20,7 @@ EXCITED = 0.1  # amplitude of a line over the largest from which it counts as pl
 
 
 @dataclass(frozen=True, slots=True)
-class Played:
+class InputSource:
     """What drove one input (or followed a reference) over all recordings: rms per recording, lines of the richest one, band
     [Hz], whether only odd lines are in it, and the most periods of any."""
 
@@ -40,10 +40,10 @@ class Played:
         return len(found)
 
 
-def excitation(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
+def check_excitation(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
     """Yield one finding per input, and what one frequency alone leaves open."""
     for i, v in enumerate(model.inputs):
-        p = played(runs, i)
+        p = input_source(runs, i)
         if not any(p.rms):
             yield Finding("warning", "inputs", f"input {v.name} is not excited: its effect cannot be distinguished from noise")
         elif p.lines <= 2 and p.periods > 1:
@@ -57,7 +57,7 @@ def excitation(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
             yield Finding("ok", "inputs", _described(v.name, v.unit, p))
 
 
-def _described(name: str, unit: str, p: Played) -> str:
+def _described(name: str, unit: str, p: InputSource) -> str:
     grid = ", odd ones only" if p.odd else ""
     what = f"{p.lines} lines from {p.band[0]:.4g} to {p.band[1]:.4g} Hz{grid}, {p.periods} periods" if p.periods > 1 else (
         f"a non-periodic excitation, mainly from {p.band[0]:.4g} to {p.band[1]:.4g} Hz"
@@ -66,17 +66,17 @@ def _described(name: str, unit: str, p: Played) -> str:
     return f"input {name}: {what}, rms {levels} {unit} ({p.levels} level{'s' if p.levels != 1 else ''})"
 
 
-def played(runs: Sequence[Run], i: int) -> Played:
+def input_source(runs: Sequence[Run], i: int) -> InputSource:
     """Return what drove input ``i``: what was added to the controller's output, the reference, or the input itself."""
     signals = [_driver(r, i) for r in runs]
     rms = tuple(float(s.std()) for s in signals)
     top = max(rms)
     if top == 0:
-        return Played(rms, 0, (0.0, 0.0), False, 0)
+        return InputSource(rms, 0, (0.0, 0.0), False, 0)
     rms = tuple(x if x > 1e-6 * top else 0.0 for x in rms)
     loudest = int(np.argmax(rms))
     lines, band, odd, periods = _spectrum(runs[loudest], signals[loudest])
-    return Played(rms, lines, band, odd, periods)
+    return InputSource(rms, lines, band, odd, periods)
 
 
 def _driver(run: Run, i: int) -> Array:

@@ -44,7 +44,7 @@ def _bridged(folded: Array) -> Array | None:
     return np.where(missing, np.nanmean(folded, axis=0), folded) if missing.any() else folded
 
 
-def wandering(runs: Sequence[Run], residuals: Sequence[Array]) -> list[Array]:
+def aperiodic_part(runs: Sequence[Run], residuals: Sequence[Array]) -> list[Array]:
     """Return the part of each period that does not repeat, ``(period, p)`` each, scaled to the variance of the noise.
 
     Empty when no run holds two settled periods without gaps.

@@ -16,7 +16,7 @@ TYPICAL = -0.5  # severity a second burst is made for when the first could not t
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class FaultVerdict:
     """What a series of decisions amounts to.
 
     ``fault`` is None while nothing was detected or the evidence does not single one out (then ``weights`` tells between
@@ -45,12 +45,12 @@ class Question:
         return f"burst {self.burst} does not decide whether it is {' or '.join(likely)}"
 
 
-def alarms(evidence: Sequence[Evidence]) -> list[Evidence]:
+def alarm_decisions(evidence: Sequence[Evidence]) -> list[Evidence]:
     """Return the decisions that raise an alarm: detected by a detector that is trustworthy there."""
     return [e for e in evidence if e.detected and e.trustworthy]
 
 
-def conclude(evidence: Sequence[Evidence]) -> Verdict:
+def conclude(evidence: Sequence[Evidence]) -> FaultVerdict:
     """Return the verdict of decisions in the order they were made.
 
     The alarm is the first trustworthy detection. The fault is the one the newest burst names with certainty (its strongest
@@ -58,20 +58,20 @@ def conclude(evidence: Sequence[Evidence]) -> Verdict:
     as long as they agree. Else the newest weights are reported. A passive detection never overrides the result of a
     burst.
     """
-    found = alarms(evidence)
+    found = alarm_decisions(evidence)
     if not found:
         reason = "" if any(e.trustworthy for e in _newest(evidence)) else evidence[-1].reason if evidence else ""
-        return Verdict(trustworthy=not reason, reason=reason)
+        return FaultVerdict(trustworthy=not reason, reason=reason)
     told = [list(group) for _, group in groupby((e for e in found if e.burst), key=lambda e: e.burst)] or [found]
     best = [strongest(group) for group in told]
     newest = best[-1]
     if newest is None:
         weighted = [e for e in told[-1] if e.weights] or told[-1]
-        return Verdict(None, None, found[0].seconds, weighted[-1].weights, True)
+        return FaultVerdict(None, None, found[0].seconds, weighted[-1].weights, True)
     both = zip(reversed(best), reversed(told), strict=True)
     same = [group for e, group in takewhile(lambda b: b[0] is not None and b[0].fault == newest.fault, both)]
     estimates = [s for s in (_most_precise(group, newest.fault) for group in same) if s is not None]
-    return Verdict(newest.fault, _pooled(estimates) if estimates else None, found[0].seconds, newest.weights, True)
+    return FaultVerdict(newest.fault, _pooled(estimates) if estimates else None, found[0].seconds, newest.weights, True)
 
 
 def _newest(evidence: Sequence[Evidence]) -> Sequence[Evidence]:
@@ -101,7 +101,7 @@ def open_question(decisions: Sequence[Evidence]) -> Question | None:
     suspects = {name: w for name, w in verdict.weights.items() if name != NONE}
     if not verdict.detected or verdict.fault or len(suspects) < 2 or verdict.weights.get(NONE, 0.0) > 0.5:
         return None
-    told = [e.severity.value for e in alarms(decisions) if e.severity]
+    told = [e.severity.value for e in alarm_decisions(decisions) if e.severity]
     return Question(decisions[-1].burst, suspects, told[-1] if told else TYPICAL)
 
 

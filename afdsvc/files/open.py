@@ -39,7 +39,7 @@ class Naming:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class TableFile:
     """A table: by its own column names (one trace), or by a mapping file."""
 
     path: Path
@@ -114,7 +114,7 @@ class OwnRecording:
         return found
 
 
-OpenFile = Table | MappedTopics | OwnRecording
+OpenFile = TableFile | MappedTopics | OwnRecording
 
 
 def open_file(path: Path, naming: Naming = Naming()) -> OpenFile:
@@ -124,7 +124,7 @@ def open_file(path: Path, naming: Naming = Naming()) -> OpenFile:
     file when it cannot be read.
     """
     if path.suffix.lower() in TABLES:
-        return Table(path, naming)
+        return TableFile(path, naming)
     if path.suffix.lower() == ".toml":
         raise BadInput(f"{path}: is no recording; expected one of {', '.join(TABLES)} or an MCAP file; a model goes before the recordings, or after --model")
     recording = Recording(path)

@@ -60,7 +60,7 @@ class Security(_Strict):
         return self
 
 
-class Transport(_Strict):
+class TransportSection(_Strict):
     """Where the service listens and how the others find it; by default on the loopback interface only.
 
     A rig keeps ``cache_blocks`` blocks in memory, and what the service does not acknowledge in the folder ``store``, at most
@@ -78,7 +78,7 @@ class Transport(_Strict):
     store_megabytes: Positive = 1000.0
 
     @model_validator(mode="after")
-    def _known_peers_only(self) -> Transport:
+    def _known_peers_only(self) -> TransportSection:
         for endpoint in [*self.listen, *self.connect]:
             protocol, _, address = endpoint.partition("/")
             if self.security and protocol != "tls":
@@ -103,7 +103,7 @@ def _loopback(address: str) -> bool:
         return False  # a name, which may mean any address
 
 
-class Recording(_Strict):
+class RecordingSection(_Strict):
     """Where recordings go, when a new file is begun, and how much is kept (default: everything)."""
 
     folder: Path = Path("recordings")
@@ -114,7 +114,7 @@ class Recording(_Strict):
     preview_hz: Positive = 100.0
 
 
-class Named(_Strict):
+class PluginSection(_Strict):
     """A plugin by name with its settings."""
 
     kind: str
@@ -131,7 +131,7 @@ class Alarms(_Strict):
     history: Path | None = None
     keep_days: Positive = 3650.0
     before_seconds: Annotated[float, Field(ge=0, le=600)] = 60.0
-    notify: list[Named] = []
+    notify: list[PluginSection] = []
 
 
 class Web(_Strict):
@@ -172,7 +172,7 @@ class FaultInjection(_Strict):
 STEPPED = {"fmu": "the path of an FMI unit", "function": "a function as file.py:name or package.module:name"}
 
 
-class Driver(_Strict):
+class DriverSection(_Strict):
     """What stands behind the machine: the simulator, an FMI unit, a Python function, a replay of a recording, or a driver plugin.
 
     ``options`` are those in which the simulated plant differs from the machine's own ``options`` (parameters of an FMI unit, keyword
@@ -192,7 +192,7 @@ class Driver(_Strict):
     settings: dict[str, Any] = {}
 
     @model_validator(mode="after")
-    def _replay_needs_recording(self) -> Driver:
+    def _replay_needs_recording(self) -> DriverSection:
         if self.kind == "replay" and self.recording is None:
             raise ValueError("a replay needs 'recording', the path of the file to replay")
         if self.kind in STEPPED and self.unit is None:
@@ -208,7 +208,7 @@ class Fault(_Strict):
     settings: dict[str, Any] = {}
 
 
-class Detector(_Strict):
+class DetectorSection(_Strict):
     """A detector and its share of the false alarms."""
 
     kind: str
@@ -245,7 +245,7 @@ class Bursts(_Strict):
     quiet_hours: list[tuple[time, time]] = []
 
 
-class Retune(Named):
+class Retune(PluginSection):
     """How Q is designed for a damaged machine: the retuner, its settings, and the weights of the cost (``state_weight``, ``input_weight``,
     ``process_weight``) where they differ from those of the controller."""
 
@@ -253,15 +253,15 @@ class Retune(Named):
     cost: dict[str, Any] = {}
 
 
-class Machine(_Strict):
+class MachineSection(_Strict):
     """One machine: plant or model, driver, controller, faults, limits, bursts, detectors, retuning."""
 
     id: str
     plant: str | None = None
     options: dict[str, Any] = {}
     model: Path | None = None
-    driver: Driver = Driver()
-    controller: Named = Named(kind="lqg")
+    driver: DriverSection = DriverSection()
+    controller: PluginSection = PluginSection(kind="lqg")
     faults: list[Fault] | None = None
     speed_step_rpm: Positive | None = None
     limits: LimitSettings = LimitSettings()
@@ -271,7 +271,7 @@ class Machine(_Strict):
     calibrate_on: Path | None = None
     bursts: Bursts = Bursts()
     retune: Retune = Retune()
-    detectors: list[Detector] = [Detector(kind=kind) for kind in ("matched_filter", "regression", "cusum", "passive_cusum")]
+    detectors: list[DetectorSection] = [DetectorSection(kind=kind) for kind in ("matched_filter", "regression", "cusum", "passive_cusum")]
     block: Annotated[int, Field(ge=10, le=5000)] = 250
 
     @field_validator("id")
@@ -280,7 +280,7 @@ class Machine(_Strict):
         return _plain_id(value)
 
     @model_validator(mode="after")
-    def _one_source(self) -> Machine:
+    def _one_source(self) -> MachineSection:
         if (self.plant is None) == (self.model is None):
             raise ValueError("expected exactly one of 'plant' and 'model'")
         if self.speed_step_rpm and (self.model or self.calibrate_seconds):
@@ -294,9 +294,9 @@ class Site(_Strict):
     """A whole site file. ``text`` is the file as it was read, ``origin`` its path."""
 
     site: str
-    machines: Annotated[list[Machine], Field(min_length=1)]
-    transport: Transport = Transport()
-    recording: Recording = Recording()
+    machines: Annotated[list[MachineSection], Field(min_length=1)]
+    transport: TransportSection = TransportSection()
+    recording: RecordingSection = RecordingSection()
     review: Review = Review()
     alarms: Alarms = Alarms()
     metrics: Web = Web()
@@ -317,7 +317,7 @@ class Site(_Strict):
             raise ValueError(f"machine ids must differ; '{twice[0]}' appears {ids.count(twice[0])} times")
         return self
 
-    def machine(self, id: str) -> Machine:
+    def machine(self, id: str) -> MachineSection:
         """Return one machine; raises `BadInput` that lists the ids there are."""
         for machine in self.machines:
             if machine.id == id:

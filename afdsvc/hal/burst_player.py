@@ -12,7 +12,7 @@ SHORTEST_FADE, LONGEST_FADE = 0.02, 1.0  # seconds: no jerk where a burst has no
 MOST_WORK = 2e8  # lines times samples: a few seconds of computing; longer ones are better sent as a waveform
 
 
-class Excitation:
+class BurstPlayer:
     """Alpha as a queue of samples. Empty, it yields zeros for ever."""
 
     def __init__(self, inputs: int) -> None:

@@ -17,7 +17,7 @@ from afdsvc.api.retuning import Tuning
 from afdsvc.api.signals import Block, Channel
 from afdsvc.errors import BadInput, Refused
 from afdsvc.hal import control_sample
-from afdsvc.hal.burst_player import Excitation, refuse_burst
+from afdsvc.hal.burst_player import BurstPlayer, refuse_burst
 from afdsvc.hal.tuning import RunningQ
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
@@ -91,8 +91,8 @@ class ControlLoop(ABC):
                 f"J_K is {interconnection.outputs} x {interconnection.inputs}; "
                 f"expected {self.m + self.p} x {self.p + self.m} for {self.m} inputs and {self.p} outputs"
             )
-        control_sample.warm_up()
-        self._K = control_sample.contiguous(interconnection)
+        control_sample.compile_loops()
+        self._K = control_sample.contiguous_system(interconnection)
         self._xk = np.zeros(interconnection.order)
         self._u = np.zeros(self.m)
         self._channels, self._limits, self._settings, self._clock = channels, limits, settings, clock
@@ -101,7 +101,7 @@ class ControlLoop(ABC):
         self._range = PLAUSIBLE * limits.output if settings.sensor_range is None else np.array(settings.sensor_range, dtype=float)
         if self._range.shape != limits.output.shape:
             raise BadInput(f"key 'limits.sensor_range' has {self._range.size} values; expected {self.p}, one per output")
-        self._excitation = Excitation(self.m)
+        self._excitation = BurstPlayer(self.m)
         self._armed: Limits | None = None
         self._ready: deque[Block] = deque()
         self._k = self._seq = self._late = 0

@@ -1,6 +1,6 @@
 """The control sample: the one place where a controller in J_K form meets its limits, compiled.
 
-`control_sample` is called once per sample by the loop around real hardware, and `closed_loop` runs it against a linear
+`control_sample` is called once per sample by the loop around real hardware, and `run_closed_loop` runs it against a linear
 plant for a slice of samples; both therefore enforce the limits in the same way, inside the sample.
 
 Beside J_K runs Q (`afdsvc.hal.tuning`), from beta to alpha through a gain between 0 and 1. What it adds to alpha is not counted as
@@ -167,7 +167,7 @@ def _multiply(columns, x, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def closed_loop(  # type: ignore[no-untyped-def]
+def run_closed_loop(  # type: ignore[no-untyped-def]
     A, B, C, x, KA, KB, KC, KD, xk, q, motion, alpha, disturbance, noise, armed, output_limit, input_limit, u_hold, u, y, beta
 ):
     """Run plant, controller and Q for the samples of ``alpha (n, m)``; return (cause, index of the sample it fell in).
@@ -206,7 +206,7 @@ def closed_loop(  # type: ignore[no-untyped-def]
     return cause, at
 
 
-def contiguous(system: StateSpace) -> StateSpace:
+def contiguous_system(system: StateSpace) -> StateSpace:
     """Return the system with its matrices laid out as the compiled loops were compiled for; another layout recompiles."""
     A, B, C, D = (np.ascontiguousarray(M) for M in (system.A, system.B, system.C, system.D))
     return StateSpace(A, B, C, D, system.dt)
@@ -218,10 +218,10 @@ def no_q(inputs: int, outputs: int) -> tuple[tuple[Array, Array, Array, Array, A
     return q, np.zeros(4)
 
 
-def warm_up() -> None:
+def compile_loops() -> None:
     """Compile both loops before the sample clock starts: the first call takes seconds."""
     one, none = np.ones((1, 1)), np.zeros(1)
     jk = one, np.zeros((1, 2)), np.zeros((2, 1)), np.zeros((2, 2)), np.zeros(1), *no_q(1, 1)
     control_sample(*jk, none, none, False, none, none, none, none)
     row = np.zeros((1, 1))
-    closed_loop(one, one, one, np.zeros(1), *jk, row, row, row, False, none, none, np.zeros(1), row, row, row)
+    run_closed_loop(one, one, one, np.zeros(1), *jk, row, row, row, False, none, none, np.zeros(1), row, row, row)

@@ -104,7 +104,7 @@ class SimulatedPlant:
     turning: Callable[[dict[str, float], float], StateSpace] | None = None
 
 
-class Simulator(ControlLoop):
+class SimulatedRig(ControlLoop):
     """A `DrivablePort` around a `SimulatedPlant`: the same seed gives the same samples at any pace and block size."""
 
     def __init__(
@@ -143,7 +143,7 @@ class Simulator(ControlLoop):
         system = self._plant.at(present) if turning is None else turning(present, float(self._profile.at(np.array([k]))[0]))
         if np.abs(system.D).max(initial=0.0) > 0:
             raise BadInput("the simulated plant has a direct term D; expected a sampled plant with D = 0")
-        return control_sample.contiguous(system)
+        return control_sample.contiguous_system(system)
 
     def _run(self, alpha: Array, limits: Limits | None) -> Samples:
         """Run the slice in pieces that end where a fault starts or the speed has moved on."""
@@ -167,7 +167,7 @@ class Simulator(ControlLoop):
         u, y, beta = np.empty((n, self.m)), np.empty((n, self.p)), np.empty((n, self.p))
         bounds = limits or self._limits
         G, K = self._G, self._K
-        cause, at = control_sample.closed_loop(
+        cause, at = control_sample.run_closed_loop(
             G.A,
             G.B,
             G.C,

@@ -58,7 +58,7 @@ class RunningQ:
         reason = reason_to_end()
         if reason:
             raise Refused(f"{reason}, before the first sample")
-        held = control_sample.contiguous(tuning.Q)
+        held = control_sample.contiguous_system(tuning.Q)
         self.q = held.A, held.B, held.C, held.D, np.zeros(held.order)
         steps = [1 / max(round(seconds / self._dt), 1) for seconds in (tuning.rise, tuning.fall)]
         self.motion = np.array([0.0, *steps, 1.0])

@@ -6,9 +6,9 @@ and modified), `greybox` (prediction error, physical parameters), `indirect` (th
 `jackknife`.
 """
 
-from afdsvc.identify.fit import Estimate, Fit, ResponseBand
+from afdsvc.identify.fit import Fit, ParameterEstimate, ResponseBand
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.pipeline import identify
 from afdsvc.identify.result import IdentifyResult
 
-__all__ = ["Estimate", "Fit", "IdentifyOptions", "IdentifyResult", "ResponseBand", "identify"]
+__all__ = ["Fit", "IdentifyOptions", "IdentifyResult", "ParameterEstimate", "ResponseBand", "identify"]

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg, stats
 
-from afdsvc.dataset.arrays import Recording, scaled, scales
+from afdsvc.dataset.arrays import InputOutputData, scale_recordings, scales
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.identify.fit import without_group
 from afdsvc.identify.methods.black_box_pem import best_black_box
@@ -45,7 +45,7 @@ STEPS, FEW_STEPS = 40, 6
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class _Candidate:
     """One way to a model: ``method`` "subspace" (with ``weighting``) or "pbsid", then ``refined`` "", "output_error" or "pem"."""
 
     method: str
@@ -76,13 +76,13 @@ class Candidate:
 class Choice:
     """The candidate chosen, its relative loss (power unexplained on samples left out), why it was chosen, and the others, best first."""
 
-    candidate: Candidate
+    candidate: _Candidate
     loss: float
     sentence: str
-    others: tuple[Candidate, ...] = ()
+    others: tuple[_Candidate, ...] = ()
 
 
-def fitted_candidate(candidate: Candidate, recordings: Sequence[Recording], starts: Sequence[InnovationsForm] = ()) -> InnovationsForm:
+def fitted_candidate(candidate: _Candidate, recordings: Sequence[InputOutputData], starts: Sequence[InnovationsForm] = ()) -> InnovationsForm:
     """Return the model of a candidate; ``starts`` are further starting points of a refinement, of which the lowest objective is kept."""
     return _Fitter(recordings, STEPS).model(candidate, starts)
 
@@ -90,11 +90,11 @@ def fitted_candidate(candidate: Candidate, recordings: Sequence[Recording], star
 class _Fitter:
     """Models of candidates from the same recordings; a decomposition serves every order."""
 
-    def __init__(self, recordings: Sequence[Recording], steps: int) -> None:
+    def __init__(self, recordings: Sequence[InputOutputData], steps: int) -> None:
         self.recordings, self.steps = list(recordings), steps
         self._held: dict[tuple[str, int, str | bool], Any] = {}  # decompositions
 
-    def model(self, candidate: Candidate, starts: Sequence[InnovationsForm] = ()) -> InnovationsForm:
+    def model(self, candidate: _Candidate, starts: Sequence[InnovationsForm] = ()) -> InnovationsForm:
         c = candidate
         if c.refined:
             first = self.model(replace(c, refined=""))
@@ -112,22 +112,22 @@ class _Fitter:
 class _Folds:
     """Losses of candidates on stretches left out, each computed once."""
 
-    def __init__(self, recordings: Sequence[Recording], simulated: bool) -> None:
+    def __init__(self, recordings: Sequence[InputOutputData], simulated: bool) -> None:
         self.fitters = [_Fitter(without_group(recordings, k, FOLDS), FEW_STEPS) for k in range(FOLDS)]
         self.left_out = [_group(recordings, k, FOLDS) for k in range(FOLDS)]
         self.power = sum((r.y**2).sum(axis=0) for r in recordings) / sum(map(len, recordings))
         self.samples = sum(map(len, recordings))
         self.shape = recordings[0].u.shape[1], recordings[0].y.shape[1]
         self.simulated = simulated
-        self.losses: dict[Candidate, Array] = {}
+        self.losses: dict[_Candidate, Array] = {}
 
-    def loss(self, candidate: Candidate) -> Array:
+    def loss(self, candidate: _Candidate) -> Array:
         """Return the loss on each stretch, shape ``(FOLDS,)``; infinite where the fit fails."""
         if candidate not in self.losses:
             self.losses[candidate] = np.array([self._loss(candidate, k) for k in range(FOLDS)])
         return np.asarray(self.losses[candidate])
 
-    def _loss(self, candidate: Candidate, k: int) -> float:
+    def _loss(self, candidate: _Candidate, k: int) -> float:
         try:
             model = self.fitters[k].model(candidate)
             with np.errstate(all="ignore"):
@@ -137,14 +137,14 @@ class _Folds:
             return float("inf")
         return found if found < HOPELESS else float("inf")
 
-    def _errors(self, model: InnovationsForm, r: Recording) -> Array:
+    def _errors(self, model: InnovationsForm, r: InputOutputData) -> Array:
         offset = np.zeros(r.y.shape[1])
         for _ in range(3):  # operating point and initial state in turn: without the former, a mode at 1 is added for it
             errors = fitted_errors(model.system, r.u, r.y - offset) if self.simulated else model.errors(r.u, r.y - offset)
             offset = offset + errors.mean(axis=0)
         return np.asarray(errors - errors.mean(axis=0))
 
-    def grown(self, candidate: Candidate, largest: int) -> None:
+    def grown(self, candidate: _Candidate, largest: int) -> None:
         """Try orders from 1 until the loss has not fallen for `PATIENCE` orders."""
         best, at = float("inf"), 0
         for order in range(1, largest + 1):
@@ -153,26 +153,26 @@ class _Folds:
             if order - at >= PATIENCE and at:
                 return
 
-    def best(self, among: Iterable[Candidate] | None = None) -> Candidate:
+    def best(self, among: Iterable[_Candidate] | None = None) -> _Candidate:
         """Return the candidate with the smallest loss; raises `BadInput` where every fit failed."""
         found = min(among or self.losses, key=lambda c: float(self.losses[c].mean()))
         if not np.isfinite(self.losses[found].mean()):
             raise BadInput("no model of any order could be fitted to the recordings and simulated; record longer, or give method and order")
         return found
 
-    def near(self) -> list[Candidate]:
+    def near(self) -> list[_Candidate]:
         """Return the candidates within one standard error of the best, or within what the parameters that they save may cost (BIC)."""
         best = self.best()
         least, saving = self.losses[best], np.log(self.samples) / (self.samples * self.shape[1])
         widest = float(least.std(ddof=1))  # a candidate that fails on one stretch has a wide difference, and is not near for it
 
-        def close(c: Candidate, v: Array) -> bool:
+        def close(c: _Candidate, v: Array) -> bool:
             saved = (best.parameters(*self.shape) - c.parameters(*self.shape)) * saving
             return bool(float(v.mean() - least.mean()) <= max(min(_spread(v - least), widest) / np.sqrt(FOLDS), saved * float(least.mean())))
 
         return [c for c, v in self.losses.items() if close(c, v)]
 
-    def smallest(self, feedback: bool) -> Candidate:
+    def smallest(self, feedback: bool) -> _Candidate:
         """Return the one of `near` with the fewest parameters; with ``feedback``, among those that it biases least."""
         near = self.near()
         kept = [c for c in near if c.consistent == max(n.consistent for n in near)] if feedback else near
@@ -180,7 +180,7 @@ class _Folds:
 
 
 def choose_candidate(
-    recordings: Sequence[Recording], largest: int, feedback: bool = False, closed_loop: bool = False, simulated: bool = True,
+    recordings: Sequence[InputOutputData], largest: int, feedback: bool = False, closed_loop: bool = False, simulated: bool = True,
     order: int | None = None, horizon: int | None = None, feedthrough: bool | None = None,
 ) -> Choice:  # fmt: skip
     """Return the candidate that the samples left out speak for.
@@ -229,13 +229,13 @@ def _refinements(folds: _Folds, feedback: bool, closed_loop: bool, either: bool)
             folds.loss(replace(chosen, order=fewer, refined=refined))
 
 
-def _families(horizons: Sequence[int], direct: Sequence[bool], closed_loop: bool, doubled: bool) -> list[Candidate]:
+def _families(horizons: Sequence[int], direct: Sequence[bool], closed_loop: bool, doubled: bool) -> list[_Candidate]:
     """Return the candidates whose orders are to be grown."""
-    found = [Candidate("pbsid", 2 * h if doubled else h, d) for d in direct for h in horizons]
-    return found + [Candidate("subspace", h, direct[-1]) for h in ([] if closed_loop else horizons[-1:])]
+    found = [_Candidate("pbsid", 2 * h if doubled else h, d) for d in direct for h in horizons]
+    return found + [_Candidate("subspace", h, direct[-1]) for h in ([] if closed_loop else horizons[-1:])]
 
 
-def _horizons(recordings: Sequence[Recording], channels: int) -> list[int]:
+def _horizons(recordings: Sequence[InputOutputData], channels: int) -> list[int]:
     """Return the horizons that the samples of `FOLDS` - 1 stretches can fill."""
     affordable = sum(map(len, recordings)) * (FOLDS - 1) // FOLDS // (4 * channels + 2)
     return sorted({min(h, affordable) for h in HORIZONS if min(h, affordable) >= 3})
@@ -249,7 +249,7 @@ class Feedback:
     share: float
 
 
-def feedback_of(recordings: Sequence[Recording], lags: int = 20) -> Feedback:
+def feedback_of(recordings: Sequence[InputOutputData], lags: int = 20) -> Feedback:
     """Return what an autoregression of inputs and outputs says of feedback, without any model of the plant.
 
     ``p``: F test of "past outputs say nothing about an input that past inputs do not" (Granger, Econometrica 37, 1969; Caines and Chan, IEEE
@@ -259,7 +259,7 @@ def feedback_of(recordings: Sequence[Recording], lags: int = 20) -> Feedback:
     m, p = recordings[0].u.shape[1], recordings[0].y.shape[1]
     c = m + p
     lags = max(1, min(lags, sum(map(len, recordings)) // (10 * c)))
-    relative = [np.hstack([r.u, r.y]) for r in scaled(recordings, *scales(recordings)) if len(r) > lags]
+    relative = [np.hstack([r.u, r.y]) for r in scale_recordings(recordings, *scales(recordings)) if len(r) > lags]
     rows = [np.lib.stride_tricks.sliding_window_view(w, lags + 1, axis=0)[:, :, ::-1] for w in relative]  # (N - lags, c, lags + 1), now first
     windows: Array = np.concatenate(rows)
     inputs, outputs, now = (w.reshape(len(windows), -1) for w in (windows[:, :m, 1:], windows[:, m:, 1:], windows[:, :, 0]))
@@ -292,7 +292,7 @@ def _spread(differences: Array) -> float:
     return float(differences.std(ddof=1)) if np.isfinite(differences).all() else 0.0
 
 
-def _group(recordings: Sequence[Recording], k: int, groups: int) -> list[Recording]:
+def _group(recordings: Sequence[InputOutputData], k: int, groups: int) -> list[InputOutputData]:
     """Return the stretch that `without_group` leaves out."""
     total, offset, found = sum(map(len, recordings)), 0, []
     start, stop = k * total // groups, (k + 1) * total // groups
@@ -304,10 +304,10 @@ def _group(recordings: Sequence[Recording], k: int, groups: int) -> list[Recordi
     return found
 
 
-def _at_most(recordings: Sequence[Recording], samples: int) -> list[Recording]:
+def _at_most(recordings: Sequence[InputOutputData], samples: int) -> list[InputOutputData]:
     """Return the first part of every recording, so many samples in all."""
     share = min(1.0, samples / sum(map(len, recordings)))
     return [r.span(0, round(share * len(r))) for r in recordings]
 
 
-__all__ = ["FOLDS", "Candidate", "Choice", "Feedback", "choose_candidate", "feedback_of", "fitted_candidate"]
+__all__ = ["FOLDS", "Choice", "Feedback", "_Candidate", "choose_candidate", "feedback_of", "fitted_candidate"]

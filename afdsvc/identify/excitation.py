@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from afdsvc.dataset.arrays import Recording, scaled, scales
+from afdsvc.dataset.arrays import InputOutputData, scale_recordings, scales
 from afdsvc.errors import BadInput
 from afdsvc.identify.numerics.compression import compress_size, factor_of
 from afdsvc.identify.settings import SETTINGS
@@ -55,14 +55,14 @@ def supported_order(persistent: int, outputs: int) -> int:
     return max((n for n in range(persistent) if needed_order(n, outputs) <= persistent), default=0)
 
 
-def excitation(recordings: Sequence[Recording]) -> Excitation:
+def excitation(recordings: Sequence[InputOutputData]) -> Excitation:
     """Return what the inputs of the recordings offer together (the mean does not count)."""
     lines, bands = zip(*(_lines(recordings, j) for j in range(recordings[0].u.shape[1])), strict=True)
     return Excitation(tuple(lines), tuple(bands), tuple(_dependence(recordings)))
 
 
 def require_excitation(
-    recordings: Sequence[Recording],
+    recordings: Sequence[InputOutputData],
     order: int,
     names: Sequence[str],
     outputs: int,
@@ -109,7 +109,7 @@ def _advice(order: int, outputs: int, band_hz: tuple[float, float]) -> str:
     )
 
 
-def _lines(recordings: Sequence[Recording], j: int) -> tuple[int, tuple[float, float]]:
+def _lines(recordings: Sequence[InputOutputData], j: int) -> tuple[int, tuple[float, float]]:
     """Return the spectral lines of one input over all stretches in which it moves, and the band they fill."""
     found = [_stretch_lines(r.u[a:b, j] - r.u[:, j].mean(), r.dt) for r in recordings for a, b in _stretches(r.u[:, j])]
     held, low, high = np.zeros(0), np.inf, 0.0
@@ -161,15 +161,15 @@ def _distance(held: Array, centres: Array) -> Array:
     return np.asarray(np.minimum(np.abs(centres - left), np.abs(centres - right)))
 
 
-def _dependence(recordings: Sequence[Recording]) -> list[float]:
+def _dependence(recordings: Sequence[InputOutputData]) -> list[float]:
     """Return for every input the share of its power explained by a filter of 21 lags of the others."""
     m = recordings[0].u.shape[1]
     if m == 1:
         return [0.0]
-    lags, bare = 21, [Recording(r.u, np.zeros((len(r), 0)), r.dt, r.name) for r in recordings if len(r) >= 21]
+    lags, bare = 21, [InputOutputData(r.u, np.zeros((len(r), 0)), r.dt, r.name) for r in recordings if len(r) >= 21]
     if not bare:
         return [0.0] * m
-    bare = scaled(bare, scales(bare)[0], np.zeros(0))
+    bare = scale_recordings(bare, scales(bare)[0], np.zeros(0))
     compress_size(bare, lags)
     views = [np.lib.stride_tricks.sliding_window_view(r.u, lags, axis=0).swapaxes(1, 2) for r in bare]
     factor = factor_of(lambda: (v[a : a + 4096].reshape(-1, lags * m) for v in views for a in range(0, len(v), 4096)))

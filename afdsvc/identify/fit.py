@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import stats
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.identify.numerics.innovations_form import InnovationsForm
 from afdsvc.lti.frequency import frequency_response
@@ -25,7 +25,7 @@ from afdsvc.stats.portmanteau import ResidualTests
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class ParameterEstimate:
     """A physical parameter: value, standard error, unit, and what was believed before."""
 
     name: str
@@ -99,7 +99,7 @@ class Fit:
     tests: ResidualTests | None = None
     heldout: Mapping[str, Measures] = field(default_factory=dict)
     deviation: StateSpace | None = None
-    parameters: tuple[Estimate, ...] = ()
+    parameters: tuple[ParameterEstimate, ...] = ()
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     notes: tuple[str, ...] = ()
 
@@ -114,12 +114,12 @@ class Fit:
         return self.model.system.order
 
 
-Estimator = Callable[[Sequence[Recording]], StateSpace]
+Estimator = Callable[[Sequence[InputOutputData]], StateSpace]
 
 
 def jackknife_band(
     estimate: Estimator,
-    recordings: Sequence[Recording],
+    recordings: Sequence[InputOutputData],
     omega: Array,
     groups: int = 16,
     whole: StateSpace | None = None,
@@ -165,7 +165,7 @@ def sandwich_band(
     return ResponseBand(omega, value, np.einsum("gkpmi,gkpmj->kpmij", split, split), freedom=count - 1)
 
 
-def without_group(recordings: Sequence[Recording], left_out: int, groups: int) -> list[Recording]:
+def without_group(recordings: Sequence[InputOutputData], left_out: int, groups: int) -> list[InputOutputData]:
     """Return the recordings without one of ``groups`` equal stretches of their concatenation; a cut makes two of
     one."""
     total = sum(map(len, recordings))

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, stats
 
-from afdsvc.dataset.arrays import Recording, scaled, scales
+from afdsvc.dataset.arrays import InputOutputData, scale_recordings, scales
 from afdsvc.errors import BadInput
 from afdsvc.identify.methods.pbsid import decompose_predictor_factor
 from afdsvc.identify.numerics.compression import compress_groups, compress_size, join, lags, triangle
@@ -39,7 +39,7 @@ class OrderChoice:
     sentence: str
 
 
-def choose_order(recordings: Sequence[Recording], horizon: int, largest: int, closed_loop: bool = False) -> OrderChoice:
+def choose_order(recordings: Sequence[InputOutputData], horizon: int, largest: int, closed_loop: bool = False) -> OrderChoice:
     """Return the order between 0 and ``largest`` that predicts windows it has not seen best.
 
     ``horizon`` counts the lags of the past, and in open loop also the samples predicted; in ``closed_loop`` only the
@@ -55,7 +55,7 @@ def choose_order(recordings: Sequence[Recording], horizon: int, largest: int, cl
             "leaving some out; "
             f"give the order, or {2 * length * (m + p)} windows"
         )
-    factors = compress_groups(scaled(recordings, *scales(recordings)), length, groups)
+    factors = compress_groups(scale_recordings(recordings, *scales(recordings)), length, groups)
     loss_of = _closed_loop(m, p, horizon, largest) if closed_loop else _open_loop(m, p, horizon, largest)
     others = [join([f for i, f in enumerate(factors) if i != held_out]) for held_out in range(len(factors))]
     return _one_standard_error(np.stack([loss_of(rest, own) for rest, own in zip(others, factors, strict=True)]))
@@ -125,7 +125,7 @@ SHORTEST, LONGEST = 15, 60
 _WINDOWS_PER_ENTRY = 4
 
 
-def choose_horizon(recordings: Sequence[Recording], slowest: float, windows: int = 2) -> int:
+def choose_horizon(recordings: Sequence[InputOutputData], slowest: float, windows: int = 2) -> int:
     """Return block rows that cover the slowest time constant (in samples), as far as the recordings allow.
 
     ``windows`` is 2 for past and future of equal length, 1 for a past window only. Between `SHORTEST` and `LONGEST`
@@ -151,7 +151,7 @@ def samples_needed(inputs: int, outputs: int, order: int) -> int:
     return 2 * horizon * (_WINDOWS_PER_ENTRY * (inputs + outputs) + 1)
 
 
-def answer_p(recordings: Sequence[Recording], memory: int = 40) -> float:
+def answer_p(recordings: Sequence[InputOutputData], memory: int = 40) -> float:
     """Return the p-value of "no output answers to any input of the last ``memory`` samples" (Bonferroni over
     outputs)."""
     U = np.vstack([_lagged(r.u, memory) for r in recordings])
@@ -165,7 +165,7 @@ def answer_p(recordings: Sequence[Recording], memory: int = 40) -> float:
 
 
 def simulated_order(
-    recordings: Sequence[Recording], system_of: Callable[[int], StateSpace], largest: int
+    recordings: Sequence[InputOutputData], system_of: Callable[[int], StateSpace], largest: int
 ) -> tuple[int, float]:
     """Return the order from 0 to ``largest`` with the smallest criterion of its simulation, and its lead over order
     0."""
@@ -175,7 +175,7 @@ def simulated_order(
     return best, float(criteria[0] - criteria[best])
 
 
-def _criterion(recordings: Sequence[Recording], system: StateSpace | None) -> float:
+def _criterion(recordings: Sequence[InputOutputData], system: StateSpace | None) -> float:
     """Return ``N log det(error covariance) + d log N``; an order that cannot be simulated is out."""
     errors = np.vstack([r.y if system is None else r.y - simulate(system, r.u)[0] for r in recordings])
     if not np.isfinite(errors).all():

@@ -9,28 +9,28 @@ import numpy as np
 
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.identify.fit import Fit, ResponseBand
 from afdsvc.identify.methods import registry
 from afdsvc.identify.methods.hansen import loop_is_stable
-from afdsvc.identify.methods.registry import Outcome, omega_grid
+from afdsvc.identify.methods.registry import MethodResult, omega_grid
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.order import samples_needed
-from afdsvc.identify.preparation import Prepared, nominal_plant, prepare
-from afdsvc.identify.result import IdentifyResult, Preview, improved_model
+from afdsvc.identify.preparation import Prepared, nominal_plant, prepare_problem
+from afdsvc.identify.result import HoldoutPreview, IdentifyResult, improved_model
 from afdsvc.identify.settings import SETTINGS
 from afdsvc.identify.validation import (
     Agreement,
-    Split,
+    HoldoutSplit,
     agreement,
     can_be_simulated,
     heldout_measures,
+    hold_out,
     predicted_outputs,
     predicts_only,
-    split,
     undamped_modes,
-    validated,
+    validate_fit,
 )
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
@@ -51,15 +51,15 @@ def identify(
     cannot support an answer: too short, not exciting, drifting, with gaps, with a saturated actuator, made with another
     or an unknown controller.
     """
-    problem = prepare(model, traces, holdout, _needed(model, traces, options), options.screening)
+    problem = prepare_problem(model, traces, holdout, _needed(model, traces, options), options.screening)
     whole = problem.training
-    parts = split(problem.training, problem.heldout)
+    parts = hold_out(problem.training, problem.heldout)
     kept = tuple(a.span(0, len(r)) for a, r in zip(problem.played, parts.training, strict=False))
     problem = replace(problem, training=parts.training, played=kept)
     method = _method(problem, options)
     outcome = _run(method, problem, options, rng)
     names = [v.name for v in model.outputs]
-    fit = validated(outcome.fit, parts.heldout, names, problem.fact)
+    fit = validate_fit(outcome.fit, parts.heldout, names, problem.fact)
     stable = None if problem.fact is None else loop_is_stable(fit.system, problem.fact.controller)
     before = _before(problem, parts, names)
     check, warning = _cross_check(problem, replace(outcome, fit=fit), options)
@@ -97,7 +97,7 @@ def _needed(model: Model, traces: Sequence[Trace], options: IdentifyOptions) -> 
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class MethodPlan:
     """What `identify` will do by itself: the ``method`` ("" where it refuses), and why, in one sentence."""
 
     method: str = ""
@@ -110,17 +110,17 @@ WHY = {
 }
 
 
-def planned(model: Model, traces: Sequence[Trace], options: IdentifyOptions = IdentifyOptions()) -> Plan:
+def planned(model: Model, traces: Sequence[Trace], options: IdentifyOptions = IdentifyOptions()) -> MethodPlan:
     """Return what `identify` will do with these recordings, or why it will refuse them; nothing is fitted."""
     try:
         order = nominal_plant(model, traces[0].dt).order
-        problem = prepare(model, traces, (), _needed(model, traces, options), options.screening)
+        problem = prepare_problem(model, traces, (), _needed(model, traces, options), options.screening)
         method = _method(problem, options)
         lines = registry.exciting(problem, problem.training, 1 if method == "auto" else order).lines
     except BadInput as error:
-        return Plan("", f"identify refuses: {error}")
+        return MethodPlan("", f"identify refuses: {error}")
     held = ", ".join(f"{v.name} {n}" for v, n in zip(model.inputs, lines, strict=True))
-    return Plan(method, f"{WHY.get(method, method)}; spectral lines of the inputs: {held}; the last quarter of each recording is held out unless --holdout names others")
+    return MethodPlan(method, f"{WHY.get(method, method)}; spectral lines of the inputs: {held}; the last quarter of each recording is held out unless --holdout names others")
 
 
 def _method(problem: Prepared, options: IdentifyOptions) -> str:
@@ -141,7 +141,7 @@ def _usable(problem: Prepared, system: StateSpace) -> bool:
     return all(can_be_simulated(system, len(r)) for r in (*problem.training, *problem.heldout))
 
 
-def _run(method: str, problem: Prepared, options: IdentifyOptions, rng: np.random.Generator | None) -> Outcome:
+def _run(method: str, problem: Prepared, options: IdentifyOptions, rng: np.random.Generator | None) -> MethodResult:
     if method == "greybox":
         return registry.greybox(problem, options, rng)
     ways = {
@@ -156,7 +156,7 @@ def _run(method: str, problem: Prepared, options: IdentifyOptions, rng: np.rando
     return ways[method](problem, options)
 
 
-def _before(problem: Prepared, parts: Split, names: Sequence[str]) -> dict[str, Measures]:
+def _before(problem: Prepared, parts: HoldoutSplit, names: Sequence[str]) -> dict[str, Measures]:
     try:
         found = heldout_measures(problem.nominal, parts.heldout, problem.fact)
     except BadInput:  # an unstable nominal model without controller predicts nothing
@@ -165,7 +165,7 @@ def _before(problem: Prepared, parts: Split, names: Sequence[str]) -> dict[str, 
 
 
 def _cross_check(
-    problem: Prepared, outcome: Outcome, options: IdentifyOptions
+    problem: Prepared, outcome: MethodResult, options: IdentifyOptions
 ) -> tuple[Agreement | None, tuple[str, ...]]:
     """Compare with PBSIDopt where there is an uncertainty to compare with."""
     band = outcome.fit.band
@@ -183,7 +183,7 @@ def _cross_check(
     return agreement(_only(band, excited), _only(other.band, excited)), ()
 
 
-def _preview(problem: Prepared, parts: Split, fit: Fit, samples: int = 600) -> Preview:
+def _preview(problem: Prepared, parts: HoldoutSplit, fit: Fit, samples: int = 600) -> HoldoutPreview:
     """Return the middle of the first recording not used, with what nominal model and fit make of it."""
     recording = parts.heldout[0].centred()
     start = max(0, (len(recording) - samples) // 2)
@@ -197,10 +197,10 @@ def _preview(problem: Prepared, parts: Split, fit: Fit, samples: int = 600) -> P
     else:
         after = predicted_outputs(fit.system, recording, problem.fact)[shown]
     t = recording.dt * np.arange(start, start + len(after), dtype=np.float64)
-    return Preview(parts.names[0], t, recording.y[shown], before, after)
+    return HoldoutPreview(parts.names[0], t, recording.y[shown], before, after)
 
 
-def _excited(recordings: Sequence[Recording], band: ResponseBand) -> np.ndarray:
+def _excited(recordings: Sequence[InputOutputData], band: ResponseBand) -> np.ndarray:
     """Return which frequencies hold a thousandth or more of the input's strongest power."""
     dt = recordings[0].dt
     power = sum(np.interp(band.omega, *_smooth_spectrum(r.u, dt)) for r in recordings)

@@ -10,7 +10,7 @@ from scipy import linalg
 
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
-from afdsvc.dataset.arrays import Recording, together
+from afdsvc.dataset.arrays import InputOutputData, together
 from afdsvc.dataset.periods import without_rotation
 from afdsvc.dataset.screening import screen, screening_notes, without_gaps
 from afdsvc.errors import BadInput
@@ -37,10 +37,10 @@ class Prepared:
     model: Model
     nominal: StateSpace
     fact: Factorisation | None
-    training: tuple[Recording, ...]
-    heldout: tuple[Recording, ...]
+    training: tuple[InputOutputData, ...]
+    heldout: tuple[InputOutputData, ...]
     closed_loop_signs: tuple[str, ...]
-    played: tuple[Recording, ...] = ()
+    played: tuple[InputOutputData, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -49,7 +49,7 @@ class Prepared:
         return settling_samples(self.fact.R if self.fact is not None else self.nominal, float(np.exp(-1)))
 
 
-def prepare(model: Model, traces: Sequence[Trace], heldout: Sequence[Trace], needed: int, screening: bool | None = None) -> Prepared:
+def prepare_problem(model: Model, traces: Sequence[Trace], heldout: Sequence[Trace], needed: int, screening: bool | None = None) -> Prepared:
     """Return the prepared problem; raises `BadInput` for whatever does not fit, naming file, field and value.
 
     Where the rotor angle was recorded, what turns with it is taken out of every signal. ``screening``: refuse recordings that `screen` refuses
@@ -122,7 +122,7 @@ def _controller_at(controller: StateSpace, dt: float) -> StateSpace:
     return controller
 
 
-def _require_controller(fact: Factorisation, model: Model, trace: Trace, recording: Recording) -> None:
+def _require_controller(fact: Factorisation, model: Model, trace: Trace, recording: InputOutputData) -> None:
     """Raise `BadInput` when the recorded excitation shows that another controller ran than the model names.
 
     ``Vt u - Ut y`` must be alpha (through a fixed filter) minus ``Ut ref``; the remainder is compared with
@@ -173,7 +173,7 @@ def _explained(signal: Array, alpha: Array, lags: int = 40) -> Array:
     return np.asarray(rows @ solution)
 
 
-def _played(model: Model, trace: Trace, recording: Recording) -> Recording:
+def _played(model: Model, trace: Trace, recording: InputOutputData) -> InputOutputData:
     return replace(recording, u=_columns(trace, "alpha", [v.name for v in model.inputs], optional=True))
 
 
@@ -181,10 +181,10 @@ def _referenced(model: Model, trace: Trace) -> bool:
     return bool(np.ptp(_columns(trace, "ref", [v.name for v in model.outputs], optional=True), axis=0).any())
 
 
-def _recording(model: Model, trace: Trace) -> Recording:
+def _recording(model: Model, trace: Trace) -> InputOutputData:
     u = _columns(trace, "u", [v.name for v in model.inputs])
     y = _columns(trace, "y", [v.name for v in model.outputs])
-    return Recording.of(u, y, trace.dt, trace.name)
+    return InputOutputData.of(u, y, trace.dt, trace.name)
 
 
 def _columns(trace: Trace, role: str, names: Sequence[str], optional: bool = False) -> Array:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.identify.fit import ResponseBand, sandwich_band
 from afdsvc.identify.methods.black_box_pem import local_structure
@@ -60,7 +60,7 @@ def compare_reductions(
     plant: StateSpace,
     fact: Factorisation,
     order: int,
-    recordings: Sequence[Recording] = (),
+    recordings: Sequence[InputOutputData] = (),
     methods: Sequence[str] = TRUNCATIONS,
 ) -> list[ReducedPlant]:
     """Return all reductions of the plant to ``order``, the one that disturbs the loop least first.
@@ -86,8 +86,8 @@ def compare_reductions(
     return sorted(results, key=lambda r: r.loop_error)
 
 
-def judged(
-    method: str, reduced: StateSpace, plant: StateSpace, fact: Factorisation, recordings: Sequence[Recording]
+def reduction_cost(
+    method: str, reduced: StateSpace, plant: StateSpace, fact: Factorisation, recordings: Sequence[InputOutputData]
 ) -> ReducedPlant:
     """Return what a reduction found elsewhere costs, measured like the others."""
     return _judged(method, lambda: reduced, plant, fact, *_scales(recordings, plant))
@@ -120,7 +120,7 @@ def _distance(a: ComplexArray, b: ComplexArray, out_scale: Array, in_scale: Arra
     return float(gap / size)
 
 
-def _scales(recordings: Sequence[Recording], plant: StateSpace) -> tuple[Array, Array]:
+def _scales(recordings: Sequence[InputOutputData], plant: StateSpace) -> tuple[Array, Array]:
     if not recordings:
         return np.ones(plant.inputs), np.ones(plant.outputs)
     u, y = np.vstack([r.u for r in recordings]), np.vstack([r.y for r in recordings])
@@ -134,7 +134,7 @@ def _in_scale(plant: StateSpace, u: Array, y: Array, reduce: Callable[[StateSpac
 
 
 def _frequency_weighted(
-    plant: StateSpace, order: int, recordings: Sequence[Recording], u_scale: Array, y_scale: Array
+    plant: StateSpace, order: int, recordings: Sequence[InputOutputData], u_scale: Array, y_scale: Array
 ) -> StateSpace:
     if not recordings:
         raise BadInput("the frequency-weighted reduction needs recordings of the plant's input; found none")
@@ -194,7 +194,7 @@ class Refinement:
 
 
 def refine(
-    fact: Factorisation, signals: Sequence[Recording], start: StateSpace, whitener: StateSpace | None = None
+    fact: Factorisation, signals: Sequence[InputOutputData], start: StateSpace, whitener: StateSpace | None = None
 ) -> Refinement:
     """Return the plant of the order of ``start`` whose S explains ``signals`` (alpha as u, beta as y) best.
 
@@ -220,7 +220,7 @@ def refine(
 
 
 def _objective(
-    fact: Factorisation, signals: Sequence[Recording], around: StateSpace, whitener: StateSpace | None
+    fact: Factorisation, signals: Sequence[InputOutputData], around: StateSpace, whitener: StateSpace | None
 ) -> Mismatch:
     objective = Mismatch(local_structure(_balanced(around)), fact, signals, 2, whitener)
     if whitener is not None:

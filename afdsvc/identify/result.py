@@ -17,7 +17,7 @@ from afdsvc.stats.fit_measures import Measures
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Preview:
+class HoldoutPreview:
     """A stretch of a recording not used, for the eye: ``t (N,)`` [s], measured and predicted outputs, each ``(N, p)``.
 
     ``before`` is None when the nominal model cannot be simulated.
@@ -51,7 +51,7 @@ class IdentifyResult:
     full: StateSpace | None = None
     reductions: tuple[ReducedPlant, ...] = ()
     cross_check: Agreement | None = None
-    preview: Preview | None = None
+    preview: HoldoutPreview | None = None
     warnings: tuple[str, ...] = ()
 
     def _second_route(self) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.identify.fit import Fit, ResponseBand
 from afdsvc.identify.methods.hansen import excited_loop
@@ -26,25 +26,25 @@ from afdsvc.stats.portmanteau import residual_tests
 
 
 @dataclass(frozen=True, slots=True)
-class Split:
+class HoldoutSplit:
     """Recordings to fit and recordings kept away, with the names of the latter as they are reported."""
 
-    training: tuple[Recording, ...]
-    heldout: tuple[Recording, ...]
+    training: tuple[InputOutputData, ...]
+    heldout: tuple[InputOutputData, ...]
     names: tuple[str, ...]
 
 
-def split(training: Sequence[Recording], heldout: Sequence[Recording], share: float = 0.25) -> Split:
+def hold_out(training: Sequence[InputOutputData], heldout: Sequence[InputOutputData], share: float = 0.25) -> HoldoutSplit:
     """Return the split; without recordings to hold out, the last ``share`` of every recording is kept away."""
     if heldout:
-        return Split(tuple(training), tuple(heldout), tuple(r.name for r in heldout))
+        return HoldoutSplit(tuple(training), tuple(heldout), tuple(r.name for r in heldout))
     cuts = [round(len(r) * (1 - share)) for r in training]
     kept = tuple(r.span(0, cut) for r, cut in zip(training, cuts, strict=True))
     away = tuple(r.span(cut, len(r)) for r, cut in zip(training, cuts, strict=True))
-    return Split(kept, away, tuple(f"{r.name} (last {100 * share:.0f} %)" for r in training))
+    return HoldoutSplit(kept, away, tuple(f"{r.name} (last {100 * share:.0f} %)" for r in training))
 
 
-def predicted_outputs(system: StateSpace, recording: Recording, fact: Factorisation | None = None) -> Array:
+def predicted_outputs(system: StateSpace, recording: InputOutputData, fact: Factorisation | None = None) -> Array:
     """Return what a model makes of a recording, shape ``(N, p)``, with the best initial state.
 
     A stable (or integrating) plant is simulated from the recorded input; an unstable one inside its loop, from the
@@ -72,7 +72,7 @@ def can_be_simulated(system: StateSpace, samples: int) -> bool:
 
 
 def heldout_measures(
-    system: StateSpace, recordings: Sequence[Recording], fact: Factorisation | None = None
+    system: StateSpace, recordings: Sequence[InputOutputData], fact: Factorisation | None = None
 ) -> list[Measures]:
     """Return the measures of every output over all the recordings together."""
     measured = np.vstack([r.y - r.y.mean(axis=0) for r in recordings])
@@ -80,8 +80,8 @@ def heldout_measures(
     return measures(measured, predicted)
 
 
-def validated(
-    fit: Fit, recordings: Sequence[Recording], names: Sequence[str], fact: Factorisation | None = None
+def validate_fit(
+    fit: Fit, recordings: Sequence[InputOutputData], names: Sequence[str], fact: Factorisation | None = None
 ) -> Fit:
     """Return the fit with its measures and residual tests on recordings not used; ``names`` are those of the outputs.
 
@@ -105,7 +105,7 @@ def validated(
 PREDICTED = "the plant is unstable and no controller is named, so the fit on data not used is that of one-step predictions, not of a simulation"
 
 
-def predicts_only(fit: Fit, recordings: Sequence[Recording], fact: Factorisation | None) -> bool:
+def predicts_only(fit: Fit, recordings: Sequence[InputOutputData], fact: Factorisation | None) -> bool:
     """Whether a model can be judged by one-step predictions only: an unstable plant with a noise model and without its controller."""
     return fact is None and bool(fit.model.gain.any()) and not all(can_be_simulated(fit.system, len(r)) for r in recordings)
 

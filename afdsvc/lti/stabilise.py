@@ -50,11 +50,11 @@ def gain_with_margin(A: Array, B: Array, dt: float, margin: float) -> Array:
     columns = np.linalg.norm(Bs, axis=0)
     weight = 1 / np.where(columns > 0, columns, 1.0)
     shifted = As / (1 - margin) if dt > 0 else As + margin * np.eye(n)
-    _, F = mirror(shifted, Bs * weight / ((1 - margin) if dt > 0 else 1.0), dt > 0)
+    _, F = minimum_energy_regulator(shifted, Bs * weight / ((1 - margin) if dt > 0 else 1.0), dt > 0)
     return weight[:, None] * F / t[None, :]
 
 
-def mirror(A: Array, B: Array, discrete: bool) -> tuple[Array, Array]:
+def minimum_energy_regulator(A: Array, B: Array, discrete: bool) -> tuple[Array, Array]:
     """Return X and F of the regulator problem without state weight and with input weight I, ``u = F x``.
 
     Every unstable eigenvalue of A is mirrored at the border of stability, the others stay; X is zero on the stable

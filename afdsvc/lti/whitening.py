@@ -17,7 +17,7 @@ from afdsvc.errors import BadInput, IllConditioned
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.riccati import covariance, cross_covariance, riccati
 from afdsvc.lti.scaling import state_scaling
-from afdsvc.lti.stabilise import mirror
+from afdsvc.lti.stabilise import minimum_energy_regulator
 from afdsvc.lti.stability import describe_pole, trim, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace
 
@@ -102,7 +102,7 @@ def _without_process_noise(plant: StateSpace, R: Array) -> tuple[Array, Array]:
     t = state_scaling(plant.A)
     A, C = plant.A * (t[None, :] / t[:, None]), plant.C * t[None, :]
     whitener = np.linalg.inv(np.linalg.cholesky(R))
-    P, F = mirror(A.T, (whitener @ C).T, plant.discrete)
+    P, F = minimum_energy_regulator(A.T, (whitener @ C).T, plant.discrete)
     return P * (t[:, None] * t[None, :]), t[:, None] * (-F.T @ whitener)
 
 

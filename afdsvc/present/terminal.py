@@ -370,7 +370,7 @@ def init_table(document: dict[str, Any]) -> None:
         OUT.print(f"  {command}", soft_wrap=True)
 
 
-def import_table(document: dict[str, Any]) -> None:
+def show_import(document: dict[str, Any]) -> None:
     """Show what was written, and what was done to the data on the way."""
     for note in document["notes"]:
         OUT.print(f"note: {note}", soft_wrap=True)

@@ -87,7 +87,7 @@ class Audit:
     hash: str
 
 
-def check(path: Path, expected: str = "") -> Audit:
+def verify_chain(path: Path, expected: str = "") -> Audit:
     """Check the whole chain and return its entries; raises `BadInput` naming the line that breaks it.
 
     ``expected`` is the hash of a line that was noted elsewhere and must still be there.

@@ -12,7 +12,7 @@ from afdsvc.api.evidence import Evidence
 from afdsvc.api.intervals import Intervals
 from afdsvc.api.signals import Block
 from afdsvc.diagnosis.pipeline import Outcome, Stream
-from afdsvc.diagnosis.verdict import Verdict, conclude, model_gap
+from afdsvc.diagnosis.verdict import FaultVerdict, conclude, model_gap
 from afdsvc.errors import BadInput
 from afdsvc.service.sinks.fan_out import Sink
 from afdsvc.wire import codec
@@ -51,7 +51,7 @@ class MachineMonitor:
         self._taken = "", Intervals()
         self._foreign: set[str] = set()
         self._fresh: list[Finding] = []
-        self._decisions, self._concluded = 0, (-1, Verdict())
+        self._decisions, self._concluded = 0, (-1, FaultVerdict())
 
     def take_block(self, payload: bytes) -> Outcome | None:
         """Judge a block and pass everything on; what cannot be decoded is named and dropped."""
@@ -142,7 +142,7 @@ class MachineMonitor:
             self.say("warning", doubt)
         self.doubt = doubt
 
-    def verdict(self) -> Verdict:
+    def verdict(self) -> FaultVerdict:
         """Return what the kept decisions amount to, concluded anew when there are new ones."""
         previous, verdict = self._concluded
         if previous != self._decisions:

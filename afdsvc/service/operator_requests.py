@@ -31,7 +31,7 @@ PATIENCE = 0.5  # seconds a person waits for the disk to keep what they did
 
 
 class Requests:
-    """The requests one hub answers; each takes arguments and who asks, and returns something `plain` turns into JSON."""
+    """The requests one hub answers; each takes arguments and who asks, and returns something `json_values` turns into JSON."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub, self._freshness = hub, Freshness(hub.clock)
@@ -221,7 +221,7 @@ def answer(
         handler = handlers.get(command.name)
         if handler is None:
             raise BadInput(f"unknown command '{command.name}'; known are {', '.join(sorted(handlers))}")
-        reply = CommandReply(True, plain(handler(command.arguments, command.asked_by)))
+        reply = CommandReply(True, json_values(handler(command.arguments, command.asked_by)))
     except AfdsvcError as error:
         reply = CommandReply(False, error=str(error))
     except Exception as error:
@@ -240,14 +240,14 @@ def ask(send: Callable[[bytes], bytes], name: str, asked_by: str, **arguments: A
     return reply.result
 
 
-def plain(value: Any) -> Any:
+def json_values(value: Any) -> Any:
     """Return dataclasses, mappings and sequences as JSON values; a number that is not finite becomes None."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {f.name: json_values(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
+        return {str(k): json_values(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
+        return [json_values(v) for v in value]
     return value

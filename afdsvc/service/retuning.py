@@ -10,7 +10,7 @@ from typing import Any
 
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.api.retuning import Diagnosed, Tuning
-from afdsvc.diagnosis.verdict import Verdict
+from afdsvc.diagnosis.verdict import FaultVerdict
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.wire import codec
@@ -47,7 +47,7 @@ class Retuning:
         """Id of the machine."""
         return self.bursts.machine
 
-    def propose(self, verdict: Verdict) -> None:
+    def propose(self, verdict: FaultVerdict) -> None:
         """Say once, for each fault that is named with its severity, that a person may accept a Q for it."""
         if verdict.fault is None or verdict.severity is None or self.acting:
             return
@@ -57,7 +57,7 @@ class Retuning:
             self._proposed = verdict.fault
             self.bursts.sink.notice(self.machine, "info", self.sentence, self.bursts.clock.now_ns())
 
-    def ask(self, verdict: Verdict, who: str) -> dict[str, Any]:
+    def ask(self, verdict: FaultVerdict, who: str) -> dict[str, Any]:
         """Design, prove and start Q for what the verdict names; returns the design sheet, raises `Refused` with the reason."""
         if not self._designing.acquire(blocking=False):
             raise Refused("a Q is being designed for this machine; wait for its answer")
@@ -66,7 +66,7 @@ class Retuning:
         finally:
             self._designing.release()
 
-    def _asked(self, verdict: Verdict, who: str) -> dict[str, Any]:
+    def _asked(self, verdict: FaultVerdict, who: str) -> dict[str, Any]:
         of = self.bursts
         if not of.session:
             raise Refused(f"machine '{self.machine}' is not connected")
@@ -121,7 +121,7 @@ class Retuning:
         self.acting = self.sentence = self._proposed = ""
 
 
-def _interval(verdict: Verdict, problem: DetectionProblem) -> Diagnosed:
+def _interval(verdict: FaultVerdict, problem: DetectionProblem) -> Diagnosed:
     """Return the fault with its severity, `DEVIATIONS` standard errors to both sides, within what the machine can have."""
     if verdict.fault is None or verdict.severity is None:
         raise AfdsvcError("the verdict names no fault with its severity")

@@ -12,7 +12,7 @@ from typing import Any
 
 from afdsvc.service.http_server import serve_http
 from afdsvc.service.hub import Hub
-from afdsvc.service.operator_requests import plain
+from afdsvc.service.operator_requests import json_values
 
 log = logging.getLogger(__name__)
 DECISIONS = 60  # of each machine shown on the page
@@ -22,9 +22,9 @@ POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inli
 def seen(hub: Hub) -> dict[str, Any]:
     """Return everything the page shows as JSON values."""
     return {
-        "status": plain(hub.status()),
-        "alarms": plain(list(hub.alarms.alarms.values())),
-        "decisions": {id: plain(list(watch.evidence)[-DECISIONS:]) for id, watch in hub.watches.items()},
+        "status": json_values(hub.status()),
+        "alarms": json_values(list(hub.alarms.alarms.values())),
+        "decisions": {id: json_values(list(watch.evidence)[-DECISIONS:]) for id, watch in hub.watches.items()},
     }
 
 

@@ -55,13 +55,13 @@ def residual_tests(errors: Array, inputs: Array, lags: int = 25) -> ResidualTest
         cross,
         1.96 / float(np.sqrt(count)),
         cross_band,
-        whiteness(e, lags),
+        portmanteau_test(e, lags),
         p_independent,
         p_feedback,
     )
 
 
-def whiteness(errors: Array, lags: int = 25, fitted: int = 0) -> float:
+def portmanteau_test(errors: Array, lags: int = 25, fitted: int = 0) -> float:
     """Return the p-value of Hosking's multivariate portmanteau test (J. Amer. Statist. Assoc. 75, 1980).
 
     ``Q = N^2 sum_k tr(C_k' C_0^-1 C_k C_0^-1) / (N - k)`` is chi-squared with ``p^2 lags - fitted`` degrees of freedom,

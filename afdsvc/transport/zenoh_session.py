@@ -42,7 +42,7 @@ class PeerSilent(AfdsvcError):
     """No answer to a query in time."""
 
 
-def configuration(settings: site_file.Transport, hub: bool, access: Access = NOBODY) -> zenoh.Config:
+def configuration(settings: site_file.TransportSection, hub: bool, access: Access = NOBODY) -> zenoh.Config:
     """Return the zenoh configuration of the hub (the service) or of a client (rig agent, viewer)."""
     config = zenoh.Config()
 
@@ -64,7 +64,7 @@ def configuration(settings: site_file.Transport, hub: bool, access: Access = NOB
     return config
 
 
-def _secure(put: Callable[[str, Any], None], settings: site_file.Transport, hub: bool, access: Access) -> None:
+def _secure(put: Callable[[str, Any], None], settings: site_file.TransportSection, hub: bool, access: Access) -> None:
     """Mutual TLS with the certificate of the own name; the hub enforces which keys each name may publish."""
     if settings.security is None:
         return
@@ -88,7 +88,7 @@ def _closed(session: zenoh.Session) -> None:
 class Transport:
     """One zenoh session. Use it as a context manager: leaving closes it, whatever happened."""
 
-    def __init__(self, settings: site_file.Transport, hub: bool, access: Access = NOBODY) -> None:
+    def __init__(self, settings: site_file.TransportSection, hub: bool, access: Access = NOBODY) -> None:
         self._settings, self._hub, self._access = settings, hub, access
         self._session: zenoh.Session | None = None
         self._publishers: dict[str, Any] = {}

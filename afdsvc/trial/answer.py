@@ -25,7 +25,7 @@ class Hidden:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class TrialAnswer:
     """Everything that was hidden in a trial.
 
     ``hidden`` are the effects in question (none: nothing is hidden), ``minor`` the dirt. ``seen`` is the effects' rms in each
@@ -51,7 +51,7 @@ class Answer:
         return asdict(self)
 
     @classmethod
-    def from_json(cls, table: dict[str, Any]) -> Answer:
+    def from_json(cls, table: dict[str, Any]) -> TrialAnswer:
         """Return the answer from plain values."""
         listed = {key: tuple(Hidden(**h) for h in table[key]) for key in ("hidden", "minor")}
         return cls(**{**table, **listed})

@@ -10,10 +10,10 @@ from scipy.signal import lfilter
 
 from afdsvc.lti.statespace import Array
 from afdsvc.trial.effects.effect import Truth
-from afdsvc.trial.effects.site import rms
-from afdsvc.trial.machines.machine import Machine
+from afdsvc.trial.effects.site import column_rms
+from afdsvc.trial.machines.machine import TrialMachine
 from afdsvc.trial.options import Options
-from afdsvc.trial.simulation import Run, play
+from afdsvc.trial.simulation import RunPlan, play_run
 
 Lines = NDArray[np.int64]
 REFERENCE_BAND = 5.0  # Hz; a reference excites below this
@@ -33,34 +33,34 @@ def _without_detection(lines: Lines, generator: np.random.Generator) -> Lines:
     return lines[keep]
 
 
-def multisine(lines: Lines, period: float, t: Array, generator: np.random.Generator) -> Array:
+def _multisine(lines: Lines, period: float, t: Array, generator: np.random.Generator) -> Array:
     """Return the sum of unit sines at these harmonics with random phases, shape of t."""
     phases = generator.uniform(0, 2 * np.pi, lines.size)
     return np.asarray(np.sin(2 * np.pi / period * np.outer(t, lines) + phases).sum(axis=1))
 
 
-def multisines(machine: Machine, t: Array, generator: np.random.Generator) -> tuple[Array, Array]:
+def multisines(machine: TrialMachine, t: Array, generator: np.random.Generator) -> tuple[Array, Array]:
     """Return alpha (n, m) and ref (n, p) as interleaved odd multisines."""
     r, m, p = machine.recording, len(machine.inputs), len(machine.outputs)
     channels = m + (p if r.reference else 0)
     lines = odd_lines(r.period, r.band, channels, generator)
-    alpha = np.column_stack([multisine(lines[i], r.period, t, generator) for i in range(m)])
+    alpha = np.column_stack([_multisine(lines[i], r.period, t, generator) for i in range(m)])
     if not r.reference:
         return alpha, np.zeros((t.size, p))
     slow = [x[x <= REFERENCE_BAND * r.period] for x in lines[m:]]
-    return alpha, np.column_stack([multisine(x, r.period, t, generator) for x in slow])
+    return alpha, np.column_stack([_multisine(x, r.period, t, generator) for x in slow])
 
 
-def sines(machine: Machine, t: Array, generator: np.random.Generator) -> tuple[Array, Array]:
+def sines(machine: TrialMachine, t: Array, generator: np.random.Generator) -> tuple[Array, Array]:
     """Return one sine per input, each at a frequency of its own that repeats with the period, and no reference."""
     r = machine.recording
     top = 0.35 * r.band[1] * r.period
     lines = generator.choice(np.arange(int(0.03 * r.band[1] * r.period) + 1, int(top)), len(machine.inputs), replace=False)
-    alpha = [multisine(np.array([k]), r.period, t, generator) for k in lines]
+    alpha = [_multisine(np.array([k]), r.period, t, generator) for k in lines]
     return np.column_stack(alpha), np.zeros((t.size, len(machine.outputs)))
 
 
-def operation(machine: Machine, t: Array, generator: np.random.Generator) -> tuple[Array, Array]:
+def _operation(machine: TrialMachine, t: Array, generator: np.random.Generator) -> tuple[Array, Array]:
     """Return ordinary operation: moves from place to place for a machine that follows references, nothing otherwise."""
     alpha = np.zeros((t.size, len(machine.inputs)))
     ref = np.zeros((t.size, len(machine.outputs)))
@@ -93,7 +93,7 @@ def wandering(t: Array, generator: np.random.Generator) -> Array:
     return np.asarray((x - x.mean()) / x.std())
 
 
-def ambient(machine: Machine, speed: float, t: Array, generator: np.random.Generator) -> Array:
+def ambient(machine: TrialMachine, speed: float, t: Array, generator: np.random.Generator) -> Array:
     """Return the auxiliary signals, shape ``(t.size, aux)``; the angle is not wrapped."""
     turning = speed * (1.0 + 0.003 * wandering(t, generator))
     step = np.diff(t, prepend=t[0])
@@ -107,7 +107,7 @@ def ambient(machine: Machine, speed: float, t: Array, generator: np.random.Gener
     return np.column_stack([signals[name] for name in machine.aux])
 
 
-def sensor_noise(machine: Machine, kind: str, samples: int, generator: np.random.Generator) -> Array:
+def sensor_noise(machine: TrialMachine, kind: str, samples: int, generator: np.random.Generator) -> Array:
     """Return the sensors' noise, shape ``(samples, p)``; ``kind`` white, coloured (equal variance), quieter or louder."""
     factor = {"quieter": 0.5, "louder": 2.0}.get(kind, 1.0)
     white = generator.standard_normal((samples, machine.sigma.size))
@@ -125,7 +125,7 @@ TRAIN = 2  # the first so many recordings define rho
 PROCESS_SHARE = 0.4  # rms in the outputs of the noise that drives the states, over that of the sensors' noise
 
 
-def stage(machine: Machine, options: Options, generator: np.random.Generator) -> tuple[Run, ...]:
+def staged_runs(machine: TrialMachine, options: Options, generator: np.random.Generator) -> tuple[RunPlan, ...]:
     """Return four runs: two to fit (two levels, two speeds), one to select, one to hold out."""
     levels = machine.recording.levels
     if options.excitation == "one_level":
@@ -136,7 +136,7 @@ def stage(machine: Machine, options: Options, generator: np.random.Generator) ->
     )
 
 
-def true_constants(machine: Machine, options: Options, generator: np.random.Generator) -> Array:
+def drawn_constants(machine: TrialMachine, options: Options, generator: np.random.Generator) -> Array:
     """Return the plant's constants, drawn from the stated uncertainty and cut at two standard deviations."""
     errors = generator.standard_normal(machine.nominal.size)
     while np.abs(errors).max() > 2:
@@ -145,8 +145,8 @@ def true_constants(machine: Machine, options: Options, generator: np.random.Gene
 
 
 def _run(
-    machine: Machine, options: Options, name: str, level: float, speed: float, generator: np.random.Generator
-) -> Run:
+    machine: TrialMachine, options: Options, name: str, level: float, speed: float, generator: np.random.Generator
+) -> RunPlan:
     r = machine.recording
     skip, kept = round(r.preroll / machine.dt), round(r.period * (options.periods or r.periods) / machine.dt)
     play_chance, air, noise, colour, push, start = generator.spawn(6)
@@ -154,7 +154,7 @@ def _run(
     alpha, ref = _played(machine, options, t[skip:-1] - t[skip], skip, play_chance)
     n = skip + kept
     pole = float(colour.uniform(0.8, 0.97))
-    run = Run(
+    run = RunPlan(
         name=name,
         alpha=alpha,
         ref=ref,
@@ -170,15 +170,15 @@ def _run(
 
 
 def _played(
-    machine: Machine, options: Options, t: Array, skip: int, generator: np.random.Generator
+    machine: TrialMachine, options: Options, t: Array, skip: int, generator: np.random.Generator
 ) -> tuple[Array, Array]:
-    shapes = {"sine": sines, "operation": operation}.get(options.excitation, multisines)
+    shapes = {"sine": sines, "operation": _operation}.get(options.excitation, multisines)
     alpha, ref = shapes(machine, t, generator)
     quiet = ((skip, 0), (0, 0))
     return np.pad(alpha, quiet), np.pad(ref, quiet)
 
 
-def _levelled(machine: Machine, run: Run, level: float) -> Run:
+def _levelled(machine: TrialMachine, run: RunPlan, level: float) -> RunPlan:
     """Return the run with alpha and ref scaled so that the nominal outputs reach the level (rms of the largest).
 
     Alpha and ref give half the level each where both are played.
@@ -192,19 +192,19 @@ def _levelled(machine: Machine, run: Run, level: float) -> Run:
     return replace(run, alpha=alpha, ref=ref)
 
 
-def _answer(machine: Machine, run: Run) -> float:
+def _answer(machine: TrialMachine, run: RunPlan) -> float:
     """Return the nominal rms of the largest output, without noise and without a limit: shapes are of any size yet."""
     boundless = replace(machine, reach=np.inf)
-    return float(rms(play(boundless, Truth(machine.nominal), run.quiet()).kept(run).y).max())
+    return float(column_rms(play_run(boundless, Truth(machine.nominal), run.quiet()).kept(run).y).max())
 
 
-def _pushed(machine: Machine, run: Run, generator: np.random.Generator) -> Run:
+def _pushed(machine: TrialMachine, run: RunPlan, generator: np.random.Generator) -> RunPlan:
     """Return the run with white accelerations that give `PROCESS_SHARE` of the sensors' noise in the outputs."""
     push = np.zeros_like(run.push)
     for axis in machine.axes:
         push[:, axis.velocity] = generator.standard_normal(push.shape[0])
         alone = np.where(np.arange(push.shape[1]) == axis.velocity, push, 0.0)
         calm = replace(run.quiet(), alpha=0 * run.alpha, ref=0 * run.ref, push=alone)
-        seen = rms(play(replace(machine, reach=np.inf), Truth(machine.nominal), calm).kept(run).y)[axis.output]
+        seen = column_rms(play_run(replace(machine, reach=np.inf), Truth(machine.nominal), calm).kept(run).y)[axis.output]
         push[:, axis.velocity] *= PROCESS_SHARE * machine.sigma[axis.output] / seen
     return replace(run, push=push)

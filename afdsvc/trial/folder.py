@@ -10,14 +10,14 @@ import numpy as np
 from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
 from afdsvc.trial.field.generate import FieldTrial
-from afdsvc.trial.generate import Trial
-from afdsvc.trial.model_text import model_files, model_text
+from afdsvc.trial.generate import BlindTrial
+from afdsvc.trial.model_text import model_files, nominal_model_text
 
 FORMATS = ("npz", "csv")
 
 
 @dataclass(frozen=True, slots=True)
-class Paths:
+class TrialPaths:
     """Where the parts of a trial are: what `explain` is given."""
 
     model: Path
@@ -31,7 +31,7 @@ class Paths:
         return (self.model, *self.code, *self.recordings, self.holdout)
 
 
-def write(trial: Trial | FieldTrial, folder: str | Path, form: str = "npz") -> Paths:
+def write(trial: BlindTrial | FieldTrial, folder: str | Path, form: str = "npz") -> TrialPaths:
     """Write MODEL.toml (and the code it names), the recordings and the holdout as tables (``npz`` or ``csv``); return their paths.
 
     The folder is made; a file that is there already is an error (`BadInput`), so that no trial overwrites another.
@@ -51,14 +51,14 @@ def write(trial: Trial | FieldTrial, folder: str | Path, form: str = "npz") -> P
     for path, trace in zip(tables, (*trial.recordings, trial.holdout), strict=True):
         _write_table(path, trace)
     model, *code = texts
-    return Paths(model, tuple(tables[:-1]), tables[-1], tuple(code))
+    return TrialPaths(model, tuple(tables[:-1]), tables[-1], tuple(code))
 
 
-def _texts(trial: Trial | FieldTrial) -> dict[str, str]:
+def _texts(trial: BlindTrial | FieldTrial) -> dict[str, str]:
     """Return the texts of MODEL.toml, which comes first, and of its code."""
     if isinstance(trial, FieldTrial):
         return model_files(trial)
-    return {"MODEL.toml": model_text(trial.machine, trial.options.known_controller)}
+    return {"MODEL.toml": nominal_model_text(trial.machine, trial.options.known_controller)}
 
 
 def _write_table(path: Path, trace: Trace) -> None:

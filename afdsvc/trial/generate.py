@@ -9,22 +9,22 @@ import numpy as np
 
 from afdsvc.api.model import Variable
 from afdsvc.api.signals import Channel, Trace
-from afdsvc.trial.answer import Answer, Hidden
-from afdsvc.trial.conditions import TRAIN, UNITS, stage, true_constants
-from afdsvc.trial.effects.catalogue import make, outside_at, physics_at, sites_of
+from afdsvc.trial.answer import Hidden, TrialAnswer
+from afdsvc.trial.conditions import TRAIN, UNITS, drawn_constants, staged_runs
+from afdsvc.trial.effects.catalogue import make_effect, outside_at, physics_at, sites_of
 from afdsvc.trial.effects.effect import Effect, Truth
-from afdsvc.trial.effects.severity import scaled_to, visibility
-from afdsvc.trial.effects.site import Site, Sizes, sizes
-from afdsvc.trial.machines.machine import Machine
+from afdsvc.trial.effects.severity import effect_visibility, scaled_to
+from afdsvc.trial.effects.site import EffectSite, SignalSizes, signal_sizes
+from afdsvc.trial.machines.machine import TrialMachine
 from afdsvc.trial.options import Options
-from afdsvc.trial.simulation import Run, Signals, play
+from afdsvc.trial.simulation import RunPlan, RunSignals, play_run
 
 DIRT, DIRT_RHO = 4, 0.04
 NOTHING = "nothing"
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class TrialRequest:
     """What to hide: canonical name (``parameter_change:stiffness`` and so on for a change), site (None: any), and rho."""
 
     physics: str
@@ -33,90 +33,90 @@ class Wish:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trial:
+class BlindTrial:
     """A trial: what the solver may see (``recordings``, ``holdout``, the nominal ``machine``), and what it may not.
 
     ``runs`` and ``truth`` are kept for the oracle; ``played`` are the signals of the runs, their first samples included.
     """
 
-    machine: Machine
+    machine: TrialMachine
     options: Options
     recordings: tuple[Trace, ...]
     holdout: Trace
-    answer: Answer
+    answer: TrialAnswer
     truth: Truth
-    runs: tuple[Run, ...]
-    played: tuple[Signals, ...]
+    runs: tuple[RunPlan, ...]
+    played: tuple[RunSignals, ...]
 
 
-def generate(
+def generate_trial(
     physics: str, site: str | None, rho: float, generator: np.random.Generator, options: Options | None = None
-) -> Trial:
+) -> BlindTrial:
     """Return a trial that hides one effect (``physics`` "nothing" or ``rho`` 0: none) at a site (None: drawn) with this rho.
 
     The same generator state gives the same trial. Raises `BadInput` for a name or site the machine does not have and
     `Refused` when no severity gives this rho.
     """
     nothing = physics == NOTHING or rho == 0
-    return generate_several([] if nothing else [Wish(physics, site, rho)], generator, options)
+    return generate_several([] if nothing else [TrialRequest(physics, site, rho)], generator, options)
 
 
 def generate_several(
-    wishes: Sequence[Wish], generator: np.random.Generator, options: Options | None = None, seed: str = ""
-) -> Trial:
+    wishes: Sequence[TrialRequest], generator: np.random.Generator, options: Options | None = None, seed: str = ""
+) -> BlindTrial:
     """Return a trial that hides several effects at once; rho is each one's alone, ``seed`` is noted in the answer.
 
-    See `generate`.
+    See `generate_trial`.
     """
     options = options or Options()
     machine = options.build()
     constants, plan, shapes, dirt = generator.spawn(4)
-    runs = stage(machine, options, plan)
-    scene = _scene(machine, options, Truth(true_constants(machine, options, constants)), runs)
+    runs = staged_runs(machine, options, plan)
+    scene = _scene(machine, options, Truth(drawn_constants(machine, options, constants)), runs)
     if options.dirty:
         wanted = _dirt(machine, {wish.physics for wish in wishes}, dirt)
         scene = replace(scene, truth=Truth(scene.truth.theta, (), _effects(scene, wanted, dirt)))
     truth = scene.truth.with_effects(*_effects(scene, wishes, shapes))
-    played = tuple(play(machine, truth, run) for run in runs)
+    played = tuple(play_run(machine, truth, run) for run in runs)
     traces = tuple(_trace(machine, run, signals) for run, signals in zip(runs, played, strict=True))
     answer = _answer(replace(scene, truth=truth), options, [wish.rho for wish in wishes], seed)
-    return Trial(machine, options, traces[:-1], traces[-1], answer, truth, runs, played)
+    return BlindTrial(machine, options, traces[:-1], traces[-1], answer, truth, runs, played)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
     """The machine before the question: its truth so far, the runs that define rho, sizes of its signals, measure of rho."""
 
-    machine: Machine
+    machine: TrialMachine
     truth: Truth
-    runs: tuple[Run, ...]
-    sizes: Sizes
+    runs: tuple[RunPlan, ...]
+    sizes: SignalSizes
     measure: str
 
 
-def _scene(machine: Machine, options: Options, truth: Truth, runs: tuple[Run, ...]) -> _Scene:
+def _scene(machine: TrialMachine, options: Options, truth: Truth, runs: tuple[RunPlan, ...]) -> _Scene:
     train = runs[:TRAIN]
-    return _Scene(machine, truth, train, sizes(machine, truth, train), options.measured(machine))
+    return _Scene(machine, truth, train, signal_sizes(machine, truth, train), options.measured(machine))
 
 
-def _effects(scene: _Scene, wishes: Sequence[Wish], chance: np.random.Generator) -> tuple[Effect, ...]:
+def _effects(scene: _Scene, wishes: Sequence[TrialRequest], chance: np.random.Generator) -> tuple[Effect, ...]:
     """Return the wished effects, each scaled with the others absent."""
     return tuple(_effect(scene, w, g) for w, g in zip(wishes, chance.spawn(len(wishes)), strict=True))
 
 
-def _effect(scene: _Scene, wish: Wish, chance: np.random.Generator) -> Effect:
+def _effect(scene: _Scene, wish: TrialRequest, chance: np.random.Generator) -> Effect:
     name = wish.site or str(chance.choice(sites_of(scene.machine, wish.physics)))
-    shape = make(Site(scene.machine, scene.sizes, name, scene.machine.index(name), chance), wish.physics)
+    shape = make_effect(EffectSite(scene.machine, scene.sizes, name, scene.machine.index(name), chance), wish.physics)
     return scaled_to(scene.machine, scene.truth, shape, scene.runs, wish.rho, scene.measure)
 
 
-def _dirt(machine: Machine, taken: set[str], generator: np.random.Generator) -> list[Wish]:
+def _dirt(machine: TrialMachine, taken: set[str], generator: np.random.Generator) -> list[TrialRequest]:
     """Return small unrelated effects of different names, none of those taken."""
     names = sorted({name for name, _ in physics_at(machine)} - taken)
-    return [Wish(str(name), None, DIRT_RHO) for name in generator.choice(names, DIRT, replace=False)]
+    return [TrialRequest(str(name), None, DIRT_RHO) for name in generator.choice(names, DIRT, replace=False)]
 
 
-def _trace(machine: Machine, run: Run, signals: Signals) -> Trace:
+def _trace(machine: TrialMachine, run: RunPlan, signals: RunSignals) -> Trace:
     """Return the recorded part as a trace with the fixed column roles; the rotor angle is wrapped to one turn."""
     kept, ref, s = signals.kept(run), machine.outputs if machine.recording.reference else (), run.skip
     aux = tuple(Variable(name, UNITS[name]) for name in machine.aux)
@@ -129,11 +129,11 @@ def _trace(machine: Machine, run: Run, signals: Signals) -> Trace:
     return Trace(run.name, machine.dt, channels, values)
 
 
-def _answer(scene: _Scene, options: Options, asked: list[float], seed: str) -> Answer:
-    together, seen = visibility(scene.machine, scene.truth, scene.runs, scene.measure)
+def _answer(scene: _Scene, options: Options, asked: list[float], seed: str) -> TrialAnswer:
+    together, seen = effect_visibility(scene.machine, scene.truth, scene.runs, scene.measure)
     outside = {name for name, _ in outside_at(scene.machine)}
     effects = scene.truth.effects
-    return Answer(
+    return TrialAnswer(
         machine=options.machine,
         hidden=tuple(_hidden(scene, e, rho, together) for e, rho in zip(effects, asked, strict=True)),
         minor=tuple(_hidden(scene, e, DIRT_RHO, together) for e in scene.truth.minor),
@@ -149,13 +149,13 @@ def _hidden(scene: _Scene, effect: Effect, asked: float, together: float) -> Hid
     alone = Truth(scene.truth.theta, (effect,))
     rho = together
     if scene.truth.everything != (effect,):
-        rho, _ = visibility(scene.machine, alone, scene.runs, scene.measure)
-    in_loop, _ = visibility(scene.machine, alone, scene.runs, "loop")
+        rho, _ = effect_visibility(scene.machine, alone, scene.runs, scene.measure)
+    in_loop, _ = effect_visibility(scene.machine, alone, scene.runs, "loop")
     prior = _in_prior(scene.machine, effect)
     return Hidden(effect.physics, effect.site, asked, rho, in_loop, effect.described(), effect.parameter, prior)
 
 
-def _in_prior(machine: Machine, effect: Effect) -> float | None:
+def _in_prior(machine: TrialMachine, effect: Effect) -> float | None:
     """Return a change in units of the stated standard deviation of the constants it moves."""
     sd = max((machine.theta_sd[i] for i in effect.shifts), default=0.0)
     return float(abs(effect.values[0]) / sd) if sd > 0 else None

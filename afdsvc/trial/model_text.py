@@ -10,10 +10,10 @@ from afdsvc.api.model import Variable
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.trial.field.generate import FieldTrial
 from afdsvc.trial.field.rig import Rig
-from afdsvc.trial.machines.machine import Machine, held
+from afdsvc.trial.machines.machine import TrialMachine, sampled_plant
 
 
-def model_text(machine: Machine, with_controller: bool = True) -> str:
+def nominal_model_text(machine: TrialMachine, with_controller: bool = True) -> str:
     """Return the nominal matrices, what their owner knows of them, the noise, and the controller where it is known."""
     A, B, C = machine.matrices(machine.nominal)
     lines = [
@@ -36,7 +36,7 @@ def model_text(machine: Machine, with_controller: bool = True) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _sensors(machine: Machine, C: Array) -> list[str]:
+def _sensors(machine: TrialMachine, C: Array) -> list[str]:
     """Return the standard deviations of C: entries of 1 count as exact unless their owner says otherwise."""
     known = machine.theta_sd[-C.shape[0] :]
     return [f"C = {_rows(np.abs(C) * known[:, None])}"] if known.any() else []
@@ -96,7 +96,7 @@ def _system(rig: Rig) -> StateSpace:
     """Return the nominal matrices, sampled for a black box."""
     A, B, C, D = rig.build(rig.nominal)
     if rig.black_box:
-        A, B = held(A, B, rig.dt)
+        A, B = sampled_plant(A, B, rig.dt)
     return StateSpace(A, B, C, D)
 
 

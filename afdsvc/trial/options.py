@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from afdsvc.errors import BadInput
-from afdsvc.trial.machines.bearing import gas_bearing
-from afdsvc.trial.machines.machine import Machine
+from afdsvc.trial.machines.bearing import gas_bearing_machine
+from afdsvc.trial.machines.machine import TrialMachine
 from afdsvc.trial.machines.positioning_axis import positioning_axis
 
 CHOICES = {
@@ -28,7 +28,7 @@ class Options:
     or twice the stated standard deviation. ``dirty`` hides four small unrelated effects (rho 0.04 each) besides.
     ``parameter_error`` is the standard deviation of the plant's own errors in units of the stated one. ``known_controller``
     says whether the MODEL.toml carries the controller. ``periods`` of the excitation are recorded (0: as the machine has it).
-    ``measure`` is how rho is measured (`afdsvc.trial.effects.severity.visibility`); auto: by commands where the plant is stable.
+    ``measure`` is how rho is measured (`afdsvc.trial.effects.severity.effect_visibility`); auto: by commands where the plant is stable.
     """
 
     machine: str = "gas_bearing"
@@ -47,13 +47,13 @@ class Options:
             if getattr(self, name) not in allowed:
                 raise BadInput(f"option {name} is '{getattr(self, name)}'; one of {', '.join(allowed)} is wanted")
 
-    def build(self) -> Machine:
+    def build(self) -> TrialMachine:
         """Return the machine."""
         if self.machine == "positioning_axis":
             return positioning_axis()
-        return gas_bearing(self.controller, self.injection)
+        return gas_bearing_machine(self.controller, self.injection)
 
-    def measured(self, machine: Machine) -> str:
+    def measured(self, machine: TrialMachine) -> str:
         """Return how rho is measured on the machine."""
         if self.measure != "auto":
             return self.measure

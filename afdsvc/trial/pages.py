@@ -6,7 +6,7 @@ import html
 from collections.abc import Sequence
 
 from afdsvc.trial.plan import FIELD
-from afdsvc.trial.scoring.rates import Result, Table
+from afdsvc.trial.scoring.rates import ReportTable, Result
 from afdsvc.trial.scoring.tables import confusion_matrix, tables
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:75rem;margin:2rem auto;padding:0 1rem;color:#222}
@@ -41,7 +41,7 @@ def summary(results: Sequence[Result]) -> str:
     )
 
 
-def _markdown_table(table: Table) -> str:
+def _markdown_table(table: ReportTable) -> str:
     def line(cells: Sequence[str]) -> str:
         return "| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |\n"
 
@@ -49,7 +49,7 @@ def _markdown_table(table: Table) -> str:
     return f"\n## {table.title}\n\n{table.note}\n\n{line(table.head)}{rule}{''.join(map(line, table.rows))}"
 
 
-def _html_table(table: Table) -> str:
+def _html_table(table: ReportTable) -> str:
     def row(cells: Sequence[str], tag: str) -> str:
         return "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells) + "</tr>"
 

@@ -12,7 +12,7 @@ from afdsvc.errors import Refused
 from afdsvc.trial.effects.catalogue import changes_at, outside_at, physics_at
 from afdsvc.trial.field.catalogue import STREAM, FieldOptions, draws
 from afdsvc.trial.field.generate import FieldTrial, make
-from afdsvc.trial.generate import Trial, Wish, generate_several
+from afdsvc.trial.generate import BlindTrial, TrialRequest, generate_several
 from afdsvc.trial.options import Options
 
 FIELD = "field"  # the part whose trials `field_plan` gives
@@ -35,7 +35,7 @@ class Request:
 
     number: int
     part: str
-    wishes: tuple[Wish, ...]
+    wishes: tuple[TrialRequest, ...]
     options: Options | FieldOptions
     seed: tuple[int, ...]
 
@@ -59,12 +59,12 @@ def field_plan(count: int, seed: int) -> list[Request]:
     """Return the requests of a study of field trials, numbered from 0; another count gives the same first ones."""
     requests = []
     for k, (options, share, labels) in zip(range(count), draws(seed), strict=False):
-        wishes = tuple(Wish(label, None, share) for label in labels)
+        wishes = tuple(TrialRequest(label, None, share) for label in labels)
         requests.append(Request(k, FIELD, wishes, options, (seed, STREAM, k)))
     return requests
 
 
-def make_trial(request: Request) -> Trial | FieldTrial:
+def make_trial(request: Request) -> BlindTrial | FieldTrial:
     """Return the trial, as asked where the machine allows it.
 
     What no severity can give inside the machine's reach is tried under the proportional controller, at other sites and
@@ -74,7 +74,7 @@ def make_trial(request: Request) -> Trial | FieldTrial:
         return make(request.options, max((w.rho for w in request.wishes), default=0.0), request.seed)
     name = "/".join(map(str, request.seed))
     for share in (1.0, 0.6, 0.3):
-        wishes = [Wish(w.physics, w.site, w.rho * share) for w in request.wishes]
+        wishes = [TrialRequest(w.physics, w.site, w.rho * share) for w in request.wishes]
         for attempt in range(4):
             controller = request.options.controller if attempt == 0 else "proportional"
             options = replace(request.options, controller=controller)
@@ -85,7 +85,7 @@ def make_trial(request: Request) -> Trial | FieldTrial:
     raise Refused(f"trial {name}: nothing like {request.wishes} fits the machine")
 
 
-Draw = tuple[list[Wish], Options]
+Draw = tuple[list[TrialRequest], Options]
 
 
 def _bearing(generator: np.random.Generator, rho: float = 0.0) -> Options:
@@ -111,13 +111,13 @@ def _every(options: Options, generator: np.random.Generator) -> Iterator[tuple[s
 
 def _on_bearing(generator: np.random.Generator) -> Iterator[Draw]:
     for name, rho in _every(Options(), generator):
-        yield [Wish(name, None, rho)], _bearing(generator, rho)
+        yield [TrialRequest(name, None, rho)], _bearing(generator, rho)
 
 
 def _on_axis(generator: np.random.Generator) -> Iterator[Draw]:
     options = Options(machine="positioning_axis")
     for name, rho in _every(options, generator):
-        yield [Wish(name, None, rho)], options
+        yield [TrialRequest(name, None, rho)], options
 
 
 def _nothing(generator: np.random.Generator) -> Iterator[Draw]:
@@ -131,7 +131,7 @@ def _change(generator: np.random.Generator) -> Iterator[Draw]:
     while True:
         for i in generator.permutation(len(places)):
             (name, site), rho = places[i], float(generator.choice([0.3, 0.5, 1.0]))
-            yield [Wish(name, site, rho)], _bearing(generator, rho)
+            yield [TrialRequest(name, site, rho)], _bearing(generator, rho)
 
 
 def _two(generator: np.random.Generator) -> Iterator[Draw]:
@@ -140,7 +140,7 @@ def _two(generator: np.random.Generator) -> Iterator[Draw]:
     while True:
         pair = {str(name) for name in generator.choice(names, 2, replace=False)}
         if not any(pair <= alike for alike in ALIKE):
-            yield [Wish(name, None, 0.6) for name in sorted(pair)], options
+            yield [TrialRequest(name, None, 0.6) for name in sorted(pair)], options
 
 
 def _outside(generator: np.random.Generator) -> Iterator[Draw]:
@@ -148,7 +148,7 @@ def _outside(generator: np.random.Generator) -> Iterator[Draw]:
     while True:
         for k, name in enumerate(names):
             rho = RHOS[1 + k % 2]
-            yield [Wish(name, None, rho)], _bearing(generator, rho)
+            yield [TrialRequest(name, None, rho)], _bearing(generator, rho)
         names = names[::-1]
 
 
@@ -157,14 +157,14 @@ def _dirty(generator: np.random.Generator) -> Iterator[Draw]:
     names = _names(options)
     while True:
         for k in range(5):
-            yield [Wish(str(generator.choice(names)), None, 0.5)] if k else [], options
+            yield [TrialRequest(str(generator.choice(names)), None, 0.5)] if k else [], options
 
 
 def _noise(generator: np.random.Generator) -> Iterator[Draw]:
     names = _names(Options())
     while True:
         for kind in ("coloured", "process", "quieter", "louder", "process"):
-            hidden = [Wish(str(generator.choice(names)), None, 0.3)] if generator.random() < 0.5 else []
+            hidden = [TrialRequest(str(generator.choice(names)), None, 0.3)] if generator.random() < 0.5 else []
             yield hidden, replace(_bearing(generator, 1.0), noise=kind)
 
 
@@ -172,7 +172,7 @@ def _excitation(generator: np.random.Generator) -> Iterator[Draw]:
     names = _names(Options())
     while True:
         for kind in ("sine", "operation", "one_level"):
-            yield [Wish(str(generator.choice(names)), None, 0.3)], replace(_bearing(generator, 1.0), excitation=kind)
+            yield [TrialRequest(str(generator.choice(names)), None, 0.3)], replace(_bearing(generator, 1.0), excitation=kind)
 
 
 PARTS = {

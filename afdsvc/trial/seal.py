@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from afdsvc.errors import BadInput, Refused
-from afdsvc.trial.answer import Answer
+from afdsvc.trial.answer import TrialAnswer
 from afdsvc.trial.field.answer import FieldAnswer
-from afdsvc.trial.folder import Paths
+from afdsvc.trial.folder import TrialPaths
 
 SEAL = "SEAL.json"
 
 
-def seal(answer: Answer | FieldAnswer, paths: Paths, vault: str | Path) -> Path:
+def seal(answer: TrialAnswer | FieldAnswer, paths: TrialPaths, vault: str | Path) -> Path:
     """Write the commitment beside the model and the answer into the vault (another folder); return the answer's path.
 
     Raises `BadInput` when the vault lies inside the trial's folder.
@@ -38,7 +38,7 @@ def seal(answer: Answer | FieldAnswer, paths: Paths, vault: str | Path) -> Path:
     return kept
 
 
-def open_seal(folder: str | Path, kept: str | Path) -> Answer | FieldAnswer:
+def open_seal(folder: str | Path, kept: str | Path) -> TrialAnswer | FieldAnswer:
     """Return the answer of a trial; raises `Refused` when answer, recordings and commitment do not belong together."""
     folder, kept = Path(folder), Path(kept)
     sealed, commitment = _table(kept), _table(folder / SEAL)
@@ -51,9 +51,9 @@ def open_seal(folder: str | Path, kept: str | Path) -> Answer | FieldAnswer:
     return answer_of(sealed["answer"])
 
 
-def answer_of(table: dict[str, Any]) -> Answer | FieldAnswer:
+def answer_of(table: dict[str, Any]) -> TrialAnswer | FieldAnswer:
     """Return the answer of a trial of either sort from plain values."""
-    return FieldAnswer.from_json(table) if "family" in table else Answer.from_json(table)
+    return FieldAnswer.from_json(table) if "family" in table else TrialAnswer.from_json(table)
 
 
 def _digest(sealed: dict[str, Any]) -> str:

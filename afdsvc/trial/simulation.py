@@ -17,11 +17,11 @@ import numpy as np
 
 from afdsvc.errors import Refused
 from afdsvc.lti.statespace import Array
-from afdsvc.trial.effects.effect import Truth, tables
+from afdsvc.trial.effects.effect import Truth, law_tables
 from afdsvc.trial.laws import codes as c
 from afdsvc.trial.laws import dispatch as d
 from afdsvc.trial.laws.scalar import quantised
-from afdsvc.trial.machines.machine import Machine
+from afdsvc.trial.machines.machine import TrialMachine
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -152,7 +152,7 @@ def _step(laws, code, at, p, offset, A, B, u, w, k, aux, X, room, m, clock, t, l
 def integrate(code, at, p, offset, A, B, C, Ak, Bk, Ck, Dk, e, given, closed, noise, w, aux, t0, dt, substeps):  # type: ignore[no-untyped-def]
     """Return readings y (n, p), commands u (n, m) and plant states x (n, nx) at the sampling instants.
 
-    ``code`` to ``offset``: tables of the effects (`afdsvc.trial.effects.effect.tables`), whose states follow the plant's; A, B, C the
+    ``code`` to ``offset``: tables of the effects (`afdsvc.trial.effects.effect.law_tables`), whose states follow the plant's; A, B, C the
     plant; Ak to Dk the controller with inputs ``[y - ref, alpha]``; ``e (n, p + m)``: -ref and alpha; ``closed`` False plays
     the commands ``given (n, m)`` instead. ``noise (n, p)`` is added to the outputs, ``w (n, nx)`` to the rates;
     ``aux (n + 1, a)``; ``t0`` absolute time of the first sample.
@@ -191,7 +191,7 @@ def integrate(code, at, p, offset, A, B, C, Ak, Bk, Ck, Dk, e, given, closed, no
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Run:
+class RunPlan:
     """A recording to be made: alpha (n, m), ref (n, p), aux (n + 1, a), sensor noise (n, p), coloured noise of unit rms
     (n, p), disturbance of the rates (n, nx), absolute time of the first sample, and samples to drop at the start."""
 
@@ -205,48 +205,48 @@ class Run:
     t0: float
     skip: int
 
-    def quiet(self) -> Run:
+    def quiet(self) -> RunPlan:
         """Return the run without any noise."""
         return replace(self, noise=0 * self.noise, colour=0 * self.colour, push=0 * self.push)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Signals:
+class RunSignals:
     """What came back, from the first sample of the run: readings y (n, p), commands u (n, m), plant states x (n, nx)."""
 
     y: Array
     u: Array
     x: Array
 
-    def kept(self, run: Run) -> Signals:
+    def kept(self, run: RunPlan) -> RunSignals:
         """Return the part that is recorded."""
-        return Signals(self.y[run.skip :], self.u[run.skip :], self.x[run.skip :])
+        return RunSignals(self.y[run.skip :], self.u[run.skip :], self.x[run.skip :])
 
 
-def play(machine: Machine, truth: Truth, run: Run) -> Signals:
+def play_run(machine: TrialMachine, truth: Truth, run: RunPlan) -> RunSignals:
     """Return the closed loop's signals; raises `Refused` when it leaves the machine's reach."""
     entry = np.hstack([-run.ref, run.alpha])
     return _integrate(machine, truth, run, entry, np.zeros((1, run.alpha.shape[1])), True)
 
 
-def replay(machine: Machine, truth: Truth, run: Run, u: Array) -> Signals:
+def replay(machine: TrialMachine, truth: Truth, run: RunPlan, u: Array) -> RunSignals:
     """Return the plant's answer to given commands u (n, m), with the run's noise."""
     return _integrate(machine, truth, run, np.zeros((1, run.alpha.shape[1] + run.ref.shape[1])), u, False)
 
 
-def _integrate(machine: Machine, truth: Truth, run: Run, entry: Array, u: Array, closed: bool) -> Signals:
+def _integrate(machine: TrialMachine, truth: Truth, run: RunPlan, entry: Array, u: Array, closed: bool) -> RunSignals:
     K = machine.loop
     control = tuple(np.ascontiguousarray(M) for M in (K.A, K.B, K.C, K.D))
     y, out_u, x = integrate(  # type: ignore[call-arg]  # a compiled function takes what it was compiled for
-        *tables(truth.everything), *machine.matrices(truth.constants()), *control, entry, np.ascontiguousarray(u), closed,
+        *law_tables(truth.everything), *machine.matrices(truth.constants()), *control, entry, np.ascontiguousarray(u), closed,
         run.noise + _hidden_noise(truth, run), run.push, run.aux, run.t0, machine.dt, machine.substeps,
     )
     if closed and not np.abs(y).max() <= machine.reach:
         raise Refused(f"{machine.name}: {', '.join(e.physics for e in truth.everything)} drives it beyond {machine.reach:.3g}")
-    return Signals(y, out_u, x)
+    return RunSignals(y, out_u, x)
 
 
-def _hidden_noise(truth: Truth, run: Run) -> Array:
+def _hidden_noise(truth: Truth, run: RunPlan) -> Array:
     extra = np.zeros_like(run.noise)
     for effect in truth.everything:
         if effect.code == c.NOISE:

@@ -13,15 +13,15 @@ from typing import Any
 from joblib import Parallel, delayed
 
 from afdsvc.errors import BadInput
-from afdsvc.trial.answer import Answer
+from afdsvc.trial.answer import TrialAnswer
 from afdsvc.trial.field.answer import FieldAnswer
 from afdsvc.trial.field.generate import FieldTrial
-from afdsvc.trial.folder import Paths, write
-from afdsvc.trial.generate import Trial
+from afdsvc.trial.folder import TrialPaths, write
+from afdsvc.trial.generate import BlindTrial
 from afdsvc.trial.plan import Request, make_trial
 from afdsvc.trial.scoring.field_score import field_oracle, field_score
 from afdsvc.trial.scoring.oracle import Oracle, oracle
-from afdsvc.trial.scoring.rival import apart
+from afdsvc.trial.scoring.rival import rival_distance
 from afdsvc.trial.scoring.score import score
 from afdsvc.trial.seal import answer_of, open_seal, seal
 
@@ -105,7 +105,7 @@ def _written(request: Request, folder: Path) -> None:
     _sealed(request, folder)
 
 
-def _sealed(request: Request, folder: Path) -> tuple[Trial | FieldTrial, Paths, Path]:
+def _sealed(request: Request, folder: Path) -> tuple[BlindTrial | FieldTrial, TrialPaths, Path]:
     """Make, write and seal one trial; field trials are written as text, as their owners would bring them."""
     place = _place(folder, request)
     shutil.rmtree(place, ignore_errors=True)
@@ -118,11 +118,11 @@ def _place(folder: Path, request: Request) -> Path:
     return folder / "trials" / f"{request.number:04d}"
 
 
-def _best(trial: Trial | FieldTrial) -> Oracle:
+def _best(trial: BlindTrial | FieldTrial) -> Oracle:
     return field_oracle(trial) if isinstance(trial, FieldTrial) else oracle(trial)
 
 
-def _scored(explanation: Mapping[str, Any], answer: Answer | FieldAnswer, best: Oracle) -> dict[str, Any]:
+def _scored(explanation: Mapping[str, Any], answer: TrialAnswer | FieldAnswer, best: Oracle) -> dict[str, Any]:
     if isinstance(answer, FieldAnswer):
         return field_score(explanation, answer, best).as_json()
     return score(explanation, answer, best).as_json()
@@ -134,15 +134,15 @@ def rescored(result: Mapping[str, Any]) -> Result:
     return {**result, "score": _scored(result["explanation"], answer, best)}
 
 
-def _apart(trial: Trial | FieldTrial, result: Result) -> float | None:
+def _apart(trial: BlindTrial | FieldTrial, result: Result) -> float | None:
     """Return how far apart, for this data, the first name and what was hidden are; None where the first name is not wrong."""
     named = result["explanation"].get("named", [])
     if isinstance(trial, FieldTrial) or result["score"]["first"] is not False or not named or len(trial.truth.effects) != 1:
         return None
-    return apart(trial, named[0])
+    return rival_distance(trial, named[0])
 
 
-def _explained(explain: Explain, paths: Paths) -> tuple[dict[str, Any], float]:
+def _explained(explain: Explain, paths: TrialPaths) -> tuple[dict[str, Any], float]:
     begin = time.perf_counter()
     try:
         explanation = dict(explain(paths.model, paths.recordings, paths.holdout))

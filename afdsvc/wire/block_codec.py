@@ -15,7 +15,7 @@ from afdsvc.api.signals import Block, Channel
 from afdsvc.errors import BadInput
 from afdsvc.wire import afdsvc_pb2 as pb
 from afdsvc.wire.keys import checked_machine
-from afdsvc.wire.parsing import build, count, nanoseconds, parse, positive, required, stamp
+from afdsvc.wire.parsing import build_message, count, nanoseconds, parse, positive, required, stamp
 
 _SIGNALS, _NAME, _UNIT, _VALUES = (n << 3 | 2 for n in (10, 1, 2, 3))  # length-delimited fields of Block and Signal
 
@@ -24,7 +24,7 @@ def encode_block(block: Block) -> bytes:
     """Return the message, doubles bit for bit; raises `BadInput` for a block without samples or an invalid field."""
     if not len(block):
         raise BadInput(f"block {block.seq} of machine '{block.machine}' holds no samples; expected at least one")
-    header = build(
+    header = build_message(
         pb.Block, timestamp=stamp(block.t0_ns), machine=block.machine, session=block.session, seq=block.seq,
         k0=block.k0, dt=block.dt, burst=block.burst, late=block.late, tuning=block.tuning,
     )

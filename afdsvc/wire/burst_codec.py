@@ -12,12 +12,12 @@ from afdsvc.lti.statespace import Array
 from afdsvc.wire import afdsvc_pb2 as pb
 from afdsvc.wire.keys import checked_machine
 from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, Lease, Receipt
-from afdsvc.wire.parsing import build, count, nanoseconds, parse, positive, required, stamp
+from afdsvc.wire.parsing import build_message, count, nanoseconds, parse, positive, required, stamp
 
 
 def encode_burst_request(request: BurstRequest) -> bytes:
     """Return the message; raises `BadInput` for values out of range."""
-    message = build(
+    message = build_message(
         pb.BurstRequest, timestamp=stamp(request.t_ns), machine=request.machine, burst=_burst_message(request.burst),
         lease=request.lease, asked_by=request.asked_by, start=request.start, session=request.session, k=request.k,
     )
@@ -36,7 +36,7 @@ def decode_burst_request(data: bytes) -> BurstRequest:
 
 def encode_burst_reply(reply: BurstReply) -> bytes:
     """Return the message."""
-    return build(pb.BurstReply, accepted=reply.accepted, burst=reply.burst, reason=reply.reason).SerializeToString()
+    return build_message(pb.BurstReply, accepted=reply.accepted, burst=reply.burst, reason=reply.reason).SerializeToString()
 
 
 def decode_burst_reply(data: bytes) -> BurstReply:
@@ -50,7 +50,7 @@ def decode_burst_reply(data: bytes) -> BurstReply:
 def encode_burst_stop(stop: BurstStop) -> bytes:
     """Return the message."""
     fields = {"machine": stop.machine, "burst": stop.burst, "reason": stop.reason, "asked_by": stop.asked_by}
-    return build(pb.BurstStop, **fields).SerializeToString()
+    return build_message(pb.BurstStop, **fields).SerializeToString()
 
 
 def decode_burst_stop(data: bytes) -> BurstStop:
@@ -62,7 +62,7 @@ def decode_burst_stop(data: bytes) -> BurstStop:
 
 def encode_lease(lease: Lease) -> bytes:
     """Return the message."""
-    return build(pb.Lease, machine=lease.machine, burst=lease.burst, seconds=lease.seconds).SerializeToString()
+    return build_message(pb.Lease, machine=lease.machine, burst=lease.burst, seconds=lease.seconds).SerializeToString()
 
 
 def decode_lease(data: bytes) -> Lease:
@@ -74,8 +74,8 @@ def decode_lease(data: bytes) -> Lease:
 
 def encode_receipt(receipt: Receipt) -> bytes:
     """Return the message."""
-    ranges = [build(pb.SampleRange, session=session, start=start, end=end) for session, start, end in receipt.ranges]
-    return build(pb.Receipt, machine=receipt.machine, ranges=ranges).SerializeToString()
+    ranges = [build_message(pb.SampleRange, session=session, start=start, end=end) for session, start, end in receipt.ranges]
+    return build_message(pb.Receipt, machine=receipt.machine, ranges=ranges).SerializeToString()
 
 
 def decode_receipt(data: bytes) -> Receipt:
@@ -90,9 +90,9 @@ def decode_receipt(data: bytes) -> Receipt:
 
 
 def _burst_message(burst: Burst) -> pb.Burst:
-    waveform = [] if burst.waveform is None else [build(pb.Column, values=c.tolist()) for c in burst.waveform.T]
-    lines = [build(pb.Line, input=x.input, omega=x.omega, amplitude=x.amplitude, phase=x.phase) for x in burst.lines]
-    return build(
+    waveform = [] if burst.waveform is None else [build_message(pb.Column, values=c.tolist()) for c in burst.waveform.T]
+    lines = [build_message(pb.Line, input=x.input, omega=x.omega, amplitude=x.amplitude, phase=x.phase) for x in burst.lines]
+    return build_message(
         pb.Burst, name=burst.name, inputs=burst.inputs, samples=burst.samples, ramp=burst.ramp, lines=lines,
         waveform=waveform, settle=burst.settle, purpose=burst.purpose, notes=dict(burst.notes),
     )

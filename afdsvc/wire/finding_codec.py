@@ -7,7 +7,7 @@ from afdsvc.wire import afdsvc_pb2 as pb
 from afdsvc.wire.keys import checked_machine
 from afdsvc.wire.messages import Finding
 from afdsvc.wire.parsing import (
-    build,
+    build_message,
     by_name,
     count,
     named_values,
@@ -23,7 +23,7 @@ from afdsvc.wire.parsing import (
 def encode_finding(finding: Finding) -> bytes:
     """Return the message, numbers bit for bit; raises `BadInput` for values out of range."""
     e = finding.evidence
-    message = build(
+    message = build_message(
         pb.Evidence, timestamp=stamp(finding.t_ns), machine=e.machine, session=finding.session, detector=e.detector,
         k=e.k, seconds=e.seconds, statistic=e.statistic, threshold=e.threshold, detected=e.detected, burst=e.burst,
         output=e.output, fault=e.fault, severity=severity_message(e.severity), weights=named_values(e.weights),

@@ -27,7 +27,7 @@ def parse(kind: type[M], data: bytes) -> M:
         raise BadInput(f"{len(data)} bytes are not an {name} message of afdsvc.v1: {error}") from None
 
 
-def build(kind: type[M], /, **fields: Any) -> M:
+def build_message(kind: type[M], /, **fields: Any) -> M:
     """Return a message; raises `BadInput` naming its kind when a value does not fit its field."""
     try:
         return kind(**fields)
@@ -80,7 +80,7 @@ def nanoseconds(timestamp: Timestamp) -> int:
 
 def named_values(values: Mapping[str, float]) -> list[pb.NamedValue]:
     """Return numbers by name as messages, in their order."""
-    return [build(pb.NamedValue, name=name, value=value) for name, value in values.items()]
+    return [build_message(pb.NamedValue, name=name, value=value) for name, value in values.items()]
 
 
 def by_name(values: Iterable[pb.NamedValue]) -> dict[str, float]:
@@ -95,7 +95,7 @@ def by_name(values: Iterable[pb.NamedValue]) -> dict[str, float]:
 
 def severity_message(severity: Severity | None) -> pb.Severity | None:
     """Return a severity as a message, None as None (the field stays absent)."""
-    return None if severity is None else build(pb.Severity, value=severity.value, sd=severity.sd)
+    return None if severity is None else build_message(pb.Severity, value=severity.value, sd=severity.sd)
 
 
 def severity_of(message: Any) -> Severity | None:

@@ -8,7 +8,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 
 
-def main() -> int:
+def run_protoc() -> int:
     """Run protoc beside this file; returns its exit code."""
     import grpc_tools
     from grpc_tools import protoc
@@ -23,4 +23,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_protoc())

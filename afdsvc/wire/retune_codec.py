@@ -13,13 +13,13 @@ from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.wire import afdsvc_pb2 as pb
 from afdsvc.wire.keys import checked_machine
 from afdsvc.wire.messages import RetuneRequest
-from afdsvc.wire.parsing import build, count, nanoseconds, parse, positive, required, stamp
+from afdsvc.wire.parsing import build_message, count, nanoseconds, parse, positive, required, stamp
 
 
 def encode_retune_request(request: RetuneRequest) -> bytes:
     """Return the message; raises `BadInput` for values out of range."""
     Q, tuning, found = request.tuning.Q, request.tuning, request.found
-    message = build(
+    message = build_message(
         pb.RetuneRequest, timestamp=stamp(request.t_ns), machine=request.machine, name=request.name, states=Q.order, inputs=Q.outputs,
         outputs=Q.inputs, matrices=_flat(Q.A, Q.B, Q.C, Q.D), dt=Q.dt, rise=tuning.rise, fall=tuning.fall, promise=_promise_message(tuning.promise),
         fault=found.fault, low=found.low, high=found.high, lease=request.lease, asked_by=request.asked_by, session=request.session,
@@ -60,7 +60,7 @@ def _split(values: Array, n: int, rows: int, columns: int) -> tuple[Array, Array
 def _promise_message(promise: Promise | None) -> pb.Promise | None:
     if promise is None:
         return None
-    return build(pb.Promise, output=_flat(promise.output), input=_flat(promise.input), cost=promise.cost, seconds=promise.seconds)
+    return build_message(pb.Promise, output=_flat(promise.output), input=_flat(promise.input), cost=promise.cost, seconds=promise.seconds)
 
 
 def _promise(message: pb.RetuneRequest, rows: int, columns: int) -> Promise | None:

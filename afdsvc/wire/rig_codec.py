@@ -10,13 +10,13 @@ from afdsvc.errors import BadInput
 from afdsvc.wire import afdsvc_pb2 as pb
 from afdsvc.wire.keys import checked_machine
 from afdsvc.wire.messages import EventKind, RigDescription, RigEvent
-from afdsvc.wire.parsing import build, count, nanoseconds, parse, positive, required, stamp
+from afdsvc.wire.parsing import build_message, count, nanoseconds, parse, positive, required, stamp
 
 
 def encode_event(event: RigEvent) -> bytes:
     """Return the message; raises `BadInput` for values out of range."""
     kind = pb.RigEvent.Kind.Value(event.kind.name)
-    message = build(
+    message = build_message(
         pb.RigEvent, timestamp=stamp(event.t_ns), machine=event.machine, session=event.session, kind=kind,
         burst=event.burst, cause=event.cause, k=event.k,
     )
@@ -41,9 +41,9 @@ def decode_event(data: bytes) -> RigEvent:
 def encode_description(description: RigDescription) -> bytes:
     """Return the message; raises `BadInput` for values out of range."""
     d = description
-    message = build(
+    message = build_message(
         pb.RigDescription, timestamp=stamp(d.t_ns), machine=d.machine, session=d.session, dt=d.dt,
-        channels=[build(pb.ChannelInfo, name=c.name, unit=c.unit) for c in d.channels],
+        channels=[build_message(pb.ChannelInfo, name=c.name, unit=c.unit) for c in d.channels],
         limits=_limits_message(d.limits), controller=d.controller, site=d.site, model=d.model,
         version=d.version, driver=d.driver, samples=d.samples, late=d.late, head_room=d.head_room,
     )
@@ -65,7 +65,7 @@ def _limits_message(limits: Limits | None) -> pb.Limits | None:
     if limits is None:
         return None
     bounds = {"output": limits.output.tolist(), "input": limits.input.tolist(), "alpha": limits.alpha.tolist()}
-    return build(pb.Limits, **bounds, seconds=limits.seconds)
+    return build_message(pb.Limits, **bounds, seconds=limits.seconds)
 
 
 def _limits(message: pb.RigDescription) -> Limits | None:

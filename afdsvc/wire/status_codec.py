@@ -7,7 +7,7 @@ from afdsvc.wire import afdsvc_pb2 as pb
 from afdsvc.wire.keys import checked_machine
 from afdsvc.wire.messages import Alarm, AlarmChange, AlarmKind, Command, CommandReply, MachineStatus, ServiceStatus
 from afdsvc.wire.parsing import (
-    build,
+    build_message,
     count,
     json_text,
     json_value,
@@ -23,7 +23,7 @@ from afdsvc.wire.parsing import (
 def encode_status(status: ServiceStatus) -> bytes:
     """Return the message; raises `BadInput` for values out of range."""
     s = status
-    message = build(
+    message = build_message(
         pb.ServiceStatus, timestamp=stamp(s.t_ns), site=s.site, version=s.version, uptime=s.uptime,
         machines=[_machine_message(m) for m in s.machines], recording=s.recording, recording_bytes=s.recording_bytes,
         recording_failure=s.recording_failure, recording_dropped=s.recording_dropped, longest_waits=dict(s.longest_waits),
@@ -45,7 +45,7 @@ def encode_command(command: Command) -> bytes:
     """Return the message; raises `BadInput` for arguments JSON cannot say."""
     text = json_text(f"arguments of command '{command.name}'", dict(command.arguments))
     when = stamp(command.t_ns) if command.t_ns else None
-    return build(
+    return build_message(
         pb.Command, name=command.name, arguments=text, asked_by=command.asked_by, timestamp=when, nonce=command.nonce
     ).SerializeToString()
 
@@ -63,7 +63,7 @@ def decode_command(data: bytes) -> Command:
 
 def encode_command_reply(reply: CommandReply) -> bytes:
     """Return the message; raises `BadInput` for a result JSON cannot say (NaN among it)."""
-    return build(
+    return build_message(
         pb.CommandReply, ok=reply.ok, error=reply.error, result=json_text("result", reply.result)
     ).SerializeToString()
 
@@ -77,7 +77,7 @@ def decode_command_reply(data: bytes) -> CommandReply:
 
 
 def _machine_message(m: MachineStatus) -> pb.MachineStatus:
-    return build(
+    return build_message(
         pb.MachineStatus, machine=m.machine, session=m.session, state=m.state, reason=m.reason, blocks=m.blocks,
         lost_blocks=m.lost_blocks, late=m.late, head_room=m.head_room, block_age=m.block_age, burst=m.burst,
         next_burst=m.next_burst, trustworthy=m.trustworthy, alarms=[_alarm_message(a) for a in m.alarms], tuning=m.tuning,
@@ -95,7 +95,7 @@ def _machine(m: pb.MachineStatus) -> MachineStatus:
 
 def encode_alarm_change(change: AlarmChange) -> bytes:
     """Return the message."""
-    return build(
+    return build_message(
         pb.AlarmChange, timestamp=stamp(change.t_ns), alarm=_alarm_message(change.alarm), event=change.event, who=change.who,
         why=change.why,
     ).SerializeToString()
@@ -109,7 +109,7 @@ def decode_alarm_change(data: bytes) -> AlarmChange:
 
 
 def _alarm_message(a: Alarm) -> pb.Alarm:
-    return build(
+    return build_message(
         pb.Alarm, id=a.id, machine=a.machine, fault=a.fault, severity=severity_message(a.severity),
         since=stamp(a.since_ns), last=stamp(a.last_ns), count=a.count, active=a.active, acknowledged=a.acknowledged,
         acknowledged_by=a.acknowledged_by, comment=a.comment, kind=a.kind.value, confirmed=a.confirmed,

@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks.suppo
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.app import commissioning
 from afdsvc.errors import AfdsvcError
-from afdsvc.files.site import Machine, Named
+from afdsvc.files.site import MachineSection, PluginSection
 from afdsvc.hal.agent import RigAgent
 from afdsvc.hal.burst_player import LONGEST_FADE
 from afdsvc.hal.control_loop import LoopSettings
@@ -242,7 +242,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
     driver = {"kind": "simulator", "real_time": False}
-    config = Machine(id="m", plant="gas_bearing", controller=Named(kind="lqg"), driver=driver)
+    config = MachineSection(id="m", plant="gas_bearing", controller=PluginSection(kind="lqg"), driver=driver)
     attack, began = Attack(commissioning.commission(config, load()), Random(asked.seed), asked.sequences), time.monotonic()
     attack.run()
     print(f"{datetime.date.today()}, {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, seed {asked.seed}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.lti.coprime import Factorisation, observer_factorisation
 from afdsvc.lti.riccati import kalman_predictor_gain, lqr
 from afdsvc.lti.simulate import simulate
@@ -32,9 +32,9 @@ def binary(rng: np.random.Generator, samples: int, amplitude: float, hold: int =
     return amplitude * np.repeat(coins, hold, axis=0)[:samples]
 
 
-def run(fact: Factorisation, true: StateSpace, alpha: Array, rng: np.random.Generator, noise: float = 1.0) -> tuple[Recording, Recording]:
+def run(fact: Factorisation, true: StateSpace, alpha: Array, rng: np.random.Generator, noise: float = 1.0) -> tuple[InputOutputData, InputOutputData]:
     """Return the recording of (u, y) and that of (alpha, beta); noise variances of P5 times ``noise**2``."""
     count = len(alpha)
     d = noise * np.sqrt(NOISE_VARIANCE) * rng.standard_normal((count, 2))
     out, _ = simulate(closed_loop(fact, true).system, np.hstack([d, np.zeros((count, 4)), alpha]))
-    return Recording.of(out[:, 4:6], out[:, 2:4], true.dt), Recording.of(alpha, out[:, 6:], true.dt)
+    return InputOutputData.of(out[:, 4:6], out[:, 2:4], true.dt), InputOutputData.of(alpha, out[:, 6:], true.dt)

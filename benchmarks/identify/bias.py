@@ -12,7 +12,7 @@ from matplotlib.ticker import NullFormatter
 from page import picture, table, write
 from spectral import direct_spectral, indirect_spectral
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.identify.methods.hansen import rebuilt_plant
 from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
 from afdsvc.identify.methods.subspace import decompose, realise
@@ -62,7 +62,7 @@ def study() -> None:
     write("identification-bias", "What feedback does to direct identification", "python benchmarks/identify/bias.py", parts)
 
 
-def parametric(fact, record: Recording, signals: Recording) -> dict[str, StateSpace]:
+def parametric(fact, record: InputOutputData, signals: InputOutputData) -> dict[str, StateSpace]:
     """Return the plants found by the Hansen scheme and by PBSIDopt."""
     full = rebuilt_plant(fact, realise(decompose([signals], 30), 12, stable=True).system)
     start = next(r.system for r in compare_reductions(full, fact, 6, [record]) if r.loop_stable)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from bearing import PLANT, binary
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import AfdsvcError
 from afdsvc.identify.methods.greybox import GreyboxOptions, fit_greybox
 from afdsvc.identify.methods.hansen import excited_loop, rebuilt_plant
@@ -42,7 +42,7 @@ def amplitude(fact: Factorisation, true: StateSpace, rms: float = OUTPUT_RMS) ->
 
 
 def identify_all(
-    fact: Factorisation, nominal: StateSpace, true: StateSpace, training: list[Recording], signals: list[Recording],
+    fact: Factorisation, nominal: StateSpace, true: StateSpace, training: list[InputOutputData], signals: list[InputOutputData],
     theta: float, rng: np.random.Generator, plant=PLANT, start: Array | None = None, starts: bool = True,
 ) -> dict[str, StateSpace | None]:
     """Return the plant of every method, None where it failed."""
@@ -65,7 +65,7 @@ def _pem(structure, training, options, rng, start) -> StateSpace | None:
         return None
 
 
-def _hansen(fact: Factorisation, training: list[Recording], signals: list[Recording]) -> dict[str, StateSpace | None]:
+def _hansen(fact: Factorisation, training: list[InputOutputData], signals: list[InputOutputData]) -> dict[str, StateSpace | None]:
     order = max(choose_order(signals, HORIZON, 16).order, 2)
     full = rebuilt_plant(fact, realise(decompose(signals, HORIZON), order, stable=True).system)
     truncated = compare_reductions(full, fact, 6, training)[0].system
@@ -73,7 +73,7 @@ def _hansen(fact: Factorisation, training: list[Recording], signals: list[Record
     return {"Hansen G(S)": full, "Hansen, truncated": truncated, "Hansen, refined": refined}
 
 
-def r2(system: StateSpace | None, heldout: Recording) -> list[float]:
+def r2(system: StateSpace | None, heldout: InputOutputData) -> list[float]:
     """Return Eq 4.38 of the thesis for both outputs: NaN where there is no model, -1 where it cannot be simulated."""
     if system is None:
         return [float("nan")] * 2

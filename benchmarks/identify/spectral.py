@@ -10,19 +10,19 @@ from __future__ import annotations
 import numpy as np
 from scipy import signal
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array, ComplexArray
 
 
-def direct_spectral(recording: Recording, segment: int) -> tuple[Array, ComplexArray]:
+def direct_spectral(recording: InputOutputData, segment: int) -> tuple[Array, ComplexArray]:
     """Return frequencies [rad/s] and ``S_yu S_uu^-1``, shape ``(k, p, m)``, by Welch averaging over ``segment``
     samples."""
     omega, Syu, Suu = _cross_spectra(recording.y, recording.u, recording.u, recording.dt, segment)
     return omega, _ratio(Syu, Suu)
 
 
-def indirect_spectral(recording: Recording, external: Array, segment: int) -> tuple[Array, ComplexArray]:
+def indirect_spectral(recording: InputOutputData, external: Array, segment: int) -> tuple[Array, ComplexArray]:
     """Return frequencies [rad/s] and ``S_yr S_ur^-1`` with an external signal ``r (N, m)`` free of the noise."""
     if external.shape != recording.u.shape:
         raise BadInput(f"external signal of shape {external.shape}; expected that of the input, {recording.u.shape},")

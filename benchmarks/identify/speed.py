@@ -68,18 +68,18 @@ def errors(seed, A, B, C, D):
 
 
 def ours(u, y, horizon, weighting, route):
-    from afdsvc.dataset.arrays import Recording
+    from afdsvc.dataset.arrays import InputOutputData
     from afdsvc.identify.methods.subspace import decompose, realise
 
-    s = realise(decompose([Recording.of(u, y, 1.0)], horizon, weighting, route), ORDER, feedthrough=False).system
+    s = realise(decompose([InputOutputData.of(u, y, 1.0)], horizon, weighting, route), ORDER, feedthrough=False).system
     return s.A, s.B, s.C, s.D
 
 
 def pbsid(u, y, horizon):
-    from afdsvc.dataset.arrays import Recording
+    from afdsvc.dataset.arrays import InputOutputData
     from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
 
-    s = realise_predictor(decompose_predictor([Recording.of(u, y, 1.0)], 3 * horizon), ORDER).system
+    s = realise_predictor(decompose_predictor([InputOutputData.of(u, y, 1.0)], 3 * horizon), ORDER).system
     return s.A, s.B, s.C, s.D
 
 

@@ -16,7 +16,7 @@ from bearing import PLANT, TRUE, binary, controller, run  # noqa: E402
 from page import table, write  # noqa: E402
 from scipy import stats  # noqa: E402
 
-from afdsvc.dataset.arrays import Recording  # noqa: E402
+from afdsvc.dataset.arrays import InputOutputData  # noqa: E402
 from afdsvc.identify.methods.greybox import fit_greybox  # noqa: E402
 from afdsvc.identify.parameters.structure import physical_structure  # noqa: E402
 from afdsvc.lti.simulate import simulate  # noqa: E402
@@ -40,14 +40,14 @@ def one(seed: int, process: bool) -> np.ndarray:
     return np.stack([(np.array([e.value for e in fit.parameters]) - TRUTH) / sd, sd])
 
 
-def _with_process_noise(fact, record: Recording, rng: np.random.Generator) -> Recording:
+def _with_process_noise(fact, record: InputOutputData, rng: np.random.Generator) -> InputOutputData:
     from monte_carlo import run_disturbance
 
     w = np.zeros((len(record), 6))
     w[:, 2:4] = PROCESS * rng.standard_normal((len(record), 2))
     d, _ = simulate(StateSpace(TRUE.A, np.eye(6), TRUE.C, np.zeros((2, 6)), TRUE.dt), w)
     extra = run_disturbance(fact, TRUE, d)
-    return Recording.of(record.u + extra.u, record.y + extra.y, record.dt)
+    return InputOutputData.of(record.u + extra.u, record.y + extra.y, record.dt)
 
 
 def study(runs: int) -> None:

@@ -18,7 +18,7 @@ from contest import FREE, METHODS, OUTPUT_RMS, SAMPLES, amplitude, identify_all,
 from page import table, write  # noqa: E402
 
 from afdsvc.api.plant import PhysicalPlant  # noqa: E402
-from afdsvc.dataset.arrays import Recording  # noqa: E402
+from afdsvc.dataset.arrays import InputOutputData  # noqa: E402
 from afdsvc.identify.methods.hansen import youla_signals  # noqa: E402
 from afdsvc.lti.coprime import Factorisation  # noqa: E402
 from afdsvc.lti.sampling import sample_zoh  # noqa: E402
@@ -63,7 +63,7 @@ def conditions() -> list[Condition]:
     ]
 
 
-def recorded(fact: Factorisation, case: Condition, rng: np.random.Generator) -> tuple[Recording, Recording]:
+def recorded(fact: Factorisation, case: Condition, rng: np.random.Generator) -> tuple[InputOutputData, InputOutputData]:
     """Return the recordings of (u, y) and (alpha, beta) of one run; unbalance moves the outputs and is answered to."""
     true = case.plant.discrete()
     record, signals = run(fact, true, binary(rng, SAMPLES, amplitude(fact, true)), rng)
@@ -72,7 +72,7 @@ def recorded(fact: Factorisation, case: Condition, rng: np.random.Generator) -> 
     angle = RPM * 2 * np.pi / 60 * np.arange(SAMPLES) * true.dt + rng.uniform(0, 2 * np.pi)
     d = np.sqrt(2) * case.shaking * np.column_stack([np.cos(angle), np.sin(angle)])
     out, _ = simulate(closed_loop(fact, true).system, np.hstack([d, np.zeros((SAMPLES, 6))]))
-    shaken = Recording.of(record.u + out[:, 4:6], record.y + out[:, 2:4], true.dt)
+    shaken = InputOutputData.of(record.u + out[:, 4:6], record.y + out[:, 2:4], true.dt)
     return shaken, youla_signals(fact, shaken)
 
 

@@ -72,8 +72,8 @@ def run(case: Case, rng: np.random.Generator) -> str:
     """Simulate one run; return what went wrong, "" when nothing did."""
     problem, cost, m, p = case.problem, case.cost, case.problem.plant.inputs, case.problem.plant.outputs
     truth = 0.0 if rng.random() < 0.3 else float(rng.uniform(case.found.low, case.found.high))
-    G = control_sample.contiguous(problem.augmented.close({case.found.fault: truth}))
-    K, q = control_sample.contiguous(problem.interconnection), RunningQ(m, p, G.dt)
+    G = control_sample.contiguous_system(problem.augmented.close({case.found.fault: truth}))
+    K, q = control_sample.contiguous_system(problem.interconnection), RunningQ(m, p, G.dt)
     n, excited, referred = 3 * STAGE, rng.random() < 0.4, rng.random() < 0.4
     noise = rng.standard_normal((n, p)) @ np.linalg.cholesky(cost.noise).T
     # process noise enters where the inputs do: the disturbances of these cases act on u
@@ -95,7 +95,7 @@ def run(case: Case, rng: np.random.Generator) -> str:
         elif stage == 2:
             q.end("asked")
         u, y, beta = np.empty((STAGE, m)), np.empty((STAGE, p)), np.empty((STAGE, p))
-        cause, _ = control_sample.closed_loop(
+        cause, _ = control_sample.run_closed_loop(
             G.A, G.B, G.C, x, K.A, K.B, K.C, K.D, xk, q.q, q.motion, alpha[span], force[span], noise[span], True,
             case.limits.output, case.limits.input, u_hold, u, y, beta,
         )  # fmt: skip

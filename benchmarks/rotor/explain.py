@@ -16,18 +16,18 @@ import numpy as np
 from afdsvc.explain.pipeline import explain
 from afdsvc.files.model.model_file import parse_model
 from afdsvc.plugins.manager import load
-from afdsvc.trial.generate import generate
+from afdsvc.trial.generate import generate_trial
 from afdsvc.trial.machines.rotor import RotorOptions
-from afdsvc.trial.model_text import model_text
+from afdsvc.trial.model_text import nominal_model_text
 
 PHYSICS = ("unbalance", "runout", "gyroscopic_coupling", "cross_coupled_stiffness", "flexible_mode", "nothing")
 
 
 def one(physics: str, rho: float, seed: int) -> tuple[bool, str]:
     """Return whether the first name is the hidden one (or nothing was named where nothing was hidden), and a line."""
-    trial = generate(physics, None, rho, np.random.default_rng([seed, PHYSICS.index(physics)]), RotorOptions())
+    trial = generate_trial(physics, None, rho, np.random.default_rng([seed, PHYSICS.index(physics)]), RotorOptions())
     began = time.process_time()
-    model = parse_model(model_text(trial.machine), "MODEL.toml")
+    model = parse_model(nominal_model_text(trial.machine), "MODEL.toml")
     found = explain(model, trial.recordings, [trial.holdout], [o.thing for o in load().family("physics")])
     first = found.named[0] if found.named else None
     right = found.verdict == "consistent" if physics == "nothing" else first is not None and first.physics == physics

@@ -16,9 +16,9 @@ from scipy.stats import beta
 sys.path.insert(0, str(Path(__file__).parent))
 from loop import full_plant, record, without_rotation
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.identify.methods.indirect import fit_indirect
-from afdsvc.identify.methods.repeated_indirect import Noise, fit_recentred
+from afdsvc.identify.methods.repeated_indirect import NoiseCovariances, fit_recentred
 from afdsvc.identify.parameters.structure import physical_structure
 from afdsvc.plants.amb_turboexpander import amb_turboexpander
 from afdsvc.plugins.controllers.lqg import Lqg
@@ -34,7 +34,7 @@ def published(full: bool, theta: float = -0.5, states: int = 8) -> float:
     true = full_plant(plant.values(change), 31500, 1e-3) if full else plant.discrete(**change)
     alpha = 0.02 * np.random.default_rng(1).choice([-1.0, 1.0], size=(500, 4))
     run = record(true, fact, alpha, np.random.default_rng(2))
-    fit = fit_indirect(physical_structure(plant, ["stiffness_b_y"]), fact, [Recording.of(alpha, run.beta, 1e-3)])
+    fit = fit_indirect(physical_structure(plant, ["stiffness_b_y"]), fact, [InputOutputData.of(alpha, run.beta, 1e-3)])
     return fit.parameters[0].value / plant.parameters["stiffness_b_y"].value - 1
 
 
@@ -50,8 +50,8 @@ def deviations(seed: int, change: dict[str, float], full: bool, project: bool = 
     run = record(true, fact, alpha, rng, 0.5, 31500)
     steady = slice(SETTLED, None)  # the whirl has settled
     signals = [without_rotation(s[steady], run.angle[steady]) if project else s[steady] for s in (run.u, run.y)]
-    recording = Recording.of(*signals, plant.sample_time)
-    fit = fit_recentred(physical_structure(plant, list(change)), fact, [recording], Noise(plant.output_cov), rounds=rounds)
+    recording = InputOutputData.of(*signals, plant.sample_time)
+    fit = fit_recentred(physical_structure(plant, list(change)), fact, [recording], NoiseCovariances(plant.output_cov), rounds=rounds)
     return {
         p.name: (p.value / nominal[p.name] - 1, p.sd / abs(nominal[p.name]), (p.value - values[p.name]) / p.sd)
         for p in fit.parameters

@@ -13,7 +13,7 @@ from afdsvc.api.evidence import Evidence
 from afdsvc.app import commissioning
 from afdsvc.app.commissioning import Commissioned
 from afdsvc.app.pipelines import burst_design, pipeline_of
-from afdsvc.files.site import Machine
+from afdsvc.files.site import MachineSection
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.clock import FastClock
 from afdsvc.service.scheduler import BurstOrder
@@ -24,7 +24,7 @@ def machine(plugins: Plugins, faults: dict[str, tuple[float, float]] | None = No
     injected = [{"name": n, "severity": s, "at_seconds": t} for n, (s, t) in (faults or {}).items()]
     driver = {"kind": "simulator", "real_time": False, "seed": seed, "faults": injected, **more.pop("driver", {})}
     settings = {"bursts": {"severity": -0.2}, "block": 1000, **more}
-    return commissioning.commission(Machine(id="expander", plant="amb_turboexpander", driver=driver, **settings), plugins)
+    return commissioning.commission(MachineSection(id="expander", plant="amb_turboexpander", driver=driver, **settings), plugins)
 
 
 @dataclass

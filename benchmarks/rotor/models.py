@@ -40,14 +40,14 @@ def mapping_error(states: int) -> float:
 def real_time_factor(sample_time: float, seconds: float = 0.5) -> float:
     """Return simulated seconds per second of processor time of the full model in its loop, one core."""
     plant = amb_turboexpander(sample_time=sample_time)
-    J_K = control_sample.contiguous(Lqg().design(plant.discrete(), plant.recommended["lqg"]).interconnection)
-    G = control_sample.contiguous(sample_zoh(turboexpander_rotor(31500.0).full_system(plant.values()), plant.sample_time))
-    control_sample.warm_up()
+    J_K = control_sample.contiguous_system(Lqg().design(plant.discrete(), plant.recommended["lqg"]).interconnection)
+    G = control_sample.contiguous_system(sample_zoh(turboexpander_rotor(31500.0).full_system(plant.values()), plant.sample_time))
+    control_sample.compile_loops()
     n, rng = round(seconds / plant.sample_time), np.random.default_rng(1)
     bounds, x, xk, hold = np.full(4, 1e9), np.zeros(G.order), np.zeros(J_K.order), np.zeros(4)
     u, y, beta, alpha = (np.zeros((n, 4)) for _ in range(4))
     start = time.process_time()
-    control_sample.closed_loop(
+    control_sample.run_closed_loop(
         G.A, G.B, G.C, x, J_K.A, J_K.B, J_K.C, J_K.D, xk, alpha, np.zeros((n, 4)), 0.5 * rng.standard_normal((n, 4)),
         False, bounds, bounds, hold, u, y, beta,
     )

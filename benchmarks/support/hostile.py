@@ -27,7 +27,7 @@ from afdsvc.files.model.model_file import parse_model
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
-from afdsvc.files.site import Driver, Machine, parse_site
+from afdsvc.files.site import DriverSection, MachineSection, parse_site
 from afdsvc.files.tables.tables import read_table
 from afdsvc.plugins.manager import load
 from afdsvc.service.clock import FastClock
@@ -209,7 +209,7 @@ def _text(parse: Callable[[str], object], seeds: list[str]) -> Callable[[Path], 
 def burst(_folder: Path) -> Target:
     """Requests to excite a simulated machine: refused, or played without any limit being exceeded."""
     plugins = load()
-    config = Machine(id="m1", plant="gas_bearing", driver=Driver(real_time=False))
+    config = MachineSection(id="m1", plant="gas_bearing", driver=DriverSection(real_time=False))
     machine = commissioning.commission(config, plugins)
     port: Any = commissioning.open_port(machine, "s", FastClock(), plugins)
     if machine.limits is None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.identify.methods.hansen import rebuilt_plant
 from afdsvc.identify.methods.subspace import decompose, realise
 from afdsvc.lti.coprime import Factorisation, observer_factorisation
@@ -59,7 +59,7 @@ def identified() -> tuple[Factorisation, StateSpace, StateSpace, StateSpace]:
     alpha = 2.0 * np.repeat(rng.choice([-1.0, 1.0], size=(n // 4, 2)), 4, axis=0)
     d = np.sqrt(NOISE_VARIANCE) * rng.standard_normal((n, 2))
     out, _ = simulate(closed_loop(fact, true).system, np.hstack([d, np.zeros((n, 4)), alpha]))
-    S = realise(decompose([Recording.of(alpha, out[:, 6:], true.dt)], 24), 8, stable=True).system
+    S = realise(decompose([InputOutputData.of(alpha, out[:, 6:], true.dt)], 24), 8, stable=True).system
     return fact, true, deviation_system(fact, true), S
 
 
@@ -163,7 +163,7 @@ def drawn() -> tuple:
             break
     alpha = rng.standard_normal((6000, 2))
     beta, _ = simulate(S, alpha)
-    found = realise(decompose([Recording.of(alpha, beta + 0.1 * beta.std(axis=0) * rng.standard_normal(beta.shape), 0.1)], 20), S.order, stable=True).system
+    found = realise(decompose([InputOutputData.of(alpha, beta + 0.1 * beta.std(axis=0) * rng.standard_normal(beta.shape), 0.1)], 20), S.order, stable=True).system
     return fact, true, S, found
 
 
@@ -202,7 +202,7 @@ def p1_theta() -> list[Row]:
     full = sample_zoh(turboexpander_rotor(31500.0).full_system(plant.values({STIFFNESS: 0.5 * nominal})), 1e-3)
     alpha = 0.02 * np.random.default_rng(1).choice([-1.0, 1.0], size=(500, 4))
     beta, _ = simulate(deviation_system(fact, full), alpha)
-    theta = fit_indirect(physical_structure(plant, [STIFFNESS]), fact, [Recording.of(alpha, beta, 1e-3)]).parameters[0].value / nominal - 1
+    theta = fit_indirect(physical_structure(plant, [STIFFNESS]), fact, [InputOutputData.of(alpha, beta, 1e-3)]).parameters[0].value / nominal - 1
     return [Row("share of the stiffness that is lost", 0.502, -float(theta), 0.003)]
 
 

@@ -29,11 +29,11 @@ def loop(machine: Commissioned, alpha: np.ndarray, noise: np.ndarray) -> np.ndar
     """Return u, y, alpha, beta (n, 8) of the closed loop from rest."""
     assert machine.controller is not None
     assert machine.limits is not None
-    control_sample.warm_up()
-    G, K = control_sample.contiguous(machine.plant), control_sample.contiguous(machine.controller.interconnection)
+    control_sample.compile_loops()
+    G, K = control_sample.contiguous_system(machine.plant), control_sample.contiguous_system(machine.controller.interconnection)
     n, m, p = len(alpha), machine.plant.inputs, machine.plant.outputs
     u, y, beta, limits = np.empty((n, m)), np.empty((n, p)), np.empty((n, p)), machine.limits
-    control_sample.closed_loop(
+    control_sample.run_closed_loop(
         G.A, G.B, G.C, np.zeros(G.order), K.A, K.B, K.C, K.D, np.zeros(K.order), np.ascontiguousarray(alpha), np.zeros((n, m)),
         np.ascontiguousarray(noise), False, limits.output, limits.input, np.zeros(m), u, y, beta,
     )  # fmt: skip

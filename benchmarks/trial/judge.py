@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from afdsvc.app.trial import in_order, report
+from afdsvc.app.trial import in_order, write_reports
 from afdsvc.trial import study
 
 
@@ -25,7 +25,7 @@ def main(folder: Path, answers: Path, count: int, seed: int, parts: Sequence[str
         return document
 
     requests = in_order(count, seed, None, (), parts)
-    print(report(study(requests, answered, folder, keep=True), folder)["summary"])
+    print(write_reports(study(requests, answered, folder, keep=True), folder)["summary"])
 
 
 if __name__ == "__main__":

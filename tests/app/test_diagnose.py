@@ -10,7 +10,7 @@ from afdsvc.app import commissioning
 from afdsvc.app.diagnose import diagnose_recordings, import_recording
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import parse_model
-from afdsvc.files.site import Driver, Machine
+from afdsvc.files.site import DriverSection, MachineSection
 from afdsvc.lti.lft import star
 from benchmarks.detection.truth import machines
 
@@ -92,7 +92,7 @@ def test_half_of_the_excitation_is_refused(tables):
 def test_a_watched_machine_has_the_controller_and_the_noise_its_model_states(plugins):
     model = parse_model(model_text(), "model.toml")
     columns = tuple(commissioning._channels(model.inputs, model.outputs, True, False))
-    config = Machine(id="m", model="model.toml", driver=Driver(kind="replay", recording="run.npz"))
+    config = MachineSection(id="m", model="model.toml", driver=DriverSection(kind="replay", recording="run.npz"))
     made = commissioning.commission(config, plugins, commissioning.RecordedMachine(model, TRUTH.dt, columns))
     problem = commissioning.problem(made, made.noise, commissioning.FalseAlarms())
     loop = star(problem.plant, problem.interconnection, 2, 2)

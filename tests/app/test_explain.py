@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.model import Model, Variable
-from afdsvc.app.explain import ExplainOptions, explain_files, means, traces
+from afdsvc.app.explain import ExplainOptions, aux_means, explain_files, traces
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model, write_model
 from afdsvc.files.open import open_model
@@ -123,7 +123,7 @@ def test_two_files_of_one_name_stay_apart(files, tmp_path):
 
 def test_means_of_other_signals_come_sorted(tmp_path):
     np.savez(tmp_path / "a.npz", t=np.arange(3) * 0.1, u_force=np.zeros(3), aux_b=np.array([1.0, 2, 3]), aux_a=np.ones(3))
-    assert means([read_table(tmp_path / "a.npz")]) == {"a": 1.0, "b": 2.0}
+    assert aux_means([read_table(tmp_path / "a.npz")]) == {"a": 1.0, "b": 2.0}
 
 
 CURRENT = {"current": "u_force"}

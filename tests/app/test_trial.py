@@ -9,23 +9,23 @@ import pytest
 from typer.testing import CliRunner
 
 from afdsvc.app import trial
-from afdsvc.app.trial import chosen, trial_files
+from afdsvc.app.trial import study_requests, trial_files
 from afdsvc.cli import app
 from afdsvc.errors import BadInput
 from afdsvc.trial.plan import field_plan, plan
 
 
 def test_a_plain_plan_is_the_plan() -> None:
-    assert chosen(30, 3, None, (), ()) == plan(30, 3)
+    assert study_requests(30, 3, None, (), ()) == plan(30, 3)
 
 
 def test_kinds_and_parts_and_severity_are_as_asked() -> None:
-    some = chosen(6, 3, 0.7, ("dead_zone", "backlash"), ("bearing",))
+    some = study_requests(6, 3, 0.7, ("dead_zone", "backlash"), ("bearing",))
     assert len(some) == 6
     assert {r.part for r in some} == {"bearing"}
     assert {w.physics for r in some for w in r.wishes} == {"dead_zone", "backlash"}
     assert {w.rho for r in some for w in r.wishes} == {0.7}
-    assert all(not r.wishes for r in chosen(3, 1, None, ("nothing",), ()))
+    assert all(not r.wishes for r in study_requests(3, 1, None, ("nothing",), ()))
     assert len({r.number for r in some}) == 6
 
 
@@ -41,7 +41,7 @@ def test_kinds_and_parts_and_severity_are_as_asked() -> None:
 )
 def test_what_cannot_be_asked_is_one_sentence(arguments, words) -> None:
     with pytest.raises(BadInput) as refusal:
-        chosen(*arguments)
+        study_requests(*arguments)
     assert all(word in str(refusal.value) for word in words)
 
 
@@ -81,8 +81,8 @@ def test_trials_are_made_sealed_explained_scored_and_reported(tmp_path: Path, mo
 
 
 def test_field_trials_are_a_part_of_their_own_and_may_only_be_written(tmp_path: Path) -> None:
-    assert chosen(5, 3, None, (), ("field",)) == field_plan(5, 3)
-    both = chosen(40, 3, None, ("dead_zone",), ("field", "bearing"))
+    assert study_requests(5, 3, None, (), ("field",)) == field_plan(5, 3)
+    both = study_requests(40, 3, None, ("dead_zone",), ("field", "bearing"))
     assert {r.part for r in both} == {"field", "bearing"}
     assert len({r.number for r in both}) == len(both)
     said = CliRunner().invoke(app, ["trial", "--folder", str(tmp_path), "--parts", "field", "--kinds", "nothing", "--n", "1", "--write-only", "--json"])

@@ -17,7 +17,7 @@ from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import afdsvc_physics
-from afdsvc.trial.model_text import model_text
+from afdsvc.trial.model_text import nominal_model_text
 from afdsvc.trial.plan import make_trial, plan
 
 DT, PERIOD, PERIODS, NOISE = 1e-3, 500, 4, 0.003
@@ -93,7 +93,7 @@ def test_a_drifting_plant_is_held_to_its_recordings():
     cubic = (r for r in plan(300, 2029) if r.part == "axis" and r.wishes[0].physics == "cubic_stiffness" and r.wishes[0].rho == 0.3)
     trial = make_trial(next(cubic))
     path = Path(mkdtemp()) / "model.toml"
-    path.write_text(model_text(trial.machine))
+    path.write_text(nominal_model_text(trial.machine))
     model = read_model(path)
     answer = explain(model, trial.recordings, (trial.holdout,), afdsvc_physics(), experiment=False)
     assert answer.simulated in ("in closed loop", "predicted")

@@ -15,7 +15,7 @@ from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.retuning import Diagnosed, Promise, Tuning
 from afdsvc.app import commissioning
 from afdsvc.errors import Refused
-from afdsvc.files.site import Transport as Settings
+from afdsvc.files.site import TransportSection as Settings
 from afdsvc.hal.agent import RigAgent
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.service.clock import RealClock

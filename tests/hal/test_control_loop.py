@@ -13,7 +13,7 @@ from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.app import commissioning
 from afdsvc.errors import Refused
 from afdsvc.hal.control_loop import LoopSettings
-from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, Simulator
+from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, SimulatedRig
 from afdsvc.service.clock import FastClock, RealClock
 
 
@@ -25,7 +25,7 @@ def burst(amplitude: float = 0.3, samples: int = 1000, inputs: int = 2) -> Burst
 def simulator(machine, block=250, slice=50, seed=1, faults=(), limits=None):
     """Return a simulator with blocks and slices of a chosen size."""
     plant = SimulatedPlant(machine.augmented.close, machine.output_cov, speed=machine.speed, faults=faults)
-    return Simulator(
+    return SimulatedRig(
         plant,
         machine.controller.interconnection,
         machine.channels,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from afdsvc.app import commissioning
 from afdsvc.errors import BadInput
-from afdsvc.files.site import Machine
+from afdsvc.files.site import MachineSection
 from afdsvc.hal import control_sample
 from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.hal.hardware import DrivenRig
@@ -71,7 +71,7 @@ def test_a_controller_that_overflows_is_reset_and_the_actuators_rest(bearing, wr
 @given(readings=st.lists(st.tuples(*2 * [st.floats() | st.sampled_from([HUGE, -HUGE, 1e154])]), min_size=1, max_size=30), armed=st.booleans())
 def test_whatever_is_read_the_inputs_are_finite_and_within_their_limits(bearing, readings, armed):
     machine = bearing()
-    K, bounds = control_sample.contiguous(machine.controller.interconnection), machine.limits
+    K, bounds = control_sample.contiguous_system(machine.controller.interconnection), machine.limits
     xk, u, beta = np.zeros(K.order), np.zeros(2), np.zeros(2)
     for y in readings:
         alpha = 0.5 * bounds.alpha
@@ -85,6 +85,6 @@ def test_whatever_is_read_the_inputs_are_finite_and_within_their_limits(bearing,
 
 
 def test_the_range_is_stated_in_the_site_file_one_value_per_output(plugins):
-    config = Machine(id="bearing", plant="gas_bearing", limits={"sensor_range": [3.0]})
+    config = MachineSection(id="bearing", plant="gas_bearing", limits={"sensor_range": [3.0]})
     with pytest.raises(BadInput, match=r"key 'limits.sensor_range' has 1 values; expected 2"):
         commissioning.open_port(commissioning.commission(config, plugins), "s", FastClock(), plugins)

@@ -7,7 +7,7 @@ import pytest
 
 from afdsvc.app import commissioning
 from afdsvc.errors import BadInput
-from afdsvc.files.site import Machine
+from afdsvc.files.site import MachineSection
 from afdsvc.hal.simulator import REFRESH, SpeedProfile
 from afdsvc.service.clock import FastClock
 
@@ -35,7 +35,7 @@ def test_times_that_do_not_rise_are_refused() -> None:
 
 
 def turboexpander(plugins, **driver):
-    config = Machine(
+    config = MachineSection(
         id="expander", plant="amb_turboexpander", driver={"kind": "simulator", "real_time": False, **driver}, block=1000
     )
     return commissioning.commission(config, plugins)

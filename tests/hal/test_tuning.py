@@ -12,7 +12,7 @@ from afdsvc.api.retuning import Promise, Tuning
 from afdsvc.errors import Refused
 from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.hal.hardware import DrivenRig
-from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, Simulator
+from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, SimulatedRig
 from afdsvc.lti.lft import star
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
@@ -33,7 +33,7 @@ def some_q(size: float = 1.0) -> StateSpace:
 def simulator(machine, limits=None, faults=FAULT, seed=1):
     plant = SimulatedPlant(machine.augmented.close, machine.output_cov, faults=faults)
     J, settings = machine.controller.interconnection, LoopSettings("m", "s", 100, 25)
-    return Simulator(plant, J, machine.channels, limits or machine.limits, settings, FastClock(), seed)
+    return SimulatedRig(plant, J, machine.channels, limits or machine.limits, settings, FastClock(), seed)
 
 
 def rows(port, count):

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.lti.coprime import Factorisation, observer_factorisation
 from afdsvc.lti.riccati import kalman_predictor_gain, lqr
 from afdsvc.lti.simulate import simulate
@@ -45,17 +45,17 @@ def binary() -> Callable[[np.random.Generator, int, int, float], Array]:
 
 
 @pytest.fixture(scope="session")
-def run_loop() -> Callable[..., tuple[Recording, Array, Array]]:
+def run_loop() -> Callable[..., tuple[InputOutputData, Array, Array]]:
     """Run a loop with excitation alpha (and references r1, r2) and output disturbance d: plant recording, alpha, beta."""
 
     def run(
         fact: Factorisation, true: StateSpace, alpha: Array, d: Array, r1: Array | None = None, r2: Array | None = None
-    ) -> tuple[Recording, Array, Array]:
+    ) -> tuple[InputOutputData, Array, Array]:
         p, m = true.outputs, true.inputs
         zero_p, zero_m = np.zeros((len(alpha), p)), np.zeros((len(alpha), m))
         inputs = np.hstack([d, zero_p if r1 is None else r1, zero_m if r2 is None else r2, alpha])
         out, _ = simulate(closed_loop(fact, true).system, inputs)
         y_m, u, beta = out[:, p : 2 * p], out[:, 2 * p : 2 * p + m], out[:, 2 * p + m :]
-        return Recording.of(u, y_m, true.dt), alpha, beta
+        return InputOutputData.of(u, y_m, true.dt), alpha, beta
 
     return run

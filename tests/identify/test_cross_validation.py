@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import afdsvc
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.identify.cross_validation import choose_candidate, feedback_of, fitted_candidate
 from afdsvc.identify.numerics.innovations_form import fitted_errors
 from afdsvc.lti.frequency import frequency_response
@@ -20,7 +20,7 @@ def _recorded(system, samples=3000, seed=0, noise=0.1):
     rng = np.random.default_rng(seed)
     u = rng.standard_normal((samples, system.inputs))
     y = simulate(system, u)[0]
-    return [Recording.of(u, y + noise * y.std() * rng.standard_normal(y.shape), 1.0)]
+    return [InputOutputData.of(u, y + noise * y.std() * rng.standard_normal(y.shape), 1.0)]
 
 
 @pytest.mark.parametrize("D", [0.0, 2.0])
@@ -56,10 +56,10 @@ def test_feedback_is_seen_and_an_open_loop_is_not_taken_for_one():
         y[k] = float(plant.C[0] @ x) + e[k]
         x = plant.A @ x + plant.B[:, 0] * u[k]
         u[k + 1] = -0.15 * y[k] + 0.05 * rng.standard_normal()
-    found = feedback_of([Recording.of(u, y, 1.0)])
+    found = feedback_of([InputOutputData.of(u, y, 1.0)])
     assert found.p < 1e-6
     assert found.share > 0.5
-    assert choose_candidate([Recording.of(u, y, 1.0)], 6, feedback=True, closed_loop=True).candidate.consistent == 2
+    assert choose_candidate([InputOutputData.of(u, y, 1.0)], 6, feedback=True, closed_loop=True).candidate.consistent == 2
 
 
 def test_steady_samples_saturation_and_gaps_are_fitted_and_said():
@@ -93,7 +93,7 @@ def test_public_sets_with_automatic_choices(name, measured):
     cut = int(0.6 * len(table))
     z = (table - table[:cut].mean(axis=0)) / table[:cut].std(axis=0)
     found = afdsvc.identify(z[:cut, start:m], z[:cut, m:p], dt=1.0, groups=0).result.fit.system
-    held = Recording.of(z[cut:, start:m], z[cut:, m:p], 1.0)
+    held = InputOutputData.of(z[cut:, start:m], z[cut:, m:p], 1.0)
     left = fitted_errors(found, held.u, held.y)  # a mode that grows a little may still be simulated this far
     fit = 100 * np.mean(1 - np.linalg.norm(left, axis=0) / np.linalg.norm(held.y - held.y.mean(axis=0), axis=0))
     assert fit > PEERS.get(name, -np.inf) - 5

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Burst
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.identify.excitation import excitation, needed_order, require_excitation, supported_order
 
@@ -14,7 +14,7 @@ T = np.arange(N) * DT
 
 def _record(*inputs):
     u = np.column_stack(inputs)
-    return [Recording.of(u, np.zeros((len(u), 1)), DT)]
+    return [InputOutputData.of(u, np.zeros((len(u), 1)), DT)]
 
 
 def _sines(frequencies, seed=0):
@@ -41,7 +41,7 @@ def test_a_line_switched_on_and_off_is_still_one_line():
 
 def test_lines_of_several_bursts_count_together():
     """Eight recordings of one sine each carry what one recording of eight sines does."""
-    sines = [Recording.of(s := _sines([f])[:10_000], s, DT) for f in np.arange(50, 450, 50.0)]
+    sines = [InputOutputData.of(s := _sines([f])[:10_000], s, DT) for f in np.arange(50, 450, 50.0)]
     assert excitation(sines).lines == (8,)
     assert excitation([sines[0], sines[0], sines[1]]).lines == (2,)
 
@@ -64,7 +64,7 @@ def test_the_count_is_the_rank_of_the_windows():
         u = _sines(np.linspace(300, 900, k))[:4000]
         windows = np.lib.stride_tricks.sliding_window_view(u, 20)
         rank = np.linalg.matrix_rank(windows, tol=1e-6 * np.linalg.norm(windows, 2))
-        assert excitation([Recording.of(u, u, DT)]).persistent_order == rank == 2 * k
+        assert excitation([InputOutputData.of(u, u, DT)]).persistent_order == rank == 2 * k
 
 
 def test_one_sine_cannot_carry_order_six_and_the_refusal_says_what_can():
@@ -93,4 +93,4 @@ def test_a_suggested_burst_passes_the_test_it_was_suggested_by():
 
     burst = multisine_burst(Band(5.0, 400.0, np.array([1.0, 1.0]), DT), 2.0, np.random.default_rng(4))
     alpha = burst.play(DT)
-    require_excitation([Recording.of(alpha, alpha, DT)], 12, ["first", "second"], 2, (5.0, 400.0))
+    require_excitation([InputOutputData.of(alpha, alpha, DT)], 12, ["first", "second"], 2, (5.0, 400.0))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.identify.fit import ResponseBand, jackknife_band, without_group
 from afdsvc.identify.methods.subspace import decompose, realise
@@ -25,7 +25,7 @@ def test_band_of_a_subspace_estimate_covers(oscillators):
     for _ in range(40):
         u = rng.standard_normal((3000, 2))
         y = simulate(system, u)[0]
-        record = [Recording.of(u, y + 0.2 * y.std(axis=0) * rng.standard_normal(y.shape), 1.0)]
+        record = [InputOutputData.of(u, y + 0.2 * y.std(axis=0) * rng.standard_normal(y.shape), 1.0)]
         covered.append(jackknife_band(_estimate, record, OMEGA).covers(truth))
     assert 0.93 < np.mean(covered) < 0.98
 
@@ -40,7 +40,7 @@ def test_gain_of_a_static_system_has_the_textbook_standard_error():
 
     for _ in range(60):
         u = rng.standard_normal((500, 1))
-        record = [Recording.of(u, 2 * u + 0.5 * rng.standard_normal((500, 1)), 1.0)]
+        record = [InputOutputData.of(u, 2 * u + 0.5 * rng.standard_normal((500, 1)), 1.0)]
         band = jackknife_band(gain, record, np.array([1.0]), groups=20)
         ratios.append(band.covariance[0, 0, 0, 0, 0] / (0.25 / (u**2).sum()))
     assert 0.9 < np.mean(ratios) < 1.1
@@ -48,8 +48,8 @@ def test_gain_of_a_static_system_has_the_textbook_standard_error():
 
 def test_groups_are_stretches_of_the_concatenation():
     records = [
-        Recording.of(np.arange(7.0), np.arange(7.0), 1.0),
-        Recording.of(7 + np.arange(3.0), 7 + np.arange(3.0), 1.0),
+        InputOutputData.of(np.arange(7.0), np.arange(7.0), 1.0),
+        InputOutputData.of(7 + np.arange(3.0), 7 + np.arange(3.0), 1.0),
     ]
     kept = [np.concatenate([r.u[:, 0] for r in without_group(records, g, 5)]).tolist() for g in range(5)]
     assert kept[0] == [2, 3, 4, 5, 6, 7, 8, 9]
@@ -67,7 +67,7 @@ def test_magnitude_band_is_the_projection_on_the_phase():
 
 def test_too_few_groups_and_failing_repetitions_are_named(oscillators):
     rng = np.random.default_rng(9)
-    record = [Recording.of(rng.standard_normal((100, 2)), rng.standard_normal((100, 2)), 1.0)]
+    record = [InputOutputData.of(rng.standard_normal((100, 2)), rng.standard_normal((100, 2)), 1.0)]
     with pytest.raises(BadInput, match="2 groups"):
         jackknife_band(_estimate, record, OMEGA, groups=2)
     with pytest.raises(BadInput, match="3 of 3 repetitions of the fit failed"):

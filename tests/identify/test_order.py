@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.identify.order import choose_order
 from afdsvc.lti.simulate import simulate
@@ -15,7 +15,7 @@ def _record(system, seed, samples, noise, pole=0.0):
     u = rng.standard_normal((samples, system.inputs))
     y, _ = simulate(system, u)
     e = signal.lfilter([1], [1, -pole], rng.standard_normal(y.shape), axis=0)
-    return [Recording.of(u, y + noise * y.std(axis=0) * e / e.std(axis=0), 1.0)]
+    return [InputOutputData.of(u, y + noise * y.std(axis=0) * e / e.std(axis=0), 1.0)]
 
 
 @pytest.mark.parametrize("closed_loop", [False, True])
@@ -33,7 +33,7 @@ def test_disturbance_modes_count(oscillators):
 
 def test_nothing_but_white_noise_has_order_zero():
     rng = np.random.default_rng(2)
-    record = [Recording.of(rng.standard_normal((8_000, 2)), rng.standard_normal((8_000, 2)), 1.0)]
+    record = [InputOutputData.of(rng.standard_normal((8_000, 2)), rng.standard_normal((8_000, 2)), 1.0)]
     assert choose_order(record, 12, 10).order == 0
 
 

@@ -87,11 +87,11 @@ def test_hansen_finds_the_bearing_from_a_model_that_predicts_nothing(result, bea
 
 
 def test_truth_would_hardly_predict_better(result, run, bearing):
-    from afdsvc.dataset.arrays import Recording
+    from afdsvc.dataset.arrays import InputOutputData
     from afdsvc.identify.validation import heldout_measures
 
     trace = run(3, 4000)
-    best = heldout_measures(bearing, [Recording.of(trace.role("u"), trace.role("y"), trace.dt)])
+    best = heldout_measures(bearing, [InputOutputData.of(trace.role("u"), trace.role("y"), trace.dt)])
     for found, limit in zip(result.after.values(), best, strict=True):
         assert limit.r2 - 0.01 < found.r2 < limit.r2 + 0.005
 

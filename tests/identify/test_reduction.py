@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.identify.methods.hansen import excited_loop, rebuilt_plant
-from afdsvc.identify.reduction import TRUNCATIONS, compare_reductions, judged, refine
+from afdsvc.identify.reduction import TRUNCATIONS, compare_reductions, reduction_cost, refine
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.python_control import factorise
 from afdsvc.lti.statespace import StateSpace
@@ -23,7 +23,7 @@ def case(bearing, observer_loop, run_loop, binary):
     d = np.sqrt([0.12, 0.15]) * rng.standard_normal((8000, 2))
     record, alpha, beta = run_loop(fact, bearing, 2 * binary(rng, 8000), d)
     full = rebuilt_plant(fact, deviation_system(fact, bearing))
-    return fact, record, Recording.of(alpha, beta, bearing.dt), full
+    return fact, record, InputOutputData.of(alpha, beta, bearing.dt), full
 
 
 def _error(found, truth):
@@ -87,7 +87,7 @@ def test_unstable_plant_keeps_its_unstable_pole_and_its_loop():
 def test_a_reduction_that_loses_the_loop_is_reported_not_hidden(case, bearing):
     fact, record, _, full = case
     wrong_sign = StateSpace(bearing.A, -40 * bearing.B, bearing.C, bearing.D, bearing.dt)
-    found = judged("by hand", wrong_sign, full, fact, [record])
+    found = reduction_cost("by hand", wrong_sign, full, fact, [record])
     assert not found.loop_stable
     assert found.loop_error == float("inf")
     assert found.failure == "the controller does not stabilise it"
@@ -111,7 +111,7 @@ def test_band_of_the_refined_plant_holds_the_truth(case, bearing, run_loop, bina
         rng = np.random.default_rng(100 + seed)
         d = np.sqrt([0.12, 0.15]) * rng.standard_normal((2500, 2))
         _, alpha, beta = run_loop(fact, bearing, 2 * binary(rng, 2500), d)
-        covered.append(refine(fact, [Recording.of(alpha, beta, bearing.dt)], bearing).band(OMEGA).covers(truth).mean())
+        covered.append(refine(fact, [InputOutputData.of(alpha, beta, bearing.dt)], bearing).band(OMEGA).covers(truth).mean())
     assert 0.85 < np.mean(covered) <= 1.0
     assert np.median(covered) > 0.9
 

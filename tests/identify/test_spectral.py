@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.identify.numerics.impulse_fit import approach
 from afdsvc.lti.frequency import frequency_response
@@ -46,7 +46,7 @@ def test_noise_dominates_and_the_hansen_scheme_still_finds_the_plant(bearing, ru
     nominal = StateSpace(0.97 * bearing.A, bearing.B, bearing.C, bearing.D, bearing.dt)
     fact, rng = factorise(nominal, StateSpace.gain(GAIN, bearing.dt)), np.random.default_rng(2)
     record, alpha, beta = run_loop(fact, bearing, 0.06 * binary(rng, 100_000), rng.standard_normal((100_000, 2)))
-    found = approach(fact, [Recording.of(alpha, beta, bearing.dt)], nominal)
+    found = approach(fact, [InputOutputData.of(alpha, beta, bearing.dt)], nominal)
     omega, direct = direct_spectral(record, 500)
     band = (omega > 300) & (omega < 4000)
     ours, truth = (frequency_response(g, omega[band]) for g in (found, bearing))
@@ -79,7 +79,7 @@ def test_mixture_is_the_formula_of_the_thesis_corrected(spectra, bearing):
 
 
 def test_short_recordings_and_strange_externals_are_named():
-    record = Recording.of(np.zeros((100, 1)), np.zeros((100, 1)), 1.0)
+    record = InputOutputData.of(np.zeros((100, 1)), np.zeros((100, 1)), 1.0)
     with pytest.raises(BadInput, match="100 samples for segments of 50"):
         direct_spectral(record, 50)
     with pytest.raises(BadInput, match="external signal of shape"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.identify.methods.indirect import fit_indirect
 from afdsvc.identify.parameters.structure import physical_structure
 from afdsvc.lti.frequency import frequency_response
@@ -37,7 +37,7 @@ def test_half_the_stiffness_is_found_as_in_the_paper(full: bool) -> None:
     assert is_stable(S.A, S.dt)
     alpha = 0.02 * np.random.default_rng(1).choice([-1.0, 1.0], size=(SAMPLES, 4))
     beta, _ = simulate(S, alpha)
-    fit = fit_indirect(physical_structure(plant, [STIFFNESS]), fact, [Recording.of(alpha, beta, SAMPLE_TIME)])
+    fit = fit_indirect(physical_structure(plant, [STIFFNESS]), fact, [InputOutputData.of(alpha, beta, SAMPLE_TIME)])
     theta = fit.parameters[0].value / nominal - 1
     assert theta == pytest.approx(-0.5, abs=0.002 if full else 1e-4)  # without noise: where the descent stops
 

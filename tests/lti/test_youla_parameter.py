@@ -13,7 +13,7 @@ from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.yjbk import interconnection, retuned_interconnection, youla_parameter
 from afdsvc.plants.examples import random_stable
-from afdsvc.plugins.controllers.lqg import gains
+from afdsvc.plugins.controllers.lqg import lqg_gains
 
 FREQUENCIES = np.geomspace(1e-3, 0.99, 30) * np.pi / 1e-3
 
@@ -22,7 +22,7 @@ def drawn(seed: int, observer: bool) -> tuple[StateSpace, StateSpace, StateSpace
     """Return a plant of 2 x 2 signals, J_K of a running controller, and another controller, which need not hold the plant."""
     rng = np.random.default_rng(seed)
     plant, _ = random_stable(rng, order=int(rng.integers(1, 6)), dt=1e-3)
-    F, L = gains(plant, {"input_weight": float(rng.uniform(0.1, 10))})
+    F, L = lqg_gains(plant, {"input_weight": float(rng.uniform(0.1, 10))})
     if observer:
         fact = observer_factorisation(plant, F, L)
     else:

@@ -22,7 +22,7 @@ from afdsvc.files.site import parse_site
 from afdsvc.plugins.manager import load
 from afdsvc.service.alarm_history import History
 from afdsvc.service.notifications import NotificationQueue
-from afdsvc.service.operator_requests import plain
+from afdsvc.service.operator_requests import json_values
 from afdsvc.service.sinks.pre_alarm_buffer import PreAlarmBuffer
 from afdsvc.service.webhook import Webhook
 from afdsvc.wire import codec
@@ -160,8 +160,8 @@ def test_a_webhook_posts_the_change_and_takes_its_secret_from_the_environment(mo
     thread.start()
     monkeypatch.setenv("TOKEN", "Bearer s3cret")
     settings = {"url": f"http://127.0.0.1:{server.server_port}/x", "headers_from_environment": {"Authorization": "TOKEN"}}
-    Webhook().open(settings)(plain(CHANGE))
-    Webhook().open({**settings, "events": ["ended"]})(plain(CHANGE))
+    Webhook().open(settings)(json_values(CHANGE))
+    Webhook().open({**settings, "events": ["ended"]})(json_values(CHANGE))
     server.shutdown()
     server.server_close()
     ((token, told),) = Ear.heard

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from afdsvc.errors import BadInput
-from afdsvc.service.audit_log import LOST, TORN, AuditLog, check
+from afdsvc.service.audit_log import LOST, TORN, AuditLog, verify_chain
 from afdsvc.service.clock import FastClock
 
 
@@ -21,7 +21,7 @@ def written(path: Path, count: int = 5, who: str = "kim") -> list[dict]:
     for i in range(count):
         log.add(who, "pause", {"machine": f"m{i}"})
     log.close()
-    return list(check(path).entries)
+    return list(verify_chain(path).entries)
 
 
 def test_what_is_added_is_there_in_order_over_restarts(tmp_path):
@@ -62,7 +62,7 @@ def test_a_line_that_is_changed_is_noticed(tmp_path, attack):
     written(path)
     path.write_bytes(b"\n".join(ATTACKS[attack](path.read_bytes().split(b"\n"))))
     with pytest.raises(BadInput, match=r"audit.jsonl: line \d"):
-        check(path)
+        verify_chain(path)
 
 
 def test_every_bit_counts(tmp_path):
@@ -72,17 +72,17 @@ def test_every_bit_counts(tmp_path):
     for at in range(0, len(whole) - 1):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 4]) + whole[at + 1 :])
         with pytest.raises(BadInput):
-            check(path)
+            verify_chain(path)
 
 
 def test_a_log_that_was_cut_or_made_anew_lacks_what_was_noted_elsewhere(tmp_path):
     path = tmp_path / "audit.jsonl"
     noted = written(path)[-1]["hash"]
-    assert check(path, noted).number == 5
+    assert verify_chain(path, noted).number == 5
     path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:3]))
-    assert check(path).number == 3
+    assert verify_chain(path).number == 3
     with pytest.raises(BadInput, match="the log was cut, or made anew"):
-        check(path, noted)
+        verify_chain(path, noted)
 
 
 @pytest.mark.parametrize("kept", [1, 30, -2, -1])
@@ -111,7 +111,7 @@ def test_lines_a_full_disk_does_not_take_are_counted(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     log.add("kim", "stop")
     log.close()
-    entries = check(path).entries
+    entries = verify_chain(path).entries
     assert [e["what"] for e in entries] == ["pause", TORN, LOST, "stop"]
     assert entries[2]["arguments"] == {"count": 3}
 
@@ -135,7 +135,7 @@ def test_two_services_that_write_at_once_keep_one_chain(tmp_path):
         process.start()
     for process in both:
         process.join(60)
-    entries = check(path).entries
+    entries = verify_chain(path).entries
     for who in ("kim", "lee"):
         assert [e["arguments"]["i"] for e in entries if e["who"] == who] == list(range(200))
 
@@ -145,6 +145,6 @@ def test_arguments_without_end_are_kept_as_their_hash(tmp_path):
     log = AuditLog(path, FastClock())
     log.add("kim", "ack", {"comment": "x" * 10**6}, "y" * 10**6)
     log.close()
-    (entry,) = check(path).entries
+    (entry,) = verify_chain(path).entries
     assert set(entry["arguments"]) == {"sha256"}
     assert path.stat().st_size < 4000

@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 
-from afdsvc.files.site import Transport as Settings
+from afdsvc.files.site import TransportSection as Settings
 from afdsvc.service.clock import RealClock
 from afdsvc.service.hub import Hub
 from afdsvc.transport.zenoh_session import Transport

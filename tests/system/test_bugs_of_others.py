@@ -29,7 +29,7 @@ from afdsvc.files.recording.reader import Recording
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.files.recording.recover import recover_in_place
 from afdsvc.files.recording.retention import Keep, tidy
-from afdsvc.files.site import Alarms, Bursts, Driver, Machine
+from afdsvc.files.site import Alarms, Bursts, DriverSection, MachineSection
 from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.hal.hardware import DrivenRig
 from afdsvc.service.alarm_history import History
@@ -350,7 +350,7 @@ def test_a_value_that_cannot_be_read_is_an_alarm_and_no_crash(thread):
 
 @pytest.mark.parametrize("thread", ["ophyd_async_94", "ophyd_async_1103"])
 def test_a_driver_that_is_not_there_is_never_replaced_by_a_simulator(plugins, thread):
-    config = Machine(id="m1", plant="gas_bearing", driver=Driver(kind="lab"))
+    config = MachineSection(id="m1", plant="gas_bearing", driver=DriverSection(kind="lab"))
     with pytest.raises(BadInput, match="lab"):
         commissioning.open_port(commissioning.commission(config, plugins), "s1", FastClock(), plugins)
 

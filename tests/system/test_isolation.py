@@ -12,7 +12,7 @@ from scipy import stats
 
 from afdsvc.app import commissioning
 from afdsvc.app.pipelines import burst_design, pipeline_of
-from afdsvc.diagnosis.verdict import alarms, conclude
+from afdsvc.diagnosis.verdict import alarm_decisions, conclude
 from afdsvc.service.clock import FastClock
 from afdsvc.service.scheduler import BurstOrder
 
@@ -101,7 +101,7 @@ def test_a_small_burst_is_never_falsely_sure(bearing, plugins, controller, rpm):
 def test_fifty_fault_free_bursts_raise_no_alarm(bearing, plugins, controller, rpm):
     """Four loops of 50 bursts at 1 per 1000 for each of three burst detectors: 0.6 alarms expected in 200 bursts."""
     evidence = burst_run(bearing(controller, rpm, 11), plugins, bursts=50)
-    raised = [e for e in alarms(evidence) if e.burst]
+    raised = [e for e in alarm_decisions(evidence) if e.burst]
     print(
         controller,
         rpm,

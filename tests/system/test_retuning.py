@@ -19,7 +19,7 @@ from afdsvc.errors import AfdsvcError
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, parse_site
 from afdsvc.plugins.manager import load
-from afdsvc.service.audit_log import check
+from afdsvc.service.audit_log import verify_chain
 from afdsvc.wire.messages import EventKind
 
 MACHINE = """plant = "gas_bearing"
@@ -92,7 +92,7 @@ def test_what_an_alarm_proposes_a_person_accepts_and_takes_back(free_port, tmp_p
     events = [(e.kind, e.burst, e.cause) for e in recording.events("bearing") if e.kind in (EventKind.RETUNED, EventKind.RESTORED)]
     (asked,) = recording.retunings("bearing")
     assert events == [(EventKind.RETUNED, name, f"accepted by Ada: {asked.proof}"), (EventKind.RESTORED, name, "restored by Ada: enough")]
-    said = [(e["who"], e["what"], e["outcome"]) for e in check(audit_file(site)).entries]
+    said = [(e["who"], e["what"], e["outcome"]) for e in verify_chain(audit_file(site)).entries]
     assert ("Ada", "retune", f"Q {name} accepted") in said
     assert ("Ada", "restore", "done") in said
     within = [e for e in live if healed < e.seconds < restored]
@@ -107,7 +107,7 @@ def test_what_an_alarm_proposes_a_person_accepts_and_takes_back(free_port, tmp_p
         assert measured["healed"][signal] / measured["damaged"][signal] == pytest.approx(ratio, rel=0.35)  # seconds of a slowly decaying motion
     plugins = load()
     machine = diagnose._machine_of(recording, "bearing", list(recording.blocks("bearing")), None, None, plugins)
-    again = diagnose.Replay(machine, plugins)
+    again = diagnose.OfflineDiagnosis(machine, plugins)
     for request in recording.requests("bearing"):
         again.stream.announce(request.burst)
     again.stream.announce_tuning(name, asked.tuning.Q)
@@ -134,6 +134,6 @@ def test_nothing_is_retuned_before_a_fault_is_named(free_port, tmp_path):
             with pytest.raises(AfdsvcError, match="machine 'x' is unknown"):
                 ask_service(site, "retune", "Ada", machine="x")
         assert hub.retunings["bearing"].sentence == ""
-    outcomes = [e["outcome"] for e in check(audit_file(site)).entries if e["what"] == "retune"]
+    outcomes = [e["outcome"] for e in verify_chain(audit_file(site)).entries if e["what"] == "retune"]
     assert "no fault has been named with its severity, so there is nothing to design Q for" in outcomes
     assert not any("accepted" in outcome for outcome in outcomes)

@@ -19,8 +19,8 @@ from afdsvc.app.rig import run_rig
 from afdsvc.app.serve import audit_file
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.recording.reader import Recording
-from afdsvc.files.site import Site, Transport, parse_site
-from afdsvc.service.audit_log import check
+from afdsvc.files.site import Site, TransportSection, parse_site
+from afdsvc.service.audit_log import verify_chain
 from afdsvc.service.operator_requests import ask
 from afdsvc.transport import key_watch
 from afdsvc.transport.access_rules import Access
@@ -117,7 +117,7 @@ def test_an_operator_cannot_speak_for_another_and_the_audit_log_says_who_asked(f
             ask(lambda payload: lee.ask(KEYS.command("lee"), payload, 1.0), "pause", "kim", machine="bearing")
         ask_service(site, "resume", "lee", machine="bearing")
         burst = ask_service(site, "burst", "kim", machine="bearing")["burst"]
-    said = [(e["who"], e["what"], e["outcome"]) for e in check(audit_file(site)).entries]
+    said = [(e["who"], e["what"], e["outcome"]) for e in verify_chain(audit_file(site)).entries]
     began = max(i for i, (_, what, _) in enumerate(said) if what == "start")
     assert said[began:] == [
         ("service", "start", "done"),
@@ -151,7 +151,7 @@ def test_only_tuners_may_retune_and_only_the_service_speaks_to_the_rig(free_port
                     with pytest.raises(AfdsvcError, match=UNHEARD):
                         peer.ask(key, b"", timeout=1.0)
         assert hub.retunings["bearing"].acting == ""
-    said = [(e["who"], e["what"]) for e in check(audit_file(site)).entries]
+    said = [(e["who"], e["what"]) for e in verify_chain(audit_file(site)).entries]
     assert ("kim", "retune") in said
     assert ("max", "restore") in said
 
@@ -182,7 +182,7 @@ def test_strangers_and_foreign_certificates_do_not_get_in(free_port, certified, 
     site = site_of(free_port, certified)
     foreign = site_of(free_port, tmp_path)
     make_certificates(foreign)
-    plain = Transport(connect=[f"tcp/127.0.0.1:{free_port}"], patience_seconds=2)
+    plain = TransportSection(connect=[f"tcp/127.0.0.1:{free_port}"], patience_seconds=2)
     with running(site):
         with pytest.raises(NoPeer), Session(foreign.transport, False, Access("kim")):
             pass
@@ -239,7 +239,7 @@ def test_certificates_are_renewed_and_revoked_without_a_restart(free_port, tmp_p
 
 
 def said(site: Site, words: str, times: int = 1) -> bool:
-    return sum(words in e["what"] for e in check(audit_file(site)).entries) >= times
+    return sum(words in e["what"] for e in verify_chain(audit_file(site)).entries) >= times
 
 
 def until(condition, seconds: float = 30.0) -> None:

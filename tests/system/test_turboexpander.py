@@ -13,7 +13,7 @@ from afdsvc.app.pipelines import burst_design, pipeline_of
 from afdsvc.app.rig import run_rig
 from afdsvc.diagnosis.verdict import conclude
 from afdsvc.errors import BadInput, NotStabilising, Refused
-from afdsvc.files.site import Machine, parse_site
+from afdsvc.files.site import MachineSection, parse_site
 from afdsvc.service.clock import FastClock
 from afdsvc.service.scheduler import BurstOrder
 from afdsvc.service.sinks.recorder_sink import RecorderSink
@@ -32,7 +32,7 @@ LEAVES, ARRIVED = "the speed leaves 31500 rpm: decisions are suspended", "model,
 
 def turboexpander(plugins, driver=None, **more):
     settings = {"detectors": QUICK, "faults": FAULTS, "block": 1000, "bursts": {"severity": -0.2, "seconds": 1.5}, **more}
-    config = Machine(id="expander", plant="amb_turboexpander", driver={"real_time": False, **(driver or {})}, **settings)
+    config = MachineSection(id="expander", plant="amb_turboexpander", driver={"real_time": False, **(driver or {})}, **settings)
     return commissioning.commission(config, plugins)
 
 
@@ -123,7 +123,7 @@ def test_parts_follow_a_change_of_speed_and_a_fault_during_rotation_is_named(plu
     assert bench.peak < 6.0
     sink.close()
     again = diagnose.diagnose_recordings(sink.paths)["recordings"][0]
-    assert [d for b in again["bursts"] for d in b["decisions"]] == [diagnose.decision(e) for e in bench.evidence]
+    assert [d for b in again["bursts"] for d in b["decisions"]] == [diagnose.decision_document(e) for e in bench.evidence]
     assert again["remarks"] == bench.said
 
 

@@ -11,7 +11,7 @@ from contextlib import ExitStack
 import pytest
 
 from afdsvc.errors import AfdsvcError, BadInput
-from afdsvc.files.site import Transport as Settings
+from afdsvc.files.site import TransportSection as Settings
 from afdsvc.transport.zenoh_session import PeerSilent, Transport
 from benchmarks.support.proxy import Proxy
 

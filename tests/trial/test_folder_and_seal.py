@@ -10,14 +10,14 @@ import pytest
 from afdsvc.errors import BadInput, Refused
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.tables.formats import read_columns
-from afdsvc.trial import Options, generate, open_seal, seal, write
+from afdsvc.trial import Options, generate_trial, open_seal, seal, write
 
 SHORT = Options(controller="lqg", periods=1)
 
 
 @pytest.fixture(scope="module")
 def trial():
-    return generate("coulomb_friction", "state:vertical_rate", 0.3, np.random.default_rng(8), SHORT)
+    return generate_trial("coulomb_friction", "state:vertical_rate", 0.3, np.random.default_rng(8), SHORT)
 
 
 def test_model_file_is_the_nominal_model_and_not_the_truth(trial, tmp_path) -> None:
@@ -55,7 +55,7 @@ def test_tables_have_the_fixed_columns_and_the_numbers(trial, tmp_path, form) ->
 
 def test_axis_records_its_reference_and_hides_its_controller_when_asked(tmp_path) -> None:
     options = Options(machine="positioning_axis", periods=1, known_controller=False)
-    paths = write(generate("nothing", None, 0.0, np.random.default_rng(1), options), tmp_path / "a")
+    paths = write(generate_trial("nothing", None, 0.0, np.random.default_rng(1), options), tmp_path / "a")
     assert "ref_position" in read_columns(paths.holdout)
     assert read_model(paths.model).controller is None
 
@@ -70,7 +70,7 @@ def test_recordings_differ_in_level_speed_and_phases(trial) -> None:
 
 
 def test_excitation_is_odd_interleaved_and_leaves_detection_lines() -> None:
-    trial = generate("nothing", None, 0.0, np.random.default_rng(9), Options(controller="proportional", periods=1))
+    trial = generate_trial("nothing", None, 0.0, np.random.default_rng(9), Options(controller="proportional", periods=1))
     lines = np.abs(np.fft.rfft(trial.recordings[0].role("alpha"), axis=0)) > 1.0
     first, second = (set(np.flatnonzero(lines[:, i])) for i in range(2))
     assert not first & second
@@ -80,7 +80,7 @@ def test_excitation_is_odd_interleaved_and_leaves_detection_lines() -> None:
 
 
 def test_same_generator_same_bits_and_another_differs() -> None:
-    a, b, c = (generate("dead_zone", None, 0.2, np.random.default_rng(s), SHORT) for s in (5, 5, 6))
+    a, b, c = (generate_trial("dead_zone", None, 0.2, np.random.default_rng(s), SHORT) for s in (5, 5, 6))
     assert np.array_equal(a.recordings[0].values, b.recordings[0].values)
     assert a.answer == b.answer
     assert not np.array_equal(a.recordings[0].values, c.recordings[0].values)

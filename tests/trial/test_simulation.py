@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from afdsvc.trial import NOTHING, Options, generate, simulation
-from afdsvc.trial.machines.machine import Machine
-from afdsvc.trial.simulation import play, replay
+from afdsvc.trial import NOTHING, Options, generate_trial, simulation
+from afdsvc.trial.machines.machine import TrialMachine
+from afdsvc.trial.simulation import play_run, replay
 
 
-def sampled(machine: Machine, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def sampled(machine: TrialMachine, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     A, B, C = machine.matrices(theta)
     n, m = B.shape
     both = expm(machine.dt * np.block([[A, B], [np.zeros((m, n + m))]]))
@@ -44,7 +44,7 @@ CASES = [
 
 @pytest.mark.parametrize("options", CASES, ids=lambda o: f"{o.machine}-{o.controller}-{o.injection}")
 def test_nothing_hidden_is_a_linear_loop(options: Options) -> None:
-    trial = generate(NOTHING, None, 0.0, np.random.default_rng(3), options)
+    trial = generate_trial(NOTHING, None, 0.0, np.random.default_rng(3), options)
     y, u = loop_of_matrices(trial, 0)
     trace = trial.recordings[0]
     assert np.abs(trace.role("y") - y).max() < 1e-6 * np.abs(y).max()
@@ -55,7 +55,7 @@ def test_nothing_hidden_is_a_linear_loop(options: Options) -> None:
 
 def test_rho_zero_hides_nothing_whatever_the_name() -> None:
     options = Options(controller="proportional", periods=1)
-    none, zero = (generate(name, None, 0.0, np.random.default_rng(4), options) for name in (NOTHING, "dead_zone"))
+    none, zero = (generate_trial(name, None, 0.0, np.random.default_rng(4), options) for name in (NOTHING, "dead_zone"))
     assert np.array_equal(none.recordings[1].values, zero.recordings[1].values)
     assert zero.answer.hidden == ()
 
@@ -98,22 +98,22 @@ def test_integrator_converges_with_its_step() -> None:
     """Halving the step of a strongly nonlinear case changes the outputs by less than a thousandth of the noise."""
     from dataclasses import replace
 
-    from afdsvc.trial.simulation import play
+    from afdsvc.trial.simulation import play_run
 
-    trial = generate("clearance", "state:horizontal_rate", 1.0, np.random.default_rng(5), Options(controller="proportional", periods=1))
+    trial = generate_trial("clearance", "state:horizontal_rate", 1.0, np.random.default_rng(5), Options(controller="proportional", periods=1))
     fine = replace(trial.machine, substeps=2 * trial.machine.substeps)
-    apart = play(fine, trial.truth, trial.runs[1]).y - trial.played[1].y
+    apart = play_run(fine, trial.truth, trial.runs[1]).y - trial.played[1].y
     assert np.abs(apart).max() < 1e-3 * trial.machine.sigma.min()
 
 
 def test_a_replay_reads_nothing_beyond_what_it_is_given(monkeypatch) -> None:
     """Uncompiled, where Python looks at every index: compiled code would read on and, at the end of the heap, crash."""
-    trial = generate(NOTHING, None, 0.0, np.random.default_rng(3), Options(controller="proportional", periods=1))
+    trial = generate_trial(NOTHING, None, 0.0, np.random.default_rng(3), Options(controller="proportional", periods=1))
     short = trial.runs[0]
     n = 40
     cut = {name: getattr(short, name)[:n] for name in ("alpha", "ref", "noise", "colour", "push")}
     short = replace(short, aux=short.aux[: n + 1], **cut)
-    compiled = play(trial.machine, trial.truth, short)
+    compiled = play_run(trial.machine, trial.truth, short)
     monkeypatch.setattr("afdsvc.trial.simulation.integrate", simulation.integrate.py_func)
-    assert np.allclose(play(trial.machine, trial.truth, short).y, compiled.y)
+    assert np.allclose(play_run(trial.machine, trial.truth, short).y, compiled.y)
     assert np.allclose(replay(trial.machine, trial.truth, short, compiled.u).y, compiled.y)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from afdsvc.errors import BadInput
-from afdsvc.trial import Options, Request, Wish, make_trial, markdown, page, plan, results, study
+from afdsvc.trial import Options, Request, TrialRequest, make_trial, markdown, page, plan, results, study
 from afdsvc.trial.plan import MIX
 from afdsvc.trial.scoring import rival
 from afdsvc.trial.scoring.rates import wilson
@@ -18,9 +18,9 @@ from afdsvc.trial.study import rescored
 
 SHORT = Options(controller="proportional", periods=1)
 REQUESTS = [
-    Request(0, "bearing", (Wish("coulomb_friction", "state:horizontal_rate", 0.3),), SHORT, (1, 0)),
+    Request(0, "bearing", (TrialRequest("coulomb_friction", "state:horizontal_rate", 0.3),), SHORT, (1, 0)),
     Request(1, "nothing", (), SHORT, (1, 1)),
-    Request(2, "change", (Wish("parameter_change:mass", "state:vertical_rate", 1.0),), SHORT, (1, 2)),
+    Request(2, "change", (TrialRequest("parameter_change:mass", "state:vertical_rate", 1.0),), SHORT, (1, 2)),
 ]
 
 
@@ -149,7 +149,7 @@ def test_small_plan_has_every_part() -> None:
 
 
 def test_trial_that_does_not_fit_is_made_smaller_or_elsewhere() -> None:
-    asked = Request(0, "bearing", (Wish("sensor_offset", "output:horizontal", 1.0),), replace(SHORT, controller="lqg"), (3, 0))
+    asked = Request(0, "bearing", (TrialRequest("sensor_offset", "output:horizontal", 1.0),), replace(SHORT, controller="lqg"), (3, 0))
     trial = make_trial(asked)
     assert trial.options.controller == "proportional"  # the observer loop would leave the bearing's reach
     assert trial.answer.hidden[0].rho == pytest.approx(1.0, rel=0.05)

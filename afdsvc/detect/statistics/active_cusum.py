@@ -26,7 +26,7 @@ from afdsvc.detect.model_uncertainty import models
 from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.statistics.cusum import Cusum, CusumState, cusum
 from afdsvc.detect.statistics.fault_curves import FaultCurves, fault_curves
-from afdsvc.detect.thresholds.burst_crossing import Noise, paths
+from afdsvc.detect.thresholds.burst_crossing import CrossingNoise, paths
 from afdsvc.detect.thresholds.power import required_deflection
 from afdsvc.lti.statespace import Array
 from afdsvc.stats.memo import Played
@@ -40,7 +40,7 @@ SAME = 1e-6  # severities closer than this are one hypothesis
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class CusumPlan:
     """The CUSUMs of one burst: faults seen ``(K,)``, the waves of all hypotheses in standard deviations block by block
     ``(blocks, H, D)``, the fault of each ``(H,)``."""
 
@@ -59,7 +59,7 @@ class Plan:
 class ActiveSums:
     """What is looked for, the burst, its CUSUMs, and the nuisances learnt so far."""
 
-    plan: Plan
+    plan: CusumPlan
     burst: Burst
     state: CusumState
     cleaning: Cleaning | None = None
@@ -85,7 +85,7 @@ class ActiveCusum:
         plan = _planned(self, Played.of(burst), dt)
         return ActiveSums(plan, burst, plan.cusum.start())
 
-    def plan(self, burst: Burst, dt: float) -> Plan:
+    def plan(self, burst: Burst, dt: float) -> CusumPlan:
         """Return hypotheses and boundary for a burst, computed anew.
 
         Raises `BadInput` for a burst that is no sum of sines.
@@ -101,7 +101,7 @@ class ActiveCusum:
         unit = unit.reshape(len(of), self.problem.plant.outputs, 2 * len(ordered))
         waves = np.array([[(R @ c).ravel() for c in points] for R in roots])
         boundary = self._boundary(waves, ordered, roots) if len(of) else math.inf
-        return Plan(seen, waves, of, cusum(unit, severities, fitted.tolist(), block, boundary))
+        return CusumPlan(seen, waves, of, cusum(unit, severities, fitted.tolist(), block, boundary))
 
     def step(self, sums: ActiveSums, samples: BurstSamples) -> tuple[ActiveSums, Finding | None]:
         """Return the state after the samples and a finding at the first crossing."""
@@ -138,17 +138,17 @@ class ActiveCusum:
         noise = None if not self.problem.uncertainty else self._noise(ordered, roots)
         return paths(waves, noise).boundary(self.problem.false_alarms.per_burst)
 
-    def _noise(self, ordered: Sequence[Line], roots: Array) -> Noise:
+    def _noise(self, ordered: Sequence[Line], roots: Array) -> CrossingNoise:
         """Return what an uncertain model sends into every block."""
         whole = np.asarray(np.linalg.cholesky(np.einsum("kij,kil->jl", roots, roots))).T
         found = models(self.problem, ordered, whole)
         points = np.linalg.solve(whole, found.waves.reshape(len(found.weights), len(whole), -1))
         mean = np.einsum("kij,qjp->qkip", roots, points).reshape(len(points), len(roots), -1)
-        return Noise(found.weights, mean, np.asarray(np.linalg.cholesky(found.covariances)))
+        return CrossingNoise(found.weights, mean, np.asarray(np.linalg.cholesky(found.covariances)))
 
 
 @lru_cache(maxsize=256)  # the same burst is played again and again, on many machines
-def _planned(statistic: ActiveCusum, played: Played, dt: float) -> Plan:
+def _planned(statistic: ActiveCusum, played: Played, dt: float) -> CusumPlan:
     return statistic.plan(played.burst, dt)
 
 

@@ -7,7 +7,7 @@ of residual and features that all hypotheses share (`products`), so a sample cos
 the end of a block looks at every hypothesis. A crossing is noticed at the end of its block: at most one block late.
 
 Alarms come about in proportion to the information gained: with more of it than was expected (a reference moves) they would come too
-often. A `Clock` raises the boundary of each hypothesis as the information per block since its g last was zero demands.
+often. A `DeflectionBoundary` raises the boundary of each hypothesis as the information per block since its g last was zero demands.
 
 For one hypothesis the test is exactly minimax: no other reacts sooner, in the worst case, at the same average run length
 (G. V. Moustakides, *Ann. Statist.* 14, 1986).
@@ -35,7 +35,7 @@ LARGE = 8.0  # deflection per block beyond which no boundary is needed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Clock:
+class DeflectionBoundary:
     """Boundary of one CUSUM of even steps by the deflection of a step: ``boundary (N,)`` at ``log_deflection (N,)``, both of them for
     one run length; ``expected (H,)`` is the logarithm of every hypothesis' deflection per block in a loop at rest."""
 
@@ -44,15 +44,15 @@ class Clock:
     expected: Array
 
     @classmethod
-    def of(cls, deflection: Array, looks: float) -> Clock:
+    def of(cls, deflection: Array, looks: float) -> DeflectionBoundary:
         """Return the clock of hypotheses with these deflections per look that alarm once in so many looks."""
         grid = np.geomspace(float(deflection.min()), max(LARGE, 2 * float(deflection.max())), POINTS)
         found = [boundary(mu, looks) if 3 * run_length(mu, 1e-9) < looks else 0.0 for mu in grid.tolist()]
         return cls(np.log(grid), np.array(found), np.log(deflection))
 
 
-def _no_clock(hypotheses: int) -> Clock:
-    return Clock(np.array([0.0, 1.0]), np.zeros(2), np.zeros(hypotheses))
+def _no_clock(hypotheses: int) -> DeflectionBoundary:
+    return DeflectionBoundary(np.array([0.0, 1.0]), np.zeros(2), np.zeros(hypotheses))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +88,7 @@ class Cusum:
     boundary: float
     at: Array
     quad: Array
-    clock: Clock
+    clock: DeflectionBoundary
 
     def start(self) -> CusumState:
         """Return the state at rest."""
@@ -143,7 +143,7 @@ class Cusum:
 
 
 def cusum(
-    theta: Array, severity: Array, fitted: Sequence[int], block: int, boundary: float, clock: Clock | None = None
+    theta: Array, severity: Array, fitted: Sequence[int], block: int, boundary: float, clock: DeflectionBoundary | None = None
 ) -> Cusum:
     """Return the CUSUMs of the hypotheses ``theta (H, p, F)`` at the given severities."""
     H, p, F = theta.shape

@@ -24,7 +24,7 @@ from afdsvc.detect.features.quiet_window import NOTHING, Recent
 from afdsvc.detect.features.regressors import regressors
 from afdsvc.detect.features.shared_filter import Filters, shared
 from afdsvc.detect.features.whiteness_gate import Gate, GateState, Judgement, finite
-from afdsvc.detect.statistics.cusum import Clock, Cusum, CusumState, cusum
+from afdsvc.detect.statistics.cusum import Cusum, CusumState, DeflectionBoundary, cusum
 from afdsvc.detect.thresholds import average_run_length
 from afdsvc.detect.thresholds.cusum_boundary import rate_boundary
 from afdsvc.detect.thresholds.joint_false_alarm_rate import joint_rate
@@ -207,7 +207,7 @@ def passive_detector(
     gate = replace(gate, settle=filters.settling(), estimated=problem.noise_samples)
     silence = math.ceil(silence_seconds / problem.plant.dt)
     looks = 3600 / (problem.false_alarms.per_hour * problem.plant.dt * block)
-    clock = Clock.of(np.abs(theta) * np.sqrt(block * passive[which]), looks)
+    clock = DeflectionBoundary.of(np.abs(theta) * np.sqrt(block * passive[which]), looks)
     test = cusum(filters.theta[which], theta, range(len(which)), block, boundary, clock)
     return PassiveDetector(name, problem, filters, gate, which, test, silence, sure, frozen, nuisances)
 

@@ -28,7 +28,7 @@ LARGE = 1e150  # a likelihood ratio beyond which a path weighs nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Paths:
+class CrossingPaths:
     """Highest CUSUM up to the end of every block and the weight of an alarm there, both ``(N, blocks)``."""
 
     highest: Array
@@ -51,7 +51,7 @@ class Paths:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Noise:
+class CrossingNoise:
     """What z_k is without a fault, in Q models of weights ``(Q,)``: ``mean (Q, blocks, D)``, ``root (Q, D, D)`` times a
     standard normal."""
 
@@ -60,7 +60,7 @@ class Noise:
     root: Array
 
 
-def paths(waves: Array, noise: Noise | None = None) -> Paths:
+def paths(waves: Array, noise: CrossingNoise | None = None) -> CrossingPaths:
     """Return paths of the CUSUMs of the hypotheses ``waves (blocks, H, D)``, spread over the models of the noise."""
     blocks, H, D = waves.shape
     u = np.clip(qmc.Sobol(2 + blocks * D, scramble=True, seed=1).random(PATHS), 1e-12, 1 - 1e-12)
@@ -75,10 +75,10 @@ def paths(waves: Array, noise: Noise | None = None) -> Paths:
         pulled = np.linalg.solve(noise.root[q], np.swapaxes(waves, 1, 2)).swapaxes(1, 2)
         found = _paths(waves, pulled, w[own] @ noise.root[q].T + noise.mean[q], w[own], pushed[own])
         highest[own], weight[own] = found.highest, found.weight * noise.weights[q] * PATHS / len(own)
-    return Paths(highest, weight)
+    return CrossingPaths(highest, weight)
 
 
-def _paths(waves: Array, pulled: Array, z: Array, w: Array, pushed: NDArray[np.intp]) -> Paths:
+def _paths(waves: Array, pulled: Array, z: Array, w: Array, pushed: NDArray[np.intp]) -> CrossingPaths:
     """Return paths for noise ``w (N, blocks, D)`` seen as ``z``; ``pulled`` are the waves in the coordinates of w."""
     N, blocks, _ = w.shape
     H = waves.shape[1]
@@ -94,4 +94,4 @@ def _paths(waves: Array, pulled: Array, z: Array, w: Array, pushed: NDArray[np.i
         top = np.maximum(top, g.max(axis=1))
         highest[:, k] = top
         weight[:, k] = blocks * H / (shiryaev.sum(axis=1) + H * (blocks - 1 - k))
-    return Paths(highest, weight)
+    return CrossingPaths(highest, weight)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from afdsvc.api.model import Model
-from afdsvc.dataset.excitation import played
+from afdsvc.dataset.excitation import input_source
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.periods import speeds
 from afdsvc.dataset.sample_checks import Finding
@@ -26,7 +26,7 @@ def ambiguities(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
 
 
 def _levels(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
-    drives = [p for i in range(len(model.inputs)) if any((p := played(runs, i)).rms)]
+    drives = [p for i in range(len(model.inputs)) if any((p := input_source(runs, i)).rms)]
     if drives and max(p.levels for p in drives) < 2 and all(p.periods > 1 for p in drives):
         yield Finding(
             "warning", "ambiguity",

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
-from afdsvc.dataset.arrays import columns
-from afdsvc.dataset.excitation import SINE, excitation
+from afdsvc.dataset.arrays import check_columns
+from afdsvc.dataset.excitation import SINE, check_excitation
 from afdsvc.dataset.experiment import prepare
 from afdsvc.dataset.sample_checks import Finding, samples
 from afdsvc.errors import BadInput
@@ -34,13 +34,13 @@ def check(model: Model, traces: Sequence[Trace]) -> tuple[Finding, ...]:
         return (Finding("stop", "columns", str(error)),)
     seen = lines(nom, runs)
     return (
-        *columns(model, traces, runs),
+        *check_columns(model, traces, runs),
         *loop(nom, runs),
         *clock(nom, runs),
         *samples(model, runs),
         *response(nom, runs),
         *gains(nom, seen),
-        *excitation(model, runs),
+        *check_excitation(model, runs),
         *information(nom, runs, seen),
         *ambiguities(model, runs),
     )

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from afdsvc.dataset.experiment import Run
-from afdsvc.dataset.periods import wandering
+from afdsvc.dataset.periods import aperiodic_part
 from afdsvc.dataset.sample_checks import Finding
 from afdsvc.explain.check.lines import Lines, response
 from afdsvc.explain.simulate.nominal import Entry, Nominal
@@ -45,7 +45,7 @@ def information(nominal: Nominal, runs: Sequence[Run], lines: Lines) -> Iterator
 
 def noise_sd(nominal: Nominal, runs: Sequence[Run]) -> Array:
     """Return the noise per output ``(p,)``: what does not repeat, else as stated, else the sample-to-sample roughness."""
-    pieces = wandering(runs, [r.Y for r in runs])
+    pieces = aperiodic_part(runs, [r.Y for r in runs])
     if pieces:
         return np.asarray(np.maximum(np.vstack(pieces).std(0), 1e-300))
     if nominal.model.output_sd is not None:

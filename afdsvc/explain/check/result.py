@@ -21,7 +21,7 @@ from afdsvc.explain.search.build import build
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
-from afdsvc.identify.pipeline import Plan, planned
+from afdsvc.identify.pipeline import MethodPlan, planned
 
 MOST = 20_000  # samples of a recording that are simulated here
 NOTHING = Offers((), {}, {})
@@ -39,7 +39,7 @@ class CheckResult:
     findings: tuple[Finding, ...]
     outputs: tuple[Compared, ...] = ()
     offers: Offers = NOTHING
-    plan: Plan = field(default_factory=Plan)
+    plan: MethodPlan = field(default_factory=MethodPlan)
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     @property

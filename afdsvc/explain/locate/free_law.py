@@ -27,7 +27,7 @@ def curve(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Site:
+class LawSite:
     """Where a free law is fitted: what it reads and writes, in which units it is drawn.
 
     ``factor`` turns the law's values into ``unit``; ``adds`` says that the curve is drawn as signal plus change (inputs, outputs).
@@ -47,7 +47,7 @@ class Site:
         return np.array([c.low for c in self.hypothesis.parameters[:KNOTS]])
 
 
-def site(like: Hypothesis, machine: Machine, values: Array) -> Site | None:
+def site(like: Hypothesis, machine: Machine, values: Array) -> LawSite | None:
     """Return the site of a static law; None for laws with a memory, of several signals, or on the whole machine.
 
     ``values (n,)`` are those of the signal it reads first.
@@ -60,13 +60,13 @@ def site(like: Hypothesis, machine: Machine, values: Array) -> Site | None:
         if read != like.writes[0]:
             return None
         free = _free(like, _spread(values), of.rms, "curve")
-        return Site(free, of, f"{'input' if like.stage == 'input' else 'sensor'} {of.name}", of.name, of.unit, 1.0, True)
+        return LawSite(free, of, f"{'input' if like.stage == 'input' else 'sensor'} {of.name}", of.name, of.unit, 1.0, True)
     axis = next((a for a in machine.axes if a.rate.index == like.writes[0].index), None)
     if axis is None or read.kind != "x":
         return None
     speed = read.index == axis.rate.index
     x = _about_rest(values) if speed else _spread(values)
-    return Site(_free(like, x, axis.push, "friction" if speed else "force"), of, f"force on {axis.name}", of.name, *_force(axis), False)
+    return LawSite(_free(like, x, axis.push, "friction" if speed else "force"), of, f"force on {axis.name}", of.name, *_force(axis), False)
 
 
 def _force(axis: Axis) -> tuple[str, float]:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from afdsvc.api.physics import Hypothesis
-from afdsvc.explain.locate.free_law import KNOTS, Site, evaluated, signal_of, site
+from afdsvc.explain.locate.free_law import KNOTS, LawSite, evaluated, signal_of, site
 from afdsvc.explain.locate.words import described
 from afdsvc.explain.report.explanation import Law
 from afdsvc.explain.search.evidence import blocks, left_out
@@ -39,7 +39,7 @@ def picture(found: Found, final: Fit, claimed: bool) -> Law | None:
     return None
 
 
-def _site(found: Found, candidate: Candidate) -> Site | None:
+def _site(found: Found, candidate: Candidate) -> LawSite | None:
     if not candidate.hypothesis.reads:
         return None
     last = list(found.end)[-1]
@@ -49,7 +49,7 @@ def _site(found: Found, candidate: Candidate) -> Site | None:
     return None if read.kind not in ("u", "x", "y") else site(candidate.hypothesis, found.machine, signal_of(read, u, x, y))
 
 
-def _drawn(found: Found, final: Fit, candidate: Candidate, drawn: Site, claimed: bool) -> Law | None:
+def _drawn(found: Found, final: Fit, candidate: Candidate, drawn: LawSite, claimed: bool) -> Law | None:
     """Fit the law with the other effects kept, smooth it, and put it beside the named one."""
     last, key = list(found.end)[-1], candidate.hypothesis.key
     like = final.point if claimed else candidate.fit.point
@@ -81,7 +81,7 @@ def _others(found: Found, h: Hypothesis) -> list[float]:
     return [groups[s.kind][s.index].mean if s.kind in groups else 0.0 for s in h.reads[1:]]
 
 
-def _smoothed(problem: Problem, here: Fit, drawn: Site, scale: Array) -> tuple[Array, Array, float]:
+def _smoothed(problem: Problem, here: Fit, drawn: LawSite, scale: Array) -> tuple[Array, Array, float]:
     """Return heights, standard deviations and the loss on left-out blocks at the ridge that makes it smallest.
 
     To second order about the fit: the ridge adds ``r R`` to the information ``H``, and moves the numbers to ``(H + r R)^-1 H q``.
@@ -123,7 +123,7 @@ def _second_differences(x: Array) -> Array:
     return np.asarray(rows * step.mean())
 
 
-def _law(drawn: Site, heights: Array, sd: Array, named: Array | None, gained: float) -> Law:
+def _law(drawn: LawSite, heights: Array, sd: Array, named: Array | None, gained: float) -> Law:
     x, adds = drawn.knots, drawn.knots if drawn.adds else 0.0
     y, band = adds + drawn.factor * heights, WIDE * abs(drawn.factor) * sd
     beside = None if named is None else adds + drawn.factor * named

@@ -11,7 +11,7 @@ from afdsvc.explain.report.explanation import Course, OutputFit
 from afdsvc.explain.search.problem import Point, Problem
 from afdsvc.explain.verdict.holdout import Player, nrmse
 from afdsvc.lti.statespace import Array
-from afdsvc.stats.portmanteau import whiteness
+from afdsvc.stats.portmanteau import portmanteau_test
 
 
 def courses(player: Player, runs: Sequence[Run], role: str, before: Point, after: Point) -> tuple[Course, ...]:
@@ -41,4 +41,4 @@ def _white(problem: Problem, residuals: Sequence[Array]) -> float:
     if any(np.isinf(e).any() for e in residuals):
         return 0.0
     weighted = [problem.weighting(np.nan_to_num(e / problem.scale)) for e in residuals]
-    return whiteness(np.vstack([w - w.mean(0) for w in weighted]))
+    return portmanteau_test(np.vstack([w - w.mean(0) for w in weighted]))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from afdsvc.dataset.experiment import Run
-from afdsvc.dataset.periods import wandering
+from afdsvc.dataset.periods import aperiodic_part
 from afdsvc.explain.report.explanation import Course, Spectrum
 from afdsvc.lti.statespace import Array
 
@@ -24,7 +24,7 @@ def spectra(runs: Sequence[Run], courses: Sequence[Course], outputs: Sequence[st
         "after": [c.residual_after for c in courses],
     }
     densities = {k: density(v, n, dt) for k, v in parts.items()}
-    quiet = wandering(runs, parts["after"])
+    quiet = aperiodic_part(runs, parts["after"])
     noise = density(quiet, min(n, min(len(q) for q in quiet)), dt, n) if quiet else None
     frequency: Array = np.asarray(np.fft.rfftfreq(n, dt), dtype=np.float64)
     return tuple(

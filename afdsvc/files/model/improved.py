@@ -13,7 +13,7 @@ from afdsvc.explain.report.explanation import Explanation
 from afdsvc.explain.search.nuisance import NUISANCE
 from afdsvc.explain.search.problem import Point
 from afdsvc.explain.simulate.nominal import Nominal
-from afdsvc.files.model.improved_code import OBJECT, Parts, factor, key, sampled, text
+from afdsvc.files.model.improved_code import OBJECT, Parts, factor, goes_by_samples, key, text
 from afdsvc.files.model.model_file import DYNAMICS, relative_code, write_model
 from afdsvc.lti.statespace import Array, StateSpace
 
@@ -86,7 +86,7 @@ def _dynamics(explanation: Explanation, file: Path, aux: Mapping[str, float]) ->
     """Return the model whose dynamics are in ``file`` (beside it) and the text of that file."""
     nominal, point, old = explanation.nominal, explanation.point, explanation.nominal.model
     plant, effects = nominal.at(point.theta), point.effects
-    by_samples = sampled(plant, effects)
+    by_samples = goes_by_samples(plant, effects)
     states = tuple(old.states)
     if by_samples:
         count = sum(e.hypothesis.memory for e in effects)

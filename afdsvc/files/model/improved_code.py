@@ -21,7 +21,7 @@ OBJECT = "model"
 ROUNDED = 0.5  # friction rounds its jump so that Runge-Kutta steps of twice this length can follow it
 
 
-def sampled(plant: StateSpace, effects: Sequence[Effect]) -> bool:
+def goes_by_samples(plant: StateSpace, effects: Sequence[Effect]) -> bool:
     """Whether the simulator goes by samples: a law remembers, or follows time or a recorded signal, or the plant is sampled."""
     return plant.discrete or any(e.hypothesis.memory or any(s.kind in ("t", "aux") for s in e.hypothesis.reads) for e in effects)
 
@@ -68,13 +68,13 @@ def text(parts: Parts) -> str:
         f'"""{parts.nominal.model.name} with what its model left out: {what}.', "",
         "Written by `afdsvc explain`. Parameters come from the MODEL.toml beside this file, by name; matrices are the refitted ones.", '"""', "",
         "from __future__ import annotations", "", "import math", *_imports(parts), "", "import numpy as np", "", *_nominal(parts), *_constants(parts), "", "",
-        *(line for _, source in laws for line in (source, "", "")), *(_sampled(parts) if sampled(parts.plant, parts.effects) else _continuous(parts)), "", "",
+        *(line for _, source in laws for line in (source, "", "")), *(_sampled(parts) if goes_by_samples(parts.plant, parts.effects) else _continuous(parts)), "", "",
         f"{OBJECT} = Model()", "",
     ])
 
 
 def _label(e: Effect) -> str:
-    return f"{e.hypothesis.physics}_{e.hypothesis.law.__name__}"
+    return f"{e.hypothesis.physics}_{e.hypothesis.law.__name__.lstrip('_')}"
 
 
 def _source(e: Effect) -> str:
@@ -101,7 +101,7 @@ def _nominal(parts: Parts) -> list[str]:
 def _constants(parts: Parts) -> list[str]:
     steps = parts.steps
     found = [f"{name} = {_array(getattr(parts.plant, name))}" for name in "ABCD"]
-    found += [f"{name.upper()} = {_array(getattr(steps, name))}" for name in ("phi", "gam", "gx", "phih", "gamh")] if sampled(parts.plant, parts.effects) else []
+    found += [f"{name.upper()} = {_array(getattr(steps, name))}" for name in ("phi", "gam", "gx", "phih", "gamh")] if goes_by_samples(parts.plant, parts.effects) else []
     return [*found, f"DT, SUBSTEPS = {parts.nominal.dt!r}, {steps.nsub}  # of the recordings, and steps per sample", "STEP = DT / SUBSTEPS"]
 
 

@@ -13,7 +13,7 @@ from afdsvc.api.model import Dynamics, Model, Quantity, Variable, default_states
 from afdsvc.errors import BadInput
 from afdsvc.files.model.schema import Inline, LinearTable, Matrix, ModelTable, UncertaintyTable, toml_text
 from afdsvc.files.model.stepped import stepped_model, unit_text
-from afdsvc.files.model.user_code import linear_part, load_dynamics
+from afdsvc.files.model.user_code import load_dynamics, offered_linear_part
 from afdsvc.files.unfinished import writing
 from afdsvc.files.validation import read_text, toml_table, validated
 from afdsvc.lti.statespace import Array, StateSpace
@@ -95,7 +95,7 @@ def model_text(model: Model, folder: Path | None = None) -> str:
 
 def _plant(table: ModelTable, dynamics: Dynamics | None, source: str) -> StateSpace | None:
     if dynamics is not None:
-        return linear_part(dynamics)
+        return offered_linear_part(dynamics)
     return _linear_system(table, len(table.inputs), len(table.outputs), source)
 
 

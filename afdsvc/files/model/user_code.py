@@ -80,7 +80,7 @@ def _trusted(path: Path) -> bool:
     return path.is_file() and any(folder in path.resolve().parents for folder in folders)
 
 
-def linear_part(dynamics: Dynamics) -> StateSpace | None:
+def offered_linear_part(dynamics: Dynamics) -> StateSpace | None:
     """Return the plant a simulator offers as ``linear`` (A, B, C, D, sample time): itself without what is not linear.
 
     Terms left out are set to zero, not linearised: friction and backlash have no useful slope at rest.

@@ -31,7 +31,7 @@ _DECODE: dict[str, Callable[[bytes], Decoded]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class RecordedMessage:
     """One message of a recording; ``schema`` is the name of its type."""
 
     topic: str
@@ -153,7 +153,7 @@ class Recording:
             yield item
         self._contents = contents
 
-    def messages(self, machine: str | None = None, what: str | Sequence[str] = ()) -> Iterator[Entry]:
+    def messages(self, machine: str | None = None, what: str | Sequence[str] = ()) -> Iterator[RecordedMessage]:
         """Yield the messages of one machine (None: any) and these kinds of topics (none: all), in the order of the file."""
         kinds = (what,) if isinstance(what, str) else what
         schemas: dict[int, str] = {}
@@ -168,7 +168,7 @@ class Recording:
                 who, kind = mcap_file.parts(channel.topic)
                 if machine in (None, who) and (not kinds or kind in kinds):
                     schema = schemas.get(channel.schema_id, "")
-                    yield Entry(channel.topic, schema, item.log_time, item.sequence, item.data)
+                    yield RecordedMessage(channel.topic, schema, item.log_time, item.sequence, item.data)
 
     def records(self) -> Iterator[McapRecord]:
         """Yield every readable record as the file holds it, each message after its channel and schema."""

@@ -19,13 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from afdsvc.dataset.arrays import Recording, scaled, scales
+from afdsvc.dataset.arrays import InputOutputData, scale_recordings, scales
 from afdsvc.errors import IllConditioned
 from afdsvc.identify.fit import ResponseBand, sandwich_band
 from afdsvc.identify.numerics.innovations_form import InnovationsForm, fitted_errors
 from afdsvc.identify.numerics.prediction_errors import eliminate_state, sweep, whitening_of
 from afdsvc.identify.parameters.noise_structure import Slopes
-from afdsvc.identify.parameters.structure import Parameter, Structure
+from afdsvc.identify.parameters.structure import FreeParameter, Structure
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.reduce import balanced_truncation
 from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
@@ -40,7 +40,7 @@ _GAIN = 1e-4
 _LEAST = 1e-24
 
 
-def black_box_pem(model: InnovationsForm, recordings: Sequence[Recording], noise: bool = True) -> InnovationsForm:
+def black_box_pem(model: InnovationsForm, recordings: Sequence[InputOutputData], noise: bool = True) -> InnovationsForm:
     """Return the innovations form of the same order that predicts the recordings best, near the one handed in.
 
     Without ``noise`` it is the output error that is minimised: the gain is zero, the prediction a simulation from u alone, consistent in open
@@ -49,14 +49,14 @@ def black_box_pem(model: InnovationsForm, recordings: Sequence[Recording], noise
     return best_black_box([model], recordings, noise)
 
 
-def best_black_box(models: Sequence[InnovationsForm], recordings: Sequence[Recording], noise: bool = True, steps: int = 40) -> InnovationsForm:
+def best_black_box(models: Sequence[InnovationsForm], recordings: Sequence[InputOutputData], noise: bool = True, steps: int = 40) -> InnovationsForm:
     """Return `black_box_pem` from that of several starting points which reaches the lowest determinant of the errors' covariance.
 
     At most ``steps`` steps from each. A starting point with an unstable predictor is left out; raises the `IllConditioned` of the last one where none is left.
     """
     recordings = [_with_constant(r) for r in recordings]
     u, y = scales(recordings)
-    relative = scaled(recordings, u, y)
+    relative = scale_recordings(recordings, u, y)
     found: list[tuple[float, StateSpace]] = []
     failure = IllConditioned("no starting point was handed in; expected at least one")
     for model in models:
@@ -70,11 +70,11 @@ def best_black_box(models: Sequence[InnovationsForm], recordings: Sequence[Recor
     return InnovationsForm(best.system.select(slice(None), slice(0, -1)), best.gain, best.covariance)
 
 
-def black_box_band(model: InnovationsForm, recordings: Sequence[Recording], omega: Array, noise: bool = True, groups: int = 16) -> ResponseBand:
+def black_box_band(model: InnovationsForm, recordings: Sequence[InputOutputData], omega: Array, noise: bool = True, groups: int = 16) -> ResponseBand:
     """Return the frequency response of a model that `black_box_pem` found, with its covariance (`sandwich_band`)."""
     recordings = [_with_constant(r) for r in recordings]
     u, y = scales(recordings)
-    relative = scaled(recordings, u, y)
+    relative = scale_recordings(recordings, u, y)
     objective = _Prediction(local_structure(_balanced(_scaled_predictor(_driven_by_constant(model), u, y, noise))), relative)
     structure = objective.structure
     origin = np.zeros(len(structure.parameters))
@@ -84,9 +84,9 @@ def black_box_band(model: InnovationsForm, recordings: Sequence[Recording], omeg
     )
 
 
-def _with_constant(r: Recording) -> Recording:
+def _with_constant(r: InputOutputData) -> InputOutputData:
     """Return the recording with a constant input: without it a mode at 1 takes the place of an operating point that the means miss."""
-    return Recording(np.hstack([r.u, np.ones((len(r), 1))]), r.y, r.dt, r.name)
+    return InputOutputData(np.hstack([r.u, np.ones((len(r), 1))]), r.y, r.dt, r.name)
 
 
 def _driven_by_constant(model: InnovationsForm) -> InnovationsForm:
@@ -95,7 +95,7 @@ def _driven_by_constant(model: InnovationsForm) -> InnovationsForm:
     return InnovationsForm(StateSpace(s.A, B, s.C, D, s.dt), model.gain, model.covariance)
 
 
-def _descended(predictor: StateSpace, recordings: Sequence[Recording], steps: int) -> tuple[float, StateSpace]:
+def _descended(predictor: StateSpace, recordings: Sequence[InputOutputData], steps: int) -> tuple[float, StateSpace]:
     """Return the logarithm of the determinant of the errors' covariance at the minimum near a predictor, and the predictor there."""
     if not is_stable(predictor.A, predictor.dt):
         raise IllConditioned(f"the predictor has the pole {describe_pole(worst_pole(predictor.A, predictor.dt)[0], predictor.dt)}; lower the order")
@@ -113,7 +113,7 @@ def _descended(predictor: StateSpace, recordings: Sequence[Recording], steps: in
     return min(held, key=lambda h: h[0])
 
 
-def _log_det(predictor: StateSpace, recordings: Sequence[Recording]) -> float:
+def _log_det(predictor: StateSpace, recordings: Sequence[InputOutputData]) -> float:
     errors = np.vstack([fitted_errors(predictor, _inputs(r, predictor), r.y) for r in recordings])
     return float(np.linalg.slogdet(errors.T @ errors / len(errors) + _LEAST * np.eye(errors.shape[1]))[1])
 
@@ -123,7 +123,7 @@ class _Prediction:
     """Half the sum of the squared prediction errors, weighted with their covariance at the start."""
 
     structure: Structure
-    recordings: Sequence[Recording]
+    recordings: Sequence[InputOutputData]
 
     def __post_init__(self) -> None:
         start = self.structure.build(np.zeros(len(self.structure.parameters)))
@@ -161,7 +161,7 @@ class _Prediction:
         return np.vstack(parts)
 
 
-def _inputs(recording: Recording, predictor: StateSpace) -> Array:
+def _inputs(recording: InputOutputData, predictor: StateSpace) -> Array:
     """Return what a predictor is driven by: u and y, or u alone where its noise model is fixed at none."""
     return np.hstack([recording.u, recording.y]) if predictor.inputs > recording.u.shape[1] else recording.u
 
@@ -176,7 +176,7 @@ def _scaled_predictor(model: InnovationsForm, u: Array, y: Array, noise: bool) -
     return StateSpace(p.A, p.B * both, p.C / y[:, None], p.D * both / y[:, None], p.dt)
 
 
-def _from_predictor(predictor: StateSpace, u: Array, y: Array, recordings: Sequence[Recording]) -> InnovationsForm:
+def _from_predictor(predictor: StateSpace, u: Array, y: Array, recordings: Sequence[InputOutputData]) -> InnovationsForm:
     errors = np.vstack([fitted_errors(predictor, _inputs(r, predictor), r.y) for r in recordings])
     return InnovationsForm(*_in_units(predictor, u, y), errors.T @ errors / len(errors) * np.outer(y, y))
 
@@ -209,7 +209,7 @@ def local_structure(system: StateSpace) -> Structure:
         A, B, C, D = np.split(v, np.cumsum([n * n, n * m, p * n]))
         return StateSpace(A.reshape(n, n), B.reshape(n, m), C.reshape(p, n), D.reshape(p, m), system.dt)
 
-    names = (Parameter(f"z{i + 1}", 0.0, "", unit) for i in range(directions.shape[1]))
+    names = (FreeParameter(f"z{i + 1}", 0.0, "", unit) for i in range(directions.shape[1]))
     return Structure(tuple(names), build)
 
 

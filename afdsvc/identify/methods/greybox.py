@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import AfdsvcError, BadInput, IllConditioned
-from afdsvc.identify.fit import Estimate, Fit, ResponseBand
+from afdsvc.identify.fit import Fit, ParameterEstimate, ResponseBand
 from afdsvc.identify.numerics.innovations_form import InnovationsForm, fitted_errors
 from afdsvc.identify.numerics.prediction_errors import eliminate_state, sweep, whitening_of
 from afdsvc.identify.parameters.noise_structure import PredictorPoint, plant_point, predictor_point
@@ -42,7 +42,7 @@ class GreyboxOptions:
 
 def fit_greybox(
     structure: Structure,
-    recordings: Sequence[Recording],
+    recordings: Sequence[InputOutputData],
     options: GreyboxOptions = GreyboxOptions(),
     rng: np.random.Generator | None = None,
     start: Array | None = None,
@@ -85,7 +85,7 @@ def _bounds(structure: Structure) -> tuple[Array, Array]:
 class Likelihood:
     """The negative log-likelihood over ``z = [theta / scale, log noise]``, remembering initial states between calls."""
 
-    def __init__(self, structure: Structure, recordings: Sequence[Recording], prior: bool) -> None:
+    def __init__(self, structure: Structure, recordings: Sequence[InputOutputData], prior: bool) -> None:
         self.structure, self.recordings, self.prior = structure, list(recordings), prior
         self.scales, self.count = structure.scales, len(structure.parameters)
         self.dt, self.outputs = recordings[0].dt, recordings[0].y.shape[1]
@@ -197,7 +197,7 @@ def _fit(objective: Likelihood, best: Minimum, notes: tuple[str, ...]) -> Fit:
     theta, noise = objective.split(best.point)
     sds = np.sqrt(np.diag(covariance))
     estimates = [
-        Estimate(p.name, float(v), float(s), p.unit, p.value, p.sd or None)
+        ParameterEstimate(p.name, float(v), float(s), p.unit, p.value, p.sd or None)
         for p, v, s in zip(structure.parameters, theta, sds, strict=False)
     ]
     return Fit(

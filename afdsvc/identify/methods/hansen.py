@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.lft import star
@@ -28,7 +28,7 @@ from afdsvc.lti.yjbk import exchange, interconnection, plant_from
 _SETTLED = 1e-4
 
 
-def youla_signals(fact: Factorisation, recording: Recording) -> Recording:
+def youla_signals(fact: Factorisation, recording: InputOutputData) -> InputOutputData:
     """Return the recording of S, input eta and output eps, filtered from plant input u and measured output y.
 
     ``[eta; eps] = [Vt -Ut; -Nt Mt][u; y]``; samples before the filter has settled are left out. Whatever excites the
@@ -43,10 +43,10 @@ def youla_signals(fact: Factorisation, recording: Recording) -> Recording:
             f"{recording.name}: {len(recording)} samples, but the controller's filter needs {start} to settle; "
             f"expected at least {2 * start} samples, or a recording that holds beta"
         )
-    return Recording(out[start:, :m], out[start:, m:], recording.dt, recording.name)
+    return InputOutputData(out[start:, :m], out[start:, m:], recording.dt, recording.name)
 
 
-def original_hansen_signals(fact: Factorisation, r1: Array, r2: Array, recording: Recording) -> Recording:
+def original_hansen_signals(fact: Factorisation, r1: Array, r2: Array, recording: InputOutputData) -> InputOutputData:
     """Return the recording of S for known external signals: ``eta = Ut r1 + Vt r2`` (thesis 4.25), eps as above.
 
     ``r1 (N, p)`` is added to the measurement the controller sees, ``r2 (N, m)`` to the plant's input; u and y of the
@@ -55,7 +55,7 @@ def original_hansen_signals(fact: Factorisation, r1: Array, r2: Array, recording
     filtered = youla_signals(fact, recording)
     m, start = fact.plant.inputs, len(recording) - len(filtered)
     both, _ = simulate(fact.Lf, np.hstack([r2, -r1]))
-    return Recording(both[start:, :m], filtered.y, recording.dt, recording.name)
+    return InputOutputData(both[start:, :m], filtered.y, recording.dt, recording.name)
 
 
 def settling_samples(system: StateSpace, level: float = _SETTLED) -> int:

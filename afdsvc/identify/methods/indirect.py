@@ -15,9 +15,9 @@ from copy import copy
 
 import numpy as np
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput, IllConditioned
-from afdsvc.identify.fit import Estimate, Fit
+from afdsvc.identify.fit import Fit, ParameterEstimate
 from afdsvc.identify.numerics.impulse_fit import closed_slopes, differences, filtered_slopes
 from afdsvc.identify.numerics.innovations_form import InnovationsForm, fitted_errors
 from afdsvc.identify.numerics.prediction_errors import eliminate_state, sweep
@@ -40,7 +40,7 @@ _OUTER_STEPS = 4
 def fit_indirect(
     structure: Structure,
     fact: Factorisation,
-    recordings: Sequence[Recording],
+    recordings: Sequence[InputOutputData],
     norm: int = 2,
     whitener: StateSpace | None = None,
     start: Array | None = None,
@@ -76,14 +76,14 @@ class Mismatch:
         self,
         structure: Structure,
         fact: Factorisation,
-        recordings: Sequence[Recording],
+        recordings: Sequence[InputOutputData],
         norm: int,
         whitener: StateSpace | None,
     ) -> None:
         self.structure, self.fact, self.norm, self.whitener = structure, fact, norm, whitener
         self.dt, self.augmented = fact.plant.dt, interconnection(fact)
         self.recordings = [
-            r if whitener is None else Recording(r.u, simulate(whitener, r.y)[0], r.dt, r.name) for r in recordings
+            r if whitener is None else InputOutputData(r.u, simulate(whitener, r.y)[0], r.dt, r.name) for r in recordings
         ]
         self.covariance = np.eye(recordings[0].y.shape[1])
         self.states: list[Array] = []
@@ -190,7 +190,7 @@ def judged(objective: Mismatch, best: Minimum, steps: int) -> Fit:
         * np.outer(structure.scales, structure.scales)
     )
     estimates = tuple(
-        Estimate(p.name, float(v), float(np.sqrt(c)), p.unit, p.value, p.sd or None)
+        ParameterEstimate(p.name, float(v), float(np.sqrt(c)), p.unit, p.value, p.sd or None)
         for p, v, c in zip(structure.parameters, theta, np.diag(covariance), strict=True)
     )
     plant = structure.build(theta)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from afdsvc.dataset.arrays import Recording, scaled, scales
+from afdsvc.dataset.arrays import InputOutputData, scale_recordings, scales
 from afdsvc.errors import BadInput
 from afdsvc.identify.numerics.compression import Route, compress, lags
 from afdsvc.identify.numerics.innovations_form import InnovationsForm, with_stable_predictor
@@ -38,7 +38,7 @@ class Predictor:
 
 
 def decompose_predictor(
-    recordings: Sequence[Recording],
+    recordings: Sequence[InputOutputData],
     past: int,
     future: int | None = None,
     feedthrough: bool = False,
@@ -52,7 +52,7 @@ def decompose_predictor(
     if not 2 <= future <= past:
         raise BadInput(f"past window {past} and future window {future}; expected 2 <= future <= past")
     u_scale, y_scale = scales(recordings)
-    relative = scaled(recordings, u_scale, y_scale)
+    relative = scale_recordings(recordings, u_scale, y_scale)
     factor = compress(relative, past + 1, route)
     windows = sum(max(0, len(r) - past) for r in relative)
     return decompose_predictor_factor(factor, windows, past, future, feedthrough, (u_scale, y_scale), recordings[0].dt)

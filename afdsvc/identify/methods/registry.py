@@ -8,7 +8,7 @@ from typing import cast
 
 import numpy as np
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.identify.cross_validation import Choice, Feedback, choose_candidate, feedback_of, fitted_candidate
 from afdsvc.identify.excitation import Excitation, require_excitation, supported_order
@@ -17,14 +17,14 @@ from afdsvc.identify.methods.black_box_pem import black_box_band, black_box_pem
 from afdsvc.identify.methods.greybox import GreyboxOptions, fit_greybox, greybox_band
 from afdsvc.identify.methods.hansen import rebuilt_plant, youla_signals
 from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
-from afdsvc.identify.methods.repeated_indirect import Noise, fit_recentred
+from afdsvc.identify.methods.repeated_indirect import NoiseCovariances, fit_recentred
 from afdsvc.identify.methods.subspace import Subspace, Weighting, decompose, realise
 from afdsvc.identify.numerics.innovations_form import InnovationsForm, fitted_errors
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.order import answer_p, choose_horizon, choose_order, memory, simulated_order
 from afdsvc.identify.parameters.structure import Structure, model_structure
 from afdsvc.identify.preparation import Prepared
-from afdsvc.identify.reduction import ReducedPlant, compare_reductions, judged, refine
+from afdsvc.identify.reduction import ReducedPlant, compare_reductions, reduction_cost, refine
 from afdsvc.identify.settings import SETTINGS
 from afdsvc.identify.validation import can_be_simulated
 from afdsvc.lti.coprime import Factorisation
@@ -33,7 +33,7 @@ from afdsvc.lti.statespace import Array, StateSpace
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
+class MethodResult:
     """A fit, the full-order plant it came from where it was reduced, and the reductions that were compared.
 
     ``refit`` fits the same structure to other recordings, where it was chosen by samples left out.
@@ -42,7 +42,7 @@ class Outcome:
     fit: Fit
     full: StateSpace | None = None
     reductions: tuple[ReducedPlant, ...] = ()
-    refit: Callable[[Sequence[Recording]], Fit] | None = None
+    refit: Callable[[Sequence[InputOutputData]], Fit] | None = None
 
 
 def band_hz(plant: StateSpace) -> tuple[float, float]:
@@ -62,7 +62,7 @@ def omega_grid(dt: float, points: int = 120) -> Array:
     return np.geomspace(1e-3, 0.98, points) * np.pi / dt
 
 
-def hansen(problem: Prepared, options: IdentifyOptions) -> Outcome:
+def hansen(problem: Prepared, options: IdentifyOptions) -> MethodResult:
     """Identify S from (eta, eps), rebuild the plant, reduce it."""
     fact = _known_controller(problem, "hansen")
     signals = [youla_signals(fact, r).centred() for r in problem.training]
@@ -71,14 +71,14 @@ def hansen(problem: Prepared, options: IdentifyOptions) -> Outcome:
     largest = min(largest, supported_order(offered.persistent_order, problem.nominal.outputs))
     found, order, reason = _open_loop_order(signals, problem.slowest, largest, options)
     if order == 0:
-        return Outcome(_nominal_stands(problem, reason))
+        return MethodResult(_nominal_stands(problem, reason))
     S = realise(found, order, stable=True)
     full = rebuilt_plant(fact, S.system)
     wanted = options.reduce_to if options.reduce_to is not None else problem.nominal.order
     note = f"S of order {order} with horizon {found.horizon}, plant of order {full.order}"
     fit = Fit("hansen", _output_error(full), found.singular_values, reason, deviation=S.system, notes=(note,))
     if wanted >= full.order:
-        return Outcome(
+        return MethodResult(
             _banded(fit, _hansen_repeat(fact, found.horizon, order, options, None, wanted), problem.training, options),
             full,
         )
@@ -91,27 +91,27 @@ def hansen(problem: Prepared, options: IdentifyOptions) -> Outcome:
         notes=(f"{note}, reduced to {wanted} by {reductions[0].method} truncation",),
     )
     repeat = _hansen_repeat(fact, found.horizon, order, options, reductions[0].method, wanted)
-    return Outcome(_banded(fit, repeat, problem.training, options), full, tuple(reductions))
+    return MethodResult(_banded(fit, repeat, problem.training, options), full, tuple(reductions))
 
 
 def _refined(
     problem: Prepared,
-    signals: Sequence[Recording],
+    signals: Sequence[InputOutputData],
     fit: Fit,
     full: StateSpace,
     reductions: list[ReducedPlant],
     options: IdentifyOptions,
-) -> Outcome:
+) -> MethodResult:
     """Fit the reduced plant to the recordings, from the truncation that disturbs the loop least."""
     fact = _known_controller(problem, "hansen")
     refinement = refine(fact, signals, _chosen(reductions), _whitener(problem, fact))
-    found = judged("refined", refinement.system, full, fact, problem.training)
+    found = reduction_cost("refined", refinement.system, full, fact, problem.training)
     band = refinement.band(omega_grid(full.dt), options.groups) if options.groups else None
     note = (
         f"{fit.notes[0]}, reduced to {found.system.order if found.system else 0} by {reductions[0].method} "
         "truncation and refined on the recordings"
     )
-    return Outcome(
+    return MethodResult(
         replace(fit, model=_output_error(refinement.system), band=band, notes=(note,)), full, (found, *reductions)
     )
 
@@ -125,15 +125,15 @@ def _whitener(problem: Prepared, fact: Factorisation) -> StateSpace | None:
     sd = problem.model.output_sd
     if sd is None or not sd.all() or is_stable(problem.nominal.A, problem.nominal.dt):
         return None
-    return Noise(np.diag(sd**2), problem.model.process_cov).whitener(fact)
+    return NoiseCovariances(np.diag(sd**2), problem.model.process_cov).whitener(fact)
 
 
 def _hansen_repeat(
     fact: Factorisation, horizon: int, order: int, options: IdentifyOptions, reduction: str | None, wanted: int
-) -> Callable[[Sequence[Recording]], StateSpace]:
+) -> Callable[[Sequence[InputOutputData]], StateSpace]:
     """Return the whole way from recordings of u and y to the plant, every choice fixed."""
 
-    def estimate(recordings: Sequence[Recording]) -> StateSpace:
+    def estimate(recordings: Sequence[InputOutputData]) -> StateSpace:
         signals = [youla_signals(fact, r) for r in recordings]
         full = rebuilt_plant(
             fact, realise(decompose(signals, horizon, cast(Weighting, options.weighting)), order, stable=True).system
@@ -146,7 +146,7 @@ def _hansen_repeat(
 
 
 def _open_loop_order(
-    recordings: Sequence[Recording], slowest: float, largest: int, options: IdentifyOptions
+    recordings: Sequence[InputOutputData], slowest: float, largest: int, options: IdentifyOptions
 ) -> tuple[Subspace, int, str]:
     """Return decomposition, order and why; a horizon not asked for is stretched to the slowest mode found."""
     p, weighting = recordings[0].y.shape[1], cast(Weighting, options.weighting)
@@ -167,7 +167,7 @@ def _open_loop_order(
     return found, order, reason
 
 
-def subspace(problem: Prepared, options: IdentifyOptions) -> Outcome:
+def subspace(problem: Prepared, options: IdentifyOptions) -> MethodResult:
     """Identify the plant from u and y in open loop."""
     if problem.fact is not None or problem.closed_loop_signs:
         signs = ", ".join(problem.closed_loop_signs) or "[controller] in the model"
@@ -184,15 +184,15 @@ def subspace(problem: Prepared, options: IdentifyOptions) -> Outcome:
         notes=(f"horizon {found.horizon}",),
     )
 
-    def estimate(recordings: Sequence[Recording]) -> StateSpace:
+    def estimate(recordings: Sequence[InputOutputData]) -> StateSpace:
         return realise(
             decompose(recordings, found.horizon, cast(Weighting, options.weighting)), order, stable=True, feedthrough=feedthrough
         ).system
 
-    return Outcome(_banded(fit, estimate, problem.training, options))
+    return MethodResult(_banded(fit, estimate, problem.training, options))
 
 
-def pbsid(problem: Prepared, options: IdentifyOptions) -> Outcome:
+def pbsid(problem: Prepared, options: IdentifyOptions) -> MethodResult:
     """Identify the plant from u and y with feedback present or not, by PBSIDopt."""
     exciting(problem, problem.training, options.order or problem.nominal.order)
     if problem.played:  # noise that the controller brings back to u is no excitation to rely on
@@ -202,30 +202,30 @@ def pbsid(problem: Prepared, options: IdentifyOptions) -> Outcome:
     found = decompose_predictor(problem.training, past, feedthrough=feedthrough)
     fit = Fit("pbsid", realise_predictor(found, order), found.singular_values, reason, notes=(f"past window {past}, {'with' if feedthrough else 'without'} feedthrough",))
 
-    def estimate(recordings: Sequence[Recording]) -> StateSpace:
+    def estimate(recordings: Sequence[InputOutputData]) -> StateSpace:
         return realise_predictor(decompose_predictor(recordings, past, feedthrough=feedthrough), order).system
 
-    return Outcome(_banded(fit, estimate, problem.training, options))
+    return MethodResult(_banded(fit, estimate, problem.training, options))
 
 
-def pem(problem: Prepared, options: IdentifyOptions) -> Outcome:
+def pem(problem: Prepared, options: IdentifyOptions) -> MethodResult:
     """Identify the plant from u and y by prediction errors, a black box started from PBSIDopt."""
     return _black_box(problem, options, noise=True)
 
 
-def output_error(problem: Prepared, options: IdentifyOptions) -> Outcome:
+def output_error(problem: Prepared, options: IdentifyOptions) -> MethodResult:
     """Identify the plant from u and y by simulation errors (open loop), a black box started from PBSIDopt."""
     return _black_box(problem, options, noise=False)
 
 
-def _black_box(problem: Prepared, options: IdentifyOptions, noise: bool) -> Outcome:
+def _black_box(problem: Prepared, options: IdentifyOptions, noise: bool) -> MethodResult:
     fit = pbsid(problem, replace(options, groups=0)).fit
     model = black_box_pem(fit.model, problem.training, noise)
     band = black_box_band(model, problem.training, omega_grid(model.system.dt), noise, options.groups) if options.groups else None
-    return Outcome(replace(fit, method="pem" if noise else "output_error", model=model, band=band))
+    return MethodResult(replace(fit, method="pem" if noise else "output_error", model=model, band=band))
 
 
-def chosen(problem: Prepared, options: IdentifyOptions) -> Outcome:
+def chosen(problem: Prepared, options: IdentifyOptions) -> MethodResult:
     """Identify the plant from u and y; method, horizon, feedthrough, order and noise model by samples left out."""
     exciting(problem, problem.training, 1)
     feedback = feedback_of(problem.training)
@@ -244,10 +244,10 @@ def chosen(problem: Prepared, options: IdentifyOptions) -> Outcome:
             break
     notes = (_feedback_note(feedback, loop),) if answers else ()
     fit = _fitted_choice(problem.training, choice, options, notes, simulated)
-    return Outcome(fit, refit=lambda recordings: _fitted_choice(recordings, choice, options, notes, simulated))
+    return MethodResult(fit, refit=lambda recordings: _fitted_choice(recordings, choice, options, notes, simulated))
 
 
-def _fitted_choice(recordings: Sequence[Recording], choice: Choice, options: IdentifyOptions, notes: tuple[str, ...], simulated: bool) -> Fit:
+def _fitted_choice(recordings: Sequence[InputOutputData], choice: Choice, options: IdentifyOptions, notes: tuple[str, ...], simulated: bool) -> Fit:
     """Return the fit of the candidate chosen, of the next best where its model cannot be simulated over the recordings (and must be)."""
     for c in (choice.candidate, *choice.others):
         try:
@@ -268,7 +268,7 @@ def _fitted_choice(recordings: Sequence[Recording], choice: Choice, options: Ide
     return _banded(fit, lambda several: fitted_candidate(c, several).system, recordings, options)
 
 
-def _simulates(model: InnovationsForm, recordings: Sequence[Recording]) -> bool:
+def _simulates(model: InnovationsForm, recordings: Sequence[InputOutputData]) -> bool:
     """Whether simulations of a model over the recordings miss less than the outputs' power, and one that grows has a predictor to be judged by."""
     try:
         left = sum((fitted_errors(model.system, r.u, r.y) ** 2).sum(axis=0) for r in recordings)
@@ -299,25 +299,25 @@ def _closed_loop_order(problem: Prepared, options: IdentifyOptions) -> tuple[int
     return past, max(order, 1), reason
 
 
-def greybox(problem: Prepared, options: IdentifyOptions, rng: np.random.Generator | None) -> Outcome:
+def greybox(problem: Prepared, options: IdentifyOptions, rng: np.random.Generator | None) -> MethodResult:
     """Fit physical parameters (or uncertain entries) by maximum likelihood on u and y."""
     structure = _structure(problem, options)
     exciting(problem, problem.training, problem.nominal.order)
     entries = problem.model.dynamics is None
     settings = GreyboxOptions(starts=options.starts, prior=entries if options.prior is None else options.prior)
     fit = fit_greybox(structure, problem.training, settings, rng)
-    return Outcome(replace(fit, band=greybox_band(structure, fit, omega_grid(problem.nominal.dt))))
+    return MethodResult(replace(fit, band=greybox_band(structure, fit, omega_grid(problem.nominal.dt))))
 
 
-def indirect(problem: Prepared, options: IdentifyOptions) -> Outcome:
+def indirect(problem: Prepared, options: IdentifyOptions) -> MethodResult:
     """Fit physical parameters through S(theta), what was found becoming the nominal plant until it stays."""
     fact, structure = _known_controller(problem, "indirect"), _structure(problem, options)
     signals = [youla_signals(fact, r).centred() for r in problem.training]
     exciting(problem, signals, problem.nominal.order)
     sd = problem.model.output_sd
-    noise = None if sd is None else Noise(np.diag(sd**2), problem.model.process_cov)
+    noise = None if sd is None else NoiseCovariances(np.diag(sd**2), problem.model.process_cov)
     fit = fit_recentred(structure, fact, problem.training, noise, options.norm)
-    return Outcome(replace(fit, band=greybox_band(structure, fit, omega_grid(problem.nominal.dt))))
+    return MethodResult(replace(fit, band=greybox_band(structure, fit, omega_grid(problem.nominal.dt))))
 
 
 def _structure(problem: Prepared, options: IdentifyOptions) -> Structure:
@@ -349,7 +349,7 @@ def _known_controller(problem: Prepared, method: str) -> Factorisation:
     return problem.fact
 
 
-def exciting(problem: Prepared, recordings: Sequence[Recording], order: int) -> Excitation:
+def exciting(problem: Prepared, recordings: Sequence[InputOutputData], order: int) -> Excitation:
     """Return the excitation of recordings where it supports the order; raises `BadInput` with the burst that would."""
     names = [v.name for v in problem.model.inputs]
     size = np.max([r.u.std(axis=0) for r in problem.training], axis=0)
@@ -357,7 +357,7 @@ def exciting(problem: Prepared, recordings: Sequence[Recording], order: int) -> 
 
 
 def _order(
-    recordings: Sequence[Recording], horizon: int, largest: int, options: IdentifyOptions, closed_loop: bool
+    recordings: Sequence[InputOutputData], horizon: int, largest: int, options: IdentifyOptions, closed_loop: bool
 ) -> tuple[int, str]:
     if options.order is not None:
         return options.order, f"order {options.order}: asked for"
@@ -377,7 +377,7 @@ def _output_error(system: StateSpace) -> InnovationsForm:
 
 
 def _reductions(
-    full: StateSpace, fact: Factorisation, wanted: int, recordings: Sequence[Recording], options: IdentifyOptions
+    full: StateSpace, fact: Factorisation, wanted: int, recordings: Sequence[InputOutputData], options: IdentifyOptions
 ) -> list[ReducedPlant]:
     found = compare_reductions(full, fact, wanted, recordings)
     return (
@@ -396,8 +396,8 @@ def _chosen(reductions: Sequence[ReducedPlant]) -> StateSpace:
 
 def _banded(
     fit: Fit,
-    estimate: Callable[[Sequence[Recording]], StateSpace],
-    recordings: Sequence[Recording],
+    estimate: Callable[[Sequence[InputOutputData]], StateSpace],
+    recordings: Sequence[InputOutputData],
     options: IdentifyOptions,
 ) -> Fit:
     if not options.groups:
@@ -406,4 +406,4 @@ def _banded(
     return replace(fit, band=band)
 
 
-__all__ = ["Outcome", "band_hz", "chosen", "exciting", "greybox", "hansen", "indirect", "omega_grid", "output_error", "pbsid", "pem", "subspace"]
+__all__ = ["MethodResult", "band_hz", "chosen", "exciting", "greybox", "hansen", "indirect", "omega_grid", "output_error", "pbsid", "pem", "subspace"]

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import IllConditioned
 from afdsvc.identify.fit import Fit
 from afdsvc.identify.methods.hansen import settling_samples, youla_signals
@@ -36,7 +36,7 @@ EXACT = 1e-6  # of a typical change: the same where there is no noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Noise:
+class NoiseCovariances:
     """Covariances of the white output noise ``(p, p)`` and, where there is any, of the process noise ``(n, n)``."""
 
     output_cov: Array
@@ -53,8 +53,8 @@ class Noise:
 def fit_recentred(
     structure: Structure,
     nominal: Factorisation,
-    recordings: Sequence[Recording],
-    noise: Noise | None = None,
+    recordings: Sequence[InputOutputData],
+    noise: NoiseCovariances | None = None,
     norm: int = 2,
     rounds: int = 6,
 ) -> Fit:
@@ -80,11 +80,11 @@ def _values(fit: Fit) -> Array:
     return np.array([p.value for p in fit.parameters])
 
 
-def _signals(fact: Factorisation, recordings: Sequence[Recording]) -> list[Recording]:
+def _signals(fact: Factorisation, recordings: Sequence[InputOutputData]) -> list[InputOutputData]:
     return [youla_signals(fact, r).centred() for r in recordings]
 
 
-def _whitener(noise: Noise | None, fact: Factorisation) -> StateSpace | None:
+def _whitener(noise: NoiseCovariances | None, fact: Factorisation) -> StateSpace | None:
     return None if noise is None else noise.whitener(fact)
 
 
@@ -95,7 +95,7 @@ class _AtRest(Mismatch):
     """
 
     def __init__(
-        self, structure: Structure, fact: Factorisation, recordings: Sequence[Recording], norm: int, whitener: StateSpace | None
+        self, structure: Structure, fact: Factorisation, recordings: Sequence[InputOutputData], norm: int, whitener: StateSpace | None
     ) -> None:
         super().__init__(structure, fact, recordings, norm, whitener)
         half = min(map(len, recordings)) // 2
@@ -103,16 +103,16 @@ class _AtRest(Mismatch):
         self.free = 0 if whitener is None else whitener.order
 
 
-def _from_the_start(fact: Factorisation, recording: Recording) -> Recording:
+def _from_the_start(fact: Factorisation, recording: InputOutputData) -> InputOutputData:
     """Return eta and eps with the samples in which their filter settles: S settles meanwhile."""
     settled = youla_signals(fact, recording)
     out, _ = simulate(fact.Lf, np.hstack([recording.u, recording.y]))
     m = fact.plant.inputs
-    return Recording(out[:, :m] - settled.u.mean(axis=0), out[:, m:] - settled.y.mean(axis=0), recording.dt, recording.name)
+    return InputOutputData(out[:, :m] - settled.u.mean(axis=0), out[:, m:] - settled.y.mean(axis=0), recording.dt, recording.name)
 
 
 def _at_rest(
-    structure: Structure, fact: Factorisation, recordings: Sequence[Recording], noise: Noise | None, norm: int, start: Array
+    structure: Structure, fact: Factorisation, recordings: Sequence[InputOutputData], noise: NoiseCovariances | None, norm: int, start: Array
 ) -> Fit:
     signals = [_from_the_start(fact, r) for r in recordings]
     objective = _AtRest(structure, fact, signals, norm, _whitener(noise, fact))

@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 from scipy import linalg
 
-from afdsvc.dataset.arrays import Recording, scaled, scales
+from afdsvc.dataset.arrays import InputOutputData, scale_recordings, scales
 from afdsvc.errors import BadInput
 from afdsvc.identify.numerics.compression import Route, compress, lags, triangle
 from afdsvc.identify.numerics.innovations_form import InnovationsForm, noise_model
@@ -82,11 +82,11 @@ class Subspace:
     u_scale: Array
     y_scale: Array
     windows: int
-    recordings: tuple[Recording, ...]
+    recordings: tuple[InputOutputData, ...]
 
 
 def decompose(
-    recordings: Sequence[Recording], horizon: int, weighting: Weighting = "po-moesp", route: Route = "auto"
+    recordings: Sequence[InputOutputData], horizon: int, weighting: Weighting = "po-moesp", route: Route = "auto"
 ) -> Subspace:
     """Return the singular value decomposition for one horizon s (block rows of past and of future).
 
@@ -94,7 +94,7 @@ def decompose(
     """
     _check(weighting, horizon)
     u_scale, y_scale = scales(recordings)
-    relative = scaled(recordings, u_scale, y_scale)
+    relative = scale_recordings(recordings, u_scale, y_scale)
     factor = compress(relative, 2 * horizon, route)
     windows = sum(max(0, len(r) - 2 * horizon + 1) for r in relative)
     return _decompose_factor(factor, windows, tuple(relative), horizon, weighting, (u_scale, y_scale))
@@ -103,7 +103,7 @@ def decompose(
 def _decompose_factor(
     factor: Array,
     windows: int,
-    recordings: tuple[Recording, ...],
+    recordings: tuple[InputOutputData, ...],
     horizon: int,
     weighting: Weighting,
     scale: tuple[Array, Array],

@@ -18,7 +18,7 @@ from typing import Literal, cast
 import numpy as np
 from scipy import linalg
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.identify.settings import SETTINGS
 from afdsvc.lti.statespace import Array
@@ -27,7 +27,7 @@ Route = Literal["auto", "qr", "gram"]
 
 
 
-def compress(recordings: Sequence[Recording], length: int, route: Route = "auto") -> Array:
+def compress(recordings: Sequence[InputOutputData], length: int, route: Route = "auto") -> Array:
     """Return an upper-triangular R with ``R^T R = sum_k window(k) window(k)^T``, shape ``(L (m+p), L (m+p))``.
 
     A window holds ``[u(k), y(k), u(k+1), y(k+1), ...]``, ``L = length`` lags. Raises `BadInput` when the recordings
@@ -49,7 +49,7 @@ def _factor(stacks: Sequence[Array], length: int, route: Route) -> Array:
     return _block_qr(stacks, length)
 
 
-def compress_groups(recordings: Sequence[Recording], length: int, groups: int, route: Route = "auto") -> list[Array]:
+def compress_groups(recordings: Sequence[InputOutputData], length: int, groups: int, route: Route = "auto") -> list[Array]:
     """Return the factors of consecutive groups of windows (about ``groups`` in all); together they hold all the data.
 
     A group of few windows gives a factor with fewer rows than columns. Raises `BadInput` as `compress` does.
@@ -66,7 +66,7 @@ def compress_groups(recordings: Sequence[Recording], length: int, groups: int, r
     return factors
 
 
-def compress_size(recordings: Sequence[Recording], length: int) -> int:
+def compress_size(recordings: Sequence[InputOutputData], length: int) -> int:
     """Return the number of windows; raises `BadInput` when there are fewer than a window has entries."""
     width = length * (recordings[0].u.shape[1] + recordings[0].y.shape[1])
     windows = sum(max(0, len(r) - length + 1) for r in recordings)

@@ -21,7 +21,7 @@ from copy import copy
 
 import numpy as np
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput, IllConditioned
 from afdsvc.identify.methods.black_box_pem import local_structure
 from afdsvc.identify.methods.hansen import settling_samples
@@ -91,7 +91,7 @@ _GAIN = 1e-3
 _TOLERANCE = 1e-2
 
 
-def approach(fact: Factorisation, recordings: Sequence[Recording], start: StateSpace) -> StateSpace:
+def approach(fact: Factorisation, recordings: Sequence[InputOutputData], start: StateSpace) -> StateSpace:
     """Return the plant of the order of ``start`` whose S explains the correlations of alpha (u) with beta (y) best.
 
     It lies within a fraction of a standard error of the best on the samples themselves, since it leaves out the first
@@ -120,7 +120,7 @@ def _minimised(objective: ImpulseFit, z: Array) -> Array:
 class ImpulseFit:
     """The misfit of S(G(z)) for a structure of discrete plants G, over ``z`` in units of the structure's scales."""
 
-    def __init__(self, structure: Structure, fact: Factorisation, recordings: Sequence[Recording]) -> None:
+    def __init__(self, structure: Structure, fact: Factorisation, recordings: Sequence[InputOutputData]) -> None:
         self.structure, self.augmented = structure, interconnection(fact)
         start = self.deviation(np.zeros(len(structure.parameters)))
         shortest = int(LARGEST_SHARE * min(map(len, recordings)))
@@ -196,7 +196,7 @@ class ImpulseFit:
         return g.reshape(p, length * m), dg.reshape(len(dg), p, length * m)
 
 
-def _cross(recording: Recording, outputs: Array, memory: int) -> Array:
+def _cross(recording: InputOutputData, outputs: Array, memory: int) -> Array:
     """Return ``sum_k window(k) y(k)'`` over whole windows, shape ``((L+1) m, p)``."""
     u, count = recording.u, len(recording) - memory
     return np.concatenate([u[lag : lag + count].T @ outputs[memory : memory + count] for lag in range(memory + 1)])

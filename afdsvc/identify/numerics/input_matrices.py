@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 from scipy import linalg
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.identify.numerics.compression import factor_of, join
 from afdsvc.lti.statespace import Array
 
@@ -26,7 +26,7 @@ _BLOCK = 4096
 
 
 def regress_input_matrices(
-    A: Array, C: Array, recordings: Sequence[Recording], K: Array | None = None, feedthrough: bool = True
+    A: Array, C: Array, recordings: Sequence[InputOutputData], K: Array | None = None, feedthrough: bool = True
 ) -> tuple[Array, Array]:
     """Return ``B (n, m)`` and ``D (p, m)`` (zero without ``feedthrough``); initial states are eliminated per
     recording."""
@@ -41,7 +41,7 @@ def regress_input_matrices(
     return np.asarray(Bt + gain @ D), np.asarray(D)
 
 
-def _blocks(At: Array, C: Array, K: Array, recording: Recording, feedthrough: bool) -> Iterator[Array]:
+def _blocks(At: Array, C: Array, K: Array, recording: InputOutputData, feedthrough: bool) -> Iterator[Array]:
     state = _State(At.shape[0], C.shape[0], recording.u.shape[1], C)
     for start in range(0, len(recording), _BLOCK):
         yield _rows(At, C, K, recording.span(start, start + _BLOCK), state, feedthrough)
@@ -56,7 +56,7 @@ class _State:
         self.free: Array = C.copy()
 
 
-def _rows(At: Array, C: Array, K: Array, block: Recording, state: _State, feedthrough: bool) -> Array:
+def _rows(At: Array, C: Array, K: Array, block: InputOutputData, state: _State, feedthrough: bool) -> Array:
     (count, m), p, n = block.u.shape, C.shape[0], At.shape[0]
     At, C, K = np.ascontiguousarray(At), np.ascontiguousarray(C), np.ascontiguousarray(K)
     free, forced, predicted = np.empty((count, p, n)), np.empty((count, p, m, n)), np.empty((count, p))

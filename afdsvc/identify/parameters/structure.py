@@ -16,7 +16,7 @@ _MATRICES = ("A", "B", "C", "D")
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class FreeParameter:
     """A number to be estimated: nominal value, unit, standard deviation of what is believed, and hard bounds."""
 
     name: str
@@ -40,7 +40,7 @@ class Structure:
     is none), ``process_names`` their names.
     """
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[FreeParameter, ...]
     build: Callable[[Array], StateSpace]
     process_inputs: Array | None = None
     process_names: tuple[str, ...] = ()
@@ -95,7 +95,7 @@ def model_structure(model: Model, process_states: Sequence[str] = ()) -> Structu
         raise BadInput(f"model '{model.name}' leaves no entry uncertain; give [uncertainty] or use method 'hansen'")
     nominal = model.plant
     parameters = tuple(
-        Parameter(f"{k}[{i + 1},{j + 1}]", float(getattr(nominal, k)[i, j]), "", float(model.entry_sd[k][i, j]))
+        FreeParameter(f"{k}[{i + 1},{j + 1}]", float(getattr(nominal, k)[i, j]), "", float(model.entry_sd[k][i, j]))
         for k, i, j in places
     )
 
@@ -108,12 +108,12 @@ def model_structure(model: Model, process_states: Sequence[str] = ()) -> Structu
     return Structure(parameters, build, *process)
 
 
-def _quantity(name: str, quantity: object) -> Parameter:
+def _quantity(name: str, quantity: object) -> FreeParameter:
     value, unit, relative = (getattr(quantity, k) for k in ("value", "unit", "relative_sd"))
-    return Parameter(name, float(value), str(unit), abs(float(value)) * float(relative))
+    return FreeParameter(name, float(value), str(unit), abs(float(value)) * float(relative))
 
 
-def _dynamics(model: Model) -> tuple[tuple[Parameter, ...], Callable[[Array], StateSpace]]:
+def _dynamics(model: Model) -> tuple[tuple[FreeParameter, ...], Callable[[Array], StateSpace]]:
     if not model.parameters:
         raise BadInput(f"model '{model.name}' names no [parameters]; a simulator without them cannot be fitted")
     names = list(model.parameters)

@@ -15,7 +15,7 @@ import numpy as np
 
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
-from afdsvc.plants.stepped.function_plant import finite
+from afdsvc.plants.stepped.function_plant import finite_outputs
 
 _REAL = ("Real", "Float64", "Float32")
 _SETTABLE = ("parameter", "input", "structuralParameter")
@@ -123,7 +123,7 @@ class FmiUnit:
             unit.freeInstance()
 
     def _outputs(self) -> Array:
-        return finite(np.array(self._get(self._y), dtype=np.float64), str(self.path))
+        return finite_outputs(np.array(self._get(self._y), dtype=np.float64), str(self.path))
 
     def _get(self, references: list[int]) -> list[float]:
         found: list[float] = (self._unit.getFloat64 if self._three else self._unit.getReal)(references)

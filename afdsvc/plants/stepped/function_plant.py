@@ -40,7 +40,7 @@ class FunctionPlant:
             raise BadInput(f"simulator {self._name} fails: {type(error).__name__}: {error}") from error
         if found.shape != (self._p,):
             raise BadInput(f"simulator {self._name} returns outputs of shape {found.shape}; expected ({self._p},)")
-        return finite(found, self._name)
+        return finite_outputs(found, self._name)
 
     def states(self) -> Array:
         """Return the state, where it is a vector of numbers."""
@@ -55,7 +55,7 @@ class FunctionPlant:
         self._x = None
 
 
-def finite(y: Array, name: str) -> Array:
+def finite_outputs(y: Array, name: str) -> Array:
     """Return outputs that are all finite; raises `BadInput` naming the simulator and the output that is not."""
     if not np.isfinite(y).all():
         at = int(np.flatnonzero(~np.isfinite(y))[0])

@@ -129,7 +129,7 @@ def _share(part: Array, whole: Array) -> float:
 MOST_SAMPLES = 20_000
 
 
-def compared(model: Model, traces: Sequence[Trace]) -> list[str]:
+def linearisation_notes(model: Model, traces: Sequence[Trace]) -> list[str]:
     """Return a sentence per recording on what the simulator behind a model makes of its inputs; [] where there is none.
 
     Both start from rest; errors are ``|y - yhat| / |y - mean|``, like everywhere. A failure of the simulator is reported, not raised.

@@ -28,12 +28,12 @@ class Lqg:
     def design(self, plant: StateSpace, settings: Mapping[str, Any]) -> DesignedController:
         """Return the controller; J_K has the order of the plant."""
         known(settings, self.name, "state_weight", "input_weight", "process_weight", "noise_weight")
-        F, L = gains(plant, settings)
+        F, L = lqg_gains(plant, settings)
         fact = observer_factorisation(plant, F, L)
         return DesignedController(self.name, fact, interconnection(fact), "LQ state feedback with a full-order observer")
 
 
-def gains(plant: StateSpace, settings: Mapping[str, Any]) -> tuple[Array, Array]:
+def lqg_gains(plant: StateSpace, settings: Mapping[str, Any]) -> tuple[Array, Array]:
     """Return F (m, n) and L (n, p) with A + BF and A + LC stable."""
     n, m, p = plant.order, plant.inputs, plant.outputs
     Q = square(settings.get("state_weight", plant.C.T @ plant.C), n, "lqg", "state_weight")

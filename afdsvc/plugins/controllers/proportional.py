@@ -12,7 +12,7 @@ from afdsvc.errors import BadInput
 from afdsvc.lti.coprime import proportional_factorisation
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.yjbk import interconnection
-from afdsvc.plugins.controllers.lqg import gains
+from afdsvc.plugins.controllers.lqg import lqg_gains
 from afdsvc.plugins.controllers.settings import known
 
 
@@ -30,7 +30,7 @@ class Proportional:
         weights = ("state_weight", "input_weight", "process_weight", "noise_weight")
         known(settings, self.name, "gain", *weights)
         P = _gain(settings.get("gain"), plant)
-        F, _ = gains(plant, {k: v for k, v in settings.items() if k != "gain"})
+        F, _ = lqg_gains(plant, {k: v for k, v in settings.items() if k != "gain"})
         fact = proportional_factorisation(plant, P, F)
         return DesignedController(self.name, fact, interconnection(fact), f"proportional feedback {P.tolist()}")
 

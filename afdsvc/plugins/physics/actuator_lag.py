@@ -13,7 +13,7 @@ from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.attach import at_input
 
 
-def lag(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _lag(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``tau v' + v = u``: the mean of v over the step replaces u."""
     decay = math.exp(-dt / p[0])
     rest = m[0] - z[0]
@@ -44,7 +44,7 @@ class ActuatorLag:
         span = 1 / machine.bandwidth
         for port in machine.inputs:
             yield at_input(
-                port, lag, physics=self.name, family="timing", memory=1, substeps=4,
+                port, _lag, physics=self.name, family="timing", memory=1, substeps=4,
                 parameters=[Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span)],
                 starts=[(0.1 * span,), (span,), (10 * span,)],
                 linear=lambda plant, values, column=port.index: _extend(plant, values, column),

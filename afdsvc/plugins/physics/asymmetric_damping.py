@@ -9,7 +9,7 @@ from afdsvc.api.physics import Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_force, force, velocity
 
 
-def damper(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _damper(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-c1 v`` forwards and ``-c2 v`` backwards."""
     out[0] -= (p[0] if z[0] > 0 else p[1]) * z[0]
 
@@ -26,7 +26,7 @@ class AsymmetricDamping:
             i, scale = axis.rate.index, 0.1 * axis.push / axis.rate.rms
             own = 0.0 if machine.plant is None else max(-float(machine.plant.A[i, i]), 0.0)
             yield at_force(
-                axis, damper, [velocity(axis)], physics=self.name, family="damping", starts=[(0.0, 0.0)],
+                axis, _damper, [velocity(axis)], physics=self.name, family="damping", starts=[(0.0, 0.0)],
                 parameters=[
                     force(axis, f"damping {way}", -own, max(200 * scale, own), scale, axis.rate.unit, linear=True) for way in ("forwards", "backwards")
                 ],

@@ -45,7 +45,7 @@ def at_state(where: Size, law: Law, reads: Sequence[Signal], writes: Sequence[Si
     return _hypothesis(f"state:{where.name}", "force", law, tuple(reads), tuple(writes) or (state(where),), rest)
 
 
-def on_machine(stage: str, law: Law, reads: Sequence[Signal], writes: Sequence[Signal], **rest: Any) -> Hypothesis:
+def at_machine(stage: str, law: Law, reads: Sequence[Signal], writes: Sequence[Signal], **rest: Any) -> Hypothesis:
     """Return a law that touches the machine in several places."""
     return _hypothesis("machine", stage, law, tuple(reads), tuple(writes), rest)
 
@@ -57,7 +57,7 @@ def placed(machine: Machine) -> Iterator[tuple[Axis, Size]]:
             yield axis, axis.position
 
 
-def stores(machine: Machine) -> list[Size]:
+def store_states(machine: Machine) -> list[Size]:
     """Return the states that store something: they belong to no axis, run empty by themselves, and what leaves one arrives in others.
 
     In the matrices: a diagonal entry below zero, no other entry of the row and the column below zero.

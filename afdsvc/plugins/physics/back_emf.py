@@ -10,7 +10,7 @@ from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal
 from afdsvc.plugins.physics.attach import at_force, constant, velocity
 
 
-def coil(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _coil(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``tau w' + w = u - e v``; w replaces ``u``, or ``u - h v`` where the model has a damping ``b h`` by induction. ``p = (tau, e, b, h)``.
 
     Exact for input and velocity held over the step; the mean of w is what acts.
@@ -45,7 +45,7 @@ class BackEmf:
         voltage = constant("induced per speed", unit, induced) if induced else Coefficient("induced per speed", unit, low, high, abs(scale))
         first = (induced,) if induced else (scale, 10 * scale)
         return at_force(
-            axis, coil, [Signal("u", port.index), velocity(axis)], physics=self.name, family="timing", memory=1, substeps=4, notes=notes,
+            axis, _coil, [Signal("u", port.index), velocity(axis)], physics=self.name, family="timing", memory=1, substeps=4, notes=notes,
             parameters=[
                 Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span), voltage, constant("gain", "", axis.gain),
                 constant("in the model", unit, induced),

@@ -9,7 +9,7 @@ from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_input, at_output
 
 
-def play(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _play(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """What follows stays where it is until pushed by either edge of the gap; ``m`` is where it is.
 
     Edges worn unevenly touch at two widths, ``gap (1 +- wear)``.
@@ -31,7 +31,7 @@ class Backlash:
         for port, attach in [*((i, at_input) for i in machine.inputs), *((o, at_output) for o in machine.outputs)]:
             r = port.rms
             yield attach(
-                port, play, physics=self.name, family="memory", memory=2,
+                port, _play, physics=self.name, family="memory", memory=2,
                 parameters=[
                     Coefficient("gap", port.unit, 1e-4 * r, 1.8 * port.peak, 0.03 * r), Coefficient("wear", "", 0.0, 0.5, 0.05, nuisance=True),
                 ],

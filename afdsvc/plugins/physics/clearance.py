@@ -11,15 +11,15 @@ from afdsvc.plugins.physics.attach import at_force, force, placed, state
 from afdsvc.plugins.physics.joint import at_joint, joints
 
 
-def stop(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _stop(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-k (|q| - g)`` towards the middle once ``|q| > g``."""
     over = abs(z[0]) - p[1]
     if over > 0:
         out[0] -= p[0] * math.copysign(over, z[0])
 
 
-def joint(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`stop` of a deflection ``q_1 + s_2 q_2 + ...``; axis k takes ``s_k`` times ``r_k`` of it, ``p[2:] = s_2, ..., r_2, ...``."""
+def _joint(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """`_stop` of a deflection ``q_1 + s_2 q_2 + ...``; axis k takes ``s_k`` times ``r_k`` of it, ``p[2:] = s_2, ..., r_2, ...``."""
     n, deflection = len(out), z[0]
     for k in range(1, n):
         deflection += p[1 + k] * z[k]
@@ -41,7 +41,7 @@ class Clearance:
             peak = q.peak
             scale = 0.1 * axis.push / q.rms
             yield at_force(
-                axis, stop, [state(q)], physics=self.name, family="stiffness",
+                axis, _stop, [state(q)], physics=self.name, family="stiffness",
                 parameters=[
                     force(axis, "stiffness", 0.0, 1e4 * scale, scale, q.unit, linear=True),
                     Coefficient("gap", q.unit, 0.02 * peak, 0.98 * peak, 0.02 * peak),
@@ -54,7 +54,7 @@ class Clearance:
             a, q = k.axes[0], k.positions[0]
             scale = 0.1 * a.push / q.rms
             yield at_joint(
-                k, joint, [
+                k, _joint, [
                     force(a, "stiffness", -200 * scale, 1e3 * scale, scale, q.unit, linear=True),
                     Coefficient("gap", q.unit, 0.02 * q.peak, 2 * q.peak, 0.02 * q.peak),
                 ],

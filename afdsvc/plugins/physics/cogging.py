@@ -14,7 +14,7 @@ from afdsvc.plugins.physics.attach import at_force, force, placed, quantity, rad
 ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 36, 48)  # periods per turn that a search begins from
 
 
-def ripple(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _ripple(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``a cos(k q) + b sin(k q)``."""
     out[0] += p[1] * math.cos(p[0] * z[0]) + p[2] * math.sin(p[0] * z[0])
 
@@ -40,7 +40,7 @@ class Cogging:
         scale = 0.05 * axis.push
         pair = [force(axis, f"{part} force", -1e3 * scale, 1e3 * scale, scale, linear=True) for part in ("cosine", "sine")]
         return at_force(
-            axis, ripple, [where], physics=self.name, family="ripple",
+            axis, _ripple, [where], physics=self.name, family="ripple",
             parameters=[Coefficient("wave number", f"rad/{unit}", 0.2 * min(numbers), 5 * max(numbers), 0.02 * width), *pair],
             starts=[(k, 0.0, 0.0) for k in numbers],
             predicts="a force of the same period along the way at every speed", refuted_by="a frequency that does not follow the speed",

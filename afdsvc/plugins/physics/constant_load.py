@@ -9,7 +9,7 @@ from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_force, at_input, force
 
 
-def load(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _load(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``+F``."""
     out[0] += p[0]
 
@@ -42,7 +42,7 @@ class ConstantLoad:
             f = 0.05 * axis.push
             size = force(axis, "force", -400 * f, 400 * f, f, linear=True)
             rate = force(axis, "rate", -400 * f / machine.duration, 400 * f / machine.duration, f / machine.duration, "s", linear=True)
-            yield at_force(axis, load, [], parameters=[size], starts=[(0.0,)], **words, **_STEADY)
+            yield at_force(axis, _load, [], parameters=[size], starts=[(0.0,)], **words, **_STEADY)
             yield at_force(axis, drifting, [], parameters=[size, rate], starts=[(0.0, 0.0)], **words, **_DRIFT)
         driven = {axis.input for axis in machine.axes}
         for port in machine.inputs:
@@ -50,5 +50,5 @@ class ConstantLoad:
                 f = 0.05 * port.rms
                 size = Coefficient("offset", port.unit, -400 * f, 400 * f, f, linear=True)
                 rate = Coefficient("rate", f"{port.unit}/s", -400 * f / machine.duration, 400 * f / machine.duration, f / machine.duration, linear=True)
-                yield at_input(port, load, parameters=[size], starts=[(0.0,)], **words, **_STEADY)
+                yield at_input(port, _load, parameters=[size], starts=[(0.0,)], **words, **_STEADY)
                 yield at_input(port, drifting, parameters=[size, rate], starts=[(0.0, 0.0)], **words, **_DRIFT)

@@ -18,19 +18,19 @@ _JUMP: dict[str, Any] = {
 }
 
 
-def coulomb(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _coulomb(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-F tanh(v / w)``, the rounding ``w`` never narrower than one step can follow."""
     out[0] -= p[0] * math.tanh(z[0] / (p[1] + p[0] * dt))
 
 
 def asymmetric(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`coulomb` with a force of its own for each direction: while it moves, even friction of their mean and a load of half their difference."""
+    """`_coulomb` with a force of its own for each direction: while it moves, even friction of their mean and a load of half their difference."""
     size = p[0] if z[0] > 0 else p[1]
     out[0] -= size * math.tanh(z[0] / (p[2] + size * dt))
 
 
 def loaded(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`coulomb` of ``F + c |load|``; the load is a sum of the signals behind the velocity, coefficients ``p[3:]``."""
+    """`_coulomb` of ``F + c |load|``; the load is a sum of the signals behind the velocity, coefficients ``p[3:]``."""
     load = 0.0
     for k in range(1, len(z)):
         load += p[2 + k] * z[k]
@@ -39,14 +39,14 @@ def loaded(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 def along(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`coulomb` of ``F + a d + b d^2`` where that is positive; ``d = (q - mean) / rms`` is the place."""
+    """`_coulomb` of ``F + a d + b d^2`` where that is positive; ``d = (q - mean) / rms`` is the place."""
     d = (z[1] - p[4]) / p[5]
     size = max(p[0] + p[1] * d + p[2] * d * d, 0.0)
     out[0] -= size * math.tanh(z[0] / (p[3] + size * dt))
 
 
-def joint(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`coulomb` of a relative velocity ``v_1 + s_2 v_2 + ...``; axis k takes ``s_k`` times ``r_k`` of it, ``p[2:] = s_2, ..., r_2, ...``."""
+def _joint(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """`_coulomb` of a relative velocity ``v_1 + s_2 v_2 + ...``; axis k takes ``s_k`` times ``r_k`` of it, ``p[2:] = s_2, ..., r_2, ...``."""
     n, rate, felt = len(out), z[0], 1.0
     for k in range(1, n):
         rate += p[1 + k] * z[k]
@@ -105,7 +105,7 @@ def _rounding(rate: Size) -> Coefficient:
 def _on(axis: Axis, machine: Machine) -> Iterable[Hypothesis]:
     v, rounding = axis.rate.rms, _rounding(axis.rate)
     size = force(axis, "force", 0.0, 20 * axis.push, 0.1 * axis.push, linear=True)
-    yield at_force(axis, coulomb, [velocity(axis)], parameters=[size, rounding], starts=[(0.0, 0.02 * v), (0.0, 0.2 * v)], **_WORDS, **_JUMP)
+    yield at_force(axis, _coulomb, [velocity(axis)], parameters=[size, rounding], starts=[(0.0, 0.02 * v), (0.0, 0.2 * v)], **_WORDS, **_JUMP)
     both = [force(axis, n, 0.0, 20 * axis.push, 0.1 * axis.push, linear=True) for n in ("force forwards", "force backwards")]
     yield at_force(
         axis, asymmetric, [velocity(axis)], parameters=[*both, rounding], starts=[(0.0, 0.0, 0.02 * v), (0.0, 0.0, 0.2 * v)],
@@ -153,7 +153,7 @@ def _between(k: Joint) -> Iterable[Hypothesis]:
     """Yield friction and slip in a joint of several coordinates."""
     a, q, r = k.axes[0], k.positions[0], k.axes[0].rate.rms
     size = force(a, "force", 0.0, 20 * a.push, 0.1 * a.push, linear=True)
-    yield at_joint(k, joint, [size, _rounding(a.rate)], [(0.0, 0.02 * r)], rates=True, **_WORDS, **_JUMP)
+    yield at_joint(k, _joint, [size, _rounding(a.rate)], [(0.0, 0.02 * r)], rates=True, **_WORDS, **_JUMP)
     lost = force(a, "stiffness lost", 0.0, 20 * a.push / q.rms, 0.05 * a.push / q.rms, q.unit, linear=True)
     width = Coefficient("width", q.unit, 1e-3 * q.rms, 3 * q.peak, 0.05 * q.rms)
     yield at_joint(

@@ -10,7 +10,7 @@ from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_input
 
 
-def creep(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _creep(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``a`` times the mean of three lags with time constants ``tau, 5 tau, 25 tau``: nearly logarithmic in time."""
     tau = p[1]
     for k in range(3):
@@ -30,7 +30,7 @@ class Creep:
         fast, slow = 3 / machine.bandwidth, max(machine.duration, 10 / machine.bandwidth)
         for port in machine.inputs:
             yield at_input(
-                port, creep, physics=self.name, family="relaxation", memory=3,
+                port, _creep, physics=self.name, family="relaxation", memory=3,
                 parameters=[
                     Coefficient("share", "", -3.0, 3.0, 0.05, linear=True),
                     Coefficient("time constant", "s", fast, slow, 0.1 * fast),

@@ -8,7 +8,7 @@ from itertools import combinations
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
-from afdsvc.plugins.physics.attach import on_machine, placed, state, velocity
+from afdsvc.plugins.physics.attach import at_machine, placed, state, velocity
 
 
 def swirl(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -33,7 +33,7 @@ class CrossCoupledStiffness:
             scale = 0.05 * min(a.push / q.rms, b.push / p.rms)
             for with_speed in (False, True) if follows else (False,):
                 reads = [state(p), state(q), *([Signal("aux", aux.index)] if with_speed and aux else [])]
-                yield on_machine(
+                yield at_machine(
                     "force", swirl, reads, [velocity(a), velocity(b)], physics=self.name, family="cross coupling",
                     parameters=[
                         Coefficient("coupling", "1/s^2", -100 * scale, 100 * scale, scale, linear=True),

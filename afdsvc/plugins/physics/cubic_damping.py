@@ -9,7 +9,7 @@ from afdsvc.api.physics import Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_force, force, velocity
 
 
-def cubic(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _cubic(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-c v^3``."""
     out[0] -= p[0] * z[0] ** 3
 
@@ -25,7 +25,7 @@ class CubicDamping:
         for axis in machine.axes:
             scale = 0.1 * axis.push / axis.rate.rms**3
             yield at_force(
-                axis, cubic, [velocity(axis)], physics=self.name, family="damping",
+                axis, _cubic, [velocity(axis)], physics=self.name, family="damping",
                 parameters=[
                     force(axis, "coefficient", 0.0, 200 * scale, scale, f"({axis.rate.unit})^3", linear=True)
                 ],

@@ -10,12 +10,12 @@ from afdsvc.plugins.physics.attach import at_force, at_input, constant, force, p
 from afdsvc.plugins.physics.joint import at_joint, joints, spring
 
 
-def cubic(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _cubic(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-k3 q^3``."""
     out[0] -= p[0] * z[0] ** 3
 
 
-def fed_back(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _fed_back(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-k3 y^3`` at the input, for a machine whose states have no names."""
     out[0] -= p[0] * z[1] ** 3
 
@@ -36,7 +36,7 @@ class CubicStiffness:
         for axis, q in placed(machine):
             scale = 0.05 * axis.push / q.rms**3
             k3 = force(axis, "stiffness", -200 * scale, 200 * scale, scale, f"({q.unit})^3", linear=True)
-            yield at_force(axis, cubic, [state(q)], parameters=[k3], starts=[(0.0,)], **words)
+            yield at_force(axis, _cubic, [state(q)], parameters=[k3], starts=[(0.0,)], **words)
         for joint in joints(machine):
             a, q = joint.axes[0], joint.positions[0]
             scale = 0.05 * a.push / q.rms**3
@@ -46,4 +46,4 @@ class CubicStiffness:
             u, y = machine.inputs[0], machine.outputs[0]
             scale = 0.05 * u.rms / y.rms**3
             k3 = Coefficient("stiffness", f"{u.unit}/({y.unit})^3", -200 * scale, 200 * scale, scale, linear=True)
-            yield at_input(u, fed_back, [Signal("y", y.index)], parameters=[k3], starts=[(0.0,)], **words)
+            yield at_input(u, _fed_back, [Signal("y", y.index)], parameters=[k3], starts=[(0.0,)], **words)

@@ -10,7 +10,7 @@ from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_input
 
 
-def dead_zone(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _dead_zone(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """The input loses what lies within ``+-width``."""
     out[0] -= min(max(z[0], -p[0]), p[0])
 
@@ -36,7 +36,7 @@ class DeadZone:
                 "predicts": "a gain that rises with the level; distortion whose share falls with the level",
                 "refuted_by": "distortion that grows faster than the level",
             }
-            yield at_input(port, dead_zone, parameters=[width], starts=[(0.03 * r,), (0.15 * r,), (0.6 * r,)], **words)
+            yield at_input(port, _dead_zone, parameters=[width], starts=[(0.03 * r,), (0.15 * r,), (0.6 * r,)], **words)
             yield at_input(
                 port, two_edges, parameters=[replace(width, name="upper edge"), replace(width, name="lower edge")],
                 starts=[(a * r, b * r) for a, b in ((0.05, 0.05), (0.5, 0.1), (0.1, 0.5), (0.6, 0.6))],

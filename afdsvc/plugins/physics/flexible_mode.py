@@ -12,7 +12,7 @@ import numpy as np
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.plugins.physics.attach import at_force, balance, on_machine, placed, velocity
+from afdsvc.plugins.physics.attach import at_force, at_machine, balance, placed, velocity
 
 Band = tuple[Coefficient, Coefficient]
 ATTACHED = "attached mass"
@@ -138,7 +138,7 @@ class FlexibleMode:
                 )
                 for o, r in zip(machine.outputs, machine.residual, strict=True)
             ]
-            yield on_machine(
+            yield at_machine(
                 "output", mode, [Signal("u", port.index)], [Signal("y", o.index) for o in machine.outputs],
                 memory=2, parameters=[*band, *shares],
                 starts=[(w, zeta, *np.zeros(len(shares))) for w in grid for zeta in (0.02, 0.15)],

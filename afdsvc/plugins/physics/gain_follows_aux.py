@@ -9,7 +9,7 @@ from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal, Size
 from afdsvc.plugins.physics.attach import at_input, at_output
 
 
-def scaled(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _scaled(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``w (1 + c d + b d^2)`` with ``d = aux - mean``."""
     d = z[1] - p[1]
     out[0] += (p[0] + p[2] * d) * d * z[0]
@@ -40,7 +40,7 @@ class GainFollowsAux:
         for attach, ports, word in places:
             for port in ports:
                 for aux in varying(machine):
-                    yield attach(port, scaled, [Signal("aux", aux.index)], **_parts(self.name, aux, word))
+                    yield attach(port, _scaled, [Signal("aux", aux.index)], **_parts(self.name, aux, word))
 
 
 def _parts(name: str, aux: Size, word: str) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from afdsvc.api.physics import Axis, Hypothesis, Machine, Size
 from afdsvc.plugins.physics.attach import at_force, constant, force, placed, quantity, radians, state
 
 
-def weight(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _weight(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-a sin(q) - b cos(q)``: the vertical need not be where the angle is zero; ``p[2]`` is a radian per unit of q."""
     out[0] -= p[0] * math.sin(p[2] * z[0]) + p[1] * math.cos(p[2] * z[0])
 
@@ -31,7 +31,7 @@ class Gravity:
         """Return two hypotheses per axis whose position is an angle."""
         for axis, q in placed(machine):
             if quantity(q.unit) == "angle":
-                yield self._on(axis, q, weight, {})
+                yield self._on(axis, q, _weight, {})
                 yield self._on(axis, q, sine, {"variant": "sine for a line", "of": ""})
 
     def _on(self, axis: Axis, q: Size, law: Any, notes: dict[str, str]) -> Hypothesis:

@@ -8,10 +8,10 @@ from itertools import combinations
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
-from afdsvc.plugins.physics.attach import on_machine, velocity
+from afdsvc.plugins.physics.attach import at_machine, velocity
 
 
-def gyroscopic(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _gyroscopic(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-g v2`` on the first axis and ``+g v1`` on the second, times the speed over its reference."""
     share = p[0] * (z[2] / p[1] if len(z) > 2 else 1.0)
     out[0] -= share * z[1]
@@ -31,8 +31,8 @@ class GyroscopicCoupling:
         for a, b in combinations(machine.axes, 2):
             scale = 0.05 * min(a.push / b.rate.rms, b.push / a.rate.rms)
             reads = [velocity(a), velocity(b), *([Signal("aux", aux.index)] if aux else [])]
-            yield on_machine(
-                "force", gyroscopic, reads, [velocity(a), velocity(b)], physics=self.name, family="cross coupling",
+            yield at_machine(
+                "force", _gyroscopic, reads, [velocity(a), velocity(b)], physics=self.name, family="cross coupling",
                 parameters=[
                     Coefficient("coupling", "1/s", -100 * scale, 100 * scale, scale, linear=True),
                     Coefficient("at speed", "rad/s", speed, speed, 1.0, nuisance=True),

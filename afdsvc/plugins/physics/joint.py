@@ -8,7 +8,7 @@ from itertools import combinations, islice, product
 from typing import Any
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Law, Machine, Size
-from afdsvc.plugins.physics.attach import constant, on_machine, placed, state, velocity
+from afdsvc.plugins.physics.attach import at_machine, constant, placed, state, velocity
 
 MOST_MODES = 6  # of a joint between all modes of a structure
 MOST_STARTS = 8  # signs of the modes' shares that a search begins from
@@ -46,7 +46,7 @@ def at_joint(
 ) -> Hypothesis:
     """Return a law of a joint, which reads the positions of its axes or their ``rates``; the joint's shares follow its parameters."""
     push = [velocity(axis) for axis in joint.axes]
-    return on_machine(
+    return at_machine(
         "force", law, push if rates else [state(q) for q in joint.positions], push, parameters=[*parameters, *joint.shares],
         starts=[(*own, *shares) for shares in joint.starts for own in starts], notes={"variant": f"{what} between {joint.name}".strip()}, **rest,
     )

@@ -15,7 +15,7 @@ def tone_on_signal(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] += p[1] * math.cos(p[0] * z[1]) + p[2] * math.sin(p[0] * z[1])
 
 
-def tone(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _tone(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``a cos(w t) + b sin(w t)`` as a force."""
     out[0] += p[1] * math.cos(p[0] * z[0]) + p[2] * math.sin(p[0] * z[0])
 
@@ -37,7 +37,7 @@ class PeriodicDisturbance:
             for axis in machine.axes:
                 scale = 0.05 * axis.push
                 pair = [force(axis, f"{part} amplitude", -1e3 * scale, 1e3 * scale, scale, linear=True) for part in ("cosine", "sine")]
-                yield at_force(axis, tone, [Signal("t")], **self._parts(machine, w, number, pair))
+                yield at_force(axis, _tone, [Signal("t")], **self._parts(machine, w, number, pair))
 
     def _pair(self, port: Size, scale: float) -> list[Coefficient]:
         return [

@@ -10,12 +10,12 @@ from afdsvc.plugins.physics.attach import at_force, at_input, constant, force, p
 from afdsvc.plugins.physics.joint import at_joint, joints, spring
 
 
-def quadratic(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _quadratic(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-k2 q^2``."""
     out[0] -= p[0] * z[0] ** 2
 
 
-def fed_back(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _fed_back(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-k2 y^2`` at the input, for a machine whose states have no names."""
     out[0] -= p[0] * z[1] ** 2
 
@@ -36,7 +36,7 @@ class QuadraticStiffness:
         for axis, q in placed(machine):
             scale = 0.05 * axis.push / q.rms**2
             k2 = force(axis, "stiffness", -200 * scale, 200 * scale, scale, f"({q.unit})^2", linear=True)
-            yield at_force(axis, quadratic, [state(q)], parameters=[k2], starts=[(0.0,)], **words)
+            yield at_force(axis, _quadratic, [state(q)], parameters=[k2], starts=[(0.0,)], **words)
         for joint in joints(machine):
             a, q = joint.axes[0], joint.positions[0]
             scale = 0.05 * a.push / q.rms**2
@@ -46,4 +46,4 @@ class QuadraticStiffness:
             u, y = machine.inputs[0], machine.outputs[0]
             scale = 0.05 * u.rms / y.rms**2
             k2 = Coefficient("stiffness", f"{u.unit}/({y.unit})^2", -200 * scale, 200 * scale, scale, linear=True)
-            yield at_input(u, fed_back, [Signal("y", y.index)], parameters=[k2], starts=[(0.0,)], **words)
+            yield at_input(u, _fed_back, [Signal("y", y.index)], parameters=[k2], starts=[(0.0,)], **words)

@@ -7,12 +7,22 @@ from collections.abc import Iterable
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal, Size
-from afdsvc.plugins.physics.attach import at_force, at_input, at_state, constant, downstream, quantity, state, stores, velocity
+from afdsvc.plugins.physics.attach import (
+    at_force,
+    at_input,
+    at_state,
+    constant,
+    downstream,
+    quantity,
+    state,
+    store_states,
+    velocity,
+)
 
 SHARP, SOFT = 1e-3, 0.4  # shares of the limit over which the corner may be rounded
 
 
-def saturation(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def soft_limit(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """The input is held within ``+-limit``, the corner rounded by a parabola over ``+-knee limit``."""
     corner = p[1] * p[0]
     beyond = abs(z[0]) - p[0]
@@ -26,7 +36,7 @@ def two_limits(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] += min(max(z[0], p[1]), p[0]) - z[0]
 
 
-def held(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _held(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """A state beyond ``+-limit`` is brought back within one step."""
     out[0] -= math.copysign(max(abs(z[0]) - p[0], 0.0), z[0]) / dt
 
@@ -50,10 +60,10 @@ class Saturation:
         for port in machine.inputs:
             yield from self._of_input(port)
         for axis in machine.axes:
-            yield at_force(axis, held, [velocity(axis)], **self._of_state(axis.rate))
-        for store in stores(machine):
+            yield at_force(axis, _held, [velocity(axis)], **self._of_state(axis.rate))
+        for store in store_states(machine):
             if quantity(store.unit) == "force":
-                yield at_state(store, held, [state(store)], **self._of_state(store))
+                yield at_state(store, _held, [state(store)], **self._of_state(store))
             else:
                 yield self._of_store(store, machine)
 
@@ -70,7 +80,7 @@ class Saturation:
         }
         peak, step = port.peak, 0.02 * port.peak
         yield at_input(
-            port, saturation, parameters=[_limit(port), Coefficient("knee", "", SHARP, SOFT, 0.05, nuisance=True)],
+            port, soft_limit, parameters=[_limit(port), Coefficient("knee", "", SHARP, SOFT, 0.05, nuisance=True)],
             starts=[(share * peak, 0.1) for share in (0.35, 0.6, 0.85, 0.95)], **words,
         )
         top, low = port.mean - port.rms, port.mean + port.rms

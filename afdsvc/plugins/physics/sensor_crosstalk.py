@@ -13,7 +13,7 @@ from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.attach import at_output
 
 
-def share(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _share(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``y + c y_other``."""
     out[0] += p[0] * z[1]
 
@@ -35,7 +35,7 @@ class SensorCrosstalk:
         for a, b in permutations(machine.outputs, 2):
             ratio = a.rms / b.rms
             yield at_output(
-                a, share, [Signal("y", b.index)], physics=self.name, family="coupling",
+                a, _share, [Signal("y", b.index)], physics=self.name, family="coupling",
                 parameters=[Coefficient(f"share of {b.name}", f"{a.unit}/{b.unit}" if a.unit != b.unit else "", -10 * ratio, 10 * ratio, 0.02 * ratio, linear=True)],
                 starts=[(0.0,)], linear=lambda plant, values, i=a.index, j=b.index: _mix(plant, values, i, j),
                 notes={"variant": b.name},

@@ -13,7 +13,7 @@ from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.attach import at_output
 
 
-def lag(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _lag(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``tau w' + w = y``, exact for an output that is straight between samples."""
     if m[2] == 0.0:
         m[0], m[1], m[2] = z[0], z[0], 1.0
@@ -47,7 +47,7 @@ class SensorLag:
         span = 1 / machine.bandwidth
         for port in machine.outputs:
             yield at_output(
-                port, lag, physics=self.name, family="timing", memory=3,
+                port, _lag, physics=self.name, family="timing", memory=3,
                 parameters=[Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span)],
                 starts=[(0.1 * span,), (span,), (10 * span,)],
                 linear=lambda plant, values, row=port.index: _extend(plant, values, row),

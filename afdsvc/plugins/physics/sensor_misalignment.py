@@ -11,7 +11,7 @@ import numpy as np
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.plugins.physics.attach import on_machine
+from afdsvc.plugins.physics.attach import at_machine
 
 
 def turned(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -40,7 +40,7 @@ class SensorMisalignment:
             if a.unit != b.unit:
                 continue
             pair = [Signal("y", a.index), Signal("y", b.index)]
-            yield on_machine(
+            yield at_machine(
                 "output", turned, pair, pair, physics=self.name, family="coupling",
                 parameters=[Coefficient("angle", "rad", -1.5, 1.5, 0.01)], starts=[(0.02,), (-0.02,), (0.2,), (-0.2,)],
                 linear=lambda plant, values, i=a.index, j=b.index: _turn(plant, values, i, j),

@@ -9,7 +9,7 @@ from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_output
 
 
-def curve(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _curve(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``a2 w^2 + a3 w^3`` in units of the rms ``r``: ``w = y / r``, times r."""
     w = z[0] / p[2]
     out[0] += (p[0] * w * w + p[1] * w * w * w) * p[2]
@@ -26,7 +26,7 @@ class SensorNonlinearity:
         for port in machine.outputs:
             r = max(port.rms, 1e-300)
             yield at_output(
-                port, curve, physics=self.name, family="sensor curve",
+                port, _curve, physics=self.name, family="sensor curve",
                 parameters=[
                     Coefficient("quadratic share", "", -10.0, 10.0, 0.02, linear=True),
                     Coefficient("cubic share", "", -10.0, 10.0, 0.02, linear=True),

@@ -9,7 +9,7 @@ from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_output
 
 
-def rectified(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _rectified(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``y + c |y|``."""
     out[0] += p[0] * abs(z[0])
 
@@ -33,7 +33,7 @@ class SensorRectification:
                 "predicts": "even distortion in proportion to the level, in this output alone",
                 "refuted_by": "even distortion that grows with the square of the level",
             }
-            yield at_output(port, rectified, parameters=[Coefficient("share", "", -1.0, 1.0, 0.02, linear=True)], **words)
+            yield at_output(port, _rectified, parameters=[Coefficient("share", "", -1.0, 1.0, 0.02, linear=True)], **words)
             if machine.limited == "model":
                 lost = Coefficient("sign lost", "", 0.0, 1.2, 0.05, linear=True)
                 yield at_output(port, unsigned, parameters=[lost], notes={"variant": "unsigned", "of": ""}, **words)

@@ -10,10 +10,10 @@ import numpy as np
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.plugins.physics.attach import at_state, state, stores
+from afdsvc.plugins.physics.attach import at_state, state, store_states
 
 
-def exchange(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _exchange(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-c (x - s)`` with ``tau s' = x - s``: the mean over a step of held x; the store begins at rest with x."""
     if m[1] == 0.0:
         m[0], m[1] = z[0], 1.0
@@ -39,13 +39,13 @@ class SlowMode:
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per store, from as fast as the excitation to as slow as the recordings."""
-        for store in stores(machine):
+        for store in store_states(machine):
             assert machine.plant is not None  # noqa: S101
             own = -float(machine.plant.A[store.index, store.index])
             fast, slow = 0.3 / machine.bandwidth, max(3 * machine.duration, 30 / machine.bandwidth)
             most = max(50 * own, machine.bandwidth)
             yield at_state(
-                store, exchange, [state(store)], physics=self.name, family="relaxation", memory=2,
+                store, _exchange, [state(store)], physics=self.name, family="relaxation", memory=2,
                 parameters=[
                     Coefficient("exchange rate", "1/s", 0.0, most, 0.05 * own, linear=True),
                     Coefficient("time constant", "s", fast, slow, 0.1 * fast),

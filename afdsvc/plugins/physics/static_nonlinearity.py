@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Law, Machine, Signal, Size
-from afdsvc.plugins.physics.attach import at_input, at_state, constant, downstream, state, stores
+from afdsvc.plugins.physics.attach import at_input, at_state, constant, downstream, state, store_states
 
 
-def curve(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _curve(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``a2 w^2 + a3 w^3`` in units of the rms ``r``: ``w = z / r``, times r."""
     w = z[0] / p[2]
     out[0] += (p[0] * w * w + p[1] * w * w * w) * p[2]
@@ -88,7 +88,7 @@ class StaticNonlinearity:
                 starts=[(r * port.rms, s * span) for r in (0.3, 1.0, 3.0) for s in (0.3, 3.0)], notes=_shape("thrust of a rotor"), **words,
                 predicts="a gain that grows with the level and a lag that does not depend on it", refuted_by="a gain that is the same at every level",
             )
-        for store in stores(machine):
+        for store in store_states(machine):
             yield from _flows(store, machine, words)
         if machine.axes or machine.plant is None:
             return
@@ -117,7 +117,7 @@ def _polynomials(port: Size, unit: str, scale: float) -> Iterable[Form]:
     r = port.rms
     reference = constant("reference", port.unit, r)
     for name, square, cube in (("", True, True), ("square", True, False), ("cube", False, True)):
-        yield curve, name, [share("quadratic share", square), share("cubic share", cube), reference], [(0.0, 0.0, r)]
+        yield _curve, name, [share("quadratic share", square), share("cubic share", cube), reference], [(0.0, 0.0, r)]
     yield signed_square, "signed square", [share("quadratic share"), reference], [(0.0, r)]
 
 

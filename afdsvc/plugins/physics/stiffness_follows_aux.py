@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal, Size
-from afdsvc.plugins.physics.attach import at_force, force, on_machine, placed, state, velocity
+from afdsvc.plugins.physics.attach import at_force, at_machine, force, placed, state, velocity
 from afdsvc.plugins.physics.gain_follows_aux import curvature, varying
 
 
-def spring(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _spring(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-(c + b d) d q`` with ``d = aux - mean``."""
     d = z[1] - p[1]
     out[0] -= (p[0] + p[2] * d) * d * z[0]
@@ -40,7 +40,7 @@ class StiffnessFollowsAux:
         for axis, q in axes:
             for aux in varying(machine):
                 yield at_force(
-                    axis, spring, [state(q), Signal("aux", aux.index)], physics=self.name, family="follows aux",
+                    axis, _spring, [state(q), Signal("aux", aux.index)], physics=self.name, family="follows aux",
                     parameters=[
                         _share(axis, q, aux),
                         Coefficient("reference", aux.unit, aux.mean, aux.mean, 1.0, nuisance=True),
@@ -53,7 +53,7 @@ class StiffnessFollowsAux:
 
     def _everywhere(self, axes: Sequence[tuple[Axis, Size]], aux: Size) -> Hypothesis:
         shares = [_share(axis, q, aux, f" of {axis.name}") for axis, q in axes]
-        return on_machine(
+        return at_machine(
             "force", springs, [*(state(q) for _, q in axes), Signal("aux", aux.index)], [velocity(a) for a, _ in axes],
             physics=self.name, family="follows aux", starts=[(*np.zeros(len(shares)), aux.mean, 0.0)], notes={"variant": aux.name},
             parameters=[

@@ -10,7 +10,7 @@ from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_force, force, motion, velocity
 
 
-def stribeck(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def _stribeck(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-(Fc + Fb exp(-(v / vs)^2)) tanh(v / w)``: Fc at speed, Fc + Fb at standstill."""
     size = p[0] + p[1] * math.exp(-((z[0] / p[2]) ** 2))
     out[0] -= size * math.tanh(z[0] / (p[3] + size * dt))
@@ -57,7 +57,7 @@ class StribeckFriction:
                 Coefficient("stribeck speed", axis.rate.unit, 1e-2 * v, 3 * v, 0.1 * v),
             ]
             yield at_force(
-                axis, stribeck, [velocity(axis)], parameters=[*common, Coefficient("rounding", axis.rate.unit, 1e-4 * v, 0.3 * v, 0.02 * v, nuisance=True)],
+                axis, _stribeck, [velocity(axis)], parameters=[*common, Coefficient("rounding", axis.rate.unit, 1e-4 * v, 0.3 * v, 0.02 * v, nuisance=True)],
                 starts=[(0.0, 0.0, 0.1 * v, 0.01 * v), (0.0, 0.0, 0.4 * v, 0.02 * v), (0.0, 0.0, 1.0 * v, 0.1 * v)], **words,
             )
             yield at_force(

@@ -8,7 +8,7 @@ from itertools import permutations
 from typing import Any
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal
-from afdsvc.plugins.physics.attach import force, on_machine, velocity
+from afdsvc.plugins.physics.attach import at_machine, force, velocity
 
 
 def turning(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -36,7 +36,7 @@ class Unbalance:
         for axes in pairs:
             scale = 0.05 * axes[0].push
             pair = [force(axes[0], f"{part} force", -1e3 * scale, 1e3 * scale, scale, linear=True) for part in ("cosine", "sine")]
-            yield on_machine(
+            yield at_machine(
                 "force", turning, [Signal("aux", machine.aux["angle"].index), Signal("aux", machine.aux["speed"].index)],
                 [velocity(a) for a in axes], physics=self.name, family="rotation",
                 parameters=[*pair, Coefficient("at speed", "rad/s", speed, speed, 1.0, nuisance=True)],

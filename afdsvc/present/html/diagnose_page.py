@@ -19,7 +19,7 @@ NONE = "none_of_these"
 def diagnose_page(document: Mapping[str, Any]) -> str:
     """Return the page for the document of ``diagnose --json``."""
     page = Environment(loader=PackageLoader("afdsvc.present.html", "."), autoescape=select_autoescape(["j2"]))
-    shown = [{**recording, "answer": answer(recording["verdict"]), "severities": _severities(recording)} for recording in document["recordings"]]
+    shown = [{**recording, "answer": verdict_words(recording["verdict"]), "severities": _severities(recording)} for recording in document["recordings"]]
     return page.get_template("diagnose_page.html.j2").render(recordings=shown, percent=_percent, weights=_weights)
 
 
@@ -31,7 +31,7 @@ def write_diagnosis(document: Mapping[str, Any], path: Path) -> None:
         raise BadInput(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-def answer(verdict: Mapping[str, Any]) -> str:
+def verdict_words(verdict: Mapping[str, Any]) -> str:
     """Return what a verdict amounts to in a few words."""
     if verdict["fault"]:
         return f"Fault: {verdict['fault']}"

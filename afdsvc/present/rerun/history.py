@@ -10,7 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from afdsvc.api.evidence import Evidence
-from afdsvc.diagnosis.verdict import alarms, strongest
+from afdsvc.diagnosis.verdict import alarm_decisions, strongest
 from afdsvc.errors import BadInput
 from afdsvc.files.recording import mcap_file
 from afdsvc.files.recording.reader import messages_on
@@ -48,7 +48,7 @@ def _told(findings: Sequence[Finding]) -> Told | None:
     evidence: list[Evidence] = [f.evidence for f in findings]
     if not any(e.trustworthy for e in evidence):
         return None
-    best, t_ns = strongest(alarms(evidence)), findings[-1].t_ns
+    best, t_ns = strongest(alarm_decisions(evidence)), findings[-1].t_ns
     if best is None or best.fault is None:
         return t_ns, "", 0.0, 0.0
     return (t_ns, best.fault, best.severity.value, best.severity.sd) if best.severity else (t_ns, best.fault, float("nan"), 0.0)

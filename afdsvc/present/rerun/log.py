@@ -16,7 +16,7 @@ from afdsvc.present.rerun import paths
 from afdsvc.present.rerun.blueprint import MachineLayout, blueprint
 from afdsvc.present.rerun.machine import MachineReview
 from afdsvc.present.rerun.paths import at
-from afdsvc.present.rerun.plane import Plane, log_planes, reach
+from afdsvc.present.rerun.plane import Plane, half_width, log_planes
 from afdsvc.present.rerun.signals import Groups, as_residual, by_group
 from afdsvc.wire.messages import EventKind, Finding, RigEvent
 
@@ -119,7 +119,7 @@ class ReviewLog:
         """Show what bursts answered in the complex plane, beside where faults would have put it."""
         if planes and self._start_ns is not None:
             found = self._machine(machine)
-            found.planes = tuple((plane.title, reach(plane)) for plane in planes)
+            found.planes = tuple((plane.title, half_width(plane)) for plane in planes)
             log_planes(self._recording, found.id, planes, self._start_ns)
 
     def _signals(self, block: Block, groups: Groups) -> None:

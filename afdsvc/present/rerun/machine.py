@@ -11,7 +11,7 @@ import rerun as rr
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block
 from afdsvc.detect.isolation import NONE
-from afdsvc.diagnosis.verdict import Verdict, conclude
+from afdsvc.diagnosis.verdict import FaultVerdict, conclude
 from afdsvc.present.rerun import paths
 from afdsvc.present.rerun.blueprint import MachineLayout
 from afdsvc.present.rerun.decisions import DetectorTrack, Lane
@@ -89,7 +89,7 @@ class Answers:
         recording.log(paths.path(self._machine, "answer"), rr.TextDocument(told, media_type=rr.MediaType.MARKDOWN))
 
 
-def _words(verdict: Verdict, evidence: list[Evidence], begun_ns: int | None, start_ns: int) -> str:
+def _words(verdict: FaultVerdict, evidence: list[Evidence], begun_ns: int | None, start_ns: int) -> str:
     """Return the answers as Markdown."""
     if not verdict.detected:
         if not verdict.trustworthy:
@@ -104,12 +104,12 @@ def _words(verdict: Verdict, evidence: list[Evidence], begun_ns: int | None, sta
     return "\n\n".join(lines)
 
 
-def _likely(verdict: Verdict) -> list[str]:
+def _likely(verdict: FaultVerdict) -> list[str]:
     ranked = sorted(verdict.weights, key=lambda name: -verdict.weights[name])
     return [name for name in ranked if name != NONE][:3] or ["not singled out yet"]
 
 
-def _sure(verdict: Verdict) -> str:
+def _sure(verdict: FaultVerdict) -> str:
     ranked = sorted(verdict.weights.items(), key=lambda item: -item[1])[:3]
     shares = [f"{'none of these' if name == NONE else name} {100 * w:.3g} %" for name, w in ranked if w >= 0.005]
     return ", ".join(shares) or "detected, without weights"

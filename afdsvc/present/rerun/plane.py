@@ -16,7 +16,7 @@ SEEN = 0.05  # share of the plane below which a curve is a dot at the origin
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Point:
+class PhasorPoint:
     """What one burst answered on one line and output, as (real, imaginary) in standard deviations of its noise."""
 
     t_ns: int
@@ -34,13 +34,13 @@ class Plane:
     title: str
     curves: Mapping[str, Array]
     ends: Mapping[str, float]
-    points: Sequence[Point]
+    points: Sequence[PhasorPoint]
 
 
 def log_planes(recording: rr.RecordingStream, machine: str, planes: Sequence[Plane], start_ns: int) -> None:
     """Log the planes of a machine: curves for ever, points when they were measured."""
     for number, plane in enumerate(planes):
-        root, radius = paths.plane(machine, number), 0.02 * reach(plane)
+        root, radius = paths.plane(machine, number), 0.02 * half_width(plane)
         _curves(recording, root, plane)
         _axes(recording, root, plane)
         for point in plane.points:
@@ -52,7 +52,7 @@ def log_planes(recording: rr.RecordingStream, machine: str, planes: Sequence[Pla
 
 
 def _curves(recording: rr.RecordingStream, root: str, plane: Plane) -> None:
-    size = reach(plane)
+    size = half_width(plane)
     for number, (fault, curve) in enumerate(plane.curves.items()):
         colour, end = paths.fault_colour(fault), plane.ends[fault]
         recording.log(f"{root}/curves/{fault}", rr.LineStrips2D([[_up(p) for p in curve]], colors=[colour], radii=[0.006 * size]), static=True)
@@ -65,7 +65,7 @@ def _curves(recording: rr.RecordingStream, root: str, plane: Plane) -> None:
 
 
 def _axes(recording: rr.RecordingStream, root: str, plane: Plane) -> None:
-    size = reach(plane)
+    size = half_width(plane)
     axes = [[[-size, 0.0], [size, 0.0]], [[0.0, -size], [0.0, size]]]
     recording.log(f"{root}/axes", rr.LineStrips2D(axes, colors=[paths.ZERO], radii=[0.002 * size], draw_order=-10.0), static=True)
     step = float(10 ** np.floor(np.log10(0.8 * size)))
@@ -80,7 +80,7 @@ def _up(value: Sequence[float] | Array) -> tuple[float, float]:
     return float(value[0]), -float(value[1])
 
 
-def reach(plane: Plane) -> float:
+def half_width(plane: Plane) -> float:
     """Return half the width of a plane: everything lies inside."""
     found = [np.abs(c).max() for c in plane.curves.values()] + [max(map(abs, p.value)) for p in plane.points]
     return 1.1 * float(max(found, default=1.0))

@@ -13,7 +13,7 @@ import numpy as np
 from afdsvc.errors import BadInput
 from afdsvc.files.recording import mcap_file
 from afdsvc.files.recording.foxglove import Level, decode_log
-from afdsvc.files.recording.reader import Entry, Recording
+from afdsvc.files.recording.reader import RecordedMessage, Recording
 from afdsvc.present.rerun.log import LOOPBACK, QUIET_HERTZ, ReviewLog
 from afdsvc.present.rerun.plane import Plane
 from afdsvc.present.rerun.signals import by_group
@@ -93,7 +93,7 @@ def _extremes(recording: Recording, machine: str) -> dict[str, tuple[float, floa
     return found
 
 
-def _show(log: ReviewLog, entry: Entry) -> None:
+def _show(log: ReviewLog, entry: RecordedMessage) -> None:
     """Pass a message on; one that cannot be decoded is noted in the event log of its machine."""
     machine, what = mcap_file.parts(entry.topic)
     try:

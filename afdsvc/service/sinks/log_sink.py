@@ -33,7 +33,7 @@ class LogSink:
         if not e.burst or (quiet and e.burst == self._quiet):
             return
         self._quiet = e.burst if quiet else self._quiet
-        log.info("%s: %s: %s", self._machine, e.detector, decision(e))
+        log.info("%s: %s: %s", self._machine, e.detector, _decision(e))
 
     def event(self, event: RigEvent, payload: bytes) -> None:
         """Write an event of the rig."""
@@ -61,7 +61,7 @@ class LogSink:
         """Pass."""
 
 
-def decision(e: Evidence) -> str:
+def _decision(e: Evidence) -> str:
     """Return a decision in words, with its statistic and threshold."""
     said = e.reason or "not trustworthy" if not e.trustworthy else f"{e.fault or 'a fault, not isolated'} {size(e.severity)}".rstrip() if e.detected else "no fault"
     return f"{said} (statistic {e.statistic:.3g}, threshold {e.threshold:.3g})"

@@ -14,7 +14,7 @@ from afdsvc.api.signals import Block, residual_block
 from afdsvc.files.recording.foxglove import Level
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.recorder import Recorder, RecordingFailed, RecordingSettings
-from afdsvc.files.site import Recording
+from afdsvc.files.site import RecordingSection
 from afdsvc.lti.statespace import Array
 from afdsvc.service.sinks.fan_out import FanOut
 from afdsvc.wire import codec
@@ -64,7 +64,7 @@ class RecorderSink:
     """
 
     def __init__(
-        self, settings: Recording, machine: str, site: str, model: str, start_ns: int, facts: Mapping[str, str],
+        self, settings: RecordingSection, machine: str, site: str, model: str, start_ns: int, facts: Mapping[str, str],
         receipts: Receipts | None = None,
     ) -> None:  # fmt: skip
         self._receipts, self._unkept = receipts or Receipts(), list[tuple[str, int, int]]()
@@ -180,7 +180,7 @@ class LateRecorder(FanOut):
     """
 
     def __init__(
-        self, settings: Recording, machine: str, site: str, model: str, facts: Mapping[str, str], receipts: Receipts
+        self, settings: RecordingSection, machine: str, site: str, model: str, facts: Mapping[str, str], receipts: Receipts
     ) -> None:  # fmt: skip
         super().__init__([])
         self._arguments, self._facts, self._receipts = (settings, machine, site, model), {**facts, "delivered": "later"}, receipts

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,22 +11,12 @@ from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.lft import star
 from afdsvc.lti.statespace import ComplexArray, StateSpace
 from afdsvc.plants.gas_bearing import gas_bearing
-from afdsvc.testing.conformance.named import refuses_nonsense
-
-
-def settings_of(thing: Any) -> Mapping[str, Any]:
-    """Return the settings to try a plugin with: its own ``example`` where it has one."""
-    return getattr(thing, "example", None) or {}
+from afdsvc.testing.conformance.named import settings_check, settings_of
 
 
 def _designed(thing: Any, rpm: int = 0) -> tuple[StateSpace, DesignedController]:
     plant = gas_bearing(rpm).discrete()
     return plant, thing.design(plant, settings_of(thing))
-
-
-def refuses_unknown_settings(thing: Any) -> None:
-    """Refuses an unknown setting by name."""
-    refuses_nonsense(lambda settings: thing.design(gas_bearing().discrete(), settings), dict(settings_of(thing)))
 
 
 def stabilises(thing: Any) -> None:
@@ -85,4 +74,7 @@ def _seen(plant: StateSpace) -> StateSpace:
     return StateSpace(plant.A, plant.B, C, D, plant.dt)
 
 
-CHECKS = (refuses_unknown_settings, stabilises, factors_are_coprime, has_the_shape_of_jk, alpha_does_not_reach_beta, describes_itself)
+CHECKS = (
+    settings_check(lambda thing, settings: thing.design(gas_bearing().discrete(), settings)),
+    stabilises, factors_are_coprime, has_the_shape_of_jk, alpha_does_not_reach_beta, describes_itself,
+)

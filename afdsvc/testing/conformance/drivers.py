@@ -11,19 +11,19 @@ import numpy as np
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.port import DrivablePort, Port
 from afdsvc.app import commissioning
-from afdsvc.files.site import Driver, Machine
+from afdsvc.files.site import DriverSection, MachineSection
 from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.plugins.manager import load
 from afdsvc.service.clock import RealClock
-from afdsvc.testing.conformance.controllers import settings_of
+from afdsvc.testing.conformance.named import settings_of
 
 BLOCKS = 4
 
 
 @contextmanager
-def opened(thing: Any) -> Iterator[Port]:
+def _opened(thing: Any) -> Iterator[Port]:
     """Open a driver as the rig agent does, and close it whatever happens."""
-    config = Machine(id="example", plant="gas_bearing", driver=Driver(kind=thing.name, settings=dict(settings_of(thing))))
+    config = MachineSection(id="example", plant="gas_bearing", driver=DriverSection(kind=thing.name, settings=dict(settings_of(thing))))
     parts = commissioning.commission(config, load())
     port = thing.open(parts, LoopSettings("example", "session", 100), RealClock(), settings_of(thing))
     try:
@@ -34,7 +34,7 @@ def opened(thing: Any) -> Iterator[Port]:
 
 def blocks_are_whole(thing: Any) -> None:
     """Blocks follow each other without a hole, with the machine's channels and finite numbers."""
-    with opened(thing) as port:
+    with _opened(thing) as port:
         k = None
         for _ in range(BLOCKS):
             block = port.read()
@@ -48,14 +48,14 @@ def blocks_are_whole(thing: Any) -> None:
 
 def closing_twice_is_harmless(thing: Any) -> None:
     """Closing twice does no harm."""
-    with opened(thing) as port:
+    with _opened(thing) as port:
         port.read()
         port.close()
 
 
 def every_exit_leaves_the_plant_at_rest(thing: Any) -> None:
     """After leaving `arm`, by an exception in the middle of a burst too, alpha is zero again."""
-    with opened(thing) as port:
+    with _opened(thing) as port:
         if not isinstance(port, DrivablePort):
             return
         m = len([c for c in port.channels if c.role == "u"])

@@ -9,8 +9,7 @@ import numpy as np
 from afdsvc.api.control_plugins import ParameterFaultKind
 from afdsvc.lti.lft import AugmentedPlant, augment
 from afdsvc.plants.gas_bearing import gas_bearing
-from afdsvc.testing.conformance.controllers import settings_of
-from afdsvc.testing.conformance.named import refuses_nonsense
+from afdsvc.testing.conformance.named import settings_check, settings_of
 
 
 def _augmented(thing: Any) -> AugmentedPlant:
@@ -20,10 +19,9 @@ def _augmented(thing: Any) -> AugmentedPlant:
     return augment(plant.discrete(), [thing.direction(plant.discrete(), "worn", settings_of(thing))])
 
 
-def refuses_unknown_settings(thing: Any) -> None:
-    """Refuses an unknown setting by name."""
-    ask = thing.parameter if isinstance(thing, ParameterFaultKind) else lambda n, s: thing.direction(gas_bearing().discrete(), n, s)
-    refuses_nonsense(lambda settings: ask("worn", settings), dict(settings_of(thing)))
+def _use(thing: Any, settings: dict[str, Any]) -> Any:
+    """Hand the settings of a fault named ``worn`` to the kind of fault."""
+    return thing.parameter("worn", settings) if isinstance(thing, ParameterFaultKind) else thing.direction(gas_bearing().discrete(), "worn", settings)
 
 
 def severity_zero_is_the_healthy_plant(thing: Any) -> None:
@@ -47,4 +45,4 @@ def _matrices(plant: Any) -> tuple[Any, ...]:
     return plant.A, plant.B, plant.C, plant.D
 
 
-CHECKS = (refuses_unknown_settings, severity_zero_is_the_healthy_plant, a_fault_changes_the_plant)
+CHECKS = (settings_check(_use), severity_zero_is_the_healthy_plant, a_fault_changes_the_plant)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from afdsvc.errors import BadInput
@@ -18,12 +18,22 @@ def is_named(thing: Any) -> None:
     assert len(str(summary or "").splitlines()) == 1, f"summary is {summary!r}; expected one line"
 
 
-def refuses_nonsense(design: Callable[[dict[str, Any]], Any], settings: dict[str, Any] | None = None) -> None:
-    """Assert that an unknown setting is refused by name."""
-    try:
-        design({**(settings or {}), NONSENSE: 1})
-    except BadInput as refusal:
-        said = str(refusal)
-    else:
-        raise AssertionError("an unknown setting was ignored; expected BadInput that names it")
-    assert NONSENSE in said, f"the refusal of an unknown setting does not name it: {said}"
+def settings_of(thing: Any) -> Mapping[str, Any]:
+    """Return the settings to try a plugin with: its own ``example`` where it has one."""
+    return getattr(thing, "example", None) or {}
+
+
+def settings_check(use: Callable[[Any, dict[str, Any]], Any]) -> Callable[[Any], None]:
+    """Return the check that an unknown setting is refused by name; ``use`` hands settings to the plugin object."""
+
+    def refuses_unknown_settings(thing: Any) -> None:
+        """Refuses an unknown setting by name."""
+        try:
+            use(thing, {**settings_of(thing), NONSENSE: 1})
+        except BadInput as refusal:
+            said = str(refusal)
+        else:
+            raise AssertionError("an unknown setting was ignored; expected BadInput that names it")
+        assert NONSENSE in said, f"the refusal of an unknown setting does not name it: {said}"
+
+    return refuses_unknown_settings

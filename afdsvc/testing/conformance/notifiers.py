@@ -4,13 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from afdsvc.testing.conformance.controllers import settings_of
-from afdsvc.testing.conformance.named import refuses_nonsense
-
-
-def refuses_unknown_settings(thing: Any) -> None:
-    """Refuses an unknown setting by name."""
-    refuses_nonsense(thing.open, dict(settings_of(thing)))
+from afdsvc.testing.conformance.named import settings_check, settings_of
 
 
 def opens_to_something_that_can_be_called(thing: Any) -> None:
@@ -18,4 +12,4 @@ def opens_to_something_that_can_be_called(thing: Any) -> None:
     assert callable(thing.open(settings_of(thing))), "open() returned nothing that can be called"
 
 
-CHECKS = (refuses_unknown_settings, opens_to_something_that_can_be_called)
+CHECKS = (settings_check(lambda thing, settings: thing.open(settings)), opens_to_something_that_can_be_called)

@@ -11,8 +11,7 @@ from afdsvc.lti.lft import star
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.yjbk import retuned_interconnection
 from afdsvc.retune.cost import loop_cost
-from afdsvc.testing.conformance.controllers import settings_of
-from afdsvc.testing.conformance.named import refuses_nonsense
+from afdsvc.testing.conformance.named import settings_check, settings_of
 from afdsvc.testing.machines import bearing_problem
 
 FOUND = Diagnosed("horizontal_actuator", -0.35, -0.25)
@@ -29,10 +28,9 @@ def _cost(problem: Any) -> Any:
     return loop_cost(problem, {"process_weight": 0.01 * problem.plant.B @ problem.plant.B.T})
 
 
-def refuses_unknown_settings(thing: Any) -> None:
-    """Refuses an unknown setting by name."""
+def _use(thing: Any, settings: dict[str, Any]) -> Any:
     problem = bearing_problem("proportional")
-    refuses_nonsense(lambda settings: thing.design(problem, FOUND, _cost(problem), settings), dict(settings_of(thing)))
+    return thing.design(problem, FOUND, _cost(problem), settings)
 
 
 def has_the_shape_of_q(thing: Any) -> None:
@@ -58,4 +56,4 @@ def the_damaged_machine_is_stable(thing: Any) -> None:
         assert worst < 1, f"at {100 * severity:.3g} % the loop has a pole of modulus {worst:.6g}"
 
 
-CHECKS = (refuses_unknown_settings, has_the_shape_of_q, q_is_stable, the_damaged_machine_is_stable)
+CHECKS = (settings_check(_use), has_the_shape_of_q, q_is_stable, the_damaged_machine_is_stable)

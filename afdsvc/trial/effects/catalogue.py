@@ -10,9 +10,9 @@ from afdsvc.trial.effects import force_kinds as f
 from afdsvc.trial.effects import input_kinds as i
 from afdsvc.trial.effects import sensor_kinds as o
 from afdsvc.trial.effects.effect import Effect
-from afdsvc.trial.effects.site import Site
+from afdsvc.trial.effects.site import EffectSite
 from afdsvc.trial.laws import codes as c
-from afdsvc.trial.machines.machine import Machine
+from afdsvc.trial.machines.machine import TrialMachine
 
 CHANGE = "parameter_change"
 
@@ -28,39 +28,39 @@ class Kind:
 
     physics: str
     place: str
-    make: Callable[[Site], Effect]
+    make: Callable[[EffectSite], Effect]
     needs: tuple[str, ...] = ()
     known: bool = True
 
 
 _KNOWN = (
-    Kind("transport_delay", "input", i.transport_delay),
+    Kind("transport_delay", "input", i.input_delay),
     Kind("actuator_lag", "input", i.actuator_lag),
     Kind("resonant_actuator", "input", i.resonant_actuator),
-    Kind("dead_zone", "input", i.dead_zone),
-    Kind("saturation", "input", i.saturation),
-    Kind("backlash", "input", i.backlash),
-    Kind("hysteresis", "input", i.hysteresis),
-    Kind("creep", "input", i.creep),
+    Kind("dead_zone", "input", i.input_dead_zone),
+    Kind("saturation", "input", i.input_saturation),
+    Kind("backlash", "input", i.input_backlash),
+    Kind("hysteresis", "input", i.input_hysteresis),
+    Kind("creep", "input", i.input_creep),
     Kind("slew_limit", "input", i.slew_limit),
     Kind("static_nonlinearity", "input", i.static_nonlinearity),
-    Kind("gain_follows_aux", "input", i.gain_follows_aux),
-    Kind("periodic_disturbance", "input", i.periodic_disturbance),
+    Kind("gain_follows_aux", "input", i.input_gain_follows_aux),
+    Kind("periodic_disturbance", "input", i.input_tone),
     Kind("coulomb_friction", "axis", f.coulomb_friction),
     Kind("stribeck_friction", "axis", f.stribeck_friction),
-    Kind("quadratic_damping", "axis", f.quadratic_damping),
+    Kind("quadratic_damping", "axis", f.axis_quadratic_damping),
     Kind("cubic_stiffness", "axis", f.cubic_stiffness),
     Kind("quadratic_stiffness", "axis", f.quadratic_stiffness),
     Kind("clearance", "axis", f.clearance),
-    Kind("flexible_mode", "axis", f.flexible_mode),
-    Kind("hysteresis", "axis", f.hysteresis),
+    Kind("flexible_mode", "axis", f.axis_flexible_mode),
+    Kind("hysteresis", "axis", f.axis_hysteresis),
     Kind("constant_load", "axis", f.constant_load),
-    Kind("periodic_disturbance", "axis", f.periodic_disturbance),
+    Kind("periodic_disturbance", "axis", f.axis_tone),
     Kind("gyroscopic_coupling", "machine", f.gyroscopic_coupling, ("rotor", "pair")),
     Kind("cross_coupled_stiffness", "machine", f.cross_coupled_stiffness, ("rotor", "pair")),
-    Kind("unbalance", "machine", f.unbalance, ("rotor", "pair")),
+    Kind("unbalance", "machine", f.rotor_unbalance, ("rotor", "pair")),
     Kind("stiffness_follows_aux", "machine", f.stiffness_follows_aux, ("pressure",)),
-    Kind("transport_delay", "output", o.transport_delay),
+    Kind("transport_delay", "output", o.output_delay),
     Kind("sensor_lag", "output", o.sensor_lag),
     Kind("sensor_crosstalk", "output", o.sensor_crosstalk, ("pair",)),
     Kind("sensor_misalignment", "machine", o.sensor_misalignment, ("pair",)),
@@ -71,35 +71,35 @@ _KNOWN = (
     Kind("sensor_saturation", "output", o.sensor_saturation),
     Kind("quantisation", "output", o.quantisation),
     Kind("runout", "output", o.runout, ("rotor",)),
-    Kind("periodic_disturbance", "output", o.periodic_disturbance),
-    Kind("gain_follows_aux", "output", o.gain_follows_aux),
+    Kind("periodic_disturbance", "output", o.output_tone),
+    Kind("gain_follows_aux", "output", o.output_gain_follows_aux),
     Kind("coloured_noise", "output", o.coloured_noise),
 )
 _UNKNOWN = (
-    Kind("memory_polynomial", "input", i.memory_polynomial, known=False),
+    Kind("memory_polynomial", "input", i.input_memory_polynomial, known=False),
     Kind("parametric_stiffness", "axis", f.parametric_stiffness, known=False),
     Kind("bilinear_coupling", "axis", f.bilinear_coupling, known=False),
-    Kind("fractional_damping", "axis", f.fractional_damping, known=False),
+    Kind("fractional_damping", "axis", f.axis_fractional_damping, known=False),
     Kind("stick_slip_events", "axis", f.stick_slip_events, known=False),
 )
 
 
-def physics_at(machine: Machine) -> list[tuple[str, str]]:
+def physics_at(machine: TrialMachine) -> list[tuple[str, str]]:
     """Return every canonical name with every site of the machine where it makes sense, parameter changes left out."""
     return _places(machine, _KNOWN)
 
 
-def outside_at(machine: Machine) -> list[tuple[str, str]]:
+def outside_at(machine: TrialMachine) -> list[tuple[str, str]]:
     """Return the physics that is not in the vocabulary, with its sites."""
     return _places(machine, _UNKNOWN)
 
 
-def changes_at(machine: Machine) -> list[tuple[str, str]]:
+def changes_at(machine: TrialMachine) -> list[tuple[str, str]]:
     """Return the parameter changes, as ``parameter_change:NAME``, with their sites."""
     return [(f"{CHANGE}:{name}", site) for site, name in machine.changes]
 
 
-def make(site: Site, physics: str) -> Effect:
+def make_effect(site: EffectSite, physics: str) -> Effect:
     """Return this physics made up at the site; raises `BadInput` when it makes no sense there."""
     if physics.startswith(CHANGE):
         return _change(site, physics.partition(":")[2])
@@ -109,7 +109,7 @@ def make(site: Site, physics: str) -> Effect:
     raise BadInput(f"'{physics}' at '{site.name}' makes no sense on machine '{site.machine.name}'")
 
 
-def sites_of(machine: Machine, physics: str) -> list[str]:
+def sites_of(machine: TrialMachine, physics: str) -> list[str]:
     """Return the sites where this physics makes sense; raises `BadInput` for an unknown name or none at all."""
     everything = physics_at(machine) + outside_at(machine) + changes_at(machine)
     sites = [site for name, site in everything if name == physics]
@@ -118,11 +118,11 @@ def sites_of(machine: Machine, physics: str) -> list[str]:
     return sites
 
 
-def _places(machine: Machine, kinds: tuple[Kind, ...]) -> list[tuple[str, str]]:
+def _places(machine: TrialMachine, kinds: tuple[Kind, ...]) -> list[tuple[str, str]]:
     return [(kind.physics, site) for kind in kinds for site in _sites(machine, kind)]
 
 
-def _sites(machine: Machine, kind: Kind) -> list[str]:
+def _sites(machine: TrialMachine, kind: Kind) -> list[str]:
     has = {
         "rotor": machine.rotating,
         "pair": len(machine.outputs) == 2,
@@ -136,7 +136,7 @@ def _sites(machine: Machine, kind: Kind) -> list[str]:
     return [name[kind.place](n) if kind.place in name else "machine" for n in range(count[kind.place])]
 
 
-def _change(site: Site, parameter: str) -> Effect:
+def _change(site: EffectSite, parameter: str) -> Effect:
     """Return a change of a constant by -10 % (severity 1), a loss or a gain at random but for gains, which are lost."""
     shifts = site.machine.changes.get((site.name, parameter))
     if shifts is None:

@@ -79,7 +79,7 @@ class Truth:
         return theta
 
 
-def tables(effects: tuple[Effect, ...]) -> tuple[Array, Array, Array, Array]:
+def law_tables(effects: tuple[Effect, ...]) -> tuple[Array, Array, Array, Array]:
     """Return codes, places, parameters and state offsets of the effects that are laws, for the compiled loop."""
     laws = [e for e in effects if e.code >= 0]
     at = np.zeros((len(laws), c.PLACES), dtype=np.int64)

@@ -9,14 +9,14 @@ import numpy as np
 from afdsvc.errors import Refused
 from afdsvc.lti.statespace import Array
 from afdsvc.trial.effects.effect import Effect, Truth
-from afdsvc.trial.machines.machine import Machine
-from afdsvc.trial.simulation import Run, play, replay
+from afdsvc.trial.machines.machine import TrialMachine
+from afdsvc.trial.simulation import RunPlan, play_run, replay
 
 TOLERANCE = 0.01  # relative, of rho
 SPAN = (-16.0, 14.0)  # log severities tried
 
 
-def visibility(machine: Machine, truth: Truth, runs: tuple[Run, ...], measure: str) -> tuple[float, Array]:
+def effect_visibility(machine: TrialMachine, truth: Truth, runs: tuple[RunPlan, ...], measure: str) -> tuple[float, Array]:
     """Return rho of everything in ``truth.effects`` together and the effect's rms per output over that output's noise.
 
     rho = sqrt(sum of squared differences with and without / sum of squared sigma), over the recorded samples of the runs, with
@@ -29,23 +29,23 @@ def visibility(machine: Machine, truth: Truth, runs: tuple[Run, ...], measure: s
     return float(np.sqrt(power.sum() / np.square(machine.sigma).sum())), np.sqrt(power) / machine.sigma
 
 
-def difference(machine: Machine, truth: Truth, run: Run, measure: str) -> Array:
-    """Return what ``truth.effects`` add to the recorded outputs of a run, shape (n, p); see `visibility`."""
+def difference(machine: TrialMachine, truth: Truth, run: RunPlan, measure: str) -> Array:
+    """Return what ``truth.effects`` add to the recorded outputs of a run, shape (n, p); see `effect_visibility`."""
     bare = truth.with_effects()
-    signals = play(machine, truth, run)
-    other = play(machine, bare, run) if measure == "loop" else replay(machine, bare, run, signals.u)
+    signals = play_run(machine, truth, run)
+    other = play_run(machine, bare, run) if measure == "loop" else replay(machine, bare, run, signals.u)
     return signals.kept(run).y - other.kept(run).y
 
 
 def scaled_to(
-    machine: Machine, truth: Truth, effect: Effect, runs: tuple[Run, ...], rho: float, measure: str
+    machine: TrialMachine, truth: Truth, effect: Effect, runs: tuple[RunPlan, ...], rho: float, measure: str
 ) -> Effect:
     """Return the effect at the severity that gives this rho > 0 on the runs; raises `Refused` when none does."""
 
     def gap(log_severity: float) -> float:
         candidate = truth.with_effects(effect.scaled(float(np.exp(log_severity))))
         try:
-            seen, _ = visibility(machine, candidate, runs, measure)
+            seen, _ = effect_visibility(machine, candidate, runs, measure)
         except Refused:
             return float("inf")
         return float(np.log(max(seen, 1e-12) / rho))

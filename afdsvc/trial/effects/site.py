@@ -9,12 +9,12 @@ import numpy as np
 
 from afdsvc.lti.statespace import Array
 from afdsvc.trial.effects.effect import Effect, Truth
-from afdsvc.trial.machines.machine import Axis, Machine
-from afdsvc.trial.simulation import Run, play
+from afdsvc.trial.machines.machine import MachineAxis, TrialMachine
+from afdsvc.trial.simulation import RunPlan, play_run
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sizes:
+class SignalSizes:
     """Root mean squares with nothing hidden: commands u, positions q, velocities v and accelerations ``push`` per axis (the
     largest of the terms that cause them), outputs y; means and standard deviations of the auxiliary signals."""
 
@@ -27,35 +27,35 @@ class Sizes:
     aux_sd: Array
 
 
-def sizes(machine: Machine, truth: Truth, runs: tuple[Run, ...]) -> Sizes:
+def signal_sizes(machine: TrialMachine, truth: Truth, runs: tuple[RunPlan, ...]) -> SignalSizes:
     """Return the sizes over the recorded parts of some runs of the plant with nothing hidden."""
     bare = Truth(truth.theta)
-    parts = [play(machine, bare, run).kept(run) for run in runs]
+    parts = [play_run(machine, bare, run).kept(run) for run in runs]
     u, y, x = (np.vstack([getattr(part, name) for part in parts]) for name in "uyx")
     aux = np.vstack([run.aux[run.skip :] for run in runs])
     position, velocity = [a.position for a in machine.axes], [a.velocity for a in machine.axes]
     A, B, _ = machine.matrices(bare.constants())
-    terms = np.hstack([np.abs(A[velocity]) * rms(x), np.abs(B[velocity]) * rms(u)])
-    return Sizes(rms(u), rms(x[:, position]), rms(x[:, velocity]), terms.max(axis=1), rms(y), aux.mean(0), aux.std(0))
+    terms = np.hstack([np.abs(A[velocity]) * column_rms(x), np.abs(B[velocity]) * column_rms(u)])
+    return SignalSizes(column_rms(u), column_rms(x[:, position]), column_rms(x[:, velocity]), terms.max(axis=1), column_rms(y), aux.mean(0), aux.std(0))
 
 
-def rms(x: Array) -> Array:
+def column_rms(x: Array) -> Array:
     """Return the root mean square of every column."""
     return np.asarray(np.sqrt(np.mean(np.square(x), axis=0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Site:
+class EffectSite:
     """One place of one machine: number ``i`` of the input, axis or output, its name, and a generator for shapes."""
 
-    machine: Machine
-    sizes: Sizes
+    machine: TrialMachine
+    sizes: SignalSizes
     name: str
     i: int
     generator: np.random.Generator
 
     @property
-    def axis(self) -> Axis:
+    def axis(self) -> MachineAxis:
         """The axis of number i."""
         return self.machine.axes[self.i]
 
@@ -114,7 +114,7 @@ class Site:
     def both(self) -> tuple[int, int, int, int]:
         """Position and velocity of the first axis and of the second (-1 where there is none)."""
         first = self.machine.axes[0]
-        second = self.machine.axes[1] if len(self.machine.axes) > 1 else Axis(-1, -1, -1, -1)
+        second = self.machine.axes[1] if len(self.machine.axes) > 1 else MachineAxis(-1, -1, -1, -1)
         return first.position, first.velocity, second.position, second.velocity
 
     def aux(self, name: str) -> int:

@@ -12,7 +12,7 @@ from afdsvc.api.model import Variable
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 from afdsvc.plants.gas_bearing import DISPLACEMENT_LIMIT, NOISE_VARIANCE, SAMPLE_TIME, TABLE_0_1
-from afdsvc.trial.machines.machine import Axis, Machine, Recording, additive, lqg, proportional
+from afdsvc.trial.machines.machine import MachineAxis, RecordingPlan, TrialMachine, additive, lqg, proportional
 
 KNOWN_TO = 0.02  # relative standard deviation of every physical constant
 GAIN = 0.2  # V/um, the damping sign for the constants of table 0.1
@@ -25,7 +25,7 @@ _STATES = (
     Variable("vertical_valve", "V"),
 )
 _NAMES = tuple(f"{word}_{i}{j}" for word in "KDB" for i in "hv" for j in "hv") + ("P_h", "P_v", "C_h", "C_v")
-_RECORDING = Recording(
+_RECORDING = RecordingPlan(
     period=0.5,
     periods=5,
     preroll=0.3,
@@ -35,7 +35,7 @@ _RECORDING = Recording(
 )
 
 
-def gas_bearing(controller: str = "lqg", injection: str = "youla") -> Machine:
+def gas_bearing_machine(controller: str = "lqg", injection: str = "youla") -> TrialMachine:
     """Return the bearing under ``lqg`` or ``proportional`` control; alpha enters the observer (``youla``) or is ``added``."""
     table = TABLE_0_1
     nominal = np.concatenate([np.ravel(table[k]) for k in "KDB"] + [np.ravel(table["P"]), np.ones(2)])
@@ -47,12 +47,12 @@ def gas_bearing(controller: str = "lqg", injection: str = "youla") -> Machine:
         loop = additive(K)
     else:
         raise BadInput(f"the gas bearing has no controller '{controller}'; lqg or proportional is wanted")
-    return Machine(
+    return TrialMachine(
         name="gas bearing",
         inputs=(Variable("horizontal", "V"), Variable("vertical", "V")),
         outputs=(Variable("horizontal", "um"), Variable("vertical", "um")),
         states=_STATES,
-        axes=(Axis(0, 2, 0, 0), Axis(1, 3, 1, 1)),
+        axes=(MachineAxis(0, 2, 0, 0), MachineAxis(1, 3, 1, 1)),
         theta_names=_NAMES,
         nominal=nominal,
         theta_sd=np.full(nominal.size, KNOWN_TO),

@@ -14,7 +14,7 @@ from afdsvc.lti.statespace import Array, StateSpace
 
 
 @dataclass(frozen=True, slots=True)
-class Axis:
+class MachineAxis:
     """A direction of motion: numbers of its position, velocity, output and input."""
 
     position: int
@@ -24,7 +24,7 @@ class Axis:
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class RecordingPlan:
     """How the machine is recorded: seconds of one period, periods kept, seconds before the record begins, lowest and
     highest excited frequency [Hz], and the rms of the outputs in their unit for train (two levels), select and holdout.
     ``ref_share`` is the share of the excitation that comes through the reference (0 without one)."""
@@ -39,7 +39,7 @@ class Recording:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Machine:
+class TrialMachine:
     """A machine whose recordings are made up.
 
     ``build`` returns continuous A, B, C (D is zero) for the physical constants ``theta``, of which ``nominal`` are those in
@@ -53,7 +53,7 @@ class Machine:
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     states: tuple[Variable, ...]
-    axes: tuple[Axis, ...]
+    axes: tuple[MachineAxis, ...]
     theta_names: tuple[str, ...]
     nominal: Array
     theta_sd: Array
@@ -65,7 +65,7 @@ class Machine:
     dt: float
     substeps: int
     aux: tuple[str, ...]
-    recording: Recording
+    recording: RecordingPlan
     changes: dict[tuple[str, str], dict[str, float]]
 
     @property
@@ -106,7 +106,7 @@ class Machine:
         """Return the number of a physical constant."""
         return self.theta_names.index(name)
 
-    def with_controller(self, controller: StateSpace, loop: StateSpace) -> Machine:
+    def with_controller(self, controller: StateSpace, loop: StateSpace) -> TrialMachine:
         """Return the machine under another controller."""
         return replace(self, controller=controller, loop=loop)
 
@@ -116,7 +116,7 @@ class Machine:
         return np.ascontiguousarray(a), np.ascontiguousarray(b), np.ascontiguousarray(c)
 
 
-def held(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
+def sampled_plant(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
     """Return A and B of the plant sampled with a zero-order hold."""
     n, m = B.shape
     both = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * dt)
@@ -128,7 +128,7 @@ def lqg(A: Array, B: Array, C: Array, dt: float, state_weight: Array, process_we
 
     Observer x+ = A x + B u + L (C x - y), u = F x + alpha: alpha goes into the observer too, as in J_K.
     """
-    Ad, Bd = held(A, B, dt)
+    Ad, Bd = sampled_plant(A, B, dt)
     n, m, p = A.shape[0], B.shape[1], C.shape[0]
     X = solve_discrete_are(Ad, Bd, np.diag(state_weight), np.eye(m))
     F = -np.linalg.solve(np.eye(m) + Bd.T @ X @ Bd, Bd.T @ X @ Ad)

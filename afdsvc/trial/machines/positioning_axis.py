@@ -9,11 +9,11 @@ import numpy as np
 
 from afdsvc.api.model import Variable
 from afdsvc.lti.statespace import Array
-from afdsvc.trial.machines.machine import Axis, Machine, Recording, additive, filtered_pd
+from afdsvc.trial.machines.machine import MachineAxis, RecordingPlan, TrialMachine, additive, filtered_pd
 
 MASS, DAMPING = 62.0, 310.0  # kg, N s/m
 KNOWN_TO = 0.02
-_RECORDING = Recording(
+_RECORDING = RecordingPlan(
     period=2.0,
     periods=5,
     preroll=0.5,
@@ -24,16 +24,16 @@ _RECORDING = Recording(
 )
 
 
-def positioning_axis() -> Machine:
+def positioning_axis() -> TrialMachine:
     """Return the axis: force [N] in, position [m] out, 1 kHz, references in ``ref_position``."""
     K = filtered_pd(kp=1.55e5, kd=4.4e3, tau=4e-3, dt=1e-3)
     nominal = np.array([MASS, DAMPING, 1.0, 1.0])
-    return Machine(
+    return TrialMachine(
         name="positioning axis",
         inputs=(Variable("force", "N"),),
         outputs=(Variable("position", "m"),),
         states=(Variable("q", "m"), Variable("v", "m/s", rate_of="q")),
-        axes=(Axis(0, 1, 0, 0),),
+        axes=(MachineAxis(0, 1, 0, 0),),
         theta_names=("mass", "damping", "motor", "scale"),
         nominal=nominal,
         theta_sd=np.array([KNOWN_TO, KNOWN_TO, KNOWN_TO, 0.0]),

@@ -13,12 +13,12 @@ import numpy as np
 from afdsvc.api.model import Variable
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.plants.amb_turboexpander import CURRENT_GAIN, DISPLACEMENT_LIMIT, NOISE_SD, SAMPLE_TIME, STIFFNESS
-from afdsvc.trial.machines.machine import Axis, Machine, Recording, additive, filtered_pd
+from afdsvc.trial.machines.machine import MachineAxis, RecordingPlan, TrialMachine, additive, filtered_pd
 from afdsvc.trial.options import Options
 
 MASS = 21.2  # kg
 KNOWN_TO = 0.02
-_RECORDING = Recording(
+_RECORDING = RecordingPlan(
     period=0.2,
     periods=5,
     preroll=0.2,
@@ -34,14 +34,14 @@ _CHANGES = (
 _NAMES = ("k_x", "k_y", "b_x", "b_y", "c_x", "c_y")
 
 
-def rotor() -> Machine:
+def rotor() -> TrialMachine:
     """Return the rotor under a PD controller on each axis: two currents [A] in, two displacements [um] out, 10 kHz."""
     pull, push = -2 * STIFFNESS / MASS, 2e6 * CURRENT_GAIN / MASS
     nominal = np.array([pull, pull, push, push, 1.0, 1.0])
     one = filtered_pd(kp=0.02, kd=4e-5, tau=1e-4, dt=SAMPLE_TIME)
     A, B, C, D = (np.kron(np.eye(2), M) for M in (one.A, one.B, one.C, one.D))
     K = StateSpace.of(A, B, C, D, one.dt)
-    return Machine(
+    return TrialMachine(
         name="rotor on magnetic bearings",
         inputs=(Variable("x", "A"), Variable("y", "A")),
         outputs=(Variable("x", "um"), Variable("y", "um")),
@@ -49,7 +49,7 @@ def rotor() -> Machine:
             Variable("x", "um"), Variable("y", "um"),
             Variable("x_rate", "um/s", rate_of="x"), Variable("y_rate", "um/s", rate_of="y"),
         ),
-        axes=(Axis(0, 2, 0, 0), Axis(1, 3, 1, 1)),
+        axes=(MachineAxis(0, 2, 0, 0), MachineAxis(1, 3, 1, 1)),
         theta_names=_NAMES,
         nominal=nominal,
         theta_sd=np.array([KNOWN_TO] * 4 + [0.0, 0.0]),
@@ -78,6 +78,6 @@ def _build(theta: Array) -> tuple[Array, Array, Array]:
 class RotorOptions(Options):
     """Options of a trial on the rotor: ``machine``, ``controller`` and ``injection`` of `Options` do not count."""
 
-    def build(self) -> Machine:
+    def build(self) -> TrialMachine:
         """Return the rotor."""
         return rotor()

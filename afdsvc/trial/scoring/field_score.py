@@ -62,7 +62,7 @@ class FieldScore:
 def field_score(explanation: Mapping[str, Any], answer: FieldAnswer, oracle: Oracle | None = None) -> FieldScore:
     """Return the score of an answer of `explain --json`; without an oracle the held-out share stays None."""
     verdict, entries = str(explanation.get("verdict", "none")), list(explanation.get("named", []))
-    false = [e for e in entries if group(answer, e) == "false"]
+    false = [e for e in entries if _group(answer, e) == "false"]
     question, found = _question(answer), outcome(answer, verdict, entries)
     return FieldScore(
         question=question,
@@ -82,7 +82,7 @@ def field_score(explanation: Mapping[str, Any], answer: FieldAnswer, oracle: Ora
     )
 
 
-def group(answer: FieldAnswer, entry: Entry) -> str:
+def _group(answer: FieldAnswer, entry: Entry) -> str:
     """Return whether a name is right, partial (defensible), present (there by the conditions) or false."""
     name = str(entry.get("physics", ""))
     if any(name in h.accept or any(word in name for word in h.words) for h in answer.hidden):
@@ -94,7 +94,7 @@ def group(answer: FieldAnswer, entry: Entry) -> str:
 
 def outcome(answer: FieldAnswer, verdict: str, entries: list[Entry]) -> str:
     """Return what an explanation comes to; see `FieldScore`."""
-    groups = [group(answer, e) for e in entries]
+    groups = [_group(answer, e) for e in entries]
     if verdict in ("error", "none"):
         return "error"
     if answer.hidden and "right" in groups:

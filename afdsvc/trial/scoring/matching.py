@@ -12,7 +12,7 @@ from typing import Any
 
 from afdsvc.trial.answer import Hidden
 from afdsvc.trial.effects.catalogue import CHANGE
-from afdsvc.trial.machines.machine import Machine
+from afdsvc.trial.machines.machine import TrialMachine
 
 Pair = tuple[str, str]  # physics, site
 
@@ -22,18 +22,18 @@ class Same:
     """One way of saying the same: whether a name at a site means the hidden one, and why that is no look-alike."""
 
     reason: str
-    holds: Callable[[Machine, Pair, Pair], bool]
+    holds: Callable[[TrialMachine, Pair, Pair], bool]
 
 
-def _identical(machine: Machine, hidden: Pair, named: Pair) -> bool:
+def _identical(machine: TrialMachine, hidden: Pair, named: Pair) -> bool:
     return hidden == named
 
 
-def _same_axis(machine: Machine, hidden: Pair, named: Pair) -> bool:
+def _same_axis(machine: TrialMachine, hidden: Pair, named: Pair) -> bool:
     return hidden[0] == named[0] and _axis(machine, hidden[1]) is not None and _axis(machine, hidden[1]) == _axis(machine, named[1])
 
 
-def _only_axis(machine: Machine, hidden: Pair, named: Pair) -> bool:
+def _only_axis(machine: TrialMachine, hidden: Pair, named: Pair) -> bool:
     sites = {hidden[1], named[1]}
     return (
         hidden[0] == named[0]
@@ -43,7 +43,7 @@ def _only_axis(machine: Machine, hidden: Pair, named: Pair) -> bool:
     )
 
 
-def _joint(machine: Machine, hidden: Pair, named: Pair) -> bool:
+def _joint(machine: TrialMachine, hidden: Pair, named: Pair) -> bool:
     forces = {"gyroscopic_coupling", "cross_coupled_stiffness", "unbalance", "stiffness_follows_aux"}
     if hidden[0] != named[0] or hidden[1] != "machine":
         return False
@@ -52,7 +52,7 @@ def _joint(machine: Machine, hidden: Pair, named: Pair) -> bool:
     return hidden[0] == "sensor_misalignment" and named[1].startswith("output:")
 
 
-def _commuting(machine: Machine, hidden: Pair, named: Pair) -> bool:
+def _commuting(machine: TrialMachine, hidden: Pair, named: Pair) -> bool:
     if len(machine.inputs) != 1 or len(machine.outputs) != 1:
         return False
     before, after = machine.input_site(0), machine.output_site(0)
@@ -61,7 +61,7 @@ def _commuting(machine: Machine, hidden: Pair, named: Pair) -> bool:
     return {hidden, named} <= delays or {hidden, named} <= lags
 
 
-def _direct(machine: Machine, hidden: Pair, named: Pair) -> bool:
+def _direct(machine: TrialMachine, hidden: Pair, named: Pair) -> bool:
     additive = {"periodic_disturbance", "constant_load"}
     if hidden[0] != named[0] or hidden[0] not in additive or len(machine.axes) != 1:
         return False
@@ -81,7 +81,7 @@ SAME = (
 )
 
 
-def means(machine: Machine, hidden: Hidden, entry: Mapping[str, Any]) -> bool:
+def means(machine: TrialMachine, hidden: Hidden, entry: Mapping[str, Any]) -> bool:
     """Return whether an entry of ``named`` says what was hidden."""
     named = (str(entry.get("physics", "")), str(entry.get("site", "")))
     if hidden.physics == CHANGE:
@@ -89,12 +89,12 @@ def means(machine: Machine, hidden: Hidden, entry: Mapping[str, Any]) -> bool:
     return any(rule.holds(machine, (hidden.physics, hidden.site), named) for rule in SAME)
 
 
-def same_place(machine: Machine, hidden: Hidden, site: str) -> bool:
+def same_place(machine: TrialMachine, hidden: Hidden, site: str) -> bool:
     """Return whether a site is where the effect was hidden, whatever its name."""
     return any(rule.holds(machine, (hidden.physics, hidden.site), (hidden.physics, site)) for rule in SAME)
 
 
-def honest_pair(machine: Machine, hidden: Hidden, entries: list[Mapping[str, Any]]) -> bool:
+def honest_pair(machine: TrialMachine, hidden: Hidden, entries: list[Mapping[str, Any]]) -> bool:
     """Return whether a lost gain is answered by the actuator and the sensor of the same axis, one the right one.
 
     Both act on the same element of the transfer matrix and differ only through the coupling between axes, a few per cent.
@@ -106,7 +106,7 @@ def honest_pair(machine: Machine, hidden: Hidden, entries: list[Mapping[str, Any
     return all(any(same_change(machine, gain, e) for e in entries) for gain in gains)
 
 
-def same_change(machine: Machine, wanted: Pair, entry: Mapping[str, Any]) -> bool:
+def same_change(machine: TrialMachine, wanted: Pair, entry: Mapping[str, Any]) -> bool:
     """Return whether an entry names this parameter (by the keys of its parameters or its sentence) at this site.
 
     With one input and one output, the gain of the actuator and that of the sensor are the same factor.
@@ -122,7 +122,7 @@ def same_change(machine: Machine, wanted: Pair, entry: Mapping[str, Any]) -> boo
     return here and parameter in text
 
 
-def _axis(machine: Machine, site: str) -> int | None:
+def _axis(machine: TrialMachine, site: str) -> int | None:
     """Return the axis whose position or velocity a site names, or None."""
     for number, axis in enumerate(machine.axes):
         if site in (f"state:{machine.states[axis.position].name}", f"state:{machine.states[axis.velocity].name}"):

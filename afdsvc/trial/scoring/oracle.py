@@ -12,11 +12,11 @@ import numpy as np
 
 from afdsvc.lti.statespace import Array
 from afdsvc.trial.effects.effect import Effect, Truth
-from afdsvc.trial.generate import Trial
+from afdsvc.trial.generate import BlindTrial
 from afdsvc.trial.laws import codes as c
-from afdsvc.trial.simulation import Run, Signals, play, replay
+from afdsvc.trial.simulation import RunPlan, RunSignals, play_run, replay
 
-Data = list[tuple[Run, Signals]]
+Data = list[tuple[RunPlan, RunSignals]]
 STEP = 1e-3  # relative step of the finite differences
 
 
@@ -39,7 +39,7 @@ class Oracle:
         return 1.0 - self.after / self.before
 
 
-def oracle(trial: Trial) -> Oracle:
+def oracle(trial: BlindTrial) -> Oracle:
     """Return the oracle's figures for a trial."""
     held = trial.runs[-1], trial.played[-1]
     fitted = refit(trial, trial.truth)
@@ -48,14 +48,14 @@ def oracle(trial: Trial) -> Oracle:
     return Oracle(before, _squares(trial, fitted, *held), floor, _objective(trial))
 
 
-def refit(trial: Trial, start: Truth) -> Truth:
+def refit(trial: BlindTrial, start: Truth) -> Truth:
     """Return the structure of ``start`` without dirt (and without steps in the reading, which no simulation predicts), its
     parameters and the plant's constants fitted to the recordings by one Gauss-Newton step."""
     start = Truth(start.theta, tuple(e for e in start.effects if e.code // 10 != c.READING))
     return gauss_newton(trial, start, list(zip(trial.runs[:-1], trial.played[:-1], strict=True)))
 
 
-def gauss_newton(trial: Trial, start: Truth, data: Data, damping: float = 1.0) -> Truth:
+def gauss_newton(trial: BlindTrial, start: Truth, data: Data, damping: float = 1.0) -> Truth:
     """Return the structure one (damped) Gauss-Newton step nearer to the data, constants held by their uncertainty."""
     residual = residuals(trial, start, data)
     columns = []
@@ -64,53 +64,53 @@ def gauss_newton(trial: Trial, start: Truth, data: Data, damping: float = 1.0) -
     return _at(trial, start, damping * _solve(trial, start, np.column_stack(columns), residual))
 
 
-def residuals(trial: Trial, truth: Truth, data: Data) -> Array:
+def residuals(trial: BlindTrial, truth: Truth, data: Data) -> Array:
     """Return the simulation errors of the recorded parts in units of the noise, as one column."""
     return np.concatenate([_residual(trial, truth, *pair) for pair in data])
 
 
-def prior(trial: Trial, truth: Truth) -> float:
+def prior(trial: BlindTrial, truth: Truth) -> float:
     """Return the square of the constants' distance from nominal in stated standard deviations."""
     sd, nominal = trial.machine.theta_sd, trial.machine.nominal
     return float(np.sum(((truth.theta - nominal)[sd > 0] / (nominal * sd)[sd > 0]) ** 2))
 
 
-def _objective(trial: Trial) -> str:
+def _objective(trial: BlindTrial) -> str:
     return "commands" if trial.machine.stable else "loop"
 
 
-def simulated(trial: Trial, truth: Truth, run: Run, signals: Signals) -> Array:
+def simulated(trial: BlindTrial, truth: Truth, run: RunPlan, signals: RunSignals) -> Array:
     """Return the noise-free simulated outputs of a whole run, from its measured commands or in closed loop."""
     if _objective(trial) == "commands":
         return replay(trial.machine, truth, run.quiet(), signals.u).y
-    return play(replace(trial.machine, reach=np.inf), truth, run.quiet()).y
+    return play_run(replace(trial.machine, reach=np.inf), truth, run.quiet()).y
 
 
-def _residual(trial: Trial, truth: Truth, run: Run, signals: Signals) -> Array:
+def _residual(trial: BlindTrial, truth: Truth, run: RunPlan, signals: RunSignals) -> Array:
     """Return the recorded part of the simulation error in units of the noise, as one column."""
     error = (signals.y - simulated(trial, truth, run, signals))[run.skip :]
     return np.ravel(error / trial.machine.sigma)
 
 
-def _squares(trial: Trial, truth: Truth, run: Run, signals: Signals) -> float:
+def _squares(trial: BlindTrial, truth: Truth, run: RunPlan, signals: RunSignals) -> float:
     return float(np.square(_residual(trial, truth, run, signals)).sum() / (run.alpha.shape[0] - run.skip))
 
 
-def _parameters(trial: Trial, truth: Truth) -> Array:
+def _parameters(trial: BlindTrial, truth: Truth) -> Array:
     """Return the values that are refitted: uncertain constants, then the free parameters of every effect."""
     free = [effect.values[i] for effect in truth.effects for i in effect.free]
     changed = [effect.values[0] for effect in truth.effects if effect.code == c.CONSTANT]
     return np.array([*truth.theta[trial.machine.theta_sd > 0], *free, *changed])
 
 
-def _moved(trial: Trial, truth: Truth, i: int) -> Truth:
+def _moved(trial: BlindTrial, truth: Truth, i: int) -> Truth:
     """Return the structure with parameter i moved by the relative step."""
     shift = np.zeros(_parameters(trial, truth).size)
     shift[i] = STEP
     return _at(trial, truth, shift)
 
 
-def _at(trial: Trial, truth: Truth, shift: Array) -> Truth:
+def _at(trial: BlindTrial, truth: Truth, shift: Array) -> Truth:
     """Return the structure with every refitted value changed by these relative shifts."""
     uncertain = np.flatnonzero(trial.machine.theta_sd > 0)
     theta = truth.theta.copy()
@@ -128,7 +128,7 @@ def _shifted(effect: Effect, which: tuple[int, ...], shifts: list[float]) -> Eff
     return effect.with_values(values)
 
 
-def _solve(trial: Trial, start: Truth, jacobian: Array, residual: Array) -> Array:
+def _solve(trial: BlindTrial, start: Truth, jacobian: Array, residual: Array) -> Array:
     """Return the relative shifts: least squares with the owner's uncertainty of the constants as a ridge."""
     uncertain = trial.machine.theta_sd > 0
     sd, nominal, now = trial.machine.theta_sd[uncertain], trial.machine.nominal[uncertain], start.theta[uncertain]

@@ -15,21 +15,21 @@ import numpy as np
 
 from afdsvc.errors import AfdsvcError
 from afdsvc.trial.conditions import TRAIN
-from afdsvc.trial.effects.catalogue import CHANGE, changes_at, make
+from afdsvc.trial.effects.catalogue import CHANGE, changes_at, make_effect
 from afdsvc.trial.effects.effect import Effect, Truth
 from afdsvc.trial.effects.severity import scaled_to
-from afdsvc.trial.effects.site import Site, Sizes, sizes
-from afdsvc.trial.generate import Trial
+from afdsvc.trial.effects.site import EffectSite, SignalSizes, signal_sizes
+from afdsvc.trial.generate import BlindTrial
 from afdsvc.trial.scoring.matching import same_change
 from afdsvc.trial.scoring.oracle import Data, gauss_newton, prior, residuals, simulated
-from afdsvc.trial.simulation import Signals
+from afdsvc.trial.simulation import RunSignals
 
 UNDECIDABLE = 4.65  # below this d the best possible test is wrong more often than once in a hundred
 SHARED = ("frequency", "phase", "damping_ratio", "delay", "time_constant")  # shapes a rival takes over from what is hidden
 STARTS, STEPS = 2, 6
 
 
-def apart(trial: Trial, entry: Mapping[str, Any]) -> float:
+def rival_distance(trial: BlindTrial, entry: Mapping[str, Any]) -> float:
     """Return d between the trial's one hidden effect and the entry of ``named``; infinite when it cannot be made up here."""
     physics, site = str(entry.get("physics", "")), str(entry.get("site", ""))
     if physics == CHANGE:
@@ -43,47 +43,47 @@ def apart(trial: Trial, entry: Mapping[str, Any]) -> float:
     return best
 
 
-def _fitted(trial: Trial, physics: str, site: str, start: int) -> float:
-    size = sizes(trial.machine, trial.truth, trial.runs[:TRAIN])
+def _fitted(trial: BlindTrial, physics: str, site: str, start: int) -> float:
+    size = signal_sizes(trial.machine, trial.truth, trial.runs[:TRAIN])
     try:
         rival = _scaled(trial, _shape(trial, size, physics, site, start))
     except (AfdsvcError, ValueError):
         return float("inf")
     data: Data = [
-        (run, Signals(simulated(trial, _question(trial), run, signals), signals.u, signals.x))
+        (run, RunSignals(simulated(trial, _question(trial), run, signals), signals.u, signals.x))
         for run, signals in zip(trial.runs[:-1], trial.played[:-1], strict=True)
     ]
     best = _descend(trial, Truth(trial.truth.theta, (rival,)), data)
     return float(np.sqrt(max(best - prior(trial, _question(trial)), 0.0)))
 
 
-def _question(trial: Trial) -> Truth:
+def _question(trial: BlindTrial) -> Truth:
     return Truth(trial.truth.theta, trial.truth.effects)
 
 
-def _shape(trial: Trial, size: Sizes, physics: str, site: str, start: int) -> Effect:
+def _shape(trial: BlindTrial, size: SignalSizes, physics: str, site: str, start: int) -> Effect:
     """Return the rival with shapes drawn anew but for those it shares with what is hidden.
 
     It may move no more parameters than what is hidden has: a law that contains another is told from it by parsimony.
     """
     machine = trial.machine
-    effect = make(Site(machine, size, site, machine.index(site), np.random.default_rng(start)), physics)
+    effect = make_effect(EffectSite(machine, size, site, machine.index(site), np.random.default_rng(start)), physics)
     known = dict(zip(trial.truth.effects[0].names, trial.truth.effects[0].values, strict=True))
     shared = (known.get(name, value) if name in SHARED else value for name, value in zip(effect.names, effect.base, strict=True))
     free = effect.free[: len(trial.truth.effects[0].free)]
     return replace(effect, base=tuple(float(v) for v in shared), free=free)
 
 
-def _scaled(trial: Trial, effect: Effect) -> Effect:
+def _scaled(trial: BlindTrial, effect: Effect) -> Effect:
     rho, measure = trial.answer.hidden[0].rho, trial.options.measured(trial.machine)
     return scaled_to(trial.machine, Truth(trial.truth.theta), effect, trial.runs[:TRAIN], rho, measure)
 
 
-def _cost(trial: Trial, truth: Truth, data: Data) -> float:
+def _cost(trial: BlindTrial, truth: Truth, data: Data) -> float:
     return float(np.square(residuals(trial, truth, data)).sum()) + prior(trial, truth)
 
 
-def _descend(trial: Trial, truth: Truth, data: Data) -> float:
+def _descend(trial: BlindTrial, truth: Truth, data: Data) -> float:
     """Return the least cost found by Gauss-Newton steps, halved while they do not help."""
     cost, damping = _cost(trial, truth, data), 1.0
     for _ in range(STEPS):

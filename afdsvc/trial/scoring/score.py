@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from afdsvc.trial.answer import Answer, Hidden
+from afdsvc.trial.answer import Hidden, TrialAnswer
 from afdsvc.trial.effects.catalogue import CHANGE
-from afdsvc.trial.machines.machine import Machine
+from afdsvc.trial.machines.machine import TrialMachine
 from afdsvc.trial.options import Options
 from afdsvc.trial.scoring.matching import honest_pair, means, same_place
 from afdsvc.trial.scoring.oracle import Oracle
@@ -54,7 +54,7 @@ class Score:
         return asdict(self)
 
 
-def score(explanation: Mapping[str, Any], answer: Answer, oracle: Oracle | None = None) -> Score:
+def score(explanation: Mapping[str, Any], answer: TrialAnswer, oracle: Oracle | None = None) -> Score:
     """Return the score of an answer of `explain --json`; without an oracle the held-out share stays None."""
     machine = Options(machine=answer.machine).build()
     verdict = str(explanation.get("verdict", "none"))
@@ -82,7 +82,7 @@ def score(explanation: Mapping[str, Any], answer: Answer, oracle: Oracle | None 
     )
 
 
-def question(answer: Answer) -> str:
+def question(answer: TrialAnswer) -> str:
     """Return what kind of question a trial is."""
     if not answer.hidden:
         return "nothing"
@@ -93,12 +93,12 @@ def question(answer: Answer) -> str:
     return "change" if answer.hidden[0].physics == CHANGE else "physics"
 
 
-def truth_label(answer: Answer) -> str:
+def truth_label(answer: TrialAnswer) -> str:
     """Return what was hidden, in one word."""
     return " + ".join(h.physics + (f" ({h.parameter})" if h.parameter else "") for h in answer.hidden) or "nothing"
 
 
-def expected_verdicts(answer: Answer) -> set[str]:
+def expected_verdicts(answer: TrialAnswer) -> set[str]:
     """Return the verdicts that are right.
 
     With an excitation that cannot tell (a sine, ordinary operation) saying so is right as well, and so is "consistent". Noise
@@ -118,7 +118,7 @@ def expected_verdicts(answer: Answer) -> set[str]:
     return expected
 
 
-def _asked(answer: Answer) -> bool:
+def _asked(answer: TrialAnswer) -> bool:
     """Return whether a name is asked for: not with nothing hidden, physics outside the vocabulary, or a change inside the
     stated uncertainty."""
     if not answer.hidden or answer.outside:
@@ -126,19 +126,19 @@ def _asked(answer: Answer) -> bool:
     return any(h.in_prior is None or h.in_prior >= BEYOND_PRIOR for h in answer.hidden)
 
 
-def _first(machine: Machine, answer: Answer, entries: list[Entry]) -> bool:
+def _first(machine: TrialMachine, answer: TrialAnswer, entries: list[Entry]) -> bool:
     hidden = answer.hidden
     return any(means(machine, h, entries[0]) for h in hidden) or any(honest_pair(machine, h, entries) for h in hidden)
 
 
-def _place(machine: Machine, answer: Answer, entries: list[Entry]) -> bool:
+def _place(machine: TrialMachine, answer: TrialAnswer, entries: list[Entry]) -> bool:
     if not entries:
         return False
     site = str(entries[0].get("site", ""))
     return any(same_place(machine, h, site) for h in answer.hidden) or _first(machine, answer, entries)
 
 
-def _false(machine: Machine, answer: Answer, entries: list[Entry]) -> bool:
+def _false(machine: TrialMachine, answer: TrialAnswer, entries: list[Entry]) -> bool:
     """Return whether something is named and none of it is there; dirt and noise that was put in are there."""
     return bool(entries) and not any(_there(machine, answer, e) for e in entries)
 
@@ -151,7 +151,7 @@ def _further(entries: list[Entry]) -> list[list[Entry]]:
     return list(groups.values())[1:]
 
 
-def _there(machine: Machine, answer: Answer, entry: Entry) -> bool:
+def _there(machine: TrialMachine, answer: TrialAnswer, entry: Entry) -> bool:
     present: tuple[Hidden, ...] = (*answer.hidden, *answer.minor)
     noise = answer.options.get("noise", "white") in ("coloured", "process") and entry.get("physics") == "coloured_noise"
     return noise or any(means(machine, h, entry) for h in present) or any(honest_pair(machine, h, [entry]) for h in present)
@@ -168,7 +168,7 @@ def _label(entry: Entry) -> str:
     return f"{physics} ({', '.join(map(str, entry.get('parameters', {})))})"
 
 
-def _located(answer: Answer, explanation: Mapping[str, Any]) -> bool:
+def _located(answer: TrialAnswer, explanation: Mapping[str, Any]) -> bool:
     """Return whether the first location names the output in which most is to be seen, or one with half as much."""
     places = list(explanation.get("located", []))
     most = max(answer.seen.values())

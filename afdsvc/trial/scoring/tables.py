@@ -10,7 +10,7 @@ import numpy as np
 
 from afdsvc.trial.plan import FIELD
 from afdsvc.trial.scoring.field_tables import field_tables
-from afdsvc.trial.scoring.rates import Result, Table, share
+from afdsvc.trial.scoring.rates import ReportTable, Result, share
 from afdsvc.trial.scoring.rival import UNDECIDABLE
 
 NOTE = (
@@ -20,7 +20,7 @@ NOTE = (
 PLAIN = ("bearing", "axis")  # parts that ask for one effect under good conditions
 
 
-def tables(results: Sequence[Result]) -> list[Table]:
+def tables(results: Sequence[Result]) -> list[ReportTable]:
     """Return everything a report shows, most important first."""
     field, others = [r for r in results if r["part"] == FIELD], _others(results)
     made = [_severity, _parts, _held, _kinds, _confusion, _failures] if others else []
@@ -41,7 +41,7 @@ def _count(scores: Iterable[Mapping[str, Any]], key: str) -> str:
     return share(sum(asked), len(asked))
 
 
-def _severity(results: Sequence[Result]) -> Table:
+def _severity(results: Sequence[Result]) -> ReportTable:
     rows = []
     plain = [r for r in results if r["part"] in PLAIN and r["score"]["question"] == "physics"]
     scores = _scores(plain)
@@ -54,7 +54,7 @@ def _severity(results: Sequence[Result]) -> Table:
         "rho", "right name and site first", "or not decidable and among the look-alikes", "among the look-alikes", "right site",
         "right verdict", "confident false name",
     )
-    return Table("By severity", NOTE, head, tuple(rows))
+    return ReportTable("By severity", NOTE, head, tuple(rows))
 
 
 def _decidable(results: Sequence[Result]) -> str:
@@ -64,7 +64,7 @@ def _decidable(results: Sequence[Result]) -> str:
     return share(sum(good), len(good))
 
 
-def _parts(results: Sequence[Result]) -> Table:
+def _parts(results: Sequence[Result]) -> ReportTable:
     head = (
         "part", "right verdict", "right first", "among the named", "both named", "located", "false name", "confident false name",
         "a further effect that is not there", "median time [s]",
@@ -75,10 +75,10 @@ def _parts(results: Sequence[Result]) -> Table:
         here = [r for r in results if r["part"] == part]
         seconds = float(np.median([r["seconds"] for r in here]))
         rows.append((part, *(_count(_scores(here), key) for key in keys), f"{seconds:.1f}"))
-    return Table("By part of the study", "A dash: not asked in this part.", head, tuple(rows))
+    return ReportTable("By part of the study", "A dash: not asked in this part.", head, tuple(rows))
 
 
-def _held(results: Sequence[Result]) -> Table:
+def _held(results: Sequence[Result]) -> ReportTable:
     rows = []
     shares = [s for s in _scores(results) if s["held_share"] is not None]
     for rho in sorted({s["rho"] for s in shares}, reverse=True):
@@ -87,10 +87,10 @@ def _held(results: Sequence[Result]) -> Table:
         rows.append((f"{rho:g}", f"{np.median(values):.3f}", f"{np.quantile(values, 0.1):.3f}", reached))
     head = ("rho", "median", "tenth percentile", "0.98 or more")
     note = "Error on the holdout against the oracle (the true structure refitted), where the first name is right."
-    return Table("Share of the oracle's improvement", note, head, tuple(rows))
+    return ReportTable("Share of the oracle's improvement", note, head, tuple(rows))
 
 
-def _kinds(results: Sequence[Result]) -> Table:
+def _kinds(results: Sequence[Result]) -> ReportTable:
     scores = [s for s in _scores(results) if s["first"] is not None and s["question"] in ("physics", "change")]
     rhos = sorted({s["rho"] for s in scores}, reverse=True)
     rows = []
@@ -98,24 +98,24 @@ def _kinds(results: Sequence[Result]) -> Table:
         cells = [_few([s for s in scores if s["truth"] == truth and s["rho"] == rho]) for rho in rhos]
         rows.append((truth, *cells))
     note = "Right first / among the look-alikes / trials, all parts."
-    return Table("By kind", note, ("hidden", *(f"rho {rho:g}" for rho in rhos)), tuple(rows))
+    return ReportTable("By kind", note, ("hidden", *(f"rho {rho:g}" for rho in rhos)), tuple(rows))
 
 
 def _few(scores: list[Mapping[str, Any]]) -> str:
     return f"{sum(s['first'] for s in scores)} / {sum(s['in_set'] for s in scores)} / {len(scores)}" if scores else ""
 
 
-def _confusion(results: Sequence[Result]) -> Table:
+def _confusion(results: Sequence[Result]) -> ReportTable:
     pairs = Counter((s["truth"], s["said"]) for s in _scores(results))
     rows = []
     for truth in sorted({truth for truth, _ in pairs}):
         said = sorted(((n, name) for (t, name), n in pairs.items() if t == truth), key=lambda x: (-x[0], x[1]))
         rows.append((truth, str(sum(n for n, _ in said)), ", ".join(f"{name} {n}" for n, name in said)))
     note = "First name, or the verdict where nothing is named, with counts."
-    return Table("What was said", note, ("hidden", "trials", "said"), tuple(rows))
+    return ReportTable("What was said", note, ("hidden", "trials", "said"), tuple(rows))
 
 
-def _failures(results: Sequence[Result]) -> Table:
+def _failures(results: Sequence[Result]) -> ReportTable:
     rows = []
     for r in results:
         s = r["score"]
@@ -125,7 +125,7 @@ def _failures(results: Sequence[Result]) -> Table:
             what = (_hidden(r), f"{s['rho']:g}", s["verdict"], _named(r))
             rows.append((str(r["number"]), r["part"], *what, d, r["answer"]["seed"]))
     head = ("trial", "part", "hidden", "rho", "verdict", "named", "d", "seed")
-    return Table("Every failure", "Wrong verdict, wrong first name, a false name, or a further effect that is not there.", head, tuple(rows))
+    return ReportTable("Every failure", "Wrong verdict, wrong first name, a false name, or a further effect that is not there.", head, tuple(rows))
 
 
 def _hidden(result: Result) -> str:

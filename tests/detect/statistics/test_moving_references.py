@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from afdsvc.api.detection import FalseAlarms, ResidualBlock
-from afdsvc.detect.statistics.cusum import Clock
+from afdsvc.detect.statistics.cusum import DeflectionBoundary
 from afdsvc.detect.thresholds.average_run_length import boundary
 from afdsvc.lti.simulate import simulate
 from afdsvc.plugins.detectors.cusum import PassiveCusumDesign
@@ -27,7 +27,7 @@ def test_references_of_five_standard_deviations_keep_the_promised_rate():
 
 
 def test_the_clock_is_that_of_the_run_length():
-    clock = Clock.of(np.array([0.1, 0.2]), 1e6)
+    clock = DeflectionBoundary.of(np.array([0.1, 0.2]), 1e6)
     assert clock.expected == pytest.approx(np.log([0.1, 0.2]))
     for at, b in zip(clock.log_deflection[:8], clock.boundary[:8], strict=True):
         assert b == pytest.approx(boundary(float(np.exp(at)), 1e6))

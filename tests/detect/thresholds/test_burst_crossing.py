@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from afdsvc.detect.thresholds import average_run_length
-from afdsvc.detect.thresholds.burst_crossing import Noise, paths
+from afdsvc.detect.thresholds.burst_crossing import CrossingNoise, paths
 
 
 def simulated(waves, boundary, runs, seed, draw=None):
@@ -45,7 +45,7 @@ def test_an_uncertain_model_counts_with_its_waves():
     waves = different()
     mean = np.stack([s * waves[:, 1] * 0.2 for s in (-1.0, 1.0)])
     root = np.linalg.cholesky(np.eye(4) + 0.1 * np.ones((4, 4)))
-    noise = Noise(np.array([0.3, 0.7]), mean, np.stack([root, root]))
+    noise = CrossingNoise(np.array([0.3, 0.7]), mean, np.stack([root, root]))
     boundary = paths(waves, noise).boundary(0.02)
     runs = 200_000
     found = simulated(waves, boundary, runs, 3, lambda g, n: (mean[(g.random(n) < 0.7).astype(int)], root))

@@ -24,15 +24,15 @@ from afdsvc.files.model.model_file import read_model
 from afdsvc.files.tables.tables import read_table
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.plugins.physics import afdsvc_physics
-from afdsvc.trial import Options, generate
-from afdsvc.trial.model_text import model_text
+from afdsvc.trial import Options, generate_trial
+from afdsvc.trial.model_text import nominal_model_text
 
 
 @cache
 def sound(excitation: str = "multisine", machine: str = "gas_bearing") -> tuple[Model, tuple[Trace, ...]]:
-    trial = generate("nothing", None, 0.0, np.random.default_rng(3), Options(machine=machine, excitation=excitation))
+    trial = generate_trial("nothing", None, 0.0, np.random.default_rng(3), Options(machine=machine, excitation=excitation))
     path = Path(mkdtemp()) / "model.toml"
-    path.write_text(model_text(trial.machine))
+    path.write_text(nominal_model_text(trial.machine))
     return read_model(path), trial.recordings[:2]
 
 
@@ -201,9 +201,9 @@ def test_explain_refuses_a_wrong_unit_by_name():
 
 def test_explain_says_insufficient_and_what_to_play():
     """A machine at rest: the burst proposed moves the nominal outputs by about ten times their noise."""
-    trial = generate("nothing", None, 0.0, np.random.default_rng(3), Options(excitation="operation", periods=2))
+    trial = generate_trial("nothing", None, 0.0, np.random.default_rng(3), Options(excitation="operation", periods=2))
     path = Path(mkdtemp()) / "model.toml"
-    path.write_text(model_text(trial.machine))
+    path.write_text(nominal_model_text(trial.machine))
     model = read_model(path)
     few = [p for p in afdsvc_physics() if p.name in ("coulomb_friction", "static_nonlinearity", "actuator_lag", "parameter_change")]
     answer = explain(model, trial.recordings, [trial.holdout], few)

@@ -10,7 +10,7 @@ from afdsvc.files.model.model_file import model_text, parse_model, read_model
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plants.stepped.fmi_unit import UnitDescription
-from afdsvc.plants.stepped.linearise import compared
+from afdsvc.plants.stepped.linearise import linearisation_notes
 from afdsvc.testing.fmi_units import build_slide
 
 CODE = """
@@ -115,18 +115,18 @@ def test_the_simulator_itself_is_compared_with_recordings(tmp_path):
     u = 1.5 * np.sin(40 * t) + 1.0 * np.sin(91 * t)
     unit = model.opened()
     y = np.array([unit.begin(), *(unit.advance(np.array([f]), 0.002) for f in u[:-1])])[:, 0]
-    (said,) = compared(model, [Trace("run.csv", 0.002, (Channel("u_force"), Channel("y_position")), np.column_stack([u, y]))])
+    (said,) = linearisation_notes(model, [Trace("run.csv", 0.002, (Channel("u_force"), Channel("y_position")), np.column_stack([u, y]))])
     shares = [float(word) for word in said.replace("%", "").split() if word.replace(".", "").replace("e-", "").isdigit()]
     assert said.startswith("run.csv, simulated from its inputs and from rest, error over variation: position 0 % by the simulator itself")
     assert shares[1] > 3.0  # the linear part has no friction
-    assert compared(parse_model(model_text(model), "x.toml"), []) == []
+    assert linearisation_notes(parse_model(model_text(model), "x.toml"), []) == []
 
 
 def test_a_simulator_that_fails_on_a_recording_is_told(tmp_path):
     code = CODE.replace("q, v = ", "assert abs(u[0]) < 50, 'too hard'\n    q, v = ")
     model = read_model(write(tmp_path, code=code), allow_code=True)
     trace = Trace("run.csv", 0.002, (Channel("u_force"), Channel("y_position")), np.full((60, 2), 99.0))
-    assert compared(model, [trace]) == [
+    assert linearisation_notes(model, [trace]) == [
         "run.csv: the simulator itself could not follow the recorded inputs: simulator axis.py:axis fails: AssertionError: too hard"
     ]
 

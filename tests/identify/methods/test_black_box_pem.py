@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.identify.methods.black_box_pem import black_box_pem, local_structure
 from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
 from afdsvc.identify.numerics.innovations_form import InnovationsForm
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.stats.portmanteau import whiteness
+from afdsvc.stats.portmanteau import portmanteau_test
 
 OMEGA = np.linspace(0.05, 3.0, 40)
 
@@ -21,7 +21,7 @@ def _feedback_record(system, seed, samples, noise=1.0, pole=0.9, gain=0.05):
     B = np.block([[system.B, np.zeros((n, 2))], [np.zeros((2, 2)), np.eye(2)]])
     signals = np.hstack([rng.standard_normal((samples, 2)), noise * rng.standard_normal((samples, 2))])
     y, _ = simulate(StateSpace(A, B, np.hstack([system.C, np.eye(2)]), np.zeros((2, 4)), 1.0), signals)
-    return Recording.of(signals[:, :2] - gain * y, y, 1.0)
+    return InputOutputData.of(signals[:, :2] - gain * y, y, 1.0)
 
 
 def _error(model, system):
@@ -52,7 +52,7 @@ def test_a_spoiled_start_comes_back_to_the_same_minimum(oscillators):
     assert np.linalg.det(found.covariance) < np.linalg.det(before.T @ before / len(before))
     errors = found.errors(records[0].u, records[0].y)
     assert np.allclose(errors.T @ errors / len(errors), found.covariance, atol=1e-3)  # the initial state is weighted a little differently
-    assert whiteness(errors) > 1e-3
+    assert portmanteau_test(errors) > 1e-3
 
 
 def test_local_coordinates_are_as_many_as_matter_and_all_change_the_response(oscillators):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.identify.methods.greybox import GreyboxOptions, Likelihood, fit_greybox, greybox_band
-from afdsvc.identify.parameters.structure import Parameter, Structure, physical_structure
+from afdsvc.identify.parameters.structure import FreeParameter, Structure, physical_structure
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
@@ -119,10 +119,10 @@ def test_unstable_plant_in_its_loop():
         u[k] = -1.5 * y[k] + r[k]
         x = A @ x + B * u[k, 0]
     structure = Structure(
-        (Parameter("a1", 1.15, sd=0.05), Parameter("a2", -0.04, sd=0.02), Parameter("c", 0.25, sd=0.05)),
+        (FreeParameter("a1", 1.15, sd=0.05), FreeParameter("a2", -0.04, sd=0.02), FreeParameter("c", 0.25, sd=0.05)),
         lambda th: StateSpace.of([[th[0], th[1]], [1, 0]], [[1.0], [0]], [[th[2], -0.1]], [[0.0]], 1.0),
     )
-    fit = fit_greybox(structure, [Recording.of(u, y, 1.0)])
+    fit = fit_greybox(structure, [InputOutputData.of(u, y, 1.0)])
     for e, truth in zip(fit.parameters, (1.2, -0.05, 0.3), strict=True):
         assert abs(e.value - truth) < 4 * e.sd
         assert e.sd < 0.05
@@ -132,8 +132,8 @@ def _first_order(parameters, build):
     rng = np.random.default_rng(9)
     u = rng.standard_normal((2000, 1))
     y, _ = simulate(StateSpace.of([[0.8]], [[0.5]], [[1.0]], [[0.0]], 1.0), u)
-    recording = Recording.of(u, y + 0.1 * rng.standard_normal((2000, 1)), 1.0)
-    return Structure(tuple(Parameter(name, value, sd=0.1) for name, value in parameters), build), [recording]
+    recording = InputOutputData.of(u, y + 0.1 * rng.standard_normal((2000, 1)), 1.0)
+    return Structure(tuple(FreeParameter(name, value, sd=0.1) for name, value in parameters), build), [recording]
 
 
 def test_parameter_without_influence_and_parameters_that_act_alike_are_named():
@@ -178,8 +178,8 @@ def test_several_starts_find_the_minimum_one_start_misses():
     rng = np.random.default_rng(10)
     u = rng.standard_normal((1000, 1))
     y, _ = simulate(build([0.5]), u)
-    structure = Structure((Parameter("angle", 1.0, "rad", 0.4, 0.05, 3.0),), build)
-    recordings = [Recording.of(u, y + 0.1 * y.std() * rng.standard_normal(y.shape), 1.0)]
+    structure = Structure((FreeParameter("angle", 1.0, "rad", 0.4, 0.05, 3.0),), build)
+    recordings = [InputOutputData.of(u, y + 0.1 * y.std() * rng.standard_normal(y.shape), 1.0)]
     one = fit_greybox(structure, recordings)
     several = fit_greybox(structure, recordings, GreyboxOptions(starts=12, spread=1.5), rng)
     assert abs(one.parameters[0].value - 0.5) > 0.05
@@ -193,7 +193,7 @@ def test_bounds_hold_and_a_start_outside_is_named():
     structure, recordings = _first_order(
         [("pole", 0.7)], lambda th: StateSpace.of([[th[0]]], [[0.5]], [[1.0]], [[0.0]], 1.0)
     )
-    bounded = Structure((Parameter("pole", 0.7, sd=0.1, lower=0.6, upper=0.75),), structure.build)
+    bounded = Structure((FreeParameter("pole", 0.7, sd=0.1, lower=0.6, upper=0.75),), structure.build)
     assert fit_greybox(bounded, recordings).parameters[0].value == pytest.approx(0.75)
     with pytest.raises(BadInput, match="lies outside its bounds"):
         fit_greybox(bounded, recordings, start=np.array([0.9]))

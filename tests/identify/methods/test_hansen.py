@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.identify.methods.hansen import (
     excited_loop,
@@ -99,6 +99,6 @@ def test_stability_of_the_loop_is_told(bearing):
 def test_recording_shorter_than_the_filters_memory_is_named(bearing, observer_loop):
     fact = observer_loop(bearing)
     needed = settling_samples(fact.Lf)
-    short = Recording.of(np.zeros((needed, 2)), np.zeros((needed, 2)), bearing.dt, "short.mcap")
+    short = InputOutputData.of(np.zeros((needed, 2)), np.zeros((needed, 2)), bearing.dt, "short.mcap")
     with pytest.raises(BadInput, match=rf"short.mcap: {needed} samples, but the controller's filter needs {needed}"):
         youla_signals(fact, short)

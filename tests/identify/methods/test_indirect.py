@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.identify.methods.greybox import fit_greybox
 from afdsvc.identify.methods.indirect import fit_indirect
-from afdsvc.identify.parameters.structure import Parameter, Structure, physical_structure
+from afdsvc.identify.parameters.structure import FreeParameter, Structure, physical_structure
 from afdsvc.lti.coprime import observer_factorisation
 from afdsvc.lti.python_control import factorise
 from afdsvc.lti.riccati import kalman_predictor_gain, lqr
@@ -30,7 +30,7 @@ def bearing_case(observer_loop, run_loop, binary):
         d = np.sqrt([0.12, 0.15]) * rng.standard_normal((samples, 2))
         record, alpha, beta = run_loop(fact, PLANT.discrete(**TRUTH), 3 * binary(rng, samples), d)
         beta = beta + (rng.random(beta.shape) < spikes) * 20 * rng.standard_normal(beta.shape)
-        return record, Recording.of(alpha, beta, PLANT.sample_time)
+        return record, InputOutputData.of(alpha, beta, PLANT.sample_time)
 
     return fact, make
 
@@ -47,17 +47,17 @@ def test_bearing_stiffness_halved_on_a_rigid_rotor_in_unstable_magnetic_bearings
         k = stiffness * (1 + theta[0]) / mass
         return StateSpace.of([[0, 1], [k, 0]], [[0], [current / mass]], [[1, 0]], [[0.0]])
 
-    structure = Structure((Parameter("theta", 0.0, "1", 0.2),), rotor)
+    structure = Structure((FreeParameter("theta", 0.0, "1", 0.2),), rotor)
     nominal, true = sample_zoh(rotor([0.0]), 1e-3), sample_zoh(rotor([-0.5]), 1e-3)
     F = lqr(nominal, np.diag([1e6, 1.0]), np.eye(1))
     fact = observer_factorisation(nominal, F, kalman_predictor_gain(nominal, np.diag([1e-10, 1e-4]), 1e-10 * np.eye(1)))
     rng = np.random.default_rng(1)
     eta = rng.choice([-1.0, 1.0], size=(500, 1))
     quiet, alpha, clean = run_loop(fact, true, eta, np.zeros((500, 1)))
-    exact = fit_indirect(structure, fact, [Recording.of(alpha, clean, 1e-3)])
+    exact = fit_indirect(structure, fact, [InputOutputData.of(alpha, clean, 1e-3)])
     assert exact.parameters[0].value == pytest.approx(-0.5, abs=1e-6)
     _, _, noisy = run_loop(fact, true, eta, 0.02 * quiet.y.std() * rng.standard_normal((500, 1)))
-    found = fit_indirect(structure, fact, [Recording.of(alpha, noisy, 1e-3)]).parameters[0]
+    found = fit_indirect(structure, fact, [InputOutputData.of(alpha, noisy, 1e-3)]).parameters[0]
     assert abs(found.value + 0.5) < 4 * found.sd
     assert found.sd < 0.02
 
@@ -111,7 +111,7 @@ def test_bad_norm_dead_parameter_and_unstable_start_are_named(bearing_case):
     signals = [make(6, 2000)[1]]
     with pytest.raises(BadInput, match="norm 3; expected 1 or 2"):
         fit_indirect(physical_structure(PLANT, list(CHANGED)), fact, signals, 3)
-    dead = Structure((Parameter("nothing", 1.0),), lambda th: PLANT.continuous())
+    dead = Structure((FreeParameter("nothing", 1.0),), lambda th: PLANT.continuous())
     with pytest.raises(BadInput, match="parameter 'nothing' has no influence"):
         fit_indirect(dead, fact, signals)
     loop = factorise(PLANT.discrete(), StateSpace.gain(0.2 * np.eye(2), PLANT.sample_time))

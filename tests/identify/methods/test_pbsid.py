@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
 from afdsvc.identify.methods.subspace import decompose, realise
@@ -23,7 +23,7 @@ def _feedback_record(system, gain, seed, samples, noise, pole):
     A = np.block([[system.A - gain * system.B @ system.C, -gain * system.B], [np.zeros((p, n)), pole * np.eye(p)]])
     B = np.block([[system.B, np.zeros((n, p))], [np.zeros((p, system.inputs)), np.eye(p)]])
     y, _ = simulate(StateSpace(A, B, np.hstack([system.C, np.eye(p)]), np.zeros((p, 2 * p)), 1.0), np.hstack([r, e]))
-    return Recording.of(r - gain * y, y, 1.0)
+    return InputOutputData.of(r - gain * y, y, 1.0)
 
 
 def _error(found, system):
@@ -51,19 +51,19 @@ def test_unstable_plant_is_found_in_its_loop():
         y[k] = C @ x + v[k]
         u[k] = -0.5 * y[k] + r[k]
         x = A @ x + B * u[k, 0]
-    model = realise_predictor(decompose_predictor([Recording.of(u, y, 1.0)], 30), 2)
+    model = realise_predictor(decompose_predictor([InputOutputData.of(u, y, 1.0)], 30), 2)
     assert np.sort(model.system.poles().real) == pytest.approx([0.6, 1.1], abs=0.01)
     assert model.covariance[0, 0] == pytest.approx(0.01 * 1.1**2, rel=0.03)  # det Xi / det Rv = prod |unstable poles|^2
 
 
 def test_gain_makes_the_errors_white_and_of_the_stated_covariance(oscillators):
-    from afdsvc.stats.portmanteau import whiteness
+    from afdsvc.stats.portmanteau import portmanteau_test
 
     system = oscillators(22)
     record = _feedback_record(system, 0.05, 6, 30_000, 0.5, 0.9)
     model = realise_predictor(decompose_predictor([record], 60), 8)
     errors = model.errors(record.u, record.y)[200:]
-    assert whiteness(errors) > 1e-3
+    assert portmanteau_test(errors) > 1e-3
     assert np.allclose(errors.T @ errors / len(errors), model.covariance, rtol=0.03, atol=0.01)
     assert np.allclose(np.diag(model.covariance), 0.25, rtol=0.05)
 
@@ -74,7 +74,7 @@ def test_direct_feedthrough_is_found_when_allowed(oscillators):
     system = StateSpace(plain.A, plain.B, plain.C, np.array([[1.0, -2.0], [0.5, 3.0]]), 1.0)
     u = rng.standard_normal((20_000, 2))
     y = simulate(system, u)[0] + 0.1 * rng.standard_normal((20_000, 2))
-    model = realise_predictor(decompose_predictor([Recording.of(u, y, 1.0)], 40, feedthrough=True), 6)
+    model = realise_predictor(decompose_predictor([InputOutputData.of(u, y, 1.0)], 40, feedthrough=True), 6)
     assert np.allclose(model.system.D, system.D, atol=0.02)
     assert _error(model.system, system) < 0.01
 

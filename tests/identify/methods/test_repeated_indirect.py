@@ -11,10 +11,10 @@ from scipy import stats
 
 from afdsvc.api.model import Model, Quantity
 from afdsvc.api.signals import Channel, Trace
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.identify.methods.hansen import youla_signals
 from afdsvc.identify.methods.indirect import fit_indirect
-from afdsvc.identify.methods.repeated_indirect import Noise, fit_recentred
+from afdsvc.identify.methods.repeated_indirect import NoiseCovariances, fit_recentred
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.parameters.structure import physical_structure
 from afdsvc.identify.pipeline import identify
@@ -43,13 +43,13 @@ def recording(samples, seed=3, states=8, dt=1e-4, noise_sd=NOISE_SD, hold=10, si
     alpha = size * np.repeat(rng.choice([-1.0, 1.0], size=(samples // hold, 4)), hold, axis=0)
     noise = noise_sd * rng.standard_normal((samples, 4))
     out, _ = simulate(closed_loop(fact, plant.discrete(**values)).system, np.hstack([noise, np.zeros((samples, 8)), alpha]))
-    return Recording.of(out[:, 8:12], out[:, 4:8], dt), alpha, values, plant, fact
+    return InputOutputData.of(out[:, 8:12], out[:, 4:8], dt), alpha, values, plant, fact
 
 
 def test_two_stiffnesses_within_their_standard_errors_which_shrink() -> None:
     """0.7 s of data; one round alone takes the noise for white where it is not and knows five times less."""
     data, _, values, plant, fact = recording(7000)
-    structure, noise = physical_structure(plant, list(CHANGE)), Noise(plant.output_cov)
+    structure, noise = physical_structure(plant, list(CHANGE)), NoiseCovariances(plant.output_cov)
     once, found = (fit_recentred(structure, fact, [data], noise, rounds=rounds) for rounds in (1, 6))
     for name, before, after in zip(CHANGE, once.parameters, found.parameters, strict=True):
         assert abs(after.value - values[name]) < 3.5 * after.sd, name
@@ -62,7 +62,7 @@ def test_two_stiffnesses_within_their_standard_errors_which_shrink() -> None:
 def test_the_errors_have_the_size_that_is_stated(states: int, samples: int, runs: int) -> None:
     """The whitening filter forgets its start within 0.16 s; left in, that is 40 standard deviations of noise."""
     plant, fact = machine(states)
-    structure, noise, errors = physical_structure(plant, list(CHANGE)), Noise(plant.output_cov), []
+    structure, noise, errors = physical_structure(plant, list(CHANGE)), NoiseCovariances(plant.output_cov), []
     for seed in range(runs):
         data, _, values, _, _ = recording(samples, 100 + seed, states)
         errors += [(p.value - values[p.name]) / p.sd for p in fit_recentred(structure, fact, [data], noise).parameters]
@@ -74,7 +74,7 @@ def test_the_standard_errors_are_those_of_the_innovations() -> None:
     """Oracle without S: what neighbouring plants leave in the innovations of the plant found, start of the filter unknown."""
     data, alpha, values, plant, fact = recording(5000)
     structure = physical_structure(plant, list(CHANGE))
-    fit = fit_recentred(structure, fact, [data], Noise(plant.output_cov))
+    fit = fit_recentred(structure, fact, [data], NoiseCovariances(plant.output_cov))
     found = np.array([p.value for p in fit.parameters])
     centre = innovations(plant.discrete(**dict(zip(CHANGE, found, strict=True))), plant.output_cov)
     whiten = np.linalg.inv(np.linalg.cholesky(centre.covariance)).T
@@ -115,7 +115,7 @@ class Rotor:
         return self.system(p).C @ x
 
 
-def model_and_trace(data: Recording, alpha: Array, plant, fact, names, angle=None) -> tuple[Model, Trace]:
+def model_and_trace(data: InputOutputData, alpha: Array, plant, fact, names, angle=None) -> tuple[Model, Trace]:
     parameters = {n: Quantity(plant.parameters[n].value, "N/m", 0.1) for n in names}
     model = Model(
         "rotor", plant.inputs, plant.outputs, plant.states, None, dynamics=Rotor(plant), parameters=parameters,
@@ -148,7 +148,7 @@ def test_the_public_job_takes_unbalance_out_by_the_rotor_angle() -> None:
     true = plant.discrete(**values)
     whirl, _ = simulate(closed_loop(fact, true).system, np.hstack([np.zeros((9000, 8)), force, np.zeros((9000, 4))]))
     size = 3.0 / np.abs(whirl[3000:, 4:8]).max()
-    shaken = Recording.of(data.u + size * (whirl[:, 8:12] - force), data.y + size * whirl[:, 4:8], data.dt)
+    shaken = InputOutputData.of(data.u + size * (whirl[:, 8:12] - force), data.y + size * whirl[:, 4:8], data.dt)
     model, trace = model_and_trace(shaken, alpha, plant, fact, list(CHANGE), np.mod(angle, 2 * np.pi))
     result = identify(model, [trace.span(3000, 9000)], [], IdentifyOptions(method="indirect", cross_check=False))
     for p in result.fit.parameters:
@@ -162,7 +162,7 @@ def test_without_noise_model_and_in_the_1_norm() -> None:
     """Within the stated errors too, which are wide where nothing is whitened."""
     data, _, values, plant, fact = recording(3000)
     structure = physical_structure(plant, list(CHANGE))
-    for norm, noise in ((2, None), (1, Noise(plant.output_cov))):
+    for norm, noise in ((2, None), (1, NoiseCovariances(plant.output_cov))):
         fit = fit_recentred(structure, fact, [data], noise, norm)
         for p in fit.parameters:
             assert abs(p.value - values[p.name]) < 4 * p.sd
@@ -173,5 +173,5 @@ def test_one_round_is_the_plain_fit() -> None:
     structure = physical_structure(plant, list(CHANGE))
     signals = youla_signals(fact, data).centred()
     plain = fit_indirect(structure, fact, [signals], 2, whitening_filter(fact, plant.output_cov)[0])
-    once = fit_recentred(structure, fact, [data], Noise(plant.output_cov), rounds=1)
+    once = fit_recentred(structure, fact, [data], NoiseCovariances(plant.output_cov), rounds=1)
     assert [p.value for p in once.parameters] == [p.value for p in plain.parameters]

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.identify.methods.subspace import WEIGHTINGS, decompose, realise, stable_transition
 from afdsvc.lti.frequency import frequency_response
@@ -20,7 +20,7 @@ def _record(system, seed, samples, noise=0.0, scale=1.0):
     rng = np.random.default_rng(seed)
     u = rng.standard_normal((samples, system.inputs)) * scale
     y, _ = simulate(system, u, 0.5 * rng.standard_normal(system.order))
-    return Recording.of(u, y + noise * y.std(axis=0) * rng.standard_normal(y.shape), system.dt)
+    return InputOutputData.of(u, y + noise * y.std(axis=0) * rng.standard_normal(y.shape), system.dt)
 
 
 def _error(found, system):
@@ -64,7 +64,7 @@ def test_error_falls_with_the_square_root_of_the_samples(oscillators, weighting)
 def test_units_do_not_matter(oscillators):
     system = oscillators(6)
     r = _record(system, 1, 4000, 0.05)
-    rescaled = Recording.of(r.u * np.array([1e6, 1e-3]), r.y * np.array([1e-6, 1e4]), 1.0)
+    rescaled = InputOutputData.of(r.u * np.array([1e6, 1e-3]), r.y * np.array([1e-6, 1e4]), 1.0)
     plain, other = realise(decompose([r], 15), 6).system, realise(decompose([rescaled], 15), 6).system
     back = StateSpace(
         other.A,
@@ -88,7 +88,7 @@ def test_noise_model_is_the_kalman_filter_of_the_truth(oscillators):
     )
     v = np.array([0.5, 1.0])
     measured = y + v * rng.standard_normal(y.shape)
-    model = realise(decompose([Recording.of(u, measured, 1.0)], 20, "cva"), n)
+    model = realise(decompose([InputOutputData.of(u, measured, 1.0)], 20, "cva"), n)
     truth = innovations(system, np.diag(v**2), 0.09 * np.eye(n))
     assert np.allclose(model.covariance, truth.covariance, rtol=0.04, atol=0.04 * truth.covariance.max())
     errors = model.errors(u, measured)
@@ -100,7 +100,7 @@ def test_coloured_noise_biases_neither_instrument(oscillators):
     u = rng.standard_normal((60_000, 2))
     y, _ = simulate(system, u)
     noise = signal.lfilter([1], [1, -0.95], rng.standard_normal(y.shape), axis=0)
-    recording = Recording.of(u, y + 0.2 * y.std(axis=0) * noise / noise.std(axis=0), 1.0)
+    recording = InputOutputData.of(u, y + 0.2 * y.std(axis=0) * noise / noise.std(axis=0), 1.0)
     assert _error(realise(decompose([recording], 20, "pi-moesp"), 6).system, system) < 0.02
     assert _error(realise(decompose([recording], 20, "po-moesp"), 8).system, system) < 0.02  # two disturbance modes
 
@@ -133,7 +133,7 @@ def test_unstable_plant_in_a_stable_loop_is_fitted_through_its_predictor():
         y[k] = system.C @ x
         u[k] = -0.5 * y[k] + rng.standard_normal()
         x = system.A @ x + system.B @ u[k]
-    model = realise(decompose([Recording.of(u, y, 1.0)], 8, "po-moesp"), 2)
+    model = realise(decompose([InputOutputData.of(u, y, 1.0)], 8, "po-moesp"), 2)
     assert np.sort(model.system.poles().real) == pytest.approx([0.6, 1.1], abs=1e-7)
     assert _error(model.system, system) < 1e-6
 
@@ -153,5 +153,5 @@ def test_a_slow_pole_keeps_its_gain():
     rng = np.random.default_rng(0)
     slow = StateSpace.of([[0.99998]], [[1.0]], [[1.0]], [[0.0]], dt=1.0)
     u = rng.standard_normal((20_000, 1))
-    found = realise(decompose([Recording.of(u, simulate(slow, u)[0], 1.0)], 10), 1, stable=True).system
+    found = realise(decompose([InputOutputData.of(u, simulate(slow, u)[0], 1.0)], 10), 1, stable=True).system
     assert found.poles()[0].real == pytest.approx(0.99998, abs=1e-7)

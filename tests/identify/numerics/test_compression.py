@@ -5,14 +5,14 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.identify.numerics.compression import compress, compress_groups, factor_of, join, lags
 
 
 def _recordings(seed=0, lengths=(300, 170), m=2, p=1):
     rng = np.random.default_rng(seed)
-    return [Recording.of(rng.standard_normal((n, m)), rng.standard_normal((n, p)), 1.0) for n in lengths]
+    return [InputOutputData.of(rng.standard_normal((n, m)), rng.standard_normal((n, p)), 1.0) for n in lengths]
 
 
 def _windows(recordings, length):
@@ -34,7 +34,7 @@ def test_factor_has_the_cross_products_of_all_windows(route):
 def test_automatic_route_leaves_the_fast_one_where_the_data_are_nearly_dependent():
     rng = np.random.default_rng(1)
     slow = np.cumsum(np.cumsum(rng.standard_normal((4000, 1)), axis=0), axis=0)  # windows nearly collinear
-    recordings = [Recording.of(slow / slow.std(), rng.standard_normal((4000, 1)), 1.0)]
+    recordings = [InputOutputData.of(slow / slow.std(), rng.standard_normal((4000, 1)), 1.0)]
     exact, chosen = compress(recordings, 12, "qr"), compress(recordings, 12, "auto")
     assert np.linalg.cond(exact) > 1e4
     assert np.array_equal(chosen, exact)
@@ -49,7 +49,7 @@ def test_groups_together_hold_all_the_data():
 
 
 def test_lags_name_the_columns_of_a_window():
-    H = _windows([Recording.of(np.arange(10.0)[:, None], 100 + np.arange(10.0)[:, None], 1.0)], 4)
+    H = _windows([InputOutputData.of(np.arange(10.0)[:, None], 100 + np.arange(10.0)[:, None], 1.0)], 4)
     assert H[0, lags(2, [1], 1, 3)].tolist() == [101.0, 102.0]
 
 

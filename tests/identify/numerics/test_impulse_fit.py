@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.identify.methods.black_box_pem import local_structure
 from afdsvc.identify.numerics.impulse_fit import ImpulseFit, approach, closed_slopes, differences, filtered_slopes
@@ -26,7 +26,7 @@ def case(bearing, observer_loop, run_loop, binary):
     for samples in (3000, 2000):
         d = np.sqrt([0.12, 0.15]) * rng.standard_normal((samples, 2))
         _, alpha, beta = run_loop(fact, bearing, 2 * binary(rng, samples), d)
-        signals.append(Recording.of(alpha, beta, bearing.dt))
+        signals.append(InputOutputData.of(alpha, beta, bearing.dt))
     start = StateSpace(bearing.A, 0.9 * bearing.B, bearing.C, bearing.D, bearing.dt)
     return fact, signals, balanced_truncation(start, 6).system
 

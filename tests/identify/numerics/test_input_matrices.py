@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from afdsvc.dataset.arrays import Recording
+from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.identify.numerics.input_matrices import regress_input_matrices
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
@@ -48,7 +48,7 @@ def _written_out(A, C, K, recordings, feedthrough):
 @settings(max_examples=15, deadline=None)
 def test_equals_the_least_squares_problem_written_out(oscillators, seed, predictor, feedthrough):
     system, rng = oscillators(seed, 4), np.random.default_rng(seed)
-    recordings = [Recording.of(rng.standard_normal((n, 2)), rng.standard_normal((n, 2)), 1.0) for n in (150, 90)]
+    recordings = [InputOutputData.of(rng.standard_normal((n, 2)), rng.standard_normal((n, 2)), 1.0) for n in (150, 90)]
     K = 0.05 * rng.standard_normal((4, 2)) if predictor else np.zeros((4, 2))
     B, D = regress_input_matrices(system.A, system.C, recordings, K if predictor else None, feedthrough)
     wanted_B, wanted_D = _written_out(system.A, system.C, K, recordings, feedthrough)
@@ -61,6 +61,6 @@ def test_blocks_leave_no_seam(oscillators):
     system, rng = oscillators(5), np.random.default_rng(5)
     u = rng.standard_normal((10_000, 2))
     y, _ = simulate(system, u, rng.standard_normal(6))
-    B, D = regress_input_matrices(system.A, system.C, [Recording.of(u, y, 1.0)])
+    B, D = regress_input_matrices(system.A, system.C, [InputOutputData.of(u, y, 1.0)])
     assert np.abs(B - system.B).max() < 1e-10
     assert np.abs(D).max() < 1e-10

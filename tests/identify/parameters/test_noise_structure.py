@@ -5,7 +5,7 @@ import pytest
 
 from afdsvc.errors import IllConditioned
 from afdsvc.identify.parameters.noise_structure import plant_point, predictor_point
-from afdsvc.identify.parameters.structure import Parameter, Structure, physical_structure
+from afdsvc.identify.parameters.structure import FreeParameter, Structure, physical_structure
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.whitening import innovations
 from afdsvc.plants.gas_bearing import gas_bearing
@@ -46,7 +46,7 @@ def test_predictor_is_the_kalman_filter_of_the_plant():
 def test_output_noise_alone_needs_no_gain_for_a_stable_plant_and_mirrors_an_unstable_one():
     structure = physical_structure(PLANT, FREE)
     assert not predictor_point(structure, structure.values, NOISE[:2], PLANT.sample_time).gain.any()
-    unstable = Structure((Parameter("a", 1.25),), lambda th: StateSpace.of([[th[0]]], [[1.0]], [[1.0]], [[0.0]], 1.0))
+    unstable = Structure((FreeParameter("a", 1.25),), lambda th: StateSpace.of([[th[0]]], [[1.0]], [[1.0]], [[0.0]], 1.0))
     at = predictor_point(unstable, np.array([1.25]), np.zeros(1), 1.0)
     assert at.predictor.A[0, 0] == pytest.approx(1 / 1.25)
     assert at.covariance[0, 0] == pytest.approx(1.25**2)  # d/da of it is 2 a
@@ -62,6 +62,6 @@ def test_sampled_plant_is_the_plants_own():
 
 
 def test_absurd_rates_are_refused():
-    fast = Structure((Parameter("a", -1e9),), lambda th: StateSpace.of([[th[0]]], [[1.0]], [[1.0]], [[0.0]]))
+    fast = Structure((FreeParameter("a", -1e9),), lambda th: StateSpace.of([[th[0]]], [[1.0]], [[1.0]], [[0.0]]))
     with pytest.raises(IllConditioned, match=r"pole of size 1e\+06 per sample"):
         plant_point(fast, np.array([-1e9]), 1e-3)

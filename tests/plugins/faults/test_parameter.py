@@ -8,7 +8,7 @@ import pytest
 from afdsvc.api.control_plugins import ParameterFaultKind
 from afdsvc.app import commissioning
 from afdsvc.errors import BadInput
-from afdsvc.files.site import Machine
+from afdsvc.files.site import MachineSection
 from afdsvc.plants.registry import plant
 from afdsvc.plugins.fault_set import chosen_faults, usual_faults
 from afdsvc.plugins.faults.gain import ActuatorGain, SensorGain
@@ -45,10 +45,10 @@ def test_usual_faults_are_the_plants_own(name: str) -> None:
 
 def test_a_site_file_names_a_parameter(plugins) -> None:
     config = {"id": "b", "plant": "gas_bearing", "faults": [{"name": "soft", "kind": "parameter", "settings": {"parameter": "stiffness_hh"}}]}
-    assert commissioning.commission(Machine(**config), plugins).augmented.fault_names == ("soft",)
+    assert commissioning.commission(MachineSection(**config), plugins).augmented.fault_names == ("soft",)
     config["faults"][0]["settings"] = {"parameter": "stifness_hh"}
     with pytest.raises(BadInput, match=r"machine 'b': plant 'gas bearing.*' has no fault or parameter 'stifness_hh'; it has"):
-        commissioning.commission(Machine(**config), plugins)
+        commissioning.commission(MachineSection(**config), plugins)
 
 
 def test_refusals() -> None:

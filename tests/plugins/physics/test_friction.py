@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from afdsvc.plugins.physics.coulomb_friction import along, asymmetric, coulomb, joint, loaded, slip
-from afdsvc.plugins.physics.stribeck_friction import presliding, stribeck
+from afdsvc.plugins.physics.coulomb_friction import _coulomb, _joint, along, asymmetric, loaded, slip
+from afdsvc.plugins.physics.stribeck_friction import _stribeck, presliding
 
 RUBBING = [
-    (coulomb, (3.0, 1e-4), 1), (asymmetric, (3.0, 0.7, 1e-4), 1), (stribeck, (2.0, 4.0, 0.3, 1e-4), 1),
+    (_coulomb, (3.0, 1e-4), 1), (asymmetric, (3.0, 0.7, 1e-4), 1), (_stribeck, (2.0, 4.0, 0.3, 1e-4), 1),
     (loaded, (1.0, 0.5, 1e-4, 2.0), 2), (along, (1.0, 0.5, -0.8, 1e-4, 0.1, 1.0), 2),
 ]
 
@@ -30,7 +30,7 @@ def test_friction_brakes_and_never_turns_a_motion_round(law, p, reads, dt):
         assert abs(force) * dt <= abs(z[0])
 
 
-@pytest.mark.parametrize(("law", "p"), [(coulomb, (3.0, 1e-4)), (asymmetric, (3.0, 2.9, 1e-4)), (stribeck, (2.9, 0.5, 0.3, 1e-4))])
+@pytest.mark.parametrize(("law", "p"), [(_coulomb, (3.0, 1e-4)), (asymmetric, (3.0, 2.9, 1e-4)), (_stribeck, (2.9, 0.5, 0.3, 1e-4))])
 def test_what_is_pushed_less_than_friction_holds_creeps_no_faster_than_a_step_of_it(law, p):
     v, dt, drive = 0.2, 1e-3, 2.0
     for _ in range(2000):
@@ -43,7 +43,7 @@ def test_a_joint_that_rubs_never_turns_its_relative_motion_round_and_takes_power
     rng = np.random.default_rng(2)
     for rates in rng.standard_normal((300, 3)) * 10.0 ** rng.uniform(-6, 1, (300, 1)):
         p = (5.0, 1e-4, -0.7, 1.3, 1.0, 1.0)
-        forces = push(joint, p, rates, 1e-2, writes=3)
+        forces = push(_joint, p, rates, 1e-2, writes=3)
         shares = np.array([1.0, -0.7, 1.3])
         before, after = shares @ rates, shares @ (rates + 1e-2 * forces)
         assert before * after >= 0
@@ -52,7 +52,7 @@ def test_a_joint_that_rubs_never_turns_its_relative_motion_round_and_takes_power
 
 
 def test_two_masses_that_rub_keep_their_momentum():
-    forces = push(joint, (5.0, 0.1, -1.0, 0.25), (0.3, -0.2), 1e-3, writes=2)  # the second mass is four times the first
+    forces = push(_joint, (5.0, 0.1, -1.0, 0.25), (0.3, -0.2), 1e-3, writes=2)  # the second mass is four times the first
     assert forces[0] < 0 < forces[1]
     assert forces[0] + 4 * forces[1] == pytest.approx(0)
 

@@ -10,17 +10,17 @@ from scipy.integrate import quad, solve_ivp
 from scipy.signal import lsim
 
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.plugins.physics.backlash import play
+from afdsvc.plugins.physics.backlash import _play
 from afdsvc.plugins.physics.flexible_mode import _attach, bent_spring, masses
-from afdsvc.plugins.physics.gain_follows_aux import scaled
+from afdsvc.plugins.physics.gain_follows_aux import _scaled
 from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
 from afdsvc.plugins.physics.parameter_change import _scaled_entries, terms
 from afdsvc.plugins.physics.runout import uneven
-from afdsvc.plugins.physics.saturation import saturation
+from afdsvc.plugins.physics.saturation import soft_limit
 from afdsvc.plugins.physics.sensor_drift import drift
 from afdsvc.plugins.physics.sensor_rectification import unsigned
-from afdsvc.plugins.physics.slew_limit import slew
-from afdsvc.plugins.physics.stiffness_follows_aux import spring, springs
+from afdsvc.plugins.physics.slew_limit import _slew
+from afdsvc.plugins.physics.stiffness_follows_aux import _spring, springs
 
 DT = 1e-3
 
@@ -138,7 +138,7 @@ def test_slow_motion_carries_the_mass_along():
 
 def test_saturation_is_the_identity_below_its_knee_and_the_limit_beyond():
     u = np.linspace(-3, 3, 601)
-    limited = u + changed(saturation, [1.5, 0.2], u)
+    limited = u + changed(soft_limit, [1.5, 0.2], u)
     inside, beyond = np.abs(u) <= 1.2, np.abs(u) >= 1.8
     assert np.array_equal(limited[inside], u[inside])
     assert np.abs(limited[beyond]) == pytest.approx(np.full(beyond.sum(), 1.5))
@@ -148,8 +148,8 @@ def test_saturation_is_the_identity_below_its_knee_and_the_limit_beyond():
 
 def test_play_without_wear_is_play_and_with_it_the_mean_of_two():
     u = np.concatenate([np.linspace(0, 3, 31), np.linspace(3, -3, 61)])
-    narrow, wide = (u + changed(play, [g, 0.0], u, 2) for g in (0.8, 1.2))
-    assert u + changed(play, [1.0, 0.2], u, 2) == pytest.approx((narrow + wide) / 2)
+    narrow, wide = (u + changed(_play, [g, 0.0], u, 2) for g in (0.8, 1.2))
+    assert u + changed(_play, [1.0, 0.2], u, 2) == pytest.approx((narrow + wide) / 2)
     assert narrow[30] == pytest.approx(3 - 0.4)
     assert narrow[31:38] == pytest.approx(np.full(7, 2.6))
 
@@ -157,7 +157,7 @@ def test_play_without_wear_is_play_and_with_it_the_mean_of_two():
 @pytest.mark.parametrize(("target", "rate"), [(1.0, 400.0), (-1.0, 250.0), (0.1, 400.0)])
 def test_slew_limit_gives_the_mean_of_the_ramp_over_the_step(target, rate):
     """Oracle: the ramp, integrated."""
-    added = changed(slew, [400.0, 250.0], [0.0, target, target], 2)
+    added = changed(_slew, [400.0, 250.0], [0.0, target, target], 2)
 
     def ramp(t: float) -> float:
         return math.copysign(min(rate * t, abs(target)), target)
@@ -185,8 +185,8 @@ def test_runout_is_the_first_three_harmonics():
 def test_what_follows_a_signal_may_bend():
     signal = np.column_stack([np.full(5, 2.0), 6.0 + np.arange(-2, 3)])
     d = np.arange(-2, 3)
-    assert changed(scaled, [0.1, 6.0, 0.02], signal) == pytest.approx(2.0 * (0.1 * d + 0.02 * d**2))
-    assert changed(spring, [30.0, 6.0, 5.0], signal) == pytest.approx(-2.0 * (30.0 * d + 5.0 * d**2))
+    assert changed(_scaled, [0.1, 6.0, 0.02], signal) == pytest.approx(2.0 * (0.1 * d + 0.02 * d**2))
+    assert changed(_spring, [30.0, 6.0, 5.0], signal) == pytest.approx(-2.0 * (30.0 * d + 5.0 * d**2))
     z, out = np.array([2.0, -1.0, 7.5]), np.zeros(2)
     springs(np.array([30.0, 40.0, 6.0, 0.1]), z, np.zeros(0), DT, out)
     assert out == pytest.approx([-30 * 1.15 * 1.5 * 2, 40 * 1.15 * 1.5])

@@ -10,20 +10,20 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from afdsvc.plugins.physics.asymmetric_damping import damper
-from afdsvc.plugins.physics.back_emf import coil
-from afdsvc.plugins.physics.clearance import joint as gap
-from afdsvc.plugins.physics.cogging import ripple
+from afdsvc.plugins.physics.asymmetric_damping import _damper
+from afdsvc.plugins.physics.back_emf import _coil
+from afdsvc.plugins.physics.clearance import _joint as gap
+from afdsvc.plugins.physics.cogging import _ripple
 from afdsvc.plugins.physics.constant_load import drifting
-from afdsvc.plugins.physics.coulomb_friction import along, asymmetric, joint, loaded, reaction
-from afdsvc.plugins.physics.cubic_damping import cubic
+from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, loaded, reaction
+from afdsvc.plugins.physics.cubic_damping import _cubic
 from afdsvc.plugins.physics.gain_follows_position import geared
-from afdsvc.plugins.physics.gravity import sine, weight
+from afdsvc.plugins.physics.gravity import _weight, sine
 from afdsvc.plugins.physics.hysteresis import over_integral
 from afdsvc.plugins.physics.joint import spring
 from afdsvc.plugins.physics.magnetic_force import pair, single
 from afdsvc.plugins.physics.saturation import overflow, two_limits
-from afdsvc.plugins.physics.slow_mode import exchange
+from afdsvc.plugins.physics.slow_mode import _exchange
 from afdsvc.plugins.physics.static_nonlinearity import outflow, outflow_about, power, signed_square, thrust
 from afdsvc.plugins.physics.stribeck_friction import presliding
 from afdsvc.plugins.physics.supply_droop import droop
@@ -155,15 +155,15 @@ CASES = [
     Case("friction under the input", loaded, (2.0, 0.3, 0.1, G), axis(lambda q, v, u: -(2 + 0.3 * abs(G * u)) * np.tanh(v / (0.1 + (2 + 0.3 * abs(G * u)) * H))), **AXIS, reads=(("x", 1), ("u", 0))),
     Case("friction under what is passed on", loaded, (2.0, 0.3, 0.1, G, K), axis(lambda q, v, u: -(2 + 0.3 * abs(G * u + K * q)) * np.tanh(v / (0.1 + (2 + 0.3 * abs(G * u + K * q)) * H))), **AXIS, reads=(("x", 1), ("u", 0), ("x", 0))),
     Case("friction along the way", along, (3.0, 1.0, 2.0, 0.1, 0.2, 0.5), axis(lambda q, v, u: -(f := 3 + 2 * (q - 0.2) + 8 * (q - 0.2) ** 2) * np.tanh(v / (0.1 + f * H))), **AXIS, reads=(("x", 1), ("x", 0))),
-    Case("asymmetric damping", damper, (3.0, -1.0), axis(lambda q, v, u: -(3.0 if v > 0 else -1.0) * v), **AXIS),
-    Case("cubic damping", cubic, (0.2,), axis(lambda q, v, u: -0.2 * v**3), **AXIS),
-    Case("weight in degrees", weight, (1500.0, 400.0, np.pi / 180), axis(lambda q, v, u: -1500 * np.sin(np.deg2rad(q)) - 400 * np.cos(np.deg2rad(q))), **AXIS, reads=(("x", 0),), level=60.0),
+    Case("asymmetric damping", _damper, (3.0, -1.0), axis(lambda q, v, u: -(3.0 if v > 0 else -1.0) * v), **AXIS),
+    Case("cubic damping", _cubic, (0.2,), axis(lambda q, v, u: -0.2 * v**3), **AXIS),
+    Case("weight in degrees", _weight, (1500.0, 400.0, np.pi / 180), axis(lambda q, v, u: -1500 * np.sin(np.deg2rad(q)) - 400 * np.cos(np.deg2rad(q))), **AXIS, reads=(("x", 0),), level=60.0),
     Case("pendulum for a spring", sine, (K, 0.0, 1.0), lambda x, u: [x[1], -K * np.sin(x[0]) - D * x[1] + G * u], **AXIS, reads=(("x", 0),)),
     Case("one magnet", single, (2.0, 1.3, G, 1.0), magnet, **BENT),
     Case("two magnets", pair, (2.0, 1.3, G, 1.0), magnets, A=[[0, 1], [-3 * K + G * 2.0 / 1.3, -D]], B=[0, G], reads=(("u", 0), ("x", 0)), level=0.6),
-    Case("coil", coil, (0.03, 0.5, MOTOR_GAIN, 0.0), motor, A=[[-1.5]], B=[MOTOR_GAIN], reads=(("u", 0), ("x", 0)), writes=(0,), memory=1, hidden=(0.0,), level=5.0),
-    Case("coil of a motor with its damping", coil, (0.03, 0.5, MOTOR_GAIN, 0.5), motor, A=[[-1.5 - 0.5 * MOTOR_GAIN]], B=[MOTOR_GAIN], reads=(("u", 0), ("x", 0)), writes=(0,), memory=1, hidden=(0.0,), level=5.0),
-    Case("cogging", ripple, (7.0, 3.0, -2.0), axis(lambda q, v, u: 3 * np.cos(7 * q) - 2 * np.sin(7 * q)), **AXIS, reads=(("x", 0),)),
+    Case("coil", _coil, (0.03, 0.5, MOTOR_GAIN, 0.0), motor, A=[[-1.5]], B=[MOTOR_GAIN], reads=(("u", 0), ("x", 0)), writes=(0,), memory=1, hidden=(0.0,), level=5.0),
+    Case("coil of a motor with its damping", _coil, (0.03, 0.5, MOTOR_GAIN, 0.5), motor, A=[[-1.5 - 0.5 * MOTOR_GAIN]], B=[MOTOR_GAIN], reads=(("u", 0), ("x", 0)), writes=(0,), memory=1, hidden=(0.0,), level=5.0),
+    Case("cogging", _ripple, (7.0, 3.0, -2.0), axis(lambda q, v, u: 3 * np.cos(7 * q) - 2 * np.sin(7 * q)), **AXIS, reads=(("x", 0),)),
     Case("gain along the way", geared, (0.3, 0.1, 0.2, 0.5, G), axis(lambda q, v, u: G * u * (0.3 * (q - 0.2) / 0.5 + 0.1 * ((q - 0.2) / 0.5) ** 2)), **AXIS, reads=(("u", 0), ("x", 0))),
     Case("bristles", presliding, (4.0, 3.0, 0.5, 0.02, 0.6), lugre, **AXIS, memory=1, hidden=(0.0,), tolerance=5e-3),
     Case("load that grows", drifting, (5.0, 2.0), lambda x, u: [-D * x[0] + G * u + 5 + 2 * x[1], 1.0], **SPEED, reads=(), memory=1, hidden=(0.0,)),
@@ -173,12 +173,12 @@ CASES = [
     Case("signed square", signed_square, (0.3, 1.2), lambda x, u: [-D * x[0] + G * (u + 0.3 * u * abs(u) / 1.2)], **SPEED, reads=(("u", 0),), stage="input"),
     Case("two limits", two_limits, (0.5, -0.3), lambda x, u: [-D * x[0] + G * np.clip(u, -0.3, 0.5)], **SPEED, reads=(("u", 0),), stage="input"),
     Case("loop over a way", over_integral, (0.4, 0.05, 1.0), bouc, **SPEED, reads=(("u", 0),), stage="input", hidden=(0.0,), memory=3, tolerance=2e-2),
-    Case("second store", exchange, (0.9, 0.6), lambda x, u: [u - 0.8 * x[0] - 0.9 * (x[0] - x[2]), 0.5 * x[0] - 0.4 * x[1], (x[0] - x[2]) / 0.6], **(TANK | {"writes": (0,)}), hidden=(1.0,), memory=2),
+    Case("second store", _exchange, (0.9, 0.6), lambda x, u: [u - 0.8 * x[0] - 0.9 * (x[0] - x[2]), 0.5 * x[0] - 0.4 * x[1], (x[0] - x[2]) / 0.6], **(TANK | {"writes": (0,)}), hidden=(1.0,), memory=2),
     Case("Torricelli", outflow, (0.5, 2.0, 0.8, 0.625), tank(lambda x: 0.8 * np.sqrt(2.0 * x)), **TANK),
     Case("Torricelli about a level", outflow_about, (0.5, 2.0, 0.8, 0.625), tank(lambda x: 0.8 * 4 * (np.sqrt(1 + x / 2) - 1)), **TANK),
     Case("joint with a cubic spring", spring, (300.0, 3.0, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 300 * d**3), **MODES, reads=(("x", 0), ("x", 2))),
     Case("joint with a gap", gap, (200.0, 0.1, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 200 * (d - np.clip(d, -0.1, 0.1))), **MODES, reads=(("x", 0), ("x", 2)), tolerance=5e-3),
-    Case("joint that rubs", joint, (3.0, 0.1, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 3 * np.tanh(v / (0.1 + 3 * 1.49 * H))), **MODES, reads=(("x", 1), ("x", 3))),
+    Case("joint that rubs", _joint, (3.0, 0.1, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 3 * np.tanh(v / (0.1 + 3 * 1.49 * H))), **MODES, reads=(("x", 1), ("x", 3))),
 ]
 
 

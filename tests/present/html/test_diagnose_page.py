@@ -9,7 +9,7 @@ import pytest
 
 from afdsvc.app.diagnose import diagnose_recordings
 from afdsvc.errors import BadInput
-from afdsvc.present.html.diagnose_page import answer, diagnose_page, write_diagnosis
+from afdsvc.present.html.diagnose_page import diagnose_page, verdict_words, write_diagnosis
 
 SHIPPED = Path(__file__).parents[3] / "recordings" / "shipped"
 
@@ -71,4 +71,4 @@ def test_a_page_that_cannot_be_written_is_named(document, tmp_path):
     ],
 )
 def test_what_is_not_known_is_not_called_healthy(verdict, words):
-    assert answer(verdict) == words
+    assert verdict_words(verdict) == words

@@ -11,7 +11,7 @@ import pytest
 from afdsvc.api.signals import Block, Channel
 from afdsvc.app.serve import SiteSinks
 from afdsvc.files.recording.reader import Recording
-from afdsvc.files.site import Recording as Settings
+from afdsvc.files.site import RecordingSection as Settings
 from afdsvc.files.site import parse_site
 from afdsvc.service.clock import FastClock
 from afdsvc.service.sinks import recorder_sink

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from afdsvc.errors import BadInput, Refused
-from afdsvc.trial import NOTHING, Options, generate, generate_several
+from afdsvc.trial import NOTHING, Options, generate_several, generate_trial
 from afdsvc.trial.conditions import TRAIN
 from afdsvc.trial.effects.catalogue import changes_at, outside_at, physics_at
 from afdsvc.trial.effects.effect import Truth
-from afdsvc.trial.effects.severity import difference, visibility
-from afdsvc.trial.generate import Trial, Wish
-from afdsvc.trial.simulation import play, replay
+from afdsvc.trial.effects.severity import difference, effect_visibility
+from afdsvc.trial.generate import BlindTrial, TrialRequest
+from afdsvc.trial.simulation import play_run, replay
 
 BEARING = Options(controller="proportional", periods=1)
 AXIS = Options(machine="positioning_axis", periods=1)
@@ -31,11 +31,11 @@ def once(options: Options) -> list[tuple[str, str]]:
     return [(n, s) for n, s in physics_at(machine) + outside_at(machine) + changes_at(machine) if "vertical" not in s]
 
 
-def hidden(physics: str, site: str, options: Options = BEARING, rho: float = 0.3, seed: int = 11) -> Trial:
-    return generate(physics, site, rho, np.random.default_rng(seed), options)
+def hidden(physics: str, site: str, options: Options = BEARING, rho: float = 0.3, seed: int = 11) -> BlindTrial:
+    return generate_trial(physics, site, rho, np.random.default_rng(seed), options)
 
 
-def effect_of(trial: Trial, run: int = 0) -> np.ndarray:
+def effect_of(trial: BlindTrial, run: int = 0) -> np.ndarray:
     """What the effect adds to the recorded outputs under the same commands, shape (n, p)."""
     return difference(trial.machine, trial.truth, trial.runs[run], "commands")
 
@@ -92,7 +92,7 @@ def test_visibility_is_what_a_bystander_measures() -> None:
 
 def test_closed_loop_visibility_differs_and_is_noted() -> None:
     trial = hidden("constant_load", "state:horizontal_rate")
-    rho, _ = visibility(trial.machine, trial.truth, trial.runs[:TRAIN], "loop")
+    rho, _ = effect_visibility(trial.machine, trial.truth, trial.runs[:TRAIN], "loop")
     assert trial.answer.hidden[0].rho_loop == pytest.approx(rho)
     assert rho > 1.5 * trial.answer.hidden[0].rho  # positive feedback of position makes the loop softer at rest
 
@@ -134,7 +134,7 @@ def test_crosstalk_and_misalignment_mix_the_outputs() -> None:
     assert (turned.std(axis=0) > 0.05).all()
 
 
-def difference_all(trial: Trial) -> np.ndarray:
+def difference_all(trial: BlindTrial) -> np.ndarray:
     whole = replace(trial.runs[0], skip=0)
     return difference(trial.machine, trial.truth, whole, "commands")
 
@@ -218,7 +218,7 @@ def test_lost_gains_are_losses() -> None:
 
 
 def test_two_effects_are_both_there_each_with_its_own_rho() -> None:
-    wishes = [Wish("coulomb_friction", "state:horizontal_rate", 0.4), Wish("sensor_offset", "output:vertical", 0.2)]
+    wishes = [TrialRequest("coulomb_friction", "state:horizontal_rate", 0.4), TrialRequest("sensor_offset", "output:vertical", 0.2)]
     trial = generate_several(wishes, np.random.default_rng(1), BEARING)
     assert [h.rho for h in trial.answer.hidden] == pytest.approx([0.4, 0.2], rel=0.05)
     seen = effect_of(trial)
@@ -229,7 +229,7 @@ def test_two_effects_are_both_there_each_with_its_own_rho() -> None:
 @pytest.mark.long
 def test_dirt_is_small_unrelated_and_not_the_question() -> None:
     options = replace(BEARING, dirty=True)
-    trial = generate("dead_zone", None, 0.5, np.random.default_rng(2), options)
+    trial = generate_trial("dead_zone", None, 0.5, np.random.default_rng(2), options)
     assert len(trial.answer.minor) == 4
     assert {h.physics for h in trial.answer.minor}.isdisjoint({"dead_zone"})
     assert all(h.rho == pytest.approx(0.04, rel=0.06) for h in trial.answer.minor)
@@ -238,7 +238,7 @@ def test_dirt_is_small_unrelated_and_not_the_question() -> None:
 
 @pytest.mark.parametrize(("kind", "ratio"), [("quieter", 0.5), ("louder", 2.0), ("coloured", 1.0)])
 def test_noise_variants_change_what_they_say(kind: str, ratio: float) -> None:
-    trial = generate(NOTHING, None, 0.0, np.random.default_rng(6), replace(BEARING, noise=kind))
+    trial = generate_trial(NOTHING, None, 0.0, np.random.default_rng(6), replace(BEARING, noise=kind))
     noise = trial.runs[0].noise
     assert noise.std(axis=0) / trial.machine.sigma == pytest.approx([ratio] * 2, rel=0.15)
     lag_one = np.corrcoef(noise[1:, 0], noise[:-1, 0])[0, 1]
@@ -246,10 +246,10 @@ def test_noise_variants_change_what_they_say(kind: str, ratio: float) -> None:
 
 
 def test_process_noise_drives_the_states() -> None:
-    trial = generate(NOTHING, None, 0.0, np.random.default_rng(6), replace(BEARING, noise="process"))
+    trial = generate_trial(NOTHING, None, 0.0, np.random.default_rng(6), replace(BEARING, noise="process"))
     run = trial.runs[0]
     calm = replace(run, push=0 * run.push)
-    apart = (trial.played[0].y - play(trial.machine, trial.truth, calm).y)[run.skip :]
+    apart = (trial.played[0].y - play_run(trial.machine, trial.truth, calm).y)[run.skip :]
     assert apart.std(axis=0) / trial.machine.sigma == pytest.approx([0.4, 0.4], rel=0.2)
 
 

@@ -6,11 +6,11 @@ import json
 
 import pytest
 
-from afdsvc.trial import FIELD, FieldAnswer, FieldOptions, Request, Wish, markdown, open_seal, page, study, write_only
+from afdsvc.trial import FIELD, FieldAnswer, FieldOptions, Request, TrialRequest, markdown, open_seal, page, study, write_only
 from afdsvc.trial.study import rescored
 
 REQUESTS = [
-    Request(0, FIELD, (Wish("static_nonlinearity", None, 0.5),), FieldOptions("coil", ("lame",)), (9, 0)),
+    Request(0, FIELD, (TrialRequest("static_nonlinearity", None, 0.5),), FieldOptions("coil", ("lame",)), (9, 0)),
     Request(1, FIELD, (), FieldOptions("coil"), (9, 1)),
 ]
 

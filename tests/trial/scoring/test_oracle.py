@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from afdsvc.trial import NOTHING, Options, generate, oracle
+from afdsvc.trial import NOTHING, Options, generate_trial, oracle
 from afdsvc.trial.effects.effect import Truth
 from afdsvc.trial.scoring.oracle import prior, refit, residuals
-from afdsvc.trial.scoring.rival import UNDECIDABLE, apart
+from afdsvc.trial.scoring.rival import UNDECIDABLE, rival_distance
 from afdsvc.trial.simulation import replay
 
 SHORT = Options(controller="proportional", periods=1)
@@ -17,7 +17,7 @@ SHORT = Options(controller="proportional", periods=1)
 @pytest.mark.parametrize("options", [SHORT, Options(machine="positioning_axis", periods=1)], ids=["bearing", "axis"])
 def test_oracle_reaches_the_noise_and_the_nominal_model_does_not(options: Options) -> None:
     site = "state:horizontal_rate" if options is SHORT else "state:v"
-    best = oracle(generate("coulomb_friction", site, 1.0, np.random.default_rng(2), options))
+    best = oracle(generate_trial("coulomb_friction", site, 1.0, np.random.default_rng(2), options))
     # 16 to 18 fitted values cost 17 parts in 10,000; the closed loop adds what it makes of the noise
     assert best.after == pytest.approx(best.floor, rel=0.02 if options is SHORT else 0.1)
     assert best.before > best.after + 0.5 * best.floor
@@ -26,7 +26,7 @@ def test_oracle_reaches_the_noise_and_the_nominal_model_does_not(options: Option
 
 def test_oracle_of_nothing_repairs_the_constants_only() -> None:
     """What the nominal model leaves above the noise is the error of its constants, counted here without noise; all of it goes."""
-    trial = generate(NOTHING, None, 0.0, np.random.default_rng(2), SHORT)
+    trial = generate_trial(NOTHING, None, 0.0, np.random.default_rng(2), SHORT)
     run, signals = trial.runs[-1], trial.played[-1]
     true, nominal = (replay(trial.machine, Truth(t), run.quiet(), signals.u).y for t in (trial.truth.theta, trial.machine.nominal))
     lost = float(np.square((true - nominal)[run.skip :] / trial.machine.sigma).mean(axis=0).sum())
@@ -37,7 +37,7 @@ def test_oracle_of_nothing_repairs_the_constants_only() -> None:
 
 
 def test_refit_does_not_depend_on_where_it_starts() -> None:
-    trial = generate("cubic_stiffness", "state:horizontal_rate", 0.5, np.random.default_rng(4), SHORT)
+    trial = generate_trial("cubic_stiffness", "state:horizontal_rate", 0.5, np.random.default_rng(4), SHORT)
     lost = Truth(trial.truth.theta * 1.005, trial.truth.effects)
     found, other = refit(trial, refit(trial, lost)), refit(trial, trial.truth)
     apart_at_first, apart_at_last = (np.abs(a.theta / b.theta - 1).max() for a, b in ((lost, trial.truth), (found, other)))
@@ -51,7 +51,7 @@ def test_refit_does_not_depend_on_where_it_starts() -> None:
 
 @pytest.mark.long
 def test_refit_without_the_effect_stays_worse() -> None:
-    trial = generate("dead_zone", "input:horizontal", 0.5, np.random.default_rng(4), SHORT)
+    trial = generate_trial("dead_zone", "input:horizontal", 0.5, np.random.default_rng(4), SHORT)
     bare = refit(trial, Truth(trial.truth.theta))
     data = list(zip(trial.runs[:-1], trial.played[:-1], strict=True))
     cost = [np.square(residuals(trial, t, data)).sum() for t in (bare, refit(trial, trial.truth))]
@@ -60,34 +60,34 @@ def test_refit_without_the_effect_stays_worse() -> None:
 
 @pytest.fixture(scope="module")
 def friction():
-    return generate("coulomb_friction", "state:horizontal_rate", 0.5, np.random.default_rng(2), SHORT)
+    return generate_trial("coulomb_friction", "state:horizontal_rate", 0.5, np.random.default_rng(2), SHORT)
 
 
 @pytest.mark.long
 def test_the_truth_is_no_rival(friction) -> None:
-    assert apart(friction, {"physics": "coulomb_friction", "site": "state:horizontal_rate"}) < UNDECIDABLE
+    assert rival_distance(friction, {"physics": "coulomb_friction", "site": "state:horizontal_rate"}) < UNDECIDABLE
 
 
 def test_an_unknown_word_is_no_rival(friction) -> None:
-    assert apart(friction, {"physics": "phlogiston", "site": "machine"}) == float("inf")
+    assert rival_distance(friction, {"physics": "phlogiston", "site": "machine"}) == float("inf")
 
 
 @pytest.mark.long
 def test_rival_of_another_family_is_far_apart(friction) -> None:
-    assert apart(friction, {"physics": "sensor_offset", "site": "output:horizontal"}) > 5 * UNDECIDABLE
+    assert rival_distance(friction, {"physics": "sensor_offset", "site": "output:horizontal"}) > 5 * UNDECIDABLE
 
 
 @pytest.mark.long
 def test_load_and_offset_cannot_be_told_apart_at_rest() -> None:
     """Both shift one output; only the weak static coupling between the axes (half a per cent) differs."""
-    trial = generate("sensor_offset", "output:horizontal", 0.3, np.random.default_rng(2), SHORT)
-    assert apart(trial, {"physics": "constant_load", "site": "state:horizontal_rate"}) < UNDECIDABLE
+    trial = generate_trial("sensor_offset", "output:horizontal", 0.3, np.random.default_rng(2), SHORT)
+    assert rival_distance(trial, {"physics": "constant_load", "site": "state:horizontal_rate"}) < UNDECIDABLE
 
 
 @pytest.mark.long
 def test_parameter_change_is_a_rival_by_its_parameter() -> None:
-    trial = generate("parameter_change:actuator gain", "input:horizontal", 0.5, np.random.default_rng(2), SHORT)
+    trial = generate_trial("parameter_change:actuator gain", "input:horizontal", 0.5, np.random.default_rng(2), SHORT)
     named = {"physics": "parameter_change", "site": "output:horizontal", "parameters": {"sensor gain": {}}}
-    assert apart(trial, named) < 30
+    assert rival_distance(trial, named) < 30
     other = {"physics": "parameter_change", "site": "state:horizontal_rate", "parameters": {"damping": {}}}
-    assert apart(trial, other) > apart(trial, named)
+    assert rival_distance(trial, other) > rival_distance(trial, named)

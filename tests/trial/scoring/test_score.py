@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import pytest
 
-from afdsvc.trial import Answer, Hidden, Options, Oracle, score
+from afdsvc.trial import Hidden, Options, Oracle, TrialAnswer, score
 from afdsvc.trial.scoring.matching import SAME
 
 BEARING, AXIS = Options(), Options(machine="positioning_axis")
@@ -16,9 +16,9 @@ def effect(physics: str, site: str, parameter: str = "", in_prior: float | None 
     return Hidden(physics, site, 0.3, 0.3, 0.3, {}, parameter, in_prior)
 
 
-def answer(*hidden: Hidden, options: Options = BEARING, minor: tuple[Hidden, ...] = (), outside: bool = False) -> Answer:
+def answer(*hidden: Hidden, options: Options = BEARING, minor: tuple[Hidden, ...] = (), outside: bool = False) -> TrialAnswer:
     seen = {"position": 1.0} if options is AXIS else {"horizontal": 0.4, "vertical": 0.02}
-    return Answer(options.machine, hidden, minor, seen, outside, "0", asdict(options))
+    return TrialAnswer(options.machine, hidden, minor, seen, outside, "0", asdict(options))
 
 
 def entry(physics: str, site: str, weight: float = 0.97, **parameters) -> dict:
