@@ -20,7 +20,17 @@ from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys, session_of
-from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, EventKind, Lease, RetuneRequest, RigDescription, RigEvent
+from afdsvc.wire.messages import (
+    BurstReply,
+    BurstRequest,
+    BurstStop,
+    EventKind,
+    Lease,
+    Receipt,
+    RetuneRequest,
+    RigDescription,
+    RigEvent,
+)
 
 log = logging.getLogger(__name__)
 HEARTBEAT_SECONDS = 2.0
@@ -151,7 +161,7 @@ class RigAgent:
         self.store.close()
 
     def _on_receipt(self, _key: str, payload: bytes) -> None:
-        receipt = codec.decode_receipt(payload)
+        receipt = codec.decode(Receipt, payload)
         if self.store is not None and receipt.machine == self.machine:
             self.store.receive(receipt)
 
@@ -186,7 +196,7 @@ class RigAgent:
         t.serve(keys.stop(self.machine), self._on_stop)
         t.serve(keys.retune(self.machine), self._on_retune)
         t.serve(keys.restore(self.machine), self._on_restore)
-        t.serve(keys.description(self.machine), lambda _: codec.encode_description(self.description))
+        t.serve(keys.description(self.machine), lambda _: codec.encode(self.description))
         t.subscribe(keys.lease(self.machine), self._on_lease, missed=False)
         if self.store is not None:
             t.subscribe(keys.receipt(self.machine), self._on_receipt, missed=False)
@@ -254,7 +264,7 @@ class RigAgent:
     def _beat(self) -> None:
         status = self.port.status()
         now = replace(self.description, samples=status.samples, late=status.late, head_room=status.head_room)
-        self._post.send(self.keys.description(self.machine), codec.encode_description, now)
+        self._post.send(self.keys.description(self.machine), codec.encode, now)
         if status.late > self._told_late:
             self._event(EventKind.NOTE, f"{status.late - self._told_late} control samples missed their deadline")
             self._told_late = status.late
@@ -318,20 +328,20 @@ class RigAgent:
         """Accept or refuse; runs in a zenoh thread, so it only checks and leaves the request behind."""
         burst = ""
         try:
-            request = codec.decode_burst_request(payload)
+            request = codec.decode(BurstRequest, payload)
             burst = request.burst.name
             self._refuse_stale(request)
-            self._freshness.refuse_repeated(codec.encode_burst_request(request))
+            self._freshness.refuse_repeated(codec.encode(request))
             self._accept(request)
         except AfdsvcError as refusal:
             return self._refused(burst, str(refusal))
         except Exception as error:
             return self._refused(burst, f"the request could not be checked: {type(error).__name__}: {error}")
-        return codec.encode_burst_reply(BurstReply(True, burst))
+        return codec.encode(BurstReply(True, burst))
 
     def _refused(self, burst: str, reason: str) -> bytes:
         self._event(EventKind.BURST_REFUSED, reason, burst)
-        return codec.encode_burst_reply(BurstReply(False, burst, reason))
+        return codec.encode(BurstReply(False, burst, reason))
 
     def _accept(self, request: BurstRequest) -> None:
         """Reserve the machine, check the burst, and leave it to the control thread, which never waits for the check."""
@@ -365,16 +375,16 @@ class RigAgent:
         """Accept or refuse a Q; runs in a zenoh thread and leaves the request to the control thread."""
         name = ""
         try:
-            request = codec.decode_retune_request(payload)
+            request = codec.decode(RetuneRequest, payload)
             name = request.name
             self._refuse_stale(request)
-            self._freshness.refuse_repeated(codec.encode_retune_request(request))
+            self._freshness.refuse_repeated(codec.encode(request))
             self._accept_q(request)
         except Exception as error:
             reason = str(error) if isinstance(error, AfdsvcError) else f"the request could not be checked: {type(error).__name__}: {error}"
             self._event(EventKind.RETUNE_REFUSED, reason, name)
-            return codec.encode_burst_reply(BurstReply(False, name, reason))
-        return codec.encode_burst_reply(BurstReply(True, name))
+            return codec.encode(BurstReply(False, name, reason))
+        return codec.encode(BurstReply(True, name))
 
     def _accept_q(self, request: RetuneRequest) -> None:
         if self.emergency.is_set():
@@ -395,13 +405,13 @@ class RigAgent:
 
     def _on_restore(self, payload: bytes) -> bytes:
         """Go back to Q = 0; runs in a zenoh thread, the control thread sees it at its next slice."""
-        stop: BurstStop = codec.decode_burst_stop(payload)
+        stop: BurstStop = codec.decode(BurstStop, payload)
         self._refuse_other(stop.machine)
         with self._lock:
             if self._tuned and stop.burst in ("", self._tuned):
                 self._undo = f"restored by {stop.asked_by}: {stop.reason}"
-                return codec.encode_burst_reply(BurstReply(True, self._tuned))
-        return codec.encode_burst_reply(BurstReply(False, stop.burst, "no such Q acts"))
+                return codec.encode(BurstReply(True, self._tuned))
+        return codec.encode(BurstReply(False, stop.burst, "no such Q acts"))
 
     def _refuse_stale(self, request: BurstRequest | RetuneRequest) -> None:
         """Refuse a request of long ago: by this session's samples, which no clock moves, or else by its time stamp."""
@@ -424,17 +434,17 @@ class RigAgent:
 
     def _on_stop(self, payload: bytes) -> bytes:
         """End what plays or is about to; runs in a zenoh thread."""
-        stop: BurstStop = codec.decode_burst_stop(payload)
+        stop: BurstStop = codec.decode(BurstStop, payload)
         self._refuse_other(stop.machine)
         with self._lock:
             playing = self._playing
             if playing and stop.burst in ("", playing):
                 self._halt = f"stopped by {stop.asked_by}: {stop.reason}"
-                return codec.encode_burst_reply(BurstReply(True, playing))
-        return codec.encode_burst_reply(BurstReply(False, stop.burst, "no such burst is playing"))
+                return codec.encode(BurstReply(True, playing))
+        return codec.encode(BurstReply(False, stop.burst, "no such burst is playing"))
 
     def _on_lease(self, _key: str, payload: bytes) -> None:
-        lease: Lease = codec.decode_lease(payload)
+        lease: Lease = codec.decode(Lease, payload)
         if lease.seconds > LONGEST_LEASE_SECONDS:
             raise Refused(f"a lease of {lease.seconds:g} s; at most {LONGEST_LEASE_SECONDS:g} s are accepted without renewal")
         for name, timer in ((self._playing, self._watchdog), (self._tuned, self._q_lease)):
@@ -446,4 +456,4 @@ class RigAgent:
 
     def _event(self, kind: EventKind, cause: str, burst: str = "") -> None:
         event = RigEvent(self.machine, self.description.session, self.clock.now_ns(), kind, self._k, burst, cause)
-        self._post.send(self.keys.event(self.machine), codec.encode_event, event)
+        self._post.send(self.keys.event(self.machine), codec.encode, event)

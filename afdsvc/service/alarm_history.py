@@ -36,7 +36,7 @@ class History:
 
     def add(self, *changes: AlarmChange) -> None:
         """Keep changes; when this returns they are on the disk."""
-        rows = [(c.t_ns, c.alarm.id, c.alarm.machine, c.event, c.who, c.why, codec.encode_alarm_change(c)) for c in changes]
+        rows = [(c.t_ns, c.alarm.id, c.alarm.machine, c.event, c.who, c.why, codec.encode(c)) for c in changes]
         insert = "INSERT INTO change (t_ns, alarm, machine, event, who, why, message) VALUES (?, ?, ?, ?, ?, ?, ?)"
         self._do(lambda db: db.executemany(insert, rows))
 
@@ -58,7 +58,7 @@ class History:
 
     def _changes(self, query: str, arguments: tuple[object, ...]) -> list[AlarmChange]:
         rows = self._do(lambda db: db.execute(query, arguments).fetchall())
-        return [codec.decode_alarm_change(bytes(row[0])) for row in rows]
+        return [codec.decode(AlarmChange, bytes(row[0])) for row in rows]
 
     def _do(self, action: Callable[[sqlite3.Connection], T]) -> T:
         try:

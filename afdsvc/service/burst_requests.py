@@ -21,7 +21,7 @@ from afdsvc.service.sinks.fan_out import Sink
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import BurstRequest, BurstStop, EventKind, Lease, RigEvent
+from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, EventKind, Lease, RigEvent
 
 log = logging.getLogger(__name__)
 LEASE_SECONDS = 2.0
@@ -114,8 +114,8 @@ class BurstRequests:
             self.sink.request(request)
             self._begin(burst, start)
             try:
-                answer = self.transport.ask(self.keys.burst(self.machine), codec.encode_burst_request(request), ANSWER_SECONDS)
-                reply = codec.decode_burst_reply(answer)
+                answer = self.transport.ask(self.keys.burst(self.machine), codec.encode(request), ANSWER_SECONDS)
+                reply = codec.decode(BurstReply, answer)
             except BaseException:
                 self._withdraw(burst.name)
                 raise
@@ -130,8 +130,8 @@ class BurstRequests:
     def stop(self, reason: str, asked_by: str) -> None:
         """End whatever plays, smoothly; raises `Refused` with the rig's reason when nothing does."""
         stop = BurstStop(self.machine, reason or "no reason given", asked_by or "unknown")
-        answer = self.transport.ask(self.keys.stop(self.machine), codec.encode_burst_stop(stop))
-        reply = codec.decode_burst_reply(answer)
+        answer = self.transport.ask(self.keys.stop(self.machine), codec.encode(stop))
+        reply = codec.decode(BurstReply, answer)
         if not reply.accepted:
             raise Refused(f"nothing is stopped: {reply.reason}")
 
@@ -186,7 +186,7 @@ class BurstRequests:
         self._end()
         stop = BurstStop(self.machine, "the request was not answered in time", "the service", burst)
         with contextlib.suppress(AfdsvcError):
-            self.transport.ask(self.keys.stop(self.machine), codec.encode_burst_stop(stop))
+            self.transport.ask(self.keys.stop(self.machine), codec.encode(stop))
 
     def _end(self) -> None:
         self.playing = ""
@@ -197,7 +197,7 @@ class BurstRequests:
         playing = self.playing
         if playing and self.clock.monotonic() <= self._deadline:
             lease = Lease(self.machine, playing, LEASE_SECONDS)
-            self.transport.publish(self.keys.lease(self.machine), codec.encode_lease(lease), keep=False)
+            self.transport.publish(self.keys.lease(self.machine), codec.encode(lease), keep=False)
 
     def _give_up(self, now: float) -> None:
         if now > self._deadline:

@@ -308,9 +308,9 @@ class Hub:
                 requests.tick()
             if self.clock.monotonic() >= self._next_status:
                 self._next_status = self.clock.monotonic() + STATUS_SECONDS
-                self.transport.publish(self.keys.status(), codec.encode_status(self.status()), keep=False)
+                self.transport.publish(self.keys.status(), codec.encode(self.status()), keep=False)
                 for machine, (receipts, _) in self.late.items():
-                    self.transport.publish(self.keys.receipt(machine), codec.encode_receipt(receipts.receipt(machine)), keep=False)
+                    self.transport.publish(self.keys.receipt(machine), codec.encode(receipts.receipt(machine)), keep=False)
                 self.alarms.tick(self.clock.now_ns())
 
 

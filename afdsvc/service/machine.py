@@ -16,7 +16,7 @@ from afdsvc.diagnosis.verdict import FaultVerdict, conclude, model_gap
 from afdsvc.errors import BadInput
 from afdsvc.service.sinks.fan_out import Sink
 from afdsvc.wire import codec
-from afdsvc.wire.messages import Alarm, Finding, MachineStatus, RigEvent
+from afdsvc.wire.messages import Alarm, Finding, MachineStatus, RigDescription, RigEvent
 
 STALE_SECONDS = 2.0
 MOST_REPORTED = 16  # machines a rig may falsely speak of, each reported once
@@ -96,7 +96,7 @@ class MachineMonitor:
     def take_event(self, payload: bytes) -> RigEvent | None:
         """Pass an event of the rig on; None when it cannot be decoded."""
         try:
-            event = codec.decode_event(payload)
+            event = codec.decode(RigEvent, payload)
         except BadInput as error:
             self.say("warning", f"an event could not be read: {error}")
             return None
@@ -108,7 +108,7 @@ class MachineMonitor:
     def take_description(self, payload: bytes) -> None:
         """Note what the rig says of itself: its head-room, for the status."""
         try:
-            description = codec.decode_description(payload)
+            description = codec.decode(RigDescription, payload)
         except BadInput as error:
             return self.say("warning", f"a description could not be read: {error}")
         if not self._is_foreign("description", description.machine):

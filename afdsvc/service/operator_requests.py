@@ -71,7 +71,7 @@ class Requests:
             return
         if command.name not in SAFE:
             self._freshness.refuse_old(command.t_ns)
-        self._freshness.refuse_repeated(codec.encode_command(command))
+        self._freshness.refuse_repeated(codec.encode(command))
 
     def handlers(self) -> dict[str, Callable[[Arguments, str], Any]]:
         """Return them by name."""
@@ -216,7 +216,7 @@ def answer(
     """Return the encoded reply; every failure, that of ``check`` too, becomes one sentence. ``tell`` learns what was replied."""
     command = None
     try:
-        command = codec.decode_command(payload)
+        command = codec.decode(Command, payload)
         check(command)
         handler = handlers.get(command.name)
         if handler is None:
@@ -228,13 +228,13 @@ def answer(
         reply = CommandReply(False, error=f"{type(error).__name__}: {error}")
     if command:
         tell(command, reply)
-    return codec.encode_command_reply(reply)
+    return codec.encode(reply)
 
 
 def ask(send: Callable[[bytes], bytes], name: str, asked_by: str, **arguments: Any) -> Any:
     """Send a command with ``send`` and return its result; raises `AfdsvcError` with the service's sentence."""
     command = Command(name, arguments, asked_by, time.time_ns(), secrets.token_hex(8))
-    reply = codec.decode_command_reply(send(codec.encode_command(command)))
+    reply = codec.decode(CommandReply, send(codec.encode(command)))
     if not reply.ok:
         raise AfdsvcError(reply.error)
     return reply.result

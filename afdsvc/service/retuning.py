@@ -14,7 +14,7 @@ from afdsvc.diagnosis.verdict import FaultVerdict
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.wire import codec
-from afdsvc.wire.messages import BurstStop, EventKind, Lease, RetuneRequest, RigEvent
+from afdsvc.wire.messages import BurstReply, BurstStop, EventKind, Lease, RetuneRequest, RigEvent
 
 LEASE_SECONDS = 5.0
 ANSWER_SECONDS = 10.0
@@ -89,8 +89,8 @@ class Retuning:
         of, self._session = self.bursts, request.session
         self.acting, self.sentence = request.name, f"Q for {_said(request.found)} acts, accepted by {request.asked_by}"
         try:
-            answer = of.transport.ask(of.keys.retune(self.machine), codec.encode_retune_request(request), ANSWER_SECONDS)
-            reply = codec.decode_burst_reply(answer)
+            answer = of.transport.ask(of.keys.retune(self.machine), codec.encode(request), ANSWER_SECONDS)
+            reply = codec.decode(BurstReply, answer)
         except BaseException:
             self._end()  # if the rig has accepted it yet, its lease runs out
             raise
@@ -101,7 +101,7 @@ class Retuning:
     def restore(self, reason: str, who: str) -> None:
         """Go back to Q = 0; raises `Refused` with the rig's reason when no Q acts."""
         of, stop = self.bursts, BurstStop(self.machine, reason or "no reason given", who or "unknown")
-        reply = codec.decode_burst_reply(of.transport.ask(of.keys.restore(self.machine), codec.encode_burst_stop(stop)))
+        reply = codec.decode(BurstReply, of.transport.ask(of.keys.restore(self.machine), codec.encode(stop)))
         if not reply.accepted:
             raise Refused(f"nothing is restored: {reply.reason}")
 
@@ -110,7 +110,7 @@ class Retuning:
         of = self.bursts
         if self.acting:
             lease = Lease(self.machine, self.acting, LEASE_SECONDS)
-            of.transport.publish(of.keys.lease(self.machine), codec.encode_lease(lease), keep=False)
+            of.transport.publish(of.keys.lease(self.machine), codec.encode(lease), keep=False)
 
     def heard(self, event: RigEvent) -> None:
         """Take an event of the rig into account; another session than that of the Q knows none."""

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
 
 from google.protobuf.message import DecodeError, EncodeError, Message
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from afdsvc.api.evidence import Severity
 from afdsvc.errors import BadInput
-from afdsvc.wire import afdsvc_pb2 as pb
 
 M = TypeVar("M", bound=Message)
 _END = 2**63  # counters and nanoseconds fit a signed 64-bit integer, as numpy and every reader expect
@@ -57,9 +54,7 @@ def positive(message: Any, name: str) -> float:
     """Return a number; raises `BadInput` unless it is finite and above 0."""
     value = float(getattr(message, name))
     if not (math.isfinite(value) and value > 0):
-        found = f"{name} = {value}"
-        wanted = f"expected a positive number: {_where(message)}"
-        raise BadInput(f"{message.DESCRIPTOR.name} message with {found}; {wanted}")
+        raise BadInput(f"{message.DESCRIPTOR.name} message with {name} = {value}; expected a positive number: {_where(message)}")
     return value
 
 
@@ -76,31 +71,6 @@ def nanoseconds(timestamp: Timestamp) -> int:
     if not (0 <= timestamp.nanos < 10**9 and 0 <= t_ns < _END):
         raise BadInput(f"time stamp of {timestamp.seconds} s and {timestamp.nanos} ns; expected a Unix time")
     return t_ns
-
-
-def named_values(values: Mapping[str, float]) -> list[pb.NamedValue]:
-    """Return numbers by name as messages, in their order."""
-    return [build_message(pb.NamedValue, name=name, value=value) for name, value in values.items()]
-
-
-def by_name(values: Iterable[pb.NamedValue]) -> dict[str, float]:
-    """Return numbers by name; raises `BadInput` for a name given twice."""
-    found: dict[str, float] = {}
-    for item in values:
-        if item.name in found:
-            raise BadInput(f"value '{item.name}' is given twice; expected once")
-        found[item.name] = item.value
-    return found
-
-
-def severity_message(severity: Severity | None) -> pb.Severity | None:
-    """Return a severity as a message, None as None (the field stays absent)."""
-    return None if severity is None else build_message(pb.Severity, value=severity.value, sd=severity.sd)
-
-
-def severity_of(message: Any) -> Severity | None:
-    """Return the severity of a message that has one, None when the field is absent."""
-    return Severity(message.severity.value, message.severity.sd) if message.HasField("severity") else None
 
 
 def json_text(what: str, value: Any) -> str:

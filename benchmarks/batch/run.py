@@ -52,7 +52,7 @@ def record(folder: Path) -> list[Path]:
         talker = Talker("m1", f"s{i}", Signals(faulty, i))
         recorder = Recorder(RecordingSettings(folder / f"r{i}.mcap"), Header(site.text, {}, {"machine": "m1"}))
         request = BurstRequest("m1", burst, 2.0, "benchmark", 10**18)
-        recorder.request(codec.encode_burst_request(request), request)
+        recorder.request(codec.encode(request), request)
         for k in range(BLOCKS):
             if k == QUIET:
                 talker.play(burst)

@@ -40,7 +40,7 @@ from afdsvc.plugins.manager import load
 from afdsvc.service.clock import FastClock
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import BurstRequest, BurstStop, Lease, RigDescription
+from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, Lease, RigDescription
 from benchmarks.support.mutation import mutate_bytes
 
 KEYS, LENGTH, BLOCK = Keys("t"), 8, 50
@@ -187,7 +187,7 @@ class Attack:
             rng.choice((0, k)),
         )  # fmt: skip
         self.watch_over()
-        reply = codec.decode_burst_reply(self.line.heard[KEYS.burst("m")](codec.encode_burst_request(request)))
+        reply = codec.decode(BurstReply, self.line.heard[KEYS.burst("m")](codec.encode(request)))
         self.counts["bursts accepted"] += reply.accepted
 
     def waveform(self, n: int) -> Burst:
@@ -207,16 +207,16 @@ class Attack:
         """Renew what plays, or something else."""
         playing = self.agent._playing or "none"  # noqa: SLF001
         lease = Lease(self.rng.choice(("m", "m", "m", "other")), self.rng.choice((playing, playing, "b-none")), self.rng.choice((0.01, 0.1, 2.0, 2.0, 10.0, 11.0, 1e300)))
-        self.line.heard[KEYS.lease("m")]("", codec.encode_lease(lease))
+        self.line.heard[KEYS.lease("m")]("", codec.encode(lease))
 
     def stop(self) -> None:
         """Stop what plays, or something else."""
-        self.line.heard[KEYS.stop("m")](codec.encode_burst_stop(BurstStop(self.rng.choice(("m", "other")), "why", "eve", self.rng.choice(("", "b-none")))))
+        self.line.heard[KEYS.stop("m")](codec.encode(BurstStop(self.rng.choice(("m", "other")), "why", "eve", self.rng.choice(("", "b-none")))))
 
     def rubbish(self) -> None:
         """Send a mutant of a message to one who listens."""
-        good = codec.encode_lease(Lease("m", "b", 2.0))
-        data = mutate_bytes(good, codec.encode_burst_stop(BurstStop("m", "why", "eve", "")), self.rng)
+        good = codec.encode(Lease("m", "b", 2.0))
+        data = mutate_bytes(good, codec.encode(BurstStop("m", "why", "eve", "")), self.rng)
         key = self.rng.choice((KEYS.burst("m"), KEYS.stop("m"), KEYS.lease("m")))
         self.line.heard[key](*(("", data) if key == KEYS.lease("m") else (data,)))
 

@@ -244,9 +244,9 @@ before_seconds = 10
         noted = self._note("leases and stops of others", ())
         with suppress(AfdsvcError), Transport(read_site(self.service_site).transport, False) as stranger:
             for id in self.ids:
-                stranger.publish(Keys("soak").lease(id), codec.encode_lease(Lease(id, "b-none", 2.0)))
+                stranger.publish(Keys("soak").lease(id), codec.encode(Lease(id, "b-none", 2.0)))
                 with suppress(AfdsvcError):
-                    stranger.ask(Keys("soak").stop(id), codec.encode_burst_stop(BurstStop(id, "nothing", "eve", "b-none")), 1.0)
+                    stranger.ask(Keys("soak").stop(id), codec.encode(BurstStop(id, "nothing", "eve", "b-none")), 1.0)
         noted.end = time.time()
 
     def stall(self) -> None:

@@ -29,8 +29,9 @@ from afdsvc.app.ask import ask_service
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.site import read_site
 from afdsvc.transport.zenoh_session import Transport
-from afdsvc.wire.codec import decode_lease
+from afdsvc.wire.codec import decode
 from afdsvc.wire.keys import Keys
+from afdsvc.wire.messages import Lease
 from benchmarks.soak.run import Soak
 
 LEASE, REQUEST = 0.2, 1.0  # seconds that are allowed
@@ -45,7 +46,7 @@ class Leases:
 
     def hear(self, key: str, payload: bytes) -> None:
         """Take a renewal."""
-        now, burst = time.monotonic(), decode_lease(payload).burst
+        now, burst = time.monotonic(), decode(Lease, payload).burst
         before, when = self._last.get(key, ("", now))
         if before == burst:
             self.intervals.append(now - when)

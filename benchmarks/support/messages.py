@@ -1,6 +1,10 @@
-"""One full message of every kind as bytes, by the name of its codec."""
+"""One full message of every kind as bytes, with its decoder."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -39,19 +43,21 @@ _EVIDENCE = Evidence(
 _ALARM = Alarm("a1", "m1", "horizontal_actuator", T, T + 5, 3, True, Severity(-0.5, 0.1), True, "kim", "seen", AlarmKind.SYSTEM)
 _MACHINE = MachineStatus("m1", "stale", "s1", "no block for 3 s", 10, 1, 2, 0.7, 3.0, "b1", 12.5, False, (_ALARM,))
 _LIMITS = Limits(np.array([10.0]), np.array([9.0]), np.array([0.5]))
-EXAMPLES: tuple[tuple[str, bytes], ...] = (
-    ("block", codec.encode_block(_BLOCK)),
-    ("burst_request", codec.encode_burst_request(BurstRequest("m1", _SINES, 2.0, "scheduler", T))),
-    ("burst_request", codec.encode_burst_request(BurstRequest("m1", _WAVE, 2.0, "scheduler", T, 7))),
-    ("burst_reply", codec.encode_burst_reply(BurstReply(False, "b1", "already playing"))),
-    ("burst_stop", codec.encode_burst_stop(BurstStop("m1", "asked to", "kim", "b1"))),
-    ("lease", codec.encode_lease(Lease("m1", "b1", 2.0))),
-    ("receipt", codec.encode_receipt(Receipt("m1", (("s0", 5, 9), ("s1", 0, 2**40))))),
-    ("event", codec.encode_event(RigEvent("m1", "s1", T, EventKind.BURST_ABORTED, 77, "b1", "a limit"))),
-    ("description", codec.encode_description(RigDescription("m1", "s1", T, 2e-4, _CHANNELS, _LIMITS, "lqg", "s", "m", "1", "sim"))),
-    ("finding", codec.encode_finding(Finding(_EVIDENCE, "s1", T))),
-    ("alarm_change", codec.encode_alarm_change(AlarmChange(_ALARM, "raised", T, "kim", "because"))),
-    ("status", codec.encode_status(ServiceStatus("hall", "0.1", T, 5.0, (_MACHINE,), "r.mcap", 100, "", 2))),
-    ("command", codec.encode_command(Command("ack", {"alarm": "a1", "comment": "seen"}, "kim"))),
-    ("command_reply", codec.encode_command_reply(CommandReply(True, {"a": [1, 2.5, None]}))),
+_VALUES: tuple[Any, ...] = (
+    BurstRequest("m1", _SINES, 2.0, "scheduler", T),
+    BurstRequest("m1", _WAVE, 2.0, "scheduler", T, 7),
+    BurstReply(False, "b1", "already playing"),
+    BurstStop("m1", "asked to", "kim", "b1"),
+    Lease("m1", "b1", 2.0),
+    Receipt("m1", (("s0", 5, 9), ("s1", 0, 2**40))),
+    RigEvent("m1", "s1", T, EventKind.BURST_ABORTED, 77, "b1", "a limit"),
+    RigDescription("m1", "s1", T, 2e-4, _CHANNELS, _LIMITS, "lqg", "s", "m", "1", "sim"),
+    Finding(_EVIDENCE, "s1", T),
+    AlarmChange(_ALARM, "raised", T, "kim", "because"),
+    ServiceStatus("hall", "0.1", T, 5.0, (_MACHINE,), "r.mcap", 100, "", 2),
+    Command("ack", {"alarm": "a1", "comment": "seen"}, "kim"),
+    CommandReply(True, {"a": [1, 2.5, None]}),
+)
+EXAMPLES: tuple[tuple[Callable[[bytes], Any], bytes], ...] = (
+    (codec.decode_block, codec.encode_block(_BLOCK)), *((partial(codec.decode, type(value)), codec.encode(value)) for value in _VALUES),
 )

@@ -21,7 +21,7 @@ from afdsvc.files.site import Site, read_site
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import BurstReply, BurstRequest, EventKind, RigDescription, RigEvent
+from afdsvc.wire.messages import BurstReply, BurstRequest, EventKind, Finding, RigDescription, RigEvent
 
 PER_SESSION = 10  # machines on one connection
 
@@ -57,12 +57,12 @@ class Load:
             line.announce(self.keys.alive(id, f"s{id}"))
 
     def _on_burst(self, payload: bytes) -> bytes:
-        request = codec.decode_burst_request(payload)
+        request = codec.decode(BurstRequest, payload)
         self.asked.append(request)
-        return codec.encode_burst_reply(BurstReply(True, request.burst.name))
+        return codec.encode(BurstReply(True, request.burst.name))
 
     def _decided(self, _key: str, payload: bytes) -> None:
-        end = self.ends.get(codec.decode_finding(payload).evidence.burst)
+        end = self.ends.get(codec.decode(Finding, payload).evidence.burst)
         if end is not None:
             self.latencies.append(time.time() - end)
 
@@ -100,13 +100,13 @@ class Load:
             line.publish(self.keys.event(talker.id), self._event(talker, EventKind.BURST_ENDED, burst.name))
 
     def _event(self, talker: Talker, kind: EventKind, burst: str) -> bytes:
-        return codec.encode_event(RigEvent(talker.id, talker.session, time.time_ns(), kind, talker.seq * LENGTH, burst))
+        return codec.encode(RigEvent(talker.id, talker.session, time.time_ns(), kind, talker.seq * LENGTH, burst))
 
     def describe(self) -> None:
         """Tell what each machine is, as a rig does."""
         for id, line in self.lines.items():
             told = RigDescription(id, f"s{id}", time.time_ns(), self.signals.dt, self.machine.channels, self.machine.limits)
-            line.publish(self.keys.description(id), codec.encode_description(told))
+            line.publish(self.keys.description(id), codec.encode(told))
 
 
 def main() -> None:

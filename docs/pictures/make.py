@@ -23,7 +23,7 @@ from afdsvc.app.demo import DemoOptions, free_port, rig_process, run_demo, site_
 from afdsvc.app.review import fault_planes
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.present.rerun import review_history, review_recordings
-from afdsvc.wire.codec import encode_finding
+from afdsvc.wire.codec import encode
 from afdsvc.wire.messages import Finding
 
 HERE = Path(__file__).parent
@@ -116,7 +116,7 @@ def months(folder: Path) -> list[Path]:
                 fault="horizontal_actuator" if found else None, severity=severity,
             )  # fmt: skip
             finding = Finding(evidence, f"s{day}", (1_770_000_000 + day * 86400 + quarter * 21600) * 10**9)
-            recorder.finding(encode_finding(finding), finding)
+            recorder.finding(encode(finding), finding)
         recorder.close()
         made.append(recorder.path)
     return made

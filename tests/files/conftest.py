@@ -9,7 +9,7 @@ from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.api.signals import Block, Channel
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
-from afdsvc.wire.codec import encode_block, encode_event, encode_finding
+from afdsvc.wire.codec import encode, encode_block
 from afdsvc.wire.messages import EventKind, Finding, RigEvent
 
 CHANNELS = (Channel("u_x", "V"), Channel("y_x", "um"), Channel("alpha_x", "V"), Channel("beta_x", "um"))
@@ -57,9 +57,9 @@ def record(tmp_path):
         for block in machine_blocks(count):
             recorder.block(encode_block(block), block)
             if block.seq == 1:
-                recorder.event(encode_event(machine_event()), machine_event())
+                recorder.event(encode(machine_event()), machine_event())
             if block.seq == 2:
-                recorder.finding(encode_finding(machine_finding()), machine_finding())
+                recorder.finding(encode(machine_finding()), machine_finding())
             if flush_each:
                 recorder.flush()
         opened.append(recorder)

@@ -22,7 +22,7 @@ from afdsvc.service.clock import RealClock
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import BurstRequest, BurstStop, EventKind, Lease, RetuneRequest, RigDescription
+from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, EventKind, Lease, RetuneRequest, RigDescription, RigEvent
 
 KEYS = Keys("t")
 
@@ -33,12 +33,12 @@ class Ear:
     def __init__(self, transport: Transport) -> None:
         self.blocks, self.events, self.transport = [], [], transport
         transport.subscribe(KEYS.blocks(), lambda k, p: self.blocks.append(codec.decode_block(p)))
-        transport.subscribe(KEYS.events(), lambda k, p: self.events.append(codec.decode_event(p)))
+        transport.subscribe(KEYS.events(), lambda k, p: self.events.append(codec.decode(RigEvent, p)))
         transport.announce(KEYS.service_alive())
 
     def ask(self, burst: Burst, lease: float = 2.0, machine: str = "bearing"):
         request = BurstRequest(machine, burst, lease, "test", time.time_ns())
-        return codec.decode_burst_reply(self.transport.ask(KEYS.burst("bearing"), codec.encode_burst_request(request)))
+        return codec.decode(BurstReply, self.transport.ask(KEYS.burst("bearing"), codec.encode(request)))
 
     def wait(self, kind: EventKind, seconds: float = 10.0):
         deadline = time.monotonic() + seconds
@@ -106,7 +106,7 @@ def test_wrong_requests_are_refused_with_their_reason(settings, bearing, plugins
             assert "at most" in ear.ask(sine(20.0)).reason
             assert "would drive output 0" in ear.ask(Burst("b", 2, 5000, 250, (Line(0, 62.0, 5.0),))).reason
             assert "for machine 'other'" in ear.ask(sine(0.5), machine="other").reason
-            answer = codec.decode_burst_reply(hub.ask(KEYS.burst("bearing"), b"\xff\xff garbage"))
+            answer = codec.decode(BurstReply, hub.ask(KEYS.burst("bearing"), b"\xff\xff garbage"))
             assert not answer.accepted
             assert ear.ask(sine(0.2)).accepted
             ear.wait(EventKind.BURST_ENDED)
@@ -131,7 +131,7 @@ def test_a_burst_never_outlives_who_asked_for_it(settings, bearing, plugins, how
             if how == "vanish":
                 hub._keep[-1].undeclare()
             elif how == "stop":
-                hub.ask(KEYS.stop("bearing"), codec.encode_burst_stop(BurstStop("bearing", "enough", "Ada")))
+                hub.ask(KEYS.stop("bearing"), codec.encode(BurstStop("bearing", "enough", "Ada")))
             ended = ear.wait(EventKind.BURST_ABORTED, 3.0)
             time.sleep(0.3)
     words = {"lease": "no renewal from the service", "vanish": "the service vanished", "stop": "stopped by Ada: enough"}
@@ -150,7 +150,7 @@ def test_renewed_leases_carry_a_long_burst(settings, bearing, plugins):
             ear.wait(EventKind.RIG_STARTED)
             assert ear.ask(sine(1.5), lease=0.5).accepted
             for _ in range(15):
-                hub.publish(KEYS.lease("bearing"), codec.encode_lease(Lease("bearing", "b1", 0.5)))
+                hub.publish(KEYS.lease("bearing"), codec.encode(Lease("bearing", "b1", 0.5)))
                 time.sleep(0.1)
             ear.wait(EventKind.BURST_ENDED)
 
@@ -197,7 +197,7 @@ def retune_request(Q: StateSpace | None = None, lease: float = 1.0, name: str = 
 
 
 def ask_retune(hub: Transport, wanted: RetuneRequest):
-    return codec.decode_burst_reply(hub.ask(KEYS.retune("bearing"), codec.encode_retune_request(wanted)))
+    return codec.decode(BurstReply, hub.ask(KEYS.retune("bearing"), codec.encode(wanted)))
 
 
 @pytest.mark.parametrize("how", ["person", "lease", "vanish", "promise"])
@@ -215,15 +215,15 @@ def test_q_acts_until_there_is_a_reason_and_every_block_says_so(settings, bearin
                 assert "another Q acts" in other.reason
                 time.sleep(0.2)
                 stop = BurstStop("bearing", "enough", "Ada")
-                assert codec.decode_burst_reply(hub.ask(KEYS.restore("bearing"), codec.encode_burst_stop(stop))).accepted
+                assert codec.decode(BurstReply, hub.ask(KEYS.restore("bearing"), codec.encode(stop))).accepted
             elif how == "vanish":
                 time.sleep(0.2)
                 hub._keep[-1].undeclare()
             ended = ear.wait(EventKind.RESTORED, 5.0)
             time.sleep(0.3)
             if how == "person":
-                stop = codec.encode_burst_stop(BurstStop("bearing", "enough", "Ada"))
-                assert "no such Q acts" in codec.decode_burst_reply(hub.ask(KEYS.restore("bearing"), stop)).reason
+                stop = codec.encode(BurstStop("bearing", "enough", "Ada"))
+                assert "no such Q acts" in codec.decode(BurstReply, hub.ask(KEYS.restore("bearing"), stop)).reason
     words = {"person": "restored by Ada: enough", "lease": "no renewal", "vanish": "the service vanished", "promise": "was promised"}
     assert words[how] in ended.cause
     labels = [label for i, label in enumerate(b.tuning for b in ear.blocks) if i == 0 or label != ear.blocks[i - 1].tuning]
@@ -241,7 +241,7 @@ def test_a_renewed_lease_carries_q(settings, bearing, plugins):
             assert ask_retune(hub, retune_request(lease=1.0)).accepted
             ear.wait(EventKind.RETUNED)
             for _ in range(20):
-                hub.publish(KEYS.lease("bearing"), codec.encode_lease(Lease("bearing", "q1", 1.0)))
+                hub.publish(KEYS.lease("bearing"), codec.encode(Lease("bearing", "q1", 1.0)))
                 time.sleep(0.1)
             assert not [e for e in ear.events if e.kind is EventKind.RESTORED]
             assert ear.wait(EventKind.RESTORED, 5.0).cause == "the lease expired: no renewal from the service"
@@ -259,7 +259,7 @@ def test_what_is_wrong_with_a_q_is_told_and_nothing_moves(settings, bearing, plu
             assert "at most 10 s" in ask_retune(hub, retune_request(lease=60.0)).reason
             assert "is for session 'x'" in ask_retune(hub, retune_request(session="x")).reason
             assert "s ago by its time stamp" in ask_retune(hub, retune_request(t_ns=time.time_ns() - 10**12)).reason
-            assert "are not an RetuneRequest message" in codec.decode_burst_reply(hub.ask(KEYS.retune("bearing"), b"\xff\xff")).reason
+            assert "are not an RetuneRequest message" in codec.decode(BurstReply, hub.ask(KEYS.retune("bearing"), b"\xff\xff")).reason
             time.sleep(0.2)
     assert all(b.tuning == "" for b in ear.blocks)
     assert sum(e.kind is EventKind.RETUNE_REFUSED for e in ear.events) == 7

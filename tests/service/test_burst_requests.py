@@ -19,7 +19,7 @@ from afdsvc.service.scheduler import BurstOrder, Scheduler
 from afdsvc.transport.zenoh_session import PeerSilent
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import BurstReply, ServiceStatus
+from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, ServiceStatus
 
 DT = 1e-3
 
@@ -28,8 +28,8 @@ def desk(ready_at: int | None, seconds: float = 10.0) -> tuple[BurstRequests, li
     requests: list = []
 
     def ask(_key: str, payload: bytes, timeout: float = 5.0) -> bytes:
-        requests.append(codec.decode_burst_request(payload))
-        return codec.encode_burst_reply(BurstReply(True, requests[-1].burst.name))
+        requests.append(codec.decode(BurstRequest, payload))
+        return codec.encode(BurstReply(True, requests[-1].burst.name))
 
     transport = SimpleNamespace(ask=ask, publish=lambda *a, **k: None)
     stream = SimpleNamespace(ready_at=ready_at, dt=DT, announce=lambda burst: None, bursts={})
@@ -85,8 +85,8 @@ def test_a_request_that_is_not_answered_is_taken_back():
 
     def ask(key: str, payload: bytes, timeout: float = 5.0) -> bytes:
         if key.endswith("/stop"):
-            stops.append(codec.decode_burst_stop(payload).burst)
-            return codec.encode_burst_reply(BurstReply(True, stops[-1]))
+            stops.append(codec.decode(BurstStop, payload).burst)
+            return codec.encode(BurstReply(True, stops[-1]))
         raise PeerSilent(f"no answer within {timeout:g} s")
 
     made.transport.ask = ask

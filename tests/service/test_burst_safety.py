@@ -19,7 +19,7 @@ from afdsvc.hal.hardware import DrivenRig
 from afdsvc.service.clock import FastClock
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import BurstRequest, BurstStop, EventKind, Lease, RigDescription
+from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, EventKind, Lease, RigDescription, RigEvent
 
 KEYS = Keys("t")
 DT = 2e-4
@@ -54,7 +54,7 @@ class Wire:
         return []
 
     def events(self):
-        return [codec.decode_event(p) for k, p in self.sent if k == KEYS.event("bearing")]
+        return [codec.decode(RigEvent, p) for k, p in self.sent if k == KEYS.event("bearing")]
 
 
 class MachineTime:
@@ -94,15 +94,15 @@ class Scene:
         self.port.read = watched
 
     def ask(self, burst, lease=2.0, start=0, machine="bearing"):
-        data = codec.encode_burst_request(BurstRequest(machine, burst, lease, "test", self.agent.clock.now_ns(), start))
-        return codec.decode_burst_reply(self.wire.served[KEYS.burst("bearing")](data))
+        data = codec.encode(BurstRequest(machine, burst, lease, "test", self.agent.clock.now_ns(), start))
+        return codec.decode(BurstReply, self.wire.served[KEYS.burst("bearing")](data))
 
     def lease(self, name="b1", seconds=2.0):
-        self.wire.heard[KEYS.lease("bearing")]("", codec.encode_lease(Lease("bearing", name, seconds)))
+        self.wire.heard[KEYS.lease("bearing")]("", codec.encode(Lease("bearing", name, seconds)))
 
     def stop(self, burst=""):
-        data = codec.encode_burst_stop(BurstStop("bearing", "enough", "Ada", burst))
-        return codec.decode_burst_reply(self.wire.served[KEYS.stop("bearing")](data))
+        data = codec.encode(BurstStop("bearing", "enough", "Ada", burst))
+        return codec.decode(BurstReply, self.wire.served[KEYS.stop("bearing")](data))
 
     def column(self, role):
         return np.vstack([b.role(role) for b in self.blocks])
@@ -135,7 +135,7 @@ def misfortunes(scene: Scene) -> dict:
         raise OSError("the hardware is gone")
 
     def garbage():
-        assert not codec.decode_burst_reply(scene.wire.served[KEYS.burst("bearing")](b"\xff\x07 rubbish")).accepted
+        assert not codec.decode(BurstReply, scene.wire.served[KEYS.burst("bearing")](b"\xff\x07 rubbish")).accepted
         quietly(lambda: scene.wire.served[KEYS.stop("bearing")](b"\xff"))
         quietly(lambda: scene.wire.heard[KEYS.lease("bearing")]("", b"\xff"))
         quietly(lambda: scene.lease(seconds=1e9))

@@ -37,8 +37,8 @@ def block(machine: str) -> bytes:
 def test_blocks_events_and_descriptions_of_another_machine_are_ignored():
     watch, said, passed = monitor()
     assert watch.take_block(block("m2")) is None
-    assert watch.take_event(codec.encode_event(RigEvent("m2", "s", 10**18, EventKind.NOTE))) is None
-    watch.take_description(codec.encode_description(RigDescription("m2", "s", 10**18, 1e-3, CHANNELS, head_room=0.1)))
+    assert watch.take_event(codec.encode(RigEvent("m2", "s", 10**18, EventKind.NOTE))) is None
+    watch.take_description(codec.encode(RigDescription("m2", "s", 10**18, 1e-3, CHANNELS, head_room=0.1)))
     assert (passed, watch.blocks, watch.session, watch.head_room) == ([], 0, "", 1.0)
     assert said == ["the rig agent of 'm1' sent a block of machine 'm2'; such messages are ignored"]
 
@@ -55,10 +55,10 @@ def test_a_rig_ignores_stops_and_leases_meant_for_another_machine():
     agent = RigAgent(Keys("t"), RigDescription("m1", "s", 1, 1e-3, CHANNELS), SimpleNamespace(dt=1e-3), transport, FastClock())
     agent._playing = "b"
     with pytest.raises(Refused, match="is for machine 'm2'; this is 'm1'"):
-        agent._on_stop(codec.encode_burst_stop(BurstStop("m2", "why", "kim")))
-    agent._on_lease("", codec.encode_lease(Lease("m2", "b", 1.0)))
+        agent._on_stop(codec.encode(BurstStop("m2", "why", "kim")))
+    agent._on_lease("", codec.encode(Lease("m2", "b", 1.0)))
     assert agent._reason_to_end() == "the lease expired: no renewal from the service"
-    agent._on_lease("", codec.encode_lease(Lease("m1", "b", 1.0)))
+    agent._on_lease("", codec.encode(Lease("m1", "b", 1.0)))
     assert agent._reason_to_end() == ""
 
 

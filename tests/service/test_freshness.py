@@ -19,7 +19,7 @@ from afdsvc.service.watchdog import Watchdog
 from afdsvc.transport.freshness import FRESH_SECONDS
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import BurstRequest, Command, RigDescription
+from afdsvc.wire.messages import BurstReply, BurstRequest, Command, CommandReply, RigDescription
 
 NOW = 1_700_000_000_000_000_000
 YEAR = 365 * 86400 * 10**9
@@ -38,8 +38,8 @@ def rig(k: int = 0) -> RigAgent:
 
 def asked(agent: RigAgent, t_ns: int = NOW, start: int = 0, session: str = "", k: int = 0, beside: bytes = b"") -> str:
     """Return why a burst was refused, "" for one that was accepted."""
-    payload = codec.encode_burst_request(BurstRequest("m1", BURST, 2.0, "test", t_ns, start, session, k)) + beside
-    reply = codec.decode_burst_reply(agent._on_burst(payload))
+    payload = codec.encode(BurstRequest("m1", BURST, 2.0, "test", t_ns, start, session, k)) + beside
+    reply = codec.decode(BurstReply, agent._on_burst(payload))
     agent._playing = ""
     return reply.reason
 
@@ -92,7 +92,7 @@ def service(secured: bool) -> tuple[Answers, list[str]]:
 
 
 def answered(line: Answers, payload: bytes) -> str:
-    return codec.decode_command_reply(line.answer(payload)).error
+    return codec.decode(CommandReply, line.answer(payload)).error
 
 
 @pytest.mark.parametrize("secured", [True, False])
@@ -102,16 +102,16 @@ def test_a_command_is_obeyed_once_and_soon(secured):
     ask(lambda payload: (payloads.append(payload), line.answer(payload))[1], "burst", "kim")
     assert "has come before" in answered(line, payloads[0])
     assert "has come before" in answered(line, payloads[0] + UNREAD)
-    old = codec.encode_command(Command("burst", {}, "kim", time.time_ns() - round(1e9 * FRESH_SECONDS) - 10**10, "n"))
+    old = codec.encode(Command("burst", {}, "kim", time.time_ns() - round(1e9 * FRESH_SECONDS) - 10**10, "n"))
     assert "by its time stamp" in answered(line, old)
     assert done == ["burst"]
 
 
 def test_a_secured_site_wants_to_know_when_and_others_obey_old_clients():
-    bare = codec.encode_command(Command("burst", {}, "kim"))
+    bare = codec.encode(Command("burst", {}, "kim"))
     line, done = service(True)
     assert "by its time stamp" in answered(line, bare)
-    assert answered(line, codec.encode_command(Command("status", {}, "kim"))) == ""
+    assert answered(line, codec.encode(Command("status", {}, "kim"))) == ""
     open_line, obeyed = service(False)
     assert answered(open_line, bare) == answered(open_line, bare) == ""
     assert (done, obeyed) == (["status"], ["burst", "burst"])
@@ -120,14 +120,14 @@ def test_a_secured_site_wants_to_know_when_and_others_obey_old_clients():
 def test_an_operator_speaks_for_nobody_else():
     """The key a request comes by says who sends it, since zenoh's access rules bind it to a certificate."""
     line, done = service(True)
-    assert "says that 'lee' asks; it came from 'kim'" in answered(line, codec.encode_command(Command("stop", {}, "lee", time.time_ns(), "n")))
+    assert "says that 'lee' asks; it came from 'kim'" in answered(line, codec.encode(Command("stop", {}, "lee", time.time_ns(), "n")))
     assert done == []
 
 
 @pytest.mark.parametrize("name", ["stop", "pause"])
 def test_what_only_ends_excitation_is_obeyed_however_wrong_a_clock_is(name):
     line, done = service(True)
-    assert answered(line, codec.encode_command(Command(name, {}, "kim", time.time_ns() - YEAR, "n"))) == ""
+    assert answered(line, codec.encode(Command(name, {}, "kim", time.time_ns() - YEAR, "n"))) == ""
     assert done == [name]
 
 

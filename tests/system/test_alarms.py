@@ -59,7 +59,7 @@ def test_an_alarm_is_told_counted_kept_and_remembered(free_port, tmp_path):
     heard: list[AlarmChange] = []
     with serve.serving(site) as hub:
         with Transport(site.transport, hub=False) as viewer:
-            viewer.subscribe(Keys("t").alarms(), lambda key, payload: heard.append(codec.decode_alarm_change(payload)))
+            viewer.subscribe(Keys("t").alarms(), lambda key, payload: heard.append(codec.decode(AlarmChange, payload)))
             run_rig(site, 5.0)
             hub.drain()
             alarm = ask_service(site, "alarms", "kim")[0]

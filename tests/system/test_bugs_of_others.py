@@ -212,7 +212,7 @@ def test_ros2_control_712_a_command_to_dead_hardware_fails_and_says_so():
     assert dead.playing == ""
     with pytest.raises(PeerSilent):
         dead.stop("enough", "kim")
-    nothing = desk(lambda *_: codec.encode_burst_reply(BurstReply(False, "", "no such burst is playing")))
+    nothing = desk(lambda *_: codec.encode(BurstReply(False, "", "no such burst is playing")))
     with pytest.raises(Refused, match="nothing is stopped: no such burst is playing"):
         nothing.stop("", "")
 
@@ -270,7 +270,7 @@ def test_ros2_control_2089_no_control_cycle_is_skipped(bearing):
 def test_ros2_control_2141_hardware_reports_its_own_health():
     _, watch, _ = service()
     described = RigDescription("m1", "s1", T, 1e-3, CHANNELS, samples=1000, late=7, head_room=0.31)
-    watch.take_description(codec.encode_description(described))
+    watch.take_description(codec.encode(described))
     assert watch.status("", 0.0, ()).head_room == 0.31
 
 
@@ -434,7 +434,7 @@ def test_rosys_435_a_budget_for_the_disk_and_recordings_of_a_crash(tmp_path):
 
 def test_a_refused_second_agent_does_not_end_the_burst_of_the_first():
     """Its farewell ("the plant is at rest") once made the service forget the burst, whose lease then ran out."""
-    accepted = codec.encode_burst_reply(codec.decode_burst_reply(b"\x08\x01"))
+    accepted = codec.encode(codec.decode(BurstReply, b"\x08\x01"))
     playing = desk(lambda *a: accepted)
     playing.ask(BurstOrder("kim"))
     playing.heard(RigEvent("m1", "s2", T, EventKind.RIG_STOPPED, 0, "", "the plant is at rest"))

@@ -88,7 +88,7 @@ def running(site: Site) -> Iterator[serve.Hub]:
 
 def request() -> bytes:
     burst = Burst("pirate", 2, 5000, 250, (Line(0, 600.0, 1.0),))
-    return codec.encode_burst_request(BurstRequest("bearing", burst, 2.0, "pirate", time.time_ns()))
+    return codec.encode(BurstRequest("bearing", burst, 2.0, "pirate", time.time_ns()))
 
 
 def test_only_those_who_may_are_obeyed(free_port, certified, tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -24,9 +25,9 @@ from afdsvc.wire.messages import BurstRequest, Finding, RetuneRequest, RigDescri
 
 Decoded = Block | RigEvent | Finding | BurstRequest | RetuneRequest | RigDescription
 _DECODE: dict[str, Callable[[bytes], Decoded]] = {
-    mcap_file.BLOCK: codec.decode_block, mcap_file.RESIDUAL: codec.decode_block, mcap_file.EVENT: codec.decode_event,
-    mcap_file.FINDING: codec.decode_finding, mcap_file.REQUEST: codec.decode_burst_request, mcap_file.DESCRIPTION: codec.decode_description,
-    mcap_file.RETUNING: codec.decode_retune_request,
+    mcap_file.BLOCK: codec.decode_block, mcap_file.RESIDUAL: codec.decode_block, mcap_file.EVENT: partial(codec.decode, RigEvent),
+    mcap_file.FINDING: partial(codec.decode, Finding), mcap_file.REQUEST: partial(codec.decode, BurstRequest),
+    mcap_file.DESCRIPTION: partial(codec.decode, RigDescription), mcap_file.RETUNING: partial(codec.decode, RetuneRequest),
 }  # fmt: skip
 
 

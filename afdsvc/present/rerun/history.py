@@ -32,7 +32,7 @@ def severities(recordings: Iterable[Path]) -> dict[str, list[Told]]:
     bursts: dict[tuple[str, str], list[Finding]] = {}
     for path in recordings:
         for data in messages_on(path, mcap_file.FINDING):
-            finding = codec.decode_finding(data)
+            finding = codec.decode(Finding, data)
             if finding.evidence.burst:
                 bursts.setdefault((finding.evidence.machine, finding.session + finding.evidence.burst), []).append(finding)
     found: dict[str, list[Told]] = {}

@@ -18,6 +18,7 @@ from afdsvc.present.rerun.log import LOOPBACK, QUIET_HERTZ, ReviewLog
 from afdsvc.present.rerun.plane import Plane
 from afdsvc.present.rerun.signals import by_group
 from afdsvc.wire import codec
+from afdsvc.wire.messages import Finding, RigEvent
 
 Planes = Callable[[Recording, str], Sequence[Plane]]
 
@@ -103,9 +104,9 @@ def _show(log: ReviewLog, entry: RecordedMessage) -> None:
             case mcap_file.RESIDUAL:
                 log.residual(codec.decode_block(entry.data))
             case mcap_file.EVENT:
-                log.event(codec.decode_event(entry.data))
+                log.event(codec.decode(RigEvent, entry.data))
             case mcap_file.FINDING:
-                log.finding(codec.decode_finding(entry.data))
+                log.finding(codec.decode(Finding, entry.data))
             case mcap_file.LOG:
                 log.note(*decode_log(entry.data))
     except BadInput as error:

@@ -51,7 +51,7 @@ class PreAlarmBuffer:
 
     def finding(self, finding: Finding) -> None:
         """Keep a decision."""
-        data = codec.encode_finding(finding)
+        data = codec.encode(finding)
         self._keep(finding.t_ns, len(data), lambda recorder: recorder.finding(data, finding))
 
     def event(self, event: RigEvent, payload: bytes) -> None:
@@ -92,9 +92,9 @@ class PreAlarmBuffer:
         path.parent.mkdir(parents=True, exist_ok=True)
         recorder = Recorder(RecordingSettings(path), self._header)
         if self._retuning:
-            recorder.retuning(codec.encode_retune_request(self._retuning), self._retuning)
+            recorder.retuning(codec.encode(self._retuning), self._retuning)
         for request in self._requests:
-            recorder.request(codec.encode_burst_request(request), request)
+            recorder.request(codec.encode(request), request)
         for said in self._said:
             said.write(recorder)
         recorder.note(change.t_ns, Level.ERROR, f"alarm {change.alarm.id} raised: {change.why}", change.alarm.machine)

@@ -35,7 +35,7 @@ class Publisher:
 
     def finding(self, finding: Finding) -> None:
         """Publish a decision."""
-        self.post.send(self.keys.evidence(finding.evidence.machine), codec.encode_finding, finding)
+        self.post.send(self.keys.evidence(finding.evidence.machine), codec.encode, finding)
 
     def event(self, event: RigEvent, payload: bytes) -> None:
         """Nothing: the rig published it."""
@@ -48,7 +48,7 @@ class Publisher:
 
     def alarm(self, change: AlarmChange) -> None:
         """Publish what happened to an alarm."""
-        self.post.send(self.keys.alarm(change.alarm.machine), codec.encode_alarm_change, change)
+        self.post.send(self.keys.alarm(change.alarm.machine), codec.encode, change)
 
     def tick(self) -> None:
         """Nothing."""

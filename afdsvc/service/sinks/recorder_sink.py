@@ -112,7 +112,7 @@ class RecorderSink:
 
     def finding(self, finding: Finding) -> None:
         """Record a decision."""
-        self._open().finding(codec.encode_finding(finding), finding)
+        self._open().finding(codec.encode(finding), finding)
 
     def event(self, event: RigEvent, payload: bytes) -> None:
         """Record an event as it came."""
@@ -121,9 +121,9 @@ class RecorderSink:
     def request(self, request: BurstRequest | RetuneRequest) -> None:
         """Record a burst or a Q that is asked for."""
         if isinstance(request, BurstRequest):
-            self._open().request(codec.encode_burst_request(request), request)
+            self._open().request(codec.encode(request), request)
         else:
-            self._open().retuning(codec.encode_retune_request(request), request)
+            self._open().retuning(codec.encode(request), request)
 
     def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
         """Record a sentence."""

@@ -19,7 +19,7 @@ from afdsvc.files.recording.foxglove import Level
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.recording.recorder import Recorder, RecordingFailed, RecordingSettings
-from afdsvc.wire.codec import encode_block, encode_burst_request, encode_description, encode_event, encode_finding
+from afdsvc.wire.codec import encode, encode_block
 from afdsvc.wire.messages import BurstRequest, RigDescription
 
 
@@ -40,8 +40,8 @@ def messages(path, topic):
 def test_the_very_bytes_are_in_the_file(record, blocks, an_event, a_finding):
     path = record(count=12)
     assert messages(path, "/m1/block") == [encode_block(b) for b in blocks(12)]
-    assert messages(path, "/m1/event") == [encode_event(an_event())]
-    assert messages(path, "/m1/evidence") == [encode_finding(a_finding())]
+    assert messages(path, "/m1/event") == [encode(an_event())]
+    assert messages(path, "/m1/evidence") == [encode(a_finding())]
 
 
 def test_the_file_explains_itself_from_its_first_bytes(record):
@@ -92,7 +92,7 @@ def test_the_same_verdict_is_told_once(tmp_path, a_finding):
     recorder = Recorder(RecordingSettings(tmp_path / "r.mcap"))
     for k, detected in enumerate([False, False, True, True, False, True]):
         finding = a_finding(100 + k, detected)
-        recorder.finding(encode_finding(finding), finding)
+        recorder.finding(encode(finding), finding)
     recorder.close()
     assert len(messages(recorder.path, "/m1/evidence")) == 6
     assert len(messages(recorder.path, "/m1/log")) == 3
@@ -117,8 +117,8 @@ def test_what_is_said_of_rig_bursts_and_notes_is_kept(tmp_path, blocks):
     described = RigDescription("m1", "s1", block.t0_ns, block.dt, block.channels, controller="proportional")
     asked = BurstRequest("m1", Burst("b1", 1, 10, 2, (Line(0, 6.0, 0.1),)), 2.0, "kim", block.t0_ns)
     recorder = Recorder(RecordingSettings(tmp_path / "r.mcap"))
-    recorder.description(encode_description(described), described)
-    recorder.request(encode_burst_request(asked), asked)
+    recorder.description(encode(described), described)
+    recorder.request(encode(asked), asked)
     recorder.residual(encode_block(block), block)
     recorder.note(block.t0_ns, Level.WARNING, "quiet hours begin", "m1")
     recorder.close()
@@ -135,7 +135,7 @@ def test_rotation_by_size_loses_nothing_and_every_part_stands_alone(tmp_path, bl
     recorder = Recorder(
         RecordingSettings(tmp_path / "r.mcap", max_bytes=15_000, flush_seconds=0.0), Header("site", {"m1": "model"})
     )
-    recorder.description(encode_description(described), described)
+    recorder.description(encode(described), described)
     recorder.attach("late.txt", "text/plain", b"late")
     for b in blocks(40):
         recorder.block(encode_block(b), b)

@@ -12,7 +12,7 @@ from afdsvc.errors import BadInput
 from afdsvc.files.recording.reader import messages_on
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.present.rerun.history import review_history, severities
-from afdsvc.wire.codec import encode_block, encode_finding
+from afdsvc.wire.codec import encode, encode_block
 
 DAY = 86400 * 10**9
 
@@ -29,7 +29,7 @@ def months(tmp_path, blocks, finding):
         grown = {"severity": Severity(-0.01 * (day - 9), 0.002)} if day >= 10 else {}
         f = finding(0.1, 41.0 if day >= 10 else 3.0, burst=f"b{day}", **grown)
         f = replace(f, t_ns=f.t_ns + day * DAY)
-        recorder.finding(encode_finding(f), f)
+        recorder.finding(encode(f), f)
         recorder.close()
         made.append(recorder.path)
     return made

@@ -13,7 +13,7 @@ from afdsvc.files.tables.to_recording import import_table
 from afdsvc.present.rerun import open_viewer, review_recording, review_recordings
 from afdsvc.present.rerun.blueprint import blueprint
 from afdsvc.present.rerun.sink import ReviewSink
-from afdsvc.wire.codec import encode_block, encode_event, encode_finding
+from afdsvc.wire.codec import encode, encode_block
 from afdsvc.wire.messages import EventKind, RigEvent
 
 
@@ -27,8 +27,8 @@ def recording(tmp_path, blocks, finding):
         )
         recorder.residual(encode_block(residual), residual)
     event = RigEvent("m1", "s1", blocks(1)[0].t0_ns + 200_000_000, EventKind.BURST_STARTED, 200, "b4", "asked")
-    recorder.event(encode_event(event), event)
-    recorder.finding(encode_finding(finding(0.3, 41.0)), finding(0.3, 41.0))
+    recorder.event(encode(event), event)
+    recorder.finding(encode(finding(0.3, 41.0)), finding(0.3, 41.0))
     recorder.close()
     return recorder.path
 
