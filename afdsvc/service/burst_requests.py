@@ -20,8 +20,9 @@ from afdsvc.service.scheduler import BurstOrder, Scheduler
 from afdsvc.service.sinks.fan_out import Sink
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
+from afdsvc.wire.codec import Message
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, EventKind, Lease, RigEvent
+from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, EventKind, Lease, Notice, RigEvent
 
 log = logging.getLogger(__name__)
 LEASE_SECONDS = 2.0
@@ -110,11 +111,12 @@ class BurstRequests:
             request = BurstRequest(
                 self.machine, burst, LEASE_SECONDS, wanted.reason, self.clock.now_ns(), start, self.session, newest
             )
+            message = Message(request)
             self.pipeline.announce(burst)
-            self.sink.request(request)
+            self.sink.take(message)
             self._begin(burst, start)
             try:
-                answer = self.transport.ask(self.keys.burst(self.machine), codec.encode(request), ANSWER_SECONDS)
+                answer = self.transport.ask(self.keys.burst(self.machine), message.payload, ANSWER_SECONDS)
                 reply = codec.decode(BurstReply, answer)
             except BaseException:
                 self._withdraw(burst.name)
@@ -205,4 +207,4 @@ class BurstRequests:
             self._end()
 
     def _say(self, level: str, sentence: str) -> None:
-        self.sink.notice(self.machine, level, sentence, self.clock.now_ns())
+        self.sink.take(Message(Notice(self.machine, level, sentence, self.clock.now_ns())))

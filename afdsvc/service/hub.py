@@ -30,6 +30,7 @@ from afdsvc.service.sinks.recorder_sink import Receipts
 from afdsvc.service.watchdog import Watchdog
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
+from afdsvc.wire.codec import Message
 from afdsvc.wire.keys import Keys, machine_of, session_of
 from afdsvc.wire.messages import AlarmChange, AlarmKind, EventKind, Finding, MachineStatus, ServiceStatus
 
@@ -107,7 +108,7 @@ class Hub:
             raise Refused(f"a block of machine '{block.machine[:64]}' delivered by the rig agent of '{machine}'")
         if receipts.covers(block.session, block.k0, block.k0 + len(block)):
             return b"known"
-        sink.block(block, payload)
+        sink.take(Message(block, payload))
         return b"taken"
 
     def _remember(self) -> None:
@@ -263,7 +264,7 @@ class Hub:
         """Pass a change of an alarm to the sinks and the notifiers."""
         watch = self.watches.get(change.alarm.machine)
         if watch:
-            watch.sink.alarm(change)
+            watch.sink.take(Message(change))
         for outbox in self.outboxes:
             outbox.put(change)
 

@@ -10,13 +10,14 @@ from pathlib import Path
 from afdsvc.api.clock import Clock
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.intervals import Intervals
-from afdsvc.api.signals import Block
+from afdsvc.api.signals import Block, residual_block
 from afdsvc.diagnosis.pipeline import Outcome, Stream
 from afdsvc.diagnosis.verdict import FaultVerdict, conclude, model_gap
 from afdsvc.errors import BadInput
 from afdsvc.service.sinks.fan_out import Sink
 from afdsvc.wire import codec
-from afdsvc.wire.messages import Alarm, Finding, MachineStatus, RigDescription, RigEvent
+from afdsvc.wire.codec import Message
+from afdsvc.wire.messages import Alarm, Finding, MachineStatus, Notice, Residual, RigDescription, RigEvent
 
 STALE_SECONDS = 2.0
 MOST_REPORTED = 16  # machines a rig may falsely speak of, each reported once
@@ -66,21 +67,21 @@ class MachineMonitor:
         self.blocks += 1
         self.late += block.late
         self.seconds_seen = (block.k0 + len(block)) * block.dt
-        self.sink.block(block, payload)
+        self.sink.take(Message(block, payload))
         outcome = self.pipeline.step(block)
         self.lost_samples += outcome.lost_samples
         for finding in outcome.findings:
             self.trouble = finding.message if LEVELS.get(finding.kind) == "error" else self.trouble
             self.say(LEVELS.get(finding.kind, "info"), finding.message, block.t0_ns)
         if outcome.residual is not None:
-            self.sink.residual(block, outcome.residual)
+            self.sink.take(Message(Residual(residual_block(block, outcome.residual))))
             self.trouble = ""
         for e in outcome.evidence:
             stamp = block.t0_ns + round((e.k - block.k0) * block.dt * 1e9)
             self.evidence.append(e)
             self._decisions += 1
             self._fresh.append(Finding(e, block.session, stamp))
-            self.sink.finding(self._fresh[-1])
+            self.sink.take(Message(self._fresh[-1]))
         self._last = self.clock.monotonic()  # only now is the machine watched: the first block may take seconds
         return outcome
 
@@ -102,7 +103,7 @@ class MachineMonitor:
             return None
         if self._is_foreign("event", event.machine):
             return None
-        self.sink.event(event, payload)
+        self.sink.take(Message(event, payload))
         return event
 
     def take_description(self, payload: bytes) -> None:
@@ -178,7 +179,7 @@ class MachineMonitor:
 
     def say(self, level: str, sentence: str, t_ns: int | None = None) -> None:
         """Pass a sentence on."""
-        self.sink.notice(self.machine, level, sentence, self.clock.now_ns() if t_ns is None else t_ns)
+        self.sink.take(Message(Notice(self.machine, level, sentence, self.clock.now_ns() if t_ns is None else t_ns)))
 
     def _is_foreign(self, kind: str, machine: str) -> bool:
         """Whether a message under this machine's key speaks of another machine; each one is reported once and ignored.

@@ -14,7 +14,8 @@ from afdsvc.diagnosis.verdict import FaultVerdict
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.wire import codec
-from afdsvc.wire.messages import BurstReply, BurstStop, EventKind, Lease, RetuneRequest, RigEvent
+from afdsvc.wire.codec import Message
+from afdsvc.wire.messages import BurstReply, BurstStop, EventKind, Lease, Notice, RetuneRequest, RigEvent
 
 LEASE_SECONDS = 5.0
 ANSWER_SECONDS = 10.0
@@ -55,7 +56,7 @@ class Retuning:
         self.sentence = f"proposed: 'afdsvc retune {self.machine}' designs Q for {_said(found)}"
         if verdict.fault != self._proposed:
             self._proposed = verdict.fault
-            self.bursts.sink.notice(self.machine, "info", self.sentence, self.bursts.clock.now_ns())
+            self.bursts.sink.take(Message(Notice(self.machine, "info", self.sentence, self.bursts.clock.now_ns())))
 
     def ask(self, verdict: FaultVerdict, who: str) -> dict[str, Any]:
         """Design, prove and start Q for what the verdict names; returns the design sheet, raises `Refused` with the reason."""
@@ -80,16 +81,17 @@ class Retuning:
         name = f"{of.session[:8]}-q-{of.clock.now_ns() // 10**9 % 16**6:06x}-{next(self._count)}"
         self.ready(of.pipeline.announce_tuning(name, tuning.Q))
         newest = round(of.seconds / of.pipeline.dt)
-        request = RetuneRequest(self.machine, name, tuning, found, LEASE_SECONDS, who, of.clock.now_ns(), of.session, newest, proof)
-        of.sink.request(request)
-        self._begin(request)
+        message = Message(RetuneRequest(self.machine, name, tuning, found, LEASE_SECONDS, who, of.clock.now_ns(), of.session, newest, proof))
+        of.sink.take(message)
+        self._begin(message)
         return {"machine": self.machine, "tuning": name, "fault": found.fault, "severity": [found.low, found.high], **sheet}
 
-    def _begin(self, request: RetuneRequest) -> None:
-        of, self._session = self.bursts, request.session
+    def _begin(self, message: Message) -> None:
+        of, request = self.bursts, message.value
+        self._session = request.session
         self.acting, self.sentence = request.name, f"Q for {_said(request.found)} acts, accepted by {request.asked_by}"
         try:
-            answer = of.transport.ask(of.keys.retune(self.machine), codec.encode(request), ANSWER_SECONDS)
+            answer = of.transport.ask(of.keys.retune(self.machine), message.payload, ANSWER_SECONDS)
             reply = codec.decode(BurstReply, answer)
         except BaseException:
             self._end()  # if the rig has accepted it yet, its lease runs out

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from operator import attrgetter
@@ -22,7 +23,7 @@ from google.protobuf.descriptor import FieldDescriptor
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.api.retuning import Diagnosed, Promise, Tuning
-from afdsvc.api.signals import Channel
+from afdsvc.api.signals import Block, Channel
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.wire import afdsvc_pb2 as pb
@@ -42,6 +43,7 @@ from afdsvc.wire.messages import (
     Lease,
     MachineStatus,
     Receipt,
+    Residual,
     RetuneRequest,
     RigDescription,
     RigEvent,
@@ -49,7 +51,7 @@ from afdsvc.wire.messages import (
 )
 from afdsvc.wire.parsing import build_message, count, json_text, json_value, nanoseconds, parse, positive, required, stamp
 
-__all__ = ["decode", "decode_block", "encode", "encode_block"]
+__all__ = ["Message", "decode", "decode_block", "encode", "encode_block"]
 
 T = TypeVar("T")
 Fields = dict[str, Any]
@@ -57,6 +59,8 @@ Fields = dict[str, Any]
 
 def encode(value: Any) -> bytes:
     """Return the message of a value, numbers bit for bit; raises `BadInput` for what it cannot hold."""
+    if isinstance(value, Block | Residual):
+        return encode_block(value if isinstance(value, Block) else value.block)
     return bytes(_message(value).SerializeToString(deterministic=True))
 
 
@@ -64,6 +68,23 @@ def decode(kind: type[T], data: bytes) -> T:
     """Return the value of this class; raises `BadInput` naming what is missing or unsound."""
     found: T = _value(kind, parse(RULES[kind].message, data))
     return found
+
+
+class Message:
+    """A value with its bytes: those it came as, or encoded once, when they are first asked for. Any thread may ask."""
+
+    __slots__ = ("_lock", "_payload", "value")
+
+    def __init__(self, value: Any, payload: bytes | None = None) -> None:
+        self.value, self._payload, self._lock = value, payload, threading.Lock()
+
+    @property
+    def payload(self) -> bytes:
+        """The bytes; raises `BadInput` as `encode`."""
+        with self._lock:
+            if self._payload is None:
+                self._payload = encode(self.value)
+            return self._payload
 
 
 def _message(value: Any) -> Any:

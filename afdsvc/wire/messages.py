@@ -10,7 +10,7 @@ from typing import Any
 from afdsvc.api.bursts import Burst, Limits
 from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.api.retuning import Diagnosed, Tuning
-from afdsvc.api.signals import Channel
+from afdsvc.api.signals import Block, Channel
 
 
 class EventKind(StrEnum):
@@ -142,6 +142,23 @@ class Finding:
 
     evidence: Evidence
     session: str
+    t_ns: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residual:
+    """The whitened residual of a block of samples, as a block of its own."""
+
+    block: Block
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """A sentence of the service about a machine; ``level`` is info, warning or error."""
+
+    machine: str
+    level: str
+    sentence: str
     t_ns: int
 
 

@@ -26,6 +26,7 @@ from afdsvc.service.operator_requests import json_values
 from afdsvc.service.sinks.pre_alarm_buffer import PreAlarmBuffer
 from afdsvc.service.webhook import Webhook
 from afdsvc.wire import codec
+from afdsvc.wire.codec import Message
 from afdsvc.wire.messages import Alarm, AlarmChange, AlarmKind, Finding
 
 SECOND = 1_000_000_000
@@ -89,16 +90,16 @@ def test_the_black_box_holds_the_minute_before_and_nothing_older(tmp_path):
     box = PreAlarmBuffer(tmp_path / "alarms" / "m", Header("site", {"m": "model"}, {"machine": "m"}), seconds=60.0)
     for k in range(200):
         b = block(k)
-        box.block(b, codec.encode_block(b))
-    box.finding(said(199))
-    box.alarm(AlarmChange(Alarm("m/a", "m", "a", 199 * SECOND, 199 * SECOND), "raised", 199 * SECOND, why="because"))
+        box.take(Message(b, codec.encode_block(b)))
+    box.take(Message(said(199)))
+    box.take(Message(AlarmChange(Alarm("m/a", "m", "a", 199 * SECOND, 199 * SECOND), "raised", 199 * SECOND, why="because")))
     (path,) = box.paths
     recording = Recording(path)
     assert recording.loss == ""
     assert [b.k0 // 100 for b in recording.blocks("m")] == list(range(139, 200))
     assert len(list(recording.findings("m"))) == 1
     for change in ("acknowledged", "ended"):
-        box.alarm(AlarmChange(CHANGE.alarm, change, SECOND))
+        box.take(Message(AlarmChange(CHANGE.alarm, change, SECOND)))
     assert len(box.paths) == 1
 
 
@@ -106,7 +107,7 @@ def test_the_black_box_does_not_grow_beyond_its_bytes(tmp_path):
     payload = codec.encode_block(block(0))
     box = PreAlarmBuffer(tmp_path / "m", Header(), seconds=1e6, most_bytes=10 * len(payload))
     for k in range(1000):
-        box.block(block(k), payload)
+        box.take(Message(block(k), payload))
     assert len(box._said) == 10
 
 

@@ -16,6 +16,7 @@ from afdsvc.service.burst_requests import LEASE_SECONDS, BurstRequests
 from afdsvc.service.clock import RealClock
 from afdsvc.service.hub import Hub
 from afdsvc.service.scheduler import BurstOrder, Scheduler
+from afdsvc.service.sinks.fan_out import FanOut
 from afdsvc.transport.zenoh_session import PeerSilent
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
@@ -33,7 +34,7 @@ def desk(ready_at: int | None, seconds: float = 10.0) -> tuple[BurstRequests, li
 
     transport = SimpleNamespace(ask=ask, publish=lambda *a, **k: None)
     stream = SimpleNamespace(ready_at=ready_at, dt=DT, announce=lambda burst: None, bursts={})
-    sink = SimpleNamespace(request=lambda r: None, notice=lambda *a: None)
+    sink = FanOut([])
     burst = Burst("b", 1, 1000, 100, (Line(0, 50.0, 1.0),))
     scheduler = Scheduler(Bursts(every_seconds=5.0, first_after_seconds=1.0), np.random.default_rng(0), 0.0)
     made = BurstRequests("m1", lambda wanted: burst, scheduler, stream, sink, Keys("t"), transport, RealClock())

@@ -15,7 +15,7 @@ from afdsvc.service.clock import FastClock, RealClock
 from afdsvc.service.machine import MOST_REPORTED, MachineMonitor
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import BurstStop, EventKind, Lease, RigDescription, RigEvent
+from afdsvc.wire.messages import BurstStop, EventKind, Lease, Notice, RigDescription, RigEvent
 
 CHANNELS = (Channel("u_x"), Channel("y_x"))
 
@@ -23,10 +23,14 @@ CHANNELS = (Channel("u_x"), Channel("y_x"))
 def monitor() -> tuple[MachineMonitor, list[str], list[object]]:
     said: list[str] = []
     passed: list[object] = []
-    sink = SimpleNamespace(
-        notice=lambda machine, level, sentence, t_ns: said.append(sentence),
-        block=lambda *message: passed.append(message), event=lambda *message: passed.append(message),
-    )
+
+    def take(message: codec.Message) -> None:
+        if isinstance(message.value, Notice):
+            said.append(message.value.sentence)
+        else:
+            passed.append(message.value)
+
+    sink = SimpleNamespace(take=take)
     return MachineMonitor("m1", SimpleNamespace(), sink, RealClock()), said, passed
 
 
@@ -78,4 +82,4 @@ def test_what_publishers_send_again_to_a_new_network_session_is_taken_once_and_l
 
     for session, seq in (("s", 0), ("s", 2), ("s", 0), ("s", 1), ("s", 2), ("t", 0), ("t", 0)):
         watch.take_block(sent(session, seq))
-    assert [(b.session, b.seq) for b, _ in passed] == [("s", 0), ("s", 2), ("s", 1), ("t", 0)]
+    assert [(b.session, b.seq) for b in passed] == [("s", 0), ("s", 2), ("s", 1), ("t", 0)]

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.evidence import Evidence
-from afdsvc.api.signals import Block, Channel
+from afdsvc.api.signals import Block, Channel, residual_block
 from afdsvc.app import commissioning
 from afdsvc.diagnosis.alarm_book import AlarmBook, Policy
 from afdsvc.diagnosis.data_quality import Finding as Trouble
@@ -42,8 +42,19 @@ from afdsvc.service.sinks.pre_alarm_buffer import PreAlarmBuffer
 from afdsvc.service.sinks.publisher_sink import Publisher
 from afdsvc.transport.zenoh_session import PeerSilent
 from afdsvc.wire import codec
+from afdsvc.wire.codec import Message
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import AlarmKind, BurstReply, EventKind, Finding, RigDescription, RigEvent
+from afdsvc.wire.messages import (
+    AlarmChange,
+    AlarmKind,
+    BurstReply,
+    EventKind,
+    Finding,
+    Notice,
+    Residual,
+    RigDescription,
+    RigEvent,
+)
 
 CHANNELS = (Channel("u_x", "V"), Channel("y_x", "um"))
 T = 1_763_000_000_000_000_000
@@ -63,13 +74,13 @@ class Everything:
     """A sink that remembers what it was given."""
 
     def __init__(self) -> None:
-        self.got: list[tuple] = []
+        self.got: list = []
 
-    def __getattr__(self, name):
-        return lambda *arguments: self.got.append((name, *arguments))
+    def take(self, message):
+        self.got.append(message.value)
 
-    def of(self, name):
-        return [g[1:] for g in self.got if g[0] == name]
+    def of(self, kind):
+        return [value for value in self.got if isinstance(value, kind)]
 
 
 class Says:
@@ -151,10 +162,10 @@ def test_what_came_before_the_trigger_is_in_a_file_of_its_own(tmp_path, thread):
     """All four ask for the time before the event: a ring buffer in memory, written when something happens."""
     box, told = PreAlarmBuffer(tmp_path / thread, Header(), seconds=2.0), []
     for seq in range(100):
-        box.block(block(seq), codec.encode_block(block(seq)))
+        box.take(Message(block(seq)))
     book = AlarmBook(tell=told.append)
     book.take(decision(True))
-    box.alarm(told[0])
+    box.take(Message(told[0]))
     kept = [b.seq for b in Recording(box.paths[0]).blocks()]
     assert kept[-1] == 99
     assert 39 <= len(kept) <= 42
@@ -181,7 +192,7 @@ def test_diagnostics_167_168_two_things_in_one_moment_are_both_told():
     hub._block(watch, codec.encode_block(block(0)))
     stream.outcome = Outcome((), (), np.zeros((50, 1)))
     hub._block(watch, codec.encode_block(block(1)))
-    changes = [c.event for (c,) in watch.sink.of("alarm")]
+    changes = [c.event for c in watch.sink.of(AlarmChange)]
     assert changes == ["raised", "raised", "ended", "ended"]
 
 
@@ -342,7 +353,7 @@ def test_a_value_that_cannot_be_read_is_an_alarm_and_no_crash(thread):
     assert alarm.kind is AlarmKind.SYSTEM
     assert alarm.sentence == "'y_x' is NaN at sample 3"
     hub._block(watch, b"\xff not a block")
-    assert "could not be read" in watch.sink.of("notice")[-1][2]
+    assert "could not be read" in watch.sink.of(Notice)[-1].sentence
 
 
 # ------------------------------------------------------------------------------------------------- ophyd-async, blueapi
@@ -406,8 +417,8 @@ def test_copper_1407_newest_or_all_is_chosen_for_each_channel():
     sent: list[tuple[str, str]] = []
     post, news = (SimpleNamespace(send=lambda key, *a, via=via: sent.append((via, key.split("/")[-1]))) for via in ("all", "newest"))
     publisher = Publisher(Keys("t"), post, news)
-    publisher.residual(block(), np.zeros((50, 1)))
-    publisher.finding(decision(True))
+    publisher.take(Message(Residual(residual_block(block(), np.zeros((50, 1))))))
+    publisher.take(Message(decision(True)))
     book = AlarmBook(tell=publisher.alarm)
     book.take(decision(True))
     assert sent == [("newest", "residual"), ("all", "evidence"), ("all", "alarm")]

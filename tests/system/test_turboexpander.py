@@ -17,7 +17,7 @@ from afdsvc.files.site import MachineSection, parse_site
 from afdsvc.service.clock import FastClock
 from afdsvc.service.scheduler import BurstOrder
 from afdsvc.service.sinks.recorder_sink import RecorderSink
-from afdsvc.wire import codec
+from afdsvc.wire.codec import Message
 from afdsvc.wire.messages import BurstRequest
 
 QUICK = [{"kind": "matched_filter"}, {"kind": "regression"}]
@@ -50,7 +50,7 @@ class Bench:
         block = self.port.read()
         self.peak = max(self.peak, float(np.abs(block.role("y")).max()))
         if self.sink:
-            self.sink.block(block, codec.encode_block(block))
+            self.sink.take(Message(block))
         outcome = self.stream.step(block)
         self.evidence += outcome.evidence
         self.said += [f.message for f in outcome.findings]
@@ -66,7 +66,7 @@ class Bench:
         self.bursts += 1
         self.stream.announce(made)
         if self.sink:
-            self.sink.request(BurstRequest("expander", made, 2.0, "test", 10**18, 0))
+            self.sink.take(Message(BurstRequest("expander", made, 2.0, "test", 10**18, 0)))
         with self.port.arm(self.machine.limits) as drive:
             drive.play(made)
             while drive.playing:

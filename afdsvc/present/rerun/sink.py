@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from afdsvc.api.signals import Block, residual_block
+from afdsvc.api.signals import Block
 from afdsvc.files.recording.foxglove import Level
-from afdsvc.lti.statespace import Array
 from afdsvc.present.rerun.log import ReviewLog
-from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RetuneRequest, RigEvent
-
-_LEVELS = {"info": Level.INFO, "warning": Level.WARNING, "error": Level.ERROR}
+from afdsvc.wire.codec import Message
+from afdsvc.wire.messages import AlarmChange, Finding, Notice, Residual, RigEvent
 
 
 class ReviewSink:
@@ -26,35 +24,22 @@ class ReviewSink:
         self._log: ReviewLog | None = None
         self._begun_ns = 0
 
-    def block(self, block: Block, payload: bytes) -> None:
-        """Show samples."""
-        full = self._log is not None and block.t0_ns - self._begun_ns >= self._max_ns
-        if full and self._live is None and not block.burst:
-            self.close()
-        self._open(block.t0_ns).block(block)
-
-    def residual(self, block: Block, residual: Array) -> None:
-        """Show the whitened residual."""
-        self._open(block.t0_ns).residual(residual_block(block, residual))
-
-    def finding(self, finding: Finding) -> None:
-        """Show a decision."""
-        self._open(finding.t_ns).finding(finding)
-
-    def event(self, event: RigEvent, payload: bytes) -> None:
-        """Tell an event."""
-        self._open(event.t_ns).event(event)
-
-    def request(self, request: BurstRequest | RetuneRequest) -> None:
-        """Nothing: a request is shown when it is played or refused."""
-
-    def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
-        """Tell a sentence."""
-        self._open(t_ns).note(t_ns, _LEVELS[level], sentence, machine)
-
-    def alarm(self, change: AlarmChange) -> None:
-        """Show what happened to an alarm in the log."""
-        self.notice(change.alarm.machine, "info", f"alarm {change.alarm.id} {change.event}", change.t_ns)
+    def take(self, message: Message) -> None:
+        """Show a message; a request is shown when it is played or refused."""
+        match message.value:
+            case Block() as block:
+                self._new_file_when_due(block)
+                self._open(block.t0_ns).block(block)
+            case Residual(block):
+                self._open(block.t0_ns).residual(block)
+            case Finding() as finding:
+                self._open(finding.t_ns).finding(finding)
+            case RigEvent() as event:
+                self._open(event.t_ns).event(event)
+            case Notice(machine, level, sentence, t_ns):
+                self._open(t_ns).note(t_ns, Level[level.upper()], sentence, machine)
+            case AlarmChange(alarm, event, t_ns):
+                self._open(t_ns).note(t_ns, Level.INFO, f"alarm {alarm.id} {event}", alarm.machine)
 
     def tick(self) -> None:
         """Nothing: samples are sent as their own time goes on."""
@@ -64,6 +49,11 @@ class ReviewSink:
         if self._log:
             self._log.close()
         self._log = None
+
+    def _new_file_when_due(self, block: Block) -> None:
+        full = self._log is not None and block.t0_ns - self._begun_ns >= self._max_ns
+        if full and self._live is None and not block.burst:
+            self.close()
 
     def _open(self, t_ns: int) -> ReviewLog:
         if self._log is None:

@@ -8,42 +8,16 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from afdsvc.api.signals import Block
-from afdsvc.lti.statespace import Array
-from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RetuneRequest, RigEvent
+from afdsvc.wire.codec import Message
 
 log = logging.getLogger(__name__)
 
 
 class Sink(Protocol):
-    """Receives everything about one machine, in order. ``payload`` is the very message as it came over the wire."""
+    """Receives everything about one machine, in order: blocks and residuals, decisions, events, requests, notices, changes of alarms."""
 
-    def block(self, block: Block, payload: bytes) -> None:
-        """Take a block of samples."""
-        ...
-
-    def residual(self, block: Block, residual: Array) -> None:
-        """Take the whitened residual of a block, shape ``(n, p)``."""
-        ...
-
-    def finding(self, finding: Finding) -> None:
-        """Take a decision of a detector."""
-        ...
-
-    def event(self, event: RigEvent, payload: bytes) -> None:
-        """Take an event of the rig."""
-        ...
-
-    def request(self, request: BurstRequest | RetuneRequest) -> None:
-        """Take a burst or a Q that is about to be asked for."""
-        ...
-
-    def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
-        """Take a sentence of the service about a machine; level is info, warning or error."""
-        ...
-
-    def alarm(self, change: AlarmChange) -> None:
-        """Take what happened to an alarm."""
+    def take(self, message: Message) -> None:
+        """Take a message; a sink passes by those it has no use for."""
         ...
 
     def tick(self) -> None:
@@ -65,7 +39,7 @@ class ThreadedSink:
 
     def __init__(self, sink: Sink, name: str, failed: Callable[[str], None], size: int = 4000, pause: float = 0.0) -> None:
         self._sink, self._failed, self._pause = sink, failed, pause
-        self._queue: queue.SimpleQueue[tuple[str, tuple[object, ...]]] = queue.SimpleQueue()  # a third of the cost of Queue
+        self._queue: queue.SimpleQueue[Message] = queue.SimpleQueue()  # a third of the cost of Queue
         self._size = size
         self._overflowed = self._lost = 0
         self._full, self._left = False, threading.Event()
@@ -83,33 +57,17 @@ class ThreadedSink:
         """Messages in the queue."""
         return self._queue.qsize()
 
-    def block(self, block: Block, payload: bytes) -> None:
-        """Queue a block."""
-        self._put("block", block, payload)
-
-    def residual(self, block: Block, residual: Array) -> None:
-        """Queue a residual."""
-        self._put("residual", block, residual)
-
-    def finding(self, finding: Finding) -> None:
-        """Queue a decision."""
-        self._put("finding", finding)
-
-    def event(self, event: RigEvent, payload: bytes) -> None:
-        """Queue an event."""
-        self._put("event", event, payload)
-
-    def request(self, request: BurstRequest | RetuneRequest) -> None:
-        """Queue a request."""
-        self._put("request", request)
-
-    def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
-        """Queue a sentence."""
-        self._put("notice", machine, level, sentence, t_ns)
-
-    def alarm(self, change: AlarmChange) -> None:
-        """Queue what happened to an alarm."""
-        self._put("alarm", change)
+    def take(self, message: Message) -> None:
+        """Queue a message."""
+        waiting = self._queue.qsize()
+        if self._left.is_set() or waiting >= self._size:
+            self._overflowed += 1
+            if not self._full:
+                self._full = True
+                self._failed(f"{waiting} messages wait; further ones are dropped until the queue has room")
+            return
+        self._queue.put(message)
+        self._full = self._full and waiting >= self._size // 2  # reported once, not at every gap
 
     def tick(self) -> None:
         """Nothing to do: the thread ticks the sink itself."""
@@ -126,32 +84,21 @@ class ThreadedSink:
             self._overflowed += self._queue.qsize()
             log.error("%s: %d messages are lost, the sink does not respond", self._thread.name, self._queue.qsize())
 
-    def _put(self, what: str, *arguments: object) -> None:
-        waiting = self._queue.qsize()
-        if self._left.is_set() or waiting >= self._size:
-            self._overflowed += 1
-            if not self._full:
-                self._full = True
-                self._failed(f"{waiting} messages wait; further ones are dropped until the queue has room")
-            return
-        self._queue.put((what, arguments))
-        self._full = self._full and waiting >= self._size // 2  # reported once, not at every gap
-
     def _work(self) -> None:
         while True:
             try:
-                item = self._queue.get(timeout=0.05 if self._left.is_set() else 0.25)
+                message = self._queue.get(timeout=0.05 if self._left.is_set() else 0.25)
             except queue.Empty:
-                self._guarded("tick", ())
+                self._guarded("tick")
                 if self._left.is_set():
-                    return self._guarded("close", ())
+                    return self._guarded("close")
                 continue
             if self._pause and self._queue.empty():
                 self._left.wait(self._pause)
-            self._guarded(*item)
-            self._guarded("tick", ())
+            self._guarded("take", message)
+            self._guarded("tick")
 
-    def _guarded(self, what: str, arguments: tuple[object, ...]) -> None:
+    def _guarded(self, what: str, *arguments: Message) -> None:
         try:
             getattr(self._sink, what)(*arguments)
             if what != "tick":
@@ -160,7 +107,7 @@ class ThreadedSink:
             if not self.failure:
                 self.failure = f"{type(error).__name__}: {error}"
                 self._failed(self.failure)
-            self._lost += what not in ("tick", "close")
+            self._lost += what == "take"
 
 
 class FanOut:
@@ -169,40 +116,10 @@ class FanOut:
     def __init__(self, sinks: Sequence[Sink]) -> None:
         self.sinks = list(sinks)
 
-    def block(self, block: Block, payload: bytes) -> None:
-        """Pass a block on."""
+    def take(self, message: Message) -> None:
+        """Pass a message on."""
         for sink in self.sinks:
-            sink.block(block, payload)
-
-    def residual(self, block: Block, residual: Array) -> None:
-        """Pass a residual on."""
-        for sink in self.sinks:
-            sink.residual(block, residual)
-
-    def finding(self, finding: Finding) -> None:
-        """Pass a decision on."""
-        for sink in self.sinks:
-            sink.finding(finding)
-
-    def event(self, event: RigEvent, payload: bytes) -> None:
-        """Pass an event on."""
-        for sink in self.sinks:
-            sink.event(event, payload)
-
-    def request(self, request: BurstRequest | RetuneRequest) -> None:
-        """Pass a request on."""
-        for sink in self.sinks:
-            sink.request(request)
-
-    def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
-        """Pass a sentence on."""
-        for sink in self.sinks:
-            sink.notice(machine, level, sentence, t_ns)
-
-    def alarm(self, change: AlarmChange) -> None:
-        """Pass on what happened to an alarm."""
-        for sink in self.sinks:
-            sink.alarm(change)
+            sink.take(message)
 
     def tick(self) -> None:
         """Pass the tick on."""

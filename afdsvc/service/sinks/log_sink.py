@@ -5,9 +5,8 @@ from __future__ import annotations
 import logging
 
 from afdsvc.api.evidence import Evidence, Severity
-from afdsvc.api.signals import Block
-from afdsvc.lti.statespace import Array
-from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, RetuneRequest, RigEvent
+from afdsvc.wire.codec import Message
+from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, Notice, RetuneRequest, RigEvent
 
 log = logging.getLogger(__name__)
 LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
@@ -20,36 +19,31 @@ class LogSink:
         self._machine = machine
         self._quiet = ""  # the burst on which nothing was found, already said
 
-    def block(self, block: Block, payload: bytes) -> None:
-        """Pass."""
+    def take(self, message: Message) -> None:
+        """Write the line of a message, if it has one."""
+        match message.value:
+            case Finding(evidence=evidence):
+                self._decided(evidence)
+            case RigEvent() as event:
+                said = f" {event.burst}" * bool(event.burst) + f": {event.cause}" * bool(event.cause)
+                log.info("%s: %s%s", self._machine, event.kind.replace("_", " "), said)
+            case BurstRequest() as request:
+                log.info("%s: burst %s asked for by %s", self._machine, request.burst.name, request.asked_by)
+            case RetuneRequest() as request:
+                log.info("%s: Q %s for %s asked for by %s", self._machine, request.name, request.found.fault, request.asked_by)
+            case Notice(machine, level, sentence):
+                log.log(LEVELS.get(level, logging.INFO), "%s", sentence if sentence.startswith(f"{machine}:") else f"{machine}: {sentence}")
+            case AlarmChange() as change:
+                self._alarm(change)
 
-    def residual(self, block: Block, residual: Array) -> None:
-        """Pass."""
-
-    def finding(self, finding: Finding) -> None:
-        """Write a decision on a burst."""
-        e = finding.evidence
+    def _decided(self, e: Evidence) -> None:
         quiet = e.trustworthy and not e.detected
         if not e.burst or (quiet and e.burst == self._quiet):
             return
         self._quiet = e.burst if quiet else self._quiet
         log.info("%s: %s: %s", self._machine, e.detector, _decision(e))
 
-    def event(self, event: RigEvent, payload: bytes) -> None:
-        """Write an event of the rig."""
-        log.info("%s: %s%s", self._machine, event.kind.replace("_", " "), f" {event.burst}" * bool(event.burst) + f": {event.cause}" * bool(event.cause))
-
-    def request(self, request: BurstRequest | RetuneRequest) -> None:
-        """Write who asked for a burst or a Q."""
-        what = f"burst {request.burst.name}" if isinstance(request, BurstRequest) else f"Q {request.name} for {request.found.fault}"
-        log.info("%s: %s asked for by %s", self._machine, what, request.asked_by)
-
-    def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
-        """Write a notice."""
-        log.log(LEVELS.get(level, logging.INFO), "%s", sentence if sentence.startswith(f"{machine}:") else f"{machine}: {sentence}")
-
-    def alarm(self, change: AlarmChange) -> None:
-        """Write what happened to an alarm, and who did it."""
+    def _alarm(self, change: AlarmChange) -> None:
         a, by = change.alarm, f" by {change.who}" if change.who else ""
         why = f": {change.why}" if change.why else ""
         log.warning("%s: alarm %s (%s %s) %s%s%s", self._machine, a.id, a.fault, size(a.severity), change.event, by, why)

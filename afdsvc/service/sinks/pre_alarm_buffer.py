@@ -12,11 +12,11 @@ from afdsvc.api.signals import Block
 from afdsvc.files.recording.foxglove import Level
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
-from afdsvc.lti.statespace import Array
+from afdsvc.service.sinks.recorder_sink import record
 from afdsvc.wire import codec
-from afdsvc.wire.messages import AlarmChange, AlarmKind, BurstRequest, Finding, RetuneRequest, RigEvent
+from afdsvc.wire.codec import Message
+from afdsvc.wire.messages import AlarmChange, AlarmKind, BurstRequest, Finding, Notice, RetuneRequest, RigEvent
 
-LEVELS = {"info": Level.INFO, "warning": Level.WARNING, "error": Level.ERROR}
 Write = Callable[[Recorder], None]
 
 
@@ -37,42 +37,27 @@ class PreAlarmBuffer:
     def __init__(self, base: Path, header: Header, seconds: float = 60.0, most_bytes: int = 100_000_000) -> None:
         self._base, self._header, self._span, self._most = base, header, round(seconds * 1e9), most_bytes
         self._said: deque[_Said] = deque()
-        self._requests: deque[BurstRequest] = deque(maxlen=64)
-        self._retuning: RetuneRequest | None = None
+        self._requests: deque[Message] = deque(maxlen=64)
+        self._retuning: Message | None = None
         self._bytes = 0
         self.paths: list[Path] = []
 
-    def block(self, block: Block, payload: bytes) -> None:
-        """Keep a block."""
-        self._keep(block.t0_ns, len(payload), lambda recorder: recorder.block(payload, codec.decode_block(payload)))
-
-    def residual(self, block: Block, residual: Array) -> None:
-        """Nothing: it can be made again from the samples."""
-
-    def finding(self, finding: Finding) -> None:
-        """Keep a decision."""
-        data = codec.encode(finding)
-        self._keep(finding.t_ns, len(data), lambda recorder: recorder.finding(data, finding))
-
-    def event(self, event: RigEvent, payload: bytes) -> None:
-        """Keep an event."""
-        self._keep(event.t_ns, len(payload), lambda recorder: recorder.event(payload, event))
-
-    def request(self, request: BurstRequest | RetuneRequest) -> None:
-        """Keep a burst or a Q that was asked for."""
-        if isinstance(request, BurstRequest):
-            self._requests.append(request)
-        else:
-            self._retuning = request
-
-    def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
-        """Keep a sentence."""
-        self._keep(t_ns, len(sentence), lambda recorder: recorder.note(t_ns, LEVELS[level], sentence, machine))
-
-    def alarm(self, change: AlarmChange) -> None:
-        """Write what is kept when an alarm is raised."""
-        if change.event == "raised" and change.alarm.kind is not AlarmKind.NOTICE and not change.alarm.cause:
-            self._write(change)
+    def take(self, message: Message) -> None:
+        """Keep a message, or write what is kept when an alarm is raised; residuals can be made again from the samples."""
+        match message.value:
+            case Block() as block:
+                payload = message.payload  # the samples are not kept twice
+                self._keep(block.t0_ns, len(payload), lambda recorder: recorder.block(payload, codec.decode_block(payload)))
+            case Finding() | RigEvent() as value:
+                self._keep(value.t_ns, len(message.payload), lambda recorder: record(recorder, message))
+            case Notice() as notice:
+                self._keep(notice.t_ns, len(notice.sentence), lambda recorder: record(recorder, message))
+            case BurstRequest():
+                self._requests.append(message)
+            case RetuneRequest():
+                self._retuning = message
+            case AlarmChange(alarm, "raised") as change if alarm.kind is not AlarmKind.NOTICE and not alarm.cause:
+                self._write(change)
 
     def tick(self) -> None:
         """Nothing: files are written whole."""
@@ -91,10 +76,8 @@ class PreAlarmBuffer:
         path = self._base.with_name(f"{self._base.name}-alarm-{len(self.paths) + 1:03d}-{name}.mcap")
         path.parent.mkdir(parents=True, exist_ok=True)
         recorder = Recorder(RecordingSettings(path), self._header)
-        if self._retuning:
-            recorder.retuning(codec.encode(self._retuning), self._retuning)
-        for request in self._requests:
-            recorder.request(codec.encode(request), request)
+        for asked in (*filter(None, [self._retuning]), *self._requests):
+            record(recorder, asked)
         for said in self._said:
             said.write(recorder)
         recorder.note(change.t_ns, Level.ERROR, f"alarm {change.alarm.id} raised: {change.why}", change.alarm.machine)

@@ -10,19 +10,27 @@ from pathlib import Path
 
 from afdsvc import __version__
 from afdsvc.api.intervals import Intervals
-from afdsvc.api.signals import Block, residual_block
+from afdsvc.api.signals import Block
 from afdsvc.files.recording.foxglove import Level
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.recorder import Recorder, RecordingFailed, RecordingSettings
 from afdsvc.files.site import RecordingSection
-from afdsvc.lti.statespace import Array
 from afdsvc.service.sinks.fan_out import FanOut
-from afdsvc.wire import codec
-from afdsvc.wire.messages import AlarmChange, AlarmKind, BurstRequest, Finding, Receipt, RetuneRequest, RigEvent
+from afdsvc.wire.codec import Message
+from afdsvc.wire.messages import (
+    AlarmChange,
+    AlarmKind,
+    BurstRequest,
+    Finding,
+    Notice,
+    Receipt,
+    Residual,
+    RetuneRequest,
+    RigEvent,
+)
 
 SESSIONS, PIECES = 16, 100  # that a receipt names
 LATE_SECONDS = 30.0  # without a block end a recording of blocks that were delivered later
-LEVELS = {"info": Level.INFO, "warning": Level.WARNING, "error": Level.ERROR}
 
 
 def alarm_sentence(change: AlarmChange) -> str:
@@ -30,6 +38,28 @@ def alarm_sentence(change: AlarmChange) -> str:
     by = f" by {change.who}" if change.who else ""
     why = f": {change.why}" if change.why else ""
     return f"alarm {change.alarm.id} {change.event}{by}{why}"
+
+
+def record(recorder: Recorder, message: Message) -> None:
+    """Write a message into a recording; a notice and what happened to an alarm are sentences of the machine's log."""
+    match message.value:
+        case Block() as block:
+            recorder.block(message.payload, block)
+        case Residual(block):
+            recorder.residual(message.payload, block)
+        case Finding() as finding:
+            recorder.finding(message.payload, finding)
+        case RigEvent() as event:
+            recorder.event(message.payload, event)
+        case BurstRequest() as request:
+            recorder.request(message.payload, request)
+        case RetuneRequest() as request:
+            recorder.retuning(message.payload, request)
+        case Notice(machine, level, sentence, t_ns):
+            recorder.note(t_ns, Level[level.upper()], sentence, machine)
+        case AlarmChange() as change:
+            low = not change.alarm.active or change.alarm.kind is AlarmKind.NOTICE
+            recorder.note(change.t_ns, Level.INFO if low else Level.WARNING, alarm_sentence(change), change.alarm.machine)
 
 
 class Receipts:
@@ -95,44 +125,18 @@ class RecorderSink:
         """Bytes in all files."""
         return self._recorder.bytes_written if self._recorder else 0
 
-    def block(self, block: Block, payload: bytes) -> None:
-        """Record the bytes as they came."""
+    def take(self, message: Message) -> None:
+        """Record a message, bytes that came over the wire as they came."""
+        if not isinstance(message.value, Block):
+            return record(self._open(), message)
+        block = message.value
         self._unkept.append((block.session, block.k0, block.k0 + len(block)))
         try:
-            self._open().block(payload, block)
+            record(self._open(), message)
         except RecordingFailed:
             self._unkept.clear()
             raise
         self._note_kept()
-
-    def residual(self, block: Block, residual: Array) -> None:
-        """Record the whitened residual."""
-        made = residual_block(block, residual)
-        self._open().residual(codec.encode_block(made), made)
-
-    def finding(self, finding: Finding) -> None:
-        """Record a decision."""
-        self._open().finding(codec.encode(finding), finding)
-
-    def event(self, event: RigEvent, payload: bytes) -> None:
-        """Record an event as it came."""
-        self._open().event(payload, event)
-
-    def request(self, request: BurstRequest | RetuneRequest) -> None:
-        """Record a burst or a Q that is asked for."""
-        if isinstance(request, BurstRequest):
-            self._open().request(codec.encode(request), request)
-        else:
-            self._open().retuning(codec.encode(request), request)
-
-    def notice(self, machine: str, level: str, sentence: str, t_ns: int) -> None:
-        """Record a sentence."""
-        self._open().note(t_ns, LEVELS[level], sentence, machine)
-
-    def alarm(self, change: AlarmChange) -> None:
-        """Record what happened to an alarm as a sentence."""
-        level = Level.INFO if not change.alarm.active or change.alarm.kind is AlarmKind.NOTICE else Level.WARNING
-        self._open().note(change.t_ns, level, alarm_sentence(change), change.alarm.machine)
 
     def tick(self) -> None:
         """Flush when it is due."""
@@ -192,11 +196,11 @@ class LateRecorder(FanOut):
         """The files being written."""
         return self._sink.paths if self._sink else []
 
-    def block(self, block: Block, payload: bytes) -> None:
+    def take(self, message: Message) -> None:
         """Record a block."""
-        self._sink = self._sink or RecorderSink(*self._arguments, block.t0_ns, self._facts, self._receipts)
+        self._sink = self._sink or RecorderSink(*self._arguments, message.value.t0_ns, self._facts, self._receipts)
         self._last = time.monotonic()
-        self._sink.block(block, payload)
+        self._sink.take(message)
 
     def tick(self) -> None:
         """Flush when it is due; finish a file to which nothing comes any more."""

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from afdsvc.api.signals import Channel
+from afdsvc.api.signals import Channel, residual_block
 from afdsvc.errors import BadInput
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.files.tables.tables import read_table
@@ -13,8 +13,8 @@ from afdsvc.files.tables.to_recording import import_table
 from afdsvc.present.rerun import open_viewer, review_recording, review_recordings
 from afdsvc.present.rerun.blueprint import blueprint
 from afdsvc.present.rerun.sink import ReviewSink
-from afdsvc.wire.codec import encode, encode_block
-from afdsvc.wire.messages import EventKind, RigEvent
+from afdsvc.wire.codec import Message, encode, encode_block
+from afdsvc.wire.messages import EventKind, Residual, RigEvent
 
 
 @pytest.fixture
@@ -58,9 +58,9 @@ def test_live_and_from_the_recording_it_looks_the_same(recording, blocks, findin
     review_recording(recording, tmp_path / "later.rrd")
     sink = ReviewSink(tmp_path / "live.rrd")
     for block in blocks(12, bursts=(4, 5)):
-        sink.block(block, b"")
-        sink.residual(block, block.values[:, :2])
-    sink.finding(finding(0.3, 41.0))
+        sink.take(Message(block, b""))
+        sink.take(Message(Residual(residual_block(block, block.values[:, :2]))))
+    sink.take(Message(finding(0.3, 41.0)))
     sink.close()
     live, later = rrd(tmp_path / "live.rrd"), rrd(tmp_path / "later.rrd")
     for entity in sorted(live.entities):

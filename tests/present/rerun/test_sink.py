@@ -1,18 +1,20 @@
 """The sink of the runtime: everything about any number of machines, in files of bounded length."""
 
+from afdsvc.api.signals import residual_block
 from afdsvc.present.rerun.sink import ReviewSink
-from afdsvc.wire.messages import EventKind, RigEvent
+from afdsvc.wire.codec import Message
+from afdsvc.wire.messages import EventKind, Notice, Residual, RigEvent
 
 
 def test_everything_a_runtime_says_is_shown(tmp_path, blocks, finding, rrd):
     sink = ReviewSink(tmp_path / "a.rrd")
     for machine in ("m1", "m2"):
         block = blocks(1, machine=machine)[0]
-        sink.block(block, b"")
-        sink.residual(block, block.values[:, 2:4])
-    sink.finding(finding(1.0, 41.0))
-    sink.event(RigEvent("m2", "s1", block.t0_ns, EventKind.RIG_STOPPED), b"")
-    sink.notice("m1", "warning", "quiet hours", block.t0_ns)
+        sink.take(Message(block, b""))
+        sink.take(Message(Residual(residual_block(block, block.values[:, 2:4]))))
+    sink.take(Message(finding(1.0, 41.0)))
+    sink.take(Message(RigEvent("m2", "s1", block.t0_ns, EventKind.RIG_STOPPED), b""))
+    sink.take(Message(Notice("m1", "warning", "quiet hours", block.t0_ns)))
     sink.tick()
     sink.close()
     sink.close()
@@ -26,9 +28,9 @@ def test_everything_a_runtime_says_is_shown(tmp_path, blocks, finding, rrd):
 
 def test_files_are_bounded_and_never_change_inside_a_burst(tmp_path, blocks, rrd):
     sink = ReviewSink(tmp_path / "a.rrd", max_seconds=0.2)
-    sink.event(RigEvent("m1", "s1", blocks(1)[0].t0_ns, EventKind.RIG_STARTED), b"")
+    sink.take(Message(RigEvent("m1", "s1", blocks(1)[0].t0_ns, EventKind.RIG_STARTED), b""))
     for block in blocks(12, bursts=(4, 5)):
-        sink.block(block, b"")
+        sink.take(Message(block, b""))
     sink.close()
     assert [p.name for p in sink.paths] == ["a.rrd", "a.0001.rrd", "a.0002.rrd"]
     lengths = [rrd(p).rows("/m1/signals/outputs/y_h")[-1][0] // 1_000_000 for p in sink.paths]

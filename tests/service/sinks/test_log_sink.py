@@ -6,6 +6,7 @@ import logging
 
 from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.service.sinks.log_sink import LogSink
+from afdsvc.wire.codec import Message
 from afdsvc.wire.messages import Alarm, AlarmChange, EventKind, Finding, RigEvent
 
 
@@ -16,15 +17,15 @@ def evidence(burst: str, detector: str, **more: object) -> Finding:
 def test_bursts_decisions_alarms_and_people(caplog):
     caplog.set_level(logging.INFO)
     sink, severity = LogSink("bearing"), Severity(-0.5, 0.01)
-    sink.event(RigEvent("bearing", "s", 0, EventKind.BURST_STARTED, burst="b1"), b"")
-    sink.finding(evidence("b1", "chi_square"))
-    sink.finding(evidence("b1", "cusum"))  # the same again: not written
-    sink.finding(evidence("b2", "chi_square", detected=True, fault="horizontal_actuator", severity=severity))
-    sink.finding(evidence("", "limit_check", detected=True))  # no burst: alarms tell
-    sink.finding(evidence("b3", "chi_square", trustworthy=False, reason="the actuator saturated"))
+    sink.take(Message(RigEvent("bearing", "s", 0, EventKind.BURST_STARTED, burst="b1"), b""))
+    sink.take(Message(evidence("b1", "chi_square")))
+    sink.take(Message(evidence("b1", "cusum")))  # the same again: not written
+    sink.take(Message(evidence("b2", "chi_square", detected=True, fault="horizontal_actuator", severity=severity)))
+    sink.take(Message(evidence("", "limit_check", detected=True)))  # no burst: alarms tell
+    sink.take(Message(evidence("b3", "chi_square", trustworthy=False, reason="the actuator saturated")))
     alarm = Alarm("a1", "bearing", "horizontal_actuator", 0, 0, severity=severity)
-    sink.alarm(AlarmChange(alarm, "raised", 0))
-    sink.alarm(AlarmChange(alarm, "acknowledged", 0, "ann", "on my way"))
+    sink.take(Message(AlarmChange(alarm, "raised", 0)))
+    sink.take(Message(AlarmChange(alarm, "acknowledged", 0, "ann", "on my way")))
     assert [r.getMessage() for r in caplog.records] == [
         "bearing: burst started b1",
         "bearing: chi_square: no fault (statistic 12.3, threshold 40)",

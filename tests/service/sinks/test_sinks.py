@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 
+from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block, Channel
 from afdsvc.app.serve import SiteSinks
 from afdsvc.files.recording.reader import Recording
@@ -15,10 +16,15 @@ from afdsvc.files.site import RecordingSection as Settings
 from afdsvc.files.site import parse_site
 from afdsvc.service.clock import FastClock
 from afdsvc.service.sinks import recorder_sink
-from afdsvc.service.sinks.fan_out import ThreadedSink
+from afdsvc.service.sinks.fan_out import FanOut, ThreadedSink
+from afdsvc.service.sinks.pre_alarm_buffer import PreAlarmBuffer
+from afdsvc.service.sinks.publisher_sink import Publisher
 from afdsvc.service.sinks.recorder_sink import RecorderSink
 from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.wire import codec
+from afdsvc.wire.codec import Message
+from afdsvc.wire.keys import Keys
+from afdsvc.wire.messages import Finding
 
 
 def block(seq: int = 0) -> Block:
@@ -31,7 +37,7 @@ class Slow:
     def __init__(self, seconds: float = 0.0) -> None:
         self.seconds, self.taken, self.closed = seconds, 0, False
 
-    def block(self, block, payload):
+    def take(self, message):
         time.sleep(self.seconds)
         self.taken += 1
 
@@ -47,7 +53,7 @@ def test_a_slow_sink_holds_nobody_up_and_its_drops_are_counted_and_told_once():
     sink = ThreadedSink(Slow(0.2), "slow", told.append, size=10)
     began = time.monotonic()
     for _ in range(500):
-        sink.block(block(), b"")
+        sink.take(Message(block(), b""))
     assert time.monotonic() - began < 0.5
     assert told == ["10 messages wait; further ones are dropped until the queue has room"]
     sink.close(10)
@@ -59,7 +65,7 @@ def test_a_slow_sink_holds_nobody_up_and_its_drops_are_counted_and_told_once():
 def test_a_sink_that_hangs_does_not_hold_up_the_end():
     sink = ThreadedSink(Slow(60.0), "hung", lambda s: None, size=10)
     for _ in range(5):
-        sink.block(block(), b"")
+        sink.take(Message(block(), b""))
     time.sleep(0.05)
     began = time.monotonic()
     sink.leave()
@@ -79,12 +85,12 @@ def test_a_first_file_that_cannot_be_made_is_tried_as_rarely_as_any(tmp_path, mo
     for n in range(500):
         now[0] = 0.05 * n
         with pytest.raises(recorder_sink.RecordingFailed, match="cannot be made: Not a directory"):
-            sink.block(block(n), b"")
+            sink.take(Message(block(n), b""))
     assert tries == pytest.approx([0.0, 10.0, 20.0])
     assert sink.dropped == 500
     (tmp_path / "file").unlink()
     now[0] = 31.0
-    sink.block(block(500), codec.encode_block(block(500)))
+    sink.take(Message(block(500), codec.encode_block(block(500))))
     sink.close()
     assert len(list(Recording(sink.paths[0]).blocks())) == 1
 
@@ -92,7 +98,7 @@ def test_a_first_file_that_cannot_be_made_is_tried_as_rarely_as_any(tmp_path, mo
 def test_two_starts_in_one_second_do_not_fight_over_a_name(tmp_path):
     for n in range(3):
         sink = RecorderSink(Settings(folder=tmp_path), "m1", "", "", 10**18, {})
-        sink.block(block(n), codec.encode_block(block(n)))
+        sink.take(Message(block(n), codec.encode_block(block(n))))
         sink.close()
     assert sorted(p.name for p in tmp_path.iterdir()) == [f"m1-20010909T014640{x}.mcap" for x in ("-2", "-3", "")]
 
@@ -157,7 +163,24 @@ def test_drops_anywhere_on_the_way_out_are_shown_in_the_status(tmp_path):
     outlets._boxes.append(hung)
     for _ in range(5):
         post.publish("k", b"x")
-        hung.block(block(), b"")
+        hung.take(Message(block(), b""))
     post.close()
     assert outlets.summary()[3] == 5 + hung.dropped
     assert hung.dropped >= 3
+
+
+def test_a_decision_is_encoded_once_for_all_sinks(tmp_path, monkeypatch):
+    encoded = []
+    encode = codec.encode
+    monkeypatch.setattr(codec, "encode", lambda value: (encoded.append(value), encode(value))[1])
+    finding = Finding(Evidence("cusum", "m1", 1, 0.1, 1.0, 2.0, False), "s1", 10**18)
+    recorder = RecorderSink(Settings(folder=tmp_path), "m1", "", "", 10**18, {})
+    sent: list[bytes] = []
+    post = OutgoingQueue(lambda key, payload: sent.append(payload))
+    sinks = FanOut([recorder, PreAlarmBuffer(recorder.base, recorder.header), Publisher(Keys("hall"), post, post)])
+    sinks.take(Message(finding))
+    sinks.close()
+    post.close()
+    assert encoded == [finding]
+    assert sent == [encode(finding)]
+    assert list(Recording(recorder.paths[0]).findings()) == [finding]
