@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -127,15 +127,6 @@ class SimulatedRig(ControlLoop):
         self._chol = np.linalg.cholesky(plant.output_cov)
         self._process = None if plant.process_cov is None else np.linalg.cholesky(plant.process_cov)
         self._noise, self._shake = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
-
-    def inject(self, fault: ScheduledFault) -> None:
-        """Add a fault that starts at its sample, or at the next one when that has passed."""
-        start = max(fault.start, self._k)
-        later = ScheduledFault(fault.name, fault.severity, start)
-        self._plant = replace(self._plant, faults=(*self._plant.faults, later))
-        self._changes = sorted({*self._changes, start})
-        if start == self._k:
-            self._G = self._plant_at(start)
 
     def _plant_at(self, k: int) -> StateSpace:
         present = {f.name: f.severity for f in self._plant.faults if f.start <= k}

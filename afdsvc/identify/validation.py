@@ -20,7 +20,7 @@ from afdsvc.identify.settings import SETTINGS
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
-from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
+from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.stats.fit_measures import Measures, measures
 from afdsvc.stats.portmanteau import residual_tests
 
@@ -155,13 +155,6 @@ def agreement(first: ResponseBand, second: ResponseBand) -> Agreement:
     distance = np.abs(first.value - second.value) / np.where(spread > 0, spread, np.inf)
     passed = 2 * np.linalg.norm(spread, axis=(1, 2)) / size
     return Agreement(float(np.median(relative)), float(np.median(distance)), float(np.quantile(distance, 0.9)), float(np.median(passed)))
-
-
-def relative_error(found: ComplexArray, truth: ComplexArray) -> float:
-    """Return the median over frequency of ``|found - truth| / |truth|`` in spectral norms."""
-    return float(
-        np.median(np.linalg.norm(found - truth, ord=2, axis=(1, 2)) / np.linalg.norm(truth, ord=2, axis=(1, 2)))
-    )
 
 
 #: Relative damping below which a mode counts as undamped, growing modes too, and how near in frequency a nominal one excuses it.

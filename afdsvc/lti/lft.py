@@ -279,11 +279,3 @@ def fault_signature(
     """
     faulty = augmented.close(theta)
     return star(faulty, J_K, faulty.outputs, faulty.inputs)
-
-
-def signature_derivative(augmented: AugmentedPlant, J_K: StateSpace, name: str) -> StateSpace:
-    """Return ``dS/dtheta_i`` at theta = 0, which is ``Mt Gyw e_i e_i' Gzu M``, as a system from alpha to beta."""
-    loop, k = signature_interconnection(augmented, J_K), augmented.channels
-    own = list(range(loop.inputs))[augmented.channels_of(name)]
-    rest_in, rest_out = list(range(k, loop.inputs)), list(range(k, loop.outputs))
-    return loop.select(rest_out, own) @ loop.select(own, rest_in)

@@ -15,7 +15,7 @@ from itertools import combinations, product
 import numpy as np
 
 from afdsvc.errors import BadInput
-from afdsvc.lti.lft import AugmentedPlant, FaultDirection
+from afdsvc.lti.lft import AugmentedPlant
 from afdsvc.lti.matrix_polynomial import Polynomial, compressed, factored
 from afdsvc.lti.statespace import Array, StateSpace
 
@@ -75,13 +75,6 @@ def parametric_plant(build: Build, values: Mapping[str, float], names: Sequence[
     augmented = _assemble(polynomial, dependences, nominal)
     _verify(family, augmented)
     return augmented
-
-
-def parameter_direction(build: Build, values: Mapping[str, float], name: str, fault: str = "") -> FaultDirection:
-    """Return the direction of a relative change of one physical parameter, named ``fault`` (or like the parameter)."""
-    a = parametric_plant(build, values, [name])
-    s, k = a.system, a.channels
-    return FaultDirection(fault or name, s.B[:, :k], s.D[k:, :k], s.C[:k], s.D[:k, k:], s.D[:k, :k])
 
 
 class _Family:

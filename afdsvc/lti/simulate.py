@@ -25,23 +25,6 @@ def simulate(system: StateSpace, u: Array, x0: Array | None = None) -> tuple[Arr
     return y, x
 
 
-def simulate_numpy(system: StateSpace, u: Array, x0: Array | None = None) -> tuple[Array, Array]:
-    """Return what `simulate` returns, to the last bit, without numba (some forty times slower)."""
-    u, x = _checked(system, u, x0)
-    A, B, C, D = _columns(system)
-    y = np.zeros((u.shape[0], system.outputs))
-    for k in range(u.shape[0]):
-        after = np.zeros_like(x)
-        for j in range(x.size):
-            y[k] += C[j] * x[j]
-            after += A[j] * x[j]
-        for j in range(u.shape[1]):
-            y[k] += D[j] * u[k, j]
-            after += B[j] * u[k, j]
-        x = after
-    return y, x
-
-
 def _checked(system: StateSpace, u: Array, x0: Array | None) -> tuple[Array, Array]:
     if system.order and not system.discrete:
         raise BadInput("a continuous system cannot run over samples; sample it with afdsvc.lti.sampling.sample_zoh")

@@ -14,7 +14,6 @@ from afdsvc.lti.lft import (
     augment,
     fault_signature,
     sensor_gain,
-    signature_derivative,
     signature_interconnection,
     star,
 )
@@ -141,6 +140,14 @@ def test_signature_is_formula_2_19_and_the_deviation_of_the_faulty_plant(theta: 
     closed = loop[:, 4:, :4] @ th @ np.linalg.inv(np.eye(4) - loop[:, :4, :4] @ th) @ loop[:, :4, 4:]
     assert np.abs(closed - wanted).max() < 1e-11
     assert np.abs(loop[:, 4:, 4:]).max() < 1e-12  # the healthy loop is silent
+
+
+def signature_derivative(augmented, J_K: StateSpace, name: str) -> StateSpace:
+    """Return ``dS/dtheta_i`` at theta = 0, which is ``Mt Gyw e_i e_i' Gzu M``, as a system from alpha to beta."""
+    loop, k = signature_interconnection(augmented, J_K), augmented.channels
+    own = list(range(loop.inputs))[augmented.channels_of(name)]
+    rest_in, rest_out = list(range(k, loop.inputs)), list(range(k, loop.outputs))
+    return loop.select(rest_out, own) @ loop.select(own, rest_in)
 
 
 @pytest.mark.parametrize("name", ["pump", "parameter", "gauge", "valve"])

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from afdsvc.errors import BadInput, IllConditioned
 from afdsvc.lti.lft import AugmentedPlant
-from afdsvc.lti.parametric import parameter_direction, parametric_plant
+from afdsvc.lti.parametric import parametric_plant
 from afdsvc.lti.sampled_lft import sample_augmented
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.statespace import StateSpace
@@ -90,12 +90,6 @@ def test_sampled_gain_faults_keep_one_channel_and_are_exact() -> None:
     sensors = np.diag([1.0, 0.25])
     found = sampled.close({"drive": -0.5, "k1": -0.4, "encoder": -0.75})
     agree(found, StateSpace(wanted.A, 0.5 * wanted.B, sensors @ wanted.C, 0.5 * sensors @ wanted.D, 0.005), 1e-12)
-
-
-def test_a_single_direction() -> None:
-    d = parameter_direction(two_masses, VALUES, "m2", fault="lighter rotor")
-    assert d.name == "lighter rotor"
-    assert d.width == 1
 
 
 def test_a_power_and_a_square_of_a_quotient() -> None:

@@ -21,8 +21,8 @@ from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.lft import star
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.stability import worst_pole
-from afdsvc.lti.statespace import Array, StateSpace
-from afdsvc.lti.yjbk import exchange, interconnection, plant_from
+from afdsvc.lti.statespace import StateSpace
+from afdsvc.lti.yjbk import interconnection, plant_from
 
 #: Where filter transients count as died out.
 _SETTLED = 1e-4
@@ -46,18 +46,6 @@ def youla_signals(fact: Factorisation, recording: InputOutputData) -> InputOutpu
     return InputOutputData(out[start:, :m], out[start:, m:], recording.dt, recording.name)
 
 
-def original_hansen_signals(fact: Factorisation, r1: Array, r2: Array, recording: InputOutputData) -> InputOutputData:
-    """Return the recording of S for known external signals: ``eta = Ut r1 + Vt r2`` (thesis 4.25), eps as above.
-
-    ``r1 (N, p)`` is added to the measurement the controller sees, ``r2 (N, m)`` to the plant's input; u and y of the
-    recording are the plant's own. Unlike `youla_signals` this does not read the excitation off the measurements.
-    """
-    filtered = youla_signals(fact, recording)
-    m, start = fact.plant.inputs, len(recording) - len(filtered)
-    both, _ = simulate(fact.Lf, np.hstack([r2, -r1]))
-    return InputOutputData(both[start:, :m], filtered.y, recording.dt, recording.name)
-
-
 def settling_samples(system: StateSpace, level: float = _SETTLED) -> int:
     """Return after how many samples a stable filter has forgotten its initial state down to ``level``."""
     if not system.order:
@@ -69,20 +57,6 @@ def settling_samples(system: StateSpace, level: float = _SETTLED) -> int:
 def rebuilt_plant(fact: Factorisation, S: StateSpace) -> StateSpace:
     """Return ``G(S) = F_u(J_G, S)``: the plant that belongs to an identified S, of order S plus R."""
     return plant_from(fact, S)
-
-
-def rebuilt_plant_right(fact: Factorisation, S: StateSpace) -> StateSpace:
-    """Return ``G(S) = (N + V S)(M + U S)^-1`` (thesis 4.33): drive R with ``beta = S alpha`` and solve for u."""
-    driven = fact.R @ _graph(S)
-    m = fact.plant.inputs
-    return exchange(driven, range(m), range(m)).select(slice(m, None), slice(None))
-
-
-def rebuilt_plant_left(fact: Factorisation, S: StateSpace) -> StateSpace:
-    """Return ``G(S) = (Mt + S Ut)^-1 (Nt + S Vt)`` (thesis 4.34): ``beta - S alpha = 0`` solved for y."""
-    m, p = fact.plant.inputs, fact.plant.outputs
-    mismatch = _kernel(S) @ fact.Lf  # [u, y] -> beta - S alpha
-    return exchange(mismatch, range(m, m + p), range(p)).select(slice(None), slice(0, m))
 
 
 def loop_is_stable(plant: StateSpace, controller: StateSpace) -> bool:
@@ -103,15 +77,3 @@ def excited_loop(fact: Factorisation, plant: StateSpace) -> StateSpace:
     )
     loop = star(shown, interconnection(fact), p, m)
     return loop.select(slice(0, m + p), slice(None))
-
-
-def _graph(S: StateSpace) -> StateSpace:
-    """Return ``alpha -> [alpha; S alpha]``."""
-    m = S.inputs
-    return StateSpace(S.A, S.B, np.vstack([np.zeros((m, S.order)), S.C]), np.vstack([np.eye(m), S.D]), S.dt)
-
-
-def _kernel(S: StateSpace) -> StateSpace:
-    """Return ``[alpha; beta] -> beta - S alpha``."""
-    p = S.outputs
-    return StateSpace(S.A, np.hstack([S.B, np.zeros((S.order, p))]), -S.C, np.hstack([-S.D, np.eye(p)]), S.dt)

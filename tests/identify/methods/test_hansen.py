@@ -10,25 +10,61 @@ from afdsvc.errors import BadInput
 from afdsvc.identify.methods.hansen import (
     excited_loop,
     loop_is_stable,
-    original_hansen_signals,
     rebuilt_plant,
-    rebuilt_plant_left,
-    rebuilt_plant_right,
     settling_samples,
     youla_signals,
 )
+from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.python_control import factorise
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.stability import is_stable
-from afdsvc.lti.statespace import StateSpace
-from afdsvc.lti.yjbk import closed_loop, deviation_system
+from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.lti.yjbk import closed_loop, deviation_system, exchange
 
 OMEGA = np.geomspace(10, 15_000, 60)
 
 
 def _scaled(plant, factor):
     return StateSpace(factor * plant.A, plant.B, plant.C, plant.D, plant.dt)
+
+
+def original_hansen_signals(fact: Factorisation, r1: Array, r2: Array, recording: InputOutputData) -> InputOutputData:
+    """Return the recording of S for known external signals: ``eta = Ut r1 + Vt r2`` (thesis 4.25), eps as above.
+
+    ``r1 (N, p)`` is added to the measurement the controller sees, ``r2 (N, m)`` to the plant's input; u and y of the
+    recording are the plant's own. Unlike `youla_signals` this does not read the excitation off the measurements.
+    """
+    filtered = youla_signals(fact, recording)
+    m, start = fact.plant.inputs, len(recording) - len(filtered)
+    both, _ = simulate(fact.Lf, np.hstack([r2, -r1]))
+    return InputOutputData(both[start:, :m], filtered.y, recording.dt, recording.name)
+
+
+def rebuilt_plant_right(fact: Factorisation, S: StateSpace):
+    """Return ``G(S) = (N + V S)(M + U S)^-1`` (thesis 4.33): drive R with ``beta = S alpha`` and solve for u."""
+    driven = fact.R @ _graph(S)
+    m = fact.plant.inputs
+    return exchange(driven, range(m), range(m)).select(slice(m, None), slice(None))
+
+
+def rebuilt_plant_left(fact: Factorisation, S: StateSpace):
+    """Return ``G(S) = (Mt + S Ut)^-1 (Nt + S Vt)`` (thesis 4.34): ``beta - S alpha = 0`` solved for y."""
+    m, p = fact.plant.inputs, fact.plant.outputs
+    mismatch = _kernel(S) @ fact.Lf  # [u, y] -> beta - S alpha
+    return exchange(mismatch, range(m, m + p), range(p)).select(slice(None), slice(0, m))
+
+
+def _graph(S: StateSpace):
+    """Return ``alpha -> [alpha; S alpha]``."""
+    m = S.inputs
+    return StateSpace(S.A, S.B, np.vstack([np.zeros((m, S.order)), S.C]), np.vstack([np.eye(m), S.D]), S.dt)
+
+
+def _kernel(S: StateSpace):
+    """Return ``[alpha; beta] -> beta - S alpha``."""
+    p = S.outputs
+    return StateSpace(S.A, np.hstack([S.B, np.zeros((S.order, p))]), -S.C, np.hstack([-S.D, np.eye(p)]), S.dt)
 
 
 @given(st.floats(0.5, 1.0), st.floats(0.8, 1.1), st.booleans())
