@@ -54,7 +54,7 @@ class Answer:
         return "\n".join([*self.sentences, *(f"  {_line(row)}" for row in self.rows())])
 
     def _repr_html_(self) -> str:
-        from afdsvc.present.html.explain_page import svg  # imports matplotlib
+        from afdsvc.present.html import svg  # imports matplotlib
 
         try:
             picture = svg(self.plot())

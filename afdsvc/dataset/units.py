@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
-import pint
-
-_REGISTRY: pint.UnitRegistry[float] = pint.UnitRegistry()
 _VELOCITIES = ("[length]/[time]", "1/[time]")
+
+
+@lru_cache(maxsize=1)
+def unit_registry() -> Any:
+    """Return pint's registry of units, one for the process."""
+    from pint import UnitRegistry  # a third of a second, for those who convert
+
+    return UnitRegistry()
 
 
 @lru_cache(maxsize=256)
@@ -17,7 +23,9 @@ def is_velocity(unit: str) -> bool:
     >>> is_velocity("rpm"), is_velocity("m"), is_velocity("widgets")
     (True, False, False)
     """
+    from pint.errors import PintError
+
     try:
-        return any(_REGISTRY.Quantity(1, unit.replace("^", "**")).check(d) for d in _VELOCITIES) and unit not in ("Hz", "1/s")
-    except (pint.errors.PintError, ValueError, TypeError, AttributeError):
+        return any(unit_registry().Quantity(1, unit.replace("^", "**")).check(d) for d in _VELOCITIES) and unit not in ("Hz", "1/s")
+    except (PintError, ValueError, TypeError, AttributeError):
         return False

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from afdsvc.api.signals import Channel
+from afdsvc.dataset.units import unit_registry
 from afdsvc.errors import BadInput
 from afdsvc.files.validation import Strict, read_text, toml_table, validated
 from afdsvc.lti.statespace import Array
@@ -113,7 +113,7 @@ def converted(values: Array, source: str, target: str, where: str) -> Array:
         return values
     _refuse_unlike(source, target, where)
     try:
-        return np.asarray(_registry().Quantity(values, source).to(target).magnitude, dtype=np.float64)
+        return np.asarray(unit_registry().Quantity(values, source).to(target).magnitude, dtype=np.float64)
     except Exception as error:
         raise BadInput(f"{where}: '{source}' cannot become '{target}': {error}") from None
 
@@ -142,13 +142,6 @@ def _refuse_unlike(source: str, target: str, where: str) -> None:
 
 def _unit(text: str, where: str) -> Any:
     try:
-        return _registry().Unit(text)
+        return unit_registry().Unit(text)
     except Exception as error:  # pint has a class of its own for every way of misspelling a unit
         raise BadInput(f"{where}: unit '{text}' is not known ({type(error).__name__}); expected one such as 'mm', 'N' or 'rad/s'") from None
-
-
-@lru_cache(maxsize=1)
-def _registry() -> Any:
-    from pint import UnitRegistry  # a third of a second, for those who convert
-
-    return UnitRegistry()

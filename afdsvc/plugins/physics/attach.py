@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Law, Machine, Signal, Size
+from afdsvc.dataset.units import unit_registry
 from afdsvc.lti.statespace import StateSpace
 
 MOST_TERMS = 14  # of a force balance read by one law; the simulation carries 16 signals per law
@@ -134,26 +135,19 @@ def _static(plant: StateSpace | None, i: int, j: int) -> float:
 def quantity(unit: str) -> str:
     """Return what a unit measures: "length", "angle", "velocity" (of either), "force" (or torque), "current", "voltage", else ""."""
     try:
-        known = _registry().Unit(unit)
+        known = unit_registry().Unit(unit)
     except Exception:  # pint has a class of its own for every way of misspelling a unit
         return ""
     turning = any(word in str(known) for word in ("radian", "degree", "turn", "revolution"))
     for kind, example in _QUANTITIES:
-        if known.dimensionality == _registry().Unit(example).dimensionality and turning == ("radian" in example):
+        if known.dimensionality == unit_registry().Unit(example).dimensionality and turning == ("radian" in example):
             return kind
     return ""
 
 
 def radians(unit: str) -> float:
     """Return how many radians one unit of an angle is."""
-    return float(_registry().Quantity(1.0, unit).to("radian").magnitude)
-
-
-@lru_cache(maxsize=1)
-def _registry() -> Any:
-    from pint import UnitRegistry  # a third of a second
-
-    return UnitRegistry()
+    return float(unit_registry().Quantity(1.0, unit).to("radian").magnitude)
 
 
 def force(axis: Axis, name: str, low: float, high: float, scale: float, per: str = "", **rest: Any) -> Coefficient:

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from afdsvc import __version__
 from afdsvc.explain.check.result import CheckResult
-from afdsvc.present.html.explain_page import BEFORE, MEASURED, SHOWN, svg
+from afdsvc.present.html import svg
+from afdsvc.present.html.explain_page import BEFORE, MEASURED, SHOWN
 from afdsvc.present.text_plot import close_up
 
 VERDICTS = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,6 +15,7 @@ from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.thresholds.power import detection_probability, pair_confusion, tail
 from afdsvc.excite.efficiency import efficiency
 from afdsvc.excite.expected_detection import ExpectedDetection, burst_detection, expected_detection, steady_samples
+from afdsvc.present.html import svg
 
 COLOURS = ("#1b6ca8", "#c8553d", "#588157", "#7b4b94", "#c29200", "#3a3a3a", "#008b8b", "#a0522d")
 
@@ -64,7 +64,7 @@ def _efficiency_figure(problem: DetectionProblem, burst: Burst) -> str:
         ax.set(title=f"excited: {_name(problem.input_names, j)}", xlabel="frequency [rad/s]", ylabel="efficiency [1/output unit]")
         ax.set_ylim(bottom=max(1e-6, found.together.max() * 1e-5))
     axes[0].legend(fontsize=7, frameon=False)
-    return _svg(figure)
+    return svg(figure)
 
 
 def _curve_figure(problem: DetectionProblem, seen: ExpectedDetection) -> str:
@@ -85,7 +85,7 @@ def _curve_figure(problem: DetectionProblem, seen: ExpectedDetection) -> str:
         ax.set(xlabel="real [sd]", ylabel="imaginary [sd]")
         ax.set_title(f"{_line_name(problem, seen, n % lines)} to {_name(problem.output_names, n // lines)}", fontsize=8)
     axes[0].legend(fontsize=6, frameon=False)
-    return _svg(figure)
+    return svg(figure)
 
 
 def _severity_figure(seen: ExpectedDetection, h: float) -> str:
@@ -95,7 +95,7 @@ def _severity_figure(seen: ExpectedDetection, h: float) -> str:
         ax.semilogx(-severities, [seen.detection(name, float(s), h) for s in severities], color=_colour(k), label=name)
     ax.set(xlabel="loss [share of the gain]", ylabel="probability of detection [1]", ylim=(0, 1.02))
     ax.legend(fontsize=7, frameon=False)
-    return _svg(figure)
+    return svg(figure)
 
 
 def _length_figure(problem: DetectionProblem, burst: Burst, h: float) -> str:
@@ -110,7 +110,7 @@ def _length_figure(problem: DetectionProblem, burst: Burst, h: float) -> str:
     ax.axvline(steady * problem.plant.dt, color="0.4", ls="--", lw=0.9)
     ax.set(xlabel="steady excitation [s]", ylabel="probability of detection [1]", ylim=(0, 1.02))
     ax.legend(fontsize=7, frameon=False)
-    return _svg(figure)
+    return svg(figure)
 
 
 def _isolation_figure(seen: ExpectedDetection) -> str:
@@ -128,7 +128,7 @@ def _isolation_figure(seen: ExpectedDetection) -> str:
             ax.text(j, i, words, ha="center", va="center", fontsize=7)
     ax.set_xticks(range(len(names)), names, rotation=30, ha="right", fontsize=7)
     ax.set_yticks(range(len(names)), names, fontsize=7)
-    return _svg(figure)
+    return svg(figure)
 
 
 def _axes(rows: int, columns: int, height: float) -> tuple[Figure, Sequence[Axes]]:
@@ -152,9 +152,3 @@ def _name(names: Sequence[str], index: int) -> str:
 
 def _colour(k: int) -> str:
     return COLOURS[k % len(COLOURS)]
-
-
-def _svg(figure: Figure) -> str:
-    out = io.StringIO()
-    figure.savefig(out, format="svg", metadata={"Date": None})
-    return out.getvalue()[out.getvalue().index("<svg") :]

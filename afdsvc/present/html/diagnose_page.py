@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from jinja2 import Environment, PackageLoader, select_autoescape
 from matplotlib.figure import Figure
 
 from afdsvc.errors import BadInput
+from afdsvc.present.html import svg
 
 COLOURS = ("#1b6ca8", "#c8553d", "#588157", "#7b4b94", "#c29200", "#3a3a3a")
 NONE = "none_of_these"
@@ -69,9 +69,7 @@ def _severities(recording: Mapping[str, Any]) -> str:
     ax.set_ylabel("severity [% of gain or value]", fontsize=8)
     ax.tick_params(labelsize=7)
     ax.legend(fontsize=7, frameon=False)
-    out = io.StringIO()
-    figure.savefig(out, format="svg", metadata={"Date": None})
-    return out.getvalue()[out.getvalue().index("<svg") :]
+    return svg(figure)
 
 
 def _columns(rows: Sequence[tuple[float, float, float]]) -> tuple[list[float], list[float], list[float]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
@@ -16,6 +15,7 @@ from matplotlib.figure import Figure
 from afdsvc import __version__
 from afdsvc.explain.report.explanation import Course, Explanation, Spectrum
 from afdsvc.lti.statespace import Array
+from afdsvc.present.html import svg
 
 MEASURED, BEFORE, AFTER, NOISE = "0.25", "#c8553d", "#1b6ca8", "#4a9c5d"
 SHOWN = 1200  # samples of a close-up
@@ -135,13 +135,6 @@ def _labelled(ax: Axes, name: str) -> None:
 def _axes(rows: int, columns: int, height: float) -> tuple[Figure, Sequence[Axes]]:
     figure = Figure(figsize=(9.5, height * rows), layout="constrained")
     return figure, list(np.atleast_1d(figure.subplots(rows, columns)).ravel())
-
-
-def svg(figure: Figure) -> str:
-    """Return the figure as an SVG element; the same figure gives the same text."""
-    out = io.StringIO()
-    figure.savefig(out, format="svg", metadata={"Date": None})
-    return out.getvalue()[out.getvalue().index("<svg") :]
 
 
 VERDICTS = {

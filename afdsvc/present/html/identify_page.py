@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,6 +12,7 @@ from matplotlib.figure import Figure
 from afdsvc.identify import IdentifyResult
 from afdsvc.identify.fit import ResponseBand
 from afdsvc.lti.frequency import frequency_response
+from afdsvc.present.html import svg
 
 BEFORE, AFTER, FULL = "#999999", "#1b6ca8", "#c8553d"
 
@@ -22,7 +22,7 @@ def identify_page(result: IdentifyResult, model_path: str | None = None, data: S
     the recordings."""
     figures = [
         ("Frequency response", "Identified plant with its 95 % band, the model it started from, and the plant before its "
-         "order was reduced where that was done.", _svg(bode(result))),
+         "order was reduced where that was done.", svg(bode(result))),
         ("On a recording not used", "Measured output and the predictions of both models.", _time(result)),
         ("Order", result.fit.order_reason or "The structure fixes the order.", _singular_values(result)),
         ("Residuals", "Correlations of the residual on held-out recordings; dashed lines contain 95 % of them when it is white and independent "
@@ -80,7 +80,7 @@ def _time(result: IdentifyResult) -> str:
         ax.set_ylabel(_variable(result, "outputs", i), fontsize=8)
     axes[-1].set_xlabel(f"time [s], {shown.recording}", fontsize=8)
     axes[0].legend(fontsize=7, frameon=False, ncols=3)
-    return _svg(figure)
+    return svg(figure)
 
 
 def _singular_values(result: IdentifyResult) -> str:
@@ -94,7 +94,7 @@ def _singular_values(result: IdentifyResult) -> str:
     ax.semilogy(n[order:], values[order:], "o", color=BEFORE, ms=4, mfc="none", label="left out")
     ax.set(xlabel="state [number]", ylabel="singular value [1]")
     ax.legend(fontsize=7, frameon=False)
-    return _svg(figure)
+    return svg(figure)
 
 
 def _residuals(result: IdentifyResult) -> str:
@@ -114,7 +114,7 @@ def _residuals(result: IdentifyResult) -> str:
             ax.vlines(lags, 0, tests.crosscorrelation[:, i, j], color=AFTER, lw=1.0)
             _limits(ax, float(tests.cross_band[i, j]))
             ax.set_title(f"with input {_variable(result, 'inputs', j)}", fontsize=8)
-    return _svg(figure)
+    return svg(figure)
 
 
 def _limits(ax: Axes, band: float) -> None:
@@ -131,9 +131,3 @@ def _variable(result: IdentifyResult, side: str, index: int) -> str:
 def _axes(rows: int, columns: int, height: float, width: float = 0.0) -> tuple[Figure, Sequence[Axes]]:
     figure = Figure(figsize=(width or min(3.4 * columns + 1.0, 11), height * rows), layout="constrained")
     return figure, list(np.atleast_1d(figure.subplots(rows, columns)).ravel())
-
-
-def _svg(figure: Figure) -> str:
-    out = io.StringIO()
-    figure.savefig(out, format="svg", metadata={"Date": None})
-    return out.getvalue()[out.getvalue().index("<svg") :]
