@@ -41,7 +41,7 @@ def alarm_rate(h: float, window: int, directions: Array = SINGLE) -> float:
     return (h / window) * phi * siegmund(h * math.sqrt(2 / window)) * tests_counted(directions, h)
 
 
-def threshold(alarms_per_sample: float, window: int, directions: Array = SINGLE) -> float:
+def cluster_threshold(alarms_per_sample: float, window: int, directions: Array = SINGLE) -> float:
     """Return h at which a sliding window raises ``alarms_per_sample`` (alarms per hour times sample time / 3600)."""
     if not 0 < alarms_per_sample < alarm_rate(1.0, window, directions):
         raise BadInput(f"alarm rate {alarms_per_sample} per sample; expected below one alarm per window and above 0")

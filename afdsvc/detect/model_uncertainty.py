@@ -106,7 +106,7 @@ def sampled_models(
     return Models(np.full(draws, 1 / draws), waves, np.array([covariance for _, covariance in found]))
 
 
-def robust_threshold(directions: Array, found: Models, false_alarm: float) -> float:
+def threshold_over_models(directions: Array, found: Models, false_alarm: float) -> float:
     """Return h at which ``max_k <e_k, z>`` exceeds h with probability ``false_alarm`` averaged over the models.
 
     ``directions (K, D)`` need not be unit vectors: ``<e_k, z>`` has unit variance in the nominal machine plus doubt.
@@ -118,7 +118,7 @@ def robust_threshold(directions: Array, found: Models, false_alarm: float) -> fl
 @lru_cache(maxsize=64)  # the same burst asks for the same threshold again and again
 def _robust_threshold(raw: bytes, shape: tuple[int, int], found: Models, false_alarm: float) -> float:
     e = np.frombuffer(raw).reshape(shape)
-    nominal = maximum.threshold(e, false_alarm)
+    nominal = maximum.maximum_threshold(e, false_alarm)
     if len(found.weights) == 1:
         return nominal
     return found.mixture(e).threshold(lambda h: np.full(len(e), h), false_alarm, nominal)

@@ -51,7 +51,7 @@ def _regression(problem: DetectionProblem, burst: Burst) -> float:
     gram = gram[np.ix_(seen, seen)]
     scale = np.sqrt(np.diag(gram))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-    return maximum.threshold(vectors * np.sqrt(np.maximum(values, 0.0)), problem.false_alarms.per_burst)
+    return maximum.maximum_threshold(vectors * np.sqrt(np.maximum(values, 0.0)), problem.false_alarms.per_burst)
 
 
 def _cusum(problem: DetectionProblem, burst: Burst) -> float:

@@ -18,10 +18,10 @@ from afdsvc.explain.check.still import refuse_still
 from afdsvc.explain.gap.decision import gap
 from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.gap.settings import GapSettings
-from afdsvc.explain.locate.residual import by_innovations, names, signals
+from afdsvc.explain.locate.residual import by_innovations, signal_names, signals
 from afdsvc.explain.report.explanation import Explanation
 from afdsvc.explain.report.report import report
-from afdsvc.explain.search.base import Settled, coloured, settled
+from afdsvc.explain.search.base import Settled, settled, under_slow_noise
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.forward import Found, Mapper, Progress, search
@@ -29,7 +29,7 @@ from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import mechanism
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
-from afdsvc.explain.verdict.holdout import doubted, judged
+from afdsvc.explain.verdict.holdout import confirmed, doubted
 from afdsvc.explain.verdict.verdict import verdict
 
 ATTEMPTS = 3  # searches, each without the first names that the recordings held out have refuted
@@ -66,7 +66,7 @@ def explain(
     for _ in range(ATTEMPTS):
         found = _searched(base, before, offered, mapper, progress, rng, [mechanism(h) for h in refuted])
         after = tested(found.problem, found.end, rng) if found.end is not found.start else None
-        answer = judged(found, verdict(found, before, after), roles.heldout)
+        answer = confirmed(found, verdict(found, before, after), roles.heldout)
         if not refuted:
             first = found, answer
         if not answer.refuted:
@@ -91,7 +91,7 @@ def _searched(
     found = search(base, library, mapper, progress, lambda path: not tested(base.problem, path, rng).absent, refuted)
     if not base.problem.weighting.even or not found.steps or any(s.accepted for s in found.steps):
         return found
-    again = coloured(base, 1 - np.clip(before.whitened, 0.0, 1.0))
+    again = under_slow_noise(base, 1 - np.clip(before.whitened, 0.0, 1.0))
     return search(again, library, mapper, progress, lambda path: not tested(again.problem, path, rng).absent, refuted)
 
 
@@ -99,7 +99,7 @@ def tested(problem: Problem, path: dict[float, Fit], rng: np.random.Generator) -
     """Return whether the residual of a path is predictable: that of the simulation where the plant allows one."""
     horizon, fit = list(path.items())[-1]
     point = by_innovations(problem, fit, horizon, GapSettings().whitening_order)
-    return gap(signals(problem, point, horizon), *names(problem), rng)
+    return gap(signals(problem, point, horizon), *signal_names(problem), rng)
 
 
 def _mean_input(runs: Sequence[Run]) -> np.ndarray | None:

@@ -133,7 +133,7 @@ def correlation(G: Array) -> Array:
 def threshold(correlation: Array, rate: float) -> float:
     """Return the threshold of the largest of normals so correlated."""
     values, vectors = np.linalg.eigh(correlation)
-    return maximum.threshold(vectors * np.sqrt(np.maximum(values, 0.0)), rate)
+    return maximum.maximum_threshold(vectors * np.sqrt(np.maximum(values, 0.0)), rate)
 
 
 def _band(correlations: list[Array]) -> tuple[Array, Array]:

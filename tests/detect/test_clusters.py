@@ -18,7 +18,7 @@ from afdsvc.errors import BadInput
 )
 def test_thresholds_for_one_alarm_per_hour_day_month(window, rate_hz, thresholds):
     for hours, h in zip((1, 24, 720), thresholds, strict=True):
-        assert clusters.threshold(1 / (hours * 3600 * rate_hz), window) == pytest.approx(h, abs=1e-4)
+        assert clusters.cluster_threshold(1 / (hours * 3600 * rate_hz), window) == pytest.approx(h, abs=1e-4)
 
 
 @pytest.mark.parametrize(("pfa", "window", "rate_hz", "alarms"), [(2e-5, 12500, 5000, 0.4956), (1e-4, 200, 1000, 21.07)])
@@ -45,4 +45,4 @@ def test_siegmund_function_at_its_known_limits():
 
 def test_a_rate_above_one_alarm_per_window_is_refused():
     with pytest.raises(BadInput, match="below one alarm per window"):
-        clusters.threshold(0.5, 100)
+        clusters.cluster_threshold(0.5, 100)

@@ -15,7 +15,7 @@ from afdsvc.api.signals import Trace
 from afdsvc.explain.pipeline import explain
 from afdsvc.explain.report.explanation import Explanation
 from afdsvc.explain.search.nuisance import NUISANCE
-from afdsvc.explain.simulate.steps import steps
+from afdsvc.explain.simulate.steps import substep_matrices
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.tables.tables import read_table
 from afdsvc.lti.statespace import Array
@@ -57,7 +57,7 @@ def force_error(answer: Explanation, trace: Trace) -> float:
     ref, u, q = (trace.column(c) for c in ("ref_position", "u_force", "y_position"))
     commanded = _commands(ref, q, dt)
     added = u - commanded
-    s = steps(nominal.at(point.theta), dt)  # one step of the model at a time: the loop is closed here, not in the simulation
+    s = substep_matrices(nominal.at(point.theta), dt)  # one step of the model at a time: the loop is closed here, not in the simulation
     x, forces = np.array([q[0], 0.0]), np.zeros(n)
     memories = [np.zeros(e.hypothesis.memory) for e in point.effects]
     previous = q[0]

@@ -54,10 +54,10 @@ class BurstNoise:
         if n - q < FEWEST:
             return 1.0, 1.0
         on = float(np.sum(self.lines.B * (np.linalg.pinv(self.lines.G, rcond=1e-12, hermitian=True) @ self.lines.B)))
-        return compared(self.energy - on, (n - q) * p, estimated * p, level)
+        return noise_compared(self.energy - on, (n - q) * p, estimated * p, level)
 
 
-def compared(found: float, freedom: float, estimated: float, level: float) -> tuple[float, float]:
+def noise_compared(found: float, freedom: float, estimated: float, level: float) -> tuple[float, float]:
     """Return an energy over its degrees of freedom, 1 unless it differs at ``level`` (two-sided), and the p-value.
 
     A variance estimated from ``estimated`` numbers widens the distribution: both errors count.

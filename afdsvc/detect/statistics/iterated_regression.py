@@ -87,7 +87,7 @@ class Iterated:
         if healthy is None or not len(seen):
             return [Finding(0.0, float("inf"))]
         fits = [self._fit(name, signals, healthy) for name in self.problem.fault_names]
-        h = maximum.threshold(_gram_vectors(scores[seen]), self.problem.false_alarms.per_burst)
+        h = maximum.maximum_threshold(_gram_vectors(scores[seen]), self.problem.false_alarms.per_burst)
         basis = self._basis(burst, self.nuisances.turning(signals))
         other = anything_log_evidence(project(sums.lines, basis).z) if basis.omega else None
         samples = len(healthy) // len(self.Li)

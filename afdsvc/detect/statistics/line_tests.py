@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from afdsvc.detect.isolation import LineData
-from afdsvc.detect.model_uncertainty import Models, robust_threshold
+from afdsvc.detect.model_uncertainty import Models, threshold_over_models
 from afdsvc.detect.statistics import likelihood_ratio
 from afdsvc.detect.statistics.fault_curves import FaultCurves
 from afdsvc.detect.thresholds import maximum
@@ -59,9 +59,9 @@ class LargestProjection:
     def threshold(self, waves: Array, data: LineData, models: Models | None, false_alarm: float) -> float:
         """Return the threshold of the largest projection."""
         if models is None:
-            return maximum.threshold(_unit(waves), false_alarm)
+            return maximum.maximum_threshold(_unit(waves), false_alarm)
         raw = np.array(np.linalg.solve(_factor(data).T, _unit(waves).T).T, dtype=np.float64)  # <raw, z> is <e, whitened z>
-        return robust_threshold(raw, models, false_alarm)
+        return threshold_over_models(raw, models, false_alarm)
 
 
 @dataclass(frozen=True, slots=True)

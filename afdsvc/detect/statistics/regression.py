@@ -22,7 +22,7 @@ from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.burst_detector import BurstSamples, Finding
 from afdsvc.detect.combinations import JOINED, Combination, combined, course, weighed
-from afdsvc.detect.features.burst_noise import compared, energy
+from afdsvc.detect.features.burst_noise import energy, noise_compared
 from afdsvc.detect.features.demodulation import Basis, BasisSums, project
 from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
 from afdsvc.detect.features.regressors import Regressors, no_return
@@ -154,7 +154,7 @@ class Regression:
         b, G = sums.products.score(theta), sums.products.information(theta)
         left = sums.energy - 2 * float(best.severity @ b) + float(best.severity @ G @ best.severity)
         left -= self._bent(best, sums.products.information(self.theta), sums.products.n) + self._uncertain(sums)
-        share, p = compared(left, sums.products.n * self.outputs, self.estimated * self.outputs, CONSTANT)
+        share, p = noise_compared(left, sums.products.n * self.outputs, self.estimated * self.outputs, CONSTANT)
         if not share > 1.0:
             return finding
         return replace(finding, weights={NONE_OF_THESE: 1.0}, parts={**finding.parts, "unexplained_share": share - 1, "unexplained_p": p})
@@ -190,7 +190,7 @@ class Regression:
         t = -b[seen] / np.sqrt(information[seen])
         correlation = G[np.ix_(seen, seen)] / np.sqrt(np.outer(information[seen], information[seen]))
         mean, sd = (v[seen] for v in self.noise.signed_root(samples, burst))
-        return float(np.max((t - mean) / sd)), maximum.threshold(_square_root(correlation), self.false_alarm)
+        return float(np.max((t - mean) / sd)), maximum.maximum_threshold(_square_root(correlation), self.false_alarm)
 
     def _anything(self, sums: RegressionSums, burst: Burst) -> float | None:
         basis = self.nuisances.basis(_omega(burst), True)

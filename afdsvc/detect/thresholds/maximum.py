@@ -35,7 +35,7 @@ def exceedance(directions: Array, h: float) -> float:
     return _exceedance(reduced(directions), h)
 
 
-def threshold(directions: Array, false_alarm: float) -> float:
+def maximum_threshold(directions: Array, false_alarm: float) -> float:
     """Return h with ``P(max_k <z, e_k> > h) = false_alarm``; raises `BadInput` for a zero direction.
 
     ``false_alarm`` must leave h non-negative.

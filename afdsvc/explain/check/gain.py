@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.dataset.sample_checks import Finding
-from afdsvc.explain.check.lines import ComplexArray, Lines, response
+from afdsvc.explain.check.lines import ComplexArray, ExcitedLines, line_response
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.lti.statespace import Array
 
@@ -35,11 +35,11 @@ class _Path:
     explained: float
 
 
-def gains(nominal: Nominal, lines: Lines) -> Iterator[Finding]:
+def gains(nominal: Nominal, lines: ExcitedLines) -> Iterator[Finding]:
     """Yield what the measured gains say about units and signs, and the best shift about clocks."""
     if len(lines.angle) < 2:
         return
-    G = response(nominal, np.zeros(len(nominal.entries)), lines.angle)
+    G = line_response(nominal, np.zeros(len(nominal.entries)), lines.angle)
     terms = G * lines.U[:, None, :]
     paths = [p for j in range(terms.shape[1]) for p in _paths(terms[:, j], lines.Y[:, j], j)]
     wrong = list(_factors(nominal, paths))
@@ -115,7 +115,7 @@ def _finding(channel: str, factor: float, explained: float, also: str = "") -> F
     return Finding("stop" if stop else "warning", "units", f"{channel} is {' and '.join(what)}{also}; {mend}")
 
 
-def _shift(nominal: Nominal, terms: ComplexArray, lines: Lines, j: int) -> Iterator[Finding]:
+def _shift(nominal: Nominal, terms: ComplexArray, lines: ExcitedLines, j: int) -> Iterator[Finding]:
     y = lines.Y[:, j]
     weight = 1 / np.sqrt(np.abs(y) ** 2 + np.mean(np.abs(y) ** 2) + 1e-300)
     X = terms * weight[:, None]

@@ -9,7 +9,7 @@ import numpy as np
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.periods import aperiodic_part
 from afdsvc.dataset.sample_checks import Finding
-from afdsvc.explain.check.lines import Lines, response
+from afdsvc.explain.check.lines import ExcitedLines, line_response
 from afdsvc.explain.simulate.nominal import Entry, Nominal
 from afdsvc.lti.statespace import Array
 
@@ -18,7 +18,7 @@ STEP = 1e-3
 VISIBLE = 0.3  # rms of what the excitation causes in the outputs, over the noise, below which nothing can be named
 
 
-def information(nominal: Nominal, runs: Sequence[Run], lines: Lines) -> Iterator[Finding]:
+def information(nominal: Nominal, runs: Sequence[Run], lines: ExcitedLines) -> Iterator[Finding]:
     """Yield which entries the data determine, and a stop when the excitation determines nothing; nothing for a machine without inputs."""
     if not nominal.plant.inputs:
         return
@@ -54,26 +54,26 @@ def noise_sd(nominal: Nominal, runs: Sequence[Run]) -> Array:
     return np.asarray(np.maximum(np.sqrt(np.mean(rough, axis=0)), 1e-300))
 
 
-def visibility(nominal: Nominal, lines: Lines, sd: Array) -> float:
+def visibility(nominal: Nominal, lines: ExcitedLines, sd: Array) -> float:
     """Return the rms of what the inputs cause in the outputs at the excited lines, over the noise, in the best output."""
     if not len(lines.angle):
         return 0.0
-    G = response(nominal, np.zeros(len(nominal.entries)), lines.angle)
+    G = line_response(nominal, np.zeros(len(nominal.entries)), lines.angle)
     caused = np.abs(np.einsum("lij,lj->li", G, lines.U)) ** 2 / 2
     return float((np.sqrt(caused.sum(0) / lines.runs) / sd).max())
 
 
-def posterior_sd(nominal: Nominal, lines: Lines, sd: Array) -> Array:
+def posterior_sd(nominal: Nominal, lines: ExcitedLines, sd: Array) -> Array:
     """Return the standard deviation of every uncertain number after the data, in units of that before."""
     k = len(nominal.entries)
     if not k or not len(lines.angle):
         return np.ones(k)
-    base = response(nominal, np.zeros(k), lines.angle)
+    base = line_response(nominal, np.zeros(k), lines.angle)
     columns = []
     for number in range(k):
         theta = np.zeros(k)
         theta[number] = STEP
-        change = (response(nominal, theta, lines.angle) - base) / STEP
+        change = (line_response(nominal, theta, lines.angle) - base) / STEP
         columns.append(np.einsum("lij,lj->li", change, lines.U))
     J = np.stack(columns, axis=2) * np.sqrt(lines.samples / 2)[:, None, None] / sd[None, :, None]
     rows = J.reshape(-1, k)

@@ -18,7 +18,7 @@ ComplexArray = np.ndarray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lines:
+class ExcitedLines:
     """Amplitudes at the excited lines of all runs: ``U (L, m)``, ``Y (L, p)`` complex, angle per sample ``angle (L,)`` rad,
     ``samples (L,)`` how many samples each amplitude rests on, and ``runs`` how many recordings they come from."""
 
@@ -29,11 +29,11 @@ class Lines:
     runs: int
 
 
-def lines(nominal: Nominal, runs: Sequence[Run]) -> Lines:
+def lines(nominal: Nominal, runs: Sequence[Run]) -> ExcitedLines:
     """Return the lines of all runs; ordinary recordings count as one period under a Hann window."""
     pieces = [_of_run(r) for r in runs]
     U, Y, angle, samples = (np.concatenate(part) for part in zip(*pieces, strict=True))
-    return Lines(U, Y, angle, samples, len(runs))
+    return ExcitedLines(U, Y, angle, samples, len(runs))
 
 
 def _of_run(run: Run) -> tuple[ComplexArray, ComplexArray, Array, Array]:
@@ -66,7 +66,7 @@ def _filled(Y: Array) -> Array:
     return out
 
 
-def response(nominal: Nominal, theta: Array, angle: Array) -> ComplexArray:
+def line_response(nominal: Nominal, theta: Array, angle: Array) -> ComplexArray:
     """Return the sampled nominal frequency response ``(L, p, m)``; a line on a pole gets a large finite value."""
     s = nominal.steps(theta)
     plant = nominal.at(theta)

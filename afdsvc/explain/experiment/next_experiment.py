@@ -11,9 +11,9 @@ import numpy as np
 from afdsvc.api.bursts import Burst
 from afdsvc.dataset.experiment import Run, sampled
 from afdsvc.explain.check.information import noise_sd
-from afdsvc.explain.check.lines import response
-from afdsvc.explain.experiment.plans import PERIODS, Plan, multisine, plans
-from afdsvc.explain.experiment.separation import separation
+from afdsvc.explain.check.lines import line_response
+from afdsvc.explain.experiment.plans import PERIODS, Plan, multisine_plan, plans
+from afdsvc.explain.experiment.separation import separation_of
 from afdsvc.explain.search.forward import Found
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.explain.verdict.verdict import Claim
@@ -64,7 +64,7 @@ def experiment_after(found: Found, claims: Sequence[Claim]) -> NextExperiment | 
     if not pairs or not found.machine.inputs:
         return None
     rival, first = max(pairs, key=lambda pair: pair[0].weight)
-    measure = separation(found, first.candidate.fit, rival.candidate.fit)
+    measure = separation_of(found, first.candidate.fit, rival.candidate.fit)
     tried = plans(found.problem.runs) if measure else []
     if measure is None or not tried:
         return None
@@ -94,7 +94,7 @@ def first_experiment(nominal: Nominal, runs: Sequence[Run]) -> NextExperiment | 
     band = (LOW, float(np.clip(REACH * fastest, 40 * LOW, 0.4 / dt)))
     if band[1] < 2 * band[0]:  # a slow machine: two decades below what the sample time allows
         band = (0.004 / dt, 0.4 / dt)
-    shape = multisine(band, np.ones(m), dt)
+    shape = multisine_plan(band, np.ones(m), dt)
     angles = np.array([line.omega * dt for line in shape.lines])
     gains = np.abs(_from_alpha(nominal, angles)[np.arange(len(angles)), :, [line.input for line in shape.lines]])
     rms = np.sqrt(((gains * np.array([line.amplitude for line in shape.lines])[:, None]) ** 2).sum(0) / 2)
@@ -117,7 +117,7 @@ def _pole_sizes(nominal: Nominal) -> Array:
 
 def _from_alpha(nominal: Nominal, angle: Array) -> np.ndarray:
     """Return the response of the outputs to alpha ``(L, p, m)``: G (1 - K G)^-1 with the controller where it is known."""
-    G = response(nominal, np.zeros(len(nominal.entries)), angle)
+    G = line_response(nominal, np.zeros(len(nominal.entries)), angle)
     K = None if nominal.model.controller is None else sampled(nominal.model.controller, nominal.dt)
     if K is None:
         return G

@@ -59,12 +59,12 @@ def _drive(run: Run) -> Array:
 
 def _plan(band: tuple[float, float], level: float, peaks: Array, dt: float) -> Plan | None:
     try:
-        return Plan(multisine(band, level * peaks, dt), band, level, float(level * peaks.max()))
+        return Plan(multisine_plan(band, level * peaks, dt), band, level, float(level * peaks.max()))
     except BadInput:  # too few lines in the band
         return None
 
 
-def multisine(band: tuple[float, float], peaks: Array, dt: float) -> Burst:
+def multisine_plan(band: tuple[float, float], peaks: Array, dt: float) -> Burst:
     """Return an odd multisine with detection lines, five periods, each long enough for the lowest frequency."""
     seconds = PERIODS * max(SECONDS, 1 / band[0])
     burst = multisine_burst(Band(band[0], band[1], peaks, dt), seconds, np.random.default_rng(SEED), "odd_random", PERIODS, "next_experiment")

@@ -60,7 +60,7 @@ class Separation:
         return (J.reshape(-1, p, c.shared) / self.noise[:, None])[-plan.period :].reshape(-1, c.shared)
 
 
-def separation(found: Found, first: Fit, second: Fit) -> Separation | None:
+def separation_of(found: Found, first: Fit, second: Fit) -> Separation | None:
     """Return the two fits ready to be compared; None for a plant that is not stable and whose controller is unknown."""
     last = list(found.end)[-1]
     closed = found.problem.nominal.model.controller is not None

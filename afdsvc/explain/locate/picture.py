@@ -14,8 +14,8 @@ import numpy as np
 from afdsvc.api.physics import Hypothesis
 from afdsvc.explain.locate.free_law import KNOTS, LawSite, evaluated, signal_of, site
 from afdsvc.explain.locate.words import described
-from afdsvc.explain.report.explanation import Law
-from afdsvc.explain.search.evidence import blocks, left_out
+from afdsvc.explain.report.explanation import LawPicture
+from afdsvc.explain.search.evidence import block_spans, left_out
 from afdsvc.explain.search.fit import Coordinates, Fit, fit
 from afdsvc.explain.search.forward import Found
 from afdsvc.explain.search.problem import Point, Problem
@@ -28,7 +28,7 @@ WIDE = 1.96  # standard deviations of the band
 ITERATIONS = 8
 
 
-def picture(found: Found, final: Fit, claimed: bool) -> Law | None:
+def picture(found: Found, final: Fit, claimed: bool) -> LawPicture | None:
     """Return the law at the first accepted site, else at that of the nearest hypothesis; None where no static law applies."""
     for candidate in found.steps[0].candidates if found.steps else ():
         drawn = _site(found, candidate)
@@ -49,7 +49,7 @@ def _site(found: Found, candidate: Candidate) -> LawSite | None:
     return None if read.kind not in ("u", "x", "y") else site(candidate.hypothesis, found.machine, signal_of(read, u, x, y))
 
 
-def _drawn(found: Found, final: Fit, candidate: Candidate, drawn: LawSite, claimed: bool) -> Law | None:
+def _drawn(found: Found, final: Fit, candidate: Candidate, drawn: LawSite, claimed: bool) -> LawPicture | None:
     """Fit the law with the other effects kept, smooth it, and put it beside the named one."""
     last, key = list(found.end)[-1], candidate.hypothesis.key
     like = final.point if claimed else candidate.fit.point
@@ -65,7 +65,7 @@ def _drawn(found: Found, final: Fit, candidate: Candidate, drawn: LawSite, claim
     heights, sd, loss = _smoothed(problem, here, drawn, base.sd)
     if not np.isfinite(heights).all():
         return None
-    left = float(left_out(base, blocks([len(e) for e in base.residuals], base.tau, problem.settings), base.sd).sum())
+    left = float(left_out(base, block_spans([len(e) for e in base.residuals], base.tau, problem.settings), base.sd).sum())
     return _law(drawn, heights, sd, beside if claimed else None, 1 - loss / left)
 
 
@@ -93,7 +93,7 @@ def _smoothed(problem: Problem, here: Fit, drawn: LawSite, scale: Array) -> tupl
     R = np.zeros_like(here.H)
     R[own, own] = bend.T @ bend
     size = float(np.trace(here.H[own, own])) / max(float(np.trace(R)), 1e-300)
-    spans, best = blocks([len(e) for e in here.residuals], here.tau, problem.settings), None
+    spans, best = block_spans([len(e) for e in here.residuals], here.tau, problem.settings), None
     for ridge in RIDGES:
         H = here.H + ridge * size * R
         shift: Array = np.asarray(np.linalg.lstsq(H, -ridge * size * R @ q, rcond=1e-12)[0], dtype=np.float64)
@@ -123,10 +123,10 @@ def _second_differences(x: Array) -> Array:
     return np.asarray(rows * step.mean())
 
 
-def _law(drawn: LawSite, heights: Array, sd: Array, named: Array | None, gained: float) -> Law:
+def _law(drawn: LawSite, heights: Array, sd: Array, named: Array | None, gained: float) -> LawPicture:
     x, adds = drawn.knots, drawn.knots if drawn.adds else 0.0
     y, band = adds + drawn.factor * heights, WIDE * abs(drawn.factor) * sd
     beside = None if named is None else adds + drawn.factor * named
     tested = f"on left-out blocks it removes {100 * gained:.0f} % of the squared error" if gained > 0 else "left-out blocks do not confirm it"
     said = f"{drawn.words}: {described(x, y, np.abs(band), drawn.adds, drawn.of)}; {tested}"
-    return Law(drawn.words, drawn.against, drawn.unit, drawn.of.unit, x, y, y - band, y + band, beside, said)
+    return LawPicture(drawn.words, drawn.against, drawn.unit, drawn.of.unit, x, y, y - band, y + band, beside, said)

@@ -9,7 +9,7 @@ import numpy as np
 from afdsvc.dataset.experiment import Run
 from afdsvc.explain.gap.decision import flexible_prediction
 from afdsvc.explain.gap.finding import Gap
-from afdsvc.explain.locate.residual import names, signals
+from afdsvc.explain.locate.residual import signal_names, signals
 from afdsvc.explain.report.explanation import Located
 from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.machine import bandwidth
@@ -28,7 +28,7 @@ def located(problem: Problem, fit: Fit, horizon: float, gap: Gap, rng: np.random
     if not gap.present:
         return ()
     residual = signals(problem, fit.point, horizon)
-    predicted = flexible_prediction(residual, *names(problem), rng)
+    predicted = flexible_prediction(residual, *signal_names(problem), rng)
     outputs = [v.name for v in problem.nominal.model.outputs]
     found = [
         _place(problem, gap, j, name, [p[:, j] for p in predicted], [np.nan_to_num(s.residual[:, [j]]) for s in residual])

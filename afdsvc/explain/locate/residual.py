@@ -63,7 +63,7 @@ def _reference(run: Run) -> Array | None:
     return outside[:, moves] if moves.any() else None
 
 
-def names(problem: Problem) -> Names:
+def signal_names(problem: Problem) -> Names:
     """Return the names of states, inputs, outputs and other signals."""
     model = problem.nominal.model
     states, inputs, outputs = ([v.name for v in side] for side in (model.states, model.inputs, model.outputs))

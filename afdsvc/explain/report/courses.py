@@ -7,24 +7,24 @@ from collections.abc import Sequence
 import numpy as np
 
 from afdsvc.dataset.experiment import Run
-from afdsvc.explain.report.explanation import Course, OutputFit
+from afdsvc.explain.report.explanation import OutputFit, RecordingCourse
 from afdsvc.explain.search.problem import Point, Problem
 from afdsvc.explain.verdict.holdout import Player, nrmse
 from afdsvc.lti.statespace import Array
 from afdsvc.stats.portmanteau import portmanteau_test
 
 
-def courses(player: Player, runs: Sequence[Run], role: str, before: Point, after: Point) -> tuple[Course, ...]:
+def courses(player: Player, runs: Sequence[Run], role: str, before: Point, after: Point) -> tuple[RecordingCourse, ...]:
     """Return the recordings beside the simulations of both models."""
     both = (player.outputs(runs, p) for p in (before, after))
-    return tuple(Course(r.name, role, _time(r), r.Y, b, a) for r, b, a in zip(runs, *both, strict=True))
+    return tuple(RecordingCourse(r.name, role, _time(r), r.Y, b, a) for r, b, a in zip(runs, *both, strict=True))
 
 
 def _time(run: Run) -> Array:
     return np.asarray(run.t0 + run.dt * np.arange(len(run)), dtype=np.float64)
 
 
-def fits(held: Sequence[Course], names: Sequence[str], floor: Sequence[float] | None) -> tuple[OutputFit, ...]:
+def fits(held: Sequence[RecordingCourse], names: Sequence[str], floor: Sequence[float] | None) -> tuple[OutputFit, ...]:
     """Return the errors of every output on the held-out recordings, and the noise's."""
     y, before, after = (np.vstack([getattr(c, k) for c in held]) for k in ("measured", "before", "after"))
     errors = zip(names, nrmse(y, before), nrmse(y, after), strict=True)
@@ -32,7 +32,7 @@ def fits(held: Sequence[Course], names: Sequence[str], floor: Sequence[float] | 
     return tuple(OutputFit(n, float(b), float(a), None if floor is None else floor[j] / float(spread[j])) for j, (n, b, a) in enumerate(errors))
 
 
-def white(problem: Problem, held: Sequence[Course]) -> tuple[float, float]:
+def white(problem: Problem, held: Sequence[RecordingCourse]) -> tuple[float, float]:
     """Return the p-values of Hosking's test on the weighted residuals before and after; 0 where a simulation left."""
     return _white(problem, [c.residual_before for c in held]), _white(problem, [c.residual_after for c in held])
 

@@ -101,7 +101,7 @@ class OutputFit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Course:
+class RecordingCourse:
     """One recording beside both simulations: ``t (n,)`` s, ``measured``, ``before``, ``after`` ``(n, p)``.
 
     ``role`` is "train" or "heldout". ``before`` is the model as stated, ``after`` the improved one.
@@ -141,7 +141,7 @@ class Spectrum:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Law:
+class LawPicture:
     """A law without a name at one site: ``y (k,)`` against ``x (k,)`` with its 95 % band, and the named law there.
 
     ``against`` says what ``x`` is; ``unit`` and ``x_unit`` are the units; ``named_y`` is None where no name is claimed.
@@ -182,12 +182,12 @@ class Explanation:
     gap: Gap
     remainder: Gap | None
     candidates: tuple[Nearest, ...]
-    law: Law | None
+    law: LawPicture | None
     check: tuple[str, ...]
     sentences: tuple[str, ...]
     next_experiment: Mapping[str, Any] | None
     noise_floor: tuple[float, ...] | None
-    courses: tuple[Course, ...]
+    courses: tuple[RecordingCourse, ...]
     spectra: tuple[Spectrum, ...]
     nominal: Nominal
     point: Point

@@ -10,7 +10,7 @@ import numpy as np
 from afdsvc.api.physics import Coefficient, Hypothesis
 from afdsvc.explain.report.explanation import Estimate, Named, Nearest, Rejected
 from afdsvc.explain.search.fit import Coordinates, Fit, fit, logarithmic
-from afdsvc.explain.search.forward import Found, Step
+from afdsvc.explain.search.forward import Found, Round
 from afdsvc.explain.search.problem import Point, Problem
 from afdsvc.explain.search.ranking import Candidate, is_constant, mechanism
 from afdsvc.explain.simulate.effects import Effect
@@ -113,7 +113,7 @@ def rejections(found: Found, claimed: Sequence[str], error: Callable[[Point], fl
     return tuple(listed.values())
 
 
-def _why(c: Candidate, step: Step) -> str:
+def _why(c: Candidate, step: Round) -> str:
     """Return why a candidate is not claimed: what the accepted one does better, or what it lacks."""
     best = step.candidates[0]
     closes = f"closes {100 * c.evidence.share:.0f} % of the gap" if c.evidence.share > 0 else "closes nothing of the gap"

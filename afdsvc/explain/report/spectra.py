@@ -8,13 +8,13 @@ import numpy as np
 
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.periods import aperiodic_part
-from afdsvc.explain.report.explanation import Course, Spectrum
+from afdsvc.explain.report.explanation import RecordingCourse, Spectrum
 from afdsvc.lti.statespace import Array
 
 SEGMENT = 4096
 
 
-def spectra(runs: Sequence[Run], courses: Sequence[Course], outputs: Sequence[str]) -> tuple[Spectrum, ...]:
+def spectra(runs: Sequence[Run], courses: Sequence[RecordingCourse], outputs: Sequence[str]) -> tuple[Spectrum, ...]:
     """Return one `Spectrum` per output over the courses of these runs (Welch's method, Hann windows, half overlapped)."""
     dt = runs[0].dt
     n = min(SEGMENT, min(len(c.t) for c in courses))

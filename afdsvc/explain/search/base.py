@@ -56,7 +56,7 @@ def settled(problem: Problem) -> Settled:
     return Settled(problem, part, taus, whole_path(problem, taus, path), path, limited)
 
 
-def coloured(settled: Settled, noise: Array) -> Settled:
+def under_slow_noise(settled: Settled, noise: Array) -> Settled:
     """Return the same problem with residuals divided by their own spectrum, and the model refitted; ``noise (p,)`` as in `own`."""
     (last, f), found = list(settled.start.items())[-1], settled
     for _ in range(2):

@@ -13,7 +13,7 @@ from afdsvc.explain.search.nuisance import loads
 from afdsvc.explain.search.problem import Point, Problem, loop_known
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import Nominal
-from afdsvc.explain.simulate.predictor import predictor_gain
+from afdsvc.explain.simulate.predictor import correction_gain
 from afdsvc.lti.statespace import Array
 
 STRONG = 0.3  # predictor of the trajectories that scales are taken from
@@ -26,7 +26,7 @@ def build(nominal: Nominal, runs: Sequence[Run], settings: Settings, heldout: Se
     scale = _spread(runs)
     force = _force(nominal, runs)
     theta = np.zeros(len(nominal.entries))
-    gains = {h: predictor_gain(nominal, theta, (force, scale), h) for h in (*settings.horizons, STRONG)}
+    gains = {h: correction_gain(nominal, theta, (force, scale), h) for h in (*settings.horizons, STRONG)}
     n = nominal.plant.order
     problem = Problem(nominal, tuple(runs), scale, np.ones(n), tuple(np.zeros(n) for _ in runs), gains, even(len(scale)), settings)
     states = np.vstack([s.x for s in problem.simulated(problem.start(), STRONG)])

@@ -18,7 +18,7 @@ LONGEST_STEP = 3.0  # in coordinates: how far the fit without a block may be fro
 SHARES = (1.0, 0.5, 0.25)  # of that step that are tried
 
 
-def blocks(lengths: Sequence[int], tau: float, settings: Settings) -> list[tuple[int, int, int]]:
+def block_spans(lengths: Sequence[int], tau: float, settings: Settings) -> list[tuple[int, int, int]]:
     """Return run, first and last sample of blocks: contiguous, about `Settings.blocks`, several correlation times ``tau`` long."""
     least = max(settings.correlation_times * tau, sum(lengths) / settings.blocks)
     found = []
@@ -83,7 +83,7 @@ def _others(fit: Fit, residuals: Sequence[Array], span: tuple[int, int, int]) ->
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
+class HypothesisEvidence:
     """What a fit path gains on another.
 
     ``gains`` are twice the logarithm of the ratio of the posteriors in independent samples, less the price of the parameters, by
@@ -127,7 +127,7 @@ class Evidence:
 Path = Mapping[float, Fit]
 
 
-def evidence(path: Path, base: Path, mine: Array, theirs: Array, gap: float, parameters: int, taus: Mapping[float, float]) -> Evidence:
+def hypothesis_evidence(path: Path, base: Path, mine: Array, theirs: Array, gap: float, parameters: int, taus: Mapping[float, float]) -> HypothesisEvidence:
     """Return the evidence of a path over the base path; ``gap`` is what could be closed at the decision horizon.
 
     ``mine`` and ``theirs`` are the losses of their left-out blocks; ``taus`` the correlation times that samples are counted by, the same
@@ -139,7 +139,7 @@ def evidence(path: Path, base: Path, mine: Array, theirs: Array, gap: float, par
     count = path[last].samples / taus[last]
     fixed = eased - parameters * np.log(max(8.0, count))
     gains = {h: _gain(path[h], base[h], parameters, taus[h]) for h in path}
-    return Evidence(gains, (taken + eased) / gap, theirs, mine, count * len(path[last].sd), fixed)
+    return HypothesisEvidence(gains, (taken + eased) / gap, theirs, mine, count * len(path[last].sd), fixed)
 
 
 def noise_times(paths: Sequence[Path]) -> dict[float, float]:

@@ -13,12 +13,12 @@ from afdsvc.api.physics import Hypothesis, Machine, Physics
 from afdsvc.explain.noise.surrogates import chance
 from afdsvc.explain.noise.weighting import differing
 from afdsvc.explain.search.base import Settled
-from afdsvc.explain.search.evidence import Evidence, blocks, evidence, noise_times, refitted
+from afdsvc.explain.search.evidence import HypothesisEvidence, block_spans, hypothesis_evidence, noise_times, refitted
 from afdsvc.explain.search.fit import CONVERGED, Fit, fit
 from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
 from afdsvc.explain.search.path import Trial, added_path, bases, ends, fewer_path, trial, whole_path
 from afdsvc.explain.search.problem import Problem
-from afdsvc.explain.search.ranking import Candidate, complexity, is_constant, is_reason, mechanism, weights, winner
+from afdsvc.explain.search.ranking import Candidate, complexity, is_constant, is_reason, mechanism, vote_shares, winner
 from afdsvc.explain.search.screen import Screen, Screened
 from afdsvc.lti.statespace import Array
 from afdsvc.stats.spectral_peaks import peaks
@@ -32,7 +32,7 @@ STARTS = 2  # of every hypothesis that are tried, by what they promise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class Round:
     """One round: the candidates, best first; whether the first was accepted, and why not.
 
     ``limited`` says what limits the best fit: "noise" or "model".
@@ -55,9 +55,9 @@ class Found:
     start: dict[float, Fit]
     end: dict[float, Fit]
     machine: Machine
-    steps: tuple[Step, ...]
+    steps: tuple[Round, ...]
     limited: str
-    evidence: Evidence
+    evidence: HypothesisEvidence
 
 
 def search(
@@ -71,7 +71,7 @@ def search(
     problem, start, limited = settled.problem, settled.start, settled.limited
     rounds = Rounds(problem, settled.part, settled.taus, start, settled.rough, limited, mapper, predictable, {})
     path, rough = start, settled.rough
-    steps: list[Step] = []
+    steps: list[Round] = []
     seen = _seen(problem, path, limited)
     rounding = float(list(start.values())[-1].sd.max()) < problem.settings.rounding
     for number in range(0 if rounding else problem.settings.effects):
@@ -87,7 +87,7 @@ def search(
     return Found(problem, start, path, seen, tuple(_kept(s, path) for s in steps), limited, rounds.over(path, start, 0))
 
 
-def _kept(step: Step, path: dict[float, Fit]) -> Step:
+def _kept(step: Round, path: dict[float, Fit]) -> Round:
     """Return the round, not accepted when a later one left nothing for its effect."""
     kept = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
     if not step.accepted or step.candidates[0].hypothesis.key in kept:
@@ -116,7 +116,7 @@ class Rounds(Settled):
     def spans(self) -> list[tuple[int, int, int]]:
         """The blocks that are left out."""
         f = list(self.start.values())[-1]
-        return blocks([len(e) for e in f.residuals], f.tau, self.problem.settings)
+        return block_spans([len(e) for e in f.residuals], f.tau, self.problem.settings)
 
     def left_out(self, path: dict[float, Fit]) -> Array:
         """Return the losses of the blocks when they are left out, at the decision horizon; each fit is asked once."""
@@ -133,7 +133,7 @@ class Rounds(Settled):
         floor = 0.0 if w.even else float(base.samples * (w.noise / base.sd**2).sum())
         return max(float(self.left_out(self.start).sum()) - floor, float(np.sqrt(2.0 * base.samples))) / base.tau + 2 * base.penalty
 
-    def next(self, path: dict[float, Fit], rough: dict[float, Fit], offered: Sequence[Hypothesis], further: bool) -> Step:
+    def next(self, path: dict[float, Fit], rough: dict[float, Fit], offered: Sequence[Hypothesis], further: bool) -> Round:
         """Screen all hypotheses, fit the promising ones along the horizons, those that keep their promise to whole recordings, and
         decide on the first."""
         p, s = self.part, self.problem.settings
@@ -172,19 +172,19 @@ class Rounds(Settled):
         if not reasons:
             return [], limited
         first = winner(reasons, self.problem.settings, limited)
-        contested = reasons[0] is not ordered[0] or weights(reasons, self.problem.settings, limited).max() < 1
+        contested = reasons[0] is not ordered[0] or vote_shares(reasons, self.problem.settings, limited).max() < 1
         if limited == "model" and contested and not self.predictable(ordered[0].path):
             limited = "noise"
             first = winner(ordered, self.problem.settings, limited)
         return [first, *(c for c in ordered if c is not first)], limited
 
-    def evidence(self, path: dict[float, Fit], base: dict[float, Fit], h: Hypothesis, taus: dict[float, float] | None = None) -> Evidence:
+    def evidence(self, path: dict[float, Fit], base: dict[float, Fit], h: Hypothesis, taus: dict[float, float] | None = None) -> HypothesisEvidence:
         """Return the evidence for one hypothesis; a constant of the model costs nothing, it is there already."""
         return self.over(path, base, 0 if is_constant(h) else sum(c.free for c in h.parameters), taus)
 
-    def over(self, path: dict[float, Fit], base: dict[float, Fit], count: int, taus: dict[float, float] | None = None) -> Evidence:
+    def over(self, path: dict[float, Fit], base: dict[float, Fit], count: int, taus: dict[float, float] | None = None) -> HypothesisEvidence:
         """Return the evidence for a path of ``count`` more parameters; samples count by ``taus``, or by the path's own residual."""
-        return evidence(path, base, self.left_out(path), self.left_out(base), self.gap, count, taus or noise_times([path]))
+        return hypothesis_evidence(path, base, self.left_out(path), self.left_out(base), self.gap, count, taus or noise_times([path]))
 
     def without_idle(self, path: dict[float, Fit]) -> dict[float, Fit]:
         """Return the path without effects that do not pay beside the others."""
@@ -247,7 +247,7 @@ def _noise(problem: Problem, base: Fit) -> list[Array]:
     return [e if d is None else d for d, e in zip(noise, base.residuals, strict=True)]
 
 
-def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: dict[float, float], further: bool) -> Step:
+def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: dict[float, float], further: bool) -> Round:
     """Return the round with its decision.
 
     A plant that integrates is judged at the horizon where its evidence is clearest: its simulation sums up every disturbance. At the
@@ -255,7 +255,7 @@ def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: d
     """
     s = rounds.problem.settings
     if not ranked:
-        return Step((), False, limited, "no hypothesis of the library applies")
+        return Round((), False, limited, "no hypothesis of the library applies")
     e = ranked[0].evidence
     gains = [(e.gains[h], max(s.evidence, s.chance * v)) for h, v in by_chance.items() if h in e.gains]
     gain, expected = gains[-1] if rounds.problem.regular else max(gains, key=lambda pair: pair[0] / pair[1])
@@ -271,5 +271,5 @@ def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: d
         asked.append((e.closed, s.further, "share of what the model leaves"))
     for value, least, what in asked:
         if not value > least:
-            return Step(tuple(ranked), False, limited, f"{ranked[0].hypothesis.key}: {what} {value:.3g}, expected more than {least:.3g}")
-    return Step(tuple(ranked), True, limited)
+            return Round(tuple(ranked), False, limited, f"{ranked[0].hypothesis.key}: {what} {value:.3g}, expected more than {least:.3g}")
+    return Round(tuple(ranked), True, limited)

@@ -21,7 +21,7 @@ def on(problem: Problem, runs: Sequence[Run]) -> Problem:
     return replace(there, x0=tuple(initial(there, k) for k in range(len(runs))))
 
 
-def played(problem: Problem, point: Point, horizon: float = 0.0) -> tuple[list[Array], list[Array]]:
+def played_back(problem: Problem, point: Point, horizon: float = 0.0) -> tuple[list[Array], list[Array]]:
     """Return the simulated outputs of every run ``(n, p)`` and the initial states that fit them best."""
     runs, states = [], []
     for k, x0 in enumerate(problem.x0):
@@ -34,7 +34,7 @@ def played(problem: Problem, point: Point, horizon: float = 0.0) -> tuple[list[A
 
 def error(problem: Problem, point: Point, horizon: float = 0.0) -> float:
     """Return the NRMSE in percent over all runs, the mean over outputs."""
-    outputs, _ = played(problem, point, horizon)
+    outputs, _ = played_back(problem, point, horizon)
     e = np.vstack([r.Y - y for r, y in zip(problem.runs, outputs, strict=True)])
     spread = np.sqrt(np.mean([np.nanvar(r.Y, axis=0) for r in problem.runs], axis=0))
     return float(100 * np.mean(np.sqrt(np.nanmean(e**2, axis=0)) / spread))

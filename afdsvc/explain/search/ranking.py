@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from afdsvc.api.physics import Hypothesis
-from afdsvc.explain.search.evidence import Evidence
+from afdsvc.explain.search.evidence import HypothesisEvidence
 from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.settings import Settings
 from afdsvc.lti.statespace import Array
@@ -27,7 +27,7 @@ class Candidate:
 
     hypothesis: Hypothesis
     path: dict[float, Fit]
-    evidence: Evidence
+    evidence: HypothesisEvidence
     rough: dict[float, Fit] = field(default_factory=dict)
 
     @property
@@ -45,7 +45,7 @@ def winner(reasons: Sequence[Candidate], settings: Settings, limited: str) -> Ca
     """Return the mechanism with the most weight, the simplest of those within `Settings.tie`; of its shapes the simplest that fits alike."""
     votes: dict[tuple[str, ...], float] = {}
     shapes: dict[tuple[str, ...], list[Candidate]] = {}
-    for c, w in zip(reasons, weights(reasons, settings, limited), strict=True):
+    for c, w in zip(reasons, vote_shares(reasons, settings, limited), strict=True):
         what = mechanism(c.hypothesis)
         votes[what] = votes.get(what, 0.0) + float(w)
         shapes.setdefault(what, []).append(c)
@@ -66,7 +66,7 @@ def complexity(h: Hypothesis) -> float:
     return sum(c.free and not c.nuisance for c in h.parameters) + (2.0 if getattr(h, "description", False) else 0.0)
 
 
-def alike(one: Evidence, best: Evidence, gain: float, highest: float, settings: Settings, limited: str) -> bool:
+def alike(one: HypothesisEvidence, best: HypothesisEvidence, gain: float, highest: float, settings: Settings, limited: str) -> bool:
     """Whether a gain is as good as the highest: within what chance moves it, or within a small share of what it closes."""
     if gain >= highest - settings.likely:
         return True
@@ -87,7 +87,7 @@ def is_constant(h: Hypothesis) -> bool:
     return h.physics == CONSTANT
 
 
-def weights(candidates: Sequence[Candidate], settings: Settings, limited: str) -> Array:
+def vote_shares(candidates: Sequence[Candidate], settings: Settings, limited: str) -> Array:
     """Return the share of resamplings in which each candidate comes first, ``(len(candidates),)``, sum 1.
 
     A resampling draws the left-out blocks with replacement (Efron 1979). Mechanisms that fit alike share the

@@ -251,7 +251,7 @@ def _runge_kutta(rate, t, h, x, u, values, f, k1, ks, xs, new):  # type: ignore[
     ),
     cache=True, nogil=True, error_model="numpy",
 )
-def simulate(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compiled loop over samples
+def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compiled loop over samples
     closed, ramped, direct, nsub, dt, t0, phi, gam, gx, phih, gamh, C, D, Kp, forced, middle,
     kind, rate, output, values,
     KA, KB, KC, KD, U, Y, R, AUX, x0,

@@ -17,7 +17,7 @@ from scipy.optimize import root
 from afdsvc.api.model import Model
 from afdsvc.errors import BadInput
 from afdsvc.explain.simulate.dynamics import linearised, program
-from afdsvc.explain.simulate.steps import Steps, continuous, steps
+from afdsvc.explain.simulate.steps import Steps, continuous, substep_matrices
 from afdsvc.lti.statespace import Array, StateSpace
 
 DEFAULT_RELATIVE_SD = 0.05
@@ -156,7 +156,7 @@ def _linear(model: Model, point: tuple[Array, Array], values: Array) -> StateSpa
 @lru_cache(maxsize=64)
 def _cached_steps(nominal: Nominal, theta: bytes, least: int, degree: int) -> Steps:
     plant = nominal.at(np.frombuffer(theta))
-    return steps(plant, nominal.dt, least, PYTHON_ANGLE, PYTHON_SUBSTEPS) if nominal.python else steps(plant, nominal.dt, least, degree=degree)
+    return substep_matrices(plant, nominal.dt, least, PYTHON_ANGLE, PYTHON_SUBSTEPS) if nominal.python else substep_matrices(plant, nominal.dt, least, degree=degree)
 
 
 def _continuous(name: str, plant: StateSpace, dt: float) -> StateSpace:

@@ -10,7 +10,7 @@ import scipy.linalg as sla
 
 from afdsvc.api.model import Model
 from afdsvc.explain.simulate.nominal import Nominal
-from afdsvc.explain.simulate.steps import steps
+from afdsvc.explain.simulate.steps import substep_matrices
 from afdsvc.lti.statespace import Array
 
 SENSOR_NOISE = 1e-3  # rms of the sensor noise over the rms of the output
@@ -24,7 +24,7 @@ class Scales(NamedTuple):
     output_rms: Array
 
 
-def predictor_gain(nominal: Nominal, theta: Array, run_scales: Scales | tuple[Array, Array], rho: float) -> Array:
+def correction_gain(nominal: Nominal, theta: Array, run_scales: Scales | tuple[Array, Array], rho: float) -> Array:
     """Return the gain ``Kp (n, p)`` of ``x+ = A x + B u + Kp (y - yhat)``; zeros for ``rho = 0``.
 
     Unknown forces of rms ``rho`` times the nominal force, independent from sample to sample and held over one, act on the
@@ -36,7 +36,7 @@ def predictor_gain(nominal: Nominal, theta: Array, run_scales: Scales | tuple[Ar
     if rho <= 0 or n == 0:
         return np.zeros((n, p))
     plant = nominal.at(np.asarray(theta, dtype=np.float64))
-    s = steps(plant, nominal.dt, 1, np.inf)
+    s = substep_matrices(plant, nominal.dt, 1, np.inf)
     force = np.where(driven(nominal.model, n), np.asarray(run_scales[0], dtype=np.float64), 0.0) * rho
     Q = (s.gx * force**2) @ s.gx.T
     R = np.diag(np.maximum(SENSOR_NOISE * np.asarray(run_scales[1], dtype=np.float64), 1e-150) ** 2)

@@ -79,7 +79,7 @@ class Simulator:
         K, U = self._loop(run, closed)
         y, u, x = np.empty((n, p)), np.empty((n, m)), np.empty((n, plant.order))
         gain = np.zeros_like(self.gain) if free or closed else self.gain
-        kernel.simulate(
+        kernel.simulate_compiled(
             closed, self.ramped and not closed, self._direct(plant), steps.nsub, run.dt, run.t0 if run.clock is None else run.clock,
             steps.phi, steps.gam, steps.gx, steps.phih, steps.gamh, contiguous(plant.C), contiguous(plant.D), contiguous(gain),
             placed.forced, placed.middle, *self._code(theta), *K, U, run.Y, run.REF, run.AUX,

@@ -31,7 +31,7 @@ class Steps:
     gamh: Array
 
 
-def steps(
+def substep_matrices(
     plant: StateSpace, dt: float, least: int = 1, angle: float = STEP_ANGLE, most: int = MOST_SUBSTEPS, degree: int = 0
 ) -> Steps:
     """Return the sub-step matrices of a plant sampled every ``dt`` seconds, for inputs that are polynomials of a ``degree``."""

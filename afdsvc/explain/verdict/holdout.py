@@ -10,10 +10,10 @@ from scipy.stats import ttest_1samp
 
 from afdsvc.dataset.experiment import Run
 from afdsvc.explain.noise.weighting import correlation_time
-from afdsvc.explain.search.evidence import blocks
+from afdsvc.explain.search.evidence import block_spans
 from afdsvc.explain.search.fit import Fit, fit, rms
 from afdsvc.explain.search.forward import Found
-from afdsvc.explain.search.heldout import on, played
+from afdsvc.explain.search.heldout import on, played_back
 from afdsvc.explain.search.nuisance import NUISANCE
 from afdsvc.explain.search.problem import Point, Problem, loop_known
 from afdsvc.explain.search.ranking import is_constant
@@ -35,7 +35,7 @@ class Player:
     def outputs(self, runs: Sequence[Run], point: Point) -> list[Array]:
         """Return the simulated outputs ``(n, p)`` of every run, from the initial state that fits it best."""
         there = on(self.problem, runs)
-        return played(there, replace(point, x0=there.x0), self.horizon)[0]
+        return played_back(there, replace(point, x0=there.x0), self.horizon)[0]
 
     def nrmse(self, runs: Sequence[Run], point: Point) -> Array:
         """Return ``|y - yhat| / |y - mean|`` of every output over all runs, ``(p,)``; infinite where a simulation left."""
@@ -54,7 +54,7 @@ class Player:
         errors = [[(r.Y - y) / scale for r, y in zip(runs, pieces, strict=True)] for pieces in outputs]
         first, second = ([weighting(np.nan_to_num(e)) for e in pieces] for pieces in errors)
         first, second = ([e / rms(first) for e in pieces] for pieces in (first, second))
-        spans = blocks([len(r) for r in runs], correlation_time(first), self.problem.settings)
+        spans = block_spans([len(r) for r in runs], correlation_time(first), self.problem.settings)
         losses = np.array([[float((e[r][a:b] ** 2).sum()) for e in (first, second)] for r, a, b in spans]) + 1e-300
         ratio = np.log(losses[:, 0] / losses[:, 1])
         if len(ratio) < 2 or losses[:, 0].sum() <= losses[:, 1].sum() or not np.ptp(ratio) > 0:
@@ -81,7 +81,7 @@ class Judged:
     refuted: bool = False
 
 
-def judged(found: Found, verdict: Verdict, runs: Sequence[Run]) -> Judged:
+def confirmed(found: Found, verdict: Verdict, runs: Sequence[Run]) -> Judged:
     """Return the verdict and the final fit: with the claimed effects, else the numbers refitted, else the model as stated.
 
     What does worse on the recordings held out than the model as stated is withdrawn. What does not do better there than the model

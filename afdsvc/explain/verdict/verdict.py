@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.explain.gap.finding import Gap
-from afdsvc.explain.search.forward import Found, Step
-from afdsvc.explain.search.ranking import Candidate, is_constant, look_alikes, weights
+from afdsvc.explain.search.forward import Found, Round
+from afdsvc.explain.search.ranking import Candidate, is_constant, look_alikes, vote_shares
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,10 +70,10 @@ def _nothing(found: Found, gap: Gap, strained: Sequence[str]) -> tuple[str, tupl
     return "consistent", (gap.sentence, *stop)
 
 
-def _claims(step: Step, number: int, most: float, found: Found) -> list[Claim]:
+def _claims(step: Round, number: int, most: float, found: Found) -> list[Claim]:
     settings = found.problem.settings
     alike = look_alikes(step.candidates, settings, step.limited)
-    w = np.minimum(weights(alike, settings, step.limited), most)
+    w = np.minimum(vote_shares(alike, settings, step.limited), most)
     order = [0, *sorted(range(1, len(alike)), key=lambda k: -w[k])]
     return [Claim(alike[k], float(w[k]), number, alike[k].evidence.share) for k in order]
 

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from afdsvc import __version__
-from afdsvc.explain.report.explanation import Course, Explanation, Spectrum
+from afdsvc.explain.report.explanation import Explanation, RecordingCourse, Spectrum
 from afdsvc.lti.statespace import Array
 from afdsvc.present.html import svg
 
@@ -45,14 +45,14 @@ def course_figure(explanation: Explanation) -> Figure | None:
     return figure
 
 
-def _compared(ax: Axes, course: Course, part: slice, j: int, name: str) -> None:
+def _compared(ax: Axes, course: RecordingCourse, part: slice, j: int, name: str) -> None:
     ax.plot(course.t[part], course.measured[part, j], color=MEASURED, lw=1.6, label="measured")
     ax.plot(course.t[part], course.before[part, j], color=BEFORE, lw=0.9, label="simulated before")
     ax.plot(course.t[part], course.after[part, j], color=AFTER, lw=0.9, ls="--", label="simulated after")
     _labelled(ax, name)
 
 
-def _residual(ax: Axes, course: Course, j: int, name: str) -> None:
+def _residual(ax: Axes, course: RecordingCourse, j: int, name: str) -> None:
     step = max(len(course.t) // 6000, 1)
     ax.plot(course.t[::step], course.residual_before[::step, j], color=BEFORE, lw=0.6, label="residual before")
     ax.plot(course.t[::step], course.residual_after[::step, j], color=AFTER, lw=0.6, label="residual after")
@@ -111,7 +111,7 @@ def _averaged(frequency: Array, density: Array) -> tuple[Array, Array]:
     return np.bincount(band, f) / count, np.maximum(np.bincount(band, d) / count, 1e-300)
 
 
-def _close_up(course: Course) -> slice:
+def _close_up(course: RecordingCourse) -> slice:
     """Return the stretch where before and after differ most."""
     n = len(course.t)
     if n <= SHOWN:

@@ -11,7 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from afdsvc.errors import BadInput
-from afdsvc.explain.report.explanation import Course, Explanation
+from afdsvc.explain.report.explanation import Explanation, RecordingCourse
 from afdsvc.lti.statespace import Array
 from afdsvc.present.rerun.blueprint import whole_range
 from afdsvc.present.rerun.paths import APPLICATION, SECONDS
@@ -41,11 +41,11 @@ def log_explanation(explanation: Explanation, path: Path) -> None:
     recording.disconnect()
 
 
-def _label(course: Course, number: int) -> str:
+def _label(course: RecordingCourse, number: int) -> str:
     return f"{number}_{''.join(c if c.isalnum() else '_' for c in course.name)}"
 
 
-def _course(recording: rr.RecordingStream, label: str, course: Course, names: list[str]) -> None:
+def _course(recording: rr.RecordingStream, label: str, course: RecordingCourse, names: list[str]) -> None:
     t = course.t - course.t[0]
     for j, name in enumerate(names):
         for what, values in (("measured", course.measured), ("before", course.before), ("after", course.after)):
@@ -71,7 +71,7 @@ def _words(e: Explanation) -> str:
     return f"# {e.verdict.replace('_', ' ')}\n\n{said}\n\n{named}\n\n## Held-out fit\n\n{fit}\n\n## Located\n\n{where}\n"
 
 
-def _layout(labels: Mapping[str, Course], names: list[str], units: list[str]) -> rrb.Blueprint:
+def _layout(labels: Mapping[str, RecordingCourse], names: list[str], units: list[str]) -> rrb.Blueprint:
     tabs = [_tab(label, course, names, units) for label, course in labels.items()]
     words = rrb.TextDocumentView(origin="verdict", name="verdict")
     return rrb.Blueprint(
@@ -81,7 +81,7 @@ def _layout(labels: Mapping[str, Course], names: list[str], units: list[str]) ->
     )
 
 
-def _tab(label: str, course: Course, names: list[str], units: list[str]) -> rrb.Container:
+def _tab(label: str, course: RecordingCourse, names: list[str], units: list[str]) -> rrb.Container:
     rows = []
     for name, unit in zip(names, units, strict=True):
         for what in ("outputs", "residual"):

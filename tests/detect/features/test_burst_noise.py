@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import FalseAlarms
-from afdsvc.detect.features.burst_noise import compared
+from afdsvc.detect.features.burst_noise import noise_compared
 from afdsvc.plugins.manager import load
 from benchmarks.detection.judged import judged
 from benchmarks.detection.truth import machines
@@ -36,10 +36,10 @@ def test_a_fault_is_found_all_the_same():
 
 
 def test_an_estimated_variance_widens_the_comparison():
-    known, estimated = compared(2200.0, 2000.0, 0, 0.05), compared(2200.0, 2000.0, 2000.0, 0.05)
+    known, estimated = noise_compared(2200.0, 2000.0, 0, 0.05), noise_compared(2200.0, 2000.0, 2000.0, 0.05)
     assert known[0] == pytest.approx(1.1)
     assert known[1] == pytest.approx(2 * chi2.sf(2200, 2000))
     assert estimated[1] == pytest.approx(2 * chi2.sf(1100, 1000))
     rng = np.random.default_rng(0)
-    p = [compared(float(a), 400.0, 0, 0.05)[1] for a in rng.chisquare(400, 4000)]
+    p = [noise_compared(float(a), 400.0, 0, 0.05)[1] for a in rng.chisquare(400, 4000)]
     assert np.mean(np.array(p) < 0.05) == pytest.approx(0.05, abs=0.01)

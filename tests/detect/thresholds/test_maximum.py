@@ -21,7 +21,7 @@ def phases(*degrees):
     [((48.4, 306), 4.264891), ((0, 48.4, 306), 4.349990), ((93, 89, 94, 0), 4.281630), ((125, 269, 0, 93), 4.406841)],
 )
 def test_published_phase_sets(degrees, h):
-    assert maximum.threshold(phases(*degrees), 2e-5) == pytest.approx(h, abs=2e-5)
+    assert maximum.maximum_threshold(phases(*degrees), 2e-5) == pytest.approx(h, abs=2e-5)
 
 
 def test_one_direction_is_the_normal_tail_and_two_opposite_ones_twice_that():
@@ -47,7 +47,7 @@ def test_union_estimator_against_simulation_at_a_rate_that_can_be_counted():
     rng = np.random.default_rng(4)
     e = rng.normal(size=(12, 5))
     e /= np.linalg.norm(e, axis=1)[:, None]
-    h = maximum.threshold(e, 0.01)
+    h = maximum.maximum_threshold(e, 0.01)
     hits = np.mean((rng.normal(size=(400_000, 5)) @ e.T).max(axis=1) > h)
     assert hits == pytest.approx(0.01, abs=3 * np.sqrt(0.01 / 400_000) + 1e-4)
 
@@ -56,7 +56,7 @@ def test_union_estimator_against_simulation_at_a_rate_that_can_be_counted():
 @given(st.lists(st.floats(0, 360), min_size=1, max_size=6), st.floats(1e-8, 1e-2))
 def test_probability_lies_between_one_test_and_all_of_them(degrees, rate):
     e = phases(*degrees)
-    h = maximum.threshold(e, rate)
+    h = maximum.maximum_threshold(e, rate)
     assert norm.isf(rate) - 1e-4 <= h <= norm.isf(rate / len(degrees)) + 1e-4
     assert maximum.exceedance(e, h) == pytest.approx(rate, rel=2e-3)
 
@@ -72,4 +72,4 @@ def test_shares_of_twins_are_halves():
 
 def test_zero_direction_is_refused():
     with pytest.raises(BadInput, match="none of length 0"):
-        maximum.threshold(np.array([[0.0, 0.0], [1.0, 0.0]]), 1e-3)
+        maximum.maximum_threshold(np.array([[0.0, 0.0], [1.0, 0.0]]), 1e-3)

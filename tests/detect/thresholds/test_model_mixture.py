@@ -33,4 +33,4 @@ def test_threshold_inverts_the_exceedance_from_any_guess():
 def test_one_standard_model_is_the_maximum_of_projections():
     e = made().directions
     one = Mixture(np.ones(1), np.zeros((1, 4)), np.eye(4)[None], e)
-    assert one.threshold(lambda c: np.full(9, c), 1e-3, 3.0) == pytest.approx(maximum.threshold(e, 1e-3), abs=0.005)
+    assert one.threshold(lambda c: np.full(9, c), 1e-3, 3.0) == pytest.approx(maximum.maximum_threshold(e, 1e-3), abs=0.005)

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from afdsvc.explain.search.evidence import Evidence, noise_times
+from afdsvc.explain.search.evidence import HypothesisEvidence, noise_times
 
 BEFORE = np.full(20, 1.0)
 
 
-def evidence(after: np.ndarray, fixed: float = 0.0) -> Evidence:
-    return Evidence({0.0: 1.0}, 0.5, BEFORE, after, 100.0, fixed)
+def evidence(after: np.ndarray, fixed: float = 0.0) -> HypothesisEvidence:
+    return HypothesisEvidence({0.0: 1.0}, 0.5, BEFORE, after, 100.0, fixed)
 
 
 def test_a_gain_in_every_block_holds_in_every_resampling():

@@ -10,12 +10,12 @@ import pytest
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.search.base import settled
 from afdsvc.explain.search.build import build
-from afdsvc.explain.search.evidence import blocks, refitted
+from afdsvc.explain.search.evidence import block_spans, refitted
 from afdsvc.explain.search.fit import Coordinates, fit, jacobian, weighted
 from afdsvc.explain.search.forward import search
 from afdsvc.explain.search.machine import hypotheses, machine
 from afdsvc.explain.search.path import bases, trial
-from afdsvc.explain.search.ranking import look_alikes, weights
+from afdsvc.explain.search.ranking import look_alikes, vote_shares
 from afdsvc.explain.search.screen import Screened, Start
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.effects import Effect
@@ -52,7 +52,7 @@ def test_dry_friction_is_found_where_only_speed_is_measured(found):
 
 def test_its_weight_counts_resampled_blocks(found):
     alike = look_alikes(found.steps[0].candidates, Settings())
-    w = weights(alike, Settings(), found.limited)
+    w = vote_shares(alike, Settings(), found.limited)
     assert w.sum() == pytest.approx(1.0)
     friction = sum(x for x, c in zip(w, alike, strict=True) if c.hypothesis.physics == "coulomb_friction")
     assert friction > 0.9  # its variants share the vote: while the motor moves they are one force
@@ -113,7 +113,7 @@ def test_the_jacobian_is_that_of_central_differences():
 def test_losses_of_left_out_blocks_are_those_of_refits_without_them():
     p = problem(60.0)
     f = fit(p, p.start(), 0.0, 5.0)
-    spans = blocks([len(e) for e in f.residuals], f.tau, Settings())
+    spans = block_spans([len(e) for e in f.residuals], f.tau, Settings())
     found = refitted(p, 0.0, f, spans, f.sd)
     for k in (3, 7, 16):  # not the first of a recording, whose initial state is not left out
         r, a, b = spans[k]
@@ -129,7 +129,7 @@ def test_losses_of_left_out_blocks_are_those_of_refits_without_them():
 def test_a_step_that_spoils_the_other_blocks_is_not_taken():
     p = problem(60.0)
     f = fit(p, p.start(), 0.0, 5.0)
-    spans = blocks([len(e) for e in f.residuals], f.tau, Settings())
+    spans = block_spans([len(e) for e in f.residuals], f.tau, Settings())
     away = refitted(p, 0.0, replace(f, J=-f.J), spans, f.sd)
     assert away == pytest.approx([((f.residuals[r][a:b] / f.sd) ** 2).sum() for r, a, b in spans])
 

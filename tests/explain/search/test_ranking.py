@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from afdsvc.explain.search.evidence import Evidence
-from afdsvc.explain.search.ranking import Candidate, is_reason, look_alikes, weights, winner
+from afdsvc.explain.search.evidence import HypothesisEvidence
+from afdsvc.explain.search.ranking import Candidate, is_reason, look_alikes, vote_shares, winner
 from afdsvc.explain.settings import Settings
 
 BLOCKS, COUNT = 20, 400.0
@@ -19,12 +19,12 @@ def candidate(physics: str, closed: float, parameters: int = 1, site: str = "inp
     coefficients = tuple(SimpleNamespace(free=True, nuisance=False) for _ in range(parameters))
     hypothesis = SimpleNamespace(physics=physics, site=site, key=f"{physics}@{site}#{variant}", notes={"variant": variant}, parameters=coefficients)
     gain = -COUNT * np.log(1 - closed)
-    return Candidate(hypothesis, {}, Evidence({0.0: gain}, share, np.ones(BLOCKS), after, COUNT, 0.0))
+    return Candidate(hypothesis, {}, HypothesisEvidence({0.0: gain}, share, np.ones(BLOCKS), after, COUNT, 0.0))
 
 
 def test_hypotheses_that_fit_alike_share_the_vote_and_the_simplest_goes_first():
     many, few, other = candidate("curve", 0.900, 3), candidate("friction", 0.895, 1), candidate("lag", 0.5, 1)
-    assert weights([many, few, other], S, "model") == pytest.approx([0.5, 0.5, 0.0])
+    assert vote_shares([many, few, other], S, "model") == pytest.approx([0.5, 0.5, 0.0])
     assert winner([many, few, other], S, "model") is few
 
 
@@ -32,7 +32,7 @@ def test_the_shapes_of_one_mechanism_share_one_vote():
     """However many shapes a curve is offered in, a simpler lag that fits as well comes first."""
     curves = [candidate("curve", 0.9, 2, variant=v) for v in ("square", "cube", "power")]
     lag = candidate("lag", 0.9, 1)
-    assert weights([*curves, lag], S, "model") == pytest.approx([1 / 6, 1 / 6, 1 / 6, 1 / 2])
+    assert vote_shares([*curves, lag], S, "model") == pytest.approx([1 / 6, 1 / 6, 1 / 6, 1 / 2])
     assert winner([*curves, lag], S, "model") is lag
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from afdsvc.explain.simulate.nominal import nominal
-from afdsvc.explain.simulate.predictor import SENSOR_NOISE, predictor_gain
+from afdsvc.explain.simulate.predictor import SENSOR_NOISE, correction_gain
 from afdsvc.lti.statespace import StateSpace
 
 AXIS = StateSpace.of([[0, 1], [-30, -0.8]], [[0], [20]], [[1, 0]])
@@ -15,7 +15,7 @@ SCALES = np.array([1.0, 40.0]), np.array([0.5])
 
 def gain(made, scales=SCALES, rho=0.01):
     found = nominal(made, 0.01)
-    return found, predictor_gain(found, np.zeros(len(found.entries)), scales, rho)
+    return found, correction_gain(found, np.zeros(len(found.entries)), scales, rho)
 
 
 def test_steady_gain(model):

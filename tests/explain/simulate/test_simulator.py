@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from afdsvc.errors import BadInput
 from afdsvc.explain.simulate.nominal import nominal
-from afdsvc.explain.simulate.predictor import predictor_gain
+from afdsvc.explain.simulate.predictor import correction_gain
 from afdsvc.explain.simulate.simulator import Simulator
 from afdsvc.lti.statespace import StateSpace
 
@@ -235,7 +235,7 @@ def test_gain_follows_the_recording_of_an_unstable_plant(model, recording, excit
         x = solve_ivp(lambda t, x, u=u: [x[1], 30 * math.sin(x[0]) - 0.8 * x[1] + 20 * u[0]], (0, 0.01), x, rtol=1e-10, atol=1e-12).y[:, -1]
     run = recording(np.array(U), Y=np.array(y)[:, None])
     made = model(code=Inverted)
-    gain = predictor_gain(nominal(made, 0.01), np.zeros(0), (np.array([1.0, 1.0]), np.std(run.Y, axis=0)), 0.1)
+    gain = correction_gain(nominal(made, 0.01), np.zeros(0), (np.array([1.0, 1.0]), np.std(run.Y, axis=0)), 0.1)
     wrong = [0.11, 0.0]
     simulated, predicted = play(made, run, wrong).y, play(made, run, wrong, gain=gain).y
     assert np.abs(simulated - run.Y)[-100:].max() > 1  # leaves the upright position

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from afdsvc.explain.search.evidence import Evidence
+from afdsvc.explain.search.evidence import HypothesisEvidence
 from afdsvc.explain.search.ranking import Candidate
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.verdict.verdict import _complete, verdict
@@ -14,7 +14,7 @@ from afdsvc.explain.verdict.verdict import _complete, verdict
 def candidate(physics: str) -> Candidate:
     """Return a candidate that closes nine tenths of the gap in every block."""
     hypothesis = SimpleNamespace(physics=physics, site="input:u", key=physics, notes={}, parameters=())
-    return Candidate(hypothesis, {}, Evidence({0.0: 900.0}, 0.9, np.ones(20), np.full(20, 0.1), 400.0, 0.0))
+    return Candidate(hypothesis, {}, HypothesisEvidence({0.0: 900.0}, 0.9, np.ones(20), np.full(20, 0.1), 400.0, 0.0))
 
 
 @pytest.mark.parametrize(
