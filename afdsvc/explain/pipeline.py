@@ -15,7 +15,7 @@ from afdsvc.dataset.sample_checks import Finding
 from afdsvc.dataset.split import split
 from afdsvc.explain.check.check import checked
 from afdsvc.explain.check.still import refuse_still
-from afdsvc.explain.gap.decision import gap
+from afdsvc.explain.gap.decision import gap_test
 from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.gap.settings import GapSettings
 from afdsvc.explain.locate.residual import by_innovations, signal_names, signals
@@ -29,7 +29,7 @@ from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import mechanism
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
-from afdsvc.explain.verdict.holdout import confirmed, doubted
+from afdsvc.explain.verdict.holdout import checked_on_holdout, doubted
 from afdsvc.explain.verdict.verdict import verdict
 
 ATTEMPTS = 3  # searches, each without the first names that the recordings held out have refuted
@@ -66,7 +66,7 @@ def explain(
     for _ in range(ATTEMPTS):
         found = _searched(base, before, offered, mapper, progress, rng, [mechanism(h) for h in refuted])
         after = tested(found.problem, found.end, rng) if found.end is not found.start else None
-        answer = confirmed(found, verdict(found, before, after), roles.heldout)
+        answer = checked_on_holdout(found, verdict(found, before, after), roles.heldout)
         if not refuted:
             first = found, answer
         if not answer.refuted:
@@ -99,7 +99,7 @@ def tested(problem: Problem, path: dict[float, Fit], rng: np.random.Generator) -
     """Return whether the residual of a path is predictable: that of the simulation where the plant allows one."""
     horizon, fit = list(path.items())[-1]
     point = by_innovations(problem, fit, horizon, GapSettings().whitening_order)
-    return gap(signals(problem, point, horizon), *signal_names(problem), rng)
+    return gap_test(signals(problem, point, horizon), *signal_names(problem), rng)
 
 
 def _mean_input(runs: Sequence[Run]) -> np.ndarray | None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator
 from scipy.signal import cont2discrete, lfilter
 
-from afdsvc.explain.gap.signals import Signals
+from afdsvc.explain.gap.signals import ResidualSignals
 
 DT = 0.01
 PLANTS = {  # A, B, C of continuous time; poles of 0.3 to 3 rad/s against a sample time of 0.01 s
@@ -33,7 +33,7 @@ class Control:
     noise: str
     effect: str
     share: float
-    recordings: list[Signals]
+    recordings: list[ResidualSignals]
     outputs: int
     states: int
     inputs: int
@@ -144,14 +144,14 @@ def control(rng: Generator, name: str = "", share: float = 0.0, excitations=EXCI
     return Control(kind, driven, coloured, name, share, recordings, len(plant[2]), len(plant[0]), recordings[0].inputs.shape[1])
 
 
-def _recording(plant, driven: str, coloured: str, name: str, share: float, n: int, rng: Generator) -> Signals:
+def _recording(plant, driven: str, coloured: str, name: str, share: float, n: int, rng: Generator) -> ResidualSignals:
     u, period = excitation(driven, n, rng)
     x0 = rng.normal(size=len(plant[0])) * (1.0 if driven == "decay" else 0.1)
     X, Y = simulate(*plant, u, x0)
     e = noise(coloured, plant, n, rng)
     if name:
         e = mixed(_fitted(gapped(name, plant, u, x0, rng) - Y, plant), e, share)
-    return Signals(_fitted(e, plant), np.zeros((n, 0)) if driven == "decay" else u, X, np.zeros((n, 0)), DT, period)
+    return ResidualSignals(_fitted(e, plant), np.zeros((n, 0)) if driven == "decay" else u, X, np.zeros((n, 0)), DT, period)
 
 
 def mixed(gap: np.ndarray, e: np.ndarray, share: float) -> np.ndarray:

@@ -16,14 +16,14 @@ from scipy.stats import beta
 sys.path.insert(0, str(Path(__file__).parent))
 from gap_controls import GAPS, NOISES, Control, control
 
-from afdsvc.explain.gap.decision import gap
+from afdsvc.explain.gap.decision import gap_test
 from afdsvc.explain.gap.finding import Gap
 
 
 def judged(c: Control, rng: np.random.Generator, surrogates: int) -> Gap:
     """Return the finding for one control."""
     names = [[f"{k}{i}" for i in range(n)] for k, n in (("x", c.states), ("u", c.inputs), ("y", c.outputs))]
-    return gap(c.recordings, *names, [], rng, surrogates)
+    return gap_test(c.recordings, *names, [], rng, surrogates)
 
 
 def interval(k: int, n: int) -> str:

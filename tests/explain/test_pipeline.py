@@ -165,14 +165,14 @@ def test_a_gain_that_is_off_is_a_constant_and_not_physics(spring):
 
 def test_what_the_recordings_held_out_refute_gives_way_to_another_name(spring, four, monkeypatch):
     """The cubic spring is refuted by decree: the next search goes without it, and what it names is not certain."""
-    judged = module.judged
+    checked = module.checked_on_holdout
 
     def decreed(found, verdict, runs):
-        answer = judged(found, verdict, runs)
+        answer = checked(found, verdict, runs)
         cubic = any(c.candidate.hypothesis.physics == "cubic_stiffness" for c in answer.verdict.claims)
         return replace(answer, refuted=True) if cubic else answer
 
-    monkeypatch.setattr(module, "judged", decreed)
+    monkeypatch.setattr(module, "checked_on_holdout", decreed)
     again = explain(spring, four[:3], four[3:], some("cubic_stiffness", "clearance", "stiffness_follows_aux", "cogging"), experiment=False)
     assert again.named
     assert "cubic_stiffness" not in {n.physics for n in again.named}

@@ -9,8 +9,8 @@ from scipy import signal, stats
 
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.sample_checks import Finding
-from afdsvc.explain.gap.decision import gap
-from afdsvc.explain.gap.signals import Signals
+from afdsvc.explain.gap.decision import gap_test
+from afdsvc.explain.gap.signals import ResidualSignals
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.explain.simulate.simulator import Simulator
 from afdsvc.lti.statespace import Array
@@ -33,9 +33,9 @@ def response(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
     silent = [j for j in range(len(model.outputs)) if _expected(nominal, runs, j) and not _correlated(runs, j)]
     if not silent:
         return
-    given = [Signals(r.Y[:, silent], r.U, r.U[:, :0], r.U[:, :0], r.dt, r.period) for r in runs]
+    given = [ResidualSignals(r.Y[:, silent], r.U, r.U[:, :0], r.U[:, :0], r.dt, r.period) for r in runs]
     names = [model.outputs[j].name for j in silent]
-    found = gap(given, [], [v.name for v in model.inputs], names, [], np.random.default_rng(0))
+    found = gap_test(given, [], [v.name for v in model.inputs], names, [], np.random.default_rng(0))
     inputs = ", ".join(f"u_{v.name}" for v in model.inputs)
     for i, name in enumerate(names):
         repeats = 0.0 if found.repeats is None else found.repeats[i]

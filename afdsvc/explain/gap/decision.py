@@ -15,13 +15,13 @@ from afdsvc.explain.gap.regression import FeatureRegression, pose
 from afdsvc.explain.gap.repeating import repeating_share
 from afdsvc.explain.gap.ridge import CrossProducts, Scores
 from afdsvc.explain.gap.settings import GapSettings
-from afdsvc.explain.gap.signals import Signals, check_signals
+from afdsvc.explain.gap.signals import ResidualSignals, check_signals
 from afdsvc.explain.gap.significance import significance
 from afdsvc.lti.statespace import Array
 
 
-def gap(
-    recordings: Sequence[Signals], state_names: Sequence[str], input_names: Sequence[str], output_names: Sequence[str],
+def gap_test(
+    recordings: Sequence[ResidualSignals], state_names: Sequence[str], input_names: Sequence[str], output_names: Sequence[str],
     aux_names: Sequence[str], rng: Generator, surrogates: int = 99, settings: GapSettings | None = None,
 ) -> Gap:
     """Return whether the residual depends on inputs, simulated states, aux or time, or repeats with them, and what share of it.
@@ -62,7 +62,7 @@ def gap(
 
 
 def flexible_prediction(
-    recordings: Sequence[Signals], state_names: Sequence[str], input_names: Sequence[str], output_names: Sequence[str],
+    recordings: Sequence[ResidualSignals], state_names: Sequence[str], input_names: Sequence[str], output_names: Sequence[str],
     aux_names: Sequence[str], rng: Generator, settings: GapSettings | None = None,
 ) -> list[Array]:
     """Return per recording the residual ``(n, p)`` that the model of `gap` predicts, each block by weights not fitted to it.

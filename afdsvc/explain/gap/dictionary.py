@@ -13,14 +13,14 @@ from afdsvc.explain.gap import features as make
 from afdsvc.explain.gap.features import ALL, LINEAR, STATIC, Dictionary, Feature, Function, SignalColumn
 from afdsvc.explain.gap.filters import first_order_lag, lagged, level, mode_pole, poles, resonate
 from afdsvc.explain.gap.settings import GapSettings
-from afdsvc.explain.gap.signals import Names, Signals
+from afdsvc.explain.gap.signals import Names, ResidualSignals
 from afdsvc.lti.statespace import Array
 
 T = TypeVar("T")
 CURVED = frozenset(["amplitude"])
 
 
-def dictionary(recordings: Sequence[Signals], names: Names, rng: Generator, settings: GapSettings) -> Dictionary:
+def dictionary(recordings: Sequence[ResidualSignals], names: Names, rng: Generator, settings: GapSettings) -> Dictionary:
     """Return the dictionary for these recordings; signals that do not move are left out."""
     pool = np.vstack([r.columns for r in recordings])
     mean, sd = pool.mean(0), pool.std(0)

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from afdsvc.explain.gap.filters import lagged, resonate
-from afdsvc.explain.gap.signals import Signals
+from afdsvc.explain.gap.signals import ResidualSignals
 from afdsvc.lti.statespace import Array
 
 LINEAR, STATIC, ALL = 0, 1, 2
@@ -34,7 +34,7 @@ class Dictionary:
     centre: Array
     scale: Array
 
-    def columns(self, recording: Signals, feature: Feature) -> Array:
+    def columns(self, recording: ResidualSignals, feature: Feature) -> Array:
         """Return the feature's columns ``(n, c)``, less their mean over the recording."""
         made = feature.make((recording.columns - self.centre) / self.scale)
         out = made if made.ndim == 2 else made[:, None]

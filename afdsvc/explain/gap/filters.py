@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import lfilter
 
-from afdsvc.explain.gap.signals import Signals
+from afdsvc.explain.gap.signals import ResidualSignals
 from afdsvc.lti.statespace import Array
 
 
@@ -41,7 +41,7 @@ def mode_pole(frequency: float, damping: float) -> complex:
     return complex(np.exp(2 * np.pi * frequency * (-damping + 1j * np.sqrt(1 - damping**2))))
 
 
-def poles(recordings: Sequence[Signals], most: int = 4) -> list[complex]:
+def poles(recordings: Sequence[ResidualSignals], most: int = 4) -> list[complex]:
     """Return the slowest poles of the simulation, one of each pair, from states and inputs alone.
 
     A least-squares fit of ``x+ = A x + B u`` is exact for a linear simulation and a linearisation for others. Poles outside

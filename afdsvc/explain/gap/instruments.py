@@ -17,10 +17,10 @@ from numpy.random import Generator
 from afdsvc.errors import BadInput
 from afdsvc.explain.gap.prediction import predicted
 from afdsvc.explain.gap.settings import GapSettings
-from afdsvc.explain.gap.signals import Signals
+from afdsvc.explain.gap.signals import ResidualSignals
 
 
-def projected(recordings: Sequence[Signals], rng: Generator, settings: GapSettings) -> Sequence[Signals]:
+def projected(recordings: Sequence[ResidualSignals], rng: Generator, settings: GapSettings) -> Sequence[ResidualSignals]:
     """Return the recordings with inputs and states replaced by what the references predict of them; as they are without one."""
     given = [r.reference for r in recordings if r.reference is not None]
     if not given:
@@ -28,7 +28,7 @@ def projected(recordings: Sequence[Signals], rng: Generator, settings: GapSettin
     if len(given) < len(recordings):
         raise BadInput(f"gap test: {len(given)} of {len(recordings)} recordings have a reference; expected one in all or in none")
     targets = [np.hstack([r.inputs, r.states]) for r in recordings]
-    posed = [Signals(t, g, t[:, :0], t[:, :0], r.dt) for t, g, r in zip(targets, given, recordings, strict=True)]
+    posed = [ResidualSignals(t, g, t[:, :0], t[:, :0], r.dt) for t, g, r in zip(targets, given, recordings, strict=True)]
     names: list[list[str]] = [[f"signal {i}" for i in range(targets[0].shape[1])], [f"reference {i}" for i in range(given[0].shape[1])], [], []]
     found = [t.mean(0) + f for t, f in zip(targets, predicted(posed, names, rng, settings), strict=True)]
     parts = [np.split(f, [r.inputs.shape[1]], axis=1) for r, f in zip(recordings, found, strict=True)]

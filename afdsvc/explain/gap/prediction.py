@@ -9,11 +9,11 @@ from numpy.random import Generator
 
 from afdsvc.explain.gap.regression import FeatureRegression, pose
 from afdsvc.explain.gap.settings import GapSettings
-from afdsvc.explain.gap.signals import Names, Signals, check_signals
+from afdsvc.explain.gap.signals import Names, ResidualSignals, check_signals
 from afdsvc.lti.statespace import Array
 
 
-def predicted(recordings: Sequence[Signals], names: Names, rng: Generator, settings: GapSettings) -> list[Array]:
+def predicted(recordings: Sequence[ResidualSignals], names: Names, rng: Generator, settings: GapSettings) -> list[Array]:
     """Return per recording the residual ``(n, p)`` less its mean, each block predicted by weights not fitted to it."""
     check_signals(recordings, names)
     reg = pose(recordings, names, rng, settings)

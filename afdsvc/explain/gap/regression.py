@@ -14,7 +14,7 @@ from afdsvc.explain.gap.dictionary import dictionary
 from afdsvc.explain.gap.features import Dictionary, Groups
 from afdsvc.explain.gap.ridge import Ridge
 from afdsvc.explain.gap.settings import GapSettings
-from afdsvc.explain.gap.signals import Centred, Names, Signals, centred
+from afdsvc.explain.gap.signals import Centred, Names, ResidualSignals, centred
 from afdsvc.lti.statespace import Array
 
 
@@ -34,7 +34,7 @@ class FeatureRegression:
         Correlation time of the residual [samples].
     """
 
-    recordings: Sequence[Signals]
+    recordings: Sequence[ResidualSignals]
     centred: Centred
     dictionary: Dictionary
     groups: list[Groups]
@@ -64,7 +64,7 @@ class FeatureRegression:
         return np.asarray(sum(map(len, self.recordings)) / self.tau)
 
 
-def pose(recordings: Sequence[Signals], names: Names, rng: Generator, settings: GapSettings) -> FeatureRegression:
+def pose(recordings: Sequence[ResidualSignals], names: Names, rng: Generator, settings: GapSettings) -> FeatureRegression:
     """Return the regression of these recordings; ``names`` are those of outputs, inputs, states, aux."""
     residuals = centred(recordings)
     E = residuals.pieces
@@ -88,7 +88,7 @@ def clipped(pieces: Sequence[Array], samples: int) -> Array:
     return np.concatenate(out)
 
 
-def _features(recordings: Sequence[Signals], found: Dictionary, step: int) -> tuple[Array, list[Groups], Array]:
+def _features(recordings: Sequence[ResidualSignals], found: Dictionary, step: int) -> tuple[Array, list[Groups], Array]:
     """Return the thinned features ``(rows, features)``, the groups and the tier of each column; one column in full at a time."""
     columns = [np.concatenate([found.columns(r, f)[::step] for r in recordings]) for f in found.features]
     groups = [f.groups for f, c in zip(found.features, columns, strict=True) for _ in range(c.shape[1])]

@@ -17,7 +17,7 @@ from scipy.stats import f as f_distribution
 
 from afdsvc.explain.gap.autoregression import autoregressive, whiten
 from afdsvc.explain.gap.settings import GapSettings
-from afdsvc.explain.gap.signals import Signals
+from afdsvc.explain.gap.signals import ResidualSignals
 from afdsvc.lti.statespace import Array
 
 
@@ -29,7 +29,7 @@ class RepeatingShare:
     p_value: float
 
 
-def repeating_share(recordings: Sequence[Signals], E: Sequence[Array], settings: GapSettings) -> RepeatingShare | None:
+def repeating_share(recordings: Sequence[ResidualSignals], E: Sequence[Array], settings: GapSettings) -> RepeatingShare | None:
     """Return the repeating part of the residuals ``E``; None when no recording has enough whole periods without missing readings."""
     least = settings.least_periods
     usable = [(e, r.period) for e, r in zip(E, recordings, strict=True) if 8 <= r.period <= len(e) // least and np.isfinite(e).all()]

@@ -17,7 +17,7 @@ Names = Sequence[Sequence[str]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Signals:
+class ResidualSignals:
     """One recording.
 
     Attributes
@@ -53,7 +53,7 @@ class Signals:
         return len(self.residual)
 
 
-def check_signals(recordings: Sequence[Signals], names: Names) -> None:
+def check_signals(recordings: Sequence[ResidualSignals], names: Names) -> None:
     """Raise `BadInput` unless all recordings have the columns named (outputs, inputs, states, aux) and finite numbers."""
     if not recordings:
         raise BadInput("gap test: no recordings; expected at least one")
@@ -94,7 +94,7 @@ class Centred:
     offset: Array
 
 
-def centred(recordings: Sequence[Signals]) -> Centred:
+def centred(recordings: Sequence[ResidualSignals]) -> Centred:
     """Return the centred residuals; an output whose residual is constant keeps a scale of 1."""
     largest = np.nanmax(np.abs(np.vstack([r.residual for r in recordings])), axis=0)
     unit = np.where(largest > 0, largest, 1.0)  # squares of a diverging simulation overflow

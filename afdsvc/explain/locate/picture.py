@@ -20,7 +20,7 @@ from afdsvc.explain.search.fit import Coordinates, Fit, fit
 from afdsvc.explain.search.forward import Found
 from afdsvc.explain.search.problem import Point, Problem
 from afdsvc.explain.search.ranking import Candidate
-from afdsvc.explain.simulate.effects import Effect
+from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.lti.statespace import Array
 
 RIDGES = (0.0, 1e-3, 1e-2, 1e-1, 1.0, 10.0)  # over the mean information on a knot
@@ -60,7 +60,7 @@ def _drawn(found: Found, final: Fit, candidate: Candidate, drawn: LawSite, claim
     beside = evaluated(named.hypothesis, named.values, drawn.knots, _others(found, named.hypothesis), found.problem.nominal.dt)
     base = fit(found.problem, without, last, final.tau, ITERATIONS)
     problem, start = _held(found.problem, without)
-    whole = fit(problem, start.added(Effect(drawn.hypothesis, np.concatenate([drawn.knots, beside]))), last, final.tau, ITERATIONS)
+    whole = fit(problem, start.added(PlacedEffect(drawn.hypothesis, np.concatenate([drawn.knots, beside]))), last, final.tau, ITERATIONS)
     here = fit(problem, whole.point, last, final.tau, iterations=0)
     heights, sd, loss = _smoothed(problem, here, drawn, base.sd)
     if not np.isfinite(heights).all():

@@ -9,7 +9,7 @@ import numpy as np
 
 from afdsvc.dataset.experiment import Run
 from afdsvc.explain.gap.autoregression import autoregressive, whiten
-from afdsvc.explain.gap.signals import Signals
+from afdsvc.explain.gap.signals import ResidualSignals
 from afdsvc.explain.search.fit import Coordinates, Fit, weighted
 from afdsvc.explain.search.problem import Point, Problem
 from afdsvc.lti.statespace import Array
@@ -17,7 +17,7 @@ from afdsvc.lti.statespace import Array
 Names = tuple[Sequence[str], Sequence[str], Sequence[str], Sequence[str]]
 
 
-def signals(problem: Problem, point: Point, horizon: float) -> list[Signals]:
+def signals(problem: Problem, point: Point, horizon: float) -> list[ResidualSignals]:
     """Return residual, inputs, simulated states and other signals of every run; references where a loop has them in all runs.
 
     Inputs simulated in the loop hold no noise of the outputs, so no reference is needed there.
@@ -28,7 +28,7 @@ def signals(problem: Problem, point: Point, horizon: float) -> list[Signals]:
     for run, s, reference in zip(problem.runs, problem.simulated(point, horizon), references, strict=True):
         inputs = np.nan_to_num(s.u) if problem.closed else run.U
         states = np.nan_to_num(s.x, posinf=0.0, neginf=0.0)
-        found.append(Signals(run.Y - s.y, inputs, states, run.AUX, run.dt, run.period, reference if known else None))
+        found.append(ResidualSignals(run.Y - s.y, inputs, states, run.AUX, run.dt, run.period, reference if known else None))
     return found
 
 

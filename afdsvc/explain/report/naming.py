@@ -13,7 +13,7 @@ from afdsvc.explain.search.fit import Coordinates, Fit, fit, logarithmic
 from afdsvc.explain.search.forward import Found, Round
 from afdsvc.explain.search.problem import Point, Problem
 from afdsvc.explain.search.ranking import Candidate, is_constant, mechanism
-from afdsvc.explain.simulate.effects import Effect
+from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.verdict.verdict import Claim, Verdict
 from afdsvc.lti.statespace import Array
 
@@ -90,7 +90,7 @@ def _size(c: Coefficient, value: float, unit: float) -> float:
     return abs(value) if logarithmic(c) else unit
 
 
-def _of_effect(effect: Effect, spreads: Mapping[int, float], B: Array) -> dict[str, Estimate]:
+def _of_effect(effect: PlacedEffect, spreads: Mapping[int, float], B: Array) -> dict[str, Estimate]:
     free = [(j, c) for j, c in enumerate(effect.hypothesis.parameters) if c.free]
     return {c.name: _estimate(float(effect.values[j]), c, spreads[j], B) for j, c in [x for x in free if not x[1].nuisance] or free}
 

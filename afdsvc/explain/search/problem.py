@@ -10,7 +10,7 @@ import numpy as np
 from afdsvc.dataset.experiment import Run
 from afdsvc.explain.noise.weighting import Weighting
 from afdsvc.explain.settings import Settings
-from afdsvc.explain.simulate.effects import Effect
+from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.explain.simulate.simulator import Simulated, Simulator
 from afdsvc.lti.statespace import Array
@@ -25,9 +25,9 @@ class Point:
     theta: Array
     x0: tuple[Array, ...]
     offset: Array
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[PlacedEffect, ...] = ()
 
-    def added(self, effect: Effect) -> Point:
+    def added(self, effect: PlacedEffect) -> Point:
         """Return the point with one more effect."""
         return replace(self, effects=(*self.effects, effect))
 
@@ -50,7 +50,7 @@ class Problem:
     gains: Mapping[float, Array]
     weighting: Weighting
     settings: Settings
-    loads: tuple[Effect, ...] = ()
+    loads: tuple[PlacedEffect, ...] = ()
     offset_free: bool = True
     regular: bool = True
     closed: bool = False

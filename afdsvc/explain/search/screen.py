@@ -10,7 +10,7 @@ import numpy as np
 from afdsvc.api.physics import Hypothesis
 from afdsvc.explain.search.fit import Fit, weighted
 from afdsvc.explain.search.problem import Problem
-from afdsvc.explain.simulate.effects import Effect
+from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.lti.statespace import Array
 
 
@@ -19,7 +19,7 @@ class Start:
     """Where a fit may begin: the effect, the fall of the cost it promises, the direction in the scaled residual that no free number
     imitates, and the shift of the base's coordinates that goes with it."""
 
-    effect: Effect
+    effect: PlacedEffect
     fall: float
     direction: Array
     shift: Array
@@ -60,7 +60,7 @@ class Screen:
         """Return the shift of the free numbers that answers a change of the residual best (prior included)."""
         return np.asarray(-np.linalg.solve(self.base.H, self.J.T @ change))
 
-    def change(self, effect: Effect) -> Array:
+    def change(self, effect: PlacedEffect) -> Array:
         """Return what an effect changes in the weighted residual."""
         there = weighted(self.problem, self.base.point.added(effect), self.horizon)
         return np.asarray(np.concatenate([(b - a).ravel() for a, b in zip(self.base.residuals, there, strict=True)]) * self.scale)
@@ -73,17 +73,17 @@ class Screen:
         for j in linear:
             moved = values.copy()
             moved[j] = values[j] or h.parameters[j].scale
-            columns.append(self.change(Effect(h, moved)))
+            columns.append(self.change(PlacedEffect(h, moved)))
         return self._amplitudes(columns, linear, h, values)
 
     def _along(self, h: Hypothesis, values: Array) -> Start:
         """Return the start for a change of fixed shape, as if its size were free between none and a little more than it is."""
-        d = self.change(Effect(h, values))
+        d = self.change(PlacedEffect(h, values))
         shift = self.shift(d)
         r = d + self.J @ shift
         power, along = float(r @ d), float(d @ self.e)
         factor = min(max(-along / power, 0.0), 1.2) if power > 0 else 0.0
-        return Start(Effect(h, values), -(2 * factor * along + factor**2 * power), r, shift)
+        return Start(PlacedEffect(h, values), -(2 * factor * along + factor**2 * power), r, shift)
 
     def _amplitudes(self, columns: Sequence[Array], linear: Sequence[int], h: Hypothesis, values: Array) -> Start:
         """Return the start with the best amplitudes of the parameters a law is proportional to."""
@@ -97,4 +97,4 @@ class Screen:
             c = h.parameters[j]
             found[j] = min(max((values[j] or c.scale) * factor, c.low), c.high)
         size = np.array([found[j] / (values[j] or h.parameters[j].scale) for j in linear])
-        return Start(Effect(h, found), -float(2 * size @ g + size @ G @ size), R @ size, shifts @ size)
+        return Start(PlacedEffect(h, found), -float(2 * size @ g + size @ G @ size), R @ size, shifts @ size)

@@ -18,7 +18,7 @@ IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Effect:
+class PlacedEffect:
     """A hypothesis with values for its parameters, shape ``(len(parameters),)``.
 
     ``bend = (c1, c2, reference)`` multiplies the law by ``1 + c1 w + c2 w^2``, ``w`` the size of its first signal over the
@@ -45,7 +45,7 @@ class Table:
         return np.zeros(int(self.plan[-1, 5]) if len(self.plan) else 0)
 
 
-def table(effects: Sequence[Effect], m: int, n: int, p: int, a: int) -> Table:
+def table(effects: Sequence[PlacedEffect], m: int, n: int, p: int, a: int) -> Table:
     """Return the effects on a machine of ``m`` inputs, ``n`` states, ``p`` outputs and ``a`` auxiliary signals."""
     k = len(effects)
     laws = np.array([compiled(e.hypothesis.law).address for e in effects], dtype=np.int64)

@@ -11,7 +11,7 @@ from afdsvc.dataset.experiment import Run, sampled
 from afdsvc.errors import BadInput
 from afdsvc.explain.simulate import kernel
 from afdsvc.explain.simulate.dynamics import linearised, program
-from afdsvc.explain.simulate.effects import Effect, Table, table
+from afdsvc.explain.simulate.effects import PlacedEffect, Table, table
 from afdsvc.explain.simulate.nominal import PYTHON_ANGLE, PYTHON_SUBSTEPS, Nominal
 from afdsvc.explain.simulate.steps import Steps, contiguous
 from afdsvc.lti.statespace import Array, StateSpace
@@ -45,7 +45,7 @@ class Simulator:
         return program(self.nominal.model).notes if self.nominal.python else ()
 
     def run(
-        self, run: Run, theta: Array, x0: Array, effects: Sequence[Effect] = (), closed: bool = False, free: bool = False
+        self, run: Run, theta: Array, x0: Array, effects: Sequence[PlacedEffect] = (), closed: bool = False, free: bool = False
     ) -> Simulated:
         """Simulate one recording from the state ``x0``.
 
@@ -62,7 +62,7 @@ class Simulator:
         return simulated
 
     def _play(
-        self, run: Run, theta: Array, steps: Steps, x0: Array, effects: Sequence[Effect], closed: bool, free: bool
+        self, run: Run, theta: Array, steps: Steps, x0: Array, effects: Sequence[PlacedEffect], closed: bool, free: bool
     ) -> Simulated:
         placed = table(effects, run.U.shape[1], self.nominal.plant.order, run.Y.shape[1], run.AUX.shape[1])
         memory = placed.memory()

@@ -81,7 +81,7 @@ class Judged:
     refuted: bool = False
 
 
-def confirmed(found: Found, verdict: Verdict, runs: Sequence[Run]) -> Judged:
+def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run]) -> Judged:
     """Return the verdict and the final fit: with the claimed effects, else the numbers refitted, else the model as stated.
 
     What does worse on the recordings held out than the model as stated is withdrawn. What does not do better there than the model

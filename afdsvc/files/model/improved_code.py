@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Signal
-from afdsvc.explain.simulate.effects import Effect
+from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.explain.simulate.steps import Steps
 from afdsvc.lti.statespace import Array, StateSpace
@@ -21,7 +21,7 @@ OBJECT = "model"
 ROUNDED = 0.5  # friction rounds its jump so that Runge-Kutta steps of twice this length can follow it
 
 
-def goes_by_samples(plant: StateSpace, effects: Sequence[Effect]) -> bool:
+def goes_by_samples(plant: StateSpace, effects: Sequence[PlacedEffect]) -> bool:
     """Whether the simulator goes by samples: a law remembers, or follows time or a recorded signal, or the plant is sampled."""
     return plant.discrete or any(e.hypothesis.memory or any(s.kind in ("t", "aux") for s in e.hypothesis.reads) for e in effects)
 
@@ -45,7 +45,7 @@ class Parts:
 
     nominal: Nominal
     plant: StateSpace
-    effects: tuple[Effect, ...]
+    effects: tuple[PlacedEffect, ...]
     steps: Steps
     aux: Mapping[str, float]
     reference: str
@@ -55,7 +55,7 @@ class Parts:
         """Whether the inputs reach the outputs at once, so that laws at the inputs come first."""
         return bool(self.plant.D.any())
 
-    def of(self, stage: str) -> list[tuple[int, Effect]]:
+    def of(self, stage: str) -> list[tuple[int, PlacedEffect]]:
         """Return the effects of a stage with their numbers."""
         return [(i, e) for i, e in enumerate(self.effects) if e.hypothesis.stage == stage]
 
@@ -73,11 +73,11 @@ def text(parts: Parts) -> str:
     ])
 
 
-def _label(e: Effect) -> str:
+def _label(e: PlacedEffect) -> str:
     return f"{e.hypothesis.physics}_{e.hypothesis.law.__name__.lstrip('_')}"
 
 
-def _source(e: Effect) -> str:
+def _source(e: PlacedEffect) -> str:
     """Return the source of a law under its name in the text, without annotations."""
     source = re.sub(rf"^def {e.hypothesis.law.__name__}\(.*\).*:$", f"def {_label(e)}(p, z, m, dt, out):", inspect.getsource(e.hypothesis.law), count=1, flags=re.M)
     return source.rstrip()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from afdsvc.explain.gap.signals import Signals
+from afdsvc.explain.gap.signals import ResidualSignals
 
 NAMES = (["y"], ["u"], ["v"], [])
 
@@ -29,8 +29,8 @@ def speed(u: np.ndarray, friction: float = 0.0, pole: float = 0.97) -> np.ndarra
     return v[:, None]
 
 
-def motor(rng: np.random.Generator, n: int = 1500, friction: float = 0.0, noise: float = 0.1, time: float = 5.0, period: int = 0) -> Signals:
+def motor(rng: np.random.Generator, n: int = 1500, friction: float = 0.0, noise: float = 0.1, time: float = 5.0, period: int = 0) -> ResidualSignals:
     """Return a recording of the motor against its simulation without friction."""
     u = steps(n, 40, rng) if not period else np.tile(steps(period, 40, rng), (n // period, 1))
     x = speed(u)
-    return Signals(speed(u, friction) - x + noise * coloured(len(u), time, rng), u, x, np.zeros((len(u), 0)), 0.01, period)
+    return ResidualSignals(speed(u, friction) - x + noise * coloured(len(u), time, rng), u, x, np.zeros((len(u), 0)), 0.01, period)

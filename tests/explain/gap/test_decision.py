@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from afdsvc.errors import BadInput
-from afdsvc.explain.gap.decision import flexible_prediction, gap
+from afdsvc.explain.gap.decision import flexible_prediction, gap_test
 from afdsvc.explain.gap.settings import GapSettings
-from afdsvc.explain.gap.signals import Signals
+from afdsvc.explain.gap.signals import ResidualSignals
 from tests.explain.gap.machines import coloured, motor
 
 
 def answer(recordings, seed=1, surrogates=49, **settings):
-    return gap(recordings, ["v"], ["u"], ["y"], [], np.random.default_rng(seed), surrogates, GapSettings(**settings))
+    return gap_test(recordings, ["v"], ["u"], ["y"], [], np.random.default_rng(seed), surrogates, GapSettings(**settings))
 
 
 def test_missing_friction_is_a_gap_that_follows_the_speed():
@@ -51,7 +51,7 @@ def test_a_repeating_gap_is_measured_by_what_repeats():
 
 def test_units_do_not_matter():
     r = motor(np.random.default_rng(4), friction=0.3)
-    scaled = Signals(1e3 * r.residual, 1e3 * r.inputs, 1e3 * r.states, r.aux, r.dt)
+    scaled = ResidualSignals(1e3 * r.residual, 1e3 * r.inputs, 1e3 * r.states, r.aux, r.dt)
     a, b = answer([r]), answer([scaled])
     assert (a.present, a.p_value) == (b.present, b.p_value)
     assert a.r2 == pytest.approx(b.r2, abs=1e-6)
@@ -59,7 +59,7 @@ def test_units_do_not_matter():
 
 def test_cutting_a_file_changes_little():
     r = motor(np.random.default_rng(5), 2000, friction=0.4)
-    half = [Signals(r.residual[s], r.inputs[s], r.states[s], r.aux[s], r.dt) for s in (slice(0, 1000), slice(1000, 2000))]
+    half = [ResidualSignals(r.residual[s], r.inputs[s], r.states[s], r.aux[s], r.dt) for s in (slice(0, 1000), slice(1000, 2000))]
     assert answer(half).present == answer([r]).present
     assert answer(half).total == pytest.approx(answer([r]).total, abs=0.1)
 

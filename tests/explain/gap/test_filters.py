@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from afdsvc.explain.gap.filters import first_order_lag, lagged, level, mode_pole, poles, resonate
-from afdsvc.explain.gap.signals import Signals
+from afdsvc.explain.gap.signals import ResidualSignals
 
 
 def test_a_lag_holds_the_first_value():
@@ -33,11 +33,11 @@ def test_poles_of_a_simulation_are_found_from_its_states():
     u, x = rng.normal(size=(2000, 1)), np.zeros((2000, 2))
     for t in range(1999):
         x[t + 1] = A @ x[t] + B * u[t]
-    found = poles([Signals(np.zeros((2000, 1)), u, x, np.zeros((2000, 0)), 0.01)])
+    found = poles([ResidualSignals(np.zeros((2000, 1)), u, x, np.zeros((2000, 0)), 0.01)])
     expected = next(q for q in np.linalg.eigvals(A) if q.imag > 0)
     assert len(found) == 1
     assert found[0] == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_simulation_without_states_has_no_poles():
-    assert poles([Signals(np.zeros((20, 1)), np.zeros((20, 1)), np.zeros((20, 0)), np.zeros((20, 0)), 0.01)]) == []
+    assert poles([ResidualSignals(np.zeros((20, 1)), np.zeros((20, 1)), np.zeros((20, 0)), np.zeros((20, 0)), 0.01)]) == []

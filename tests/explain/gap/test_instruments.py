@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from afdsvc.errors import BadInput
-from afdsvc.explain.gap.decision import gap
+from afdsvc.explain.gap.decision import gap_test
 from afdsvc.explain.gap.instruments import projected
 from afdsvc.explain.gap.settings import GapSettings
-from afdsvc.explain.gap.signals import Signals
+from afdsvc.explain.gap.signals import ResidualSignals
 from tests.explain.gap.machines import coloured, speed, steps
 
 
@@ -19,11 +19,11 @@ def loop(rng, known, friction=0.0, n=1500, noise=0.1):
             v[t] = 0.97 * v[t - 1] + 0.03 * (u[t - 1] - friction * np.tanh(50 * v[t - 1]))
         u[t] = 5 * (r[t] - v[t] - e[t])
     x = speed(u)
-    return Signals(v + e - x, u, x, np.zeros((n, 0)), 0.01, 0, r if known else None)
+    return ResidualSignals(v + e - x, u, x, np.zeros((n, 0)), 0.01, 0, r if known else None)
 
 
 def answer(r, seed):
-    return gap([r], ["v"], ["u"], ["y"], [], np.random.default_rng(seed), 49, GapSettings(level=0.02))
+    return gap_test([r], ["v"], ["u"], ["y"], [], np.random.default_rng(seed), 49, GapSettings(level=0.02))
 
 
 def test_without_the_reference_noise_in_the_input_looks_like_a_gap():

@@ -3,13 +3,13 @@ import pytest
 
 from afdsvc.explain.gap.repeating import repeating_share
 from afdsvc.explain.gap.settings import GapSettings
-from afdsvc.explain.gap.signals import Signals
+from afdsvc.explain.gap.signals import ResidualSignals
 from tests.explain.gap.machines import coloured
 
 
 def posed(e, period):
     n = len(e)
-    return [Signals(e, np.zeros((n, 1)), np.zeros((n, 0)), np.zeros((n, 0)), 0.01, period)]
+    return [ResidualSignals(e, np.zeros((n, 1)), np.zeros((n, 0)), np.zeros((n, 0)), 0.01, period)]
 
 
 @pytest.mark.parametrize("time", [0.1, 10.0, 200.0])

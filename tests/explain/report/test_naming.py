@@ -13,7 +13,7 @@ from afdsvc.explain.report.naming import estimates
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.fit import fit
 from afdsvc.explain.settings import Settings
-from afdsvc.explain.simulate.effects import Effect
+from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import nominal
 
 NOISE = 0.02
@@ -37,12 +37,12 @@ def test_standard_deviations_are_those_of_a_regression_in_the_unit_of_the_input(
     runs = prepare(exact, [recorded(k, extra=lambda q, v: -600.0 * q**3, noise=NOISE) for k in (1, 2)])
     problem = replace(build(nominal(exact, runs[0].dt), runs, Settings()), offset_free=False)
     start = problem.start()
-    found = fit(problem, start.added(Effect(law(low, linear), np.array([500.0]))), 0.0, 1.0)
+    found = fit(problem, start.added(PlacedEffect(law(low, linear), np.array([500.0]))), 0.0, 1.0)
     (told,) = estimates(problem, found, 0.0)
     value = found.point.effects[0].values[0]
     derivative = []
     for h in (1.0, -1.0):
-        moved = replace(found.point, effects=(Effect(law(low, linear), np.array([value + h])),))
+        moved = replace(found.point, effects=(PlacedEffect(law(low, linear), np.array([value + h])),))
         derivative.append(np.vstack([s.y for s in problem.simulated(moved, 0.0)]))
     expected = NOISE / np.linalg.norm((derivative[0] - derivative[1]) / 2)
     assert told["stiffness"].unit == "N/mm^3"
@@ -56,6 +56,6 @@ def test_what_the_recordings_say_nothing_about_has_no_deviation(spring, recorded
     problem = build(nominal(spring, runs[0].dt), runs, Settings())
     h = law(-1e6, True)
     blind = replace(h, parameters=(*h.parameters, Coefficient("nothing", "", -1.0, 1.0, 0.1)), starts=((0.0, 0.0),))
-    (told,) = estimates(problem, fit(problem, problem.start().added(Effect(blind, np.zeros(2))), 0.0, 1.0), 0.0)
+    (told,) = estimates(problem, fit(problem, problem.start().added(PlacedEffect(blind, np.zeros(2))), 0.0, 1.0), 0.0)
     assert told["nothing"].sd is None
     assert told["stiffness"].sd is not None

@@ -18,7 +18,7 @@ from afdsvc.explain.search.path import bases, trial
 from afdsvc.explain.search.ranking import look_alikes, vote_shares
 from afdsvc.explain.search.screen import Screened, Start
 from afdsvc.explain.settings import Settings
-from afdsvc.explain.simulate.effects import Effect
+from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.plugins.physics.coulomb_friction import CoulombFriction
 from afdsvc.plugins.physics.dead_zone import DeadZone
@@ -138,7 +138,7 @@ def test_where_the_model_was_bent_hypotheses_begin_at_the_stated_numbers_too():
     p = problem(60.0)
     bent = fit(p, replace(p.start(), theta=np.full(len(p.start().theta), 20.0)), 0.0, 5.0, iterations=0)
     h = next(iter(hypotheses([CoulombFriction()], machine(p, bent, 0.0, [], [], "model"))))
-    start = Start(Effect(h, np.array(h.starts[0], float)), 0.0, np.zeros(0), np.zeros(len(bent.H)))
+    start = Start(PlacedEffect(h, np.array(h.starts[0], float)), 0.0, np.zeros(0), np.zeros(len(bent.H)))
     screened = {0.0: Screened(h, (start,))}
     begin = [bases(replace(p, settings=Settings(strained=s)), {0.0: bent}, {0.0: 5.0}) for s in (5.0, np.inf)]
     falls = [trial(p, b, {0.0: 5.0}, screened, 1).falls[0] for b in begin]

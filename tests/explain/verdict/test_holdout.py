@@ -36,7 +36,7 @@ def _judged(monkeypatch, stated: float, refitted: float, error: float, present: 
     monkeypatch.setattr(module, "fit", lambda problem, point, *a, **k: SimpleNamespace(point=point))
     claim = Claim(SimpleNamespace(hypothesis=hypothesis), 1.0, 1, 0.5)
     verdict = Verdict("omitted_physics", (claim,), (), SimpleNamespace(present=present, total=0.02), None, (0.5, 0.1))
-    return module.confirmed(found, verdict, [])
+    return module.checked_on_holdout(found, verdict, [])
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from afdsvc.dataset.experiment import Run
 from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.report.explanation import Estimate, Explanation, Named
 from afdsvc.explain.search.problem import Point
-from afdsvc.explain.simulate.effects import Effect
+from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import Nominal, nominal
 from afdsvc.explain.simulate.simulator import Simulator
 from afdsvc.files.model.improved import linear_plant, write_improved
@@ -75,7 +75,7 @@ def run(rng: np.random.Generator) -> Run:
     return Run("r", DT, 3.0, u, np.zeros((N, 2)), aux, np.zeros((N, 2)), tuple(AUX))
 
 
-def explanation(*effects: Effect, named: tuple[Named, ...] = (), nom: Nominal | None = None) -> Explanation:
+def explanation(*effects: PlacedEffect, named: tuple[Named, ...] = (), nom: Nominal | None = None) -> Explanation:
     nom = nom or nominal(spring(), DT)
     point = Point(0.3 * np.ones(len(nom.entries)), (), np.zeros(2), effects)
     gap = Gap(
@@ -114,7 +114,7 @@ def stepped(path: Path, r: Run, substeps: int = 1) -> np.ndarray:
 
 @pytest.mark.parametrize("key", [k for k, h in LIBRARY.items() if h.linear is None])
 def test_every_law_is_written_as_it_was_fitted(key, tmp_path):
-    e = explanation(Effect(LIBRARY[key], values(LIBRARY[key])))
+    e = explanation(PlacedEffect(LIBRARY[key], values(LIBRARY[key])))
     r = run(np.random.default_rng(1))
     engine = Simulator(e.nominal, np.zeros((4, 2))).run(r, e.point.theta, np.zeros(4), e.point.effects).y
     plain = Simulator(e.nominal, np.zeros((4, 2))).run(r, e.point.theta, np.zeros(4)).y
@@ -130,13 +130,13 @@ def test_every_law_is_written_as_it_was_fitted(key, tmp_path):
 
 def test_written_and_engine_meet_as_the_engine_takes_smaller_steps(tmp_path):
     h = LIBRARY["cubic_stiffness@state:v"]
-    e = explanation(Effect(h, values(h)))
+    e = explanation(PlacedEffect(h, values(h)))
     r = run(np.random.default_rng(2))
     mine = stepped(write_improved(e, tmp_path / "MODEL.toml", AUX)[0], r, 4)
     apart = []
     for substeps in (1, 4, 20):
         finer = type(h)(**{**{f: getattr(h, f) for f in h.__slots__}, "substeps": substeps})
-        y = Simulator(e.nominal, np.zeros((4, 2))).run(r, e.point.theta, np.zeros(4), [Effect(finer, values(h))]).y
+        y = Simulator(e.nominal, np.zeros((4, 2))).run(r, e.point.theta, np.zeros(4), [PlacedEffect(finer, values(h))]).y
         apart.append(np.linalg.norm(y - mine) / np.linalg.norm(mine))
     assert apart[1] < apart[0] / 10
     assert apart[2] < 1e-6 < apart[0] < 1e-3
@@ -144,7 +144,7 @@ def test_written_and_engine_meet_as_the_engine_takes_smaller_steps(tmp_path):
 
 @pytest.mark.parametrize("key", [k for k, h in LIBRARY.items() if h.linear is not None])
 def test_a_linear_law_becomes_matrices_and_needs_no_code(key, tmp_path):
-    e = explanation(Effect(LIBRARY[key], values(LIBRARY[key])))
+    e = explanation(PlacedEffect(LIBRARY[key], values(LIBRARY[key])))
     files = write_improved(e, tmp_path / "MODEL.toml", AUX)
     assert [f.name for f in files] == ["MODEL.toml"]
     m = read_model(files[0])
@@ -160,7 +160,7 @@ def test_parameters_are_told_in_the_units_of_people_with_their_deviation(tmp_pat
     h = LIBRARY["coulomb_friction@state:v"]
     found = Named("coulomb_friction", "state:v", 1.0, {"force": Estimate(0.2, 0.01, "N")}, "")
     gain = explanation().nominal.at(0.3 * np.ones(len(explanation().nominal.entries))).B[2, 0]
-    e = explanation(Effect(h, np.array([0.2 * gain, 4.0])), named=(found,))
+    e = explanation(PlacedEffect(h, np.array([0.2 * gain, 4.0])), named=(found,))
     m = read_model(write_improved(e, tmp_path / "MODEL.toml", AUX)[0], allow_code=True)
     (q,) = m.parameters.values()
     assert q.value == pytest.approx(0.2)
@@ -170,7 +170,7 @@ def test_parameters_are_told_in_the_units_of_people_with_their_deviation(tmp_pat
 
 def test_a_nonlinear_model_offers_its_linear_part_and_is_identified_by_its_parameters(tmp_path):
     h = LIBRARY["cubic_stiffness@state:v"]
-    e = explanation(Effect(h, values(h)))
+    e = explanation(PlacedEffect(h, values(h)))
     m = read_model(write_improved(e, tmp_path / "MODEL.toml", AUX)[0], allow_code=True)
     assert m.plant is not None
     at_point = e.nominal.at(e.point.theta)
@@ -240,7 +240,7 @@ def swinging(plant: StateSpace) -> Machine:
 def test_laws_are_added_to_a_simulator_that_stays_the_code_it_is(key, size, pendulum, tmp_path):
     nom = nominal(pendulum, DT)
     h = next(h for physics in afdsvc_physics() for h in physics.hypotheses(swinging(nom.plant)) if h.key == key)
-    e = explanation(Effect(h, np.array([*size, *values(h)[len(size) :]])), nom=nom)
+    e = explanation(PlacedEffect(h, np.array([*size, *values(h)[len(size) :]])), nom=nom)
     drive = run(np.random.default_rng(3))
     r = Run("r", DT, 0.0, 3 * drive.U[:, :1], np.zeros((N, 1)), drive.AUX, np.zeros((N, 1)), drive.aux)
     engine, plain = (Simulator(nom, np.zeros((2, 1))).run(r, e.point.theta, np.zeros(2), x).y for x in (e.point.effects, ()))
@@ -254,7 +254,7 @@ def test_laws_are_added_to_a_simulator_that_stays_the_code_it_is(key, size, pend
 
 @pytest.mark.parametrize("key", ["cubic_stiffness@state:v", "coulomb_friction@state:v", "backlash@input:a", "dead_zone@input:a", "transport_delay@input:a"])
 def test_a_written_simulator_is_simple_enough_to_be_compiled(key, tmp_path):
-    e = explanation(Effect(LIBRARY[key], values(LIBRARY[key])))
+    e = explanation(PlacedEffect(LIBRARY[key], values(LIBRARY[key])))
     m = read_model(write_improved(e, tmp_path / "MODEL.toml", AUX)[0], allow_code=True)
     found, r = nominal(m, DT), run(np.random.default_rng(4))
     simulator = Simulator(found, np.zeros((len(m.states), 2)))
