@@ -15,7 +15,7 @@ from afdsvc.explain.pipeline import explain
 from afdsvc.files.model.model_file import read_model
 from afdsvc.trial.pages import markdown, page, summary
 from afdsvc.trial.plan import FIELD, MIX, Request, field_plan, plan
-from afdsvc.trial.study import Result, study, write_only
+from afdsvc.trial.study import Result, refusals, study, write_only
 
 LARGE = 1200  # trials of the plan that kinds are picked from
 
@@ -34,7 +34,7 @@ def trial_files(
     requests = in_order(count, seed, rho, kinds, parts)
     if only_write:
         places = write_only(requests, folder, jobs, progress)
-        return {"trials": len(places), "summary": f"{len(places)} trials written, none explained", "folder": str(folder)}
+        return {"trials": len(places), "summary": f"{len(places)} trials written, none explained", "refused": refusals(folder), "folder": str(folder)}
     done = study(requests, from_files, folder, jobs, keep, progress)
     return write_reports(done, folder)
 
@@ -98,4 +98,7 @@ def write_reports(done: Sequence[Result], folder: Path) -> dict[str, Any]:
     words, table = folder / "blind-trials.md", folder / "blind-trials.html"
     words.write_text(markdown(done), encoding="utf-8")
     table.write_text(page(done), encoding="utf-8")
-    return {"trials": len(done), "summary": summary(done), "markdown": str(words), "html": str(table), "folder": str(folder)}
+    return {
+        "trials": len(done), "summary": summary(done), "refused": refusals(folder), "markdown": str(words), "html": str(table),
+        "folder": str(folder),
+    }

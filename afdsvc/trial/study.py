@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from joblib import Parallel, delayed
 
-from afdsvc.errors import BadInput
+from afdsvc.errors import BadInput, Refused
 from afdsvc.trial.answer import TrialAnswer
 from afdsvc.trial.field.answer import FieldAnswer
 from afdsvc.trial.field.generate import FieldTrial
@@ -37,10 +39,11 @@ def study(
 
     ``explain(model, recordings, holdout)`` gets paths and returns the document of `explain --json`; an exception it raises
     is a result too. Recordings are removed after scoring unless ``keep`` is True. A study that was interrupted goes on where
-    it stopped when it is called again with the same folder. ``progress`` is told how many of all are done.
+    it stopped when it is called again with the same folder. ``progress`` is told how many of all are done. A trial whose laws fit
+    no machine that is drawn is left out; `refusals` says why.
     """
     folder = _opened(requests, Path(folder))
-    missing = [r for r in requests if not _result_path(folder, r.number).exists()]
+    missing = [r for r in requests if not (_result_path(folder, r.number).exists() or _refusal_path(folder, r.number).exists())]
     already = len(requests) - len(missing)
     for count, _ in enumerate(_run(missing, explain, folder, keep, jobs), already + 1):
         progress(count, len(requests))
@@ -49,19 +52,37 @@ def study(
 
 def _opened(requests: Sequence[Request], folder: Path) -> Path:
     """Make the folders of a study and return the outermost; raises `BadInput` when it holds another study."""
-    for name in ("trials", "sealed", "results"):
+    for name in ("trials", "sealed", "results", "refused"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     _same_study(requests, folder)
     return folder
 
 
-def _run(missing: Sequence[Request], explain: Explain, folder: Path, keep: bool, jobs: int) -> Iterable[Result]:
+def _run(missing: Sequence[Request], explain: Explain, folder: Path, keep: bool, jobs: int) -> Iterable[None]:
+    run = partial(_run_or_refused, explain=explain, folder=folder, keep=keep)
     if jobs <= 1:
-        return (run_one(r, explain, folder, keep) for r in missing)
-    done: Iterable[Result] = Parallel(n_jobs=jobs, return_as="generator_unordered")(
-        delayed(run_one)(r, explain, folder, keep) for r in missing
-    )
+        return map(run, missing)
+    done: Iterable[None] = Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(run)(r) for r in missing)
     return done
+
+
+def _run_or_refused(request: Request, explain: Explain, folder: Path, keep: bool) -> None:
+    with _refusal_kept(request, folder):
+        run_one(request, explain, folder, keep)
+
+
+@contextmanager
+def _refusal_kept(request: Request, folder: Path) -> Iterator[None]:
+    """Keep why a trial cannot be made."""
+    try:
+        yield
+    except Refused as error:
+        _write_whole(_refusal_path(folder, request.number), {"number": request.number, "why": str(error)})
+
+
+def refusals(folder: str | Path) -> list[str]:
+    """Return why trials of a study were left out, by number."""
+    return [json.loads(path.read_text(encoding="utf-8"))["why"] for path in sorted((Path(folder) / "refused").glob("*.json"))]
 
 
 def results(folder: str | Path) -> list[Result]:
@@ -98,11 +119,12 @@ def write_only(
     made = Parallel(n_jobs=jobs, return_as="generator_unordered")(delayed(_written)(r, folder) for r in requests)
     for count, _ in enumerate(made, 1):
         progress(count, len(requests))
-    return [_place(folder, r) for r in requests]
+    return [_place(folder, r) for r in requests if _place(folder, r).exists()]
 
 
 def _written(request: Request, folder: Path) -> None:
-    _sealed(request, folder)
+    with _refusal_kept(request, folder):
+        _sealed(request, folder)
 
 
 def _sealed(request: Request, folder: Path) -> tuple[BlindTrial | FieldTrial, TrialPaths, Path]:
@@ -153,6 +175,10 @@ def _explained(explain: Explain, paths: TrialPaths) -> tuple[dict[str, Any], flo
 
 def _result_path(folder: Path, number: int) -> Path:
     return folder / "results" / f"{number:04d}.json"
+
+
+def _refusal_path(folder: Path, number: int) -> Path:
+    return folder / "refused" / f"{number:04d}.json"
 
 
 def _write_whole(path: Path, result: Result) -> None:

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from collections import Counter
 from dataclasses import replace
 
 import pytest
 
-from afdsvc.errors import BadInput
+from afdsvc.errors import BadInput, Refused
 from afdsvc.trial import Options, Request, TrialRequest, make_trial, markdown, page, plan, results, study
 from afdsvc.trial.plan import MIX
 from afdsvc.trial.scoring import rival
 from afdsvc.trial.scoring.rates import wilson
 from afdsvc.trial.scoring.tables import confusion_matrix, tables
-from afdsvc.trial.study import rescored
+from afdsvc.trial.study import refusals, rescored
 
+module = importlib.import_module("afdsvc.trial.study")
 SHORT = Options(controller="proportional", periods=1)
 REQUESTS = [
     Request(0, "bearing", (TrialRequest("coulomb_friction", "state:horizontal_rate", 0.3),), SHORT, (1, 0)),
@@ -98,6 +100,21 @@ def test_failing_explain_is_a_result(tmp_path) -> None:
     kept = study(REQUESTS[1:2], explain, tmp_path)
     assert kept[0]["score"]["verdict"] == "error"
     assert "no idea" in kept[0]["explanation"]["error"]
+
+
+def test_a_trial_that_no_machine_allows_is_left_out_and_the_others_run(tmp_path, monkeypatch) -> None:
+    made = module.make_trial
+
+    def refusing(request):
+        if request.number == 2:
+            raise Refused("no machine allows it")
+        return made(request)
+
+    monkeypatch.setattr(module, "make_trial", refusing)
+    for _ in range(2):  # it is not tried again
+        kept = study([REQUESTS[2], REQUESTS[1]], Says({"verdict": "consistent", "named": [], "located": []}), tmp_path)
+        assert [r["number"] for r in kept] == [1]
+    assert refusals(tmp_path) == ["no machine allows it"]
 
 
 def test_report_shows_rates_failures_and_confusion(finished) -> None:
