@@ -151,8 +151,8 @@ def _tests(n: int, products: Array, total: Array, estimated: int) -> Whiteness:
     if n < 10 * lags:
         raise BadInput(f"{n} quiet samples for {lags} lags; expected at least {10 * lags}")
     C0 = products[0] / n
-    sd = tuple(float(v) for v in np.sqrt(np.diag(C0)))
-    if not np.isfinite(products).all() or np.linalg.cond(C0) > 1e12:
+    sd = tuple(float(v) for v in np.sqrt(np.maximum(np.diag(C0), 0.0)))
+    if not np.isfinite(products).all() or np.linalg.cond(C0) > 1e12 or np.linalg.eigvalsh(C0)[0] <= 0:  # a residual that diverges
         return Whiteness(n, 0.0, 0.0, 1.0, sd)
     inverse = np.linalg.inv(C0)
     scaled = products[1:] / n

@@ -75,3 +75,13 @@ def test_severity_is_least_squares():
 def test_too_few_samples_are_refused():
     with pytest.raises(BadInput, match="at least 200"):
         whiteness(sums_of(np.zeros((50, 1, 1))))
+
+
+def test_a_residual_that_diverges_is_not_white_and_no_error():
+    """What is left of sums of 1e30 after a regressor is taken out is rounding, and may be negative."""
+    rng, growth = np.random.default_rng(4), np.exp(np.linspace(0, 69, 1500))[:, None]
+    for seed in range(20):
+        psi = growth * rng.normal(size=(1500, 2))
+        found = whiteness_without(sums_of(np.stack([-0.3 * psi + rng.normal(size=psi.shape), psi], axis=1)), 0, -0.3)
+        assert found.p < 1e-6, seed
+        assert np.isfinite(found.sd_ratio).all()

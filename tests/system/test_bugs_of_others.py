@@ -419,7 +419,7 @@ def test_copper_1407_newest_or_all_is_chosen_for_each_channel():
     publisher = Publisher(Keys("t"), post, news)
     publisher.take(Message(Residual(residual_block(block(), np.zeros((50, 1))))))
     publisher.take(Message(decision(True)))
-    book = AlarmBook(tell=publisher.alarm)
+    book = AlarmBook(tell=lambda change: publisher.take(Message(change)))
     book.take(decision(True))
     assert sent == [("newest", "residual"), ("all", "evidence"), ("all", "alarm")]
 
