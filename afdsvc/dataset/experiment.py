@@ -79,7 +79,10 @@ def prepare(model: Model, traces: Sequence[Trace]) -> list[Run]:
 
 
 def joined(traces: Sequence[Trace]) -> list[Trace]:
-    """Return the traces with parts of one recording put together: those with the same columns whose time goes on where the last one ends."""
+    """Return the traces with parts of one recording put together: those with the same columns whose time goes on where the last one ends.
+
+    Traces whose own excitation repeats stay apart: together they may have no period.
+    """
     found: list[Trace] = []
     for t in traces:
         if found and _continues(found[-1], t):
@@ -92,7 +95,12 @@ def joined(traces: Sequence[Trace]) -> list[Trace]:
 def _continues(first: Trace, second: Trace) -> bool:
     ends = first.t0 + len(first) * first.dt
     alike = first.channels == second.channels and abs(second.dt / first.dt - 1) < SAME_RATE
-    return alike and abs(second.t0 - ends) < first.dt / 2
+    return alike and abs(second.t0 - ends) < first.dt / 2 and not (_repeats(first) or _repeats(second))
+
+
+def _repeats(trace: Trace) -> bool:
+    drive = _driver(trace, np.nan_to_num(trace.role("u")), np.nan_to_num(trace.role("ref")))
+    return drive.size > 0 and repetition(drive)[0] > 0
 
 
 def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:

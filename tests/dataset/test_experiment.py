@@ -79,3 +79,7 @@ def test_parts_of_one_recording_are_put_together_and_others_are_not():
     np.testing.assert_array_equal(again.values, whole.values)
     apart = [parts[0], replace(parts[1], t0=0.0), replace(parts[2], channels=(Channel("u_a"), Channel("y_c")))]
     assert [len(t) for t in joined(apart)] == [100, 120, 80]
+    wave = np.tile(np.sin(np.arange(50) * 2 * np.pi / 50), 6)
+    steady = replace(whole, values=np.column_stack([wave, wave]))
+    levels = [replace(steady, values=level * steady.values, t0=3.0 * k) for k, level in enumerate((1.0, 2.0))]
+    assert len(joined(levels)) == 2
