@@ -11,7 +11,7 @@ import pytest
 from afdsvc.api.model import Model, Quantity, Variable
 from afdsvc.api.physics import Coefficient, Hypothesis, Signal
 from afdsvc.dataset.experiment import Run
-from afdsvc.explain.simulate.simulator import Effect
+from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.lti.statespace import Array, StateSpace
 
 
@@ -43,13 +43,13 @@ def model() -> Callable[..., Model]:
 
 
 @pytest.fixture
-def effect() -> Callable[..., Effect]:
+def effect() -> Callable[..., PlacedEffect]:
     """Make an effect of a law at a stage; signals as pairs of kind and number."""
 
     def make(
         law: Any, stage: str, reads: Sequence[tuple[str, int]], writes: Sequence[tuple[str, int]], values: Sequence[float], family: str = "",
         memory: int = 0, substeps: int = 1,
-    ) -> Effect:
+    ) -> PlacedEffect:
         def signals(pairs: Sequence[tuple[str, int]]) -> tuple[Signal, ...]:
             return tuple(Signal(kind, index) for kind, index in pairs)  # type: ignore[arg-type]
 
@@ -57,7 +57,7 @@ def effect() -> Callable[..., Effect]:
         hypothesis = Hypothesis(
             "law", "machine", family, stage, law, signals(reads), signals(writes), parameters, ((0.0,) * len(values),), memory, substeps  # type: ignore[arg-type]
         )
-        return Effect(hypothesis, np.array(values, dtype=float))
+        return PlacedEffect(hypothesis, np.array(values, dtype=float))
 
     return make
 
