@@ -16,9 +16,18 @@ from afdsvc.explain.search.base import Settled
 from afdsvc.explain.search.evidence import HypothesisEvidence, block_spans, hypothesis_evidence, noise_times, refitted
 from afdsvc.explain.search.fit import CONVERGED, Fit, fit
 from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
-from afdsvc.explain.search.path import Trial, added_path, bases, ends, fewer_path, trial, whole_path
+from afdsvc.explain.search.path import Trial, added_path, bases, ends, exchanged_path, fewer_path, trial, whole_path
 from afdsvc.explain.search.problem import Problem
-from afdsvc.explain.search.ranking import Candidate, complexity, is_constant, is_reason, mechanism, vote_shares, winner
+from afdsvc.explain.search.ranking import (
+    Candidate,
+    complexity,
+    is_constant,
+    is_reason,
+    look_alikes,
+    mechanism,
+    vote_shares,
+    winner,
+)
 from afdsvc.explain.search.screen import Screen, Screened
 from afdsvc.lti.statespace import Array
 from afdsvc.stats.spectral_peaks import peaks
@@ -84,6 +93,7 @@ def search(
         if not step.accepted:
             break
         path, rough = rounds.accepted(step.candidates[0])
+    path, steps = rounds.exchanged(path, steps)
     return Found(problem, start, path, seen, tuple(_kept(s, path) for s in steps), limited, rounds.over(path, start, 0))
 
 
@@ -161,6 +171,27 @@ class Rounds(Settled):
             point = replace(f.point, effects=tuple(e for e in f.point.effects if e.hypothesis.key in kept))
             rough[h] = path[h] if self.part is self.problem and h in path else fit(self.part, point, h, self.taus[h])
         return path, rough
+
+    def exchanged(self, path: dict[float, Fit], steps: Sequence[Round]) -> tuple[dict[float, Fit], list[Round]]:
+        """Return the path and the rounds with every effect but the last chosen again from its look-alikes, beside the effects found after it.
+
+        The first round compares effects while the others are missing: what stands for several at once has the advantage there.
+        """
+        found = list(steps)
+        for k, step in enumerate(found[:-1]):
+            present = {e.hypothesis.key: i for i, e in enumerate(list(path.values())[-1].point.effects)}
+            alike = look_alikes(step.candidates, self.problem.settings, step.limited)
+            if alike[0].hypothesis.key not in present or not any(s.accepted for s in found[k + 1 :]):
+                continue
+            others = fewer_path(self.problem, path, self.taus, present.pop(alike[0].hypothesis.key))
+            rivals = [c for c in alike[1:] if c.hypothesis.key not in present]
+            paths = [path, *self.mapper(partial(exchanged_path, self.problem, self.taus, others, path), [c.fit.point.effects[-1] for c in rivals])]
+            counted = noise_times(paths)
+            pairs = zip([alike[0], *rivals], paths, strict=True)
+            ranked, limited = self.ranked([Candidate(c.hypothesis, q, self.evidence(q, others, c.hypothesis, counted)) for c, q in pairs])
+            found[k] = replace(step, candidates=tuple(ranked), limited=limited)
+            path = ranked[0].path
+        return path, found
 
     def ranked(self, found: Sequence[Candidate]) -> tuple[list[Candidate], str]:
         """Return the winner, the other candidates by gain, and what limits the best fit.

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from afdsvc.api.physics import Hypothesis
-from afdsvc.explain.search.fit import ENOUGH, Coordinates, Fit, borrowed, fit, rms, weighted
+from afdsvc.explain.search.fit import CONVERGED, ENOUGH, Coordinates, Fit, borrowed, fit, rms, weighted
 from afdsvc.explain.search.problem import Point, Problem
 from afdsvc.explain.search.screen import Screened, Start
+from afdsvc.explain.simulate.effects import PlacedEffect
 
 GLANCE, BRIEF = 2, 4  # iterations of every start, and of those that are best after them
 Taus = Mapping[float, float]
@@ -65,7 +66,12 @@ def _begin(problem: Problem, base: Fit, start: Start, horizon: float) -> Point:
     """Return the base with the effect, its free numbers shifted as the effect asks for or not, whichever costs less."""
     c = Coordinates(problem, base.point)
     shifted = c.unpack(c.pack(base.point) + start.shift).added(start.effect)
-    return min((base.point.added(start.effect), shifted), key=lambda p: float(np.log(rms(weighted(problem, p, horizon))).sum()))
+    return _nearer(problem, [base.point.added(start.effect), shifted], horizon)
+
+
+def _nearer(problem: Problem, points: Sequence[Point], horizon: float) -> Point:
+    """Return the point that leaves the smaller residual."""
+    return min(points, key=lambda p: float(np.log(rms(weighted(problem, p, horizon))).sum()))
 
 
 def ends(path: Mapping[float, Fit]) -> list[float]:
@@ -116,4 +122,13 @@ def fewer_path(problem: Problem, path: Mapping[float, Fit], taus: Taus, left_out
     for h, f in path.items():
         effects = tuple(e for k, e in enumerate(f.point.effects) if k != left_out)
         found[h] = fit(problem, replace(f.point, effects=effects), h, taus[h])
+    return found
+
+
+def exchanged_path(problem: Problem, taus: Taus, fewer: Mapping[float, Fit], path: Mapping[float, Fit], effect: PlacedEffect) -> dict[float, Fit]:
+    """Return the fits of ``fewer`` with an effect added; numbers of the model begin as there or as in ``path``."""
+    found = {}
+    for h, f in fewer.items():
+        points = [f.point.added(effect), replace(f.point, theta=path[h].point.theta).added(effect)]
+        found[h] = fit(problem, _nearer(problem, points, h), h, taus[h], enough=CONVERGED)
     return found
