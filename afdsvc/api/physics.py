@@ -11,7 +11,7 @@ and the built-ins `abs min max range len`; it is compiled and called once per sa
         out[0] -= p[0] * math.tanh(z[0] / (p[1] + p[0] * dt))
 
 ``p`` are the parameters in the order of `Hypothesis.parameters`, ``z`` the signals named in `Hypothesis.reads`, ``m`` a
-memory that starts at zero and survives between calls, ``dt`` the step in seconds, and ``out`` (zero on entry) what is
+memory that starts at zero (see `Hypothesis.unsettled`) and survives between calls, ``dt`` the step in seconds, and ``out`` (zero on entry) what is
 added to the targets named in `Hypothesis.writes`.
 """
 
@@ -73,7 +73,9 @@ class Hypothesis:
     ``site`` is ``input:NAME``, ``state:NAME``, ``output:NAME`` or ``machine``; a law of stage "force" may have the site of the
     input it concerns. ``family`` groups laws that resemble each other in data; friction that sticks is of family "friction",
     other laws with a memory of the way of family "memory". ``starts`` are starting points of the search (values in the order of
-    ``parameters``), guessed from the recordings. ``substeps`` asks for that many calls per sample of a continuous model, for
+    ``parameters``), guessed from the recordings. ``unsettled`` says how many of the first cells of the memory are in the unit of the
+    first signal read and begin a recording at an unknown value, such as the speed of a fan: they are fitted for every recording, as
+    the initial state is, and a law adds what it begins with. ``substeps`` asks for that many calls per sample of a continuous model, for
     laws that act within a sample. ``linear`` returns the extended linear plant when the law is linear, given the continuous or
     discrete plant and the fitted values. ``predicts`` and ``refuted_by`` are sentences for people. ``description`` marks a law
     that describes a curve without a mechanism, such as a polynomial: a mechanism that fits as well goes before it.
@@ -93,6 +95,7 @@ class Hypothesis:
     parameters: tuple[Coefficient, ...]
     starts: tuple[tuple[float, ...], ...]
     memory: int = 0
+    unsettled: int = 0
     substeps: int = 1
     linear: Callable[[StateSpace, Sequence[float]], StateSpace] | None = None
     predicts: str = ""

@@ -66,7 +66,7 @@ class Settings:
     theta_sd: float = 2.0
     offset_sd: float = 0.1
     load_sd: float = 0.2
-    state_sd: float = 0.5
+    state_sd: float = 3.0
     drift_limit: float = 0.7
     noise_limited: float = 10.0
     independent: float = 200.0

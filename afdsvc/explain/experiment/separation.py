@@ -47,7 +47,7 @@ class Separation:
         return self.problem.of([run], [np.zeros(self.problem.nominal.plant.order)])
 
     def _rested(self, point: Point) -> Point:
-        return replace(point, x0=(np.zeros(self.problem.nominal.plant.order),))
+        return point.rested([np.zeros(self.problem.nominal.plant.order)])
 
     def _seen(self, there: Problem, point: Point, plan: Plan) -> Array:
         return np.asarray((weighted(there, self._rested(point), 0.0)[0] / self.noise)[-plan.period :].ravel())

@@ -77,6 +77,8 @@ def sentence(found: Gap, outputs: Sequence[str], held: float, needed: float) -> 
     kind = "Gap" if found.present else "No gap found"
     words = f"{kind}: a flexible model predicts {_shares(found.r2, outputs)} of the residual's power on data it was not fitted to"
     words += f" ({100 * found.blocks_won:.0f} % of {found.blocks} blocks improve, p = {found.p_value:.2g})"
+    if found.present:
+        words += f"; linear functions of inputs and states, and of their history, predict {100 * max(found.linear, 0.0):.0f} % (all outputs)"
     if found.repeats is not None:
         words += f"; {_shares(found.repeats, outputs)} repeats with the excitation"
     if not found.enough:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,7 +60,8 @@ class Fit:
 
 
 class Coordinates:
-    """The free numbers as one vector of order-one coordinates: theta, offsets, parameters of effects, initial states run by run.
+    """The free numbers as one vector of order-one coordinates: theta, offsets, parameters of effects, then run by run the initial
+    state and what unsettled memories of effects begin with.
 
     Positive shape parameters are logarithmic. ``locked`` effects keep their values.
     """
@@ -71,7 +72,11 @@ class Coordinates:
         self.p = len(point.offset) if problem.offset_free else 0
         self.slots = [(i, j, c) for i, e in enumerate(point.effects) for j, c in enumerate(e.hypothesis.parameters) if c.free]
         self.units = [_unit(c, point.effects[i].values[j]) for i, j, c in self.slots]
-        self.n = len(point.x0[0]) if point.x0 else 0
+        known = all(r.steady for r in problem.runs)
+        self.unsettled = [(i, e.hypothesis.unsettled) for i, e in enumerate(point.effects) if e.hypothesis.unsettled and not known]
+        sizes = [np.full(count, problem.size(point.effects[i].hypothesis.reads[0])) for i, count in self.unsettled]
+        self.local = np.concatenate([problem.state_scale, *sizes])
+        self.n = len(self.local) if point.x0 else 0
         self.shared = self.k + self.p + len(self.slots)
         self.size = self.shared + self.n * len(point.x0)
         s = problem.settings
@@ -83,23 +88,31 @@ class Coordinates:
             if point.effects[i].hypothesis.family == NUISANCE:
                 self.units[k], self.prior_weight[self.k + self.p + k] = self.slots[k][2].scale, 1.0
         self.prior_weight[self.shared :] = 1 / s.state_sd
-        self.prior_mean[self.shared :] = np.concatenate([x / problem.state_scale for x in problem.x0]) if problem.x0 else []
+        self.prior_mean[self.shared :] = np.concatenate([np.pad(x / problem.state_scale, (0, self.n - len(x))) for x in problem.x0]) if problem.x0 else []
 
     def pack(self, point: Point) -> Array:
         """Return the coordinates of a point."""
         values = [_inward(c, point.effects[i].values[j], u) for (i, j, c), u in zip(self.slots, self.units, strict=True)]
-        states = [x / self.problem.state_scale for x in point.x0]
-        return np.concatenate([point.theta, (point.offset / self.problem.scale)[: self.p], values, *states])
+        local = [np.concatenate([x, *self._begun(point, r)]) / self.local for r, x in enumerate(point.x0)]
+        return np.concatenate([point.theta, (point.offset / self.problem.scale)[: self.p], values, *local])
+
+    def _begun(self, point: Point, r: int) -> list[Array]:
+        return [point.effects[i].begun[r] if point.effects[i].begun else np.zeros(count) for i, count in self.unsettled]
 
     def unpack(self, q: Array) -> Point:
         """Return the point with these coordinates, parameters held to their ranges."""
         effects = [e.values.copy() for e in self.base.effects]
         for (i, j, c), u, z in zip(self.slots, self.units, q[self.k + self.p : self.shared], strict=True):
             effects[i][j] = min(max(_outward(c, z, u), c.low), c.high)
-        x0 = tuple(q[self.shared + self.n * r : self.shared + self.n * (r + 1)] * self.problem.state_scale for r in range(len(self.base.x0)))
+        local = [q[self.shared + self.n * r : self.shared + self.n * (r + 1)] * self.local for r in range(len(self.base.x0))]
+        order = len(self.problem.state_scale)
         offset = self.base.offset if not self.p else q[self.k : self.k + self.p] * self.problem.scale
-        made = tuple(replace(e, values=v) for e, v in zip(self.base.effects, effects, strict=True))
-        return Point(q[: self.k], x0, offset, made)
+        begun: list[tuple[Array, ...]] = [()] * len(effects)
+        first = order
+        for i, count in self.unsettled:
+            begun[i], first = tuple(x[first : first + count] for x in local), first + count
+        made = tuple(replace(e, values=v, begun=b) for e, v, b in zip(self.base.effects, effects, begun, strict=True))
+        return Point(q[: self.k], tuple(x[:order] for x in local), offset, made)
 
     def penalty(self, q: Array) -> float:
         """Half the sum of squares of the prior."""
@@ -140,12 +153,18 @@ def jacobian(problem: Problem, c: Coordinates, q: Array, horizon: float, residua
     J = np.zeros((rows[-1], c.size))
     for k in range(c.shared):
         J[:, k] = _column(problem, c, q, [k], horizon, residuals)
-    for s in range(c.n):
+    _begin_columns(J, problem, c, q, range(c.n), horizon, residuals)
+    J[~np.isfinite(J)] = 0.0
+    return J
+
+
+def _begin_columns(J: Array, problem: Problem, c: Coordinates, q: Array, which: Iterable[int], horizon: float, residuals: Sequence[Array]) -> None:
+    """Write the columns of what recordings begin with; those of all recordings are found together."""
+    rows = np.concatenate([[0], np.cumsum([e.size for e in residuals])])
+    for s in which:
         column = _column(problem, c, q, [c.shared + c.n * r + s for r in range(len(residuals))], horizon, residuals)
         for r in range(len(residuals)):
             J[rows[r] : rows[r + 1], c.shared + c.n * r + s] = column[rows[r] : rows[r + 1]]
-    J[~np.isfinite(J)] = 0.0
-    return J
 
 
 def borrowed(problem: Problem, base: Fit, point: Point, horizon: float) -> Array:
@@ -154,9 +173,15 @@ def borrowed(problem: Problem, base: Fit, point: Point, horizon: float) -> Array
     q = c.pack(point)
     old = Coordinates(problem, base.point)
     residuals = weighted(problem, point, horizon)
-    own = [_column(problem, c, q, [k], horizon, residuals) for k in range(old.shared, c.shared)]
-    own = [np.where(np.isfinite(x), x, 0.0) for x in own]
-    return np.asarray(np.column_stack([base.J[:, : old.shared], *own, base.J[:, old.shared :]]))
+    J = np.zeros((len(base.J), c.size))
+    J[:, : old.shared] = base.J[:, : old.shared]
+    for r in range(len(residuals)):
+        J[:, c.shared + c.n * r : c.shared + c.n * r + old.n] = base.J[:, old.shared + old.n * r : old.shared + old.n * (r + 1)]
+    for k in range(old.shared, c.shared):
+        J[:, k] = _column(problem, c, q, [k], horizon, residuals)
+    _begin_columns(J, problem, c, q, range(old.n, c.n), horizon, residuals)
+    J[~np.isfinite(J)] = 0.0
+    return J
 
 
 def _column(problem: Problem, c: Coordinates, q: Array, at: Sequence[int], horizon: float, residuals: Sequence[Array]) -> Array:

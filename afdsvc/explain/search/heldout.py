@@ -9,6 +9,7 @@ import numpy as np
 
 from afdsvc.dataset.experiment import Run
 from afdsvc.explain.search.build import initial
+from afdsvc.explain.search.fit import Coordinates
 from afdsvc.explain.search.problem import Point, Problem
 from afdsvc.lti.statespace import Array
 
@@ -26,9 +27,9 @@ def played_back(problem: Problem, point: Point, horizon: float = 0.0) -> tuple[l
     runs, states = [], []
     for k, x0 in enumerate(problem.x0):
         one = problem.of([problem.runs[k]], [x0])
-        x = _state(one, replace(point, x0=(x0,)), horizon)
-        runs.append(one.simulated(replace(point, x0=(x,)), horizon)[0].y)
-        states.append(x)
+        there = _begun(one, point.rested([x0]), horizon)
+        runs.append(one.simulated(there, horizon)[0].y)
+        states.append(there.x0[0])
     return runs, states
 
 
@@ -40,24 +41,29 @@ def error(problem: Problem, point: Point, horizon: float = 0.0) -> float:
     return float(100 * np.mean(np.sqrt(np.nanmean(e**2, axis=0)) / spread))
 
 
-def _state(problem: Problem, point: Point, horizon: float) -> Array:
-    """Return the initial state of the only run by damped Gauss-Newton."""
-    unit, x = problem.state_scale, point.x0[0]
+def _begun(problem: Problem, point: Point, horizon: float) -> Point:
+    """Return the point with the initial state of the only run, and what memories begin with, by damped Gauss-Newton."""
+    c = Coordinates(problem, point)
+    q, local = c.pack(point), slice(c.shared, c.size)
 
-    def residual(x0: Array) -> Array:
-        return problem.residuals(replace(point, x0=(x0,)), horizon)[0].ravel()
+    def moved(x: Array) -> Point:
+        return c.unpack(np.concatenate([q[: c.shared], x]))
 
+    def residual(x: Array) -> Array:
+        return problem.residuals(moved(x), horizon)[0].ravel()
+
+    x = q[local]
     e, damping = residual(x), 1e-6
     for _ in range(PASSES if len(x) else 0):
-        J = np.column_stack([(residual(x + 1e-3 * row * unit) - e) / 1e-3 for row in np.eye(len(x))])
+        J = np.column_stack([(residual(x + 1e-3 * row) - e) / 1e-3 for row in np.eye(len(x))])
         H = J.T @ J + 1e-6 * len(e) * np.eye(len(x))
         for _ in range(4):
             step = -np.linalg.solve(H + damping * np.diag(np.diag(H)), J.T @ e)
-            there = residual(x + unit * step)
+            there = residual(x + step)
             if there @ there < e @ e:
-                x, e, damping = x + unit * step, there, damping / 10
+                x, e, damping = x + step, there, damping / 10
                 break
             damping = max(10 * damping, 1e-3)
         else:
             break
-    return x
+    return moved(x)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from afdsvc.api.physics import Signal
 from afdsvc.dataset.experiment import Run
 from afdsvc.explain.noise.weighting import Weighting
 from afdsvc.explain.settings import Settings
@@ -30,6 +31,14 @@ class Point:
     def added(self, effect: PlacedEffect) -> Point:
         """Return the point with one more effect."""
         return replace(self, effects=(*self.effects, effect))
+
+    def begun(self, k: int) -> list[Array]:
+        """Return what the memory of every effect begins recording ``k`` with."""
+        return [e.begun[k] if e.begun else np.zeros(0) for e in self.effects]
+
+    def rested(self, x0: Sequence[Array]) -> Point:
+        """Return the point for other recordings, begun in these states with memories at zero."""
+        return replace(self, x0=tuple(x0), effects=tuple(replace(e, begun=()) for e in self.effects))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,8 +73,9 @@ class Problem:
         """Return the simulation of every run; the offset is in the outputs."""
         simulator = Simulator(self.nominal, self.gains[horizon], self.ramped)
         found = []
-        for run, x0 in zip(self.runs, point.x0, strict=True):
-            s = simulator.run(replace(run, Y=run.Y - point.offset, REF=run.REF - point.offset), point.theta, x0, point.effects, closed=self.closed)
+        for k, (run, x0) in enumerate(zip(self.runs, point.x0, strict=True)):
+            there = replace(run, Y=run.Y - point.offset, REF=run.REF - point.offset)
+            s = simulator.run(there, point.theta, x0, point.effects, closed=self.closed, begun=point.begun(k))
             found.append(Simulated(s.y + point.offset, s.u, s.x))
         return found
 
@@ -77,6 +87,12 @@ class Problem:
         e = (run.Y - y) / self.scale
         left = np.isfinite(run.Y) & ~(np.abs(e) < LOST)
         return np.asarray(np.where(left, LOST, np.nan_to_num(e)))
+
+    def size(self, signal: Signal) -> float:
+        """Return the size of a signal: the largest value of an input or an auxiliary signal, the rms of a state or an output."""
+        if signal.kind in ("u", "aux"):
+            return max(float(np.abs((r.U if signal.kind == "u" else r.AUX)[:, signal.index]).max(initial=0.0)) for r in self.runs) or 1.0
+        return float((self.state_scale if signal.kind == "x" else self.scale)[signal.index])
 
     def of(self, runs: Sequence[Run], x0: Sequence[Array]) -> Problem:
         """Return the same problem on other runs."""

@@ -21,12 +21,14 @@ IntArray = NDArray[np.int64]
 class PlacedEffect:
     """A hypothesis with values for its parameters, shape ``(len(parameters),)``.
 
+    ``begun`` is what the unsettled part of the law's memory begins every recording with, one array per recording; empty: zero.
     ``bend = (c1, c2, reference)`` multiplies the law by ``1 + c1 w + c2 w^2``, ``w`` the size of its first signal over the
     reference: a test of the law's shape.
     """
 
     hypothesis: Hypothesis
     values: Array
+    begun: tuple[Array, ...] = ()
     bend: tuple[float, float, float] | None = None
 
 
@@ -40,9 +42,12 @@ class Table:
     forced: IntArray
     middle: IntArray
 
-    def memory(self) -> Array:
-        """Return the memory of all effects at rest."""
-        return np.zeros(int(self.plan[-1, 5]) if len(self.plan) else 0)
+    def memory(self, begun: Sequence[Array] = ()) -> Array:
+        """Return the memory of all effects as a recording begins; ``begun`` is its unsettled part, effect by effect, else zero."""
+        cells = np.zeros(int(self.plan[-1, 5]) if len(self.plan) else 0)
+        for first, part in zip(self.plan[:, 4], begun, strict=False):
+            cells[first : first + len(part)] = part
+        return cells
 
 
 def table(effects: Sequence[PlacedEffect], m: int, n: int, p: int, a: int) -> Table:

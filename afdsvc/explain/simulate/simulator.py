@@ -45,9 +45,10 @@ class Simulator:
         return program(self.nominal.model).notes if self.nominal.python else ()
 
     def run(
-        self, run: Run, theta: Array, x0: Array, effects: Sequence[PlacedEffect] = (), closed: bool = False, free: bool = False
+        self, run: Run, theta: Array, x0: Array, effects: Sequence[PlacedEffect] = (), closed: bool = False, free: bool = False,
+        begun: Sequence[Array] = (),
     ) -> Simulated:
-        """Simulate one recording from the state ``x0``.
+        """Simulate one recording from the state ``x0``, and effects from the memory ``begun``, one array per effect.
 
         ``closed`` feeds the simulated output back through the model's controller; ``free`` leaves out the correction of
         the states, for a simulation from the measured input alone. A simulation that diverges is nan from there on.
@@ -55,17 +56,18 @@ class Simulator:
         least = max([_fineness(run.U) if self.ramped and self.nominal.python else 1, *(e.hypothesis.substeps for e in effects)])
         theta = np.asarray(theta, dtype=np.float64)
         steps = self.nominal.steps(theta, least, kernel.DEGREE if self.ramped and not closed and not self.nominal.python else 0)
-        simulated = self._play(run, theta, steps, x0, effects, closed, free)
+        simulated = self._play(run, theta, steps, x0, effects, closed, free, begun)
         finer = self._needed(simulated, theta, steps.nsub)
         if finer > steps.nsub:
-            simulated = self._play(run, theta, self.nominal.steps(theta, finer), x0, effects, closed, free)
+            simulated = self._play(run, theta, self.nominal.steps(theta, finer), x0, effects, closed, free, begun)
         return simulated
 
     def _play(
-        self, run: Run, theta: Array, steps: Steps, x0: Array, effects: Sequence[PlacedEffect], closed: bool, free: bool
+        self, run: Run, theta: Array, steps: Steps, x0: Array, effects: Sequence[PlacedEffect], closed: bool, free: bool,
+        begun: Sequence[Array],
     ) -> Simulated:
         placed = table(effects, run.U.shape[1], self.nominal.plant.order, run.Y.shape[1], run.AUX.shape[1])
-        memory = placed.memory()
+        memory = placed.memory(begun)
         if run.steady and len(memory) and len(run) > run.period:  # effects remember what drove the machine before the recording
             self._record(run.span(0, run.period), theta, steps, x0, placed, memory, closed, free)
         return self._record(run, theta, steps, x0, placed, memory, closed, free)

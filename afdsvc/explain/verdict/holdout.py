@@ -35,7 +35,7 @@ class Player:
     def outputs(self, runs: Sequence[Run], point: Point) -> list[Array]:
         """Return the simulated outputs ``(n, p)`` of every run, from the initial state that fits it best."""
         there = on(self.problem, runs)
-        return played_back(there, replace(point, x0=there.x0), self.horizon)[0]
+        return played_back(there, point.rested(there.x0), self.horizon)[0]
 
     def nrmse(self, runs: Sequence[Run], point: Point) -> Array:
         """Return ``|y - yhat| / |y - mean|`` of every output over all runs, ``(p,)``; infinite where a simulation left."""

@@ -44,7 +44,7 @@ class ActuatorLag:
         span = 1 / machine.bandwidth
         for port in machine.inputs:
             yield at_input(
-                port, _lag, physics=self.name, family="timing", memory=1, substeps=4,
+                port, _lag, physics=self.name, family="timing", memory=1, unsettled=1, substeps=4,
                 parameters=[Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span)],
                 starts=[(0.1 * span,), (span,), (10 * span,)],
                 linear=lambda plant, values, column=port.index: _extend(plant, values, column),

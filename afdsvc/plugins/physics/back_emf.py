@@ -45,7 +45,7 @@ class BackEmf:
         voltage = constant("induced per speed", unit, induced) if induced else Coefficient("induced per speed", unit, low, high, abs(scale))
         first = (induced,) if induced else (scale, 10 * scale)
         return at_force(
-            axis, _coil, [Signal("u", port.index), velocity(axis)], physics=self.name, family="timing", memory=1, substeps=4, notes=notes,
+            axis, _coil, [Signal("u", port.index), velocity(axis)], physics=self.name, family="timing", memory=1, unsettled=1, substeps=4, notes=notes,
             parameters=[
                 Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span), voltage, constant("gain", "", axis.gain),
                 constant("in the model", unit, induced),

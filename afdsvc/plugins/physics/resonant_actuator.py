@@ -49,7 +49,7 @@ class ResonantActuator:
         top = machine.bandwidth
         for port in machine.inputs:
             yield at_input(
-                port, resonant, physics=self.name, family="timing", memory=2, substeps=4,
+                port, resonant, physics=self.name, family="timing", memory=2, unsettled=1, substeps=4,
                 parameters=[
                     Coefficient("frequency", "rad/s", 0.05 * top, min(30 * top, 2.5 / machine.dt), 0.02 * top),
                     Coefficient("damping ratio", "", 0.01, 0.98, 0.05),

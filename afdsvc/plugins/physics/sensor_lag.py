@@ -16,7 +16,7 @@ from afdsvc.plugins.physics.attach import at_output
 def _lag(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``tau w' + w = y``, exact for an output that is straight between samples."""
     if m[2] == 0.0:
-        m[0], m[1], m[2] = z[0], z[0], 1.0
+        m[0], m[1], m[2] = m[0] + z[0], z[0], 1.0
     a = math.exp(-dt / p[0])
     share = p[0] / dt * (1 - a)
     m[0] = a * m[0] + (share - a) * m[1] + (1 - share) * z[0]
@@ -47,7 +47,7 @@ class SensorLag:
         span = 1 / machine.bandwidth
         for port in machine.outputs:
             yield at_output(
-                port, _lag, physics=self.name, family="timing", memory=3,
+                port, _lag, physics=self.name, family="timing", memory=3, unsettled=1,
                 parameters=[Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span)],
                 starts=[(0.1 * span,), (span,), (10 * span,)],
                 linear=lambda plant, values, row=port.index: _extend(plant, values, row),

@@ -13,7 +13,7 @@ from afdsvc.plugins.physics.attach import at_input
 def _slew(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``m`` follows the input, rising by at most ``p[0] dt`` per step and falling by at most ``p[1] dt``; its mean over the step."""
     if m[1] == 0.0:
-        m[0], m[1] = z[0], 1.0
+        m[0], m[1] = m[0] + z[0], 1.0
     way = z[0] - m[0]
     reach = (p[0] if way > 0 else p[1]) * dt
     share = min(abs(way) / reach, 1.0)  # of the step under way
@@ -34,7 +34,7 @@ class SlewLimit:
         for port in machine.inputs:
             rate, jump = port.rms * machine.bandwidth, port.rms / machine.dt
             yield at_input(
-                port, _slew, physics=self.name, family="rate", memory=2,
+                port, _slew, physics=self.name, family="rate", memory=2, unsettled=1,
                 parameters=[
                     Coefficient(name, f"{port.unit}/s", 1e-3 * rate, max(6 * rate, 20 * jump), 0.02 * rate) for name in ("rate", "falling rate")
                 ],

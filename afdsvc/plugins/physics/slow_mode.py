@@ -16,7 +16,7 @@ from afdsvc.plugins.physics.attach import at_state, state, store_states
 def _exchange(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-c (x - s)`` with ``tau s' = x - s``: the mean over a step of held x; the store begins at rest with x."""
     if m[1] == 0.0:
-        m[0], m[1] = z[0], 1.0
+        m[0], m[1] = m[0] + z[0], 1.0
     decay, rest = math.exp(-dt / p[1]), m[0] - z[0]
     out[0] += p[0] * rest * (1 - decay) * p[1] / dt
     m[0] = z[0] + rest * decay
@@ -45,7 +45,7 @@ class SlowMode:
             fast, slow = 0.3 / machine.bandwidth, max(3 * machine.duration, 30 / machine.bandwidth)
             most = max(50 * own, machine.bandwidth)
             yield at_state(
-                store, _exchange, [state(store)], physics=self.name, family="relaxation", memory=2,
+                store, _exchange, [state(store)], physics=self.name, family="relaxation", memory=2, unsettled=1,
                 parameters=[
                     Coefficient("exchange rate", "1/s", 0.0, most, 0.05 * own, linear=True),
                     Coefficient("time constant", "s", fast, slow, 0.1 * fast),

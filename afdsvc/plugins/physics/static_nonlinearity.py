@@ -84,7 +84,7 @@ class StaticNonlinearity:
             )
             span = 1 / machine.bandwidth
             yield at_input(
-                port, thrust, memory=1, substeps=4, parameters=[level, Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span)],
+                port, thrust, memory=1, unsettled=1, substeps=4, parameters=[level, Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span)],
                 starts=[(r * port.rms, s * span) for r in (0.3, 1.0, 3.0) for s in (0.3, 3.0)], notes=_shape("thrust of a rotor"), **words,
                 predicts="a gain that grows with the level and a lag that does not depend on it", refuted_by="a gain that is the same at every level",
             )

@@ -27,7 +27,7 @@ class SupplyDroop:
         fast, slow = 1 / machine.bandwidth, max(machine.duration, 10 / machine.bandwidth)
         for port in machine.inputs:
             yield at_input(
-                port, droop, physics=self.name, family="relaxation", memory=1,
+                port, droop, physics=self.name, family="relaxation", memory=1, unsettled=1,
                 parameters=[
                     Coefficient("loss at the mean", "", 0.0, 3.0, 0.02, linear=True), Coefficient("time constant", "s", 0.3 * fast, slow, 0.1 * fast),
                     constant("mean", port.unit, port.rms),
