@@ -94,15 +94,15 @@ def search(
             break
         path, rough = rounds.accepted(step.candidates[0])
     path, steps = rounds.exchanged(path, steps)
-    return Found(problem, start, path, seen, tuple(_kept(s, path) for s in steps), limited, rounds.over(path, start, 0))
+    return Found(problem, start, path, seen, tuple(steps), limited, rounds.over(path, start, 0))
 
 
-def _kept(step: Round, path: dict[float, Fit]) -> Round:
-    """Return the round, not accepted when a later one left nothing for its effect."""
+def _kept(steps: Sequence[Round], path: dict[float, Fit]) -> list[Round]:
+    """Return the rounds, not accepted where a later one left nothing for their effect."""
     kept = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
-    if not step.accepted or step.candidates[0].hypothesis.key in kept:
-        return step
-    return replace(step, accepted=False, reason=f"{step.candidates[0].hypothesis.key}: nothing is left for it beside the other effects")
+    gone = [s.accepted and s.candidates[0].hypothesis.key not in kept for s in steps]
+    why = "{}: nothing is left for it beside the other effects"
+    return [replace(s, accepted=False, reason=why.format(s.candidates[0].hypothesis.key)) if g else s for s, g in zip(steps, gone, strict=True)]
 
 
 def _seen(problem: Problem, path: dict[float, Fit], limited: str) -> Machine:
@@ -173,25 +173,30 @@ class Rounds(Settled):
         return path, rough
 
     def exchanged(self, path: dict[float, Fit], steps: Sequence[Round]) -> tuple[dict[float, Fit], list[Round]]:
-        """Return the path and the rounds with every effect but the last chosen again from its look-alikes, beside the effects found after it.
+        """Return the path and the rounds after every effect was compared with its look-alikes beside all other effects, what gains most first.
 
-        The first round compares effects while the others are missing: what stands for several at once has the advantage there.
+        A round compares effects while later ones are missing: what stands for several at once has the advantage there. An effect gives
+        way where the look-alike gains more by what is asked of any effect.
         """
-        found = list(steps)
-        for k, step in enumerate(found[:-1]):
+        kept = _kept(steps, path)
+        found, rest = [s for s in kept if s.accepted], [s for s in kept if not s.accepted]
+        gains, changed = [], False
+        for k, step in enumerate(found if len(found) > 1 else []):
             present = {e.hypothesis.key: i for i, e in enumerate(list(path.values())[-1].point.effects)}
             alike = look_alikes(step.candidates, self.problem.settings, step.limited)
-            if alike[0].hypothesis.key not in present or not any(s.accepted for s in found[k + 1 :]):
-                continue
             others = fewer_path(self.problem, path, self.taus, present.pop(alike[0].hypothesis.key))
-            rivals = [c for c in alike[1:] if c.hypothesis.key not in present]
+            rivals = [c for c in alike[1:] if c.hypothesis.key not in present] if changed or k + 1 < len(found) else []
             paths = [path, *self.mapper(partial(exchanged_path, self.problem, self.taus, others, path), [c.fit.point.effects[-1] for c in rivals])]
-            counted = noise_times(paths)
-            pairs = zip([alike[0], *rivals], paths, strict=True)
-            ranked, limited = self.ranked([Candidate(c.hypothesis, q, self.evidence(q, others, c.hypothesis, counted)) for c, q in pairs])
-            found[k] = replace(step, candidates=tuple(ranked), limited=limited)
-            path = ranked[0].path
-        return path, found
+            counted, pairs = noise_times(paths), zip([alike[0], *rivals], paths, strict=True)
+            beside = [Candidate(c.hypothesis, q, self.evidence(q, others, c.hypothesis, counted)) for c, q in pairs]
+            ranked, limited = self.ranked(beside)
+            clear = ranked[0].evidence.gain > beside[0].evidence.gain + self.problem.settings.evidence
+            if rivals and (clear or ranked[0] is beside[0]):
+                found[k] = replace(step, candidates=tuple(ranked), limited=limited)
+                path, changed = ranked[0].path, changed or clear
+            gains.append(ranked[0].evidence.gain if clear else beside[0].evidence.gain)
+        first = [found[k] for k in np.argsort(-np.array(gains), kind="stable")] or found
+        return path, [*first, *rest]
 
     def ranked(self, found: Sequence[Candidate]) -> tuple[list[Candidate], str]:
         """Return the winner, the other candidates by gain, and what limits the best fit.
