@@ -16,8 +16,8 @@ class Settings:
     theta_sd : float
         Prior of the model's free numbers in units of the stated standard deviation; 1 where noise limits.
     offset_sd, load_sd, state_sd : float
-        Prior of sensor offsets, of constant loads of integrating plants and of initial states, in rms of the output, of the
-        nominal force and of the state.
+        Prior of sensor offsets, of constant loads of integrating plants and of initial states, in rms of the output, of the nominal
+        force and of the state; the last also of what effects begin with.
     drift_limit : float
         Error of an integrating plant's simulation, in rms of the output, above which a predictor is used.
     noise_limited : float

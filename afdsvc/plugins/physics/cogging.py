@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal
+from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal, Size
 from afdsvc.plugins.physics.attach import at_force, force, placed, quantity, radians, state
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 36, 48)  # periods per turn that a search begins from
@@ -26,22 +26,28 @@ class Cogging:
     summary = "a force that repeats along the way"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per axis, with periods from twice the way travelled to a tenth of it, or whole ones per turn."""
+        """Return one hypothesis per axis, with periods from the way travelled to a tenth of it, or whole ones per turn.
+
+        A wave of which no whole period was travelled cannot be told from a smooth curve, and is not offered.
+        """
         for axis, q in placed(machine):
-            turn, top = quantity(q.unit) == "angle", q.peak + abs(q.mean)
-            numbers = [n * radians(q.unit) for n in ORDERS] if turn else np.geomspace(0.5, 10, 9) * math.pi / top
-            yield self._on(axis, state(q), q.unit, [float(k) for k in numbers], math.pi / top)
+            yield from self._on(axis, state(q), q, quantity(q.unit) == "angle")
         angle = machine.aux.get("angle")
         for axis in machine.axes if angle else ():
             if axis.position is None and angle:
-                yield self._on(axis, Signal("aux", angle.index), "rad", [float(k) for k in ORDERS], 1.0)
+                yield from self._on(axis, Signal("aux", angle.index), angle, True)
 
-    def _on(self, axis: Axis, where: Signal, unit: str, numbers: list[float], width: float) -> Hypothesis:
+    def _on(self, axis: Axis, where: Signal, way: Size, turns: bool) -> Iterable[Hypothesis]:
+        longest = 2 * max(way.peak - abs(way.mean), 0.1 * way.peak)  # the way travelled, about its mean
+        least, unit = 2 * math.pi / longest, way.unit if where.kind == "x" else "rad"
+        numbers = [n * radians(unit) for n in ORDERS if n * radians(unit) >= least] if turns else least * np.geomspace(1.0, 10, 9)
+        if not len(numbers):
+            return
         scale = 0.05 * axis.push
         pair = [force(axis, f"{part} force", -1e3 * scale, 1e3 * scale, scale, linear=True) for part in ("cosine", "sine")]
-        return at_force(
+        yield at_force(
             axis, _ripple, [where], physics=self.name, family="ripple",
-            parameters=[Coefficient("wave number", f"rad/{unit}", 0.2 * min(numbers), 5 * max(numbers), 0.02 * width), *pair],
-            starts=[(k, 0.0, 0.0) for k in numbers],
+            parameters=[Coefficient("wave number", f"rad/{unit}", least, 5 * max(numbers), 0.01 * least), *pair],
+            starts=[(float(k), 0.0, 0.0) for k in numbers],
             predicts="a force of the same period along the way at every speed", refuted_by="a frequency that does not follow the speed",
         )
