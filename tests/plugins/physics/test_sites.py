@@ -11,6 +11,7 @@ from afdsvc.api.physics import Machine
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import BUILT_IN
 from afdsvc.plugins.physics.attach import quantity, radians, summed
+from afdsvc.plugins.physics.cogging import Cogging
 from afdsvc.testing.conformance.physics import machines
 
 ROTOR, BLACK_BOX, MOTOR, ARM, MAGNET, TANKS, STRUCTURE, DAMPER = range(8)
@@ -119,3 +120,12 @@ def test_units_say_what_is_measured(unit, kind):
 def test_units_of_what_a_velocity_sums_up_to():
     assert (summed("rad/s"), summed("rpm"), summed("")) == ("rad", "(rpm) s", "s")
     assert radians("deg") == pytest.approx(np.pi / 180)
+
+
+def test_cogging_is_offered_where_a_whole_period_was_travelled():
+    offers = [(m, h) for m in machines() for h in Cogging().hypotheses(m) if h.reads[0].kind == "x"]
+    assert offers
+    for machine, h in offers:
+        where = machine.states[h.reads[0].index]
+        travel = 2 * (where.peak - abs(where.mean))
+        assert min(h.parameters[0].low, *(start[0] for start in h.starts)) * travel >= 2 * np.pi * (1 - 1e-12)
