@@ -1,9 +1,11 @@
 """`afdsvc explain` on recordings of real machines: names, weights and held-out errors as a table.
 
-    python benchmarks/explain/real_machines.py FOLDER [CASE ...]
+    python benchmarks/explain/real_machines.py FOLDER [--exchanged | --cut | --half] [CASE ...]
 
 ``FOLDER`` holds one folder per case: ``model.toml``, ``train*.csv``, ``holdout*.csv`` and, for the judgement, ``truth.json`` with
-``accept`` (names that are right) and ``partial`` (defensible ones). The recordings are not part of this repository.
+``accept`` (names that are right) and ``partial`` (defensible ones). The recordings are not part of this repository. The options divide
+them otherwise: fitted and held-out recordings exchanged; every fitted one cut in two, each with a new time; half of the fitted ones (the
+second half of a single one).
 """
 
 from __future__ import annotations
@@ -22,14 +24,38 @@ from afdsvc.errors import BadInput
 CONFIDENT = 0.9  # weight from which a wrong name counts as a confident one
 
 
-def explained(folder: Path, out: Path) -> dict[str, Any]:
+def cut(table: Path, out: Path) -> list[Path]:
+    """Return the two halves of a table, each with a time that begins at zero."""
+    head, *rows = table.read_text(encoding="utf-8").splitlines()
+    time_column, found = head.split(",").index("t"), []
+    for k, part in enumerate((rows[: len(rows) // 2], rows[len(rows) // 2 :])):
+        cells = [r.split(",") for r in part]
+        start = float(cells[0][time_column])
+        for c in cells:
+            c[time_column] = f"{float(c[time_column]) - start:.9g}"
+        found.append(out / f"{table.stem}{'ab'[k]}.csv")
+        found[-1].write_text("\n".join([head, *map(",".join, cells)]) + "\n", encoding="utf-8")
+    return found
+
+
+def divided(folder: Path, how: str, out: Path) -> tuple[list[Path], list[Path]]:
+    """Return the recordings to fit and those held out."""
+    fitted, held = (sorted(folder.glob(f"{kind}*.csv")) for kind in ("train", "holdout"))
+    if how == "--exchanged":
+        return held, fitted
+    if how == "--cut":
+        return [half for table in fitted for half in cut(table, out)], held
+    if how == "--half":
+        return fitted[: (len(fitted) + 1) // 2] if len(fitted) > 1 else cut(fitted[0], out)[1:], held
+    return fitted, held
+
+
+def explained(folder: Path, how: str, out: Path) -> dict[str, Any]:
     """Return the document of one case, or its refusal as a sentence."""
     begin = time.perf_counter()
+    out.mkdir(exist_ok=True)
     try:
-        document = explain_files(
-            folder / "model.toml", sorted(folder.glob("train*.csv")), sorted(folder.glob("holdout*.csv")),
-            ExplainOptions(out=out / folder.name, allow_code=True),
-        )
+        document = explain_files(folder / "model.toml", *divided(folder, how, out), ExplainOptions(out=out, allow_code=True))
     except BadInput as error:
         document = {"verdict": f"refused: {error}", "named": [], "fit": {"per_output": {}}}
     return {**document, "seconds": time.perf_counter() - begin}
@@ -57,19 +83,20 @@ def row(name: str, document: dict[str, Any], truth: dict[str, Any]) -> str:
     return f"| {name} | {verdict} |"
 
 
-def main(folder: Path, cases: list[str]) -> None:
+def main(folder: Path, how: str, cases: list[str]) -> None:
     """Print the table of all cases, or of those named, and keep the documents beside the reports."""
-    out = Path("real-machines")
+    out = Path(f"real-machines{how}")
     out.mkdir(exist_ok=True)
     print("| case | verdict | names (weight) | held-out error before [%] | after [%] | first name | seconds |\n|---|---|---|---|---|---|---|", flush=True)
     for case in sorted(p.parent for p in folder.glob("*/model.toml")):
         if cases and case.name not in cases:
             continue
-        document = explained(case, out)
+        document = explained(case, how, out / case.name)
         (out / f"{case.name}.json").write_text(json.dumps(document), encoding="utf-8")
         truth = case / "truth.json"
         print(row(case.name, document, json.loads(truth.read_text(encoding="utf-8")) if truth.exists() else {}), flush=True)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2:])
+    how = "".join(a for a in sys.argv[2:] if a.startswith("--"))
+    main(Path(sys.argv[1]), how, [a for a in sys.argv[2:] if a != how])
