@@ -39,6 +39,8 @@ class Cogging:
 
     def _on(self, axis: Axis, where: Signal, way: Size, turns: bool) -> Iterable[Hypothesis]:
         longest = 2 * max(way.peak - abs(way.mean), 0.1 * way.peak)  # the way travelled, about its mean
+        if not longest > 0:
+            return
         least, unit = 2 * math.pi / longest, way.unit if where.kind == "x" else "rad"
         numbers = [n * radians(unit) for n in ORDERS if n * radians(unit) >= least] if turns else least * np.geomspace(1.0, 10, 9)
         if not len(numbers):
@@ -47,7 +49,7 @@ class Cogging:
         pair = [force(axis, f"{part} force", -1e3 * scale, 1e3 * scale, scale, linear=True) for part in ("cosine", "sine")]
         yield at_force(
             axis, _ripple, [where], physics=self.name, family="ripple",
-            parameters=[Coefficient("wave number", f"rad/{unit}", least, 5 * max(numbers), 0.01 * least), *pair],
+            parameters=[Coefficient("wave number", f"rad/{unit}", max(least, 0.2 * min(numbers)), 5 * max(numbers), 0.01 * least), *pair],
             starts=[(float(k), 0.0, 0.0) for k in numbers],
             predicts="a force of the same period along the way at every speed", refuted_by="a frequency that does not follow the speed",
         )

@@ -129,3 +129,10 @@ def test_cogging_is_offered_where_a_whole_period_was_travelled():
         where = machine.states[h.reads[0].index]
         travel = 2 * (where.peak - abs(where.mean))
         assert min(h.parameters[0].low, *(start[0] for start in h.starts)) * travel >= 2 * np.pi * (1 - 1e-12)
+
+
+def test_an_axis_that_stands_still_is_offered_no_cogging():
+    arm = machines()[ARM]
+    (axis,) = arm.axes
+    still = replace(axis, position=replace(axis.position, mean=0.0, rms=0.0, peak=0.0))
+    assert not list(Cogging().hypotheses(replace(arm, axes=(still,))))
