@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.model import Model, Variable
-from afdsvc.app.explain import ExplainOptions, aux_means, explain_files, traces
+from afdsvc.app.explain import ExplainOptions, aux_means, explain_files, load_library, traces
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model, write_model
 from afdsvc.files.open import open_model
@@ -20,6 +20,7 @@ from afdsvc.files.tables.to_recording import import_table
 from afdsvc.lti.statespace import StateSpace
 
 DT, PERIOD = 2e-3, 500
+PHYSICS = {"coulomb_friction", "cubic_stiffness", "dead_zone", "parameter_change", "quadratic_stiffness", "sensor_lag"}  # the way from files to files, not the search
 
 
 def spring() -> Model:
@@ -50,6 +51,15 @@ def record(path: Path, level: float, seed: int, cube: float) -> Path:
     columns = np.column_stack([np.arange(len(u)) * DT, u, np.array(y) + 0.01 * rng.standard_normal(len(u))])
     np.savetxt(path, columns, delimiter=",", header="t,current,y_position", comments="")
     return path
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_hypotheses():
+    few = [p for p in load_library() if p.name in PHYSICS]
+    assert len(few) == len(PHYSICS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("afdsvc.app.explain.load_library", lambda: few)
+        yield
 
 
 @pytest.fixture(scope="module")
