@@ -152,7 +152,8 @@ class Machine:
     ``bandwidth`` is the fastest angular frequency [rad/s] that is excited, ``plant`` the nominal plant, ``residual`` the rms
     of the residual per output, shape ``(p,)``, ``tones`` angular frequencies of the residual's lines outside the
     excitation, ``peaks`` those where its spectrum stands out. ``limited`` says whether noise limits what can be seen of a law
-    ("noise"), or the model ("model"): the form of a law then shows beyond its first approximation.
+    ("noise"), or the model ("model"): the form of a law then shows beyond its first approximation. ``deflections`` are the differences of
+    two positions, by the numbers of their states, that a spring of the model couples.
     """
 
     inputs: tuple[Size, ...]
@@ -168,6 +169,7 @@ class Machine:
     tones: tuple[float, ...] = ()
     peaks: tuple[float, ...] = ()
     limited: Literal["noise", "model"] = "noise"
+    deflections: Mapping[tuple[int, int], Size] = field(default_factory=dict)
 
 
 class Physics(Protocol):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -40,10 +41,12 @@ def machine(problem: Problem, base: Fit, horizon: float, tones: Sequence[float] 
     inputs = _sizes(model.inputs, np.vstack([r.U for r in runs]))
     aux = np.vstack([r.AUX for r in runs])
     e = np.vstack(problem.residuals(base.point, horizon)) * problem.scale
+    axes = tuple(_axes(model.states, states, inputs, smooth, x))
     return Machine(
-        inputs, _sizes(model.outputs, np.vstack([r.Y for r in runs])), states, tuple(_axes(model.states, states, inputs, smooth)),
+        inputs, _sizes(model.outputs, np.vstack([r.Y for r in runs])), states, axes,
         dict(zip(runs[0].aux, _sizes([Variable(a) for a in runs[0].aux], aux), strict=True)), runs[0].dt, sum(len(r) for r in runs) * runs[0].dt,
         bandwidth(runs), smooth, np.sqrt((e**2).mean(0)), tuple(tones), tuple(peaks), "noise" if limited == "noise" else "model",
+        _deflections(axes, smooth, x),
     )
 
 
@@ -56,20 +59,35 @@ def _sizes(variables: Sequence[Variable], values: Array) -> tuple[Size, ...]:
     return tuple(found)
 
 
-def _axes(variables: Sequence[Variable], states: Sequence[Size], inputs: Sequence[Size], plant: StateSpace | None) -> list[Axis]:
+def _deflections(axes: Sequence[Axis], plant: StateSpace | None, x: Array) -> dict[tuple[int, int], Size]:
+    """Return the differences of positions of one unit that the model's matrix couples."""
+    found = {}
+    for a, b in combinations([a for a in axes if a.position is not None], 2) if plant is not None else ():
+        p, q = a.position, b.position
+        if p and q and p.unit == q.unit and (plant.A[a.rate.index, q.index] or plant.A[b.rate.index, p.index]):
+            (found[p.index, q.index],) = _sizes([Variable(f"{p.name} - {q.name}", p.unit)], x[:, [p.index]] - x[:, [q.index]])
+    return found
+
+
+def _axes(variables: Sequence[Variable], states: Sequence[Size], inputs: Sequence[Size], plant: StateSpace | None, x: Array) -> list[Axis]:
     """Return the axes: states that are the rate of another one, and measured speeds whose position is no state."""
     names = [v.name for v in variables]
+    located = [names.index(v.rate_of) for v in variables if v.rate_of in names]
     found = []
     for i, v in enumerate(variables):
         if plant is None or not (v.rate_of in names or (v.rate_of is None and is_velocity(v.unit))):
             continue
         position = states[names.index(str(v.rate_of))] if v.rate_of in names else None
-        found.append(_axis(v.name, position, states[i], i, states, inputs, plant))
+        found.append(_axis(v.name, position, states[i], inputs, plant, x, located))
     return found
 
 
-def _axis(name: str, position: Size | None, rate: Size, i: int, states: Sequence[Size], inputs: Sequence[Size], plant: StateSpace) -> Axis:
-    by_state = np.abs(plant.A[i]) * [np.hypot(s.rms, s.mean) for s in states]
+def _axis(
+    name: str, position: Size | None, rate: Size, inputs: Sequence[Size], plant: StateSpace, x: Array, located: Sequence[int]
+) -> Axis:
+    i = rate.index
+    springs, others = x[:, located] @ plant.A[i, located], np.delete(x * plant.A[i], located, axis=1)  # springs between positions that wander cancel
+    by_state = np.sqrt(np.nanmean(np.column_stack([springs, others]) ** 2, axis=0))
     by_input = np.abs(plant.B[i]) * [np.hypot(s.rms, s.mean) for s in inputs]
     push = float(np.concatenate([by_state, by_input]).max(initial=0.0)) or 1.0
     direct = int(np.argmax(by_input)) if by_input.any() else None

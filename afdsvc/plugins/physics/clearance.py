@@ -6,9 +6,15 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from afdsvc.api.physics import Coefficient, Hypothesis, Machine
+from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Size
 from afdsvc.plugins.physics.attach import at_force, force, placed, state
 from afdsvc.plugins.physics.joint import at_joint, joints
+
+PLAY = "play in the spring"
+_SLACK = {
+    "physics": "clearance", "family": "stiffness", "predicts": "a resonance that rises with the level, and motion without a force around the middle",
+    "refuted_by": "a stiffness that is the same for small motion as for large",
+}
 
 
 def _stop(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -29,8 +35,24 @@ def _joint(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
         out[k] -= p[1 + k] * p[n + k] * push
 
 
+def _play(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """The model's spring of stiffness ``p[0]`` acts beyond the gap only: what it does below is taken away."""
+    out[0] += p[0] * min(max(z[0], -p[1]), p[1])
+
+
+def _joint_play(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """`_play` in a joint; the rest as in `_joint`."""
+    n, deflection = len(out), z[0]
+    for k in range(1, n):
+        deflection += p[1 + k] * z[k]
+    push = p[0] * min(max(deflection, -p[1]), p[1])
+    out[0] += push
+    for k in range(1, n):
+        out[k] += p[1 + k] * p[n + k] * push
+
+
 class Clearance:
-    """A spring behind a gap on every axis of motion, and in joints between axes."""
+    """A spring behind a gap on every axis of motion and in joints between axes, and play in the springs of the model."""
 
     name = "clearance"
     summary = "a spring force that begins only beyond a gap"
@@ -50,8 +72,11 @@ class Clearance:
                 predicts="nothing below a level, and above it a stiffness that sets in at the same deflection everywhere",
                 refuted_by="distortion at levels that never reach the gap",
             )
+            own = 0.0 if machine.plant is None else -float(machine.plant.A[axis.rate.index, q.index])
+            if own > 0:
+                yield at_force(axis, _play, [state(q)], notes={"variant": PLAY, "of": ""}, parameters=_lost(axis, q, own), starts=_gaps(q, own), **_SLACK)
         for k in joints(machine):
-            a, q = k.axes[0], k.positions[0]
+            a, q = k.axes[0], k.deflection
             scale = 0.1 * a.push / q.rms
             yield at_joint(
                 k, _joint, [
@@ -61,3 +86,17 @@ class Clearance:
                 [(0.0, share * q.peak) for share in (0.1, 0.3, 0.6)], physics=self.name, family="stiffness",
                 predicts="modes that change their frequency together beyond a level", refuted_by="modes that stay where they are at every level",
             )
+            if k.stiffness > 0:
+                yield at_joint(k, _joint_play, _lost(a, q, k.stiffness), _gaps(q, k.stiffness), what=PLAY, **_SLACK)
+
+
+def _lost(axis: Axis, q: Size, stiffness: float) -> list[Coefficient]:
+    return [
+        force(axis, "stiffness", 0.0, 2 * stiffness, 0.1 * stiffness, q.unit, linear=True),
+        Coefficient("gap", q.unit, 0.02 * q.rms, 3 * q.peak, 0.02 * q.peak),
+    ]
+
+
+def _gaps(q: Size, stiffness: float) -> list[tuple[float, float]]:
+    """Return starts; with play a deflection is larger than the model's."""
+    return [(stiffness, share * q.peak) for share in (0.1, 0.3, 1.0)]

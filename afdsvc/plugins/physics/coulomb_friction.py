@@ -151,7 +151,7 @@ def _loads(axis: Axis, machine: Machine) -> Iterable[tuple[str, list[Any], list[
 
 def _between(k: Joint) -> Iterable[Hypothesis]:
     """Yield friction and slip in a joint of several coordinates."""
-    a, q, r = k.axes[0], k.positions[0], k.axes[0].rate.rms
+    a, q, r = k.axes[0], k.deflection, k.axes[0].rate.rms
     size = force(a, "force", 0.0, 20 * a.push, 0.1 * a.push, linear=True)
     yield at_joint(k, _joint, [size, _rounding(a.rate)], [(0.0, 0.02 * r)], rates=True, **_WORDS, **_JUMP)
     lost = force(a, "stiffness lost", 0.0, 20 * a.push / q.rms, 0.05 * a.push / q.rms, q.unit, linear=True)

@@ -38,7 +38,7 @@ class CubicStiffness:
             k3 = force(axis, "stiffness", -200 * scale, 200 * scale, scale, f"({q.unit})^3", linear=True)
             yield at_force(axis, _cubic, [state(q)], parameters=[k3], starts=[(0.0,)], **words)
         for joint in joints(machine):
-            a, q = joint.axes[0], joint.positions[0]
+            a, q = joint.axes[0], joint.deflection
             scale = 0.05 * a.push / q.rms**3
             k3 = force(a, "stiffness", -200 * scale, 200 * scale, scale, f"({q.unit})^3", linear=True)
             yield at_joint(joint, spring, [k3, constant("power", "", 3.0)], [(0.0, 3.0)], **words)

@@ -18,6 +18,8 @@ MOST_STARTS = 8  # signs of the modes' shares that a search begins from
 class Joint:
     """A joint that deflects by ``q_1 + s_2 q_2 + ...`` and pushes axis k with ``s_k r_k`` times its force.
 
+    ``deflection`` is the size of its deflection where two masses are coupled, of the first position between modal coordinates;
+    ``stiffness`` that of the model's spring over the mass of the first axis, 0 between modal coordinates.
     ``shares`` are the coefficients ``s_2, ..., r_2, ...`` and ``starts`` their values. Between modal coordinates the ``s_k`` are
     free and every ``r_k`` is 1 (modes scaled to unit mass); between two masses the joint deflects by the difference, and
     ``r_2`` is the ratio of the first mass to the second.
@@ -26,6 +28,8 @@ class Joint:
     name: str
     axes: tuple[Axis, ...]
     positions: tuple[Size, ...]
+    deflection: Size
+    stiffness: float
     shares: tuple[Coefficient, ...]
     starts: tuple[tuple[float, ...], ...]
 
@@ -56,19 +60,16 @@ def joints(machine: Machine) -> Iterator[Joint]:
     """Yield a joint for every two axes with a position, and one for all of them where there are three to six modes."""
     known = list(placed(machine))
     for pair in combinations(known, 2):
-        yield _masses(*pair) if _coupled(machine, pair) and pair[0][1].unit == pair[1][1].unit else _modes(pair)
-    if 2 < len(known) <= MOST_MODES and not any(_coupled(machine, pair) for pair in combinations(known, 2)):
+        deflection = machine.deflections.get((pair[0][1].index, pair[1][1].index))
+        yield _modes(pair) if deflection is None else _masses(machine, *pair, deflection)
+    if 2 < len(known) <= MOST_MODES and not machine.deflections:
         yield _modes(known)
 
 
-def _coupled(machine: Machine, pair: Sequence[tuple[Axis, Size]]) -> bool:
-    (a, p), (b, q) = pair
-    return machine.plant is not None and bool(machine.plant.A[a.rate.index, q.index] or machine.plant.A[b.rate.index, p.index])
-
-
-def _masses(one: tuple[Axis, Size], other: tuple[Axis, Size]) -> Joint:
+def _masses(machine: Machine, one: tuple[Axis, Size], other: tuple[Axis, Size], deflection: Size) -> Joint:
     shares = constant("deflection", "", -1.0), Coefficient("mass ratio", "", 1e-2, 1e2, 0.1)
-    return Joint(f"{one[0].name},{other[0].name}", (one[0], other[0]), (one[1], other[1]), shares, ((-1.0, 1.0),))
+    stiffness = 0.0 if machine.plant is None else float(machine.plant.A[one[0].rate.index, other[1].index])
+    return Joint(f"{one[0].name},{other[0].name}", (one[0], other[0]), (one[1], other[1]), deflection, stiffness, shares, ((-1.0, 1.0),))
 
 
 def _modes(known: Sequence[tuple[Axis, Size]]) -> Joint:
@@ -80,6 +81,6 @@ def _modes(known: Sequence[tuple[Axis, Size]]) -> Joint:
     signs = islice(product((1.0, -1.0), repeat=len(ratios)), MOST_STARTS)
     equal = [1.0] * len(ratios)
     return Joint(
-        ",".join(a.name for a in axes), axes, positions, (*shares, *(constant("weight", "", 1.0) for _ in ratios)),
+        ",".join(a.name for a in axes), axes, positions, first, 0.0, (*shares, *(constant("weight", "", 1.0) for _ in ratios)),
         tuple((*(s * r for s, r in zip(row, ratios, strict=True)), *equal) for row in signs),
     )

@@ -38,7 +38,7 @@ class QuadraticStiffness:
             k2 = force(axis, "stiffness", -200 * scale, 200 * scale, scale, f"({q.unit})^2", linear=True)
             yield at_force(axis, _quadratic, [state(q)], parameters=[k2], starts=[(0.0,)], **words)
         for joint in joints(machine):
-            a, q = joint.axes[0], joint.positions[0]
+            a, q = joint.axes[0], joint.deflection
             scale = 0.05 * a.push / q.rms**2
             k2 = force(a, "stiffness", -200 * scale, 200 * scale, scale, f"({q.unit})^2", linear=True)
             yield at_joint(joint, spring, [k2, constant("power", "", 2.0)], [(0.0, 2.0)], **words)

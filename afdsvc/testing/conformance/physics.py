@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -18,8 +19,8 @@ STAGES = ("input", "force", "output")
 @lru_cache(maxsize=1)
 def machines() -> tuple[Machine, ...]:
     """Return examples: a rotor on two axes with all auxiliary signals, a black box, a motor of which only the speed is a state,
-    an arm, a magnet, two tanks, a structure in modal coordinates, and a damper whose motion is imposed."""
-    return _rotor(), _black_box(), _motor(), _arm(), _magnet(), _tanks(), _structure(), _damper()
+    an arm, a magnet, two tanks, a structure in modal coordinates, a damper whose motion is imposed, and two masses on a shaft."""
+    return _rotor(), _black_box(), _motor(), _arm(), _magnet(), _tanks(), _structure(), _damper(), _shaft()
 
 
 def _size(index: int, name: str, unit: str, rms: float, step: float = 0.0) -> Size:
@@ -95,6 +96,13 @@ def _structure() -> Machine:
 def _damper() -> Machine:
     force = [("force", "N", 300.0)]
     return _plain([("speed", "m/s", 0.2)], force, force, ([[-50.0]], [[7e4]], [[1.0]], [[0.0]]), [], 5e-3)
+
+
+def _shaft() -> Machine:
+    motion = [("q1", "rad", 40.0), ("w1", "rad/s", 9.0), ("q2", "rad", 40.0), ("w2", "rad/s", 8.0)]
+    matrices = ([[0, 1, 0, 0], [-900, -2, 900, 0], [0, 0, 0, 1], [300, 0, -300, -1]], [[0], [50], [0], [0]], [[0, 1, 0, 0], [0, 0, 0, 1]], [[0], [0]])
+    machine = _plain([("torque", "N*m", 1.0)], motion, [("motor", "rad/s", 9.0), ("load", "rad/s", 8.0)], matrices, [(0, 1), (2, 3)], 2e-3)
+    return replace(machine, deflections={(0, 2): _size(0, "q1 - q2", "rad", 0.05)})
 
 
 def _offered(thing: Any) -> Iterator[Hypothesis]:

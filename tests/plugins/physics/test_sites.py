@@ -14,7 +14,7 @@ from afdsvc.plugins.physics.attach import quantity, radians, summed
 from afdsvc.plugins.physics.cogging import Cogging
 from afdsvc.testing.conformance.physics import machines
 
-ROTOR, BLACK_BOX, MOTOR, ARM, MAGNET, TANKS, STRUCTURE, DAMPER = range(8)
+ROTOR, BLACK_BOX, MOTOR, ARM, MAGNET, TANKS, STRUCTURE, DAMPER, SHAFT = range(9)
 
 
 def offered(machine: Machine) -> dict:
@@ -36,6 +36,8 @@ def offered(machine: Machine) -> dict:
     (TANKS, "static_nonlinearity@state:h2#outflow about a level constant_load@input:pump static_nonlinearity@input:pump#thrust"),
     (STRUCTURE, "clearance@machine#between v1,v2 clearance@machine#between v1,v2,v3 coulomb_friction@machine#between v1,v3"),
     (STRUCTURE, "coulomb_friction@machine#slip between v2,v3 cubic_stiffness@machine#between v1,v2 quadratic_stiffness@machine#between v1,v2,v3"),
+    (ARM, "clearance@state:w#play in the spring"),
+    (SHAFT, "clearance@machine#play in the spring between w1,w2 clearance@machine#between w1,w2 cubic_stiffness@machine#between w1,w2"),
     (DAMPER, "hysteresis@input:speed hysteresis@output:force#speed coulomb_friction@output:force#speed saturation@state:force"),
 ])
 def test_a_machine_is_offered_what_it_may_have(machine, keys):
@@ -52,6 +54,20 @@ def _split(text: str) -> list[list[str]]:
             words.append([])
         words[-1].append(word)
     return words
+
+
+def test_a_joint_of_two_masses_is_sized_by_their_difference():
+    machine = machines()[SHAFT]
+    gap = offered(machine)["clearance@machine#play in the spring between w1,w2"].parameters[1]
+    assert gap.high == pytest.approx(3 * machine.deflections[0, 2].peak)
+    assert gap.high < 0.1 * machine.states[0].rms
+
+
+def test_play_needs_a_spring_of_the_model():
+    machine = machines()[ARM]
+    assert machine.plant is not None
+    free = StateSpace(machine.plant.A * [[1, 1], [0, 1]], machine.plant.B, machine.plant.C, machine.plant.D)
+    assert not [k for k in offered(replace(machine, plant=free)) if "play in the spring" in k]
 
 
 def test_a_speed_alone_has_no_law_of_the_position():

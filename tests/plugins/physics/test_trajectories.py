@@ -13,6 +13,8 @@ from scipy.linalg import expm
 from afdsvc.plugins.physics.asymmetric_damping import _damper
 from afdsvc.plugins.physics.back_emf import _coil
 from afdsvc.plugins.physics.clearance import _joint as gap
+from afdsvc.plugins.physics.clearance import _joint_play as shaft_play
+from afdsvc.plugins.physics.clearance import _play as play
 from afdsvc.plugins.physics.cogging import _ripple
 from afdsvc.plugins.physics.constant_load import drifting
 from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, loaded, reaction
@@ -141,6 +143,16 @@ def two(x: np.ndarray, u: float, push: Callable) -> list[float]:
     return [x[1], -K * x[0] - D * x[1] + G * u - f, x[3], -3 * K * x[2] - D * x[3] + G * u + 0.7 * f]
 
 
+def shaft(x: np.ndarray, u: float) -> list[float]:
+    """Two masses, the second four times the first, on a shaft with play."""
+    d = x[0] - x[2]
+    f = K * (d - np.clip(d, -0.05, 0.05))
+    return [x[1], -f - D * x[1] + G * u, x[3], 0.25 * f - D * x[3]]
+
+
+SHAFT = {"A": [[0, 1, 0, 0], [-K, -D, K, 0], [0, 0, 0, 1], [0.25 * K, 0, -0.25 * K, -D]], "B": [0, G, 0, 0], "writes": (1, 3)}
+
+
 def tank(out: Callable, share: float = 0.5 / 0.8) -> Callable:
     return lambda x, u: [u - out(x[0]), share * out(x[0]) - 0.4 * x[1]]
 
@@ -178,6 +190,8 @@ CASES = [
     Case("Torricelli about a level", outflow_about, (0.5, 2.0, 0.8, 0.625), tank(lambda x: 0.8 * 4 * (np.sqrt(1 + x / 2) - 1)), **TANK),
     Case("joint with a cubic spring", spring, (300.0, 3.0, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 300 * d**3), **MODES, reads=(("x", 0), ("x", 2))),
     Case("joint with a gap", gap, (200.0, 0.1, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 200 * (d - np.clip(d, -0.1, 0.1))), **MODES, reads=(("x", 0), ("x", 2)), tolerance=5e-3),
+    Case("play in a spring", play, (K, 0.1), axis(lambda q, v, u: K * np.clip(q, -0.1, 0.1)), **AXIS, reads=(("x", 0),), tolerance=5e-3),
+    Case("play in a shaft", shaft_play, (K, 0.05, -1.0, 0.25), shaft, **SHAFT, reads=(("x", 0), ("x", 2)), tolerance=5e-3),
     Case("joint that rubs", _joint, (3.0, 0.1, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 3 * np.tanh(v / (0.1 + 3 * 1.49 * H))), **MODES, reads=(("x", 1), ("x", 3))),
 ]
 
