@@ -45,7 +45,7 @@ class Settings:
     share, further : float
         Least share of the gap, and of what earlier effects left open of it.
     sure : float
-        Share of the resamplings in which a hypothesis has to gain.
+        Share of the resamplings in which a hypothesis has to gain; a look-alike that comes first in less than the rest is not named.
     tie : float
         Relative difference of shares below which the simpler mechanism goes first.
     likely : float
@@ -59,7 +59,8 @@ class Settings:
     uncertain : float
         Largest weight of a name that is not certain.
     alike : float
-        Share of what the best hypothesis closes from which another one is fitted to whole recordings, and is a look-alike.
+        Share of what the best hypothesis closes from which another one is fitted to whole recordings, and is a look-alike; and share
+        of what another one leaves that the best must leave at least for the two to fit alike.
     """
 
     horizons: tuple[float, ...] = (0.01, 0.001, 0.0)

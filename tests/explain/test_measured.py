@@ -102,5 +102,5 @@ def test_the_two_mass_bench_shows_its_flexible_mode_first(measured):
     assert answer.named[0].parameters["frequency"].value / (2 * np.pi) == pytest.approx(76.5, abs=1.0)
     assert all(f.after_nrmse < 0.166 for f in answer.fit)
     assert answer.remainder is not None
-    assert "a law remains to be found" in answer.remainder.sentence
+    assert answer.remainder.present
     assert {place.output for place in answer.located[:2]} == {"motor", "load"}

@@ -67,10 +67,11 @@ def complexity(h: Hypothesis) -> float:
 
 
 def alike(one: HypothesisEvidence, best: HypothesisEvidence, gain: float, highest: float, settings: Settings, limited: str) -> bool:
-    """Whether a gain is as good as the highest: within what chance moves it, or within a small share of what it closes."""
+    """Whether a gain is as good as the highest: within chance, or, where the model limits, close to it in what it closes and leaves."""
     if gain >= highest - settings.likely:
         return True
-    return limited == "model" and bool(one.closing(np.array(gain)) >= (1 - settings.tie) * best.closing(np.array(highest)))
+    closed, most = float(one.closing(np.array(gain))), float(best.closing(np.array(highest)))
+    return limited == "model" and closed >= (1 - settings.tie) * most and settings.alike * (1 - closed) <= 1 - most
 
 
 def is_reason(c: Candidate, limited: str) -> bool:

@@ -73,9 +73,9 @@ def _nothing(found: Found, gap: Gap, strained: Sequence[str]) -> tuple[str, tupl
 def _claims(step: Round, number: int, most: float, found: Found) -> list[Claim]:
     settings = found.problem.settings
     alike = look_alikes(step.candidates, settings, step.limited)
-    w = np.minimum(vote_shares(alike, settings, step.limited), most)
-    order = [0, *sorted(range(1, len(alike)), key=lambda k: -w[k])]
-    return [Claim(alike[k], float(w[k]), number, alike[k].evidence.share) for k in order]
+    w = vote_shares(alike, settings, step.limited)
+    order = [0, *sorted((k for k in range(1, len(alike)) if w[k] >= 1 - settings.sure), key=lambda k: -w[k])]
+    return [Claim(alike[k], min(float(w[k]), most), number, alike[k].evidence.share) for k in order]
 
 
 def _strained(found: Found) -> tuple[str, ...]:

@@ -40,6 +40,13 @@ def test_a_hypothesis_that_is_never_best_is_not_first_however_simple():
     assert winner([candidate("curve", 0.9, 3), candidate("friction", 0.8, 1)], S, "model").hypothesis.physics == "curve"
 
 
+def test_what_leaves_more_than_twice_as_much_does_not_fit_alike():
+    """Both close more than 95 % of what the best closes."""
+    cubic, cogging = candidate("cubic", 0.997), candidate("cogging", 0.991)
+    assert vote_shares([cubic, cogging], S, "model") == pytest.approx([1.0, 0.0])
+    assert vote_shares([cubic, candidate("cogging", 0.995)], S, "model") == pytest.approx([0.5, 0.5])
+
+
 def test_where_noise_limits_only_the_likelihood_counts():
     """The shares differ by less than a twentieth, the gains by 18."""
     one, two = candidate("curve", 0.900, 3), candidate("friction", 0.895, 1)

@@ -8,7 +8,7 @@ import pytest
 from afdsvc.explain.search.evidence import HypothesisEvidence
 from afdsvc.explain.search.ranking import Candidate
 from afdsvc.explain.settings import Settings
-from afdsvc.explain.verdict.verdict import _complete, verdict
+from afdsvc.explain.verdict.verdict import _claims, _complete, verdict
 
 
 def candidate(physics: str) -> Candidate:
@@ -44,3 +44,12 @@ def test_further_effects_are_certain_only_where_nothing_predictable_remains(pres
     left = SimpleNamespace(present=present, total=0.1, p_value=0.01, depends_on=())
     answer = verdict(found, SimpleNamespace(present=True, total=0.9, sentence=""), left)
     assert [c.weight for c in answer.claims] == pytest.approx(certain)
+
+
+def test_a_look_alike_that_hardly_ever_comes_first_is_not_named():
+    settings, close = Settings(), candidate("viscous")
+    worse = Candidate(close.hypothesis, {}, HypothesisEvidence({0.0: 700.0}, 0.7, np.ones(20), np.full(20, 0.17), 400.0, 0.0))
+    step = SimpleNamespace(accepted=True, candidates=[candidate("friction"), worse], limited="model")
+    assert [c.candidate.hypothesis.physics for c in _claims(step, 1, 1.0, SimpleNamespace(problem=SimpleNamespace(settings=settings)))] == ["friction"]
+    step.candidates[1] = close
+    assert len(_claims(step, 1, 1.0, SimpleNamespace(problem=SimpleNamespace(settings=settings)))) == 2
