@@ -44,8 +44,8 @@ class DetectionProblem:
     from ``[y; u]`` to the white residual r, ``covariance`` that of r, shape ``(p, p)``. ``residual_gain`` is the system
     from beta to r. ``output_names`` has length p, ``severity_range`` the bounds of every fault. ``limits`` are those of the
     rig (None when not stated): an actuator at its limit spoils a burst. ``uncertain`` is the same plant with its
-    uncertain parameters pulled out, ``uncertainty`` their relative standard deviations by name; None and empty for a model
-    that is taken as certain. ``output_cov (p, p)``, ``process_cov (n, n)`` and ``cross_cov (n, p)`` are the noises the
+    uncertain parameters pulled out, ``uncertainty`` their standard deviations by name, in the unit of its severities (a share of
+    the parameter, or 1 where an entry of a matrix is counted in its standard deviations); None and empty for a model that is taken as certain. ``output_cov (p, p)``, ``process_cov (n, n)`` and ``cross_cov (n, p)`` are the noises the
     innovations were made from, where known: a parameter of A or C also moves the predictor's gain. ``noise_samples`` counts the samples
     they were estimated from (0: stated). ``speed`` [rad/s] is that of a machine that turns,
     0 otherwise. ``loop_known`` is False where no controller is stated: ``interconnection`` then belongs to one that stands in, and what

@@ -13,13 +13,16 @@ from afdsvc.lti.python_control import as_state_space
 from afdsvc.lti.statespace import Array, StateSpace
 
 
+DEFAULT_RELATIVE_SD = 0.05  # of parameters and entries whose owner states none
+
+
 @dataclass(frozen=True, slots=True)
 class Quantity:
     """A physical parameter: value, unit and relative standard deviation."""
 
     value: float
     unit: str = ""
-    relative_sd: float = 0.05
+    relative_sd: float = DEFAULT_RELATIVE_SD
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +72,8 @@ class Model:
     """A nominal model: linear matrices or a Python simulator, with names, uncertainty, noise and controller.
 
     ``plant`` is the linear system (``dt`` 0 when continuous); for a model with ``dynamics`` it is None.
-    ``entry_sd`` holds absolute standard deviations of the entries of A, B, C, D (same shapes), as stated in the model file.
+    ``entry_sd`` holds absolute standard deviations of the entries of A, B, C, D (same shapes); ``sd_stated`` is False where they are the
+    default share of the entries: detection takes such a model as certain.
     ``output_sd`` is the standard deviation of the output noise, shape ``(p,)``, or None when not stated.
     ``controller`` closes the loop in positive feedback ``u = K (y - ref)``; None when unknown.
     ``origin`` is the path the model came from ("" when made in memory) and ``raw`` the text it was read from.
@@ -92,11 +96,12 @@ class Model:
     raw: str = ""
     extra: Mapping[str, Any] = field(default_factory=dict)
     opened: Callable[[], SteppedPlant] | None = None
+    sd_stated: bool = False
 
     @classmethod
     def from_system(
         cls, system: Any, inputs: Names = (), outputs: Names = (), states: Names = (), *,
-        name: str = "model", relative_sd: float = 0.05, output_sd: Sequence[float] | None = None, controller: Any = None,
+        name: str = "model", relative_sd: float | None = None, output_sd: Sequence[float] | None = None, controller: Any = None,
     ) -> Model:  # fmt: skip
         """Return a model of a linear system of python-control or scipy.signal.
 
@@ -108,7 +113,8 @@ class Model:
             Names, or names with their units. Without names they are ``u1``, ``y1``; states that are an output as it stands, or
             the rate of one, are known as that.
         relative_sd : float
-            How well entries are known that are neither 0 nor +-1, as a share of them.
+            How well entries are known that are neither 0 nor +-1, as a share of them; not given: 0.05 for fits, and detection takes the
+            model as certain.
         output_sd : sequence of float, optional
             Standard deviation of the noise of each output, in its unit.
         controller : same kinds as `system`, optional
@@ -133,10 +139,11 @@ class Model:
         plant = as_state_space(system) if states else _scaled_as_outputs(as_state_space(system))
         ins, outs = (_variables(n, count, role) for n, count, role in ((inputs, plant.inputs, "u"), (outputs, plant.outputs, "y")))
         named = _variables(states, plant.order, "x") if states else default_states(plant, outs)
-        sd = {k: np.where(np.isin(getattr(plant, k), (0.0, 1.0, -1.0)), 0.0, relative_sd * np.abs(getattr(plant, k))) for k in "ABCD"}
+        share = DEFAULT_RELATIVE_SD if relative_sd is None else relative_sd
+        sd = {k: np.where(np.isin(getattr(plant, k), (0.0, 1.0, -1.0)), 0.0, share * np.abs(getattr(plant, k))) for k in "ABCD"}
         noise = None if output_sd is None else np.asarray(output_sd, dtype=np.float64)
         K = None if controller is None else as_state_space(controller)
-        return cls(name, ins, outs, named, plant, sample_time=plant.dt, entry_sd=sd, output_sd=noise, controller=K)
+        return cls(name, ins, outs, named, plant, sample_time=plant.dt, entry_sd=sd, output_sd=noise, controller=K, sd_stated=relative_sd is not None)
 
 
 def _scaled_as_outputs(plant: StateSpace) -> StateSpace:

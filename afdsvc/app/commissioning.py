@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from afdsvc.api.port import Port
 from afdsvc.api.signals import Channel
 from afdsvc.app import stepped_machine
 from afdsvc.dataset.experiment import sampled
+from afdsvc.detect.uncertain_parameters import uncertain_entries
 from afdsvc.diagnosis.data_quality import Expectation
 from afdsvc.errors import BadInput, NotStabilising
 from afdsvc.excite.amplitude_budget import noise_deviations
@@ -65,6 +66,8 @@ class Commissioned:
     physical: PhysicalPlant | None = None
     faults: FaultSet | None = None
     allow_code: bool = False
+    uncertain: AugmentedPlant | None = None
+    uncertainty: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def noise(self) -> Noise | None:
@@ -135,7 +138,16 @@ def _from_plant(config: site_file.MachineSection, plugins: Plugins) -> Commissio
     return Commissioned(
         config, discrete, physical.inputs, physical.outputs, output_cov, _disturbance(config, discrete), controller, faults.augmented(physical), limits,
         _channels(physical.inputs, physical.outputs, True, turns), physical.speed, physical=physical, faults=faults,
+        uncertain=_uncertain(config, physical), uncertainty=config.uncertainty,
     )  # fmt: skip
+
+
+def _uncertain(config: site_file.MachineSection, physical: PhysicalPlant) -> AugmentedPlant | None:
+    """Return the plant with the parameters pulled out that the site file calls uncertain; None where it names none."""
+    strange = sorted(set(config.uncertainty) - set(physical.parameters))
+    if strange:
+        raise BadInput(f"key 'uncertainty': plant '{physical.name}' has no parameter '{strange[0]}'; it has {', '.join(physical.parameters)}")
+    return physical.faults(list(config.uncertainty)) if config.uncertainty else None
 
 
 def _faults(config: site_file.MachineSection, physical: PhysicalPlant, plugins: Plugins) -> FaultSet:
@@ -159,7 +171,8 @@ def at_speed(machine: Commissioned, speed: float) -> Commissioned:
         raise NotStabilising(f"machine '{machine.config.id}': the loop at {speed * 30 / np.pi:.0f} rpm has a pole of modulus {worst:.6g}")
     augmented = machine.faults.augmented(physical)
     process = _disturbance(machine.config, augmented.plant)
-    return replace(machine, plant=augmented.plant, augmented=augmented, speed=speed, physical=physical, process_cov=process)
+    uncertain = _uncertain(machine.config, physical)
+    return replace(machine, plant=augmented.plant, augmented=augmented, speed=speed, physical=physical, process_cov=process, uncertain=uncertain)
 
 
 def _read_watched(config: site_file.MachineSection, allow_code: bool) -> RecordedMachine:
@@ -188,10 +201,12 @@ def _from_model(config: site_file.MachineSection, plugins: Plugins, watched: Rec
         controller = plugins.get("controllers", config.controller.kind).design(discrete, config.controller.settings)
     elif model.controller is not None:
         controller = _stated_controller(model, discrete)
+    uncertain = uncertain_entries(model.plant, model.entry_sd, discrete.dt) if model.sd_stated else None
     return Commissioned(
         config, discrete, model.inputs, model.outputs, _model_cov(config, model), _disturbance(config, discrete, _process_cov(model, discrete.dt)), controller,
         augment(discrete, _directions(config, discrete, model.inputs, model.outputs, plugins)),
-        limits, watched.channels, raw_model=model.raw,
+        limits, watched.channels, raw_model=model.raw, uncertain=uncertain,
+        uncertainty=dict.fromkeys(uncertain.fault_names, 1.0) if uncertain else {},
     )  # fmt: skip
 
 
@@ -310,6 +325,8 @@ def problem(machine: Commissioned, noise: Noise, alarms: FalseAlarms) -> Detecti
         noise_samples=noise.samples,
         speed=machine.speed,
         loop_known=machine.controller is not None,
+        uncertain=machine.uncertain,
+        uncertainty=machine.uncertainty,
     )
 
 

@@ -39,7 +39,7 @@ def design_sheet(
     ``confused_with`` is the probability that the other fault comes out likelier, ``smallest_detectable`` the severity
     that is found with probability 0.99. Documented keys: bursts, false_alarms_per_hour, thresholds, faults; beyond
     these ``unseen``, ``blind_pairs``, ``isolation`` and ``best_single_frequency`` say what the burst cannot do, and
-    why. ``isolation.pairs`` states for every two faults with which burst, or burst and second burst, they are separated
+    why. ``uncertain`` names the parameters of the model whose stated uncertainty is allowed for. ``isolation.pairs`` states for every two faults with which burst, or burst and second burst, they are separated
     (see `isolation`); so does ``isolated_by`` of every fault.
     """
     burst, seen = bursts[0], burst_detection(problem, bursts[0])
@@ -61,6 +61,7 @@ def design_sheet(
             for fault in problem.fault_names
             for entry in _fault_entries(problem, seen, fault, severities, h)
         ],
+        "uncertain": sorted(problem.uncertainty),
         "unseen": [{"fault": name, "why": why} for name, why in unseen(problem, response).items()],
         "blind_pairs": blind_pairs(problem, efficient.pairs, problem.input_names),
         "isolation": {**_isolation(seen, typical, burst), "pairs": pairs},

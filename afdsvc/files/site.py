@@ -267,6 +267,7 @@ class MachineSection(_Strict):
     limits: LimitSettings = LimitSettings()
     output_sd: list[Positive] | None = None
     input_sd: list[Positive] | None = None
+    uncertainty: dict[str, Positive] = {}
     calibrate_seconds: Annotated[float, Field(ge=0)] = 0.0
     calibrate_on: Path | None = None
     bursts: Bursts = Bursts()
@@ -285,6 +286,8 @@ class MachineSection(_Strict):
             raise ValueError("expected exactly one of 'plant' and 'model'")
         if self.speed_step_rpm and (self.model or self.calibrate_seconds):
             raise ValueError("'speed_step_rpm' needs 'plant' and stated noise: noise estimated at one speed is not valid at another")
+        if self.uncertainty and self.model:
+            raise ValueError("'uncertainty' names parameters of a built-in plant; of a model, state it in its [uncertainty]")
         if self.calibrate_on and not self.calibrate_seconds:
             raise ValueError("'calibrate_on' needs 'calibrate_seconds', the length of its quiet beginning")
         return self

@@ -137,6 +137,8 @@ def design_table(document: dict[str, Any]) -> None:
         sd = "" if f["cramer_rao_sd"] is None else f"{100 * f['cramer_rao_sd']:.2f} %"
         table.add_row(f["fault"], f"{100 * f['severity']:.0f} %", f"{f['p_detect']:.3f}", smallest, sd, confused)
     OUT.print(table)
+    if document.get("uncertain"):
+        OUT.print(f"allowed for: the stated uncertainty of {', '.join(document['uncertain'])}", soft_wrap=True)
     OUT.print("P_D: probability of detection; smallest: severity found with P_D 0.99; sd: standard error of the severity", soft_wrap=True)
     OUT.print(f"page {document['report']}", soft_wrap=True)
 

@@ -61,10 +61,10 @@ def _sizes(variables: Sequence[Variable], values: Array) -> tuple[Size, ...]:
 
 def _deflections(axes: Sequence[Axis], plant: StateSpace | None, x: Array) -> dict[tuple[int, int], Size]:
     """Return the differences of positions of one unit that the model's matrix couples."""
-    found = {}
-    for a, b in combinations([a for a in axes if a.position is not None], 2) if plant is not None else ():
+    found: dict[tuple[int, int], Size] = {}
+    for a, b in combinations(axes, 2):
         p, q = a.position, b.position
-        if p and q and p.unit == q.unit and (plant.A[a.rate.index, q.index] or plant.A[b.rate.index, p.index]):
+        if plant and p and q and p.unit == q.unit and (plant.A[a.rate.index, q.index] or plant.A[b.rate.index, p.index]):
             (found[p.index, q.index],) = _sizes([Variable(f"{p.name} - {q.name}", p.unit)], x[:, [p.index]] - x[:, [q.index]])
     return found
 

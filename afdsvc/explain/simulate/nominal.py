@@ -14,13 +14,12 @@ from functools import lru_cache
 import numpy as np
 from scipy.optimize import root
 
-from afdsvc.api.model import Model
+from afdsvc.api.model import DEFAULT_RELATIVE_SD, Model
 from afdsvc.errors import BadInput
 from afdsvc.explain.simulate.dynamics import linearised, program
 from afdsvc.explain.simulate.steps import Steps, continuous, substep_matrices
 from afdsvc.lti.statespace import Array, StateSpace
 
-DEFAULT_RELATIVE_SD = 0.05
 MOST_ENTRIES = 60  # free entries of a sampled black-box model above which only the gains of its inputs and outputs move
 PYTHON_ANGLE = 0.2  # largest angle [rad] the fastest pole of Python code may turn in one Runge-Kutta step
 PYTHON_SUBSTEPS = 200

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from afdsvc.api.model import Dynamics, Model, Quantity, Variable, default_states
+from afdsvc.api.model import DEFAULT_RELATIVE_SD, Dynamics, Model, Quantity, Variable, default_states
 from afdsvc.errors import BadInput
 from afdsvc.files.model.schema import Inline, LinearTable, Matrix, ModelTable, UncertaintyTable, toml_text
 from afdsvc.files.model.stepped import stepped_model, unit_text
@@ -59,6 +59,7 @@ def parse_model(text: str, source: str, allow_code: bool = False) -> Model:
         raw="" if stepped else text,
         extra={**_form(table), **(stepped.extra if stepped else {})},
         opened=stepped.opened if stepped else None,
+        sd_stated=table.uncertainty is not None,
     )
 
 
@@ -185,15 +186,12 @@ def _uncertainty_keys(model: Model) -> dict[str, object]:
     for name, deviation in model.entry_sd.items():
         if not np.array_equal(deviation, _relative_deviation(getattr(model.plant, name), relative)):
             keys[name] = deviation.tolist()
-    return keys
+    return keys or ({"relative": relative} if model.sd_stated else {})
 
 
 def _noise_keys(model: Model) -> dict[str, object]:
     values = {"output_sd": model.output_sd, "process_cov": model.process_cov}
     return {key: value.tolist() for key, value in values.items() if value is not None}
-
-
-DEFAULT_RELATIVE_SD = 0.05
 
 
 def _linear_system(table: LinearTable, inputs: int, outputs: int, source: str, prefix: str = "") -> StateSpace:

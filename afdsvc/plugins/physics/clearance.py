@@ -11,7 +11,7 @@ from afdsvc.plugins.physics.attach import at_force, force, placed, state
 from afdsvc.plugins.physics.joint import at_joint, joints
 
 PLAY = "play in the spring"
-_SLACK = {
+_SLACK: dict[str, Any] = {
     "physics": "clearance", "family": "stiffness", "predicts": "a resonance that rises with the level, and motion without a force around the middle",
     "refuted_by": "a stiffness that is the same for small motion as for large",
 }
