@@ -45,6 +45,7 @@ def machine(plant: StateSpace) -> Machine:
         axes=(Axis("q", q, v, 4e4, 0, 4e4, "N"), Axis("r", r, w, 4e4, 1, 5e4, "N")),
         aux={"angle": Size(0, "angle", "rad", 3.0, 1.8, 6.3), "pressure": Size(1, "pressure", "bar", 6.0, 0.3, 7.0)},
         dt=DT, duration=N * DT, bandwidth=600.0, plant=plant, residual=np.array([0.1, 0.1]), tones=(314.0,), peaks=(150.0,), limited="model",
+        deflections={(0, 1): size(0, "q - r", "mm", 1.0)},
     )
 
 
