@@ -1,0 +1,88 @@
+"""Severity of a fault given that it was detected: the normal law of its estimate, truncated at the threshold.
+
+Sources: A. Cohen, H. Sackrowitz, "Two stage conditionally unbiased estimators of the selected mean", Statistics & Probability
+Letters 8 (1989) 273-278; J. Lee, D. Sun, Y. Sun, J. Taylor, "Exact post-selection inference, with application to the lasso",
+Annals of Statistics 44 (2016) 907-927, theorem 5.2.
+"""
+
+from __future__ import annotations
+
+from scipy.optimize import brentq
+from scipy.special import log_ndtr, ndtr, ndtri
+
+
+def log_truncated_cdf(estimate: float, severity: float, sd: float, cut: float) -> float:
+    """Return the log of the distribution function of an estimate that is reported only below ``cut``.
+
+    Parameters
+    ----------
+    estimate : float
+        Where the function is evaluated, at most ``cut``.
+    severity : float
+        True severity, the mean before truncation.
+    sd : float
+        Standard deviation before truncation, positive.
+    cut : float
+        Estimate at which the statistic equals its threshold.
+
+    Returns
+    -------
+    float
+        ``log(Phi((estimate - severity) / sd) / Phi((cut - severity) / sd))``; it falls with ``severity``.
+    """
+    return float(log_ndtr((estimate - severity) / sd) - log_ndtr((cut - severity) / sd))
+
+
+def severity_at(probability: float, estimate: float, sd: float, cut: float, bounds: tuple[float, float] = (-1.0, 0.0)) -> float:
+    """Return the severity under which an estimate this low or lower has this probability, given detection.
+
+    Probability 0.5 gives the median-unbiased estimate; 0.975 and 0.025 give the ends of the equal-tailed 95 % interval.
+
+    Parameters
+    ----------
+    probability : float
+        Between 0 and 1.
+    estimate, sd, cut : float
+        As in `log_truncated_cdf`.
+    bounds : tuple of float
+        Smallest and largest severity; a solution beyond them is moved to the nearer one.
+
+    Returns
+    -------
+    float
+        Severity, relative (0 healthy, -1 total loss).
+
+    Examples
+    --------
+    >>> round(severity_at(0.5, -0.10, 0.02, -0.08), 4)
+    -0.0937
+    """
+    low, high = bounds
+
+    def excess(severity: float) -> float:
+        return log_truncated_cdf(estimate, severity, sd, cut) - log_ndtr(ndtri(probability))
+
+    if excess(low) <= 0:
+        return low
+    return high if excess(high) >= 0 else float(brentq(excess, low, high, xtol=1e-12))
+
+
+def negligible_margin(difference: float = 0.1) -> float:
+    """Return how far the statistic must exceed its threshold for conditional and plain estimate to differ by less than this.
+
+    Parameters
+    ----------
+    difference : float
+        In standard deviations of the estimate.
+
+    Returns
+    -------
+    float
+        Margin in standard deviations: the root ``a`` of ``Phi(-d) = Phi(a - d) / 2``.
+
+    Examples
+    --------
+    >>> round(negligible_margin(), 3)
+    1.507
+    """
+    return float(difference + ndtri(2 * ndtr(-difference)))
