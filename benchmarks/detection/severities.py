@@ -43,8 +43,12 @@ def main() -> None:
             for true in SEVERITIES:
                 key = ("actuator" if fault[0] == "a" else "sensor", true)
                 for seed in range(asked.bursts):
-                    e = judged(machine, problem, detector, burst, 1000 * asked.seed + seed, {fault: true})
                     played[key] += 1
+                    try:
+                        e = judged(machine, problem, detector, burst, 1000 * asked.seed + seed, {fault: true})
+                    except ValueError as why:  # counted as played and not detected
+                        print(f"no decision: {machine.name}, {fault} at {100 * true:g} %, burst {seed}: {why}", flush=True)
+                        continue
                     if e.detected and e.fault == fault and e.severity is not None:
                         x, sd = e.severity.value, e.severity.sd
                         low, mid, high = (severity_at(p, x, sd, x + (e.statistic - e.threshold) * sd) for p in (0.975, 0.5, 0.025))
