@@ -8,10 +8,16 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True)
 class Severity:
-    """An estimated fault severity (0 healthy, -1 total loss) with its standard error."""
+    """An estimated fault severity (0 healthy, -1 total loss) with its standard error.
+
+    ``low`` and ``high`` are the ends of its 95 % interval, None where only the standard error is known. Of a detected fault all four
+    are conditional on the detection.
+    """
 
     value: float
     sd: float
+    low: float | None = None
+    high: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

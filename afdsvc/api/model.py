@@ -12,7 +12,6 @@ from afdsvc.errors import BadInput
 from afdsvc.lti.python_control import as_state_space
 from afdsvc.lti.statespace import Array, StateSpace
 
-
 DEFAULT_RELATIVE_SD = 0.05  # of parameters and entries whose owner states none
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, ResidualBlock
-from afdsvc.api.evidence import Evidence, Severity
+from afdsvc.api.evidence import Evidence
 from afdsvc.detect.features.burst_noise import BurstNoise
 from afdsvc.detect.features.data_checks import BurstChecks, PlayedLines, Runs
 from afdsvc.detect.features.nuisances import NONE as NO_NUISANCES
@@ -25,6 +25,7 @@ from afdsvc.detect.features.regressors import Regressors, regressors
 from afdsvc.detect.features.shared_filter import Filters, shared
 from afdsvc.detect.features.whiteness_gate import Gate, GateState, Judgement, finite
 from afdsvc.detect.isolation import NONE, Fit
+from afdsvc.detect.statistics.conditional_severity import given_detection
 from afdsvc.errors import AfdsvcError
 from afdsvc.lti.statespace import Array
 from afdsvc.stats.memo import Once, at_rest, counted, stepped
@@ -212,7 +213,7 @@ class BurstDetector:
         if complaint or not judgement.ok:
             return []
         k = now.start + int(finding.parts.get("sample", now.checks.n - 1))
-        return [evidence(self.name, self.problem.machine, k, piece.dt, now.name, finding, judgement, "", self.sure)]
+        return [evidence(self.name, self.problem, k, piece.dt, now.name, finding, judgement, "", self.sure)]
 
     def _judge(self, state: BurstDetectorState, now: Playing, k: int, dt: float) -> list[Evidence]:
         if now.decided:
@@ -226,7 +227,7 @@ class BurstDetector:
         except AfdsvcError as error:
             findings, complaint = [], complaint or str(error)
         findings = findings or [Finding(float("nan"), float("nan"))]
-        about = (self.name, problem.machine, k, dt, now.name)
+        about = (self.name, problem, k, dt, now.name)
         return [evidence(*about, f, judgement, complaint or f.refused or self._loud(now, f), self.sure) for f in findings]
 
     def _loud(self, now: Playing, finding: Finding) -> str:
@@ -248,7 +249,7 @@ class BurstDetector:
 
 
 def evidence(
-    detector: str, machine: str, k: int, dt: float, burst: str, finding: Finding, judgement: Judgement, complaint: str,
+    detector: str, problem: DetectionProblem, k: int, dt: float, burst: str, finding: Finding, judgement: Judgement, complaint: str,
     sure: float,
 ) -> Evidence:
     """Return the evidence for one finding: nothing is detected when the burst or the quiet data cannot be trusted."""
@@ -257,10 +258,10 @@ def evidence(
     best = likeliest(finding) if detected else None
     named = best is not None and finding.weights.get(best.fault, 0.0) >= sure
     return Evidence(
-        detector=detector, machine=machine, k=k, seconds=k * dt, burst=burst, output=finding.output,
+        detector=detector, machine=problem.machine, k=k, seconds=k * dt, burst=burst, output=finding.output,
         statistic=finding.statistic, threshold=finding.threshold, detected=detected,
         fault=best.fault if named and best else None,
-        severity=Severity(best.severity, best.sd) if best and np.isfinite(best.sd) and not finding.early else None,
+        severity=given_detection(best, problem.severity_range) if best and np.isfinite(best.sd) and not finding.early else None,
         weights=dict(finding.weights) if detected else {}, trustworthy=not reason, reason=reason,
         p_white=judgement.p_white, parts={**finding.parts, **(_bounds(finding.fits) if finding.early else _fit_parts(finding.fits))},
     )

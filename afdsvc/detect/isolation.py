@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -20,18 +20,23 @@ from afdsvc.detect.statistics.fault_curves import FaultCurves
 from afdsvc.lti.statespace import Array
 
 NONE = "none_of_these"
+NARROW = 2e-8  # of a range of severities: difference of log probabilities of its ends below which rounding is the larger error
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
     """One fault fitted: severity inside its range, standard error (inf when the burst cannot see the fault),
-    log likelihood ratio against "no fault" and the same averaged over the severities."""
+    log likelihood ratio against "no fault" and the same averaged over the severities.
+
+    ``limit`` is the severity from which on, all else equal, nothing would have been detected; inf where detection does not depend on it.
+    """
 
     fault: str
     severity: float
     sd: float
     log_likelihood: float
     log_evidence: float
+    limit: float = math.inf
 
 
 def linear_fit(fault: str, score: float, information: float, bounds: tuple[float, float]) -> Fit:
@@ -41,10 +46,10 @@ def linear_fit(fault: str, score: float, information: float, bounds: tuple[float
         return Fit(fault, min(max(0.0, low), high), math.inf, 0.0, 0.0)
     free, sd = score / information, information**-0.5
     theta = min(max(free, low), high)
-    peak = 0.5 * score**2 / information
+    likelihood, peak = score * theta - 0.5 * information * theta**2, 0.5 * score**2 / information
     inside = _log_interval((low - free) / sd, (high - free) / sd)
-    evidence = peak + inside + math.log(sd * math.sqrt(2 * math.pi) / (high - low))
-    return Fit(fault, theta, sd, score * theta - 0.5 * information * theta**2, evidence)
+    evidence = likelihood if inside is None else peak + inside + math.log(sd * math.sqrt(2 * math.pi) / (high - low))
+    return Fit(fault, theta, sd, likelihood, evidence)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,6 +129,17 @@ def _linearised(curves: FaultCurves, fault: str, theta: float, data: LineData) -
     return rest, tangent
 
 
+def limited(fit: Fit, excess: Array, slope: Array) -> Fit:
+    """Return the fit with its limit: ``excess (K,)`` is by how much each comparison exceeds its threshold, ``slope (K,)`` its derivative by
+    the severity."""
+    above = excess > 0
+    if not (math.isfinite(fit.sd) and above.any()):
+        return fit
+    if (slope[above] >= 0).any():
+        return replace(fit, limit=math.inf)
+    return replace(fit, limit=fit.severity + float(np.max(excess[above] / -slope[above])))
+
+
 def weights(
     fits: Sequence[Fit], none_log_evidence: float | None = None, none_prior: float = 0.05
 ) -> Mapping[str, float]:
@@ -149,9 +165,9 @@ def _newton(rest: Array, tangent: Array) -> float:
     return float(np.sum(rest * tangent)) / information if information > 0 else 0.0
 
 
-def _log_interval(a: float, b: float) -> float:
-    """Return ``log(Phi(b) - Phi(a))`` without cancellation in the tails, a < b."""
+def _log_interval(a: float, b: float) -> float | None:
+    """Return ``log(Phi(b) - Phi(a))`` without cancellation in the tails, a <= b; None where the density is the same all over."""
     if a > 0:
         a, b = -b, -a
     upper, lower = float(log_ndtr(b)), float(log_ndtr(a))
-    return upper + math.log(-math.expm1(lower - upper))
+    return upper + math.log(-math.expm1(lower - upper)) if upper - lower > NARROW * math.sqrt(1 - upper) else None

@@ -127,6 +127,8 @@ def _agreement(n: int) -> float:
 
 
 def _mean(estimates: Sequence[Severity]) -> Severity:
+    if len(estimates) == 1:
+        return estimates[0]
     weights = [1 / s.sd**2 for s in estimates]
     value = sum(w * s.value for w, s in zip(weights, estimates, strict=True)) / sum(weights)
     return Severity(value, sum(weights) ** -0.5)

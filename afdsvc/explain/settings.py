@@ -60,7 +60,7 @@ class Settings:
         Largest weight of a name that is not certain.
     alike : float
         Share of what the best hypothesis closes from which another one is fitted to whole recordings, and is a look-alike; and share
-        of what another one leaves that the best must leave at least for the two to fit alike.
+        of what another one leaves that the best must leave at least for the two to fit alike, where the other is not simpler.
     """
 
     horizons: tuple[float, ...] = (0.01, 0.001, 0.0)

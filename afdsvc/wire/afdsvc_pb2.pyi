@@ -322,12 +322,16 @@ class NamedValue(_message.Message):
     def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
 
 class Severity(_message.Message):
-    __slots__ = ("value", "sd")
+    __slots__ = ("value", "sd", "low", "high")
     VALUE_FIELD_NUMBER: _ClassVar[int]
     SD_FIELD_NUMBER: _ClassVar[int]
+    LOW_FIELD_NUMBER: _ClassVar[int]
+    HIGH_FIELD_NUMBER: _ClassVar[int]
     value: float
     sd: float
-    def __init__(self, value: _Optional[float] = ..., sd: _Optional[float] = ...) -> None: ...
+    low: float
+    high: float
+    def __init__(self, value: _Optional[float] = ..., sd: _Optional[float] = ..., low: _Optional[float] = ..., high: _Optional[float] = ...) -> None: ...
 
 class Evidence(_message.Message):
     __slots__ = ("timestamp", "machine", "session", "detector", "k", "seconds", "statistic", "threshold", "detected", "burst", "output", "fault", "severity", "weights", "trustworthy", "reason", "p_white", "parts")

@@ -36,8 +36,12 @@ def run(command: str, folder: Path) -> str:
 
 
 def laid_out(folder: Path) -> Path:
-    """Return a new folder with the files of the commit, and one recording that was torn while it was written."""
+    """Return a new folder with the files of the commit, one recording that was torn while it was written, and the site with a certain
+    model: that commit's `design` took no account of a stated uncertainty."""
     shutil.copytree(FILES, folder)
+    model, site = (folder / "stated.toml").read_text(), (folder / "site.toml").read_text()
+    (folder / "certain.toml").write_text(model.replace("[uncertainty]\nrelative = 0.02\nB = [[0], [200.0]]\n", ""))
+    (folder / "certain_site.toml").write_text(site.replace("stated.toml", "certain.toml"))
     (folder / "torn.mcap").write_bytes((folder / "recording.mcap").read_bytes()[:100_000])
     return folder
 

@@ -8,7 +8,13 @@ Annals of Statistics 44 (2016) 907-927, theorem 5.2.
 from __future__ import annotations
 
 from scipy.optimize import brentq
-from scipy.special import log_ndtr, ndtr, ndtri
+from scipy.special import log_ndtr, ndtri
+
+from afdsvc.api.evidence import Severity
+from afdsvc.detect.isolation import Fit
+
+HALF = 1.959964  # standard errors to each side of a 95 % interval
+FAR = 6.0  # standard errors beyond the limit of detection from which on the detection says nothing
 
 
 def log_truncated_cdf(estimate: float, severity: float, sd: float, cut: float) -> float:
@@ -67,22 +73,13 @@ def severity_at(probability: float, estimate: float, sd: float, cut: float, boun
     return high if excess(high) >= 0 else float(brentq(excess, low, high, xtol=1e-12))
 
 
-def negligible_margin(difference: float = 0.1) -> float:
-    """Return how far the statistic must exceed its threshold for conditional and plain estimate to differ by less than this.
+def given_detection(fit: Fit, bounds: tuple[float, float]) -> Severity:
+    """Return a detected fault's severity: median-unbiased and with a 95 % interval, both given the detection.
 
-    Parameters
-    ----------
-    difference : float
-        In standard deviations of the estimate.
-
-    Returns
-    -------
-    float
-        Margin in standard deviations: the root ``a`` of ``Phi(-d) = Phi(a - d) / 2``.
-
-    Examples
-    --------
-    >>> round(negligible_margin(), 3)
-    1.507
+    Far from the limit of detection these are the plain estimate, its standard error and 1.96 of them to both sides.
     """
-    return float(difference + ndtri(2 * ndtr(-difference)))
+    x, sd, (low, high) = fit.severity, fit.sd, bounds
+    if not fit.limit < x + FAR * sd:
+        return Severity(x, sd, max(x - HALF * sd, low), min(x + HALF * sd, high))
+    ends = [severity_at(p, x, sd, max(fit.limit, x), bounds) for p in (0.975, 0.5, 0.025)]
+    return Severity(ends[1], max(sd, (ends[2] - ends[0]) / (2 * HALF)), ends[0], ends[2])

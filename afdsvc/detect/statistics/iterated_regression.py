@@ -28,7 +28,7 @@ from afdsvc.detect.features.demodulation import Basis, BasisSums, project
 from afdsvc.detect.features.nuisances import NONE, Nuisances
 from afdsvc.detect.features.quiet_window import between
 from afdsvc.detect.features.regressors import predictor_gain, whitener
-from afdsvc.detect.isolation import Fit, anything_log_evidence, linear_fit, weights
+from afdsvc.detect.isolation import Fit, anything_log_evidence, limited, linear_fit, weights
 from afdsvc.detect.thresholds import maximum
 from afdsvc.detect.thresholds.regressor_information import NoiseDriven, noise_driven
 from afdsvc.lti.simulate import simulate
@@ -91,9 +91,12 @@ class Iterated:
         basis = self._basis(burst, self.nuisances.turning(signals))
         other = anything_log_evidence(project(sums.lines, basis).z) if basis.omega else None
         samples = len(healthy) // len(self.Li)
-        mean, sd = self.noise.signed_root(samples, burst)
-        statistic, parts = max((_signed_root(fits[k]) - mean[k]) / sd[k] for k in seen), {"samples": float(samples)}
-        return [Finding(statistic, h, tuple(fits), weights(fits, other), parts)]
+        mean, sd = (v[: len(fits)] for v in self.noise.signed_root(samples, burst))
+        root, length = np.array([_signed_root(f) for f in fits]), np.linalg.norm(scores, axis=1)
+        standard, parts = ((root - mean) / sd)[seen], {"samples": float(samples)}
+        slopes = -(scores[seen] @ scores.T) / (length[seen] * sd[seen])[:, None]
+        found = tuple(limited(f, standard - h, slopes[:, i]) for i, f in enumerate(fits))
+        return [Finding(float(standard.max()), h, found, weights(fits, other), parts)]
 
     def _fit(self, name: str, signals: ResidualBlock, healthy: Array) -> Fit:
         """Return the likeliest severity of one fault; ``healthy`` is the error of the healthy model."""

@@ -40,6 +40,10 @@ class LineTest(Protocol):
         """Return the threshold of the whole set."""
         ...
 
+    def comparisons(self, waves: Array, threshold: float) -> tuple[Array, Array]:
+        """Return rows ``(K, D)`` and heights ``(K,)``: the statistic exceeds the threshold where ``rows @ z`` exceeds a height."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class LargestProjection:
@@ -63,6 +67,10 @@ class LargestProjection:
         raw = np.array(np.linalg.solve(_factor(data).T, _unit(waves).T).T, dtype=np.float64)  # <raw, z> is <e, whitened z>
         return threshold_over_models(raw, models, false_alarm)
 
+    def comparisons(self, waves: Array, threshold: float) -> tuple[Array, Array]:
+        """Return the directions, all compared with the threshold."""
+        return _unit(waves), np.full(len(waves), threshold)
+
 
 @dataclass(frozen=True, slots=True)
 class LikelihoodRatio:
@@ -82,6 +90,10 @@ class LikelihoodRatio:
         if models is None:
             return math.sqrt(2 * likelihood_ratio.threshold(waves, false_alarm))
         return math.sqrt(2 * likelihood_ratio.robust_threshold(waves, _factor(data), models, false_alarm))
+
+    def comparisons(self, waves: Array, threshold: float) -> tuple[Array, Array]:
+        """Return the waves, each compared with half of threshold and length squared."""
+        return waves, (threshold**2 + np.sum(waves**2, axis=1)) / 2
 
 
 def _factor(data: LineData) -> Array:

@@ -22,12 +22,13 @@ from afdsvc.detect.burst_detector import BurstSamples, Finding
 from afdsvc.detect.features.demodulation import Basis, BasisSums, Lines, line_frequencies, project
 from afdsvc.detect.features.demodulation import window as window
 from afdsvc.detect.features.nuisances import Nuisances
-from afdsvc.detect.isolation import LineData, anything_log_evidence, curve_fit, weights
+from afdsvc.detect.isolation import LineData, anything_log_evidence, curve_fit, limited, weights
 from afdsvc.detect.model_uncertainty import model_doubt, models
 from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.statistics.fault_curves import FaultCurves, fault_curves
 from afdsvc.detect.statistics.line_tests import LargestProjection, LikelihoodRatio, LineTest
 from afdsvc.detect.thresholds.power import tail
+from afdsvc.lti.statespace import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,18 +86,21 @@ class MatchedFilter:
     def decide(self, sums: BasisSums, burst: Burst, dt: float) -> Sequence[Finding]:
         """Return one finding for all lines and outputs together."""
         lines, curves, data = self._reduced(sums, burst)
-        statistic, h = self._judged(curves, data, burst)
+        waves = self.line_test.waves(curves, data, reachable(self.problem))
+        statistic, h = self._judged(waves, data, burst)
         if not h < math.inf:
             return [Finding(statistic, h)]
         z, reach = data.whitened(np.eye(data.z.size), data.z)[0], reachable(self.problem)
+        rows, heights = self.line_test.comparisons(waves, h)
         fits = tuple(curve_fit(curves, n, data, reach[n]) for n in curves.names)
+        fits = tuple(limited(f, rows @ z - heights, rows @ data.white_waves(data.R @ curves.slope(f.fault, f.severity)[None])[0]) for f in fits)
         parts = {"samples": float(sums.n), "tests": self.problem.false_alarms.per_burst / tail(h), **_amplitudes(lines, _ordered(burst))}
         return [Finding(statistic, h, fits, weights(fits, anything_log_evidence(z)), parts)]
 
     def test(self, sums: BasisSums, burst: Burst) -> tuple[float, float]:
         """Return statistic and threshold only."""
         _, curves, data = self._reduced(sums, burst)
-        return self._judged(curves, data, burst)
+        return self._judged(self.line_test.waves(curves, data, reachable(self.problem)), data, burst)
 
     def _reduced(self, sums: BasisSums, burst: Burst) -> tuple[Lines, FaultCurves, LineData]:
         basis = self.basis(burst)
@@ -106,9 +110,8 @@ class MatchedFilter:
         doubt = model_doubt(self.problem, ordered, lines.R)
         return lines, _curves(self.problem, ordered), LineData(lines.z, lines.R, doubt)
 
-    def _judged(self, curves: FaultCurves, data: LineData, burst: Burst) -> tuple[float, float]:
-        """Return the statistic and its threshold; 0 and inf when the burst sees no fault."""
-        looked_for = self.line_test.waves(curves, data, reachable(self.problem))
+    def _judged(self, looked_for: Array, data: LineData, burst: Burst) -> tuple[float, float]:
+        """Return the statistic of these waves and its threshold; 0 and inf when the burst sees no fault."""
         if not len(looked_for):
             return 0.0, math.inf
         z = data.whitened(np.eye(data.z.size), data.z)[0]

@@ -170,7 +170,7 @@ class PassiveDetector:
         judgement = self._judgement(state, k)
         still = [i for i, run in enumerate(state.runs.length) if run >= self.frozen]
         complaint = f"sensor '{self._output(still[0])}' stands still" if still else ""
-        return evidence(self.name, self.problem.machine, k, dt, "", finding, judgement, complaint, self.sure)
+        return evidence(self.name, self.problem, k, dt, "", finding, judgement, complaint, self.sure)
 
     def _doubt(self, state: PassiveState, k: int, dt: float, found: list[Evidence]) -> PassiveState:
         """Say once that the quiet data cannot be trusted, again only after they could be in between."""

@@ -29,7 +29,7 @@ from afdsvc.detect.features.regressors import Regressors, no_return
 from afdsvc.detect.features.shared_filter import Filters
 from afdsvc.detect.features.sums import Products
 from afdsvc.detect.isolation import NONE as NONE_OF_THESE
-from afdsvc.detect.isolation import Fit, anything_log_evidence, linear_fit, weights
+from afdsvc.detect.isolation import Fit, anything_log_evidence, limited, linear_fit, weights
 from afdsvc.detect.thresholds import maximum
 from afdsvc.detect.thresholds.regressor_information import NoiseDriven, noise_driven
 from afdsvc.lti.statespace import Array
@@ -104,8 +104,16 @@ class Regression:
         fits = tuple(linear_fit(name, float(v), float(g), self.bounds) for name, v, g in both)
         parts = {"samples": float(sums.products.n)}
         adjusted = tuple(replace(f, sd=float(np.hypot(f.sd, CURVATURE * f.severity**2))) if f.fault in self.first_order else f for f in fits)
+        adjusted = self._limited(adjusted, sums.products.n, b, G, burst, h)
         finding = Finding(statistic, h, adjusted, weights(fits, self._anything(sums, burst)), parts)
         return [self._explained(finding, sums, b, G) if statistic > h else finding]
+
+    def _limited(self, fits: tuple[Fit, ...], samples: int, b: Array, G: Array, burst: Burst, threshold: float) -> tuple[Fit, ...]:
+        """Return the fits with their limits of detection."""
+        seen, root = np.flatnonzero(np.diag(G) > 0), np.sqrt(np.maximum(np.diag(G), 1e-300))
+        mean, sd = (v[: len(b)] for v in self.noise.signed_root(samples, burst))
+        excess = (-b / root - mean) / sd - threshold
+        return tuple(limited(f, excess[seen], (-G[seen, i] / root[seen]) / sd[seen]) for i, f in enumerate(fits))
 
     def _explained(self, finding: Finding, sums: RegressionSums, b: Array, G: Array) -> Finding:
         """Return a finding that two faults explain, or one whose fault changed during the burst, or what remains unexplained."""
@@ -117,9 +125,9 @@ class Regression:
         pair = max((c for c in found if len(c.faults) == 2), key=lambda c: c.gain, default=single)
         bent = self._bent(single, G, n) / 2
         if len(pair.faults) == 2 and pair.score(n) - single.score(n) > bent + math.log(OPEN):
-            return self._left(self._paired(finding, found, pair, n), sums, pair)
+            return self._left(self._paired(finding, found, pair, n), sums, pair, b, G)
         changed = self._changed(finding, sums, single)
-        return changed if changed is not finding else self._left(finding, sums, single)
+        return changed if changed is not finding else self._left(finding, sums, single, b, G)
 
     def _paired(self, finding: Finding, found: Sequence[Combination], pair: Combination, n: int) -> Finding:
         """Return the finding with single faults and pairs weighed, and fits of the likeliest pair."""
@@ -140,7 +148,7 @@ class Regression:
         if told is None or not told.p < CONSTANT or np.ptp(told.severity) < 2 * bent:
             return finding
         severity, sd = told.now()
-        fits = tuple(replace(f, severity=float(np.clip(severity, *self.bounds)), sd=sd) if f.fault == self.names[i] else f for f in finding.fits)
+        fits = tuple(replace(f, severity=float(np.clip(severity, *self.bounds)), sd=sd, limit=math.inf) if f.fault == self.names[i] else f for f in finding.fits)
         parts = {f"course.{k}": float(s) for k, s in enumerate(told.severity)}
         return replace(finding, fits=fits, parts={**finding.parts, **parts, "course_p": told.p, "onset_part": float(told.onset)})
 
@@ -148,11 +156,10 @@ class Regression:
         theta = self.theta[fault : fault + 1]
         return float(products.score(theta)[0]), float(products.information(theta)[0, 0])
 
-    def _left(self, finding: Finding, sums: RegressionSums, best: Combination) -> Finding:
+    def _left(self, finding: Finding, sums: RegressionSums, best: Combination, b: Array, G: Array) -> Finding:
         """Return the finding without a name where the residual holds more energy than noise and the best explanation."""
-        theta = self.theta[list(best.faults)]
-        b, G = sums.products.score(theta), sums.products.information(theta)
-        left = sums.energy - 2 * float(best.severity @ b) + float(best.severity @ G @ best.severity)
+        own = list(best.faults)
+        left = sums.energy - 2 * float(best.severity @ b[own]) + float(best.severity @ G[np.ix_(own, own)] @ best.severity)
         left -= self._bent(best, sums.products.information(self.theta), sums.products.n) + self._uncertain(sums)
         share, p = noise_compared(left, sums.products.n * self.outputs, self.estimated * self.outputs, CONSTANT)
         if not share > 1.0:
@@ -169,9 +176,13 @@ class Regression:
         """Return the energy that the model's uncertain parameters explain."""
         if not len(self.sd):
             return 0.0
-        own = self.theta[len(self.names) :]
-        b, G = sums.products.score(own), sums.products.information(own)
+        b, G = self._parameters(sums)
         return float(b @ np.linalg.solve(G + np.diag(1 / self.sd**2), b))
+
+    def _parameters(self, sums: RegressionSums) -> tuple[Array, Array]:
+        """Return score and information of the uncertain parameters."""
+        own = self.theta[len(self.names) :]
+        return sums.products.score(own), sums.products.information(own)
 
     def test(self, sums: RegressionSums, burst: Burst) -> tuple[float, float]:
         """Return statistic and threshold only."""
@@ -196,7 +207,11 @@ class Regression:
         basis = self.nuisances.basis(_omega(burst), True)
         if len(sums.lines.G) != basis.columns:
             basis = self.nuisances.basis(_omega(burst), False)
-        return anything_log_evidence(project(sums.lines, basis).z) if basis.omega else None
+        if not basis.omega:
+            return None
+        # Faults are compared with a healthy machine whose parameters are averaged over; so is an arbitrary wave.
+        scale = np.linalg.slogdet(np.eye(len(self.sd)) + self.sd[:, None] * self._parameters(sums)[1] * self.sd)[1] if len(self.sd) else 0.0
+        return anything_log_evidence(project(sums.lines, basis).z) - 0.5 * (self._uncertain(sums) - float(scale))
 
 
 def averaged_out(b: Array, G: Array, sd: Array) -> tuple[Array, Array]:

@@ -56,8 +56,8 @@ def winner(reasons: Sequence[Candidate], settings: Settings, limited: str) -> Ca
 
 def _simplest(shapes: Sequence[Candidate], settings: Settings, limited: str) -> Candidate:
     """Return the simplest of candidates, ordered by gain, that fit as well as the first."""
-    best = shapes[0].evidence
-    near = [c for c in shapes if alike(c.evidence, best, c.evidence.gain, best.gain, settings, limited)]
+    best = shapes[0]
+    near = [c for c in shapes if alike(c, best, c.evidence.gain, best.evidence.gain, settings, limited)]
     return min(near, key=lambda c: (complexity(c.hypothesis), -c.evidence.gain))
 
 
@@ -66,12 +66,16 @@ def complexity(h: Hypothesis) -> float:
     return sum(c.free and not c.nuisance for c in h.parameters) + (2.0 if getattr(h, "description", False) else 0.0)
 
 
-def alike(one: HypothesisEvidence, best: HypothesisEvidence, gain: float, highest: float, settings: Settings, limited: str) -> bool:
-    """Whether a gain is as good as the highest: within chance, or, where the model limits, close to it in what it closes and leaves."""
+def alike(one: Candidate, best: Candidate, gain: float, highest: float, settings: Settings, limited: str) -> bool:
+    """Whether a gain is as good as the highest: within chance, or, where the model limits, close to it in what it closes.
+
+    What is not simpler has to be close in what it leaves, too; what is simpler may leave more, since a fit that bends further closes more.
+    """
     if gain >= highest - settings.likely:
         return True
-    closed, most = float(one.closing(np.array(gain))), float(best.closing(np.array(highest)))
-    return limited == "model" and closed >= (1 - settings.tie) * most and settings.alike * (1 - closed) <= 1 - most
+    closed, most = float(one.evidence.closing(np.array(gain))), float(best.evidence.closing(np.array(highest)))
+    near = complexity(one.hypothesis) < complexity(best.hypothesis) or settings.alike * (1 - closed) <= 1 - most
+    return limited == "model" and closed >= (1 - settings.tie) * most and near
 
 
 def is_reason(c: Candidate, limited: str) -> bool:
@@ -102,7 +106,7 @@ def vote_shares(candidates: Sequence[Candidate], settings: Settings, limited: st
     votes, kinds = np.zeros(len(candidates)), [mechanism(c.hypothesis) for c in candidates]
     for column in gains.T:
         best = int(np.argmax(column))
-        near = [alike(c.evidence, candidates[best].evidence, g, column[best], settings, limited) for c, g in zip(candidates, column, strict=True)]
+        near = [alike(c, candidates[best], g, column[best], settings, limited) for c, g in zip(candidates, column, strict=True)]
         shapes = Counter(what for what, n in zip(kinds, near, strict=True) if n)
         votes += [n and 1.0 / (len(shapes) * shapes[what]) for what, n in zip(kinds, near, strict=True)]
     return np.asarray(votes / votes.sum())

@@ -40,11 +40,13 @@ def test_a_hypothesis_that_is_never_best_is_not_first_however_simple():
     assert winner([candidate("curve", 0.9, 3), candidate("friction", 0.8, 1)], S, "model").hypothesis.physics == "curve"
 
 
-def test_what_leaves_more_than_twice_as_much_does_not_fit_alike():
-    """Both close more than 95 % of what the best closes."""
+def test_what_leaves_more_than_twice_as_much_and_is_not_simpler_does_not_fit_alike():
+    """All close more than 95 % of what the best closes."""
     cubic, cogging = candidate("cubic", 0.997), candidate("cogging", 0.991)
     assert vote_shares([cubic, cogging], S, "model") == pytest.approx([1.0, 0.0])
     assert vote_shares([cubic, candidate("cogging", 0.995)], S, "model") == pytest.approx([0.5, 0.5])
+    mode, friction = candidate("mode", 0.999, 3), candidate("friction", 0.994, 1)
+    assert winner([mode, friction], S, "model") is friction
 
 
 def test_where_noise_limits_only_the_likelihood_counts():
