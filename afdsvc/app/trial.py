@@ -14,8 +14,7 @@ from afdsvc.errors import BadInput
 from afdsvc.explain.pipeline import explain
 from afdsvc.files.model.model_file import read_model
 from afdsvc.trial.pages import markdown, page, summary
-from afdsvc.trial.plan import FIELD, MIX, Request, field_plan, plan
-from afdsvc.trial.study import Result, refusals, study, write_only
+from afdsvc.trial.study import FIELD, MIX, Request, Result, field_plan, plan, refusals, study, write_only
 
 LARGE = 1200  # trials of the plan that kinds are picked from
 

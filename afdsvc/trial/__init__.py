@@ -1,19 +1,16 @@
 """Blind trials: recordings in which something is hidden, made apart from everything that is to find it, and the score."""
 
-from afdsvc.trial.answer import Hidden, TrialAnswer
-from afdsvc.trial.field.answer import FieldAnswer
+from afdsvc.trial.answer import FieldAnswer, Hidden, TrialAnswer
 from afdsvc.trial.field.catalogue import FieldOptions
 from afdsvc.trial.field.generate import FieldTrial
-from afdsvc.trial.folder import TrialPaths, write
+from afdsvc.trial.field_score import FieldScore, field_oracle, field_score
+from afdsvc.trial.folder import TrialPaths, open_seal, seal, write
 from afdsvc.trial.generate import NOTHING, BlindTrial, TrialRequest, generate_several, generate_trial
-from afdsvc.trial.options import Options
+from afdsvc.trial.machines import Options
+from afdsvc.trial.oracle import Oracle, oracle
 from afdsvc.trial.pages import markdown, page
-from afdsvc.trial.plan import FIELD, Request, field_plan, make_trial, plan
-from afdsvc.trial.scoring.field_score import FieldScore, field_oracle, field_score
-from afdsvc.trial.scoring.oracle import Oracle, oracle
-from afdsvc.trial.scoring.score import Score, score
-from afdsvc.trial.seal import open_seal, seal
-from afdsvc.trial.study import results, study, write_only
+from afdsvc.trial.score import Score, score
+from afdsvc.trial.study import FIELD, Request, field_plan, make_trial, plan, results, study, write_only
 
 __all__ = [
     "FIELD",

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from afdsvc.lti.statespace import Array
-from afdsvc.trial.effects.effect import Truth
-from afdsvc.trial.effects.site import column_rms
-from afdsvc.trial.machines.machine import TrialMachine
-from afdsvc.trial.options import Options
+from afdsvc.trial.effect import Truth
+from afdsvc.trial.machine import TrialMachine
+from afdsvc.trial.machines import Options
 from afdsvc.trial.simulation import RunPlan, play_run
+from afdsvc.trial.site import column_rms
 
 Lines = NDArray[np.int64]
 REFERENCE_BAND = 5.0  # Hz; a reference excites below this

@@ -17,11 +17,11 @@ import numpy as np
 
 from afdsvc.errors import Refused
 from afdsvc.lti.statespace import Array
-from afdsvc.trial.effects.effect import Truth, law_tables
-from afdsvc.trial.laws import codes as c
+from afdsvc.trial.effect import Truth, law_tables
 from afdsvc.trial.laws import dispatch as d
+from afdsvc.trial.laws import scalar as c
 from afdsvc.trial.laws.scalar import quantised
-from afdsvc.trial.machines.machine import TrialMachine
+from afdsvc.trial.machine import TrialMachine
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -152,7 +152,7 @@ def _step(laws, code, at, p, offset, A, B, u, w, k, aux, X, room, m, clock, t, l
 def integrate(code, at, p, offset, A, B, C, Ak, Bk, Ck, Dk, e, given, closed, noise, w, aux, t0, dt, substeps):  # type: ignore[no-untyped-def]
     """Return readings y (n, p), commands u (n, m) and plant states x (n, nx) at the sampling instants.
 
-    ``code`` to ``offset``: tables of the effects (`afdsvc.trial.effects.effect.law_tables`), whose states follow the plant's; A, B, C the
+    ``code`` to ``offset``: tables of the effects (`afdsvc.trial.effect.law_tables`), whose states follow the plant's; A, B, C the
     plant; Ak to Dk the controller with inputs ``[y - ref, alpha]``; ``e (n, p + m)``: -ref and alpha; ``closed`` False plays
     the commands ``given (n, m)`` instead. ``noise (n, p)`` is added to the outputs, ``w (n, nx)`` to the rates;
     ``aux (n + 1, a)``; ``t0`` absolute time of the first sample.

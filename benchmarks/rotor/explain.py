@@ -1,6 +1,6 @@
 """Blind trials at speed: what a rotor's model leaves out, hidden by the generator and looked for by `explain`.
 
-The rotor of `afdsvc.trial.machines.rotor` turns at 2,750 to 3,299 rad/s on magnetic bearings, unstable without its controller. The
+The rotor of `afdsvc.trial.machines` turns at 2,750 to 3,299 rad/s on magnetic bearings, unstable without its controller. The
 explaining side gets MODEL.toml and recordings, nothing else.
 
     python benchmarks/rotor/explain.py --rho 0.3 --seeds 2
@@ -16,9 +16,9 @@ import numpy as np
 from afdsvc.explain.pipeline import explain
 from afdsvc.files.model.model_file import parse_model
 from afdsvc.plugins.manager import load
+from afdsvc.trial.folder import nominal_model_text
 from afdsvc.trial.generate import generate_trial
-from afdsvc.trial.machines.rotor import RotorOptions
-from afdsvc.trial.model_text import nominal_model_text
+from afdsvc.trial.machines import RotorOptions
 
 PHYSICS = ("unbalance", "runout", "gyroscopic_coupling", "cross_coupled_stiffness", "flexible_mode", "nothing")
 

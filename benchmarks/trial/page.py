@@ -30,7 +30,7 @@ files and kept in another folder. `explain` is handed the files only. Then the s
 rho is the effect's rms in the outputs over the noise's, measured without noise.
 
 Scores: *right first*: name and site of the first name are what was hidden (cases in which two words mean the same physics are
-listed with their reasons in `afdsvc/trial/scoring/matching.py`); *among the look-alikes*: it is among the names reported for that effect;
+listed with their reasons in `afdsvc/trial/matching.py`); *among the look-alikes*: it is among the names reported for that effect;
 *confident false name*: a wrong name with 90 % of the weight or more and no remainder flagged; *d*: how far apart hidden effect
 and first name are for this data when both are fitted as well as can be, in noise units: below 4.65 the best possible test errs
 more than once in a hundred. Times are by the clock, of a trial among whatever else the computer did.

@@ -12,7 +12,7 @@ from afdsvc.app import trial
 from afdsvc.app.trial import study_requests, trial_files
 from afdsvc.cli import app
 from afdsvc.errors import BadInput
-from afdsvc.trial.plan import field_plan, plan
+from afdsvc.trial.study import field_plan, plan
 
 
 def test_a_plain_plan_is_the_plan() -> None:

@@ -17,8 +17,8 @@ from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import afdsvc_physics
-from afdsvc.trial.model_text import nominal_model_text
-from afdsvc.trial.plan import make_trial, plan
+from afdsvc.trial.folder import nominal_model_text
+from afdsvc.trial.study import make_trial, plan
 
 DT, PERIOD, PERIODS, NOISE = 1e-3, 500, 4, 0.003
 STATES = (Variable("q", "mm"), Variable("v", "mm/s", rate_of="q"))

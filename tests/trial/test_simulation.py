@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 from afdsvc.trial import NOTHING, Options, generate_trial, simulation
-from afdsvc.trial.machines.machine import TrialMachine
+from afdsvc.trial.machine import TrialMachine
 from afdsvc.trial.simulation import play_run, replay
 
 

@@ -11,11 +11,9 @@ import pytest
 
 from afdsvc.errors import BadInput, Refused
 from afdsvc.trial import Options, Request, TrialRequest, make_trial, markdown, page, plan, results, study
-from afdsvc.trial.plan import MIX
-from afdsvc.trial.scoring import rival
-from afdsvc.trial.scoring.rates import wilson
-from afdsvc.trial.scoring.tables import confusion_matrix, tables
-from afdsvc.trial.study import refusals, rescored
+from afdsvc.trial import matching as rival
+from afdsvc.trial.pages import confusion_matrix, tables, wilson
+from afdsvc.trial.study import MIX, refusals, rescored
 
 module = importlib.import_module("afdsvc.trial.study")
 SHORT = Options(controller="proportional", periods=1)

@@ -9,13 +9,10 @@ import numpy as np
 
 from afdsvc.errors import Refused
 from afdsvc.lti.statespace import Array
-from afdsvc.trial.effects.effect import Effect, Truth
-from afdsvc.trial.field.plants import IMPOSED, outputs, rates
-from afdsvc.trial.field.rig import Rig
-from afdsvc.trial.laws import field_codes as f
-from afdsvc.trial.laws.commands import held
-from afdsvc.trial.laws.field_codes import MEMORY
-from afdsvc.trial.laws.processes import readout, sensed
+from afdsvc.trial.effect import Effect, Truth
+from afdsvc.trial.field.rig import IMPOSED, Rig, outputs, rates
+from afdsvc.trial.laws import field as f
+from afdsvc.trial.laws.field import MEMORY, held, readout, sensed
 
 OPEN, CONTROLLED, RELAY = range(3)
 
@@ -130,7 +127,7 @@ class Signals:
 
 
 def law_table(effects: tuple[Effect, ...], order: int) -> tuple[Array, int]:
-    """Return one row per law (see `afdsvc.trial.laws.field_codes`) and the number of all states."""
+    """Return one row per law (see `afdsvc.trial.laws.field`) and the number of all states."""
     laws = [e for e in effects if e.code >= 0]
     table, total = np.zeros((len(laws), f.COLUMNS)), order
     for row, e in zip(table, laws, strict=True):

@@ -11,11 +11,11 @@ import math
 
 import numba
 
-from afdsvc.trial.laws import codes as c
-from afdsvc.trial.laws import memory as ml
+from afdsvc.trial.laws import scalar as c
+from afdsvc.trial.laws import scalar as ml
 from afdsvc.trial.laws import scalar as sl
 from afdsvc.trial.laws import scalar as st
-from afdsvc.trial.laws.codes import Row
+from afdsvc.trial.laws.scalar import Row
 
 
 @numba.njit(cache=True, error_model="numpy")

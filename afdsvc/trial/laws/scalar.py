@@ -1,4 +1,9 @@
-"""Laws without memory: what a number becomes. Every one is smooth, or uses an exponent, that a textbook law has not."""
+"""Laws of the truth generator as functions of numbers, and the codes they are known by.
+
+Every one is smooth, or uses an exponent, that a textbook law has not. A law that remembers is evaluated several times inside one
+integration step of length ``h`` and once at its end with ``commit`` set, when it may write its memory ``m`` (zero at the beginning).
+Laws of a held command return their mean over the step: jumps at its start would otherwise be weighed wrongly.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +12,30 @@ import math
 import numba
 import numpy as np
 
-from afdsvc.trial.laws.codes import Row
+Row = list[float]  # what a law reads and writes by number; compiled, a one-dimensional array
+
+# Where a law acts, which is its number without the last digit: on the command before it drives the plant, on the rates of
+# the states, on the sensed output, on the reading (the output with its noise).
+COMMAND, COMMAND_WITH_MEMORY, AXIS, AXIS_WITH_MEMORY, MACHINE, SENSOR, SENSOR_WITH_MEMORY, READING = range(8)
+# What is no law: a change of the plant's constants, more noise.
+CONSTANT, NOISE = -1, -2
+
+# Without memory, on the command.
+DEAD_ZONE, SATURATION, STATIC_NONLINEARITY, GAIN_FOLLOWS_AUX, PERIODIC = range(5)
+# With memory, on the command.
+DELAY, LAG, RESONANCE, BACKLASH, HYSTERESIS, CREEP, SLEW, MEMORY_POLYNOMIAL = range(10, 18)
+# On one axis.
+COULOMB, STRIBECK, QUADRATIC_DAMPING, CUBIC, QUADRATIC, CLEARANCE, CONSTANT_LOAD, PERIODIC_FORCE = range(20, 28)
+# On one axis, with states or memory of their own.
+FLEXIBLE_MODE, HYSTERETIC_FORCE, FRACTIONAL, STICK_SLIP = range(30, 34)
+# On the machine.
+GYROSCOPIC, CROSS_COUPLED, UNBALANCE, STIFFNESS_FOLLOWS_AUX, PARAMETRIC, BILINEAR = range(40, 46)
+# On the sensor.
+CROSSTALK, MISALIGNMENT, OFFSET, DRIFT, SENSOR_NONLINEARITY, RECTIFICATION, SENSOR_SATURATION = range(50, 57)
+SENSOR_LAG, SENSOR_DELAY, RUNOUT, PERIODIC_SENSED, SENSED_GAIN_FOLLOWS_AUX = range(60, 65)
+QUANTISATION = 70
+
+PARAMETERS, PLACES, MEMORY = 8, 6, 512  # columns of the tables: values of a law, indices it acts on, its memory
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -208,3 +236,112 @@ def parametric(at: list[int], p: Row, x: Row, t: float, dx: Row) -> None:
 def bilinear(at: list[int], p: Row, x: Row, v: Row, dx: Row) -> None:
     """Damping of the axis modulated by a command: p0 (command / p1) velocity."""
     dx[at[1]] += p[0] * v[at[4]] / p[1] * x[at[1]]
+
+
+SECOND_POLE = 0.15  # a lag's second, faster time constant, as a share of the first
+
+
+@numba.njit(cache=True, error_model="numpy")
+def delayed(u: float, m: Row, steps: float, commit: bool) -> float:
+    """Return u as it was ``steps`` integration steps ago (fractions by interpolation, exact for held commands in the mean)."""
+    size = len(m) - 1
+    head, whole = int(m[0]), int(steps)
+    newer = u if whole == 0 else m[1 + (head - whole) % size]
+    older = m[1 + (head - whole - 1) % size]
+    if commit:
+        m[1 + head % size] = u
+        m[0] = head + 1.0
+    return newer + (steps - whole) * (older - newer)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def lag(u: float, p: Row, m: Row, h: float, commit: bool) -> float:
+    """Time constant p0 and a second pole at `SECOND_POLE` p0, solved exactly for an input held during the step: its mean."""
+    a, b = 1.0 / p[0], 1.0 / (SECOND_POLE * p[0])
+    ea, eb = math.exp(-a * h), math.exp(-b * h)
+    fall, cross = m[0] - u, (m[0] - u) * b / (b - a)
+    mean = u + (m[1] - u - cross) * (1.0 - eb) / (b * h) + cross * (1.0 - ea) / (a * h)
+    if commit:
+        m[0], m[1] = u + fall * ea, u + (m[1] - u) * eb + cross * (ea - eb)
+    return mean
+
+
+@numba.njit(cache=True, error_model="numpy")
+def ramp_lag(y: float, tau: float, m: Row, at: int, h: float) -> float:
+    """First-order lag over one step in which the input went straight from m[at + 1] to y; exact, memory at m[at]."""
+    slope = (y - m[at + 1]) / h
+    m[at] = y - slope * tau + (m[at] - m[at + 1] + slope * tau) * math.exp(-h / tau)
+    m[at + 1] = y
+    return m[at]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def backlash(u: float, p: Row, m: Row, commit: bool) -> float:
+    """Mean of five plays, half widths 0.8 to 1.2 of p0: an edge worn unevenly."""
+    total = 0.0
+    for k in range(5):
+        w = p[0] * (0.8 + 0.1 * k)
+        place = min(max(m[k], u - w), u + w)
+        total += place
+        if commit:
+            m[k] = place
+    return total / 5.0
+
+
+@numba.njit(cache=True, error_model="numpy")
+def bouc_wen_slope(z: float, direction: float, p: Row) -> float:
+    """Return dz/d(u / p1) of the Bouc-Wen loop of exponent p2 and skew p3, for motion in this direction."""
+    turning = p[3] + (1.0 - p[3]) * math.copysign(1.0, direction * z)
+    return float(1.0 - abs(z) ** p[2] * turning)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def hysteresis(u: float, p: Row, m: Row, commit: bool) -> float:
+    """Rate-independent loop u - p0 p1 z, z the Bouc-Wen variable driven by u (memory: z and the last u)."""
+    z, step = m[0], (u - m[1]) / 8.0
+    for _ in range(8):
+        z += step / p[1] * bouc_wen_slope(z, step, p)
+        z = min(max(z, -1.0), 1.0)
+    if commit:
+        m[0], m[1] = z, u
+    return u - p[0] * p[1] * z
+
+
+@numba.njit(cache=True, error_model="numpy")
+def servo(way: float, size: float, t: float) -> float:
+    """Return what is left of a positive ``way`` after t (in time constants) of ``dw/dt = -size tanh(w / size)``: exactly."""
+    a = way / size
+    grown = a + math.log1p(-math.exp(-2.0 * a)) - math.log(2.0) - t  # log sinh, without overflow
+    if grown > 0.0:
+        return size * (grown + math.log1p(math.sqrt(1.0 + math.exp(-2.0 * grown))))
+    return size * math.asinh(math.exp(grown))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def slew(u: float, p: Row, m: Row, h: float, commit: bool) -> float:
+    """A servo whose speed saturates, as tanh of its way over p1, at p0 per second upwards and 0.85 p0 downwards: its mean over the step."""
+    way = u - m[0]
+    if way == 0.0:
+        return u
+    t = (p[0] if way > 0 else 0.85 * p[0]) * h / p[1]
+    half, end = servo(abs(way), p[1], 0.5 * t), servo(abs(way), p[1], t)
+    if commit:
+        m[0] = u - math.copysign(end, way)
+    return u - math.copysign((abs(way) + 4.0 * half + end) / 6.0, way)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def stick_slip(q: float, p: Row, m: Row, commit: bool) -> float:
+    """A bristle of stiffness p0 that lets go at a random stretch around p1 and grips again where it then is.
+
+    Memory: anchor, stretch at which it lets go, state of the random sequence (seeded by p2).
+    """
+    if commit:
+        if m[2] == 0.0:
+            m[2] = p[2]
+            m[1] = p[1]
+        if abs(q - m[0]) > m[1]:
+            m[0] = q
+            m[2] = (m[2] * 16807.0) % 2147483647.0
+            m[1] = p[1] * (0.4 + 1.2 * m[2] / 2147483647.0)
+    return -p[0] * (q - m[0])

@@ -25,7 +25,7 @@ from afdsvc.files.tables.tables import read_table
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.plugins.physics import afdsvc_physics
 from afdsvc.trial import Options, generate_trial
-from afdsvc.trial.model_text import nominal_model_text
+from afdsvc.trial.folder import nominal_model_text
 
 
 @cache

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from afdsvc.trial import FieldAnswer, Oracle, field_score
-from afdsvc.trial.field.answer import HiddenLaw
+from afdsvc.trial.answer import HiddenLaw
 
 KNOWN = HiddenLaw("a", "state:speed", 0.6, {}, ("coulomb_friction",), ("stribeck_friction", "dead_zone"), ())
 STRANGE = HiddenLaw("b", "machine", 0.6, {}, (), ("saturation",), ("overflow",))

@@ -12,7 +12,7 @@ import pytest
 from afdsvc.errors import BadInput, Refused
 from afdsvc.files.model.model_file import read_model
 from afdsvc.trial import FIELD, FieldAnswer, FieldOptions, field_oracle, field_plan, make_trial, open_seal, seal, write
-from afdsvc.trial.effects.effect import Truth
+from afdsvc.trial.effect import Truth
 from afdsvc.trial.field.catalogue import FAMILIES, FEATURES, LAWS, laws_at
 from afdsvc.trial.field.generate import generate, make
 from afdsvc.trial.field.simulation import play

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from afdsvc.trial.laws import commands, processes
-from afdsvc.trial.laws import field_codes as f
+from afdsvc.trial.laws import field as f
 
 U = np.linspace(-3, 3, 601)
 
@@ -14,7 +13,7 @@ U = np.linspace(-3, 3, 601)
 def through(code: int, u: np.ndarray, *values: float, aux: float = 0.0, h: float = 0.01) -> np.ndarray:
     law, memory = np.zeros((1, f.COLUMNS)), np.zeros((1, f.MEMORY))
     law[0, f.CODE], law[0, f.VALUES : f.VALUES + len(values)] = code, values
-    return np.array([commands.held(law, memory, 0, x, aux, h) for x in u])
+    return np.array([f.held(law, memory, 0, x, aux, h) for x in u])
 
 
 def test_uneven_zone_is_flat_inside_and_shifted_outside() -> None:
@@ -70,5 +69,5 @@ def test_delay_is_a_delay_and_the_slew_limit_limits() -> None:
 def test_reading_in_steps() -> None:
     law = np.zeros((1, f.COLUMNS))
     law[0, [f.CODE, f.VALUES]] = f.COARSE, 0.25
-    assert [processes.readout(law, 0, y) for y in (0.1, 0.13, -0.4)] == [0.0, 0.25, -0.5]
-    assert processes.readout(law, 1, 0.1) == 0.1
+    assert [f.readout(law, 0, y) for y in (0.1, 0.13, -0.4)] == [0.0, 0.25, -0.5]
+    assert f.readout(law, 1, 0.1) == 0.1

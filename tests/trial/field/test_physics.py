@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from afdsvc.trial.effects.effect import Truth
+from afdsvc.trial.effect import Truth
 from afdsvc.trial.field.catalogue import FAMILIES, LAWS
 from afdsvc.trial.field.generate import sizes
-from afdsvc.trial.field.law import Spot
-from afdsvc.trial.field.rig import Rig
+from afdsvc.trial.field.rig import Rig, Spot
 from afdsvc.trial.field.simulation import CONTROLLED, OPEN, Run, play
 
 SAMPLES = 80

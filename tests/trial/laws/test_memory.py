@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from afdsvc.trial.laws import memory as law
+from afdsvc.trial.laws import scalar as law
 
 H = 1e-3
 

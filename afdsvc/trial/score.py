@@ -7,11 +7,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from afdsvc.trial.answer import Hidden, TrialAnswer
-from afdsvc.trial.effects.catalogue import CHANGE
-from afdsvc.trial.machines.machine import TrialMachine
-from afdsvc.trial.options import Options
-from afdsvc.trial.scoring.matching import honest_pair, means, same_place
-from afdsvc.trial.scoring.oracle import Oracle
+from afdsvc.trial.catalogue import CHANGE
+from afdsvc.trial.machine import TrialMachine
+from afdsvc.trial.machines import Options
+from afdsvc.trial.matching import honest_pair, means, same_place
+from afdsvc.trial.oracle import Oracle
 
 CONFIDENT = 0.9  # weight from which a name counts as said with confidence
 BEYOND_PRIOR = 3.0  # stated standard deviations from which a change of a parameter is a finding

@@ -14,15 +14,14 @@ import numpy as np
 
 from afdsvc.errors import Refused
 from afdsvc.lti.statespace import Array
-from afdsvc.trial.effects.effect import Effect, Truth
-from afdsvc.trial.field.answer import FieldAnswer
+from afdsvc.trial.answer import FieldAnswer
+from afdsvc.trial.effect import Effect, Truth
 from afdsvc.trial.field.generate import STATED, FieldTrial
 from afdsvc.trial.field.simulation import Run, Signals, modelled
-from afdsvc.trial.scoring.oracle import STEP, Oracle
-from afdsvc.trial.scoring.score import CONFIDENT
+from afdsvc.trial.oracle import STEP, Oracle
+from afdsvc.trial.score import CONFIDENT
 
 Entry = Mapping[str, Any]
-SILENT = ("consistent", "insufficient_excitation")
 GOOD = {"nothing": ("right",), "one": ("first",), "several": ("first",), "outside": ("first", "among", "partial", "unexplained")}
 
 

@@ -7,7 +7,7 @@ from dataclasses import asdict
 import pytest
 
 from afdsvc.trial import Hidden, Options, Oracle, TrialAnswer, score
-from afdsvc.trial.scoring.matching import SAME
+from afdsvc.trial.matching import SAME
 
 BEARING, AXIS = Options(), Options(machine="positioning_axis")
 

@@ -8,10 +8,10 @@ import pytest
 from afdsvc.explain.pipeline import explain
 from afdsvc.files.model.model_file import parse_model
 from afdsvc.plugins.manager import load
+from afdsvc.trial.folder import nominal_model_text
 from afdsvc.trial.generate import BlindTrial, generate_trial
-from afdsvc.trial.machines.machine import sampled_plant
-from afdsvc.trial.machines.rotor import RotorOptions, rotor
-from afdsvc.trial.model_text import nominal_model_text
+from afdsvc.trial.machine import sampled_plant
+from afdsvc.trial.machines import RotorOptions, rotor
 
 
 def test_it_falls_without_its_controller_and_is_held_by_it() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from afdsvc.lti.statespace import Array
-from afdsvc.trial.laws import codes as c
+from afdsvc.trial.laws import scalar as c
 
 
 @dataclass(frozen=True, slots=True, eq=False)

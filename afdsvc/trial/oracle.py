@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from afdsvc.lti.statespace import Array
-from afdsvc.trial.effects.effect import Effect, Truth
+from afdsvc.trial.effect import Effect, Truth
 from afdsvc.trial.generate import BlindTrial
-from afdsvc.trial.laws import codes as c
+from afdsvc.trial.laws import scalar as c
 from afdsvc.trial.simulation import RunPlan, RunSignals, play_run, replay
 
 Data = list[tuple[RunPlan, RunSignals]]

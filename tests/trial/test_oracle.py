@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from afdsvc.trial import NOTHING, Options, generate_trial, oracle
-from afdsvc.trial.effects.effect import Truth
-from afdsvc.trial.scoring.oracle import prior, refit, residuals
-from afdsvc.trial.scoring.rival import UNDECIDABLE, rival_distance
+from afdsvc.trial.effect import Truth
+from afdsvc.trial.matching import UNDECIDABLE, rival_distance
+from afdsvc.trial.oracle import prior, refit, residuals
 from afdsvc.trial.simulation import replay
 
 SHORT = Options(controller="proportional", periods=1)

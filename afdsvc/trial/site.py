@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from afdsvc.lti.statespace import Array
-from afdsvc.trial.effects.effect import Effect, Truth
-from afdsvc.trial.machines.machine import MachineAxis, TrialMachine
+from afdsvc.trial.effect import Effect, Truth
+from afdsvc.trial.machine import MachineAxis, TrialMachine
 from afdsvc.trial.simulation import RunPlan, play_run
 
 

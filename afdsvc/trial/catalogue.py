@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from afdsvc.errors import BadInput
-from afdsvc.trial.effects import force_kinds as f
-from afdsvc.trial.effects import input_kinds as i
-from afdsvc.trial.effects import sensor_kinds as o
-from afdsvc.trial.effects.effect import Effect
-from afdsvc.trial.effects.site import EffectSite
-from afdsvc.trial.laws import codes as c
-from afdsvc.trial.machines.machine import TrialMachine
+from afdsvc.trial import kinds as f
+from afdsvc.trial import kinds as i
+from afdsvc.trial import kinds as o
+from afdsvc.trial.effect import Effect
+from afdsvc.trial.laws import scalar as c
+from afdsvc.trial.machine import TrialMachine
+from afdsvc.trial.site import EffectSite
 
 CHANGE = "parameter_change"
 

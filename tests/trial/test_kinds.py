@@ -9,11 +9,10 @@ import pytest
 
 from afdsvc.errors import BadInput, Refused
 from afdsvc.trial import NOTHING, Options, generate_several, generate_trial
+from afdsvc.trial.catalogue import changes_at, outside_at, physics_at
 from afdsvc.trial.conditions import TRAIN
-from afdsvc.trial.effects.catalogue import changes_at, outside_at, physics_at
-from afdsvc.trial.effects.effect import Truth
-from afdsvc.trial.effects.severity import difference, effect_visibility
-from afdsvc.trial.generate import BlindTrial, TrialRequest
+from afdsvc.trial.effect import Truth
+from afdsvc.trial.generate import BlindTrial, TrialRequest, difference, effect_visibility
 from afdsvc.trial.simulation import play_run, replay
 
 BEARING = Options(controller="proportional", periods=1)

@@ -1,1 +1,0 @@
-"""What can be hidden: names, places, sizes and severity."""

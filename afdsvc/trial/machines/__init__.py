@@ -1,1 +1,0 @@
-"""Machines whose recordings are made up: constants, axes, controllers."""

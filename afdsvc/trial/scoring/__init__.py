@@ -1,1 +1,0 @@
-"""Scores of an explanation against the sealed answer, and the tables of a study."""
