@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from afdsvc.app import commissioning
+from afdsvc.app import commissioning, ports
 from afdsvc.app.pipelines import diagnosis_burst, pipeline_of
 from afdsvc.files.site import read_site
 from afdsvc.plugins.manager import load
@@ -66,7 +66,7 @@ def watch(weak: float) -> None:
     machine = commissioning.commission(read_site(Path("site.toml")).machine("slide"), plugins, allow_code=True)
     stream = pipeline_of(machine, plugins)
     burst = diagnosis_burst(machine)(stream.problem)
-    port = commissioning.open_port(machine, "first", FastClock(), plugins)
+    port = ports.open_port(machine, "first", FastClock(), plugins)
     stream.announce(burst)
     found = []
     for _ in range(12):  # six quiet seconds: without them no decision is to be trusted

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.port import DrivablePort
-from afdsvc.app import commissioning
+from afdsvc.app import commissioning, ports
 from afdsvc.files.site import FaultInjection, MachineSection, PluginSection
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.manager import Plugins, load
@@ -64,7 +64,7 @@ def simulated(bearing, plugins: Plugins) -> Callable[..., DrivablePort]:
     """Return simulators of gas bearings, as fast as they go."""
 
     def make(*args, session: str = "test", **kwargs) -> DrivablePort:
-        return commissioning.open_port(bearing(*args, **kwargs), session, FastClock(), plugins)
+        return ports.open_port(bearing(*args, **kwargs), session, FastClock(), plugins)
 
     return make
 

@@ -9,31 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from afdsvc.api.bursts import Burst, Limits
-from afdsvc.api.clock import Clock
+from afdsvc.api.bursts import Limits
 from afdsvc.api.control_plugins import DesignedController
-from afdsvc.api.detection import DetectionProblem, Detector, FalseAlarms, Noise
+from afdsvc.api.detection import DetectionProblem, FalseAlarms, Noise
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.plant import PhysicalPlant
-from afdsvc.api.port import Port
 from afdsvc.api.signals import Channel
-from afdsvc.app import stepped_machine
 from afdsvc.dataset.experiment import sampled
 from afdsvc.detect.uncertain_parameters import uncertain_entries
-from afdsvc.diagnosis.data_quality import Expectation
 from afdsvc.errors import BadInput, NotStabilising
 from afdsvc.excite.amplitude_budget import noise_deviations
-from afdsvc.excite.identification_bursts import Band, multisine_burst, random_binary_burst, sweep_burst
 from afdsvc.files import site as site_file
 from afdsvc.files.model.model_file import model_text, read_model
 from afdsvc.files.tables.tables import read_table
-from afdsvc.hal.control_loop import LoopSettings, Prediction
-from afdsvc.hal.replay import Replay, blocks_of
-from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, SimulatedRig, SpeedProfile
+from afdsvc.hal.control_loop import Prediction
 from afdsvc.lti.lft import AugmentedPlant, FaultDirection, augment, star
 from afdsvc.lti.python_control import factorise
 from afdsvc.lti.sampling import sample_noise, sample_zoh
-from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import innovations, whitening_filter
 from afdsvc.lti.yjbk import interconnection
@@ -41,7 +33,6 @@ from afdsvc.plants.registry import plant as plant_by_name
 from afdsvc.plugins.controllers.lqg import lqg_gains
 from afdsvc.plugins.fault_set import FaultSet, chosen_faults, usual_faults
 from afdsvc.plugins.manager import Plugins
-from afdsvc.service.clock import FastClock
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,7 +155,7 @@ def at_speed(machine: Commissioned, speed: float) -> Commissioned:
     """
     if machine.physical is None or machine.faults is None or machine.controller is None:
         raise BadInput(f"machine '{machine.config.id}' has no built-in plant; its model is valid at one speed only")
-    physical = _turned(machine.physical, speed)
+    physical = turned(machine.physical, speed)
     K = machine.controller.factorisation.K
     worst = float(np.abs(star(physical.discrete(), K, K.inputs, K.outputs).poles()).max())
     if worst >= 1:
@@ -176,11 +167,47 @@ def at_speed(machine: Commissioned, speed: float) -> Commissioned:
 
 
 def _read_watched(config: site_file.MachineSection, allow_code: bool) -> RecordedMachine:
-    if stepped_machine.is_driven(config):
-        model, dt = stepped_machine.driven_model(config, allow_code)
+    if is_driven(config):
+        model, dt = driven_model(config, allow_code)
         return RecordedMachine(model, dt, _channels(model.inputs, model.outputs, True, False))
     trace = read_table(config.driver.recording or Path())
     return RecordedMachine(read_model(config.model or Path()), trace.dt, trace.channels)
+
+
+def is_driven(config: site_file.MachineSection) -> bool:
+    """Whether a machine with a model runs in a loop of ours; a replay is only watched."""
+    return config.driver.kind != "replay"
+
+
+def driven_model(config: site_file.MachineSection, allow_code: bool) -> tuple[Model, float]:
+    """Return a driven machine's model and sample time [s]; raises `BadInput` when nothing states it.
+
+    A model that is itself a simulator is opened where the driver is one too and code may run.
+    """
+    model = read_model(config.model or Path(), allow_code and config.driver.kind in site_file.STEPPED)
+    stated = config.options.get("sample_time", 0.0)
+    dt = model.sample_time or (model.plant.dt if model.plant else 0.0) or stated
+    if not (isinstance(dt, (int, float)) and dt > 0):
+        raise BadInput(f"{model.origin}: states no sample time; expected key 'options.sample_time' [s] in the site file")
+    return model, float(dt)
+
+
+def stated_limits(config: site_file.MachineSection) -> Limits:
+    """Return the limits of the site file; a model knows none, so all that can do harm must be stated."""
+    for name in ("output", "input"):
+        if getattr(config.limits, name) is None:
+            raise BadInput(f"key 'limits.{name}' is missing; a driven machine with 'model' needs bounds for every {name}")
+    u = np.array(config.limits.input, dtype=float)
+    alpha = 10 * u if config.limits.alpha is None else np.array(config.limits.alpha, dtype=float)
+    return Limits(np.array(config.limits.output, dtype=float), u, alpha, config.limits.seconds)
+
+
+def checked_limits(limits: Limits, inputs: int, outputs: int) -> Limits:
+    """Return the limits where there is one per channel; raises `BadInput` otherwise."""
+    for name, found, wanted in (("output", limits.output, outputs), ("input", limits.input, inputs), ("alpha", limits.alpha, inputs)):
+        if len(found) != wanted:
+            raise BadInput(f"key 'limits.{name}' has {len(found)} values; expected {wanted}")
+    return limits
 
 
 def _from_model(config: site_file.MachineSection, plugins: Plugins, watched: RecordedMachine) -> Commissioned:
@@ -196,8 +223,8 @@ def _from_model(config: site_file.MachineSection, plugins: Plugins, watched: Rec
     if missing:
         raise BadInput(f"{model.origin}: the samples have no column {', '.join(missing)}; expected the model's names")
     controller = limits = None
-    if stepped_machine.is_driven(config):
-        limits = stepped_machine.checked_limits(stepped_machine.stated_limits(config), len(model.inputs), len(model.outputs))
+    if is_driven(config):
+        limits = checked_limits(stated_limits(config), len(model.inputs), len(model.outputs))
         controller = plugins.get("controllers", config.controller.kind).design(discrete, config.controller.settings)
     elif model.controller is not None:
         controller = _stated_controller(model, discrete)
@@ -351,56 +378,6 @@ def _stand_in(G: StateSpace) -> StateSpace:
     return StateSpace(A, np.hstack([-L, G.B + L @ G.D]), C, D, G.dt)
 
 
-def expectation(machine: Commissioned, frozen_after: int = 50) -> Expectation:
-    """Return what the machine's blocks must look like."""
-    return Expectation(machine.channels, machine.plant.dt, frozen_after)
-
-
-def detectors(machine: Commissioned, base: DetectionProblem, plugins: Plugins) -> list[Detector]:
-    """Return the designed detectors of the machine, each with its own share of the false alarms."""
-    made = []
-    for wanted in machine.config.detectors:
-        alarms = FalseAlarms(wanted.false_alarms_per_1000_bursts / 1000, wanted.false_alarms_per_day / 24)
-        design = plugins.get("detectors", wanted.kind)
-        made.append(design.design(replace(base, false_alarms=alarms), wanted.settings))
-    return made
-
-
-def quiet_samples(machine: Commissioned, samples: int) -> tuple[Array, Array]:
-    """Return u and y of the first samples of the recording the noise is calibrated on."""
-    trace = read_table(machine.config.calibrate_on or Path())
-    if len(trace) < samples:
-        raise BadInput(f"{trace.name}: {len(trace)} samples; expected {samples} for calibration")
-    return trace.span(0, samples).role("u"), trace.span(0, samples).role("y")
-
-
-def open_port(machine: Commissioned, session: str, clock: Clock, plugins: Plugins) -> Port:
-    """Return the machine's port: the simulator, a replay, or a driver plugin."""
-    driver = machine.config.driver
-    settings = LoopSettings(machine.config.id, session, machine.config.block, sensor_range=machine.config.limits.sensor_range)
-    if driver.kind == "replay":
-        trace = read_table(driver.recording or Path())
-        pace = clock if driver.real_time else FastClock(clock.now_ns())
-        return Replay(blocks_of(trace, machine.config.id, session, clock.now_ns(), machine.config.block), pace)
-    if driver.kind == "simulator":
-        return _simulator(machine, settings, clock)
-    if driver.kind in site_file.STEPPED:
-        return _stepped(machine, settings, clock)
-    port: Port = plugins.get("drivers", driver.kind).open(machine, settings, clock, driver.settings)
-    return port
-
-
-def _stepped(machine: Commissioned, settings: LoopSettings, clock: Clock) -> Port:
-    expected, config = prediction(machine), machine.config
-    if machine.controller is None or machine.limits is None or machine.output_cov is None:
-        raise BadInput(f"machine '{config.id}' has no controller, limits or noise; it can only be replayed")
-    faults = default_faults(machine.inputs, machine.outputs) if config.faults is None else config.faults
-    return stepped_machine.open_stepped(
-        config, (machine.inputs, machine.outputs), machine.controller, machine.output_cov, machine.channels, machine.limits, faults,
-        settings, clock, expected, machine.allow_code,
-    )  # fmt: skip
-
-
 def prediction(machine: Commissioned) -> Prediction:
     """Return how alpha shows in y and u of the nominal loop: N and M, and the peak of the noise to allow for."""
     fact = machine.controller.factorisation if machine.controller else None
@@ -411,72 +388,7 @@ def prediction(machine: Commissioned) -> Prediction:
     return Prediction(both, 5 * y_sd)
 
 
-IDENTIFICATION = {"identify": "multisine", "identify_binary": "random binary", "identify_sweep": "sweep"}
-
-
-def identification_burst(machine: Commissioned, purpose: str, rng: np.random.Generator) -> Burst:
-    """Return a broad burst for identification, as large as half the room its nominal answer leaves within the limits.
-
-    ``purpose`` is ``identify`` (odd random-phase multisine with detection lines), ``identify_binary`` or ``identify_sweep``.
-    """
-    limits, dt = machine.limits, machine.plant.dt
-    if purpose not in IDENTIFICATION or limits is None:
-        raise BadInput(f"burst purpose '{purpose}'; expected one of diagnose, {', '.join(IDENTIFICATION)}")
-    seconds = min(limits.seconds, 10.0)
-    unit = _broad(purpose, Band(4 / seconds, 0.12 / dt, np.ones(machine.plant.inputs), dt), seconds, rng)
-    expected = prediction(machine)
-    answer = np.abs(simulate(expected.system, unit.play(dt))[0]).max(axis=0)
-    room = np.concatenate([limits.input, limits.output - expected.noise])
-    size = 0.5 * float(np.min(room / np.maximum(answer, 1e-300)))
-    size = min(size, float(np.min(limits.alpha / np.maximum(np.abs(unit.play(dt)).max(axis=0), 1e-300))))
-    lines = tuple(replace(line, amplitude=size * line.amplitude) for line in unit.lines)
-    return replace(unit, lines=lines, waveform=None if unit.waveform is None else size * unit.waveform)
-
-
-def _broad(purpose: str, band: Band, seconds: float, rng: np.random.Generator) -> Burst:
-    if purpose == "identify_binary":
-        return random_binary_burst(band, seconds, rng)
-    return sweep_burst(band, seconds) if purpose == "identify_sweep" else multisine_burst(band, seconds, rng, "odd_random")
-
-
-def _simulator(machine: Commissioned, settings: LoopSettings, clock: Clock) -> SimulatedRig:
-    dt, driver, noise = machine.plant.dt, machine.config.driver, machine.output_cov
-    if machine.controller is None or machine.limits is None or noise is None:
-        raise BadInput(f"machine '{machine.config.id}' has no controller or no noise; it can only be replayed")
-    known = machine.augmented.fault_names
-    for f in driver.faults:
-        if f.name not in known:
-            raise BadInput(f"fault '{f.name}' is unknown; this machine has {', '.join(known)}")
-    faults = tuple(ScheduledFault(f.name, f.severity, round(f.at_seconds / dt)) for f in driver.faults)
-    plant = _simulated(machine, noise, faults)
-    interconnection = machine.controller.interconnection
-    return SimulatedRig(
-        plant, interconnection, machine.channels, machine.limits, settings, clock, driver.seed, prediction(machine)
-    )
-
-
-def _simulated(machine: Commissioned, noise: Array, faults: tuple[ScheduledFault, ...]) -> SimulatedPlant:
-    """Return what is simulated: the model itself, or another one where the driver says so or the speed changes."""
-    driver, config, physical = machine.config.driver, machine.config, machine.physical
-    faulty, disturbed = machine.faults, None if config.input_sd is None else np.diag(np.square(config.input_sd))
-    if physical is None or faulty is None or not (driver.options or driver.speed):
-        unbalance = None if physical is None else physical.unbalance
-        return SimulatedPlant(machine.augmented.close, noise, disturbed, machine.speed, unbalance, faults)
-    true = plant_by_name(config.plant or "", **{**config.options, **driver.options})
-    if true.sample_time != physical.sample_time:
-        raise BadInput(f"key 'driver.options' gives sample time {true.sample_time} s; the machine's is {physical.sample_time} s")
-    profile = SpeedProfile.of([(t, 2 * np.pi * rpm / 60) for t, rpm in driver.speed], true.speed, true.sample_time)
-
-    def turning(severities: Mapping[str, float], speed: float) -> StateSpace:
-        return faulty.true_plant(_turned(true, speed), severities)
-
-    def still(severities: Mapping[str, float]) -> StateSpace:
-        return turning(severities, true.speed)
-
-    return SimulatedPlant(still, noise, disturbed, true.speed, true.unbalance, faults, profile, turning)
-
-
-def _turned(physical: PhysicalPlant, speed: float) -> PhysicalPlant:
+def turned(physical: PhysicalPlant, speed: float) -> PhysicalPlant:
     """Return the plant at a speed [rad/s]; raises `BadInput` for a plant that is known at one speed only."""
     if speed == physical.speed:
         return physical

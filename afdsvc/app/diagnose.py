@@ -27,7 +27,7 @@ from afdsvc.files.recording.mcap_file import BLOCK, REQUEST, RETUNING
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import DetectorSection, DriverSection, MachineSection
 from afdsvc.files.tables.foreign import prepared
-from afdsvc.files.tables.to_recording import import_traces
+from afdsvc.files.tables.tables import import_traces
 from afdsvc.hal.replay import blocks_of
 from afdsvc.lti.lft import star
 from afdsvc.lti.statespace import StateSpace

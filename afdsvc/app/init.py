@@ -15,8 +15,7 @@ from afdsvc.files.model.schema import Inline, toml_text
 from afdsvc.files.open import TABLES
 from afdsvc.files.tables.foreign import read_foreign_columns
 from afdsvc.files.tables.formats import read_columns
-from afdsvc.files.tables.header import Heading, heading
-from afdsvc.files.tables.mapping import DataMapping
+from afdsvc.files.tables.mapping import DataMapping, Heading, heading
 from afdsvc.files.tables.time_base import is_stamped, own_time
 from afdsvc.files.unfinished import writing
 from afdsvc.identify.first_model import Polynomials, first_model

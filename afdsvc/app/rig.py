@@ -11,7 +11,7 @@ from functools import partial
 
 from afdsvc import __version__
 from afdsvc.api.clock import Clock
-from afdsvc.app import commissioning
+from afdsvc.app import commissioning, ports
 from afdsvc.files.site import Site
 from afdsvc.hal.agent import RigAgent
 from afdsvc.hal.store import Store
@@ -32,7 +32,7 @@ def rig_agent(site: Site, id: str, transport: Transport, clock: Clock) -> RigAge
     plugins = load()
     machine = commissioning.commission(site.machine(id), plugins, allow_code=True)
     session = uuid.uuid4().hex
-    port = commissioning.open_port(machine, session, clock, plugins)
+    port = ports.open_port(machine, session, clock, plugins)
     description = RigDescription(
         id, session, clock.now_ns(), port.dt, port.channels, machine.limits,
         machine.controller.description if machine.controller else "unknown", site.text, machine.model_text(), __version__,

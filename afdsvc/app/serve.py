@@ -23,8 +23,7 @@ from afdsvc.api.clock import Clock
 from afdsvc.api.notify import Notify
 from afdsvc.app import commissioning
 from afdsvc.app.commissioning import Commissioned
-from afdsvc.app.pipelines import burst_design, diagnosis_burst, pipeline_of
-from afdsvc.app.retune import tuning_design
+from afdsvc.app.pipelines import burst_design, diagnosis_burst, pipeline_of, tuning_design
 from afdsvc.diagnosis.alarm_book import Policy
 from afdsvc.diagnosis.pipeline import Pipeline
 from afdsvc.errors import BadInput
@@ -58,7 +57,7 @@ from afdsvc.wire.keys import SERVICE, Keys
 from afdsvc.wire.messages import AlarmChange
 
 if TYPE_CHECKING:
-    from afdsvc.present.rerun.sink import ReviewSink
+    from afdsvc.present.rerun.log import ReviewSink
 
 CLOSING_SECONDS = 1.5  # all files together: a service has 5 s to stop
 
@@ -165,7 +164,7 @@ class SiteSinks:
         recording = ThreadedSink(recorder, f"recorder of {id}", _teller("recording"))
         self._recorders.append((recorder, recording))
         if self._review is None and site.review.rerun != "off":
-            from afdsvc.present.rerun.sink import (
+            from afdsvc.present.rerun.log import (
                 ReviewSink,  # Rerun takes seconds to import; a restart does not wait for it unasked
             )
 

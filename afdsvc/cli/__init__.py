@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import logging
-import os
-import signal
 import sys
-import threading
 import traceback
 from pathlib import Path
 from typing import Annotated
@@ -14,8 +10,8 @@ from typing import Annotated
 import typer
 
 from afdsvc import __version__
-from afdsvc.cli import plugins, running, site
-from afdsvc.cli.interrupt import INTERRUPTED, end_in_order, end_on_interrupt, leave
+from afdsvc.cli import plugins, running
+from afdsvc.cli.interrupt import INTERRUPTED, end_on_interrupt, leave
 from afdsvc.cli.options import Json, MachineOption, MappingOption, SiteFile, show
 from afdsvc.errors import AfdsvcError, BadInput
 
@@ -25,7 +21,7 @@ app = typer.Typer(
 )  # fmt: skip
 app.add_typer(running.app)
 app.add_typer(plugins.app, name="plugins")
-app.add_typer(site.app, name="site")
+app.add_typer(running.site, name="site")
 
 
 def run_cli() -> None:
@@ -51,15 +47,6 @@ def run_cli() -> None:
 def _fail(sentence: str, code: int) -> int:
     print(f"afdsvc: {sentence}", file=sys.stderr)
     return code
-
-
-def _stop_on_signals() -> threading.Event:
-    """Return an event that SIGTERM and SIGINT set, so that every `with` block is left in order."""
-    stop = threading.Event()
-    end_in_order()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
-    return stop
 
 
 @app.callback(invoke_without_command=True)
@@ -93,84 +80,6 @@ def demo(
     with progress("running the machine", length) as tell:
         document = run_demo(options, lambda done, hub: tell(done))
     show(as_json, document, lambda: demo_table(document))
-
-
-@app.command()
-def serve(
-    site: SiteFile,
-    seconds: Annotated[float | None, typer.Option(help="Stop after so long.")] = None,
-    logs: Annotated[str, typer.Option("--log", metavar="text|json", help="How log lines are written on stderr.")] = "text",
-) -> None:
-    """Run the service of one site until SIGTERM or Ctrl-C."""
-    from afdsvc.app.serve import serving
-    from afdsvc.app.supervision import collect_rarely, start_logging, supervised
-    from afdsvc.files.site import read_site
-
-    start_logging(_one_of("--log", logs, ("text", "json")))
-    stop, log = _stop_on_signals(), logging.getLogger("afdsvc")
-    found = read_site(site)
-    with serving(found) as hub, supervised(hub.healthy):
-        collect_rarely()
-        log.info("%s: serving '%s' with %d machine(s)", __version__, hub.keys.site, len(hub.watches))
-        if found.transport.security is None:
-            log.warning(
-                "%s: key 'transport.security' is missing: whoever reaches %s may read all signals and excite the machines",
-                found.origin, ", ".join(found.transport.listen),
-            )
-        stop.wait(seconds)
-    _leave()
-
-
-def _one_of(option: str, value: str, allowed: tuple[str, ...]) -> str:
-    if value not in allowed:
-        raise BadInput(f"{option} {value}: expected {' or '.join(allowed)}")
-    return value
-
-
-@app.command()
-def rig(
-    site: SiteFile,
-    machine: Annotated[str, typer.Option("--machine", help="Id of the machine in the site file.")],
-    seconds: Annotated[float | None, typer.Option(help="Stop after so long.")] = None,
-) -> None:
-    """Run the rig agent of one machine: its control loop, its blocks, its bursts within its limits.
-
-    SIGTERM and Ctrl-C end a burst smoothly and stop; SIGUSR1 is the emergency stop: no excitation until it is started again.
-    """
-    from afdsvc.app.rig import run_rig
-    from afdsvc.files.site import read_site
-
-    emergency = threading.Event()
-    if hasattr(signal, "SIGUSR1"):
-        signal.signal(signal.SIGUSR1, lambda *_: emergency.set())
-    run_rig(read_site(site), machine, seconds, _stop_on_signals(), emergency)
-    _leave()
-
-
-def _leave() -> None:
-    """End without waiting for threads that wait for a dead network: the interpreter would abort over them."""
-    if any(thread.daemon for thread in threading.enumerate()):
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(0)
-
-
-@app.command()
-def certificates(
-    site: SiteFile,
-    renew: Annotated[bool, typer.Option("--renew", help="Replace certificates that end within 30 days.")] = False,
-    revoke: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Void the certificate of a person or rig and make a new one; may be repeated.")] = None,
-    as_json: Json = False,
-) -> None:
-    """Make the private authority and certificates of a secured site: service, rigs, operators, viewers; what is there is kept.
-
-    Certificates last a year. A running service takes up renewed and revoked ones by itself.
-    """
-    from afdsvc.files.site import read_site
-    from afdsvc.transport.certificates import make_certificates
-
-    made = [str(path) for path in make_certificates(read_site(site), renew=renew, revoke=revoke or [])]
-    show(as_json, {"made": made}, lambda: print("\n".join(made) or "everything is there already"))
 
 
 @app.command("diagnose")

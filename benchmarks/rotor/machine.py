@@ -10,7 +10,7 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.evidence import Evidence
-from afdsvc.app import commissioning
+from afdsvc.app import commissioning, ports
 from afdsvc.app.commissioning import Commissioned
 from afdsvc.app.pipelines import burst_design, pipeline_of
 from afdsvc.files.site import MachineSection
@@ -39,7 +39,7 @@ class Run:
 
 def run(parts: Commissioned, plugins: Plugins, plan: Sequence[float | str], burst: Burst | None = None) -> Run:
     """Run the machine: a number is seconds of quiet, ``"burst"`` a diagnosis burst for the speed it has then."""
-    port, stream = commissioning.open_port(parts, "s", FastClock(), plugins), pipeline_of(parts, plugins)
+    port, stream = ports.open_port(parts, "s", FastClock(), plugins), pipeline_of(parts, plugins)
     design, out = (lambda _: burst) if burst else burst_design(parts, stream), Run()
 
     def take() -> int:

@@ -21,7 +21,7 @@ import scipy.io
 
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.signals import Block, Channel
-from afdsvc.app import commissioning
+from afdsvc.app import commissioning, ports
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.model.model_file import parse_model
 from afdsvc.files.recording.mcap_file import Header
@@ -211,7 +211,7 @@ def burst(_folder: Path) -> Target:
     plugins = load()
     config = MachineSection(id="m1", plant="gas_bearing", driver=DriverSection(real_time=False))
     machine = commissioning.commission(config, plugins)
-    port: Any = commissioning.open_port(machine, "s", FastClock(), plugins)
+    port: Any = ports.open_port(machine, "s", FastClock(), plugins)
     if machine.limits is None:
         raise BadInput("the gas bearing has no limits; expected a machine that can be excited")
     return Target(_burst_request, partial(_play, port, machine.limits))

@@ -15,8 +15,7 @@ from afdsvc.app.explain import ExplainOptions, aux_means, explain_files, load_li
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model, write_model
 from afdsvc.files.open import open_model
-from afdsvc.files.tables.tables import read_table
-from afdsvc.files.tables.to_recording import import_table
+from afdsvc.files.tables.tables import import_table, read_table
 from afdsvc.lti.statespace import StateSpace
 
 DT, PERIOD = 2e-3, 500

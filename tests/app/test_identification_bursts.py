@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from afdsvc.app import commissioning, serve
+from afdsvc.app import commissioning, pipelines, ports, serve
 from afdsvc.app.pipelines import pipeline_of
 from afdsvc.files.site import parse_site
 from afdsvc.plugins.manager import load
@@ -19,10 +19,10 @@ driver = {seed = 3, real_time = false}
 """
     machine, plugins = commissioning.commission(parse_site(text, "site.toml").machines[0], load()), load()
     pipeline = pipeline_of(machine, plugins)
-    burst = commissioning.identification_burst(machine, "identify", np.random.default_rng(0))
+    burst = pipelines.identification_burst(machine, "identify", np.random.default_rng(0))
     assert len(burst.lines) > 100
     pipeline.announce(burst)
-    port = commissioning.open_port(machine, "s", serve.RealClock(), plugins)
+    port = ports.open_port(machine, "s", serve.RealClock(), plugins)
     found, blocks = [], 0
     with port.arm(machine.limits) as drive:
         drive.play(burst)

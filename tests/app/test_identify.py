@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from afdsvc.api.signals import Trace
-from afdsvc.app import commissioning
+from afdsvc.app import pipelines, ports
 from afdsvc.app.identify import identify_files
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import parse_model, read_model, write_model
-from afdsvc.files.tables.to_recording import import_table
+from afdsvc.files.tables.tables import import_table
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.simulate import simulate
 from afdsvc.service.clock import FastClock
@@ -25,8 +25,8 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 def recorded(bearing, plugins, purpose: str, seed: int, faults: dict) -> tuple[np.ndarray, object]:
     """Return the samples of one identification burst on a machine with faults, and the machine."""
     machine = bearing("lqg", 0, seed, faults)
-    port = commissioning.open_port(machine, "s", FastClock(), plugins)
-    burst = commissioning.identification_burst(machine, purpose, np.random.default_rng(seed))
+    port = ports.open_port(machine, "s", FastClock(), plugins)
+    burst = pipelines.identification_burst(machine, purpose, np.random.default_rng(seed))
     port.check(burst, machine.limits)
     blocks = [port.read(), port.read()]
     with port.arm(machine.limits) as drive:
@@ -47,7 +47,7 @@ def test_bursts_fit_the_machine(bearing, plugins, purpose):
 
 def test_an_unknown_purpose_is_named(bearing):
     with pytest.raises(BadInput, match="burst purpose 'x'; expected one of diagnose, identify"):
-        commissioning.identification_burst(bearing(), "x", np.random.default_rng(0))
+        pipelines.identification_burst(bearing(), "x", np.random.default_rng(0))
 
 
 def test_a_changed_machine_is_identified_in_closed_loop(bearing, plugins, tmp_path):

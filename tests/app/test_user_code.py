@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from afdsvc.api.signals import Block, Channel
-from afdsvc.app import commissioning
+from afdsvc.app import commissioning, ports
 from afdsvc.app.design import design_files
 from afdsvc.app.diagnose import diagnose_recordings
 from afdsvc.app.review import fault_planes
 from afdsvc.errors import BadInput
-from afdsvc.files.model.user_code import TRUSTED
+from afdsvc.files.model.stepped import TRUSTED
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
@@ -93,9 +93,9 @@ def test_a_driver_that_is_user_code_is_opened_only_with_permission(folder):
     machine, plugins = read_site(folder / "site.toml").machine("axis"), load()
     (folder / "evil.toml").write_text(MODEL.replace('dynamics = "CODE"\n', "A = [[0.9]]\nB = [[1.0]]\nC = [[1.0]]\nD = [[0.0]]\n"))
     with pytest.raises(BadInput, match=r"key 'driver.unit' is .*evil.py:axis', Python code .* --allow-code"):
-        commissioning.open_port(commissioning.commission(machine, plugins), "s", FastClock(), plugins)
+        ports.open_port(commissioning.commission(machine, plugins), "s", FastClock(), plugins)
     assert not (folder / "ran").exists()
-    commissioning.open_port(commissioning.commission(machine, plugins, allow_code=True), "s", FastClock(), plugins).close()
+    ports.open_port(commissioning.commission(machine, plugins, allow_code=True), "s", FastClock(), plugins).close()
     assert (folder / "ran").exists()
 
 

@@ -15,7 +15,7 @@ from afdsvc.app.diagnose import diagnose_recordings
 from afdsvc.app.explain import ExplainOptions, explain_files
 from afdsvc.app.identify import identify_files
 from afdsvc.files.model.model_file import write_model
-from afdsvc.files.tables.to_recording import import_traces
+from afdsvc.files.tables.tables import import_traces
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
 

@@ -13,7 +13,7 @@ import pytest
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.retuning import Diagnosed, Promise, Tuning
-from afdsvc.app import commissioning
+from afdsvc.app import ports
 from afdsvc.errors import Refused
 from afdsvc.files.site import TransportSection as Settings
 from afdsvc.hal.agent import RigAgent
@@ -59,7 +59,7 @@ def rig(settings: Settings, machine, plugins, session: str = "s1") -> Iterator[R
     with Transport(settings, hub=False) as transport:
         clock = RealClock()
         config = machine.config.model_copy(update={"driver": machine.config.driver.model_copy(update={"real_time": True})})
-        port = commissioning.open_port(replace(machine, config=config), session, clock, plugins)
+        port = ports.open_port(replace(machine, config=config), session, clock, plugins)
         description = RigDescription("bearing", session, 0, port.dt, port.channels, machine.limits)
         agent = RigAgent(KEYS, description, port, transport, clock)
         thread = threading.Thread(target=agent.run, daemon=True)
@@ -162,7 +162,7 @@ def test_a_second_rig_with_the_same_id_refuses_to_start(settings, bearing, plugi
             ear.wait(EventKind.RIG_STARTED)
             machine = bearing()
             clock = RealClock()
-            port = commissioning.open_port(machine, "s2", clock, plugins)
+            port = ports.open_port(machine, "s2", clock, plugins)
             twin = RigAgent(
                 KEYS, RigDescription("bearing", "s2", 0, port.dt, port.channels, machine.limits), port, other, clock
             )
@@ -177,7 +177,7 @@ def test_what_is_measured_before_the_network_is_there_is_sent_when_it_is(setting
         ear, machine = Ear(hub), bearing()
         transport, clock = Transport(settings, hub=False), RealClock()
         config = machine.config.model_copy(update={"driver": machine.config.driver.model_copy(update={"real_time": True})})
-        port = commissioning.open_port(replace(machine, config=config), "s1", clock, plugins)
+        port = ports.open_port(replace(machine, config=config), "s1", clock, plugins)
         description = RigDescription("bearing", "s1", 0, port.dt, port.channels, machine.limits)
         agent = RigAgent(KEYS, description, port, transport, clock, connect=lambda stop: (time.sleep(0.5), transport.open()))
         agent.run(1.0)

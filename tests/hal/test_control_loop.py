@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from afdsvc.api.bursts import Burst, Limits, Line
-from afdsvc.app import commissioning
+from afdsvc.app import ports
 from afdsvc.errors import Refused
 from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, SimulatedRig
@@ -226,4 +226,4 @@ def test_a_fault_starts_at_its_sample(bearing):
 def test_unknown_fault_is_named(plugins, bearing):
     machine = bearing(faults={"nonsense": (-0.5, 1.0)})
     with pytest.raises(Exception, match="fault 'nonsense' is unknown; this machine has horizontal_actuator"):
-        commissioning.open_port(machine, "s", FastClock(), plugins)
+        ports.open_port(machine, "s", FastClock(), plugins)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from afdsvc.app import commissioning
+from afdsvc.app import commissioning, ports
 from afdsvc.errors import BadInput
 from afdsvc.files.site import MachineSection
 from afdsvc.hal import control_sample
@@ -87,4 +87,4 @@ def test_whatever_is_read_the_inputs_are_finite_and_within_their_limits(bearing,
 def test_the_range_is_stated_in_the_site_file_one_value_per_output(plugins):
     config = MachineSection(id="bearing", plant="gas_bearing", limits={"sensor_range": [3.0]})
     with pytest.raises(BadInput, match=r"key 'limits.sensor_range' has 1 values; expected 2"):
-        commissioning.open_port(commissioning.commission(config, plugins), "s", FastClock(), plugins)
+        ports.open_port(commissioning.commission(config, plugins), "s", FastClock(), plugins)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from afdsvc.app import commissioning
+from afdsvc.app import commissioning, ports
 from afdsvc.errors import BadInput
 from afdsvc.files.site import MachineSection
 from afdsvc.hal.simulator import REFRESH, SpeedProfile
@@ -42,7 +42,7 @@ def turboexpander(plugins, **driver):
 
 
 def samples(machine, plugins, count):
-    port = commissioning.open_port(machine, "s", FastClock(), plugins)
+    port = ports.open_port(machine, "s", FastClock(), plugins)
     return np.vstack([port.read().values for _ in range(count // machine.config.block)])
 
 

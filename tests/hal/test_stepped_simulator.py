@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Burst, Line
-from afdsvc.app import commissioning
+from afdsvc.app import commissioning, ports
 from afdsvc.errors import BadInput
 from afdsvc.files.site import read_site
 from afdsvc.plugins.manager import load
@@ -69,7 +69,7 @@ def machine(folder, *changes):
 
 
 def port(folder, *changes):
-    return commissioning.open_port(machine(folder, *changes), "s", FastClock(), load())
+    return ports.open_port(machine(folder, *changes), "s", FastClock(), load())
 
 
 def samples(opened, blocks: int = 4) -> np.ndarray:

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from afdsvc.api.bursts import Burst, Line
-from afdsvc.app import commissioning
+from afdsvc.app import ports
 from afdsvc.errors import AfdsvcError
 from afdsvc.hal.agent import RigAgent
 from afdsvc.hal.control_loop import LoopSettings
@@ -342,7 +342,7 @@ def test_hardware_that_fails_at_any_sample_is_brought_to_rest(bearing, at, where
 def test_limits_bind_whatever_the_service_says(bearing, where):
     """The request is within its own limits of alpha; the tight bound of the rig ends it in the very sample."""
     machine = bearing()
-    port = commissioning.open_port(machine, "s", FastClock(), None)
+    port = ports.open_port(machine, "s", FastClock(), None)
     bound = 0.05 if where == "inputs" else 0.5
     tight = machine.limits.input * 0 + bound, machine.limits.output * 0 + bound
     object.__setattr__(port._limits, "input" if where == "inputs" else "output", tight[0] if where == "inputs" else tight[1])

@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block, Channel, residual_block
-from afdsvc.app import commissioning
+from afdsvc.app import commissioning, ports
 from afdsvc.diagnosis.alarm_book import AlarmBook, Policy
 from afdsvc.diagnosis.data_quality import Finding as Trouble
 from afdsvc.diagnosis.pipeline import Outcome
@@ -363,7 +363,7 @@ def test_a_value_that_cannot_be_read_is_an_alarm_and_no_crash(thread):
 def test_a_driver_that_is_not_there_is_never_replaced_by_a_simulator(plugins, thread):
     config = MachineSection(id="m1", plant="gas_bearing", driver=DriverSection(kind="lab"))
     with pytest.raises(BadInput, match="lab"):
-        commissioning.open_port(commissioning.commission(config, plugins), "s1", FastClock(), plugins)
+        ports.open_port(commissioning.commission(config, plugins), "s1", FastClock(), plugins)
 
 
 def test_blueapi_732_everything_runs_on_simulated_machines(simulated):

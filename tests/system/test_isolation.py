@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from afdsvc.app import commissioning
+from afdsvc.app import ports
 from afdsvc.app.pipelines import burst_design, pipeline_of
 from afdsvc.diagnosis.verdict import alarm_decisions, conclude
 from afdsvc.service.clock import FastClock
@@ -22,7 +22,7 @@ LOOPS = [(c, rpm) for c in ("proportional", "lqg") for rpm in (0, 1100)]
 
 def burst_run(machine, plugins, bursts: int = 1, quiet: int = 5000, burst=None):
     """Return the evidence of quiet running and bursts in turn; every burst must play to its end within the limits."""
-    port = commissioning.open_port(machine, "s", FastClock(), plugins)
+    port = ports.open_port(machine, "s", FastClock(), plugins)
     stream = pipeline_of(machine, plugins)
     burst = burst or burst_design(machine, stream)(BurstOrder("test"))
     stream.announce(burst)

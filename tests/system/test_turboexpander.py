@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from afdsvc.app import commissioning, diagnose, serve
+from afdsvc.app import commissioning, diagnose, ports, serve
 from afdsvc.app.pipelines import burst_design, pipeline_of
 from afdsvc.app.rig import run_rig
 from afdsvc.diagnosis.verdict import conclude
@@ -41,7 +41,7 @@ class Bench:
 
     def __init__(self, machine, plugins, sink=None) -> None:
         self.machine, self.sink, self.bursts = machine, sink, 0
-        self.port = commissioning.open_port(machine, "s", FastClock(), plugins)
+        self.port = ports.open_port(machine, "s", FastClock(), plugins)
         self.stream = pipeline_of(machine, plugins)
         self.design = burst_design(machine, self.stream)
         self.evidence, self.said, self.peak = [], [], 0.0

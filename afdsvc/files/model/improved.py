@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+import inspect
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from afdsvc.api.model import Model, Quantity, Variable
+from afdsvc.api.physics import Coefficient, Hypothesis, Signal
 from afdsvc.explain.report.explanation import Explanation
 from afdsvc.explain.search.nuisance import NUISANCE
 from afdsvc.explain.search.problem import Point
+from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import Nominal
-from afdsvc.files.model.improved_code import OBJECT, Parts, factor, goes_by_samples, key, text
+from afdsvc.explain.simulate.steps import Steps
 from afdsvc.files.model.model_file import DYNAMICS, relative_code, write_model
 from afdsvc.lti.statespace import Array, StateSpace
 
@@ -114,3 +118,188 @@ def _parameters(explanation: Explanation, plant: StateSpace) -> dict[str, Quanti
                 sd = sds.get((h.physics, h.site, c.name))
                 found[name] = Quantity(shown, c.unit, 0.05 if sd is None or not shown else float(sd / abs(shown)))
     return found
+
+
+OBJECT = "model"
+ROUNDED = 0.5  # friction rounds its jump so that Runge-Kutta steps of twice this length can follow it
+
+
+def goes_by_samples(plant: StateSpace, effects: Sequence[PlacedEffect]) -> bool:
+    """Whether the simulator goes by samples: a law remembers, or follows time or a recorded signal, or the plant is sampled."""
+    return plant.discrete or any(e.hypothesis.memory or any(s.kind in ("t", "aux") for s in e.hypothesis.reads) for e in effects)
+
+
+def key(h: Hypothesis, c: Coefficient) -> str:
+    """Return the name of a parameter in MODEL.toml, "" for constants and shapes, which stay in the text."""
+    return f"{c.name} of {h.physics} at {h.site}" if c.free and not c.nuisance else ""
+
+
+def factor(c: Coefficient, plant: StateSpace) -> float:
+    """Return what a value in people's units is multiplied by to become the law's."""
+    return 1.0 if c.through is None or plant.B[c.through] == 0 else float(plant.B[c.through])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parts:
+    """What the text is made of: the refitted model, its effects, the steps of the fit, means of auxiliary signals, foreign code.
+
+    ``reference`` is ``file.py:name`` of a nominal model that is Python code itself, "" for matrices.
+    """
+
+    nominal: Nominal
+    plant: StateSpace
+    effects: tuple[PlacedEffect, ...]
+    steps: Steps
+    aux: Mapping[str, float]
+    reference: str
+
+    @property
+    def direct(self) -> bool:
+        """Whether the inputs reach the outputs at once, so that laws at the inputs come first."""
+        return bool(self.plant.D.any())
+
+    def of(self, stage: str) -> list[tuple[int, PlacedEffect]]:
+        """Return the effects of a stage with their numbers."""
+        return [(i, e) for i, e in enumerate(self.effects) if e.hypothesis.stage == stage]
+
+
+def text(parts: Parts) -> str:
+    """Return the text of the simulator."""
+    what = ", ".join(f"{e.hypothesis.physics} at {e.hypothesis.site}" for e in parts.effects)
+    laws = dict.fromkeys((_label(e), _source(e)) for e in parts.effects)
+    return "\n".join([
+        f'"""{parts.nominal.model.name} with what its model left out: {what}.', "",
+        "Written by `afdsvc explain`. Parameters come from the MODEL.toml beside this file, by name; matrices are the refitted ones.", '"""', "",
+        "from __future__ import annotations", "", "import math", *_imports(parts), "", "import numpy as np", "", *_nominal(parts), *_constants(parts), "", "",
+        *(line for _, source in laws for line in (source, "", "")), *(_sampled(parts) if goes_by_samples(parts.plant, parts.effects) else _continuous(parts)), "", "",
+        f"{OBJECT} = Model()", "",
+    ])
+
+
+def _label(e: PlacedEffect) -> str:
+    return f"{e.hypothesis.physics}_{e.hypothesis.law.__name__.lstrip('_')}"
+
+
+def _source(e: PlacedEffect) -> str:
+    """Return the source of a law under its name in the text, without annotations."""
+    source = re.sub(rf"^def {e.hypothesis.law.__name__}\(.*\).*:$", f"def {_label(e)}(p, z, m, dt, out):", inspect.getsource(e.hypothesis.law), count=1, flags=re.M)
+    return source.rstrip()
+
+
+def _imports(parts: Parts) -> list[str]:
+    return ["import importlib.util", "from pathlib import Path"] if parts.reference else []
+
+
+def _nominal(parts: Parts) -> list[str]:
+    """Return the lines that load the nominal model's own code."""
+    if not parts.reference:
+        return []
+    file, name = parts.reference.rsplit(":", 1)
+    return [
+        f'spec = importlib.util.spec_from_file_location("nominal", Path(__file__).parent / {file!r})', "module = importlib.util.module_from_spec(spec)",
+        "spec.loader.exec_module(module)", f"NOMINAL = module.{name}",
+    ]
+
+
+def _constants(parts: Parts) -> list[str]:
+    steps = parts.steps
+    found = [f"{name} = {_array(getattr(parts.plant, name))}" for name in "ABCD"]
+    found += [f"{name.upper()} = {_array(getattr(steps, name))}" for name in ("phi", "gam", "gx", "phih", "gamh")] if goes_by_samples(parts.plant, parts.effects) else []
+    return [*found, f"DT, SUBSTEPS = {parts.nominal.dt!r}, {steps.nsub}  # of the recordings, and steps per sample", "STEP = DT / SUBSTEPS"]
+
+
+def _array(matrix: Array) -> str:
+    return f"np.array({matrix.tolist()!r}).reshape{matrix.shape!r}"
+
+
+def _continuous(parts: Parts) -> list[str]:
+    """Return the class of a continuous model: ``dx/dt = f``, ``y = h``."""
+    read = {"u": "acting[{}]", "x": "x[{}]", "y": "y[{}]"}
+    step = f"{ROUNDED} * STEP"
+    inputs = _laws(parts, "input", read, step, "acting")
+    return [
+        *_head(parts), "", "    def f(self, t, x, u, p):", *_indented(["acting = np.copy(u)", *inputs, f"rates = {_rate(parts, 't', 'x')}"], 2),
+        *_indented([*_laws(parts, "force", read, step, "rates"), "return rates"], 2), "",
+        "    def h(self, t, x, u, p):", *_indented(["acting = np.copy(u)", *inputs, f"y = {_output(parts, 'x')}"], 2),
+        *_indented([*_laws(parts, "output", read, "DT", "y"), "return y"], 2),
+    ]
+
+
+def _sampled(parts: Parts) -> list[str]:
+    """Return the class of a sampled model: ``x+ = f``, ``y = h``; its states are the plant's, the laws' memories, the input before."""
+    n, k = parts.plant.order, sum(e.hypothesis.memory for e in parts.effects)
+    read = {"u": "acting[{}]", "x": "seen[{}]", "y": "y[{}]", "t": "now", "aux": "aux[{}]"}
+    inputs = _laws(parts, "input", read, "STEP", "acting", memory=True)
+    outputs = _laws(parts, "output", read | {"u": "before[{}]"}, "DT", "y", memory=True)
+    values = ", ".join(f"p.get({'aux_' + name!r}, {mean!r})" for name, mean in parts.aux.items())
+    used = any(s.kind == "aux" for e in parts.effects for s in e.hypothesis.reads)
+    return [
+        *_head(parts), "", "    def f(self, t, x, u, p):", "        return self.sample(t, x, u, p)[1]", "", "    def h(self, t, x, u, p):",
+        "        return self.sample(t, x, u, p)[0]", "", "    def sample(self, t, x, u, p):",
+        *_indented([
+            *([f"aux = np.array([{values}])"] if used else []), f"now, state, memory, before = t, np.copy(x[:{n}]), np.copy(x[{n}:{n + k}]), np.copy(x[{n + k}:])",
+            "seen, acting = np.copy(state), np.copy(u)", *(inputs if parts.direct else []), f"y = {_output(parts, 'state', 'now')}", *outputs,
+            *([] if parts.direct else inputs), "for k in range(SUBSTEPS):",
+            *_indented([*(["if k > 0:", *_indented(["acting = np.copy(u)", *inputs], 1)] if inputs else []), *_step(parts, read), "now += STEP"], 1),
+            "return y, np.concatenate((state, memory, acting))",
+        ], 2),
+    ]
+
+
+def _step(parts: Parts, read: Mapping[str, str]) -> list[str]:
+    """Return the lines that advance the plant: forces are taken at the predicted middle of the step and held over it."""
+    forces = ["push = np.zeros(len(state))", *_laws(parts, "force", read, "STEP", "push", memory=True)]
+    if not parts.nominal.python:
+        rows = sorted({s.index for _, e in parts.of("force") for s in e.hypothesis.reads if s.kind == "x"})
+        middle = ["middle = PHIH @ state" + (" + GAMH @ acting" if parts.plant.inputs else ""), *(f"seen[{i}] = middle[{i}]" for i in rows)]
+        return [*(middle if rows else []), *forces, "state = PHI @ state" + (" + GAM @ acting" if parts.plant.inputs else "") + " + GX @ push"]
+    rate = [f"a = {_rate(parts, 'now', 'state')}"]
+    if parts.plant.discrete:
+        return [*rate, "seen[:] = (state + a) / 2", *forces, "state = a + GX @ push"]
+    stages = [f"{new} = {_rate(parts, at, point)} + push" for new, at, point in (
+        ("b", "now + STEP / 2", "state + STEP / 2 * a"), ("c", "now + STEP / 2", "state + STEP / 2 * b"), ("d", "now + STEP", "state + STEP * c"),
+    )]
+    return [*rate, "seen[:] = state + STEP / 2 * a", *forces, "a = a + push", *stages, "state = state + STEP / 6 * (a + 2 * b + 2 * c + d)"]
+
+
+def _head(parts: Parts) -> list[str]:
+    offered = f"    linear = (A, B, C, D, {parts.plant.dt!r})  # without the laws, for methods for linear models: matrices and sample time"
+    return ["class Model:", '    """The nominal model with its laws; ``p`` holds the parameters by name."""', "", offered]
+
+
+def _rate(parts: Parts, t: str, x: str) -> str:
+    if parts.nominal.python:
+        return f"np.asarray(NOMINAL.f({t}, {x}, acting, p)) + 0.0"
+    return f"A @ {x}" + (" + B @ acting" if parts.plant.inputs else "")
+
+
+def _output(parts: Parts, x: str, t: str = "t") -> str:
+    if parts.nominal.python:
+        return f"np.asarray(NOMINAL.h({t}, {x}, acting, p)) + 0.0"
+    return f"C @ {x}" + (" + D @ acting" if parts.direct else "")
+
+
+def _laws(parts: Parts, stage: str, read: Mapping[str, str], step: str, target: str, memory: bool = False) -> list[str]:
+    """Return the lines that add to ``target`` what every law of a stage contributes, one law after the other."""
+    lines = []
+    for i, e in parts.of(stage):
+        h = e.hypothesis
+        first = sum(x.hypothesis.memory for x in parts.effects[:i])
+        own = f"memory[{first}:{first + h.memory}]" if memory else "np.zeros(0)"
+        values = ", ".join(_value(h, c, float(v), parts.plant) for c, v in zip(h.parameters, e.values, strict=True))
+        lines += [f"out = np.zeros({len(h.writes)})", f"{_label(e)}(np.array([{values}]), np.array([{', '.join(_read(s, read) for s in h.reads)}]), {own}, {step}, out)"]
+        lines += [f"{target}[{s.index}] += out[{k}]" for k, s in enumerate(h.writes)]
+    return lines
+
+
+def _value(h: Hypothesis, c: Coefficient, value: float, plant: StateSpace) -> str:
+    scale, name = factor(c, plant), key(h, c)
+    return repr(value) if not name else f"p[{name!r}]" if scale == 1.0 else f"p[{name!r}] * {scale!r}"
+
+
+def _read(s: Signal, read: Mapping[str, str]) -> str:
+    return read[s.kind].format(s.index)
+
+
+def _indented(lines: Sequence[str], levels: int) -> list[str]:
+    return [4 * levels * " " + line for line in lines]

@@ -12,8 +12,7 @@ import numpy as np
 from afdsvc.api.model import DEFAULT_RELATIVE_SD, Dynamics, Model, Quantity, Variable, default_states
 from afdsvc.errors import BadInput
 from afdsvc.files.model.schema import Inline, LinearTable, Matrix, ModelTable, UncertaintyTable, toml_text
-from afdsvc.files.model.stepped import stepped_model, unit_text
-from afdsvc.files.model.user_code import load_dynamics, offered_linear_part
+from afdsvc.files.model.stepped import load_dynamics, offered_linear_part, stepped_model, unit_text
 from afdsvc.files.unfinished import writing
 from afdsvc.files.validation import read_text, toml_table, validated
 from afdsvc.lti.statespace import Array, StateSpace

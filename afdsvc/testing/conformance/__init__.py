@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from afdsvc.errors import BadInput
-from afdsvc.testing.conformance import controllers, detectors, drivers, faults, notifiers, physics, retuners
-from afdsvc.testing.conformance.named import is_named
+from afdsvc.testing.conformance import controllers, detectors, drivers, faults, physics, retuners
+from afdsvc.testing.conformance.named import NOTIFIERS, is_named
 
 Check = Callable[[Any], None]
 SUITES: dict[str, tuple[Check, ...]] = {
@@ -25,7 +25,7 @@ SUITES: dict[str, tuple[Check, ...]] = {
     "detectors": (is_named, *detectors.CHECKS),
     "drivers": (is_named, *drivers.CHECKS),
     "faults": (is_named, *faults.CHECKS),
-    "notifiers": (is_named, *notifiers.CHECKS),
+    "notifiers": (is_named, *NOTIFIERS),
     "physics": (is_named, *physics.CHECKS),
     "retuners": (is_named, *retuners.CHECKS),
 }

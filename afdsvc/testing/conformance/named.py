@@ -1,4 +1,4 @@
-"""Attributes that every plugin object has."""
+"""What every plugin object holds, and notifiers: settings are checked at the start, not at the first alarm."""
 
 from __future__ import annotations
 
@@ -37,3 +37,12 @@ def settings_check(use: Callable[[Any, dict[str, Any]], Any]) -> Callable[[Any],
         assert NONSENSE in said, f"the refusal of an unknown setting does not name it: {said}"
 
     return refuses_unknown_settings
+
+
+
+def opens_to_something_that_can_be_called(thing: Any) -> None:
+    """With its ``example`` settings it opens without telling anybody anything."""
+    assert callable(thing.open(settings_of(thing))), "open() returned nothing that can be called"
+
+
+NOTIFIERS = (settings_check(lambda thing, settings: thing.open(settings)), opens_to_something_that_can_be_called)

@@ -7,7 +7,7 @@ import pytest
 
 from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput
-from afdsvc.files.recording.traces import traces_of
+from afdsvc.files.recording.reader import traces_of
 
 
 def shape(traces):

@@ -15,7 +15,7 @@ from afdsvc.errors import BadInput
 from afdsvc.files.open import Naming, open_file
 from afdsvc.files.recording.foxglove import pool_of
 from afdsvc.files.tables.foreign import prepared
-from afdsvc.files.tables.foreign_messages import number, numeric_paths, stamp_ns
+from afdsvc.files.tables.foreign_mcap import number, numeric_paths, stamp_ns
 from afdsvc.files.tables.mapping import DataMapping
 
 T0 = 1_763_000_000_123_456_789

@@ -2,7 +2,7 @@
 
 import pytest
 
-from afdsvc.files.tables.header import Heading, heading
+from afdsvc.files.tables.mapping import Heading, heading
 
 
 @pytest.mark.parametrize(

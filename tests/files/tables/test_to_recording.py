@@ -8,8 +8,7 @@ import pytest
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import model_text, parse_model
 from afdsvc.files.recording.reader import Recording
-from afdsvc.files.tables.tables import read_table
-from afdsvc.files.tables.to_recording import import_table
+from afdsvc.files.tables.tables import import_table, read_table
 
 MODEL = parse_model(
     'name="m"\ntime="continuous"\ninputs=[{name="force", unit="N"}]\noutputs=[{name="position", unit="m"}]\n'

@@ -8,11 +8,10 @@ import pytest
 from afdsvc.api.signals import Channel, residual_block
 from afdsvc.errors import BadInput
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
-from afdsvc.files.tables.tables import read_table
-from afdsvc.files.tables.to_recording import import_table
+from afdsvc.files.tables.tables import import_table, read_table
 from afdsvc.present.rerun import open_viewer, review_recording, review_recordings
 from afdsvc.present.rerun.blueprint import blueprint
-from afdsvc.present.rerun.sink import ReviewSink
+from afdsvc.present.rerun.log import ReviewSink
 from afdsvc.wire.codec import Message, encode, encode_block
 from afdsvc.wire.messages import EventKind, Residual, RigEvent
 

@@ -1,7 +1,7 @@
 """The sink of the runtime: everything about any number of machines, in files of bounded length."""
 
 from afdsvc.api.signals import residual_block
-from afdsvc.present.rerun.sink import ReviewSink
+from afdsvc.present.rerun.log import ReviewSink
 from afdsvc.wire.codec import Message
 from afdsvc.wire.messages import EventKind, Notice, Residual, RigEvent
 
