@@ -17,9 +17,8 @@ from afdsvc.hal.agent import RigAgent
 from afdsvc.hal.store import Store
 from afdsvc.plugins.manager import load
 from afdsvc.service.clock import RealClock
-from afdsvc.transport.access_rules import access_of
+from afdsvc.transport.access_rules import KeyWatch, access_of
 from afdsvc.transport.certificates import rig_name
-from afdsvc.transport.key_watch import KeyWatch
 from afdsvc.transport.zenoh_session import NoPeer, Transport
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import RigDescription
@@ -71,7 +70,7 @@ def run_rig(
         agent.connect = None if waits else connect
         with ExitStack() as stack:
             if site.transport.security is not None:
-                keys = KeyWatch(site, rig_name(id), transport, clock, lambda: agent.playing, log.info)
+                keys = KeyWatch(site, rig_name(id), transport.reopen, clock, lambda: agent.playing, log.info)
                 stack.callback(keys.close)
             agent.run(seconds)
 

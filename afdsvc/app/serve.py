@@ -27,30 +27,24 @@ from afdsvc.app.pipelines import burst_design, diagnosis_burst, pipeline_of, tun
 from afdsvc.diagnosis.alarm_book import Policy
 from afdsvc.diagnosis.pipeline import Pipeline
 from afdsvc.errors import BadInput
-from afdsvc.files.recording.retention import Keep
 from afdsvc.files.site import Site
 from afdsvc.plugins.manager import Plugins, load
-from afdsvc.service.alarm_history import History
 from afdsvc.service.audit_log import AuditLog
 from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.service.clock import RealClock
-from afdsvc.service.housekeeping import Housekeeper
+from afdsvc.service.housekeeping import Housekeeper, Keep
 from afdsvc.service.hub import Hub
 from afdsvc.service.machine import MachineMonitor
 from afdsvc.service.metrics import serve_metrics
-from afdsvc.service.notifications import NotificationQueue
+from afdsvc.service.notifications import History, NotificationQueue
 from afdsvc.service.operator_requests import Requests, json_values
+from afdsvc.service.recorder_sink import LateRecorder, PreAlarmBuffer, Receipts, RecorderSink
 from afdsvc.service.retuning import Retuning
 from afdsvc.service.scheduler import Scheduler
-from afdsvc.service.sinks.fan_out import FanOut, Sink, ThreadedSink
-from afdsvc.service.sinks.log_sink import LogSink
-from afdsvc.service.sinks.pre_alarm_buffer import PreAlarmBuffer
-from afdsvc.service.sinks.publisher_sink import Publisher
-from afdsvc.service.sinks.recorder_sink import LateRecorder, Receipts, RecorderSink
+from afdsvc.service.sinks import FanOut, LogSink, Publisher, Sink, ThreadedSink
 from afdsvc.service.status_page import serve_page
 from afdsvc.service.warm_up import WarmUp
-from afdsvc.transport.access_rules import access_of
-from afdsvc.transport.key_watch import KeyWatch
+from afdsvc.transport.access_rules import KeyWatch, access_of
 from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire.keys import SERVICE, Keys
@@ -111,7 +105,7 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         security = site.transport.security
         if security is not None:
             said = partial(hub.audit.add, "service") if hub.audit else print
-            stack.callback(KeyWatch(site, SERVICE, transport, clock, lambda: any(r.playing for r in burst_requests.values()), said).close)
+            stack.callback(KeyWatch(site, SERVICE, transport.reopen, clock, lambda: any(r.playing for r in burst_requests.values()), said).close)
         Requests(hub).serve(*((None,) if security is None else (security.operators, security.tuners)))
         stack.callback(hub.stop)
         housekeeper.start()

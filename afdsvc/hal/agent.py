@@ -7,13 +7,15 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
 from afdsvc.api.bursts import Limits
 from afdsvc.api.clock import Clock
 from afdsvc.api.port import DrivablePort, Drive, Port, TunablePort
 from afdsvc.api.signals import Block
 from afdsvc.errors import AfdsvcError, Refused
-from afdsvc.hal.lease import LeaseTimer
+from afdsvc.hal.lease import Grant, refuse_long
 from afdsvc.hal.store import Store
 from afdsvc.transport.freshness import FRESH_SECONDS, Freshness
 from afdsvc.transport.outgoing_queue import OutgoingQueue
@@ -37,7 +39,6 @@ HEARTBEAT_SECONDS = 2.0
 FORWARD_SECONDS = 0.25  # between two looks at the store
 MOST_EARLY = 1000  # events that wait for the network; later ones go first
 LONGEST_LEAD_SECONDS = 10.0
-LONGEST_LEASE_SECONDS = 10.0  # a longer word of honour would outlive whoever gave it
 EMERGENCY = "emergency stop by signal; bursts are refused until the rig agent is started again"
 
 
@@ -65,7 +66,6 @@ class RigAgent:
     store: Store | None = None
 
     def __post_init__(self) -> None:
-        self._lock = threading.Lock()
         self._joined = threading.Event()
         self._early: deque[tuple[str, bytes]] = deque(maxlen=MOST_EARLY)
         ready, publish = (self._joined, self.transport.publish) if self.store is None else (None, self._send)
@@ -74,12 +74,9 @@ class RigAgent:
         self._emergency_told = False
         self._twin: Refused | None = None
         self.truth = sorted(self.truth)
-        self._pending: BurstRequest | None = None
-        self._watchdog, self._freshness = LeaseTimer(self.clock), Freshness(self.clock)
-        self._playing = self._halt = ""
-        self._tuned = self._undo = ""
-        self._pending_q: RetuneRequest | None = None
-        self._q_lease = LeaseTimer(self.clock)
+        self._bursts = Grant[BurstRequest](self.clock, "a burst", "burst '{}' is playing; only one burst is played at a time")
+        self._qs = Grant[RetuneRequest](self.clock, "Q", "another Q acts; restore the machine first")
+        self._freshness, self._tuned = Freshness(self.clock), ""
         self._told_late = self._told_dropped = 0
         self._next_beat = float("-inf")
         self._k = 0
@@ -92,7 +89,7 @@ class RigAgent:
     @property
     def playing(self) -> bool:
         """Whether a burst plays or is about to."""
-        return bool(self._playing)
+        return bool(self._bursts.name)
 
     @property
     def limits(self) -> Limits | None:
@@ -223,30 +220,25 @@ class RigAgent:
 
     def _begin_q(self) -> None:
         """Let the Q act that was accepted."""
-        with self._lock:
-            request, self._pending_q = self._pending_q, None
+        request = self._qs.take()
         if request is None or not isinstance(self.port, TunablePort):
             return
         try:
-            self.port.retune(request.tuning, self._reason_to_restore, request.name)
+            self.port.retune(request.tuning, partial(self._reason_to_end, self._qs), request.name)
         except Refused as refusal:
-            self._tuned = ""
+            self._qs.end()
             self._event(EventKind.RETUNE_REFUSED, str(refusal), request.name)
         else:
+            self._tuned = request.name
             self._event(EventKind.RETUNED, f"accepted by {request.asked_by}: {request.proof}", request.name)
 
     def _end_q(self) -> None:
         """Report a Q that has gone, with its reason."""
         port, name = self.port, self._tuned
-        if name and self._pending_q is None and isinstance(port, TunablePort) and port.restored_because and port.retuned == 0:
+        if name and isinstance(port, TunablePort) and port.restored_because and port.retuned == 0:
             self._tuned = ""
+            self._qs.end()
             self._event(EventKind.RESTORED, port.restored_because, name)
-
-    def _reason_to_restore(self) -> str:
-        """Return why no Q may act now, "" while one may."""
-        if self.emergency.is_set():
-            return EMERGENCY
-        return "the rig agent was asked to stop" if self.stopping.is_set() else self._undo or self._q_lease.expired()
 
     def _publish(self, block: Block) -> None:
         self._k = block.k0 + len(block)
@@ -283,13 +275,12 @@ class RigAgent:
         except Refused as refusal:
             kind, cause = EventKind.BURST_REFUSED, str(refusal)
         finally:
-            with self._lock:
-                self._playing = ""
+            self._bursts.end()
             self._event(kind, cause, name)
 
     def _drive(self, request: BurstRequest) -> str:
         """Arm, play, watch; return why the burst ended early, "" when it did not."""
-        port, limits, reason = self.port, self.limits, self._reason_to_end()
+        port, limits, reason = self.port, self.limits, self._reason_to_end(self._bursts)
         if not isinstance(port, DrivablePort) or limits is None:
             raise Refused("this machine can be watched, not excited")
         if reason:
@@ -305,113 +296,65 @@ class RigAgent:
             return drive.aborted
 
     def _watch(self, drive: Drive) -> None:
-        reason = self._reason_to_end()
+        reason = self._reason_to_end(self._bursts)
         if reason and not drive.aborted:
             drive.stop(reason)
 
-    def _reason_to_end(self) -> str:
-        """Return why no burst may play now, "" while one may: arming needs a fresh lease, and so does going on."""
+    def _reason_to_end(self, grant: Grant[Any]) -> str:
+        """Return why no burst, or no Q, may act now, "" while one may: starting needs a fresh lease, and so does going on."""
         if self.emergency.is_set():
             return EMERGENCY
-        leaving = "the rig agent was asked to stop" if self.stopping.is_set() else ""
-        return leaving or self._halt or self._watchdog.expired()
+        return "the rig agent was asked to stop" if self.stopping.is_set() else grant.reason_to_end()
 
     def _take(self) -> BurstRequest | None:
         """Return the request whose first sample has come."""
-        with self._lock:
-            if self._pending is None or self._k < self._pending.start:
-                return None
-            request, self._pending = self._pending, None
-            return request
+        pending = self._bursts.pending
+        return None if pending is None or self._k < pending.start else self._bursts.take()
 
     def _on_burst(self, payload: bytes) -> bytes:
-        """Accept or refuse; runs in a zenoh thread, so it only checks and leaves the request behind."""
-        burst = ""
-        try:
-            request = codec.decode(BurstRequest, payload)
-            burst = request.burst.name
-            self._refuse_stale(request)
-            self._freshness.refuse_repeated(codec.encode(request))
-            self._accept(request)
-        except AfdsvcError as refusal:
-            return self._refused(burst, str(refusal))
-        except Exception as error:
-            return self._refused(burst, f"the request could not be checked: {type(error).__name__}: {error}")
-        return codec.encode(BurstReply(True, burst))
-
-    def _refused(self, burst: str, reason: str) -> bytes:
-        self._event(EventKind.BURST_REFUSED, reason, burst)
-        return codec.encode(BurstReply(False, burst, reason))
-
-    def _accept(self, request: BurstRequest) -> None:
-        """Reserve the machine, check the burst, and leave it to the control thread, which never waits for the check."""
-        with self._lock:
-            self._refuse(request)
-            self._playing, self._halt = request.burst.name, ""
-        try:
-            self._check(request)
-        except BaseException:
-            with self._lock:
-                self._playing = ""
-            raise
-        with self._lock:
-            self._watchdog.renew(request.lease)
-            self._pending = request
-
-    def _refuse(self, request: BurstRequest) -> None:
-        if self.emergency.is_set():
-            raise Refused(EMERGENCY)
-        if self._playing:
-            raise Refused(f"burst '{self._playing}' is playing; only one burst is played at a time")
-        self._refuse_other(request.machine)
-        if self._watchdog.service_gone:
-            raise Refused("the service is not connected; a burst would not be supervised")
-        if request.lease > LONGEST_LEASE_SECONDS:
-            raise Refused(f"the lease is {request.lease:g} s; at most {LONGEST_LEASE_SECONDS:g} s are accepted without renewal")
-        if (request.start - self._k) * self.port.dt > LONGEST_LEAD_SECONDS:
-            raise Refused(f"the burst is to start at sample {request.start}; it is {self._k} now, which is too far ahead")
+        return self._granted(self._bursts, BurstRequest, payload, self._check, EventKind.BURST_REFUSED)
 
     def _on_retune(self, payload: bytes) -> bytes:
-        """Accept or refuse a Q; runs in a zenoh thread and leaves the request to the control thread."""
+        return self._granted(self._qs, RetuneRequest, payload, self._check_q, EventKind.RETUNE_REFUSED)
+
+    def _granted(self, grant: Grant[Any], kind: type[Any], payload: bytes, check: Callable[[Any], None], refused: EventKind) -> bytes:
+        """Accept or refuse; runs in a zenoh thread, so it only checks, and leaves the request to the control thread, which never waits for that."""
         name = ""
         try:
-            request = codec.decode(RetuneRequest, payload)
-            name = request.name
-            self._refuse_stale(request)
-            self._freshness.refuse_repeated(codec.encode(request))
-            self._accept_q(request)
+            request = codec.decode(kind, payload)
+            name = request.burst.name if isinstance(request, BurstRequest) else request.name
+            self._refuse(request)
+            grant.reserve(name, request.lease)
+            try:
+                check(request)
+            except BaseException:
+                grant.end()
+                raise
+            grant.give(request, request.lease)
         except Exception as error:
             reason = str(error) if isinstance(error, AfdsvcError) else f"the request could not be checked: {type(error).__name__}: {error}"
-            self._event(EventKind.RETUNE_REFUSED, reason, name)
+            self._event(refused, reason, name)
             return codec.encode(BurstReply(False, name, reason))
         return codec.encode(BurstReply(True, name))
 
-    def _accept_q(self, request: RetuneRequest) -> None:
+    def _refuse(self, request: BurstRequest | RetuneRequest) -> None:
+        self._refuse_stale(request)
+        self._freshness.refuse_repeated(codec.encode(request))
         if self.emergency.is_set():
             raise Refused(EMERGENCY)
         self._refuse_other(request.machine)
+
+    def _check(self, request: BurstRequest) -> None:
+        if (request.start - self._k) * self.port.dt > LONGEST_LEAD_SECONDS:
+            raise Refused(f"the burst is to start at sample {request.start}; it is {self._k} now, which is too far ahead")
+        if not isinstance(self.port, DrivablePort) or self.limits is None:
+            raise Refused(f"machine '{self.machine}' can be watched, not excited")
+        self.port.check(request.burst, self.limits)
+
+    def _check_q(self, request: RetuneRequest) -> None:
         if not isinstance(self.port, TunablePort):
             raise Refused(f"the driver of machine '{self.machine}' runs no Q beside its controller")
-        if self._q_lease.service_gone:
-            raise Refused("the service is not connected; Q would not be supervised")
-        if request.lease > LONGEST_LEASE_SECONDS:
-            raise Refused(f"the lease is {request.lease:g} s; at most {LONGEST_LEASE_SECONDS:g} s are accepted without renewal")
         self.port.check_tuning(request.tuning)
-        with self._lock:
-            if self._tuned:
-                raise Refused("another Q acts; restore the machine first")
-            self._q_lease.renew(request.lease)
-            self._tuned, self._undo, self._pending_q = request.name, "", request
-
-    def _on_restore(self, payload: bytes) -> bytes:
-        """Go back to Q = 0; runs in a zenoh thread, the control thread sees it at its next slice."""
-        stop: BurstStop = codec.decode(BurstStop, payload)
-        self._refuse_other(stop.machine)
-        with self._lock:
-            if self._tuned and stop.burst in ("", self._tuned):
-                self._undo = f"restored by {stop.asked_by}: {stop.reason}"
-                return codec.encode(BurstReply(True, self._tuned))
-        return codec.encode(BurstReply(False, stop.burst, "no such Q acts"))
 
     def _refuse_stale(self, request: BurstRequest | RetuneRequest) -> None:
         """Refuse a request of long ago: by this session's samples, which no clock moves, or else by its time stamp."""
@@ -427,32 +370,28 @@ class RigAgent:
         if machine != self.machine:
             raise Refused(f"the request is for machine '{machine}'; this is '{self.machine}'")
 
-    def _check(self, request: BurstRequest) -> None:
-        if not isinstance(self.port, DrivablePort) or self.limits is None:
-            raise Refused(f"machine '{self.machine}' can be watched, not excited")
-        self.port.check(request.burst, self.limits)
-
     def _on_stop(self, payload: bytes) -> bytes:
-        """End what plays or is about to; runs in a zenoh thread."""
+        return self._stopped(self._bursts, payload, "stopped", "no such burst is playing")
+
+    def _on_restore(self, payload: bytes) -> bytes:
+        return self._stopped(self._qs, payload, "restored", "no such Q acts")
+
+    def _stopped(self, grant: Grant[Any], payload: bytes, verb: str, otherwise: str) -> bytes:
+        """End what acts or is about to; runs in a zenoh thread, the control thread sees it at its next slice or block."""
         stop: BurstStop = codec.decode(BurstStop, payload)
         self._refuse_other(stop.machine)
-        with self._lock:
-            playing = self._playing
-            if playing and stop.burst in ("", playing):
-                self._halt = f"stopped by {stop.asked_by}: {stop.reason}"
-                return codec.encode(BurstReply(True, playing))
-        return codec.encode(BurstReply(False, stop.burst, "no such burst is playing"))
+        name = grant.stop(stop.burst, f"{verb} by {stop.asked_by}: {stop.reason}")
+        return codec.encode(BurstReply(bool(name), name or stop.burst, "" if name else otherwise))
 
     def _on_lease(self, _key: str, payload: bytes) -> None:
         lease: Lease = codec.decode(Lease, payload)
-        if lease.seconds > LONGEST_LEASE_SECONDS:
-            raise Refused(f"a lease of {lease.seconds:g} s; at most {LONGEST_LEASE_SECONDS:g} s are accepted without renewal")
-        for name, timer in ((self._playing, self._watchdog), (self._tuned, self._q_lease)):
-            if lease.burst == name and lease.machine == self.machine:
-                timer.renew(lease.seconds)
+        refuse_long(lease.seconds)
+        if lease.machine == self.machine:
+            self._bursts.renew(lease.burst, lease.seconds)
+            self._qs.renew(lease.burst, lease.seconds)
 
     def _on_service(self, _key: str, alive: bool) -> None:
-        self._watchdog.service_gone = self._q_lease.service_gone = not alive
+        self._bursts.service_gone = self._qs.service_gone = not alive
 
     def _event(self, kind: EventKind, cause: str, burst: str = "") -> None:
         event = RigEvent(self.machine, self.description.session, self.clock.now_ns(), kind, self._k, burst, cause)

@@ -17,8 +17,7 @@ from afdsvc.api.retuning import Tuning
 from afdsvc.api.signals import Block, Channel
 from afdsvc.errors import BadInput, Refused
 from afdsvc.hal import control_sample
-from afdsvc.hal.burst_player import BurstPlayer, refuse_burst
-from afdsvc.hal.tuning import RunningQ
+from afdsvc.hal.excitation import BurstPlayer, RunningQ, refuse_burst
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 

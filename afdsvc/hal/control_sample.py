@@ -3,7 +3,7 @@
 `control_sample` is called once per sample by the loop around real hardware, and `run_closed_loop` runs it against a linear
 plant for a slice of samples; both therefore enforce the limits in the same way, inside the sample.
 
-Beside J_K runs Q (`afdsvc.hal.tuning`), from beta to alpha through a gain between 0 and 1. What it adds to alpha is not counted as
+Beside J_K runs Q (`afdsvc.hal.excitation`), from beta to alpha through a gain between 0 and 1. What it adds to alpha is not counted as
 excitation: ``alpha`` stays the burst. ``motion`` holds how the gain moves: ``[phase, rise, fall, direction]`` with the gain
 ``(1 - cos(pi phase)) / 2``, the steps of the phase per sample, and 1 while Q is to act, -1 while it is to go, 0 without one.
 """

@@ -17,7 +17,7 @@ from afdsvc.diagnosis.pipeline import ExcitableStream
 from afdsvc.diagnosis.verdict import open_question
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.service.scheduler import BurstOrder, Scheduler
-from afdsvc.service.sinks.fan_out import Sink
+from afdsvc.service.sinks import Sink
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.codec import Message

@@ -19,15 +19,14 @@ from afdsvc.api.clock import Clock
 from afdsvc.diagnosis.alarm_book import AlarmBook, Policy
 from afdsvc.diagnosis.pipeline import Outcome
 from afdsvc.errors import BadInput, Refused
-from afdsvc.service.alarm_history import History
 from afdsvc.service.audit_log import AuditLog
 from afdsvc.service.burst_requests import BurstRequests
+from afdsvc.service.clock import Watchdog
 from afdsvc.service.machine import MachineMonitor
-from afdsvc.service.notifications import NotificationQueue
+from afdsvc.service.notifications import History, NotificationQueue
+from afdsvc.service.recorder_sink import Receipts
 from afdsvc.service.retuning import Retuning
-from afdsvc.service.sinks.fan_out import ThreadedSink
-from afdsvc.service.sinks.recorder_sink import Receipts
-from afdsvc.service.watchdog import Watchdog
+from afdsvc.service.sinks import ThreadedSink
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.codec import Message

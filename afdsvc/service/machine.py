@@ -14,7 +14,7 @@ from afdsvc.api.signals import Block, residual_block
 from afdsvc.diagnosis.pipeline import Outcome, Stream
 from afdsvc.diagnosis.verdict import FaultVerdict, conclude, model_gap
 from afdsvc.errors import BadInput
-from afdsvc.service.sinks.fan_out import Sink
+from afdsvc.service.sinks import Sink
 from afdsvc.wire import codec
 from afdsvc.wire.codec import Message
 from afdsvc.wire.messages import Alarm, Finding, MachineStatus, Notice, Residual, RigDescription, RigEvent

@@ -33,8 +33,8 @@ from afdsvc.app import commissioning
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.site import MachineSection, PluginSection
 from afdsvc.hal.agent import RigAgent
-from afdsvc.hal.burst_player import LONGEST_FADE
 from afdsvc.hal.control_loop import LoopSettings
+from afdsvc.hal.excitation import LONGEST_FADE
 from afdsvc.hal.hardware import DrivenRig
 from afdsvc.plugins.manager import load
 from afdsvc.service.clock import FastClock
@@ -150,7 +150,7 @@ class Attack:
         """Nothing may play longer after the lease than a fade and a block."""
         agent = self.agent
         assert agent is not None
-        overdue = self.clock.monotonic() - agent._watchdog.until  # noqa: SLF001
+        overdue = self.clock.monotonic() - agent._bursts.until  # noqa: SLF001
         playing = agent.port._excitation.playing  # noqa: SLF001
         if playing and overdue > LONGEST_FADE + 2 * BLOCK * agent.port.dt:
             self.found.append(f"sample {self.n}: a burst plays {overdue:.2f} s after its lease")
@@ -205,7 +205,7 @@ class Attack:
 
     def lease(self) -> None:
         """Renew what plays, or something else."""
-        playing = self.agent._playing or "none"  # noqa: SLF001
+        playing = self.agent._bursts.name or "none"  # noqa: SLF001
         lease = Lease(self.rng.choice(("m", "m", "m", "other")), self.rng.choice((playing, playing, "b-none")), self.rng.choice((0.01, 0.1, 2.0, 2.0, 10.0, 11.0, 1e300)))
         self.line.heard[KEYS.lease("m")]("", codec.encode(lease))
 

@@ -20,7 +20,7 @@ from afdsvc.api.detection import DetectionProblem
 from afdsvc.api.retuning import Diagnosed, LoopCost, Tuning
 from afdsvc.errors import Refused
 from afdsvc.hal import control_sample
-from afdsvc.hal.tuning import RunningQ
+from afdsvc.hal.excitation import RunningQ
 from afdsvc.retune.cost import loop_cost, signal_model
 from afdsvc.retune.design import design_q, severity_grid
 from afdsvc.retune.proof import Switch, proved_tuning

@@ -34,7 +34,7 @@ from afdsvc.errors import AfdsvcError
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import read_site
 from afdsvc.service import operator_requests
-from afdsvc.service.alarm_history import History
+from afdsvc.service.notifications import History
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys

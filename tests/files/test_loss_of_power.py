@@ -15,7 +15,7 @@ from afdsvc.files.recording.mcap_records import is_finished
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.recording.recorder import Recorder, RecordingFailed, RecordingSettings
 from afdsvc.files.recording.recover import recover_in_place
-from afdsvc.files.recording.retention import Keep, tidy
+from afdsvc.service.housekeeping import Keep, tidy
 from afdsvc.wire.codec import encode_block
 
 

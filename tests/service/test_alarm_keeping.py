@@ -20,10 +20,9 @@ from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import parse_site
 from afdsvc.plugins.manager import load
-from afdsvc.service.alarm_history import History
-from afdsvc.service.notifications import NotificationQueue
+from afdsvc.service.notifications import History, NotificationQueue
 from afdsvc.service.operator_requests import json_values
-from afdsvc.service.sinks.pre_alarm_buffer import PreAlarmBuffer
+from afdsvc.service.recorder_sink import PreAlarmBuffer
 from afdsvc.service.webhook import Webhook
 from afdsvc.wire import codec
 from afdsvc.wire.codec import Message

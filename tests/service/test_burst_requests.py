@@ -16,7 +16,7 @@ from afdsvc.service.burst_requests import LEASE_SECONDS, BurstRequests
 from afdsvc.service.clock import RealClock
 from afdsvc.service.hub import Hub
 from afdsvc.service.scheduler import BurstOrder, Scheduler
-from afdsvc.service.sinks.fan_out import FanOut
+from afdsvc.service.sinks import FanOut
 from afdsvc.transport.zenoh_session import PeerSilent
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys

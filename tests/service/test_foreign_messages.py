@@ -57,13 +57,13 @@ def test_a_flood_of_names_is_reported_a_few_times_only():
 def test_a_rig_ignores_stops_and_leases_meant_for_another_machine():
     transport = SimpleNamespace(publish=lambda *a: None)
     agent = RigAgent(Keys("t"), RigDescription("m1", "s", 1, 1e-3, CHANNELS), SimpleNamespace(dt=1e-3), transport, FastClock())
-    agent._playing = "b"
+    agent._bursts.name = "b"
     with pytest.raises(Refused, match="is for machine 'm2'; this is 'm1'"):
         agent._on_stop(codec.encode(BurstStop("m2", "why", "kim")))
     agent._on_lease("", codec.encode(Lease("m2", "b", 1.0)))
-    assert agent._reason_to_end() == "the lease expired: no renewal from the service"
+    assert agent._bursts.reason_to_end() == "the lease expired: no renewal from the service"
     agent._on_lease("", codec.encode(Lease("m1", "b", 1.0)))
-    assert agent._reason_to_end() == ""
+    assert agent._bursts.reason_to_end() == ""
 
 
 def test_a_new_session_counts_its_samples_anew_before_its_first_block():

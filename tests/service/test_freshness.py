@@ -13,9 +13,8 @@ import pytest
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.signals import Channel
 from afdsvc.hal.agent import RigAgent
-from afdsvc.service.clock import FastClock, RealClock
+from afdsvc.service.clock import FastClock, RealClock, Watchdog
 from afdsvc.service.operator_requests import Requests, ask
-from afdsvc.service.watchdog import Watchdog
 from afdsvc.transport.freshness import FRESH_SECONDS
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
@@ -40,7 +39,7 @@ def asked(agent: RigAgent, t_ns: int = NOW, start: int = 0, session: str = "", k
     """Return why a burst was refused, "" for one that was accepted."""
     payload = codec.encode(BurstRequest("m1", BURST, 2.0, "test", t_ns, start, session, k)) + beside
     reply = codec.decode(BurstReply, agent._on_burst(payload))
-    agent._playing = ""
+    agent._bursts.end()
     return reply.reason
 
 
@@ -140,7 +139,7 @@ def test_an_unsecured_service_says_so_at_its_start(tmp_path, free_port):
         capture_output=True, text=True, check=True, timeout=120,
     )  # fmt: skip
     said = [json.loads(line) for line in done.stderr.splitlines()]
-    warnings = [line["message"] for line in said if line["level"] == "warning" and line["logger"] != "afdsvc.service.watchdog"]
+    warnings = [line["message"] for line in said if line["level"] == "warning" and line["logger"] != "afdsvc.service.clock"]
     assert warnings == [
         f"{tmp_path / 'site.toml'}: key 'transport.security' is missing: whoever reaches tcp/127.0.0.1:{free_port} may read all signals "
         "and excite the machines"

@@ -13,9 +13,8 @@ from afdsvc.api.signals import Block, Channel
 from afdsvc.files.recording.mcap_records import is_finished
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
-from afdsvc.files.recording.retention import Keep
 from afdsvc.service.clock import RealClock
-from afdsvc.service.housekeeping import Housekeeper, unfinished
+from afdsvc.service.housekeeping import Housekeeper, Keep, unfinished
 from afdsvc.wire import codec
 
 

@@ -9,9 +9,8 @@ from types import SimpleNamespace
 import pytest
 
 from afdsvc.errors import AfdsvcError, Refused
-from afdsvc.service.clock import RealClock
+from afdsvc.service.clock import LONGEST, WINDOW_SECONDS, RealClock, Watchdog
 from afdsvc.service.operator_requests import TICKETS, Requests, answer, ask
-from afdsvc.service.watchdog import LONGEST, WINDOW_SECONDS, Watchdog
 
 
 class Machine:

@@ -28,18 +28,18 @@ from afdsvc.files.recording.mcap_records import is_finished
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.files.recording.recover import recover_in_place
-from afdsvc.files.recording.retention import Keep, tidy
 from afdsvc.files.site import Alarms, Bursts, DriverSection, MachineSection
 from afdsvc.hal.control_loop import LoopSettings
 from afdsvc.hal.hardware import DrivenRig
-from afdsvc.service.alarm_history import History
 from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.service.clock import FastClock
+from afdsvc.service.housekeeping import Keep, tidy
 from afdsvc.service.hub import Hub
 from afdsvc.service.machine import MachineMonitor
+from afdsvc.service.notifications import History
+from afdsvc.service.recorder_sink import PreAlarmBuffer
 from afdsvc.service.scheduler import BurstOrder, Scheduler
-from afdsvc.service.sinks.pre_alarm_buffer import PreAlarmBuffer
-from afdsvc.service.sinks.publisher_sink import Publisher
+from afdsvc.service.sinks import Publisher
 from afdsvc.transport.zenoh_session import PeerSilent
 from afdsvc.wire import codec
 from afdsvc.wire.codec import Message

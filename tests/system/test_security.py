@@ -22,7 +22,7 @@ from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, TransportSection, parse_site
 from afdsvc.service.audit_log import verify_chain
 from afdsvc.service.operator_requests import ask
-from afdsvc.transport import key_watch
+from afdsvc.transport import access_rules
 from afdsvc.transport.access_rules import Access
 from afdsvc.transport.certificates import check_pair, days_left, ending, key_files, make_certificates, rig_name
 from afdsvc.transport.zenoh_session import NoPeer
@@ -211,7 +211,7 @@ def test_certificates_are_renewed_and_revoked_without_a_restart(free_port, tmp_p
     keys, stolen = tmp_path / "keys", tmp_path / "stolen"
     shutil.copytree(keys, stolen)
     thief = site_of(free_port, tmp_path, "stolen")
-    monkeypatch.setattr(key_watch, "LOOK_SECONDS", 0.2)
+    monkeypatch.setattr(access_rules, "LOOK_SECONDS", 0.2)
     with running(site) as hub:
         ask_service(thief, "pause", "kim", machine="bearing")
         renewed = {p.name for p in make_certificates(site, renew=True) if p.suffix == ".pem"}

@@ -15,8 +15,8 @@ from afdsvc.diagnosis.verdict import conclude
 from afdsvc.errors import BadInput, NotStabilising, Refused
 from afdsvc.files.site import MachineSection, parse_site
 from afdsvc.service.clock import FastClock
+from afdsvc.service.recorder_sink import RecorderSink
 from afdsvc.service.scheduler import BurstOrder
-from afdsvc.service.sinks.recorder_sink import RecorderSink
 from afdsvc.wire.codec import Message
 from afdsvc.wire.messages import BurstRequest
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from afdsvc.wire import regenerate
+from benchmarks.support import regenerate_messages
 
 
 def description_in(generated: Path) -> str:
@@ -14,8 +14,8 @@ def description_in(generated: Path) -> str:
 
 def test_committed_messages_fit_the_proto_file(tmp_path, monkeypatch):
     pytest.importorskip("grpc_tools")
-    here = regenerate.HERE
+    here = regenerate_messages.HERE
     shutil.copy(here / "afdsvc.proto", tmp_path)
-    monkeypatch.setattr(regenerate, "HERE", tmp_path)
-    assert regenerate.run_protoc() == 0
+    monkeypatch.setattr(regenerate_messages, "HERE", tmp_path)
+    assert regenerate_messages.run_protoc() == 0
     assert description_in(tmp_path / "afdsvc_pb2.py") == description_in(here / "afdsvc_pb2.py")

@@ -1,4 +1,4 @@
-"""Distribution of messages and findings to recorder, review and publisher; none may delay detection."""
+"""Sinks: everything about a machine goes to the recorder, the review, viewers and the log; none may delay detection."""
 
 from __future__ import annotations
 
@@ -6,9 +6,15 @@ import logging
 import queue
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
 from typing import Protocol
 
+from afdsvc.api.evidence import Evidence, Severity
+from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.wire.codec import Message
+from afdsvc.wire.keys import Keys
+from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, Notice, Residual, RetuneRequest, RigEvent
 
 log = logging.getLogger(__name__)
 
@@ -130,3 +136,93 @@ class FanOut:
         """Close all."""
         for sink in self.sinks:
             sink.close()
+
+
+_payload = attrgetter("payload")  # encoded in the thread of the queue, unless another sink has
+
+
+@dataclass
+class Publisher:
+    """Publishes residuals and decisions of one machine; blocks and events are on the wire already.
+
+    Residuals go by ``stream``, where only the newest matter, decisions and alarms by ``post``; neither waits for a viewer.
+    """
+
+    keys: Keys
+    post: OutgoingQueue
+    stream: OutgoingQueue
+    heard: Callable[[str], bool] = lambda key: True
+
+    def take(self, message: Message) -> None:
+        """Publish a residual when anybody looks at it, a decision, or what happened to an alarm."""
+        match message.value:
+            case Residual(block):
+                if self.heard(self.keys.residual(block.machine)):
+                    self.stream.send(self.keys.residual(block.machine), _payload, message)
+            case Finding(evidence):
+                self.post.send(self.keys.evidence(evidence.machine), _payload, message)
+            case AlarmChange(alarm):
+                self.post.send(self.keys.alarm(alarm.machine), _payload, message)
+
+    def tick(self) -> None:
+        """Nothing."""
+
+    def close(self) -> None:
+        """Nothing: the posts are closed by whoever opened them."""
+
+
+LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
+
+
+class LogSink:
+    """A sink that writes lines; samples pass it by. Of the decisions on one burst that find nothing, the first is written."""
+
+    def __init__(self, machine: str) -> None:
+        self._machine = machine
+        self._quiet = ""  # the burst on which nothing was found, already said
+
+    def take(self, message: Message) -> None:
+        """Write the line of a message, if it has one."""
+        match message.value:
+            case Finding(evidence=evidence):
+                self._decided(evidence)
+            case RigEvent() as event:
+                said = f" {event.burst}" * bool(event.burst) + f": {event.cause}" * bool(event.cause)
+                log.info("%s: %s%s", self._machine, event.kind.replace("_", " "), said)
+            case BurstRequest() as request:
+                log.info("%s: burst %s asked for by %s", self._machine, request.burst.name, request.asked_by)
+            case RetuneRequest() as request:
+                log.info("%s: Q %s for %s asked for by %s", self._machine, request.name, request.found.fault, request.asked_by)
+            case Notice(machine, level, sentence):
+                log.log(LEVELS.get(level, logging.INFO), "%s", sentence if sentence.startswith(f"{machine}:") else f"{machine}: {sentence}")
+            case AlarmChange() as change:
+                self._alarm(change)
+
+    def _decided(self, e: Evidence) -> None:
+        quiet = e.trustworthy and not e.detected
+        if not e.burst or (quiet and e.burst == self._quiet):
+            return
+        self._quiet = e.burst if quiet else self._quiet
+        log.info("%s: %s: %s", self._machine, e.detector, _decision(e))
+
+    def _alarm(self, change: AlarmChange) -> None:
+        a, by = change.alarm, f" by {change.who}" if change.who else ""
+        why = f": {change.why}" if change.why else ""
+        log.warning("%s: alarm %s (%s %s) %s%s%s", self._machine, a.id, a.fault, size(a.severity), change.event, by, why)
+
+    def tick(self) -> None:
+        """Pass."""
+
+    def close(self) -> None:
+        """Pass."""
+
+
+def _decision(e: Evidence) -> str:
+    """Return a decision in words, with its statistic and threshold."""
+    said = e.reason or "not trustworthy" if not e.trustworthy else f"{e.fault or 'a fault, not isolated'} {size(e.severity)}".rstrip() if e.detected else "no fault"
+    return f"{said} (statistic {e.statistic:.3g}, threshold {e.threshold:.3g})"
+
+
+def size(severity: Severity | None) -> str:
+    """Return a severity in percent with its standard error, "" for none."""
+    return "" if severity is None else f"{100 * severity.value:+.1f} ± {100 * severity.sd:.1f} %"

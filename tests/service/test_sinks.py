@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 
 from afdsvc.api.evidence import Evidence, Severity
-from afdsvc.service.sinks.log_sink import LogSink
+from afdsvc.service.sinks import LogSink
 from afdsvc.wire.codec import Message
 from afdsvc.wire.messages import Alarm, AlarmChange, EventKind, Finding, RigEvent
 

@@ -14,12 +14,10 @@ from afdsvc.app.serve import SiteSinks
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import RecordingSection as Settings
 from afdsvc.files.site import parse_site
+from afdsvc.service import recorder_sink
 from afdsvc.service.clock import FastClock
-from afdsvc.service.sinks import recorder_sink
-from afdsvc.service.sinks.fan_out import FanOut, ThreadedSink
-from afdsvc.service.sinks.pre_alarm_buffer import PreAlarmBuffer
-from afdsvc.service.sinks.publisher_sink import Publisher
-from afdsvc.service.sinks.recorder_sink import RecorderSink
+from afdsvc.service.recorder_sink import PreAlarmBuffer, RecorderSink
+from afdsvc.service.sinks import FanOut, Publisher, ThreadedSink
 from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.wire import codec
 from afdsvc.wire.codec import Message

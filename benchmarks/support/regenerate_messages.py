@@ -1,15 +1,15 @@
-"""Regenerate the messages from ``afdsvc.proto`` with ``python -m afdsvc.wire.regenerate`` (needs grpcio-tools)."""
+"""Regenerate the messages from ``afdsvc.proto`` with ``python benchmarks/support/regenerate_messages.py`` (needs grpcio-tools)."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).resolve().parents[2] / "afdsvc" / "wire"
 
 
 def run_protoc() -> int:
-    """Run protoc beside this file; returns its exit code."""
+    """Run protoc in `afdsvc/wire`; returns its exit code."""
     import grpc_tools
     from grpc_tools import protoc
 

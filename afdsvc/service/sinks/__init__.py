@@ -1,1 +1,0 @@
-"""Sinks of the service: recorder, publisher, pre-alarm buffer."""
