@@ -5,15 +5,14 @@ from __future__ import annotations
 import ipaddress
 import os
 import re
-import tomllib
 from datetime import time
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from afdsvc.errors import BadInput
-from afdsvc.files.validation import BOUNDS, file_size
+from afdsvc.files.validation import read_text, toml_table, validated
 
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 Positive = Annotated[float, Field(gt=0)]
@@ -334,26 +333,16 @@ def read_site(path: Path) -> Site:
     Paths inside the file are relative to its folder. A site that names no folder for recordings keeps them in the state directory
     of its systemd unit (``STATE_DIRECTORY``), where there is one; rigs keep there what is not acknowledged, in ``store``.
     """
-    try:
-        file_size(path, BOUNDS.text)
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: cannot be read as a site file ({error})") from error
+    text = read_text(path)
     return parse_site(text, str(path), path.parent)
 
 
 def parse_site(text: str, origin: str, folder: Path | None = None) -> Site:
     """Validate the text of a site file; see `read_site`."""
-    try:
-        data = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise BadInput(f"{origin}: not valid TOML: {error}") from error
+    data = toml_table(text, origin)
     if "text" in data or "origin" in data:
         raise BadInput(f"{origin}: key 'text' or 'origin' is unknown; see the reference of the site file")
-    try:
-        site = Site.model_validate(data)
-    except ValidationError as error:
-        raise BadInput(_sentence(origin, error)) from error
+    site = validated(Site, data, origin)
     return _anchored(site.model_copy(update={"text": text, "origin": origin}), folder)
 
 
@@ -389,22 +378,3 @@ def _anchored(site: Site, folder: Path | None) -> Site:
 def _placed(unit: str | None, folder: Path) -> str | None:
     """Return a file's place made absolute; a module's name stays."""
     return str(folder / unit) if unit and (unit.endswith(".fmu") or ".py:" in unit) else unit
-
-
-def _sentence(origin: str, error: ValidationError) -> str:
-    """Return one sentence: file, key, value found, value expected; further faults are counted."""
-    first, more = error.errors()[0], error.error_count() - 1
-    key = ".".join(str(part) for part in first["loc"]) or "the file"
-    wanted = first["msg"].removeprefix("Value error, ")
-    if first["type"] == "extra_forbidden":
-        wanted = "this key is unknown; remove it or correct its spelling"
-    elif first["type"] == "missing":
-        wanted = "this key is required"
-    found = "" if first["type"] == "missing" else f", found {_short(first['input'])}"
-    rest = f" (and {more} more)" if more else ""
-    return f"{origin}: key '{key}'{found}: {wanted}{rest}"
-
-
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else text[:77] + "..."

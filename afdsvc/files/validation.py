@@ -106,7 +106,8 @@ def _sentence(schema: type[BaseModel], error: Any) -> str:
     found = _shortened(error["input"])
     if kind == "value_error":
         detail = message.removeprefix("Value error, ")
-        return f"key '{key}': {detail}" if key else detail
+        given = f" is {found};" if isinstance(error["input"], str | int | float) else ":"
+        return f"key '{key}'{given} {detail}" if key else detail
     return f"key '{key}' is {found}; {message[0].lower()}{message[1:]}".replace("input should be", "expected")
 
 

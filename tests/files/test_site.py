@@ -28,22 +28,22 @@ def test_defaults_are_safe():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("site = \n", ["site.toml", "not valid TOML", "line 1"]),
-        (GOOD + "block = 5\n", ["machines.0.block", "found 5", "greater than or equal to 10"]),
-        (GOOD + "blok = 500\n", ["machines.0.blok", "found 500", "unknown"]),
-        (GOOD.replace('id = "bearing-1"\n', ""), ["machines.0.id", "required"]),
-        (GOOD.replace("bearing-1", "a/b"), ["machines.0.id", "'a/b'", "letters, digits"]),
+        ("site = \n", ["site.toml", "not a TOML file", "line 1"]),
+        (GOOD + "block = 5\n", ["machines[0].block", "is 5", "greater than or equal to 10"]),
+        (GOOD + "blok = 500\n", ["machines[0].blok", "is not known"]),
+        (GOOD.replace('id = "bearing-1"\n', ""), ["machines[0].id", "missing"]),
+        (GOOD.replace("bearing-1", "a/b"), ["machines[0].id", "'a/b'", "letters, digits"]),
         (GOOD + 'model = "m.toml"\n', ["exactly one of 'plant' and 'model'"]),
         (GOOD.replace('plant = "gas_bearing"\n', ""), ["exactly one of 'plant' and 'model'"]),
         (
             GOOD + '[[machines]]\nid = "bearing-1"\nplant = "gas_bearing"\n',
             ["ids must differ", "'bearing-1' appears 2 times"],
         ),
-        (GOOD + 'driver = {kind = "replay"}\n', ["machines.0.driver", "needs 'recording'"]),
-        (GOOD + 'driver = {faults = [{name = "x", severity = -3}]}\n', ["severity", "found -3", "-1"]),
+        (GOOD + 'driver = {kind = "replay"}\n', ["machines[0].driver", "needs 'recording'"]),
+        (GOOD + 'driver = {faults = [{name = "x", severity = -3}]}\n', ["severity", "is -3", "-1"]),
         ('site = "lab"\nmachines = []\n', ["machines", "at least 1"]),
         ('site = "lab"\ntext = "x"\n', ["unknown"]),
-        ("site = 3\n" + GOOD.replace('site = "lab"', ""), ["'site'", "found 3", "string"]),
+        ("site = 3\n" + GOOD.replace('site = "lab"', ""), ["'site'", "is 3", "string"]),
     ],
 )
 def test_wrong_files_are_named(text, words):
@@ -98,5 +98,5 @@ def test_a_limit_is_finite(key):
 
 
 def test_deep_nesting_is_a_sentence():
-    with pytest.raises(BadInput, match="not valid TOML"):
+    with pytest.raises(BadInput, match="not a TOML file"):
         parse_site("x = " + 5000 * "[" + 5000 * "]", "site.toml")

@@ -47,7 +47,7 @@ def test_demo_names_the_fault(tmp_path: Path):
     ("arguments", "words"),
     [
         (("serve", "missing.toml"), ("missing.toml", "cannot be read")),
-        (("serve", "wrong.toml"), ("wrong.toml", "machines.0.blok", "found 3")),
+        (("serve", "wrong.toml"), ("wrong.toml", "machines[0].blok", "is not known")),
         (("serve", "plugin.toml"), ("machine 'm'", "no plugin 'fuzzy' among the controllers", "lqg, pid, proportional")),
         (("serve", "unstable.toml"), ("machine 'm'", "does not stabilise")),
         (("serve", "shape.toml"), ("machine 'm'", "gain", "(2, 2)")),
