@@ -21,8 +21,7 @@ from afdsvc.files.site import STEPPED, Fault, MachineSection
 from afdsvc.files.tables.tables import read_table
 from afdsvc.hal.control_loop import LoopSettings, Prediction
 from afdsvc.hal.replay import Replay, blocks_of
-from afdsvc.hal.simulator import ScheduledFault, SimulatedPlant, SimulatedRig, SpeedProfile
-from afdsvc.hal.simulator import GainFault, SteppedSimulator
+from afdsvc.hal.simulator import GainFault, ScheduledFault, SimulatedPlant, SimulatedRig, SpeedProfile, SteppedSimulator
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.plants.registry import plant as plant_by_name
 from afdsvc.plants.stepped.fmi_unit import FmiUnit
