@@ -57,6 +57,12 @@ class Burst:
             alpha[:, line.input] += line.amplitude * np.sin(line.omega * t + line.phase)
         return alpha * self.envelope()[:, None]
 
+    @property
+    def content(self) -> tuple[object, ...]:
+        """What is played, whatever the burst is called: every burst has a name of its own, most are alike."""
+        waveform = b"" if self.waveform is None else self.waveform.tobytes()
+        return self.inputs, self.samples, self.ramp, self.settle, self.lines, waveform
+
     def envelope(self) -> Array:
         """Return the raised-cosine gate, shape ``(samples,)``, between 0 and 1."""
         gate = np.ones(self.samples)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from afdsvc.api.bursts import Burst, Limits
 from afdsvc.api.evidence import Evidence
+from afdsvc.api.memo import Memo
 from afdsvc.lti.lft import AugmentedPlant
 from afdsvc.lti.statespace import Array, StateSpace
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,6 +75,14 @@ class DetectionProblem:
     loop_known: bool = True
     cross_cov: Array | None = None
     noise_samples: int = 0
+    memo: Memo = field(default_factory=Memo, repr=False)
+
+    def once(self, make: Callable[[], T], *key: object) -> T:
+        """Return ``make()``, made once for all problems of this machine that differ in their false alarms only.
+
+        ``key`` tells it from everything else that is made for the machine; a promised rate that matters belongs to it.
+        """
+        return self.memo(make, *key, *(getattr(self, f.name) for f in fields(self) if f.name not in ("false_alarms", "memo")))
 
     @property
     def fault_names(self) -> tuple[str, ...]:
@@ -84,7 +95,7 @@ class ResidualBlock:
     """Consecutive samples for a detector: whitened residual ``r (n, p)``, ``beta (n, p)`` (empty when the machine has
     none), ``u (n, m)``, ``y (n, p)``, ``alpha (n, m)``, ``aux`` by label. ``burst`` is the burst playing (None when
     quiet), ``burst_start`` the index of its first sample. ``gap`` is True when samples are missing before this block:
-    whatever was being accumulated must be thrown away.
+    whatever was being accumulated must be thrown away. ``memo`` keeps what several detectors compute from the block.
     """
 
     k0: int
@@ -99,6 +110,7 @@ class ResidualBlock:
     burst_start: int = 0
     gap: bool = False
     aux: Mapping[str, Array] = field(default_factory=dict)
+    memo: Memo = field(default_factory=Memo, init=False, repr=False)
 
     def __len__(self) -> int:
         return int(self.r.shape[0])

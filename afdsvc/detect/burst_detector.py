@@ -6,9 +6,8 @@ missing, frozen or saturated signals, evidence in words) is here and the same fo
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,19 +15,16 @@ import numpy as np
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, ResidualBlock
 from afdsvc.api.evidence import Evidence
-from afdsvc.detect.features.burst_noise import BurstNoise
-from afdsvc.detect.features.data_checks import BurstChecks, PlayedLines, Runs
+from afdsvc.detect.features.front_end import FrontEnd, Played, Seen, Stage, front_end
 from afdsvc.detect.features.nuisances import NONE as NO_NUISANCES
-from afdsvc.detect.features.nuisances import Cleaning, Nuisances
-from afdsvc.detect.features.quiet_window import NOTHING, Recent
-from afdsvc.detect.features.regressors import Regressors, regressors
-from afdsvc.detect.features.shared_filter import Filters, shared
-from afdsvc.detect.features.whiteness_gate import Gate, GateState, Judgement, finite
+from afdsvc.detect.features.nuisances import Nuisances
+from afdsvc.detect.features.regressors import without_faults
+from afdsvc.detect.features.shared_filter import Filters, shared_regressors
+from afdsvc.detect.features.whiteness_gate import Gate, Judgement
 from afdsvc.detect.isolation import NONE, Fit
 from afdsvc.detect.statistics.conditional_severity import given_detection
 from afdsvc.errors import AfdsvcError
 from afdsvc.lti.statespace import Array
-from afdsvc.stats.memo import Once, at_rest, counted, stepped
 
 BOUND = 2.0  # standard errors beyond an early estimate where the severity hardly lies
 
@@ -82,170 +78,119 @@ class BurstStatistic(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Playing:
-    """A burst in progress; ``refused`` says why the statistic cannot judge it, "" where it can."""
+    """Sums of the burst in progress that began at sample ``start``; ``refused`` says why the statistic cannot judge it, "" where it can."""
 
-    burst: Burst
-    name: str
     start: int
-    asked: Array
-    checks: BurstChecks
     sums: Any
-    shown: PlayedLines
-    noise: BurstNoise
-    decided: bool = False
     refused: str = ""
+    decided: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BurstDetectorState:
-    """State of a burst detector: filters, gate, runs of constant values, the burst in progress, nuisances of quiet data."""
+    """State of a burst detector: what its front end has seen, and its own sums."""
 
-    filters: Any
-    gate: GateState
-    runs: Runs
+    seen: Seen
     playing: Playing | None = None
-    cleaning: Cleaning | None = None
-    recent: Recent = NOTHING
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BurstDetector:
     """A detector that decides at the end of every burst. ``sure`` is the weight that singles a fault out.
 
-    Quiet data are judged after the ``nuisances`` are taken out: unbalance is no reason to distrust a model. When they need an
+    Quiet data are judged after the nuisances are taken out: unbalance is no reason to distrust a model. When they need an
     explanation the last quiet samples are looked at again with the filters ``explain``.
     """
 
     name: str
     problem: DetectionProblem
     statistic: BurstStatistic
-    filters: Filters
-    gate: Gate
+    front: FrontEnd
     explain: Filters
     sure: float = 0.99
     frozen: int = 100
-    nuisances: Nuisances = NO_NUISANCES
 
     def start(self) -> BurstDetectorState:
         """Return the initial state."""
-        p = self.problem.plant.outputs
-        return BurstDetectorState(at_rest(self.filters), self.gate.start(0, p), Runs.start(p))
+        return BurstDetectorState(self.front.rest)
 
     def step(self, state: BurstDetectorState, block: ResidualBlock) -> tuple[BurstDetectorState, Sequence[Evidence]]:
         """Return the state after the block and the decisions that fell inside it."""
         found: list[Evidence] = []
-        if block.gap:
-            state, evidence = self._broken(state, block, "a gap in the samples")
-            found += evidence
-        for piece in pieces(block):
-            state, evidence = self._piece(state, piece)
-            found += evidence
-        return state, found
-
-    def _broken(self, state: BurstDetectorState, block: ResidualBlock, because: str) -> tuple[BurstDetectorState, list[Evidence]]:
-        """Forget what was accumulated; a burst in progress can no longer be judged, but is followed to its end."""
+        seen, stages = self.front.step(block, state.seen)
         playing = state.playing
-        if playing is not None:
-            playing = replace(playing, checks=replace(playing.checks, gap=True))
-        gate = self.gate.restart(state.gate, because)
-        return replace(state, filters=at_rest(self.filters), gate=gate, playing=playing, cleaning=None, recent=NOTHING), []
+        for stage in stages:
+            piece = stage.piece
+            if playing is not None and not (piece.burst is not None and piece.burst_start == playing.start):
+                found += self._judge(stage.before, playing, piece.k0 - 1, piece.dt)
+                playing = None
+            if piece.burst is not None:
+                playing, evidence = self._burst_piece(playing, stage, piece.burst)
+                found += evidence
+        return BurstDetectorState(seen, playing), found
 
-    def _piece(self, state: BurstDetectorState, piece: ResidualBlock) -> tuple[BurstDetectorState, list[Evidence]]:
+    def _burst_piece(self, playing: Playing | None, stage: Stage, burst: Burst) -> tuple[Playing | None, list[Evidence]]:
         found: list[Evidence] = []
-        if state.playing is not None and not _same_burst(state.playing, piece):
-            found += self._judge(state, state.playing, piece.k0 - 1, piece.dt)
-            state = replace(state, playing=None)
-        runs, longest = counted(state.runs, piece)
-        filters, series = stepped(self.filters, state.filters, piece)
-        cleaning, gate, recent = None, state.gate, state.recent
-        if not finite(series):
-            filters, recent = at_rest(self.filters), NOTHING
-            gate = self.gate.restart(gate, "a sample that is not a finite number")
-        elif piece.burst is None:
-            cleaning, clean, kept = self.nuisances.clean(state.cleaning, piece, series[:, :1], self.gate.part)
-            recent = recent.add(piece, self.gate.window + self.gate.settle)
-            gate = self.gate.add(gate, clean if kept.all() else clean[kept])
-        state = BurstDetectorState(filters, gate, runs, state.playing, cleaning, recent)
-        if piece.burst is not None:
-            state, evidence = self._burst_piece(state, piece, piece.burst, series, longest)
-            found += evidence
-        return state, found
-
-    def _burst_piece(
-        self, state: BurstDetectorState, piece: ResidualBlock, burst: Burst, series: Array, longest: Array
-    ) -> tuple[BurstDetectorState, list[Evidence]]:
-        found: list[Evidence] = []
-        now = state.playing or self._begin(piece, burst)
-        first = piece.k0 - now.start
-        asked = now.asked[first : first + len(piece)]
-        checks = now.checks.add(piece.y, piece.u, piece.r, piece.alpha, asked, longest)
-        shown = now.shown if checks.bad else now.shown.add(piece, first, burst, self.nuisances)
-        noise = now.noise if checks.bad else now.noise.add(series[:, 0], piece, first, burst, self.nuisances)
-        now = replace(now, checks=checks, shown=shown, noise=noise)
-        if not (now.decided or now.refused or checks.bad or checks.gap):
-            sums, early = self.statistic.step(now.sums, BurstSamples(first, piece.dt, series, piece))
+        piece, played = stage.piece, stage.after.played
+        assert played is not None  # noqa: S101 - the front end follows every burst
+        now, first = playing or self._begin(piece, burst), piece.k0 - played.start
+        if not (now.decided or now.refused or played.checks.bad or played.checks.gap):
+            sums, early = self.statistic.step(now.sums, BurstSamples(first, piece.dt, stage.series, piece))
             now = replace(now, sums=sums)
             if early is not None:
-                found += self._early(state, now, early, piece)
+                found += self._early(stage.after, played, early, piece)
                 now = replace(now, decided=bool(found))
         if first + len(piece) >= burst.samples:
-            found += [] if now.decided else self._judge(state, now, piece.k0 + len(piece) - 1, piece.dt)
-            return replace(state, playing=None), found
-        return replace(state, playing=now), found
+            return None, [*found, *self._judge(stage.after, now, piece.k0 + len(piece) - 1, piece.dt)]
+        return now, found
 
     def _begin(self, piece: ResidualBlock, burst: Burst) -> Playing:
-        asked = burst.play(piece.dt)
-        limits = self.problem.limits
-        limit = np.full(self.problem.plant.inputs, np.inf) if limits is None else np.asarray(limits.input, dtype=float)
-        checks = BurstChecks(limit, gap=piece.k0 > piece.burst_start)
-        shown, name = PlayedLines.start(self.problem.plant.inputs), piece.burst_name or burst.name
         try:
-            sums, refused = self.statistic.start(burst, piece.dt), ""
+            return Playing(piece.burst_start, self.statistic.start(burst, piece.dt))
         except AfdsvcError as error:
-            sums, refused = None, str(error)
-        return Playing(burst, name, piece.burst_start, asked, checks, sums, shown, BurstNoise.start(self.problem.plant.outputs), refused=refused)
+            return Playing(piece.burst_start, None, str(error))
 
-    def _early(self, state: BurstDetectorState, now: Playing, finding: Finding, piece: ResidualBlock) -> list[Evidence]:
+    def _early(self, seen: Seen, played: Played, finding: Finding, piece: ResidualBlock) -> list[Evidence]:
         """Report a finding before the burst has ended, unless something speaks against it (then the end decides)."""
-        complaint = now.checks.complaint(now.checks.n, self.frozen, self.problem.input_names, self.problem.output_names)
-        complaint = complaint or now.shown.complaint(self.problem, now.burst)
-        judgement = self._judgement(state)
+        complaint = played.checks.complaint(played.checks.n, self.frozen, self.problem.input_names, self.problem.output_names)
+        complaint = complaint or played.lines.complaint(self.problem, played.burst)
+        judgement = self._judgement(seen)
         if complaint or not judgement.ok:
             return []
-        k = now.start + int(finding.parts.get("sample", now.checks.n - 1))
-        return [evidence(self.name, self.problem, k, piece.dt, now.name, finding, judgement, "", self.sure)]
+        k = played.start + int(finding.parts.get("sample", played.checks.n - 1))
+        return [evidence(self.name, self.problem, k, piece.dt, played.name, finding, judgement, "", self.sure)]
 
-    def _judge(self, state: BurstDetectorState, now: Playing, k: int, dt: float) -> list[Evidence]:
-        if now.decided:
+    def _judge(self, seen: Seen, now: Playing, k: int, dt: float) -> list[Evidence]:
+        problem, played = self.problem, seen.played
+        if now.decided or played is None:
             return []
-        problem = self.problem
-        complaint = now.checks.complaint(now.burst.samples, self.frozen, problem.input_names, problem.output_names)
-        complaint = complaint or now.refused or now.shown.complaint(problem, now.burst)
-        judgement, unusable = self._judgement(state), now.checks.bad or now.checks.gap or now.refused
+        complaint = played.checks.complaint(played.burst.samples, self.frozen, problem.input_names, problem.output_names)
+        complaint = complaint or now.refused or played.lines.complaint(problem, played.burst)
+        judgement, unusable = self._judgement(seen), played.checks.bad or played.checks.gap or now.refused
         try:
-            findings = [] if unusable else self.statistic.decide(now.sums, now.burst, dt)
+            findings = [] if unusable else self.statistic.decide(now.sums, played.burst, dt)
         except AfdsvcError as error:
             findings, complaint = [], complaint or str(error)
         findings = findings or [Finding(float("nan"), float("nan"))]
-        about = (self.name, problem, k, dt, now.name)
-        return [evidence(*about, f, judgement, complaint or f.refused or self._loud(now, f), self.sure) for f in findings]
+        about = (self.name, problem, k, dt, played.name)
+        return [evidence(*about, f, judgement, complaint or f.refused or self._loud(played, f), self.sure) for f in findings]
 
-    def _loud(self, now: Playing, finding: Finding) -> str:
+    def _loud(self, played: Played, finding: Finding) -> str:
         """Return the sentence that the burst was louder or quieter than stated.
 
         "" when it was not, when the finding stands all the same, and for a statistic that knows no faults: it looks for just that.
         """
-        share, p = now.noise.loudness(self.gate.level, self.gate.estimated)
+        share, p = played.noise.loudness(self.front.gate.level, self.front.gate.estimated)
         if share == 1.0 or not finding.fits or finding.statistic > max(share, 1.0) * finding.threshold:
             return ""
         return f"during the burst the residual beside its lines has {share**0.5:.3g} times the stated standard deviation (p = {p:.2g})"
 
-    def _judgement(self, state: BurstDetectorState) -> Judgement:
+    def _judgement(self, seen: Seen) -> Judgement:
         """Return whether the quiet data can be trusted, as they are or with one fault's share taken out."""
-        found = self.gate.judge(state.gate)
+        found = self.front.gate.judge(seen.gate)
         if found.ok or found.found is None:
             return found
-        return state.recent.explained(self.gate, self.explain, self.nuisances) or found
+        return seen.recent.explained(self.front.gate, self.explain, self.front.nuisances) or found
 
 
 def evidence(
@@ -275,49 +220,6 @@ def likeliest(finding: Finding) -> Fit | None:
     return next((f for f in finding.fits if f.fault == name and name != NONE), None)
 
 
-def pieces(block: ResidualBlock) -> tuple[ResidualBlock, ...]:
-    """Cut a block where its burst begins or ends, should it span such an edge; arrays are as the compiled loops want
-    them.
-    """
-    return _PIECES(_cut, block)
-
-
-_PIECES = Once()
-
-
-def _cut(block: ResidualBlock) -> tuple[ResidualBlock, ...]:
-    return tuple(_pieces(block))
-
-
-def _pieces(block: ResidualBlock) -> Iterator[ResidualBlock]:
-    edges = (0, len(block)) if block.burst is None else _edges(block, block.burst)
-    r, beta, u, y, alpha = (_rows(a) for a in (block.r, block.beta, block.u, block.y, block.alpha))
-    for i, (a, b) in enumerate(pairwise(edges)):
-        if b > a:
-            aux = {label: values[a:b] for label, values in block.aux.items()}
-            yield ResidualBlock(
-                block.k0 + a, block.dt, r[a:b], beta[a:b], u[a:b], y[a:b], alpha[a:b], block.burst if i == 1 else None,
-                block.burst_name, block.burst_start, aux=aux,
-            )
-
-
-def _rows(a: Array) -> Array:
-    if a.dtype == np.float64 and a.flags.c_contiguous and a.flags.writeable:
-        return a  # what `require` would find after ten times as long
-    return np.require(a, np.float64, ("C", "W"))
-
-
-def _edges(block: ResidualBlock, burst: Burst) -> tuple[int, int, int, int]:
-    """Return the edges of what lies before, inside and after the burst."""
-    begin = min(max(block.burst_start - block.k0, 0), len(block))
-    end = min(max(block.burst_start + burst.samples - block.k0, 0), len(block))
-    return 0, begin, end, len(block)
-
-
-def _same_burst(playing: Playing, piece: ResidualBlock) -> bool:
-    return piece.burst is not None and piece.burst_start == playing.start
-
-
 def _fit_parts(fits: Sequence[Fit]) -> dict[str, float]:
     parts = {f"severity.{f.fault}": f.severity for f in fits}
     return {**parts, **{f"sd.{f.fault}": f.sd for f in fits}}
@@ -329,22 +231,15 @@ def _bounds(fits: Sequence[Fit]) -> dict[str, float]:
 
 
 def burst_detector(
-    name: str,
-    problem: DetectionProblem,
-    statistic: BurstStatistic,
-    gate: Gate,
-    sure: float,
-    frozen: int,
-    filters: Regressors | None = None,
-    nuisances: Nuisances = NO_NUISANCES,
-    regressing: bool = True,
+    name: str, problem: DetectionProblem, statistic: BurstStatistic, gate: Gate, sure: float, frozen: int,
+    nuisances: Nuisances = NO_NUISANCES, regressing: bool = True,
 ) -> BurstDetector:
     """Return a burst detector with the filters of the problem's faults and a gate that waits for them to settle.
 
     A statistic that is not ``regressing`` makes no use of the faults' regressors: they are then computed only when the quiet
     data need an explanation.
     """
-    filters = regressors(problem) if filters is None else filters
-    gate, explain = replace(gate, settle=filters.settling(), estimated=problem.noise_samples), shared(filters)
-    streaming = explain if regressing else filters.without_faults()
-    return BurstDetector(name, problem, statistic, streaming, gate, explain, sure, frozen, nuisances)
+    explain = shared_regressors(problem)
+    gate = replace(gate, settle=explain.settling(), estimated=problem.noise_samples)
+    front = front_end(problem, explain if regressing else without_faults(problem), gate, nuisances)
+    return BurstDetector(name, problem, statistic, front, explain, sure, frozen)

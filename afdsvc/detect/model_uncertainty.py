@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from scipy.special import ndtri
@@ -78,12 +77,10 @@ class Models:
 
 def models(problem: DetectionProblem, lines: Sequence[Line], R: Array) -> Models:
     """Return the machines the uncertainty allows: quadrature nodes for one parameter, a low-discrepancy set for more."""
-    return _models(problem, tuple(lines), np.ascontiguousarray(R).tobytes())
+    return problem.once(lambda: _models(problem, lines, R), "models", tuple(lines), np.ascontiguousarray(R).tobytes())
 
 
-@lru_cache(maxsize=16)  # the same burst asks for the same machines again and again
-def _models(problem: DetectionProblem, lines: tuple[Line, ...], raw: bytes) -> Models:
-    R = np.frombuffer(raw).reshape(2 * len(lines), 2 * len(lines))
+def _models(problem: DetectionProblem, lines: Sequence[Line], R: Array) -> Models:
     deviations, D = uncertain_parameters(problem), R.shape[0] * problem.plant.outputs
     if not deviations:
         return Models(np.ones(1), np.zeros((1, D)), np.eye(D)[None])
@@ -112,12 +109,6 @@ def threshold_over_models(directions: Array, found: Models, false_alarm: float) 
     ``directions (K, D)`` need not be unit vectors: ``<e_k, z>`` has unit variance in the nominal machine plus doubt.
     """
     e = np.ascontiguousarray(directions, dtype=float)
-    return _robust_threshold(e.tobytes(), e.shape, found, false_alarm)
-
-
-@lru_cache(maxsize=64)  # the same burst asks for the same threshold again and again
-def _robust_threshold(raw: bytes, shape: tuple[int, int], found: Models, false_alarm: float) -> float:
-    e = np.frombuffer(raw).reshape(shape)
     nominal = maximum.maximum_threshold(e, false_alarm)
     if len(found.weights) == 1:
         return nominal

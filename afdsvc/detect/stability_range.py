@@ -6,12 +6,8 @@ import numpy as np
 
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.lti.lft import fault_signature
-from afdsvc.stats.memo import Once
 
 STEPS = 64
-
-
-_REACHABLE = Once(1024)  # one for each machine, whatever its detectors
 
 
 def reachable(problem: DetectionProblem) -> dict[str, tuple[float, float]]:
@@ -19,7 +15,7 @@ def reachable(problem: DetectionProblem) -> dict[str, tuple[float, float]]:
 
     Inside the stated range; the border is found to a millionth of it.
     """
-    return _REACHABLE(lambda *_: _borders(problem), problem.augmented, problem.interconnection, problem.severity_range)
+    return problem.once(lambda: _borders(problem), "stability range")
 
 
 def _borders(problem: DetectionProblem) -> dict[str, tuple[float, float]]:

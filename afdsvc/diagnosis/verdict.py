@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from itertools import groupby, takewhile
 
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.detect.isolation import NONE
@@ -115,15 +114,10 @@ def _pooled(newest_first: Sequence[Severity]) -> Severity:
     for s in newest_first[1:]:
         mean = _mean([*kept, s])
         spread = sum(((k.value - mean.value) / k.sd) ** 2 for k in (*kept, s))
-        if spread > _agreement(len(kept)):
+        if spread > chdtri(len(kept), 0.01):
             break
         kept.append(s)
     return _mean(kept)
-
-
-@lru_cache(maxsize=1024)
-def _agreement(n: int) -> float:
-    return float(chi2.ppf(0.99, n))
 
 
 def _mean(estimates: Sequence[Severity]) -> Severity:

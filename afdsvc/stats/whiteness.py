@@ -23,7 +23,6 @@ from scipy.special import chdtrc
 
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
-from afdsvc.stats.memo import Once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,9 +61,6 @@ class LagSums:
         """Return the sums with the samples ``series (n, 1 + K, p)`` added, which follow the earlier ones without a
         gap.
         """
-        return _ADDED(LagSums._add, self, series)
-
-    def _add(self, series: Array) -> LagSums:
         residual, cross, own, mean = self.residual.copy(), self.cross.copy(), self.own.copy(), self.mean.copy()
         window = np.ascontiguousarray(np.concatenate([self.past, series]))
         back = np.ascontiguousarray(window.transpose(1, 2, 0)[:, :, ::-1])  # the sample k earlier lies k later
@@ -75,9 +71,6 @@ class LagSums:
 
     def cleared(self) -> LagSums:
         """Return empty sums that continue after the same past samples."""
-        return _CLEARED(LagSums._clear, self)
-
-    def _clear(self) -> LagSums:
         zero = np.zeros_like
         return replace(
             self, n=0, residual=zero(self.residual), cross=zero(self.cross), own=zero(self.own), mean=zero(self.mean)
@@ -100,9 +93,6 @@ class LagSums:
         if information <= 0:
             return 0.0, math.inf
         return 0.5 * float(np.trace(self.cross[0, fault])) / information, information**-0.5
-
-
-_ADDED, _CLEARED = Once(), Once()
 
 
 @dataclass(frozen=True, slots=True)

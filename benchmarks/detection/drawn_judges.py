@@ -29,7 +29,7 @@ class Judges:
         self.case, self.filters = case, regressors(case.problem)
         self.regions = {name: [alarm_region(case, name, rate) for rate in RATES] for name in LINE_DETECTORS}
         self.cusums = [cusum_blocks(case, rate) for rate in RATES]
-        root = noise_driven(case.problem, self.filters).signed_root(case.burst.samples, case.burst)
+        root = noise_driven(case.problem).signed_root(case.burst.samples, case.burst)
         self.mean, self.sd = (v[: self.filters.faults] for v in root)
         self.levels = {name: self._levels(name) for name in BASELINES}
         lines = tuple(sorted(case.burst.lines, key=lambda line: line.omega))

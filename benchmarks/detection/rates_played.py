@@ -99,7 +99,7 @@ def _bank_models(case: RateCase) -> list[tuple[str, float]]:
 
 
 def _severities(case: RateCase, filters: Regressors) -> list[tuple[str, float]]:
-    noise, out = noise_driven(case.problem, filters), []
+    noise, out = noise_driven(case.problem), []
     information = case.burst.samples * (noise.passive + noise.excited(case.burst)[0])
     for q in AIMED:
         for i, (fault, (low, _)) in enumerate(reachable(case.problem).items()):

@@ -60,7 +60,7 @@ class Loop:
 def loop(case: RateCase) -> Loop:
     """Return the loop of a case."""
     f = regressors(case.problem)
-    noise = noise_driven(case.problem, f)
+    noise = noise_driven(case.problem)
     p, K, before = case.problem.plant.outputs, f.faults, f.settling(1e-3)
     system = noise.loop
     assert not system.D[:, :p].any()  # the regressors lag the residual

@@ -129,7 +129,7 @@ class Watch:
 def watch(case: RateCase, rates: tuple[float, ...] = RATES) -> Watch:
     """Return what `passive_rates` steps: promised are ``rate`` alarms in as many samples as the case's burst has."""
     found, filters = [_passive(case, rate) for rate in rates], regressors(case.problem)
-    noise, p, which = noise_driven(case.problem, filters), case.problem.plant.outputs, found[0].which
+    noise, p, which = noise_driven(case.problem), case.problem.plant.outputs, found[0].which
     rows, theta = np.concatenate([np.arange(p) + p * i for i in which]), found[0].test.severity
     assert not noise.loop.D[:, :p].any()  # the regressors lag the residual
     A, B, C = (np.ascontiguousarray(x) for x in (noise.loop.A, noise.loop.B[:, :p], noise.loop.C[rows]))

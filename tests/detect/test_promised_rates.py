@@ -74,7 +74,7 @@ def rare_rate(name, machine, per_burst, runs, seed=0):
     filters, known = statistics(problem)
     weights = []
     if name == "regression":
-        noise = noise_driven(problem, filters)
+        noise = noise_driven(problem)
         information = burst.samples * (noise.passive + noise.excited(burst)[0])
         low = np.array([0.9 * bounds[0] for bounds in reachable(problem).values()])
         source = faulty(problem, burst, np.maximum(-3.9 / np.sqrt(information), low), filters)

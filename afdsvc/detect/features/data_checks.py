@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -35,8 +34,8 @@ class Runs:
 
     @classmethod
     def start(cls, outputs: int) -> Runs:
-        """Return runs of nothing, one object for all who ask."""
-        return _nothing(outputs)
+        """Return runs of nothing."""
+        return cls(np.full(outputs, np.nan), np.zeros(outputs))
 
     def add(self, y: Array) -> tuple[Runs, Array]:
         """Return the runs after the samples ``y (n, p)`` and the longest run seen in them, shape ``(p,)``."""
@@ -107,11 +106,6 @@ class BurstChecks:
             if run >= frozen:
                 return f"sensor {_name(names, i)} was constant for {int(run)} samples"
         return ""
-
-
-@lru_cache(maxsize=64)
-def _nothing(outputs: int) -> Runs:
-    return Runs(np.full(outputs, np.nan), np.zeros(outputs))
 
 
 def _name(names: Sequence[str], i: int) -> str:
@@ -204,9 +198,12 @@ class PlayedLines:
         return ""
 
 
-@lru_cache(maxsize=1024)  # keyed by identity of the problem: the same lines are played again and again
 def weakest(problem: DetectionProblem, lines: tuple[Line, ...]) -> Array:
     """Return the smallest amplitude every line may cause at the inputs (all together), over health and every fault."""
+    return problem.once(lambda: _weakest(problem, lines), "weakest lines", lines)
+
+
+def _weakest(problem: DetectionProblem, lines: tuple[Line, ...]) -> Array:
     omega = sorted({line.omega for line in lines})
     response, reach = loop_response(problem, omega), reachable(problem)
     paths = [response.healthy().u]

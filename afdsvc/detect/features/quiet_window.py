@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,6 @@ from afdsvc.detect.features.shared_filter import Filters
 from afdsvc.detect.features.sums import Products
 from afdsvc.detect.features.whiteness_gate import Gate, Judgement
 from afdsvc.lti.statespace import Array
-from afdsvc.stats.memo import Once, at_rest, stepped
 from afdsvc.stats.whiteness import LagSums
 
 LIKELIEST = 3  # faults that may explain coloured data: those that explain most of them
@@ -33,9 +33,6 @@ class Recent:
 
     def add(self, block: ResidualBlock, most: int) -> Recent:
         """Return the samples with a block added, the oldest beyond ``most`` forgotten."""
-        return _ADDED(Recent._add, self, block, most)
-
-    def _add(self, block: ResidualBlock, most: int) -> Recent:
         return _newest((*self.blocks, block), self.n + len(block), most)
 
     def until(self, k: int, most: int) -> Recent:
@@ -57,12 +54,13 @@ class Recent:
     def _cleaned(self, filters: Filters, nuisances: Nuisances, gate: Gate) -> Iterator[Array]:
         """Yield series without nuisances; ``settle`` samples are left out after every interruption."""
         cleaning: Cleaning | None = None
-        state, left, expected = at_rest(filters), gate.settle, -1
+        state: Any
+        state, left, expected = filters.start(), gate.settle, -1
         for block in self.blocks:
             if block.k0 != expected:
-                state, cleaning, left = at_rest(filters), None, gate.settle
+                state, cleaning, left = filters.start(), None, gate.settle
             expected = block.k0 + len(block)
-            state, series = stepped(filters, state, block)
+            state, series = filters.step(state, block.r, block.y, block.u)
             skipped = min(left, len(block))
             left -= skipped
             if skipped < len(block):
@@ -71,7 +69,6 @@ class Recent:
 
 
 NOTHING = Recent()
-_ADDED = Once()
 
 
 def _newest(blocks: tuple[ResidualBlock, ...], n: int, most: int) -> Recent:

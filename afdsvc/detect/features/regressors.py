@@ -14,7 +14,7 @@ thesis', chapter 5.)
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
@@ -27,13 +27,12 @@ from afdsvc.errors import BadInput
 from afdsvc.lti.lft import AugmentedPlant
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import innovations
-from afdsvc.stats.memo import Once
 
 NUDGE = 1e-5  # by which parameters are moved for derivatives
 SAME = 1e-9  # share of the entries they are sums of by which two matrices may differ
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class RegressorState:
     """State of the predictor ``x (n,)`` and of every fault's error filter ``e (K, n)``."""
 
@@ -64,6 +63,11 @@ class Regressors:
     Dzu: Array
     Kd: Array
     Li: Array
+    rest: RegressorState = field(init=False)
+
+    def __post_init__(self) -> None:
+        n = self.plant.order
+        object.__setattr__(self, "rest", RegressorState(np.zeros(n), np.zeros((len(self.names), n))))
 
     @property
     def theta(self) -> Array:
@@ -71,9 +75,8 @@ class Regressors:
         return selection(len(self.names), self.plant.outputs)
 
     def start(self) -> RegressorState:
-        """Return the state at rest."""
-        n = self.plant.order
-        return RegressorState(np.zeros(n), np.zeros((len(self.names), n)))
+        """Return the state at rest, one object for all who ask."""
+        return self.rest
 
     def step(self, state: RegressorState, r: Array, y: Array, u: Array) -> tuple[RegressorState, Array]:
         """Return the state after the block and the series ``(n, 1 + K, p)``: normalised residual, then every psi."""
@@ -88,9 +91,6 @@ class Regressors:
 
     def without_faults(self) -> Regressors:
         """Return the filter that only normalises the residual: its cost does not grow with the number of faults."""
-        return _LIGHT(Regressors._light, self)
-
-    def _light(self) -> Regressors:
         none = slice(0, 0)
         return replace(
             self, names=(), faults=0, bounds=(), sd=self.sd[none], exact=(), Bw=self.Bw[none], Dyw=self.Dyw[none],
@@ -110,12 +110,12 @@ def regressors(problem: DetectionProblem) -> Regressors:
     A fault with several channels (``w = theta z`` with vectors w and z) is one regressor. Problems that differ in their false
     alarms only, as those of the detectors of one machine do, get the same object.
     """
-    p = problem
-    about = (p.augmented, p.uncertain, p.innovations, p.covariance, p.output_cov, p.process_cov, p.uncertainty, p.severity_range)
-    return _REGRESSORS(lambda *_: _regressors(problem), *about)
+    return problem.once(lambda: _regressors(problem), "regressors")
 
 
-_REGRESSORS, _LIGHT = Once(256), Once(256)
+def without_faults(problem: DetectionProblem) -> Regressors:
+    """Return the filter of a problem that only normalises the residual."""
+    return problem.once(lambda: regressors(problem).without_faults(), "normalised residual")
 
 
 def _regressors(problem: DetectionProblem) -> Regressors:

@@ -11,17 +11,17 @@ and every score and information follows from the Theta_i when a decision is made
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
 from numba import njit
 from scipy.linalg import qr
 
+from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.features.innovations import decay
-from afdsvc.detect.features.regressors import Regressors
+from afdsvc.detect.features.regressors import Regressors, regressors
 from afdsvc.lti.statespace import Array, StateSpace
-from afdsvc.stats.memo import Once
 
 RANK = 1e-13  # share of the largest below which a direction is rounding
 DOUBLINGS = 60  # of the horizon over which states are reached
@@ -49,6 +49,10 @@ class SharedRegressors:
     Ct: Array
     Dt: Array
     theta: Array
+    rest: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rest", np.zeros(self.order))
 
     @property
     def order(self) -> int:
@@ -56,8 +60,8 @@ class SharedRegressors:
         return int(self.At.shape[0])
 
     def start(self) -> Array:
-        """Return the state at rest."""
-        return np.zeros(self.order)
+        """Return the state at rest, one object for all who ask."""
+        return self.rest
 
     def step(self, state: Array, r: Array, y: Array, u: Array) -> tuple[Array, Array]:
         """Return the state after the block and the series ``(n, 1 + F / p, p)``: normalised residual, then f."""
@@ -76,15 +80,13 @@ class SharedRegressors:
 Filters: TypeAlias = Regressors | SharedRegressors
 
 
+def shared_regressors(problem: DetectionProblem) -> Filters:
+    """Return the filter behind the regressors of a problem, one object for all its detectors."""
+    return problem.once(lambda: shared(regressors(problem)), "shared regressors")
+
+
 def shared(filters: Regressors) -> Filters:
     """Return the filter of all regressors together, or the regressors themselves where that would not be cheaper."""
-    return _SHARED(_shared, filters)
-
-
-_SHARED = Once(256)
-
-
-def _shared(filters: Regressors) -> Filters:
     n, p, K = filters.plant.order, filters.plant.outputs, len(filters.names)
     if not K:
         return filters

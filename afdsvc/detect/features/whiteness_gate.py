@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -38,7 +37,7 @@ class Gate:
 
     def start(self, faults: int, outputs: int, because: str = "the start") -> GateState:
         """Return the state before any sample."""
-        return _start(self, faults, outputs, because)
+        return GateState(LagSums.empty(self.lags, faults, outputs), (), self.settle, because)
 
     def restart(self, state: GateState, because: str) -> GateState:
         """Return the state after a gap or a sample that cannot be used."""
@@ -127,11 +126,6 @@ class Judgement:
     def p_white(self) -> float | None:
         """p-value of the whiteness test; None before there are enough samples."""
         return None if self.found is None else self.found.p
-
-
-@lru_cache(maxsize=16)  # one object for all, so that those who see the same samples are recognised
-def _start(gate: Gate, faults: int, outputs: int, because: str) -> GateState:
-    return GateState(LagSums.empty(gate.lags, faults, outputs), (), gate.settle, because)
 
 
 def finite(*arrays: Array) -> bool:

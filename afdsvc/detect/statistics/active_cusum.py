@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -29,7 +28,6 @@ from afdsvc.detect.statistics.fault_curves import FaultCurves, fault_curves
 from afdsvc.detect.thresholds.burst_crossing import CrossingNoise, paths
 from afdsvc.detect.thresholds.power import required_deflection
 from afdsvc.lti.statespace import Array
-from afdsvc.stats.memo import Played
 
 SHORTEST = 5e-3  # seconds of a block
 BLOCKS = 40  # at most, of a burst
@@ -82,7 +80,8 @@ class ActiveCusum:
 
     def start(self, burst: Burst, dt: float) -> ActiveSums:
         """Return the state before the first sample."""
-        plan = _planned(self, Played.of(burst), dt)
+        about = (self.deflection, self.problem.false_alarms.per_burst, burst.content, dt)
+        plan = self.problem.once(lambda: self.plan(burst, dt), "cusum plan", *about)
         return ActiveSums(plan, burst, plan.cusum.start())
 
     def plan(self, burst: Burst, dt: float) -> CusumPlan:
@@ -145,11 +144,6 @@ class ActiveCusum:
         points = np.linalg.solve(whole, found.waves.reshape(len(found.weights), len(whole), -1))
         mean = np.einsum("kij,qjp->qkip", roots, points).reshape(len(points), len(roots), -1)
         return CrossingNoise(found.weights, mean, np.asarray(np.linalg.cholesky(found.covariances)))
-
-
-@lru_cache(maxsize=256)  # the same burst is played again and again, on many machines
-def _planned(statistic: ActiveCusum, played: Played, dt: float) -> CusumPlan:
-    return statistic.plan(played.burst, dt)
 
 
 def _blocks(burst: Burst, ordered: Sequence[Line], dt: float) -> tuple[int, Array]:

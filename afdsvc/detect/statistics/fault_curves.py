@@ -8,12 +8,13 @@ never by multiplying factor transfer functions. Source: thesis equations 2.19 an
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from afdsvc.api.bursts import Line
 from afdsvc.api.detection import DetectionProblem
+from afdsvc.api.memo import Memo
 from afdsvc.detect.features.demodulation import coefficients
 from afdsvc.detect.features.regressors import noise_sources, whitener
 from afdsvc.errors import BadInput
@@ -121,6 +122,7 @@ class FaultCurves:
     inputs: tuple[int, ...]
     drive: ComplexArray
     Li: Array
+    memo: Memo = field(default_factory=Memo, repr=False)
 
     def at(self, fault: str, severities: Sequence[float] | Array) -> Array:
         """Return the points of one curve."""

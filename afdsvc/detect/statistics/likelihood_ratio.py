@@ -13,7 +13,6 @@ filter itself.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import brentq
@@ -37,7 +36,8 @@ def waves_along(curves: FaultCurves, fault: str, data: LineData, end: float) -> 
 
     Empty when the burst cannot see the fault.
     """
-    white = data.white_waves(data.R @ _fine(curves, fault, end))
+    fine = curves.memo(lambda: curves.at(fault, end * np.geomspace(SMALLEST, 1.0, FINE)), "fine", fault, end)
+    white = data.white_waves(data.R @ fine)
     length = np.linalg.norm(white, axis=1)
     if not length.max() > SHORTEST:
         return np.zeros((0, white.shape[1]))
@@ -45,11 +45,6 @@ def waves_along(curves: FaultCurves, fault: str, data: LineData, end: float) -> 
     travelled = np.floor(np.cumsum(steps))
     chosen = 1 + np.flatnonzero(np.diff(travelled, prepend=0.0) > 0)
     return np.asarray(white[np.union1d(chosen, [FINE - 1])])
-
-
-@lru_cache(maxsize=64)  # keyed by identity: the same lines are played again and again
-def _fine(curves: FaultCurves, fault: str, end: float) -> Array:
-    return curves.at(fault, end * np.geomspace(SMALLEST, 1.0, FINE))
 
 
 def statistic(waves: Array, z: Array) -> float:
@@ -60,17 +55,11 @@ def statistic(waves: Array, z: Array) -> float:
 def threshold(waves: Array, false_alarm: float) -> float:
     """Return c with ``P(max_k (<z, t_k> - |t_k|^2 / 2) > c) = false_alarm`` for waves t_k of shape ``(K, D)``."""
     t = np.ascontiguousarray(waves, dtype=float)
-    return _threshold(t.tobytes(), t.shape, false_alarm)
-
-
-@lru_cache(maxsize=64)  # the same burst asks for the same threshold again and again
-def _threshold(raw: bytes, shape: tuple[int, int], false_alarm: float) -> float:
-    t = np.frombuffer(raw).reshape(shape)
     e, length = reduced(t), np.linalg.norm(t, axis=1)
-    wanted = math.log(false_alarm)
+    u, wanted = points(e.shape[1]), math.log(false_alarm)
 
     def excess(c: float) -> float:
-        return math.log(max(_union(e, heights(length, c)), 1e-300)) - wanted
+        return math.log(max(_union(e, heights(length, c), u), 1e-300)) - wanted
 
     low, high = 1e-6, math.log(1 / false_alarm) + math.log(len(t)) + 1.0  # P <= K e^-c
     return low if excess(low) <= 0 else float(brentq(excess, low, high, xtol=1e-5))
@@ -81,13 +70,7 @@ def robust_threshold(waves: Array, factor: Array, found: Models, false_alarm: fl
 
     ``factor`` is the Cholesky factor of the covariance the ``waves`` were whitened with.
     """
-    t, f = np.ascontiguousarray(waves, dtype=float), np.ascontiguousarray(factor, dtype=float)
-    return _robust_threshold(t.tobytes(), t.shape, f.tobytes(), found, false_alarm)
-
-
-@lru_cache(maxsize=64)  # as above
-def _robust_threshold(raw: bytes, shape: tuple[int, int], root: bytes, found: Models, false_alarm: float) -> float:
-    t, factor = np.frombuffer(raw).reshape(shape), np.frombuffer(root).reshape(shape[1], shape[1])
+    t = np.ascontiguousarray(waves, dtype=float)
     length = np.linalg.norm(t, axis=1)
     e = np.linalg.solve(factor.T, (t / length[:, None]).T).T  # <e, z> is the whitened projection
     return found.mixture(e).threshold(lambda c: heights(length, c), false_alarm, threshold(t, false_alarm))
@@ -98,16 +81,15 @@ def heights(length: Array, c: float) -> Array:
     return np.asarray(c / length + length / 2)
 
 
-def _union(e: Array, h: Array) -> float:
+def _union(e: Array, h: Array, u: Array) -> float:
     """Return the probability that any ``<z, e_k>`` exceeds its height ``h_k``.
 
-    The union estimator of `maximum`, points being spent on the directions in proportion to their tails.
+    The union estimator of `maximum`, points ``u (N, 1 + D)`` being spent on the directions in proportion to their tails.
     """
     tails = ndtr(-h)
     total = float(tails.sum())
     if not total > 0:
         return 0.0
-    u = points(e.shape[1])
     k = np.minimum(np.searchsorted(np.cumsum(tails) / total, (np.arange(len(u)) + 0.5) / len(u)), len(e) - 1)
     w = ndtri(u[:, 1:])
     z = w + (-ndtri(u[:, 0] * tails[k]) - np.sum(w * e[k], axis=1))[:, None] * e[k]

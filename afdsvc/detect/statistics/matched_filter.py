@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -108,7 +107,8 @@ class MatchedFilter:
             basis = self.basis(burst, turning=False)
         lines, ordered = project(sums, basis), _ordered(burst)
         doubt = model_doubt(self.problem, ordered, lines.R)
-        return lines, _curves(self.problem, ordered), LineData(lines.z, lines.R, doubt)
+        curves = self.problem.once(lambda: fault_curves(self.problem, ordered), "fault curves", ordered)
+        return lines, curves, LineData(lines.z, lines.R, doubt)
 
     def _judged(self, looked_for: Array, data: LineData, burst: Burst) -> tuple[float, float]:
         """Return the statistic of these waves and its threshold; 0 and inf when the burst sees no fault."""
@@ -116,17 +116,14 @@ class MatchedFilter:
             return 0.0, math.inf
         z = data.whitened(np.eye(data.z.size), data.z)[0]
         found = models(self.problem, _ordered(burst), data.R) if self.problem.uncertainty else None
-        rate = self.problem.false_alarms.per_burst
-        return self.line_test.statistic(looked_for, z), self.line_test.threshold(looked_for, data, found, rate)
+        rate, test = self.problem.false_alarms.per_burst, self.line_test
+        about = (looked_for.shape, looked_for.tobytes(), data.doubt.tobytes(), found, rate)
+        h = self.problem.once(lambda: test.threshold(looked_for, data, found, rate), "line threshold", test, *about)
+        return test.statistic(looked_for, z), h
 
 
 def _ordered(burst: Burst) -> tuple[Line, ...]:
     return tuple(sorted(burst.lines, key=lambda line: line.omega))
-
-
-@lru_cache(maxsize=1024)  # the same lines are played again and again
-def _curves(problem: DetectionProblem, lines: tuple[Line, ...]) -> FaultCurves:
-    return fault_curves(problem, lines)
 
 
 def _amplitudes(lines: Lines, ordered: Sequence[Line]) -> dict[str, float]:

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from afdsvc.api.detection import DetectionProblem, ResidualBlock
 from afdsvc.api.evidence import Evidence
-from afdsvc.detect.burst_detector import Finding, evidence, pieces
+from afdsvc.detect.burst_detector import Finding, evidence
 from afdsvc.detect.features.data_checks import Runs
+from afdsvc.detect.features.front_end import filtered
 from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
 from afdsvc.detect.features.quiet_window import NOTHING, Recent
-from afdsvc.detect.features.regressors import regressors
-from afdsvc.detect.features.shared_filter import Filters, shared
-from afdsvc.detect.features.whiteness_gate import Gate, GateState, Judgement, finite
+from afdsvc.detect.features.shared_filter import Filters, shared_regressors
+from afdsvc.detect.features.whiteness_gate import Gate, GateState, Judgement
 from afdsvc.detect.statistics.cusum import Cusum, CusumState, DeflectionBoundary, cusum
 from afdsvc.detect.thresholds import average_run_length
 from afdsvc.detect.thresholds.cusum_boundary import rate_boundary
@@ -31,7 +31,6 @@ from afdsvc.detect.thresholds.joint_false_alarm_rate import joint_rate
 from afdsvc.detect.thresholds.regressor_information import NoiseDriven, excursion_steps, faulty_information, noise_driven
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
-from afdsvc.stats.memo import at_rest, counted, stepped
 
 BLOCK = 1e-3  # seconds between looks at the CUSUMs
 
@@ -94,28 +93,27 @@ class PassiveDetector:
     def start(self) -> PassiveState:
         """Return the initial state."""
         p = self.problem.plant.outputs
-        return PassiveState(at_rest(self.filters), self.gate.start(0, p), Runs.start(p), self.test.start(), self.gate.settle)
+        return PassiveState(self.filters.start(), self.gate.start(0, p), Runs.start(p), self.test.start(), self.gate.settle)
 
     def step(self, state: PassiveState, block: ResidualBlock) -> tuple[PassiveState, Sequence[Evidence]]:
         """Return the state after the block and the alarms and doubts that fell inside it."""
         found: list[Evidence] = []
         if block.gap:
             state = self._restarted(state, "a gap in the samples")
-        for piece in pieces(block):
-            runs, _ = counted(state.runs, piece)
-            filters, series = stepped(self.filters, state.filters, piece)
-            state = replace(state, runs=runs, filters=filters)
-            if not finite(series):
+        filters, pieces = filtered(block, self.filters, state.filters)
+        for f in pieces:
+            state = replace(state, runs=state.runs.add(f.piece.y)[0])
+            if not f.usable:
                 state = self._restarted(state, "a sample that is not a finite number")
-            elif piece.burst is None:
-                state = self._quiet(state, piece, series, found)
+            elif f.piece.burst is None:
+                state = self._quiet(state, f.piece, f.series, found)
             else:
                 state = replace(state, cleaning=None)
-        return state, found
+        return replace(state, filters=filters), found
 
     def _restarted(self, state: PassiveState, because: str) -> PassiveState:
         return replace(
-            state, filters=at_rest(self.filters), gate=self.gate.restart(state.gate, because),
+            state, gate=self.gate.restart(state.gate, because),
             cusum=self.test.start(), silent=self.gate.settle, cleaning=None, recent=NOTHING,
         )
 
@@ -196,18 +194,21 @@ def passive_detector(
     nuisances: Nuisances = NONE,
 ) -> PassiveDetector:
     """Return the passive CUSUM; raises `BadInput` when the loop's noise tells nothing about any fault."""
-    known = regressors(problem)
-    noise, filters = noise_driven(problem, known), shared(known)
+    noise, filters = noise_driven(problem), shared_regressors(problem)
     passive = noise.passive[: filters.faults]
     which = np.flatnonzero(passive > 1e-12 * max(passive.max(initial=0.0), 1e-300))
     if not len(which):
         raise BadInput(f"detector '{name}': the loop's own noise shows none of the faults; expected a burst for them")
-    theta, block = np.full(len(which), severity), max(1, round(BLOCK / problem.plant.dt))
-    boundary = _boundary(problem, noise, filters, which, theta, block)
+    theta, block, rate = np.full(len(which), severity), max(1, round(BLOCK / problem.plant.dt)), problem.false_alarms.per_hour
+
+    def made() -> tuple[float, DeflectionBoundary]:
+        looks = 3600 / (rate * problem.plant.dt * block)
+        clock = DeflectionBoundary.of(np.abs(theta) * np.sqrt(block * passive[which]), looks)
+        return _boundary(problem, noise, filters, which, theta, block), clock
+
+    boundary, clock = problem.once(made, "passive boundary", severity, rate)
     gate = replace(gate, settle=filters.settling(), estimated=problem.noise_samples)
     silence = math.ceil(silence_seconds / problem.plant.dt)
-    looks = 3600 / (problem.false_alarms.per_hour * problem.plant.dt * block)
-    clock = DeflectionBoundary.of(np.abs(theta) * np.sqrt(block * passive[which]), looks)
     test = cusum(filters.theta[which], theta, range(len(which)), block, boundary, clock)
     return PassiveDetector(name, problem, filters, gate, which, test, silence, sure, frozen, nuisances)
 

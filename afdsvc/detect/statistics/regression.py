@@ -25,7 +25,7 @@ from afdsvc.detect.combinations import JOINED, Combination, combined, course, we
 from afdsvc.detect.features.burst_noise import energy, noise_compared
 from afdsvc.detect.features.demodulation import Basis, BasisSums, project
 from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
-from afdsvc.detect.features.regressors import Regressors, no_return
+from afdsvc.detect.features.regressors import no_return
 from afdsvc.detect.features.shared_filter import Filters
 from afdsvc.detect.features.sums import Products
 from afdsvc.detect.isolation import NONE as NONE_OF_THESE
@@ -230,7 +230,7 @@ def regression(
 ) -> Regression:
     """Return the statistic for one machine and the filters whose series it is shown."""
     p, rate = problem.plant.outputs, problem.false_alarms.per_burst
-    noise = noise_driven(problem, filters if isinstance(filters, Regressors) else None)
+    noise = noise_driven(problem)
     first_order = frozenset(n for n, exact in zip(filters.names, filters.exact, strict=False) if not exact)
     s = problem.augmented.system
     straight = frozenset(n for n in problem.fault_names if no_return(s, problem.augmented.channels_of(n)))

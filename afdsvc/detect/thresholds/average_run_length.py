@@ -13,7 +13,6 @@ moved by Siegmund's 1.166 mu, which is accurate to O(mu^2) there.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import brentq
@@ -89,15 +88,9 @@ def _drift(mu: float, changed: bool) -> float:
 
 def _grid(mu: float, b: float, drift: float) -> tuple[Array, Array, Array]:
     n = 24 + math.ceil(1.6 * b / mu)  # one node per standard deviation is already spectrally accurate
-    x, w = _nodes(n)
+    x, w = np.polynomial.legendre.leggauss(n)
     x, w = 0.5 * b * (x + 1), 0.5 * b * w
     return x, w, _density(x[None, :] - x[:, None], mu, drift) * w[None, :]
-
-
-@lru_cache(maxsize=32)
-def _nodes(n: int) -> tuple[Array, Array]:
-    x, w = np.polynomial.legendre.leggauss(n)
-    return x, w
 
 
 def _density(x: Array, mu: float, drift: float) -> Array:

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -51,9 +50,8 @@ class JointRate:
 
     def per_look(self, boundaries: Array) -> Array | None:
         """Return alarms per block at every (ascending) boundary; None where too few paths are affordable."""
-        arrays = [np.ascontiguousarray(x, dtype=np.float64) for x in (self.A, self.B, self.C, boundaries)]
-        found = _rates(*(x.tobytes() for x in arrays), self.B.shape, self.block)
-        return None if found is None else np.array(found)
+        A, B, C, b = (np.ascontiguousarray(x, dtype=np.float64) for x in (self.A, self.B, self.C, boundaries))
+        return _rates(A, B, C, b, self.block)
 
 
 def joint_rate(noise: NoiseDriven, which: NDArray[np.intp], theta: Array, block: int) -> JointRate | None:
@@ -80,11 +78,8 @@ class _Plan:
     paths: int
 
 
-@lru_cache(maxsize=32)  # detectors of one machine are designed again and again
-def _rates(rawA: bytes, rawB: bytes, rawC: bytes, rawb: bytes, shape: tuple[int, int], block: int) -> tuple[float, ...] | None:
-    n, p = shape
-    A, B, C, b = (np.frombuffer(raw) for raw in (rawA, rawB, rawC, rawb))
-    A, B, C = A.reshape(n, n), B.reshape(n, p), C.reshape(-1, n)
+def _rates(A: Array, B: Array, C: Array, b: Array, block: int) -> Array | None:
+    n, p = B.shape
     plans = _plans(A, B, C, p, block, float(b.max()))
     if min(plan.paths for plan in plans) < FEWEST:
         return None
@@ -98,7 +93,7 @@ def _rates(rawA: bytes, rawB: bytes, rawC: bytes, rawb: bytes, shape: tuple[int,
         at, weight = _paths(At, Bt, Ct, x, i, onset, plan.patience, block, rng, b)
         sums += _terms(at, weight, onset, plan.forgotten)
     early, steady, lost = sums
-    return tuple((steady / (1 - early + lost)).tolist())
+    return np.asarray(steady / (1 - early + lost))
 
 
 def _plans(A: Array, B: Array, C: Array, p: int, block: int, boundary: float) -> Sequence[_Plan]:

@@ -14,9 +14,9 @@ e_k. Its false-alarm probability lies between ``Q(h)`` and ``K Q(h)`` and is fou
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
@@ -32,7 +32,8 @@ _SAME = 1e-9  # singular values below this share of the largest are rounding
 
 def exceedance(directions: Array, h: float) -> float:
     """Return ``P(max_k <z, e_k> > h)`` for ``directions`` of shape ``(K, D)`` (any lengths above 0) and ``h >= 0``."""
-    return _exceedance(reduced(directions), h)
+    e = reduced(directions)
+    return _exceedance(e, points(e.shape[1]), h)
 
 
 def maximum_threshold(directions: Array, false_alarm: float) -> float:
@@ -40,18 +41,13 @@ def maximum_threshold(directions: Array, false_alarm: float) -> float:
 
     ``false_alarm`` must leave h non-negative.
     """
-    e = reduced(directions)
-    return _threshold(np.ascontiguousarray(e).tobytes(), e.shape, false_alarm)
-
-
-@lru_cache(maxsize=64)  # the same burst asks for the same threshold again and again
-def _threshold(raw: bytes, shape: tuple[int, int], false_alarm: float) -> float:
-    e = np.frombuffer(raw).reshape(shape)
+    e = np.ascontiguousarray(reduced(directions))
+    u = points(e.shape[1])
     low, high = max(tail_point(false_alarm), 0.0), max(tail_point(false_alarm / (2 * len(e))), 0.1)
     wanted = math.log(false_alarm)
-    if math.log(_exceedance(e, low)) <= wanted:  # the estimator's own rounding
+    if math.log(_exceedance(e, u, low)) <= wanted:  # the estimator's own rounding
         return low
-    return float(brentq(lambda h: math.log(_exceedance(e, h)) - wanted, low, high, xtol=1e-6))
+    return float(brentq(lambda h: math.log(_exceedance(e, u, h)) - wanted, low, high, xtol=1e-6))
 
 
 def tests_counted(directions: Array, h: float) -> float:
@@ -64,15 +60,16 @@ def shares(directions: Array, h: float) -> Array:
     union.
     """
     e = reduced(directions)
-    return np.array([_share(e, k, h) for k in range(len(e))])
+    u = points(e.shape[1])
+    return np.array([_share(e, k, u, h) for k in range(len(e))])
 
 
-def _exceedance(e: Array, h: float) -> float:
+def _exceedance(e: Array, u: Array, h: float) -> float:
     if e.shape[1] == 1:
         return tail(h) * len(set(np.sign(e[:, 0])))
     if e.shape[1] == 2:
         return _in_a_plane(e, h)
-    return tail(h) * float(np.sum(_union_terms(e, h)))
+    return tail(h) * float(np.sum(_union_terms(e, u, h)))
 
 
 def _in_a_plane(e: Array, h: float) -> float:
@@ -83,22 +80,20 @@ def _in_a_plane(e: Array, h: float) -> float:
     return float(np.mean(values))
 
 
-def _union_terms(e: Array, h: float) -> Array:
+def _union_terms(e: Array, u: Array, h: float) -> Array:
     """Return the mean of 1/count for every direction, one term per point; neighbouring points belong to one direction,
     since every stretch of a low-discrepancy sequence is spread evenly while every K-th point may not be.
     """
-    K, D = e.shape
-    u = points(D)
+    K = len(e)
     k = np.arange(len(u)) * K // len(u)
     return np.asarray(1 / np.bincount(k, minlength=K)[k] / _counts(e, k, u, h))
 
 
-def _share(e: Array, k: int, h: float) -> float:
-    u = points(e.shape[1])
+def _share(e: Array, k: int, u: Array, h: float) -> float:
     return float(np.mean(1 / _counts(e, np.full(len(u), k), u, h)))
 
 
-def _counts(e: Array, k: Array, u: Array, h: float) -> Array:
+def _counts(e: Array, k: NDArray[np.intp], u: Array, h: float) -> Array:
     """Return how many directions exceed h at points drawn with direction ``k`` above h, shape as ``k``."""
     t = -ndtri(u[:, 0] * ndtr(-h))  # the component along e_k, given that it exceeds h
     w = ndtri(u[:, 1:])
@@ -108,7 +103,6 @@ def _counts(e: Array, k: Array, u: Array, h: float) -> Array:
     return np.array(np.maximum(above, 1), dtype=np.float64)  # rounding may put the drawn one a hair below h
 
 
-@lru_cache(maxsize=16)
 def points(dimension: int) -> Array:
     """Return Sobol points in (0, 1), shape ``(POINTS, 1 + dimension)``, shifted off the edges of the cube."""
     sobol = qmc.Sobol(1 + dimension, scramble=False).random(POINTS)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import brentq
@@ -32,6 +32,10 @@ class Mixture:
     means: Array
     roots: Array
     directions: Array
+    points: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", points(self.directions.shape[1]))
 
     def exceedance(self, heights: Array) -> float:
         """Return the probability that any ``<z, e_k>`` exceeds its height, ``heights (K,)``."""
@@ -44,7 +48,7 @@ class Mixture:
         total = float(share.sum())
         if not total > 0:
             return 0.0
-        u = points(e.shape[1])
+        u = self.points
         picked = np.searchsorted(np.cumsum(share) / total, (np.arange(len(u)) + 0.5) / len(u))
         q, k = np.divmod(np.minimum(picked, len(share) - 1), len(e))
         w, axis = ndtri(u[:, 1:]), along[q, k] / sd[q, k, None]

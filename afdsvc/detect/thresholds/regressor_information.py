@@ -93,9 +93,12 @@ class NoiseDriven:
         return mean, np.sqrt(np.clip(1 + yy - xxy + 7 / 4 * xy**2, 0.25, 4.0))
 
 
-def noise_driven(problem: DetectionProblem, filters: Regressors | None = None) -> NoiseDriven:
+def noise_driven(problem: DetectionProblem) -> NoiseDriven:
     """Return the noise-driven part of all regressors of a problem."""
-    f = regressors(problem) if filters is None else filters
+    return problem.once(lambda: _noise_driven(problem, regressors(problem)), "noise-driven regressors")
+
+
+def _noise_driven(problem: DetectionProblem, f: Regressors) -> NoiseDriven:
     loop, K = _loop(problem, f), len(f.names)
     slowest = float(np.abs(loop.poles()).max(initial=0.0))
     M = int(min(_MOST, max(_LAGS, 2 ** np.ceil(np.log2(20 / max(1 - slowest, 1e-9))))))

@@ -10,7 +10,7 @@ import numpy as np
 from afdsvc.api.detection import DetectionProblem, Detector
 from afdsvc.detect.burst_detector import burst_detector
 from afdsvc.detect.features.regressors import regressors
-from afdsvc.detect.features.shared_filter import shared
+from afdsvc.detect.features.shared_filter import shared_regressors
 from afdsvc.detect.settings import NUISANCES, Range, gate_of, nuisances_of, read
 from afdsvc.detect.statistics.iterated_regression import iterated
 from afdsvc.detect.statistics.matched_filter import MatchedFilter
@@ -65,9 +65,8 @@ class RegressionDesign:
         """Return the detector; raises `BadInput` for a setting that is unknown or out of range."""
         values = read(self.name, settings, NUISANCES)
         out, frozen = nuisances_of(values, problem.plant.dt), int(values["frozen_samples"])
-        filters = regressors(problem)
-        statistic = regression(problem, shared(filters), out)
-        return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen, filters, out)
+        statistic = regression(problem, shared_regressors(problem), out)
+        return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen, out)
 
 
 class IteratedRegressionDesign:
@@ -81,7 +80,5 @@ class IteratedRegressionDesign:
         values = read(self.name, settings, NUISANCES)
         out = nuisances_of(values, problem.plant.dt)
         frozen = int(values["frozen_samples"])
-        filters = regressors(problem)
-        statistic = iterated(problem, filters.settling(1e-3), out)
-        gate = gate_of(values)
-        return burst_detector(self.name, problem, statistic, gate, values["sure"], frozen, filters, out, regressing=False)
+        statistic = iterated(problem, regressors(problem).settling(1e-3), out)
+        return burst_detector(self.name, problem, statistic, gate_of(values), values["sure"], frozen, out, regressing=False)

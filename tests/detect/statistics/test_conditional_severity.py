@@ -12,7 +12,6 @@ from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.excite.expected_detection import expected_detection
 from afdsvc.excite.simulated_burst import faulty_loop, simulate_burst
 from afdsvc.plugins.manager import load
-from afdsvc.stats.memo import at_rest, stepped
 from afdsvc.testing.machines import bearing_problem, with_rate
 
 WIDE = (-50.0, 50.0)
@@ -80,9 +79,10 @@ def test_no_burst_is_detected_beyond_the_limit_it_states(detector):
 
     def judged(severity):
         record = simulate_burst(problem, alpha, noise, loop=faulty_loop(problem, {"vertical_actuator": severity}))
-        state, sums = at_rest(made.filters), statistic.start(burst, dt)
+        filters = made.front.filters
+        state, sums = filters.start(), statistic.start(burst, dt)
         for block in record.blocks(quiet, burst, quiet):
-            state, series = stepped(made.filters, state, block)
+            state, series = filters.step(state, block.r, block.y, block.u)
             if block.burst:
                 sums, _ = statistic.step(sums, BurstSamples(block.k0 - quiet, dt, series, block))
         (found,) = statistic.decide(sums, burst, dt)

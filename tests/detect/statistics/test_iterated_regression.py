@@ -16,7 +16,7 @@ def test_bias_and_spread_of_the_signed_root_are_taken_out():
     burst, filters = default_burst(problem, problem.limits, 0.5, 0.4), regressors(problem)
     source, settle, dt = trials(problem, burst, filters=filters), filters.settling(1e-3), problem.plant.dt
     statistic = iterated(problem, settle)
-    mean, sd = noise_driven(problem, filters).signed_root(burst.samples - settle, burst)
+    mean, sd = noise_driven(problem).signed_root(burst.samples - settle, burst)
     assert np.abs(mean).max() > 0.05  # of a standard deviation: enough to matter
     for seed in range(4):
         shown = source.samples(source.noise(seed))
