@@ -48,8 +48,8 @@ def real_time_factor(sample_time: float, seconds: float = 0.5) -> float:
     u, y, beta, alpha = (np.zeros((n, 4)) for _ in range(4))
     start = time.process_time()
     control_sample.run_closed_loop(
-        G.A, G.B, G.C, x, J_K.A, J_K.B, J_K.C, J_K.D, xk, alpha, np.zeros((n, 4)), 0.5 * rng.standard_normal((n, 4)),
-        False, bounds, bounds, hold, u, y, beta,
+        G.A, G.B, G.C, x, J_K.A, J_K.B, J_K.C, J_K.D, xk, *control_sample.no_q(4, 4), alpha, np.zeros((n, 4)),
+        0.5 * rng.standard_normal((n, 4)), False, bounds, bounds, hold, u, y, beta,
     )
     spent = time.process_time() - start
     print("displacement noise in the loop [um]:", np.round(y.std(axis=0), 2))

@@ -1,6 +1,6 @@
 """What the parts of a service would hold alone on one core, in blocks for each second of processor time.
 
-    python benchmarks/throughput/alone.py zenoh|mcap|judge|numpy
+    python benchmarks/throughput/alone.py zenoh|mcap|judge|numpy [BLOCKS]
 
 Each part runs in a process of its own, so that nothing else is counted. `run.py` starts them with one thread for linear algebra.
 """
@@ -152,4 +152,4 @@ if __name__ == "__main__":
     if sys.argv[1] == "send":
         send(int(sys.argv[2]))
     else:
-        print(PARTS[sys.argv[1]]())
+        print(PARTS[sys.argv[1]](*map(int, sys.argv[2:])))

@@ -34,8 +34,8 @@ def loop(machine: Commissioned, alpha: np.ndarray, noise: np.ndarray) -> np.ndar
     n, m, p = len(alpha), machine.plant.inputs, machine.plant.outputs
     u, y, beta, limits = np.empty((n, m)), np.empty((n, p)), np.empty((n, p)), machine.limits
     control_sample.run_closed_loop(
-        G.A, G.B, G.C, np.zeros(G.order), K.A, K.B, K.C, K.D, np.zeros(K.order), np.ascontiguousarray(alpha), np.zeros((n, m)),
-        np.ascontiguousarray(noise), False, limits.output, limits.input, np.zeros(m), u, y, beta,
+        G.A, G.B, G.C, np.zeros(G.order), K.A, K.B, K.C, K.D, np.zeros(K.order), *control_sample.no_q(m, p),
+        np.ascontiguousarray(alpha), np.zeros((n, m)), np.ascontiguousarray(noise), False, limits.output, limits.input, np.zeros(m), u, y, beta,
     )  # fmt: skip
     return np.hstack([u, y, alpha, beta])
 
@@ -108,7 +108,7 @@ class Talker:
     def play(self, burst: Burst) -> None:
         """Begin a burst with the next block."""
         whole = LENGTH * -(-burst.samples // LENGTH)
-        assert whole == burst.samples, "a burst of whole blocks is wanted"
+        assert whole == burst.samples, "expected a burst of whole blocks"
         self.burst, self.began = burst, self.seq
 
 
