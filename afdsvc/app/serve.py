@@ -32,6 +32,7 @@ from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.audit_log import AuditLog
 from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.service.clock import RealClock
+from afdsvc.service.console import SignIn, serve_console
 from afdsvc.service.housekeeping import Housekeeper, Keep
 from afdsvc.service.hub import Hub
 from afdsvc.service.machine import MachineMonitor
@@ -42,7 +43,6 @@ from afdsvc.service.recorder_sink import LateRecorder, PreAlarmBuffer, Receipts,
 from afdsvc.service.retuning import Retuning
 from afdsvc.service.scheduler import Scheduler
 from afdsvc.service.sinks import FanOut, LogSink, Publisher, Sink, ThreadedSink
-from afdsvc.service.status_page import serve_page
 from afdsvc.service.warm_up import WarmUp
 from afdsvc.transport.access_rules import KeyWatch, access_of
 from afdsvc.transport.outgoing_queue import OutgoingQueue
@@ -102,19 +102,31 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
         rehearsals.start()
         stack.callback(rehearsals.close)
         hub.start()
-        security = site.transport.security
-        if security is not None:
-            said = partial(hub.audit.add, "service") if hub.audit else print
-            stack.callback(KeyWatch(site, SERVICE, transport.reopen, clock, lambda: any(r.playing for r in burst_requests.values()), said).close)
-        Requests(hub).serve(*((None,) if security is None else (security.operators, security.tuners)))
+        requests, sign_in = _answering(site, hub, transport, clock, stack)
         stack.callback(hub.stop)
         housekeeper.start()
         stack.callback(housekeeper.close)
         if site.metrics.listen:
             stack.callback(serve_metrics(site.metrics.listen, hub.status))
         if site.web.listen:
-            stack.callback(serve_page(site.web.listen, hub))
+            stack.callback(serve_console(site.web.listen, hub, requests, sign_in, site.recording.folder, site.alarms.severity_limit))
         yield hub
+
+
+def _answering(site: Site, hub: Hub, transport: Transport, clock: Clock, stack: ExitStack) -> tuple[Requests, SignIn]:
+    """Answer people from now on; on a secured site whoever is revoked is signed out of the console."""
+    security, sign_in = site.transport.security, SignIn(site.web.listen or "", clock)
+
+    def said(sentence: str) -> None:
+        sign_in.forget()
+        if hub.audit:
+            hub.audit.add("service", sentence)
+
+    if security is not None:
+        stack.callback(KeyWatch(site, SERVICE, transport.reopen, clock, lambda: any(r.playing for r in hub.burst_requests.values()), said).close)
+    requests = Requests(hub, sign_in.invite if site.web.listen else None)
+    requests.serve(*((None,) if security is None else (security.operators, security.tuners)))
+    return requests, sign_in
 
 
 @contextmanager

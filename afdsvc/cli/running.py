@@ -148,6 +148,13 @@ def status(site: SiteOption = HERE, as_json: Json = False) -> None:
 
 
 @app.command()
+def console(site: SiteOption = HERE, as_json: Json = False) -> None:
+    """Print a link that signs you in to the console of the running service, once: acknowledge alarms, play bursts, from a browser."""
+    found = _ask(site, "console")
+    show(as_json, found, lambda: print(found["url"]))
+
+
+@app.command()
 def alarms(
     history: Annotated[bool, typer.Option("--history", help="Show the history of changes instead of the present states.")] = False,
     alarm: Annotated[str, typer.Argument(help="Only this one.")] = "",

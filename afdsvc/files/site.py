@@ -130,11 +130,12 @@ class Alarms(_Strict):
     history: Path | None = None
     keep_days: Positive = 3650.0
     before_seconds: Annotated[float, Field(ge=0, le=600)] = 60.0
+    severity_limit: Annotated[float, Field(ge=-1, lt=0)] = -0.5
     notify: list[PluginSection] = []
 
 
 class Web(_Strict):
-    """Where something is served over HTTP, read-only; off by default, and on other computers' request only where that is allowed."""
+    """Where something is served over HTTP; off by default, and on other computers' request only where that is allowed."""
 
     listen: str | None = None
     trusted_network: bool = False

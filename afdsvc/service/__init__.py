@@ -1,1 +1,1 @@
-"""The background service of a site: hub, bursts, operator requests, notifications, sinks, status page."""
+"""The background service of a site: hub, bursts, operator requests, notifications, sinks, console."""

@@ -9,6 +9,9 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from typing import Any
+
+import numpy as np
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.clock import Clock
@@ -16,6 +19,9 @@ from afdsvc.api.evidence import Evidence
 from afdsvc.diagnosis.pipeline import ExcitableStream
 from afdsvc.diagnosis.verdict import open_question
 from afdsvc.errors import AfdsvcError, Refused
+from afdsvc.lti.lft import star
+from afdsvc.lti.simulate import simulate
+from afdsvc.lti.statespace import StateSpace
 from afdsvc.service.scheduler import BurstOrder, Scheduler
 from afdsvc.service.sinks import Sink
 from afdsvc.transport.zenoh_session import Transport
@@ -28,6 +34,7 @@ log = logging.getLogger(__name__)
 LEASE_SECONDS = 2.0
 LONGEST_WAIT = 5.0  # seconds ahead of its first sample a burst is asked for at most
 ANSWER_SECONDS = 20.0  # a rig simulates a long burst before it accepts it
+SHOWN = 2000  # samples of a planned burst that are shown
 LEAD_SECONDS = 0.4  # a planned burst starts at its sample, however long the request was on its way
 ENDS = (EventKind.BURST_ENDED, EventKind.BURST_ABORTED, EventKind.BURST_REFUSED, EventKind.RIG_STOPPED)
 
@@ -96,6 +103,27 @@ class BurstRequests:
         if due is None:
             raise Refused("the machine is not ready for a burst")
         return self.play(due)
+
+    def plan(self, wanted: BurstOrder) -> dict[str, Any]:
+        """Return what a burst would play and what the nominal loop would answer, as JSON values; raises `Refused` where there is none yet.
+
+        A burst for identification is drawn anew when it is played, within the same limits.
+        """
+        burst, problem = self.design(wanted), self.pipeline.problem
+        alpha, G = burst.play(self.pipeline.dt), problem.plant
+        p, m = G.outputs, G.inputs
+        seen = StateSpace(G.A, G.B, np.vstack([G.C, np.zeros((m, G.order)), G.C]), np.vstack([G.D, np.eye(m), G.D]), G.dt)
+        answer = simulate(star(seen, problem.interconnection, p, m), alpha)[0]
+        limits = problem.limits
+        sides = [(name, "output", answer[:, i], limits and limits.output[i]) for i, name in enumerate(problem.output_names)]
+        sides += [(name, "input", answer[:, p + j], limits and limits.input[j]) for j, name in enumerate(problem.input_names)]
+        hertz = [{"input": problem.input_names[line.input], "hertz": line.omega / (2 * np.pi), "amplitude": line.amplitude} for line in burst.lines]
+        part = slice(None, None, max(1, len(alpha) // SHOWN))
+        return {
+            "machine": self.machine, "purpose": wanted.purpose, "seconds": burst.samples * self.pipeline.dt, "lines": hertz,
+            "peaks": [{"name": name, "side": side, "peak": float(np.abs(x).max()), "limit": limit and float(limit)} for name, side, x, limit in sides],
+            "alpha": {name: alpha[part, j].tolist() for j, name in enumerate(problem.input_names)},
+        }  # fmt: skip
 
     def play(self, wanted: BurstOrder) -> str:
         """Ask the rig for the burst; returns its name, raises `Refused` with the rig's reason."""

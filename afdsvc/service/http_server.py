@@ -1,4 +1,4 @@
-"""The HTTP server behind the status page and the metrics: read-only, a bounded number of connections, no traceback for a hang-up."""
+"""The HTTP server behind the console and the metrics: a bounded number of connections, no traceback for a hang-up."""
 
 from __future__ import annotations
 

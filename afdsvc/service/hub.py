@@ -16,14 +16,15 @@ from pathlib import Path
 from typing import Any
 
 from afdsvc.api.clock import Clock
-from afdsvc.diagnosis.alarm_book import AlarmBook, Policy
+from afdsvc.diagnosis.alarm_book import UNNAMED, AlarmBook, Policy
 from afdsvc.diagnosis.pipeline import Outcome
+from afdsvc.diagnosis.verdict import conclude
 from afdsvc.errors import BadInput, Refused
 from afdsvc.service.audit_log import AuditLog
 from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.service.clock import Watchdog
 from afdsvc.service.machine import MachineMonitor
-from afdsvc.service.notifications import History, NotificationQueue
+from afdsvc.service.notifications import History, Judged, NotificationQueue
 from afdsvc.service.recorder_sink import Receipts
 from afdsvc.service.retuning import Retuning
 from afdsvc.service.sinks import ThreadedSink
@@ -235,9 +236,18 @@ class Hub:
                     requests.scheduler.after_event(alarm.id)
         if fresh:
             self._sum_up(watch, fresh[-1].t_ns)
-        if requests:
-            for burst in {f.evidence.burst for f in fresh if f.evidence.burst}:
+        for burst in {f.evidence.burst for f in fresh if f.evidence.burst}:
+            self._keep_judged(watch, burst, fresh[-1].t_ns)
+            if requests:
                 requests.consider(burst, watch.decisions_on(burst))
+
+    def _keep_judged(self, watch: MachineMonitor, burst: str, t_ns: int) -> None:
+        """Keep what the decisions on a burst amount to; of one that cannot be trusted nothing."""
+        found = conclude(watch.decisions_on(burst))
+        if found.trustworthy and self.history is not None:
+            size = (found.severity.value, found.severity.sd) if found.severity else (None, None)
+            for outbox in self.outboxes[:1]:
+                outbox.put(Judged(watch.machine, burst, t_ns, found.fault or (UNNAMED if found.detected else ""), *size))
 
     def _note_conditions(self, watch: MachineMonitor, outcome: Outcome) -> None:
         """Raise an alarm for a failure of the monitoring itself; it ends with the next valid samples."""

@@ -11,9 +11,10 @@ from afdsvc.api.clock import Clock
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.intervals import Intervals
 from afdsvc.api.signals import Block, residual_block
-from afdsvc.diagnosis.pipeline import Outcome, Stream
+from afdsvc.diagnosis.pipeline import ExcitableStream, Outcome
 from afdsvc.diagnosis.verdict import FaultVerdict, conclude, model_gap
 from afdsvc.errors import BadInput
+from afdsvc.lti.statespace import Array
 from afdsvc.service.sinks import Sink
 from afdsvc.wire import codec
 from afdsvc.wire.codec import Message
@@ -35,7 +36,7 @@ class MachineMonitor:
     """Takes the messages of one machine in order, in one thread; other threads only read the status."""
 
     machine: str
-    pipeline: Stream
+    pipeline: ExcitableStream
     sink: Sink
     clock: Clock
     evidence: deque[Evidence] = field(default_factory=lambda: deque(maxlen=400))
@@ -53,6 +54,7 @@ class MachineMonitor:
         self._foreign: set[str] = set()
         self._fresh: list[Finding] = []
         self._decisions, self._concluded = 0, (-1, FaultVerdict())
+        self.residuals: deque[tuple[float, int, bool, Array]] | None = None  # end [s], samples, burst, sum of squares (p, p); kept for the console
 
     def take_block(self, payload: bytes) -> Outcome | None:
         """Judge a block and pass everything on; what cannot be decoded is named and dropped."""
@@ -75,6 +77,8 @@ class MachineMonitor:
             self.say(LEVELS.get(finding.kind, "info"), finding.message, block.t0_ns)
         if outcome.residual is not None:
             self.sink.take(Message(Residual(residual_block(block, outcome.residual))))
+            if self.residuals is not None:
+                self.residuals.append((self.seconds_seen, len(block), bool(block.burst), outcome.residual.T @ outcome.residual))
             self.trouble = ""
         for e in outcome.evidence:
             stamp = block.t0_ns + round((e.k - block.k0) * block.dt * 1e9)

@@ -1,4 +1,4 @@
-"""Who learns of changes of alarms: the history, which outlasts restarts, and notifiers, each behind a queue and thread of its own."""
+"""Who learns of changes of alarms and of judged bursts: the history, which outlasts restarts, and notifiers, each behind a queue and thread of its own."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sqlite3
 import threading
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -30,14 +30,14 @@ class NotificationQueue:
         self, name: str, receive: Callable[..., object], pauses: tuple[float, ...] = PAUSES, size: int = 1000, batch: int = 1
     ) -> None:
         self.name, self._receive, self._pauses = name, receive, pauses
-        self._queue: queue.Queue[AlarmChange | None] = queue.Queue(size)
+        self._queue: queue.Queue[AlarmChange | Judged | None] = queue.Queue(size)
         self._stopping, self._batch = threading.Event(), batch
         self.dropped = 0
         self.failure = ""
         self._thread = threading.Thread(target=self._work, name=f"alarms to {name}", daemon=True)
         self._thread.start()
 
-    def put(self, change: AlarmChange) -> None:
+    def put(self, change: AlarmChange | Judged) -> None:
         """Queue a change; when the queue is full it is dropped and counted."""
         try:
             self._queue.put_nowait(change)
@@ -73,9 +73,9 @@ class NotificationQueue:
                 for _ in taken:
                     self._queue.task_done()
 
-    def _take(self) -> list[AlarmChange | None]:
+    def _take(self) -> list[AlarmChange | Judged | None]:
         """Return what waits, at most a batch and up to the end; waits for the first."""
-        taken = [self._queue.get()]
+        taken: list[AlarmChange | Judged | None] = [self._queue.get()]
         while taken[-1] is not None and len(taken) < self._batch:
             try:
                 taken.append(self._queue.get_nowait())
@@ -83,7 +83,7 @@ class NotificationQueue:
                 break
         return taken
 
-    def _hand_over(self, changes: list[AlarmChange]) -> None:
+    def _hand_over(self, changes: list[AlarmChange | Judged]) -> None:
         for pause in (*self._pauses, None):
             try:
                 self._receive(*changes)
@@ -96,9 +96,10 @@ class NotificationQueue:
         for change in changes:
             self._drop(change, self.failure)
 
-    def _drop(self, change: AlarmChange, why: str) -> None:
+    def _drop(self, change: AlarmChange | Judged, why: str) -> None:
         self.dropped += 1
-        log.error("alarm %s (%s) could not be delivered to %s: %s", change.alarm.id, change.event, self.name, why)
+        what = f"alarm {change.alarm.id} ({change.event})" if isinstance(change, AlarmChange) else f"the decisions on burst {change.burst}"
+        log.error("%s could not be delivered to %s: %s", what, self.name, why)
 
 
 SCHEMA = """
@@ -108,9 +109,25 @@ CREATE TABLE IF NOT EXISTS change (
 );
 CREATE INDEX IF NOT EXISTS change_of_alarm ON change (alarm, number);
 CREATE INDEX IF NOT EXISTS change_in_time ON change (t_ns);
+CREATE TABLE IF NOT EXISTS judged (
+  machine TEXT NOT NULL, burst TEXT NOT NULL, t_ns INTEGER NOT NULL, fault TEXT NOT NULL, value REAL, sd REAL, PRIMARY KEY (machine, burst)
+);
+CREATE INDEX IF NOT EXISTS judged_in_time ON judged (machine, t_ns);
 """
 BUSY_SECONDS = 5.0
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """What the decisions on a burst amount to: the fault ("" where there is none) with its severity, None where none was estimated."""
+
+    machine: str
+    burst: str
+    t_ns: int
+    fault: str = ""
+    value: float | None = None
+    sd: float | None = None
 
 
 @dataclass
@@ -122,11 +139,19 @@ class History:
 
     path: Path
 
-    def add(self, *changes: AlarmChange) -> None:
-        """Keep changes; when this returns they are on the disk."""
-        rows = [(c.t_ns, c.alarm.id, c.alarm.machine, c.event, c.who, c.why, codec.encode(c)) for c in changes]
-        insert = "INSERT INTO change (t_ns, alarm, machine, event, who, why, message) VALUES (?, ?, ?, ?, ?, ?, ?)"
-        self._do(lambda db: db.executemany(insert, rows))
+    def add(self, *kept: AlarmChange | Judged) -> None:
+        """Keep changes and judged bursts, of which a later one replaces an earlier one; when this returns they are on the disk."""
+        changes = [(c.t_ns, c.alarm.id, c.alarm.machine, c.event, c.who, c.why, codec.encode(c)) for c in kept if isinstance(c, AlarmChange)]
+        judged = [astuple(j) for j in kept if isinstance(j, Judged)]
+        self._do(lambda db: (
+            db.executemany("INSERT INTO change (t_ns, alarm, machine, event, who, why, message) VALUES (?, ?, ?, ?, ?, ?, ?)", changes),
+            db.executemany("INSERT OR REPLACE INTO judged VALUES (?, ?, ?, ?, ?, ?)", judged),
+        ))  # fmt: skip
+
+    def judged(self, machine: str, limit: int = 20_000) -> list[Judged]:
+        """Return the newest judged bursts of a machine, oldest first."""
+        query = "SELECT * FROM judged WHERE machine = ? ORDER BY t_ns DESC LIMIT ?"
+        return [Judged(*row) for row in self._do(lambda db: db.execute(query, (machine, limit)).fetchall())][::-1]
 
     def last(self) -> list[Alarm]:
         """Return every alarm as it stood after its last change."""
@@ -140,9 +165,10 @@ class History:
         return found[::-1]
 
     def forget(self, before_ns: int) -> int:
-        """Drop changes before a time, but never the last one of an alarm; returns how many went."""
+        """Drop what is older than a time, but never the last change of an alarm; returns how many rows went."""
         old = "DELETE FROM change WHERE t_ns < ? AND number NOT IN (SELECT max(number) FROM change GROUP BY alarm)"
-        return self._do(lambda db: db.execute(old, (before_ns,))).rowcount
+        judged = "DELETE FROM judged WHERE t_ns < ?"
+        return self._do(lambda db: db.execute(old, (before_ns,)).rowcount + db.execute(judged, (before_ns,)).rowcount)
 
     def _changes(self, query: str, arguments: tuple[object, ...]) -> list[AlarmChange]:
         rows = self._do(lambda db: db.execute(query, arguments).fetchall())

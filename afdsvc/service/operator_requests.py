@@ -23,7 +23,7 @@ from afdsvc.wire.messages import Alarm, Command, CommandReply
 Arguments = Mapping[str, Any]
 Handler = Callable[[Arguments, str], Any]
 SAFE = ("stop", "pause", "restore")  # obeyed however wrong a clock is: they only end or hold back excitation
-QUESTIONS = ("status", "alarms", "history", "ticket")  # requests that change nothing
+QUESTIONS = ("status", "alarms", "history", "ticket", "plan")  # requests that change nothing
 RETUNING = ("retune", "restore")  # what those may ask who may retune
 TICKETS = 100  # of the last bursts and retunings that were asked for
 ANSWERED_AT_ONCE = 16  # requests of people: a stop does not wait for the design of a burst
@@ -33,8 +33,10 @@ PATIENCE = 0.5  # seconds a person waits for the disk to keep what they did
 class Requests:
     """The requests one hub answers; each takes arguments and who asks, and returns something `json_values` turns into JSON."""
 
-    def __init__(self, hub: Hub) -> None:
-        self._hub, self._freshness = hub, Freshness(hub.clock)
+    def __init__(self, hub: Hub, invite: Callable[[str], Mapping[str, str]] | None = None) -> None:
+        self._hub, self._freshness, self._invite = hub, Freshness(hub.clock), invite
+        self._operators: Sequence[str] | None = None
+        self._tuners: Sequence[str] = ()
         self._bursts, self._tickets = ThreadPoolExecutor(ANSWERED_AT_ONCE, "burst asked for"), dict[str, Future[Any]]()
 
     def serve(self, operators: Sequence[str] | None = None, tuners: Sequence[str] = ()) -> None:
@@ -42,6 +44,7 @@ class Requests:
 
         ``operators`` are those of a secured site: each asks at a key of their own and must say when. Only ``tuners`` may retune there.
         """
+        self._operators, self._tuners = operators, tuners
         transport, keys, handlers = self._hub.transport, self._hub.keys, self.handlers()
         retuning = {name: handler for name, handler in handlers.items() if name in RETUNING}
         if operators is not None:
@@ -51,6 +54,12 @@ class Requests:
         for tuner in tuners:
             transport.serve(keys.retuning(tuner), partial(self._obey, tuner, retuning), ANSWERED_AT_ONCE)
         transport.serve(keys.question(), lambda payload: answer(self.questions(), payload))
+
+    def on_page(self, who: str, name: str, arguments: Arguments) -> CommandReply:
+        """Answer a person who is signed in to the console: what they may ask elsewhere, checked and audited alike."""
+        handlers = self.handlers() | ({} if self._operators is None or who in self._tuners else {"retune": _not_yours})
+        command = Command(name, arguments, who, self._now(), secrets.token_hex(8))
+        return codec.decode(CommandReply, self._obey(who, handlers, codec.encode(command)))
 
     def _obey(self, operator: str, handlers: Mapping[str, Handler], payload: bytes) -> bytes:
         began = self._hub.clock.monotonic()
@@ -88,6 +97,8 @@ class Requests:
             "burst": self._burst,
             "retune": self._retune,
             "restore": self._restore,
+            "console": lambda a, who: self._invited(who),
+            "plan": lambda a, who: self._requests_to(a).plan(BurstOrder("a plan", purpose=str(a.get("purpose") or "diagnose"))),
             "stop": lambda a, who: self._requests_to(a).stop(str(a.get("reason", "")), who),
             "pause": lambda a, who: self._pause(a, f"by {who}: {a.get('reason', '')}"),
             "resume": lambda a, who: self._pause(a, ""),
@@ -104,13 +115,18 @@ class Requests:
         return self._hub.history.changes(str(a.get("alarm") or "")) if self._hub.history else []
 
     def _acknowledge(self, a: Arguments, who: str) -> Alarm:
-        return self._done(self._hub.alarms.acknowledge(_id(a), who, _comment(a), self._now(), a.get("seen_ns")))
+        return self._done(self._hub.alarms.acknowledge(_id(a), who, _comment(a), self._now(), _seen(a)))
 
     def _done(self, alarm: Alarm) -> Alarm:
         """What a person did is kept before it is confirmed to them, unless the disk takes too long."""
         for outbox in self._hub.outboxes[:1]:
             outbox.flush(PATIENCE)
         return alarm
+
+    def _invited(self, who: str) -> Mapping[str, str]:
+        if self._invite is None:
+            raise Refused("the site has no console; expected key 'web.listen' in the site file")
+        return self._invite(who)
 
     def _burst(self, a: Arguments, who: str) -> dict[str, str]:
         """Ask for a burst, which takes as long as its design; with the argument ``later`` the answer is a ticket at once."""
@@ -200,6 +216,13 @@ def _id(a: Arguments) -> str:
 
 def _comment(a: Arguments) -> str:
     return str(a.get("comment") or "")
+
+
+def _seen(a: Arguments) -> int | None:
+    try:
+        return None if a.get("seen_ns") is None else int(a["seen_ns"])
+    except (TypeError, ValueError):
+        raise BadInput(f"seen_ns {a.get('seen_ns')!r}; expected `since_ns` of an occurrence") from None
 
 
 def _minutes(a: Arguments) -> float:

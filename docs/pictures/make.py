@@ -1,4 +1,4 @@
-"""Makes the pictures of the README and the how-tos from nothing: ``python docs/pictures/make.py [review compared history web]``.
+"""Makes the pictures of the README and the how-tos from nothing: ``PYTHONPATH=. python docs/pictures/make.py [review compared history web]``.
 
 Runs a demonstration, reviews it, and takes pictures of Rerun (headless; needs a Vulkan driver such as Debian's
 mesa-vulkan-drivers) and of the web page (needs chromium). About two minutes. Look at every picture before it is committed.
@@ -25,6 +25,7 @@ from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.present.rerun import review_history, review_recordings
 from afdsvc.wire.codec import encode
 from afdsvc.wire.messages import Finding
+from benchmarks.support.browser import Browser
 
 HERE = Path(__file__).parent
 SHIPPED = HERE.parents[1] / "recordings" / "shipped"
@@ -129,15 +130,19 @@ def web(folder: Path) -> None:
     site = folder / "web.toml"
     site.write_text(f'{text}\n[[machines]]\nid = "spindle"\nplant = "gas_bearing"\n\n[web]\nlisten = "127.0.0.1:{page}"\n')
     service = subprocess.Popen([sys.executable, "-m", "afdsvc", "serve", str(site)], stderr=subprocess.DEVNULL)
+    browser = Browser(folder / "browser")
     try:
-        with rig_process(site, "bearing", 45.0):
+        with rig_process(site, "bearing", 60.0):
             time.sleep(25)
-            for name, size in (("web.png", "1000,1100"), ("web-phone.png", "400,1500")):
-                browser = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={folder}/browser"]
-                taken = [f"--window-size={size}", "--virtual-time-budget=4000", f"--screenshot={HERE / name}", f"http://127.0.0.1:{page}/"]
-                subprocess.run([*browser, *taken], check=True, capture_output=True)
+            link = subprocess.run([sys.executable, "-m", "afdsvc", "console", "--site", str(site)], check=True, capture_output=True, text=True).stdout.strip()
+            for name, width in (("web.png", 1000), ("web-phone.png", 400)):
+                browser.open(link if width == 1000 else f"http://127.0.0.1:{page}/", width)
+                browser.until("document.body.innerText.includes('signed in')")
+                time.sleep(1)
+                browser.picture(HERE / name)
                 print(HERE / name)
     finally:
+        browser.close()
         service.terminate()
         service.wait(20)
 

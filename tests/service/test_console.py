@@ -1,0 +1,244 @@
+"""The console of a running service: what a browser gets, what it shows, what people do on it, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from afdsvc.api.evidence import Evidence, Severity
+from afdsvc.app import serve
+from afdsvc.app.ask import ask_service
+from afdsvc.errors import BadInput
+from afdsvc.files.site import Site, parse_site
+from afdsvc.service.http_server import CONNECTIONS
+from afdsvc.service.notifications import Judged
+from afdsvc.wire.messages import Finding
+from benchmarks.support.browser import CHROMIUM, Browser
+
+browser_needed = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+
+
+def site_of(port: int, folder: Path, web: str) -> Site:
+    text = f"""
+site = "hall-3"
+[transport]
+listen = ["tcp/127.0.0.1:{port}"]
+[recording]
+folder = "{folder}"
+[web]
+listen = "{web}"
+[[machines]]
+id = "bearing"
+plant = "gas_bearing"
+"""
+    return parse_site(text, "site.toml")
+
+
+def ask(url: str, method: str = "GET", **headers: str) -> tuple[int, bytes, str]:
+    request = urllib.request.Request(url, method=method, headers=headers)
+    try:
+        with urllib.request.urlopen(request, timeout=10) as answer:
+            return answer.status, answer.read(), answer.headers["Content-Type"]
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read(), ""
+
+
+def test_the_page_shows_and_nothing_else_is_answered(free_port, tmp_path):
+    base = f"http://127.0.0.1:{free_port + 1}"
+    with serve.serving(site_of(free_port, tmp_path, base.removeprefix("http://"))):
+        status, page, kind = ask(base + "/")
+        assert (status, kind) == (200, "text/html; charset=utf-8")
+        assert b"http://" not in page.replace(b"http://www.w3.org", b"")  # nothing is fetched from elsewhere
+        now = json.loads(ask(base + "/now.json")[1])
+        assert now["status"]["site"] == "hall-3"
+        assert now["status"]["machines"][0]["state"] == "absent"
+        assert now["alarms"] == []
+        assert ask(base + "/../../etc/passwd")[0] == 404
+        assert ask(base + "/now.json", Host="evil.example")[0] == 403
+        for method, status in (("POST", 404), ("PUT", 501), ("DELETE", 501)):
+            assert ask(base + "/", method)[0] == status
+
+
+def post(base: str, cookie: str, name: str, **arguments) -> tuple[int, dict]:
+    headers = {"X-Requested-With": "afdsvc", "Cookie": cookie}
+    request = urllib.request.Request(base + "/act", json.dumps({"name": name, "arguments": arguments}).encode(), headers)
+    try:
+        with urllib.request.urlopen(request, timeout=20) as answer:
+            return answer.status, json.load(answer)
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, json.loads(error.read() or b"{}")
+
+
+def entered(url: str) -> str:
+    """Return the cookie a link to sign in sets."""
+
+    class Stay(urllib.request.HTTPRedirectHandler):
+        def redirect_request(self, *args):
+            return None
+
+    with pytest.raises(urllib.error.HTTPError) as answer:
+        urllib.request.build_opener(Stay).open(url, timeout=10)
+    with answer.value as reply:
+        return (reply.headers["Set-Cookie"] or "").partition(";")[0]
+
+
+def an_alarm(hub) -> None:
+    """Let the service hear of a fault: an alarm now, and four weeks in which it grew."""
+    now = time.time_ns()
+    found = Evidence("matched_filter", "bearing", 0, 5.0, 90.0, 4.0, True, burst="b1", fault="horizontal_actuator", severity=Severity(-0.2, 0.01))
+    hub.alarms.take(Finding(found, "s", now), "bearing: horizontal_actuator -20 %")
+    past = [Judged("bearing", f"w{day}", now - (28 - day) * 86400 * 10**9, "horizontal_actuator", -0.05 - 0.005 * day, 0.004) for day in range(29)]
+    hub.history.add(*past)
+
+
+def test_only_who_is_signed_in_acts_and_as_themselves(free_port, tmp_path, monkeypatch):
+    base, site = f"http://127.0.0.1:{free_port + 1}", site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")
+    with serve.serving(site) as hub:
+        an_alarm(hub)
+        alarm = "bearing/horizontal_actuator"
+        assert post(base, "", "ack", alarm=alarm)[0] == 401
+        assert post(base, "afdsvc-hall-3=guessed", "ack", alarm=alarm)[0] == 401
+        url = ask_service(site, "console", "kim")["url"]
+        cookie = entered(url)
+        assert entered(url) == ""  # a link works once
+        assert post(base, cookie, "ack", alarm=alarm, comment="seen")[1]["ok"]
+        assert [(a["acknowledged_by"], a["comment"]) for a in ask_service(site, "alarms", "kim")] == [("kim", "seen")]
+        status, reply = post(base, cookie, "shelve", alarm=alarm, minutes=60, comment="")
+        assert (status, reply["ok"], "without a reason" in reply["error"]) == (200, False, True)
+        audited = [json.loads(line) for line in serve.audit_file(site).read_text().splitlines()]
+        assert [(e["who"], e["what"]) for e in audited if e["who"] != "service"] == [("kim", "console"), ("kim", "ack"), ("kim", "shelve")]
+        assert url.rpartition("/")[2] not in serve.audit_file(site).read_text()  # the link itself is not kept
+        assert json.loads(ask(base + "/now.json")[1])["files"] == {}
+        file = json.loads(ask(base + "/now.json", Cookie=cookie)[1])["files"][alarm]["recording"]
+        assert ask(f"{base}/files/{file}")[0] == 404  # files are for who is signed in
+        assert ask(f"{base}/files/{file}", Cookie=cookie)[1].startswith(b"\x89MCAP")
+        assert ask(base + "/files/../site.toml", Cookie=cookie)[0] == 404
+        own = urllib.request.Request(base + "/act", b"{}", {"Cookie": cookie})  # as a form of another page would ask
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            urllib.request.urlopen(own, timeout=10)
+        monkeypatch.setattr("afdsvc.service.console.SIGNED_IN_SECONDS", -1.0)
+        assert post(base, entered(ask_service(site, "console", "kim")["url"]), "ack", alarm=alarm)[0] == 401
+
+
+def test_severities_are_kept_and_forecast(free_port, tmp_path):
+    base, site = f"http://127.0.0.1:{free_port + 1}", site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")
+    with serve.serving(site) as hub:
+        assert json.loads(ask(base + "/trends.json")[1])["bearing"]["forecast"] is None
+        an_alarm(hub)
+        found = json.loads(ask(base + "/trends.json")[1])["bearing"]
+        days = found["forecast"]["reaches"] - time.time() / 86400
+        assert (found["fault"], found["bursts"], days) == ("horizontal_actuator", 29, pytest.approx(62, abs=0.1))
+        assert found["forecast"]["earliest"] < found["forecast"]["reaches"] < found["forecast"]["latest"]
+        hub.history.add(Judged("bearing", "w28", time.time_ns(), "horizontal_actuator", -0.5, 0.004))  # a later decision on the same burst
+        assert len(hub.history.judged("bearing")) == 29
+
+
+@pytest.fixture
+def browser(tmp_path):
+    opened = Browser(tmp_path / "browser")
+    yield opened
+    opened.close()
+
+
+@browser_needed
+def test_an_alarm_is_handled_by_keyboard_alone(free_port, tmp_path, browser):
+    base, site = f"http://127.0.0.1:{free_port + 1}", site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")
+    with serve.serving(site) as hub:
+        browser.open(base + "/", 1400)
+        browser.until("document.body.innerText.includes('No alarm has ever been raised.')")
+        browser.until("document.body.innerText.includes('read only')")
+        an_alarm(hub)
+        browser.until("document.body.innerText.includes('not acknowledged')")
+        browser.until("document.getElementById('news').textContent.includes('bearing/horizontal_actuator')")  # told to who cannot see
+        assert browser.value("document.title").startswith("(1) ")
+        assert browser.value("document.querySelectorAll('button:not(dialog button)').length") == 0
+        browser.open(ask_service(site, "console", "kim")["url"], 400)
+        browser.until("document.body.innerText.includes('signed in: kim')")
+        browser.tab_to("Acknowledge bearing/horizontal_actuator")
+        time.sleep(2.5)  # the page is drawn anew; the place is kept
+        browser.press("Enter")
+        browser.until("document.getElementById('ask').open")
+        browser.type("on my way")
+        browser.press("Enter")
+        browser.until("document.body.innerText.includes('acknowledged by kim')")
+        (seen,) = ask_service(site, "alarms", "lee")
+        assert (seen["acknowledged"], seen["acknowledged_by"], seen["comment"]) == (True, "kim", "on my way")
+        browser.tab_to("Shelve bearing/horizontal_actuator")
+        browser.press("Enter")
+        browser.until("document.getElementById('ask').open")
+        browser.press("Escape")
+        browser.until("!document.getElementById('ask').open")
+        browser.tab_to("Show and play a burst on bearing")
+        browser.press("Enter")
+        browser.until("document.getElementById('ask').innerText.includes('Expected peaks')")
+        assert browser.value("[...document.querySelectorAll('#ask td')].some((e) => e.textContent === 'output horizontal')")
+        assert browser.unnamed() == []
+        browser.tab_to("Play")
+        browser.press("Enter")
+        browser.until("document.getElementById('ask-error').textContent.includes(\"'bearing' is not connected\")")
+        browser.press("Escape")
+        browser.until("document.body.innerText.includes('it is reached on')")  # the forecast
+        for width in (400, 1400):
+            browser.open(base + "/", width)
+            browser.until("document.body.innerText.includes('it is reached on')")
+            assert browser.value("document.documentElement.scrollWidth") <= width  # nothing is off the screen
+            assert browser.unnamed() == []
+            browser.picture(tmp_path / f"console-{width}.png")
+        assert browser.errors == []
+
+
+@pytest.mark.parametrize(
+    ("web", "sentence"),
+    [("0.0.0.0:8080", "readable from other computers"), ("8080", "host:port"), ("nowhere", "host:port")],
+)
+def test_an_address_that_is_open_or_none_is_refused(web, sentence, free_port, tmp_path):
+    with pytest.raises(BadInput, match=sentence):
+        site_of(free_port, tmp_path, web)
+
+
+def test_a_taken_address_is_named(free_port, tmp_path):
+    with pytest.raises(BadInput, match=r"web\.listen = '127\.0\.0\.1"), serve.serving(
+        site_of(free_port, tmp_path, f"127.0.0.1:{free_port}")
+    ):
+        pass
+
+
+def test_connections_left_half_open_are_bounded_and_others_are_served(free_port, tmp_path, caplog, capfd):
+    address = ("127.0.0.1", free_port + 1)
+    before = threading.active_count()
+    with serve.serving(site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")):
+        started = threading.active_count()
+        half_open = [socket.create_connection(address) for _ in range(200)]
+        try:
+            for s in half_open:
+                s.sendall(b"GET / HTTP/1.1\r\n")
+            status, page, _ = ask(f"http://127.0.0.1:{free_port + 1}/")
+            assert status == 200
+            assert threading.active_count() - started <= CONNECTIONS + 3
+        finally:
+            for s in half_open:  # hang up in the middle of a request
+                s.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+                s.close()
+        status, _, _ = ask(f"http://127.0.0.1:{free_port + 1}/")
+        assert status == 200
+    assert threading.active_count() <= before + CONNECTIONS
+    assert "Traceback" not in caplog.text + capfd.readouterr().err
+
+
+def test_a_supervisor_learns_whether_the_service_is_healthy_and_ready(free_port, tmp_path, monkeypatch):
+    base = f"http://127.0.0.1:{free_port + 1}"
+    with serve.serving(site_of(free_port, tmp_path, base.removeprefix("http://"))) as hub:
+        assert [ask(f"{base}/{name}")[:2] for name in ("healthz", "readyz")] == [(200, b"yes\n")] * 2
+        monkeypatch.setattr(hub, "recording", lambda: ("", 0, "disk full", 0))
+        assert [ask(f"{base}/{name}")[0] for name in ("healthz", "readyz")] == [200, 503]
+        monkeypatch.setattr(hub, "healthy", lambda: False)
+        assert [ask(f"{base}/{name}")[0] for name in ("healthz", "readyz")] == [503, 503]
