@@ -229,7 +229,7 @@ class ControlLoop(ABC):
 
     def _plausible(self, y: Array) -> Array:
         """Return the readings ``y (p,)`` with NaN, a missing reading, in place of what no working sensor returns."""
-        return np.where(np.abs(y) <= self._range, y, np.nan)
+        return control_sample.plausible(y, self._range)
 
     def _begin(self) -> float:
         """Return when the first sample was due, in seconds of the clock; the first call says now."""

@@ -95,6 +95,15 @@ def _excite(C, D, xk, y, q, motion, alpha, total, beta, m, p, nk):  # type: igno
 
 
 @njit(cache=True)
+def plausible(y, bound):  # type: ignore[no-untyped-def]
+    """Return the readings ``y (p,)`` with NaN in place of what lies beyond its bound."""
+    out = np.empty(y.size)
+    for i in range(y.size):
+        out[i] = y[i] if abs(y[i]) <= bound[i] else np.nan
+    return out
+
+
+@njit(cache=True)
 def _finite(values):  # type: ignore[no-untyped-def]
     """Return whether all values are finite."""
     for value in values:
@@ -224,4 +233,5 @@ def compile_loops() -> None:
     jk = one, np.zeros((1, 2)), np.zeros((2, 1)), np.zeros((2, 2)), np.zeros(1), *no_q(1, 1)
     control_sample(*jk, none, none, False, none, none, none, none)
     row = np.zeros((1, 1))
+    plausible(none, none)
     run_closed_loop(one, one, one, np.zeros(1), *jk, row, row, row, False, none, none, np.zeros(1), row, row, row)

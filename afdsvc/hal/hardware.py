@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
@@ -133,6 +134,6 @@ class DrivenRig(ControlLoop):
 
     def _missed(self, began: float, ended: float) -> int:
         """A sample is late when its tick came more than half a period late or its work outlasted the period."""
-        late = ended - began > self.dt or (np.isfinite(self._last) and began - self._last > 1.5 * self.dt)
+        late = ended - began > self.dt or (math.isfinite(self._last) and began - self._last > 1.5 * self.dt)
         self._last = began
         return int(late)

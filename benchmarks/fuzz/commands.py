@@ -4,7 +4,7 @@
 
 The agent is the one that runs on a rig, with the nominal gas bearing as hardware and a clock that does not wait. Between two samples anything may
 come, as threads of the network would leave it: bursts (right, too large, with NaN, for others, stale, of every length), stops and leases (right,
-for others, endless, negative), rubbish, a service that vanishes and comes back; sensors return NaN, infinity, 1.7e308 or values beyond the output's
+for others, endless, negative), Qs (small, huge, unstable, not finite), rubbish, a service that vanishes and comes back; sensors return NaN, infinity, 1.7e308 or values beyond the output's
 limit. Eight make a sequence; the machine goes on from one to the next, and is started anew after an emergency stop. Exit 1 when anything
 was found.
 """
@@ -25,26 +25,46 @@ from random import Random
 from typing import Any
 
 import numpy as np
+from numba import njit
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks.support
 
 from afdsvc.api.bursts import Burst, Line
+from afdsvc.api.retuning import Diagnosed, Tuning
 from afdsvc.app import commissioning
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.site import MachineSection, PluginSection
 from afdsvc.hal.agent import RigAgent
 from afdsvc.hal.control_loop import LoopSettings
+from afdsvc.hal.control_sample import contiguous_system
 from afdsvc.hal.excitation import LONGEST_FADE
 from afdsvc.hal.hardware import DrivenRig
+from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.manager import load
 from afdsvc.service.clock import FastClock
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, Lease, RigDescription
+from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, Lease, RetuneRequest, RigDescription
 from benchmarks.support.mutation import mutate_bytes
 
 KEYS, LENGTH, BLOCK = Keys("t"), 8, 50
 WRONG = (float("nan"), float("inf"), -float("inf"), 1.7e308, -1.7e308, 1e154, 1e5, -1e5)
+
+
+@njit
+def advance(A, B, C, x, u):  # type: ignore[no-untyped-def]
+    """Return the plant's next state and its outputs."""
+    x = A @ x + B @ u
+    return x, C @ x
+
+
+@njit
+def within(u, limit):  # type: ignore[no-untyped-def]
+    """Return whether all values are finite and within their limits."""
+    for value, bound in zip(u, limit):  # noqa: B905 - compiled
+        if not abs(value) <= bound:
+            return False
+    return True
 
 
 class Wire:
@@ -78,7 +98,7 @@ class Attack:
 
     def __init__(self, machine: Any, rng: Random, sequences: int) -> None:
         self.machine, self.rng, self.left = machine, rng, sequences * LENGTH
-        self.G, self.found, self.counts = machine.plant, list[str](), Counter[str]()
+        self.G, self.found, self.counts = contiguous_system(machine.plant), list[str](), Counter[str]()
         self.clock, self.n = FastClock(), 0
         self.agent: RigAgent | None = None
 
@@ -101,21 +121,20 @@ class Attack:
 
     def read(self) -> Any:
         """Advance the plant, and now and then do something bad."""
-        self.x = self.G.A @ self.x + self.G.B @ self.u
         self.n += 1
+        self.x, y = advance(self.G.A, self.G.B, self.G.C, self.x, self.u)
         self.clock.sleep_until(self.clock.monotonic() + self.G.dt)
         self.next -= 1
         if self.next <= 0:
             self.next = self.rng.choice((self.rng.randrange(1, 8), self.rng.randrange(8, 40)))
             self.act()
-        y = self.G.C @ self.x
         if self.wrong is not None:
             y[self.rng.randrange(2)], self.wrong = self.wrong, None
         return y
 
     def write(self, u: Any) -> None:
         """Take the plant inputs, which must be finite and within their limits."""
-        if not (np.isfinite(u).all() and (np.abs(u) <= self.machine.limits.input).all()):
+        if not within(u, self.machine.limits.input):
             self.found.append(f"sample {self.n}: plant inputs {u}")
         self.u = u.copy()
 
@@ -165,7 +184,8 @@ class Attack:
         self.after_lease()
         if self.agent.emergency.is_set():
             self.agent.stopping.set()
-        acts = (*[self.burst] * 6, *[self.lease] * 6, self.stop, self.rubbish, self.service, self.reading, self.reading)
+        often = (*[self.burst] * 6, *[self.lease] * 6, self.reading, self.reading)
+        acts = (*often, self.stop, self.rubbish, self.service, self.retune, self.restore)
         act = self.rng.choice(acts) if self.rng.random() > 5e-4 else self.emergency
         self.counts[act.__name__] += 1
         with suppress(AfdsvcError):
@@ -205,13 +225,31 @@ class Attack:
 
     def lease(self) -> None:
         """Renew what plays, or something else."""
-        playing = self.agent._bursts.name or "none"  # noqa: SLF001
+        playing = self.rng.choice((self.agent._bursts.name, self.agent._bursts.name, self.agent._qs.name)) or "none"  # noqa: SLF001
         lease = Lease(self.rng.choice(("m", "m", "m", "other")), self.rng.choice((playing, playing, "b-none")), self.rng.choice((0.01, 0.1, 2.0, 2.0, 10.0, 11.0, 1e300)))
         self.line.heard[KEYS.lease("m")]("", codec.encode(lease))
 
     def stop(self) -> None:
         """Stop what plays, or something else."""
         self.line.heard[KEYS.stop("m")](codec.encode(BurstStop(self.rng.choice(("m", "other")), "why", "eve", self.rng.choice(("", "b-none")))))
+
+    def retune(self) -> None:
+        """Ask for a Q: slow or fast, small or huge, unstable, not finite, or of another size."""
+        rng, size = self.rng, self.rng.choice((1e-3, 1.0, 1e6, 1e300, float("nan")))
+        pole, outputs = rng.choice((0.5, 0.99, 0.99, 1.01, float("inf"))), rng.choice((2, 2, 2, 3))
+        Q = StateSpace(np.diag([pole, pole]), np.ones((2, outputs)), size * np.ones((2, 2)), size * np.ones((2, outputs)), self.G.dt)
+        tuning = Tuning(Q, rng.choice((0.0, 0.01, 1.0)), rng.choice((0.0, 0.01, 1.0)), None)
+        request = RetuneRequest(
+            rng.choice(("m", "m", "other")), f"q{self.n}", tuning, Diagnosed("any", -0.1, 0.0), rng.choice((0.05, 2.0, 9.0, 1e9)), "eve",
+            self.clock.now_ns(), self.agent.description.session, self.agent._k, "",  # noqa: SLF001
+        )  # fmt: skip
+        self.watch_over()
+        reply = codec.decode(BurstReply, self.line.heard[KEYS.retune("m")](codec.encode(request)))
+        self.counts["Qs accepted"] += reply.accepted
+
+    def restore(self) -> None:
+        """Take Q back, or something else."""
+        self.line.heard[KEYS.restore("m")](codec.encode(BurstStop(self.rng.choice(("m", "other")), "why", "eve", self.rng.choice(("", "none")))))
 
     def rubbish(self) -> None:
         """Send a mutant of a message to one who listens."""
