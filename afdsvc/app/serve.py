@@ -44,9 +44,10 @@ from afdsvc.service.retuning import Retuning
 from afdsvc.service.scheduler import Scheduler
 from afdsvc.service.sinks import FanOut, LogSink, Publisher, Sink, ThreadedSink
 from afdsvc.service.warm_up import WarmUp
-from afdsvc.transport.access_rules import KeyWatch, access_of
+from afdsvc.transport.access_rules import Access, KeyWatch, access_of
+from afdsvc.transport.lease_keeper import LeaseKeeper
 from afdsvc.transport.outgoing_queue import OutgoingQueue
-from afdsvc.transport.zenoh_session import Transport
+from afdsvc.transport.zenoh_session import Transport, configuration
 from afdsvc.wire.keys import SERVICE, Keys
 from afdsvc.wire.messages import AlarmChange
 
@@ -65,6 +66,8 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
     keys, sinks = Keys(site.site), SiteSinks(site, clock)
     with ExitStack() as stack:
         transport = stack.enter_context(Transport(site.transport, True, access_of(site, SERVICE)))
+        keeper = LeaseKeeper(str(configuration(site.transport, False, Access(SERVICE))))
+        stack.callback(keeper.close)
         post, news = OutgoingQueue(transport.publish, "post"), OutgoingQueue(partial(transport.publish, keep=False), "news", size=400)
         sinks.posts.append(post)
         for opened in (post, news):
@@ -87,15 +90,14 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
                 scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(burst_requests)), 0.0)
                 burst_requests[id] = BurstRequests(id, burst_design(machine, stream, diagnosis), scheduler, stream, sink, keys, transport, clock)
                 retunings[id] = Retuning(burst_requests[id], tuning_design(machine, plugins), diagnosis)
-        history = sinks.history()
-        outboxes = open_outboxes(site, history, plugins)
+        outboxes = open_outboxes(site, history := sinks.history(), plugins)
         for outbox in outboxes:
             stack.callback(outbox.close)
         policy = Policy(site.alarms.raise_after, site.alarms.clear_after, site.alarms.latch, site.alarms.shelve_minutes)
         hub = Hub(
             keys, __version__, watches, burst_requests, transport, clock, sinks.summary, sinks.files, policy=policy, history=history,
             outboxes=outboxes, audit=stack.enter_context(_audited(site, clock)), late=sinks.late,
-            retunings=retunings,
+            retunings=retunings, keeper=keeper,
         )  # fmt: skip
         housekeeper = sinks.housekeeper()
         rehearsals = WarmUp(rehearsed)
@@ -122,8 +124,13 @@ def _answering(site: Site, hub: Hub, transport: Transport, clock: Clock, stack: 
         if hub.audit:
             hub.audit.add("service", sentence)
 
+    def reopen(access: Access) -> None:
+        transport.reopen(access)
+        if hub.keeper:
+            hub.keeper.restart()
+
     if security is not None:
-        stack.callback(KeyWatch(site, SERVICE, transport.reopen, clock, lambda: any(r.playing for r in hub.burst_requests.values()), said).close)
+        stack.callback(KeyWatch(site, SERVICE, reopen, clock, lambda: any(r.playing for r in hub.burst_requests.values()), said).close)
     requests = Requests(hub, sign_in.invite if site.web.listen else None)
     requests.serve(*((None,) if security is None else (security.operators, security.tuners)))
     return requests, sign_in

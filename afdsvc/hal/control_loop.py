@@ -229,7 +229,8 @@ class ControlLoop(ABC):
 
     def _plausible(self, y: Array) -> Array:
         """Return the readings ``y (p,)`` with NaN, a missing reading, in place of what no working sensor returns."""
-        return control_sample.plausible(y, self._range)
+        readings: Array = control_sample.plausible(y, self._range)
+        return readings
 
     def _begin(self) -> float:
         """Return when the first sample was due, in seconds of the clock; the first call says now."""

@@ -222,12 +222,10 @@ class BurstRequests:
         self.playing = ""
         self.scheduler.ended(self.seconds)
 
-    def renew(self) -> None:
-        """Renew the lease of what plays, until its deadline; waits for nothing."""
+    def lease(self) -> Lease | None:
+        """Return the lease of what plays, until its deadline; waits for nothing."""
         playing = self.playing
-        if playing and self.clock.monotonic() <= self._deadline:
-            lease = Lease(self.machine, playing, LEASE_SECONDS)
-            self.transport.publish(self.keys.lease(self.machine), codec.encode(lease), keep=False)
+        return Lease(self.machine, playing, LEASE_SECONDS) if playing and self.clock.monotonic() <= self._deadline else None
 
     def _give_up(self, now: float) -> None:
         if now > self._deadline:

@@ -1,6 +1,7 @@
 """The running service: messages from zenoh go through one queue to one worker; a ticker plays bursts and publishes the state.
 
-Leases have a thread of their own that does nothing else: neither a design, a judgement, a disk nor a viewer holds them up.
+Leases are renewed by a process that does nothing else (`afdsvc.transport.lease_keeper`), told by a thread that does nothing else: neither a design, a
+judgement, a disk, a viewer nor a computer that is overloaded holds them up.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from afdsvc.service.notifications import History, Judged, NotificationQueue
 from afdsvc.service.recorder_sink import Receipts
 from afdsvc.service.retuning import Retuning
 from afdsvc.service.sinks import ThreadedSink
+from afdsvc.transport.lease_keeper import PERIOD_SECONDS, LeaseKeeper
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.codec import Message
@@ -38,7 +40,6 @@ log = logging.getLogger(__name__)
 TROUBLE = ("bad_samples", "frozen_sensor", "plugin_failed")  # findings about the watching that call for a person
 PASSING = ("bad_samples", "frozen_sensor")  # those that end by themselves
 TICK_SECONDS = 0.05
-RENEWAL_SECONDS = 0.05  # forty renewals in the life of a lease: a burst outlasts a computer that is overloaded
 STATUS_SECONDS = 1.0
 STOPPING_SECONDS = 2.5  # a service has 5 s to stop, files included
 FULL_SECONDS = 2.0  # a message waits so long for room in the queue; zenoh holds the link for 10 s
@@ -67,6 +68,7 @@ class Hub:
     audit: AuditLog | None = None
     late: Mapping[str, tuple[Receipts, ThreadedSink]] = field(default_factory=dict)
     retunings: Mapping[str, Retuning] = field(default_factory=dict)
+    keeper: LeaseKeeper | None = None
 
     def __post_init__(self) -> None:
         self._queue: queue.Queue[tuple[str, str, Any, float] | None] = queue.Queue(self.queue_size)
@@ -297,16 +299,18 @@ class Hub:
             self.retunings[watch.machine].heard(event)
 
     def _renew_for_ever(self) -> None:
-        """Renew the leases of all machines."""
+        """Have the leases of all machines renewed."""
         self._renewed = self.clock.monotonic()
-        while not self._stop.wait(RENEWAL_SECONDS):
-            now = self.clock.monotonic()
-            self.watchdog.note("leases", now - self._renewed)
-            self._renewed = now
-            for requests in self.burst_requests.values():
-                requests.renew()
-            for retuning in self.retunings.values():
-                retuning.renew()
+        while not self._stop.wait(PERIOD_SECONDS):
+            waited, self._renewed = self.clock.monotonic() - self._renewed, self.clock.monotonic()
+            held = [r.lease() for r in self.burst_requests.values()] + [r.lease() for r in self.retunings.values()]
+            leases = [(self.keys.lease(lease.machine), codec.encode(lease)) for lease in held if lease]
+            if self.keeper and self.keeper.renew(leases):
+                waited, self.keeper.longest = self.keeper.longest, 0.0
+            else:  # it does not answer (yet), so this thread renews them
+                for key, lease in leases:
+                    self.transport.publish(key, lease, keep=False)
+            self.watchdog.note("leases", waited)
 
     def _tick_for_ever(self) -> None:
         self._ticked = self.clock.monotonic()

@@ -107,12 +107,10 @@ class Retuning:
         if not reply.accepted:
             raise Refused(f"nothing is restored: {reply.reason}")
 
-    def renew(self) -> None:
-        """Renew the lease of the Q that acts; waits for nothing."""
-        of = self.bursts
-        if self.acting:
-            lease = Lease(self.machine, self.acting, LEASE_SECONDS)
-            of.transport.publish(of.keys.lease(self.machine), codec.encode(lease), keep=False)
+    def lease(self) -> Lease | None:
+        """Return the lease of the Q that acts; waits for nothing."""
+        acting = self.acting
+        return Lease(self.machine, acting, LEASE_SECONDS) if acting else None
 
     def heard(self, event: RigEvent) -> None:
         """Take an event of the rig into account; another session than that of the Q knows none."""

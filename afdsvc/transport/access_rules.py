@@ -17,7 +17,7 @@ from afdsvc.api.clock import Clock
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.site import Site
 from afdsvc.transport.certificates import NAMES, check_pair, common_name, ending, key_files, rig_name
-from afdsvc.wire.keys import ROOT, Keys
+from afdsvc.wire.keys import ROOT, SERVICE, Keys
 
 SPEAK = ["put", "declare_queryable", "reply", "liveliness_token"]
 LISTEN = ["declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query"]
@@ -60,6 +60,7 @@ def access_control(
     people = dict.fromkeys([*operators, *tuners])
     asked = {name: [keys.command(name)] * (name in operators) + [keys.retuning(name)] * (name in tuners) for name in people}
     roles |= {f"operator-{i}": _Role([name], [], seen, [*asked[name], keys.question()]) for i, name in enumerate(people)}
+    roles["service"] = _Role([SERVICE], [keys.lease(machine) for machine in machines], [])  # its keeper of leases
     roles["viewers"] = _Role(viewers, [], seen, [keys.question()])
     filled = {id: role for id, role in roles.items() if role.names}
     return {

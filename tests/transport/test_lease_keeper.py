@@ -1,0 +1,113 @@
+"""The process that renews leases: quick, only while the service is well, and replaced when it dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from afdsvc.transport.lease_keeper import PERIOD_SECONDS, TRUST_SECONDS, LeaseKeeper
+from afdsvc.transport.zenoh_session import Transport, configuration
+from tests.transport.test_zenoh_session import Settings, free_port, wait_for
+
+KEY = "afdsvc/t/m/lease"
+
+
+@pytest.fixture
+def kept():
+    """Return a keeper beside a service, and the times and bytes of what a rig hears."""
+    settings, heard = Settings(listen=[f"tcp/127.0.0.1:{free_port()}"]), []
+    with Transport(settings, True), Transport(settings, False) as rig:
+        rig.subscribe(KEY, lambda key, payload: heard.append((time.monotonic(), payload)), missed=False)
+        keeper = LeaseKeeper(str(configuration(settings, False)))
+        yield keeper, heard
+        keeper.close()
+
+
+def told(keeper: LeaseKeeper, leases: list[tuple[str, bytes]], seconds: float = 10.0) -> bool:
+    """Say the leases until the keeper renews them; return whether it does."""
+    return wait_for(lambda: keeper.renew(leases), seconds)
+
+
+def test_leases_are_renewed_while_no_thread_of_the_service_runs(kept):
+    """One thread holds the interpreter for half a second: threads of the service wait, the keeper's renewals come all the same."""
+    keeper, heard = kept
+    assert told(keeper, [(KEY, b"one"), (KEY, b"two")])
+    assert wait_for(lambda: len(heard) > 4)
+    began, late, before = time.monotonic(), [], len(heard)
+
+    def tick() -> None:
+        last = time.monotonic()
+        while time.monotonic() < began + 0.8:
+            time.sleep(0.01)
+            late.append(time.monotonic() - last)
+            last = time.monotonic()
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    hold_the_interpreter(0.5)
+    thread.join()
+    assert wait_for(lambda: len(heard) >= before + 2 * 0.5 / PERIOD_SECONDS, 0.5)  # two leases; those of the half second are there already
+    assert max(late) > 0.4  # or this shows nothing
+    assert {payload for _, payload in heard} == {b"one", b"two"}
+
+
+def hold_the_interpreter(seconds: float) -> None:
+    """Run one call into C that does not let other threads run."""
+    data = b"0" * 30_000_000
+    end = time.perf_counter() + seconds
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(10.0)
+    try:
+        while time.perf_counter() < end:
+            data.count(b"1")
+    finally:
+        sys.setswitchinterval(before)
+
+
+def test_a_service_that_hangs_renews_nothing(kept):
+    keeper, heard = kept
+    assert told(keeper, [(KEY, b"one")])
+    assert wait_for(lambda: heard)
+    silent = time.monotonic()
+    time.sleep(TRUST_SECONDS + 1.0)
+    assert heard[-1][0] < silent + TRUST_SECONDS + 0.5
+    assert told(keeper, [(KEY, b"one")])
+
+
+def test_what_has_ended_is_not_renewed(kept):
+    keeper, heard = kept
+    assert told(keeper, [(KEY, b"one")])
+    assert wait_for(lambda: heard)
+    keeper.renew([])
+    time.sleep(0.3)
+    ended = len(heard)
+    for _ in range(10):
+        keeper.renew([])
+        time.sleep(0.05)
+    assert len(heard) == ended
+
+
+def test_a_keeper_that_is_stopped_or_dead_is_said_to_be_so_and_one_with_new_keys_begins(kept):
+    keeper, heard = kept
+    assert told(keeper, [(KEY, b"one")])
+    os.kill(keeper._process.pid, signal.SIGSTOP)
+    assert wait_for(lambda: not keeper.renew([(KEY, b"one")]), 5)
+    os.kill(keeper._process.pid, signal.SIGCONT)
+    assert told(keeper, [(KEY, b"one")])
+    before = keeper._process.pid
+    keeper.restart()
+    assert told(keeper, [(KEY, b"one")])
+    assert keeper._process.pid != before
+
+
+def test_the_longest_wait_is_reported(kept):
+    keeper, _ = kept
+    assert told(keeper, [])
+    assert wait_for(lambda: keeper.renew([]) and keeper.longest > 0)
+    assert np.isfinite(keeper.longest)
