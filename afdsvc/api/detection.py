@@ -52,7 +52,8 @@ class DetectionProblem:
     innovations were made from, where known: a parameter of A or C also moves the predictor's gain. ``noise_samples`` counts the samples
     they were estimated from (0: stated). ``speed`` [rad/s] is that of a machine that turns,
     0 otherwise. ``loop_known`` is False where no controller is stated: ``interconnection`` then belongs to one that stands in, and what
-    the loop makes of an excitation is not known.
+    the loop makes of an excitation is not known. ``through`` says where the excitation enters the ``interconnection``: "alpha", "input"
+    (added to the controller's output) or "setpoint" (subtracted from what the controller sees).
     """
 
     machine: str
@@ -75,6 +76,7 @@ class DetectionProblem:
     loop_known: bool = True
     cross_cov: Array | None = None
     noise_samples: int = 0
+    through: str = "alpha"
     memo: Memo = field(default_factory=Memo, repr=False)
 
     def once(self, make: Callable[[], T], *key: object) -> T:
@@ -83,6 +85,11 @@ class DetectionProblem:
         ``key`` tells it from everything else that is made for the machine; a promised rate that matters belongs to it.
         """
         return self.memo(make, *key, *(getattr(self, f.name) for f in fields(self) if f.name not in ("false_alarms", "memo")))
+
+    @property
+    def excitation_names(self) -> tuple[str, ...]:
+        """Names of the excitation's columns."""
+        return self.output_names if self.through == "setpoint" else self.input_names
 
     @property
     def fault_names(self) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ from afdsvc.lti.python_control import factorise
 from afdsvc.lti.sampling import sample_noise, sample_zoh
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import innovations, whitening_filter
-from afdsvc.lti.yjbk import interconnection
+from afdsvc.lti.yjbk import excited_controller, interconnection
 from afdsvc.plants.registry import plant as plant_by_name
 from afdsvc.plugins.controllers.lqg import lqg_gains
 from afdsvc.plugins.fault_set import FaultSet, chosen_faults, usual_faults
@@ -119,16 +119,15 @@ def commission_embedded(
 def _from_plant(config: site_file.MachineSection, plugins: Plugins) -> Commissioned:
     physical = plant_by_name(config.plant or "", **config.options)
     discrete = physical.discrete()
-    controller = plugins.get("controllers", config.controller.kind).design(
-        discrete, _controller_settings(config.controller, physical)
-    )
+    designed = plugins.get("controllers", config.controller.kind).design(discrete, _controller_settings(config.controller, physical))
+    controller = _excited(designed, config.bursts.through)
     output_cov = physical.output_cov if config.output_sd is None else np.diag(np.square(config.output_sd))
-    limits = _limits(config.limits, physical.output_limit, physical.input_limit)
+    limits = _limits(config, physical.output_limit, physical.input_limit)
     faults = _faults(config, physical, plugins)
     turns = bool(physical.speed or any(rpm for _, rpm in config.driver.speed))
     return Commissioned(
         config, discrete, physical.inputs, physical.outputs, output_cov, _disturbance(config, discrete), controller, faults.augmented(physical), limits,
-        _channels(physical.inputs, physical.outputs, True, turns), physical.speed, physical=physical, faults=faults,
+        _channels(physical.inputs, physical.outputs, config.bursts.through, turns), physical.speed, physical=physical, faults=faults,
         uncertain=_uncertain(config, physical), uncertainty=config.uncertainty,
     )  # fmt: skip
 
@@ -169,7 +168,7 @@ def at_speed(machine: Commissioned, speed: float) -> Commissioned:
 def _read_watched(config: site_file.MachineSection, allow_code: bool) -> RecordedMachine:
     if is_driven(config):
         model, dt = driven_model(config, allow_code)
-        return RecordedMachine(model, dt, _channels(model.inputs, model.outputs, True, False))
+        return RecordedMachine(model, dt, _channels(model.inputs, model.outputs, config.bursts.through, False))
     trace = read_table(config.driver.recording or Path())
     return RecordedMachine(read_model(config.model or Path()), trace.dt, trace.channels)
 
@@ -198,8 +197,17 @@ def stated_limits(config: site_file.MachineSection) -> Limits:
         if getattr(config.limits, name) is None:
             raise BadInput(f"key 'limits.{name}' is missing; a driven machine with 'model' needs bounds for every {name}")
     u = np.array(config.limits.input, dtype=float)
-    alpha = 10 * u if config.limits.alpha is None else np.array(config.limits.alpha, dtype=float)
-    return Limits(np.array(config.limits.output, dtype=float), u, alpha, config.limits.seconds)
+    y = np.array(config.limits.output, dtype=float)
+    alpha = excitation_limit(config, y, u) if config.limits.alpha is None else np.array(config.limits.alpha, dtype=float)
+    return Limits(y, u, alpha, config.limits.seconds)
+
+
+def excitation_limit(config: site_file.MachineSection, output: Array, input: Array) -> Array:
+    """Return the bound of the excitation where none is stated.
+
+    Alpha enters before the controller's own feedback, which takes most of it back: u and y are what can do harm.
+    """
+    return {"alpha": 10 * input, "input": input, "setpoint": output}[config.bursts.through]
 
 
 def checked_limits(limits: Limits, inputs: int, outputs: int) -> Limits:
@@ -228,6 +236,7 @@ def _from_model(config: site_file.MachineSection, plugins: Plugins, watched: Rec
         controller = plugins.get("controllers", config.controller.kind).design(discrete, config.controller.settings)
     elif model.controller is not None:
         controller = _stated_controller(model, discrete)
+    controller = _excited(controller, config.bursts.through)
     uncertain = uncertain_entries(model.plant, model.entry_sd, discrete.dt) if model.sd_stated else None
     return Commissioned(
         config, discrete, model.inputs, model.outputs, _model_cov(config, model), _disturbance(config, discrete, _process_cov(model, discrete.dt)), controller,
@@ -235,6 +244,16 @@ def _from_model(config: site_file.MachineSection, plugins: Plugins, watched: Rec
         limits, watched.channels, raw_model=model.raw, uncertain=uncertain,
         uncertainty=dict.fromkeys(uncertain.fault_names, 1.0) if uncertain else {},
     )  # fmt: skip
+
+
+def _excited(controller: DesignedController | None, through: str) -> DesignedController | None:
+    """Return the controller with its excitation input where the site file wants it; raises `BadInput` where there is none."""
+    if controller is None or through == "alpha":
+        return controller
+    plant = controller.factorisation.plant
+    if plant.inputs != plant.outputs:
+        raise BadInput(f"key 'bursts.through' = '{through}' is for machines with as many outputs as inputs; this one has {plant.outputs} and {plant.inputs}")
+    return replace(controller, interconnection=excited_controller(controller.factorisation, through))
 
 
 def _stated_controller(model: Model, plant: StateSpace) -> DesignedController:
@@ -305,7 +324,9 @@ def default_faults(inputs: tuple[Variable, ...], outputs: tuple[Variable, ...]) 
     ]
 
 
-def _limits(settings: site_file.LimitSettings, output: Array, input: Array) -> Limits:
+def _limits(config: site_file.MachineSection, output: Array, input: Array) -> Limits:
+    settings = config.limits
+
     def bound(name: str, value: list[float] | None, default: Array) -> Array:
         chosen = default if value is None else np.asarray(value, dtype=float)
         if chosen.shape != default.shape:
@@ -314,17 +335,16 @@ def _limits(settings: site_file.LimitSettings, output: Array, input: Array) -> L
             raise BadInput(f"key 'limits.{name}' is {chosen.tolist()}; at most {default.tolist()}, the plant's own limit")
         return np.asarray(chosen, dtype=float)
 
-    u = bound("input", settings.input, input)
-    # Alpha enters before the controller's own feedback, which takes most of it back: u and y are what can do harm.
-    return Limits(bound("output", settings.output, output), u, bound("alpha", settings.alpha, 10 * u), settings.seconds)
+    y, u = bound("output", settings.output, output), bound("input", settings.input, input)
+    return Limits(y, u, bound("alpha", settings.alpha, excitation_limit(config, y, u)), settings.seconds)
 
 
-def _channels(inputs: tuple[Variable, ...], outputs: tuple[Variable, ...], known: bool, turns: bool) -> tuple[Channel, ...]:
+def _channels(inputs: tuple[Variable, ...], outputs: tuple[Variable, ...], through: str, turns: bool) -> tuple[Channel, ...]:
     """Return the channels in the order of `hal.loop.Samples.values`."""
     columns = [Channel(f"u_{v.name}", v.unit) for v in inputs] + [Channel(f"y_{v.name}", v.unit) for v in outputs]
-    if known:
-        columns += [Channel(f"alpha_{v.name}", v.unit) for v in inputs]
-        columns += [Channel(f"beta_{v.name}", v.unit) for v in outputs]
+    role = "alpha" if through == "alpha" else "ref"
+    columns += [Channel(f"{role}_{v.name}", v.unit) for v in (outputs if through == "setpoint" else inputs)]
+    columns += [Channel(f"beta_{v.name}", v.unit) for v in outputs]
     if turns:
         columns += [Channel("aux_speed", "rad/s"), Channel("aux_angle", "rad")]
     return tuple(columns)
@@ -352,6 +372,7 @@ def problem(machine: Commissioned, noise: Noise, alarms: FalseAlarms) -> Detecti
         noise_samples=noise.samples,
         speed=machine.speed,
         loop_known=machine.controller is not None,
+        through=machine.config.bursts.through,
         uncertain=machine.uncertain,
         uncertainty=machine.uncertainty,
     )
@@ -379,13 +400,21 @@ def _stand_in(G: StateSpace) -> StateSpace:
 
 
 def prediction(machine: Commissioned) -> Prediction:
-    """Return how alpha shows in y and u of the nominal loop: N and M, and the peak of the noise to allow for."""
-    fact = machine.controller.factorisation if machine.controller else None
-    if fact is None or machine.noise is None:
+    """Return how the excitation shows in u and y of the nominal loop, and the peak of the noise to allow for."""
+    if machine.controller is None or machine.noise is None:
         raise BadInput(f"machine '{machine.config.id}' has no controller or no noise ('output_sd'); bursts cannot be predicted")
-    both = fact.R.select(slice(None), range(machine.plant.inputs))
+    both = machine.controller.factorisation.R.select(slice(None), range(machine.plant.inputs))  # M and N
+    if machine.config.bursts.through != "alpha":
+        both = _answer(machine.plant, machine.controller.interconnection)
     y_sd, _ = noise_deviations(problem(machine, machine.noise, FalseAlarms()))
     return Prediction(both, 5 * y_sd)
+
+
+def _answer(g: StateSpace, controller: StateSpace) -> StateSpace:
+    """Return the loop from the excitation to ``[u, y]``."""
+    n, m, p = g.order, g.inputs, g.outputs
+    C, D = np.vstack([np.zeros((m, n)), g.C, g.C]), np.vstack([np.eye(m), g.D, g.D])
+    return star(StateSpace(g.A, g.B, C, D, g.dt), controller, p, m).select(slice(0, m + p), slice(None))
 
 
 def turned(physical: PhysicalPlant, speed: float) -> PhysicalPlant:

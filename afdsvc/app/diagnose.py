@@ -6,14 +6,14 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.model import Model
-from afdsvc.api.signals import Block, Trace
+from afdsvc.api.signals import Block, Trace, of_role
 from afdsvc.app import commissioning
 from afdsvc.app.commissioning import Commissioned, RecordedMachine
 from afdsvc.app.pipelines import pipeline_of
@@ -25,16 +25,19 @@ from afdsvc.files.model.model_file import read_model
 from afdsvc.files.open import MappedTopics, Naming, OwnRecording, TableFile, open_file
 from afdsvc.files.recording.mcap_file import BLOCK, REQUEST, RETUNING
 from afdsvc.files.recording.reader import Recording
-from afdsvc.files.site import DetectorSection, DriverSection, MachineSection
+from afdsvc.files.site import Bursts, DetectorSection, DriverSection, MachineSection
 from afdsvc.files.tables.foreign import prepared
 from afdsvc.files.tables.tables import import_traces
 from afdsvc.hal.replay import blocks_of
 from afdsvc.lti.lft import star
-from afdsvc.lti.statespace import StateSpace
+from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.operator_requests import json_values
 from afdsvc.wire.messages import BurstRequest, RetuneRequest
 
+Through = Literal["alpha", "input", "setpoint"]
+Samples = TypeVar("Samples", Trace, Block)
+STILL = 100  # samples that references rest for before a burst is looked for in them
 CALIBRATED = 2 / 3  # of the quiet samples before the first burst
 
 
@@ -166,8 +169,13 @@ class _RecordedMachine:
     def _begun(self) -> OfflineDiagnosis:
         if self.replay is None:
             blocks, recording = list(self.waiting), self.file.recording
-            machine = _watched_by(self.detectors, _machine_of(recording, self.id, blocks, self.model, self.calibrate, self.plugins))
             imported = self.file.joined(blocks) if not self.at_once and "import" in recording.metadata else []
+            inside = self.model or recording.model(self.id)
+            through = _entered(imported[0], inside) if imported and inside else "alpha"
+            if through != "alpha":
+                rest = blocks[0].values[0]
+                blocks, imported = [_from_rest(b, rest) for b in blocks], [_from_rest(t, rest) for t in imported]
+            machine = _watched_by(self.detectors, _machine_of(recording, self.id, blocks, self.model, self.calibrate, self.plugins, through))
             machine, played = _excited(machine, imported, self.calibrate)
             self.notes, self.waiting = prepared(imported[:1]), deque(marked(blocks, played))
             self.bursts |= {burst.name: burst for _, burst in played}
@@ -178,13 +186,15 @@ class _RecordedMachine:
 
 
 def _played(machine: Commissioned, trace: Trace) -> list[tuple[int, Burst]]:
-    """Return the bursts in a trace's ``alpha_`` columns with their first samples; raises `BadInput` when a column is missing."""
-    names = [f"alpha_{v.name}" for v in machine.inputs]
-    found = [c.name for c in trace.channels if c.role == "alpha"]
-    if not trace.role("alpha").any():
+    """Return the bursts in a trace's columns of excitation with their first samples; raises `BadInput` when a column is missing."""
+    through = machine.config.bursts.through
+    role = "alpha" if through == "alpha" else "ref"
+    names = [f"{role}_{v.name}" for v in (machine.outputs if through == "setpoint" else machine.inputs)]
+    found = [c.name for c in trace.channels if c.role == role]
+    if not trace.role(role).any():
         return []
     if sorted(found) != sorted(names):
-        raise BadInput(f"{trace.name}: excitation in the columns {', '.join(found)}; expected {', '.join(names)}, one for each input of the model")
+        raise BadInput(f"{trace.name}: excitation in the columns {', '.join(found)}; expected {', '.join(names)}, one for each {'output' if through == 'setpoint' else 'input'} of the model")
     loop = machine.plant if machine.controller is None else star(machine.plant, machine.controller.interconnection, *machine.plant.D.shape)
     settle = decay(loop, 1e-3) if loop.is_stable() else len(trace)
     return recorded_bursts(np.column_stack([trace.column(n) for n in names]), trace.dt, settle, settle)
@@ -204,7 +214,8 @@ def _excited(
 
 
 def _machine_of(
-    recording: Recording, id: str, blocks: Sequence[Block], model: Model | None, calibrate: float | None, plugins: Plugins
+    recording: Recording, id: str, blocks: Sequence[Block], model: Model | None, calibrate: float | None, plugins: Plugins,
+    through: Through = "alpha",
 ) -> Commissioned:
     """Return the machine as its recording describes it; a model named by the caller takes precedence over the embedded one."""
     first, watched = blocks[0], None
@@ -216,7 +227,7 @@ def _machine_of(
     if watched is None:
         raise BadInput(f"{recording.path}: carries neither site nor model; give one with --model MODEL.toml")
     samples = sum(len(b) for b in blocks)
-    return commissioning.commission(_bare(id, calibrate or samples * first.dt / 2), plugins, watched)
+    return commissioning.commission(_bare(id, calibrate or samples * first.dt / 2, None, through), plugins, watched)
 
 
 def _diagnose_foreign(
@@ -230,7 +241,9 @@ def _diagnose_foreign(
     traces = file.traces(model)
     found = []
     for number, trace in enumerate(traces, 1):
-        config = _bare(path.stem.replace(" ", "_"), calibrate or len(trace) * trace.dt / 2, on)
+        through = _entered(trace, model)
+        trace = trace if through == "alpha" else _from_rest(trace, trace.values[0])
+        config = _bare(path.stem.replace(" ", "_"), calibrate or len(trace) * trace.dt / 2, on, through)
         watched = RecordedMachine(model, trace.dt, trace.channels)
         machine = _watched_by(detectors, commissioning.commission(config, plugins, watched))
         machine, played = _excited(machine, [trace], calibrate)
@@ -249,11 +262,37 @@ def _watched_by(detectors: Sequence[str], machine: Commissioned) -> Commissioned
     return replace(machine, config=machine.config.model_copy(update={"detectors": chosen}))
 
 
-def _bare(id: str, calibrate: float, on: Path | None = None) -> MachineSection:
+def _entered(trace: Trace, model: Model) -> Through:
+    """Return where the bursts of a trace enter the loop.
+
+    They count as played through references where there is no alpha, the references rest for a while at first, and all their motion
+    is sums of sines between ramps: anything else is ordinary operation. References named like the outputs are set points.
+    """
+    names = {c.label for c in trace.channels if c.role == "ref"}
+    inputs, outputs = ({v.name for v in variables} for variables in (model.inputs, model.outputs))
+    ref = _from_rest(trace, trace.values[0]).role("ref")
+    if names not in (inputs, outputs) or len(inputs) != len(outputs) or model.controller is None or trace.role("alpha").any():
+        return "alpha"
+    if ref[:STILL].any() or not ref.any() or not all(burst.lines for _, burst in recorded_bursts(ref, trace.dt, STILL, 0)):
+        return "alpha"
+    return "setpoint" if names == outputs else "input"
+
+
+def _from_rest(samples: Samples, rest: Array) -> Samples:
+    """Return samples with the references counted from their values in ``rest``, a row of samples."""
+    columns = of_role(samples.channels, "ref")
+    if not columns:
+        return samples
+    values = samples.values.copy()
+    values[:, columns] -= rest[columns]
+    return replace(samples, values=values)
+
+
+def _bare(id: str, calibrate: float, on: Path | None = None, through: Through = "alpha") -> MachineSection:
     """Return a machine known by its model alone, its noise learnt from its first seconds."""
     placeholder = Path("model.toml")
     driver = DriverSection(kind="replay", recording=placeholder)
-    return MachineSection(id=id, model=placeholder, driver=driver, calibrate_seconds=calibrate, calibrate_on=on)
+    return MachineSection(id=id, model=placeholder, driver=driver, calibrate_seconds=calibrate, calibrate_on=on, bursts=Bursts(through=through))
 
 
 def document(
@@ -292,7 +331,8 @@ def _burst(
 ) -> dict[str, Any]:
     name, start, samples, dt = span
     lines = bursts[name].lines if name in bursts else ()
-    inputs = list(dict.fromkeys(parts.inputs[line.input].name for line in lines))
+    excited = parts.outputs if parts.config.bursts.through == "setpoint" else parts.inputs
+    inputs = list(dict.fromkeys(excited[line.input].name for line in lines))
     return {
         "name": name,
         "start_s": start * dt,

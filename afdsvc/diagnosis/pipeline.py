@@ -13,7 +13,7 @@ import numpy as np
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, Detector, Noise, ResidualBlock
 from afdsvc.api.evidence import Evidence
-from afdsvc.api.signals import Block
+from afdsvc.api.signals import Block, of_role
 from afdsvc.detect.features.innovations import ResidualFilter
 from afdsvc.detect.features.noise_calibration import calibrate_noise
 from afdsvc.detect.features.whiteness_gate import Gate
@@ -169,7 +169,7 @@ class Pipeline:
             block.role("beta"),
             block.role("u"),
             block.role("y"),
-            block.role("alpha"),
+            block.role("alpha" if of_role(block.channels, "alpha") else "ref"),
             known,
             name,
             start,

@@ -43,7 +43,8 @@ def certificate(problem: DetectionProblem, limits: Limits, burst: Burst, severit
     alpha, m = burst.play(problem.plant.dt), problem.plant.inputs
     bounds = np.concatenate([limits.input, limits.output])
     names = [*(f"input {n}" for n in _names(problem.input_names, m)), *(f"output {n}" for n in _names(problem.output_names, len(limits.output)))]
-    found = [_tightest(np.asarray(limits.alpha, dtype=float), np.abs(alpha).max(axis=0), [f"alpha {n}" for n in _names(problem.input_names, m)], "")]
+    excitation = "alpha" if problem.through == "alpha" else "the reference"
+    found = [_tightest(np.asarray(limits.alpha, dtype=float), np.abs(alpha).max(axis=0), [f"{excitation} {n}" for n in _names(problem.excitation_names, m)], "")]
     for fault, severities in _cases(problem, severity):
         y_sd, u_sd = noise_deviations(problem, severities)
         left = bounds - BURST.noise_peak * np.concatenate([u_sd, y_sd])

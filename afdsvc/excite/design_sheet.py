@@ -63,10 +63,10 @@ def design_sheet(
         ],
         "uncertain": sorted(problem.uncertainty),
         "unseen": [{"fault": name, "why": why} for name, why in unseen(problem, response).items()],
-        "blind_pairs": blind_pairs(problem, efficient.pairs, problem.input_names),
+        "blind_pairs": blind_pairs(problem, efficient.pairs, problem.excitation_names),
         "isolation": {**_isolation(seen, typical, burst), "pairs": pairs},
         "best_single_frequency": {
-            "input": _name(problem.input_names, best[1]), "rad_s": best[0], "efficiency": best[2],
+            "input": _name(problem.excitation_names, best[1]), "rad_s": best[0], "efficiency": best[2],
         },
     }  # fmt: skip
 
@@ -78,7 +78,7 @@ def _burst_entries(problem: DetectionProblem, burst: Burst) -> list[dict[str, An
         lines = [line for line in burst.lines if line.input == j]
         peak = sum(line.amplitude * costs(problem, [line.omega]).output[0, :, j] for line in lines)
         entries.append({
-            "burst": burst.name, "input": _name(problem.input_names, j),
+            "burst": burst.name, "input": _name(problem.excitation_names, j),
             "frequencies_rad_s": [line.omega for line in lines], "amplitudes": [line.amplitude for line in lines],
             "seconds": burst.samples * problem.plant.dt, "peak_output": float(np.max(peak)), "notes": dict(burst.notes),
         })  # fmt: skip
@@ -121,7 +121,7 @@ def _strongest(problem: DetectionProblem, seen: ExpectedDetection, fault: str, s
     shown = np.abs(picked * seen.curves.drive[:, None]) / np.sqrt(np.diag(problem.covariance))
     k, i = np.unravel_index(int(np.argmax(shown)), shown.shape)
     value = complex(picked[k, i])
-    channel = f"{_name(problem.input_names, seen.curves.inputs[k])} to {_name(problem.output_names, int(i))}"
+    channel = f"{_name(problem.excitation_names, seen.curves.inputs[k])} to {_name(problem.output_names, int(i))}"
     return abs(value), float(np.degrees(np.angle(value)) % 360), channel
 
 

@@ -231,7 +231,7 @@ class LimitSettings(_Strict):
 
 
 class Bursts(_Strict):
-    """When bursts are played and how large they may be."""
+    """When bursts are played, where they enter the loop and how large they may be."""
 
     every_seconds: Positive | None = None
     jitter_seconds: Annotated[float, Field(ge=0)] = 0.0
@@ -241,6 +241,7 @@ class Bursts(_Strict):
     first_after_seconds: Annotated[float, Field(ge=0)] = 2.0
     seconds: Positive = 2.5
     output_amplitude: Positive | None = None
+    through: Literal["alpha", "input", "setpoint"] = "alpha"
     severity: Annotated[float, Field(ge=-1, lt=0)] = -0.5
     quiet_hours: list[tuple[time, time]] = []
 

@@ -153,6 +153,31 @@ def reference_compensation(fact: Factorisation) -> StateSpace:
     return trim(flipped.select(slice(None), [*range(m, m + fact.plant.outputs), *range(m)]))
 
 
+def excited_controller(fact: Factorisation, through: str) -> StateSpace:
+    """Return the controller with excitation input and residual output, ``[y, e] -> [u, beta]``, e entering where ``through`` says.
+
+    ``"alpha"``: J_K. ``"input"``: e is added to the controller's output, ``u = K y + e`` (r2 of the thesis). ``"setpoint"``: e is
+    subtracted from what the controller sees, ``u = K (y - e)`` (-r1). Always ``beta = Mt y - Nt u``, which excitation alone does not
+    move; with references it shows ``S Vt e`` or ``-S Ut e`` instead of ``S alpha``. Raises `BadInput` for another word.
+
+    >>> from afdsvc.lti.coprime import proportional_factorisation
+    >>> fact = proportional_factorisation(StateSpace.of([[0.9]], [[1.0]], [[1.0]], [[0.0]], 0.1), np.array([[-0.5]]), np.array([[-0.4]]))
+    >>> excited_controller(fact, "input").D.round(3).tolist()
+    [[-0.5, 1.0], [1.0, 0.0]]
+    """
+    if through == "alpha":
+        return interconnection(fact)
+    K, L, m, p = fact.K, residual_generator(fact), fact.plant.inputs, fact.plant.outputs
+    if through not in ("input", "setpoint"):
+        raise BadInput(f"excitation through '{through}'; expected alpha, input or setpoint")
+    seen, added = (np.zeros((p, m)), np.eye(m)) if through == "input" else (-np.eye(p), np.zeros((m, p)))
+    u = np.hstack([K.D, K.D @ seen + added])  # of [y, e]
+    u_and_y = np.vstack([u, np.hstack([np.eye(p), np.zeros((p, seen.shape[1]))])])
+    A = np.block([[K.A, np.zeros((K.order, L.order))], [L.B[:, :m] @ K.C, L.A]])
+    C = np.block([[K.C, np.zeros((m, L.order))], [L.D[:, :m] @ K.C, L.C]])
+    return StateSpace(A, np.vstack([K.B @ np.hstack([np.eye(p), seen]), L.B @ u_and_y]), C, np.vstack([u, L.D @ u_and_y]), K.dt)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedLoop:
     """A closed loop with named signals: inputs ``d, r1, r2, alpha``, outputs ``y, y_m, u, beta``.

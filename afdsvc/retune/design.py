@@ -69,6 +69,7 @@ def design_q(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, settin
     >>> design_q(machine, Diagnosed("horizontal_actuator", -0.5, -0.4), loop_cost(machine, {})).is_stable()
     True
     """
+    require_alpha(problem)
     grid = severity_grid(problem, found, settings.models)
     weighted, price = cost, h2_cost(with_q(damaged_model(problem, cost, {}), _zero(problem)))
     for _ in range(ATTEMPTS):
@@ -227,7 +228,14 @@ def _over_limit(
 
 def retuned_problem(problem: DetectionProblem, Q: StateSpace) -> DetectionProblem:
     """Return what detectors, thresholds and bursts are designed for while Q runs: the same residual, in the loop with Q."""
+    require_alpha(problem)
     return replace(problem, interconnection=retuned_interconnection(problem.interconnection, Q))
+
+
+def require_alpha(problem: DetectionProblem) -> None:
+    """Raise `Refused` where bursts enter through references: Q acts where alpha does."""
+    if problem.through != "alpha":
+        raise Refused(f"machine '{problem.machine}' is excited through its references (bursts.through = '{problem.through}'); Q needs 'alpha'")
 
 
 def _too_sensitive(problem: DetectionProblem, found: Diagnosed, Q: StateSpace, settings: RetuneSettings) -> bool:

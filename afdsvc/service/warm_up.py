@@ -38,7 +38,7 @@ def _blocks(twin: Pipeline, burst: Burst) -> Iterator[Block]:
     for samples, name in ((settling + QUIET, ""), (burst.samples, "rehearsal"), (QUIET, "")):
         values = rng.standard_normal((samples, len(expected.channels)))
         values[:, of_role(expected.channels, "y")] *= sd
-        alpha = of_role(expected.channels, "alpha")
+        alpha = of_role(expected.channels, "alpha") or of_role(expected.channels, "ref")
         values[:, alpha] = burst.play(expected.dt)[:, : len(alpha)] if name else 0.0
         yield Block(twin.problem.machine, "rehearsal", 0, k0, expected.dt, 0, expected.channels, values, name)
         k0 += samples

@@ -84,6 +84,34 @@ def test_without_the_controller_lines_are_refused_in_words_and_regression_judges
     assert (found["regression"]["fault"], document["recordings"][0]["verdict"]["fault"]) == ("a_actuator", "a_actuator")
 
 
+def referenced(ref, folder, name, plain=0.0):
+    """Write a table of the true machine, its first actuator weak, whose set points move by ``ref`` around ``plain``."""
+    run = TRUTH.run(np.random.default_rng(4), np.zeros((len(ref), 2)), np.array([-0.3, 0, 0, 0]), ref=ref)
+    columns = {"t": TRUTH.dt * np.arange(len(ref))} | {f"{role}_{c}": run[role][:, i] for role, names in (("u", "ab"), ("y", "cd")) for i, c in enumerate(names)}
+    np.savez(folder / name, **columns, ref_c=run["ref"][:, 0] + plain, ref_d=run["ref"][:, 1])
+    return folder / name
+
+
+def test_bursts_in_the_set_points_are_found_and_judged(tables, tmp_path):
+    rest = np.zeros((3000, 2))
+    play = BURST.play(TRUTH.dt)
+    path = referenced(np.vstack([rest, rest, rest, play, rest, play, rest]), tmp_path, "run.npz")
+    (document,) = diagnose_recordings([path], tables / "stated.toml")["recordings"]
+    assert [(b["input"], b["seconds"]) for b in document["bursts"]] == [("c, d", 2.5)] * 2
+    found = decisions({"recordings": [document]})
+    assert {name: (d["detected"], d["fault"]) for name, d in found.items()} == dict.fromkeys(("matched_filter", "regression", "cusum"), (True, "a_actuator"))
+    assert abs(found["regression"]["severity"]["value"] + 0.3) < 4 * found["regression"]["severity"]["sd"]
+    import_recording(path, tmp_path / "run.mcap", tables / "stated.toml", {})
+    assert decisions(diagnose_recordings([tmp_path / "run.mcap"])) == found
+
+
+def test_set_points_that_wander_are_no_burst(tables, tmp_path):
+    ref = np.vstack([np.zeros((3000, 2)), np.cumsum(np.random.default_rng(1).normal(size=(6000, 2)), axis=0)])
+    path = referenced(ref, tmp_path, "wander.npz")
+    (document,) = diagnose_recordings([path], tables / "stated.toml")["recordings"]
+    assert document["bursts"] == []
+
+
 def test_half_of_the_excitation_is_refused(tables):
     with pytest.raises(BadInput, match="alpha_a; expected alpha_a, alpha_b"):
         diagnose_recordings([tables / "half.npz"], tables / "stated.toml")
@@ -91,7 +119,7 @@ def test_half_of_the_excitation_is_refused(tables):
 
 def test_a_watched_machine_has_the_controller_and_the_noise_its_model_states(plugins):
     model = parse_model(model_text(), "model.toml")
-    columns = tuple(commissioning._channels(model.inputs, model.outputs, True, False))
+    columns = tuple(commissioning._channels(model.inputs, model.outputs, "alpha", False))
     config = MachineSection(id="m", model="model.toml", driver=DriverSection(kind="replay", recording="run.npz"))
     made = commissioning.commission(config, plugins, commissioning.RecordedMachine(model, TRUTH.dt, columns))
     problem = commissioning.problem(made, made.noise, commissioning.FalseAlarms())

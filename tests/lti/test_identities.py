@@ -29,6 +29,7 @@ from afdsvc.lti.yjbk import (
     closed_loop,
     controller_from,
     deviation_system,
+    excited_controller,
     interconnection,
     plant_from,
     plant_interconnection,
@@ -221,6 +222,17 @@ def test_deviation_and_every_closed_loop_path(kind: str, plant: StateSpace, seed
     for excitation, through in (("r1", F.Ut), ("r2", F.Vt), ("alpha", np.eye(m))):
         eps = generator[:, :, :m] @ path["u", excitation] + generator[:, :, m:] @ path["y_m", excitation]
         assert distance(eps, S @ through) < 1e-9
+    # the controller excited through its references: the true loop's answers, and a residual that excitation alone does not move
+    for word, excitation, sign, factor in (("input", "r2", 1, F.Vt), ("setpoint", "r1", -1, F.Ut), ("alpha", "alpha", 1, np.eye(m))):
+        seen = response(star(_with_input(true), excited_controller(f, word), p, m))
+        for rows, wanted in ((slice(0, p), path["y", excitation]), (slice(p, p + m), path["u", excitation]), (slice(p + m, None), S @ factor)):
+            assert distance(seen[:, rows], sign * wanted) < 1e-9
+
+
+def _with_input(g: StateSpace) -> StateSpace:
+    """Return the plant with its output, its input and its output again: the last is what a controller sees."""
+    C, D = np.vstack([g.C, np.zeros((g.inputs, g.order)), g.C]), np.vstack([g.D, np.eye(g.inputs), g.D])
+    return StateSpace(g.A, g.B, C, D, g.dt)
 
 
 @given(kind=st.sampled_from(KINDS), plant=plants(discrete=True), seed=st.integers(0, 1000))

@@ -61,7 +61,7 @@ def _efficiency_figure(problem: DetectionProblem, burst: Burst) -> str:
         for line in burst.lines:
             if line.input == j:
                 ax.axvline(line.omega, color="0.4", ls="--", lw=0.9)
-        ax.set(title=f"excited: {_name(problem.input_names, j)}", xlabel="frequency [rad/s]", ylabel="efficiency [1/output unit]")
+        ax.set(title=f"excited: {_name(problem.excitation_names, j)}", xlabel="frequency [rad/s]", ylabel="efficiency [1/output unit]")
         ax.set_ylim(bottom=max(1e-6, found.together.max() * 1e-5))
     axes[0].legend(fontsize=7, frameon=False)
     return svg(figure)
@@ -143,7 +143,7 @@ def _circle() -> Any:
 
 
 def _line_name(problem: DetectionProblem, seen: ExpectedDetection, k: int) -> str:
-    return _name(problem.input_names, seen.curves.inputs[k])
+    return _name(problem.excitation_names, seen.curves.inputs[k])
 
 
 def _name(names: Sequence[str], index: int) -> str:
