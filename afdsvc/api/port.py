@@ -91,6 +91,15 @@ class DrivablePort(Port, Protocol):
 
 
 @runtime_checkable
+class SimulatedPort(Port, Protocol):
+    """A machine that only exists in a simulator, so that faults can be put into it while it runs."""
+
+    def inject(self, fault: str, severity: float) -> None:
+        """Give a fault this severity (0: none) from the next samples on; any thread may call. Raises `BadInput` for an unknown fault."""
+        ...
+
+
+@runtime_checkable
 class TunablePort(Port, Protocol):
     """A machine beside whose controller a Q can run. Its blocks bear the name of the Q that acts."""
 

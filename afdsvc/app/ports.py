@@ -44,9 +44,10 @@ def open_stepped(
     unit = stepped_plant(config, *sides, allow_code)
     try:
         _refuse_unrest(unit, limits, config.driver.unit or "")
-        injected = _gain_faults(config, faults, controller.interconnection.dt)
+        sites = _gains(faults)
+        injected = _gain_faults(config, sites, controller.interconnection.dt)
         return SteppedSimulator(
-            unit, output_cov, injected, controller.interconnection, channels, limits, settings, clock, config.driver.seed, prediction
+            unit, output_cov, injected, controller.interconnection, channels, limits, settings, clock, config.driver.seed, prediction, sites
         )
     except BaseException:
         unit.close()
@@ -90,10 +91,14 @@ def _refuse_unrest(unit: SteppedPlant, limits: Limits, name: str) -> None:
         raise BadInput(f"simulator {name} starts with output {at} at {y[at]:g}; expected deviations from an operating point at 0")
 
 
-def _gain_faults(config: MachineSection, faults: list[Fault], dt: float) -> list[GainFault]:
-    """Return what the site injects; a simulator that is closed to us can lose gain at its ends, nothing else."""
+def _gains(faults: list[Fault]) -> dict[str, tuple[str, int]]:
+    """Return by name the gains that are faults of a machine, as (side, index)."""
     kinds = {"actuator_gain": "input", "sensor_gain": "output"}
-    possible = {f.name: (kinds[f.kind], int(f.settings[kinds[f.kind]])) for f in faults if f.kind in kinds}
+    return {f.name: (kinds[f.kind], int(f.settings[kinds[f.kind]])) for f in faults if f.kind in kinds}
+
+
+def _gain_faults(config: MachineSection, possible: Mapping[str, tuple[str, int]], dt: float) -> list[GainFault]:
+    """Return what the site injects; a simulator that is closed to us can lose gain at its ends, nothing else."""
     made = []
     for f in config.driver.faults:
         if f.name not in possible:
@@ -149,10 +154,11 @@ def _simulator(machine: commissioning.Commissioned, settings: LoopSettings, cloc
 def _simulated(machine: commissioning.Commissioned, noise: Array, faults: tuple[ScheduledFault, ...]) -> SimulatedPlant:
     """Return what is simulated: the model itself, or another one where the driver says so or the speed changes."""
     driver, config, physical = machine.config.driver, machine.config, machine.physical
+    names = machine.augmented.fault_names
     faulty, disturbed = machine.faults, None if config.input_sd is None else np.diag(np.square(config.input_sd))
     if physical is None or faulty is None or not (driver.options or driver.speed):
         unbalance = None if physical is None else physical.unbalance
-        return SimulatedPlant(machine.augmented.close, noise, disturbed, machine.speed, unbalance, faults)
+        return SimulatedPlant(machine.augmented.close, noise, disturbed, machine.speed, unbalance, faults, names=names)
     true = plant_by_name(config.plant or "", **{**config.options, **driver.options})
     if true.sample_time != physical.sample_time:
         raise BadInput(f"key 'driver.options' gives sample time {true.sample_time} s; the machine's is {physical.sample_time} s")
@@ -164,6 +170,6 @@ def _simulated(machine: commissioning.Commissioned, noise: Array, faults: tuple[
     def still(severities: Mapping[str, float]) -> StateSpace:
         return turning(severities, true.speed)
 
-    return SimulatedPlant(still, noise, disturbed, true.speed, true.unbalance, faults, profile, turning)
+    return SimulatedPlant(still, noise, disturbed, true.speed, true.unbalance, faults, profile, turning, names)
 
 

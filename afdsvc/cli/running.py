@@ -74,8 +74,10 @@ def rig(
     SIGTERM and Ctrl-C end a burst smoothly and stop; SIGUSR1 is the emergency stop: no excitation until it is started again.
     """
     from afdsvc.app.rig import run_rig
+    from afdsvc.app.supervision import start_logging
     from afdsvc.files.site import read_site
 
+    start_logging("text")
     emergency = threading.Event()
     if hasattr(signal, "SIGUSR1"):
         signal.signal(signal.SIGUSR1, lambda *_: emergency.set())
@@ -240,6 +242,21 @@ def burst(
 
 
 Machine = Annotated[str | None, typer.Argument(metavar="MACHINE", help="Id of the machine; not needed where there is one only.")]
+
+
+@app.command()
+def inject(
+    machine: Annotated[str, typer.Argument(metavar="MACHINE", help="Id of a simulated machine that runs.")],
+    fault: Annotated[str, typer.Argument(metavar="FAULT=SEVERITY", help="For example horizontal_actuator=-0.3; 0 repairs it.")],
+    site: SiteOption = HERE,
+    as_json: Json = False,
+) -> None:
+    """Put a fault into a simulated machine while it runs, to see what the service makes of it; a real machine refuses."""
+    name, equals, severity = fault.partition("=")
+    if not equals:
+        raise BadInput(f"'{fault}': expected FAULT=SEVERITY, for example horizontal_actuator=-0.3")
+    found = _ask(site, "inject", machine=machine, fault=name, severity=severity)
+    show(as_json, found, lambda: print(f"{found['machine']}: {found['fault']} is {100 * found['severity']:g} % from now on"))
 
 
 @app.command()

@@ -12,7 +12,7 @@ from typing import Any
 
 from afdsvc.api.bursts import Limits
 from afdsvc.api.clock import Clock
-from afdsvc.api.port import DrivablePort, Drive, Port, TunablePort
+from afdsvc.api.port import DrivablePort, Drive, Port, SimulatedPort, TunablePort
 from afdsvc.api.signals import Block
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.hal.lease import Grant, refuse_long
@@ -26,6 +26,7 @@ from afdsvc.wire.messages import (
     BurstReply,
     BurstRequest,
     BurstStop,
+    Command,
     EventKind,
     Lease,
     Receipt,
@@ -193,6 +194,7 @@ class RigAgent:
         t.serve(keys.stop(self.machine), self._on_stop)
         t.serve(keys.retune(self.machine), self._on_retune)
         t.serve(keys.restore(self.machine), self._on_restore)
+        t.serve(keys.inject(self.machine), self._on_inject)
         t.serve(keys.description(self.machine), lambda _: codec.encode(self.description))
         t.subscribe(keys.lease(self.machine), self._on_lease, missed=False)
         if self.store is not None:
@@ -376,6 +378,16 @@ class RigAgent:
     def _on_restore(self, payload: bytes) -> bytes:
         return self._stopped(self._qs, payload, "restored", "no such Q acts")
 
+    def _on_inject(self, payload: bytes) -> bytes:
+        """Put a fault into a simulated machine; that it is there is told with the next block, as of a fault of the site file."""
+        asked: Command = codec.decode(Command, payload)
+        fault, severity = str(asked.arguments.get("fault")), float(asked.arguments.get("severity") or 0.0)
+        if not isinstance(self.port, SimulatedPort):
+            raise Refused(f"machine '{self.machine}' is not simulated: nothing can be injected into it")
+        self.port.inject(fault, severity)
+        self.truth.insert(0, (0, f"{fault} {severity:g}"))
+        return codec.encode(BurstReply(True, fault))
+
     def _stopped(self, grant: Grant[Any], payload: bytes, verb: str, otherwise: str) -> bytes:
         """End what acts or is about to; runs in a zenoh thread, the control thread sees it at its next slice or block."""
         stop: BurstStop = codec.decode(BurstStop, payload)
@@ -395,4 +407,5 @@ class RigAgent:
 
     def _event(self, kind: EventKind, cause: str, burst: str = "") -> None:
         event = RigEvent(self.machine, self.description.session, self.clock.now_ns(), kind, self._k, burst, cause)
+        log.info("%s: %s%s%s", self.machine, kind.replace("_", " "), f" {burst}" * bool(burst), f": {cause}" * bool(cause))
         self._post.send(self.keys.event(self.machine), codec.encode, event)

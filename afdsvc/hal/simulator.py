@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -92,7 +93,7 @@ class SimulatedPlant:
     rotor speed in rad/s (its angle is then recorded).
     ``unbalance`` is the complex amplitude of a rotation-synchronous force per input, in the unit of the input, at that
     speed; it grows with the square of the speed. With a ``profile`` the speed changes and ``turning(severities, rad/s)``
-    returns the plant at a speed, in the same states.
+    returns the plant at a speed, in the same states. ``names`` are the faults that can be put in while it runs.
     """
 
     at: Callable[[dict[str, float]], StateSpace]
@@ -103,6 +104,7 @@ class SimulatedPlant:
     faults: Sequence[ScheduledFault] = field(default_factory=tuple)
     profile: SpeedProfile | None = None
     turning: Callable[[dict[str, float], float], StateSpace] | None = None
+    names: Sequence[str] = ()
 
 
 class SimulatedRig(ControlLoop):
@@ -121,7 +123,8 @@ class SimulatedRig(ControlLoop):
     ) -> None:
         super().__init__(interconnection, channels, limits, settings, clock, prediction)
         self._plant = plant
-        self._changes = sorted({f.start for f in plant.faults if f.start > 0})
+        self._faults, self._asked = list(plant.faults), deque[ScheduledFault]()
+        self._changes = {f.start for f in plant.faults if f.start > 0}
         self._profile = plant.profile or SpeedProfile.of([], plant.speed, interconnection.dt)
         self._G = self._plant_at(0)
         self._x = np.zeros(self._G.order)
@@ -129,8 +132,14 @@ class SimulatedRig(ControlLoop):
         self._process = None if plant.process_cov is None else np.linalg.cholesky(plant.process_cov)
         self._noise, self._shake = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
 
+    def inject(self, fault: str, severity: float) -> None:
+        """Give a fault this severity from the next samples on; raises `BadInput` for one that the machine does not have."""
+        if fault not in self._plant.names:
+            raise BadInput(f"fault '{fault}' is unknown; this machine has {', '.join(self._plant.names)}")
+        self._asked.append(ScheduledFault(fault, severity))
+
     def _plant_at(self, k: int) -> StateSpace:
-        present = {f.name: f.severity for f in self._plant.faults if f.start <= k}
+        present = {f.name: f.severity for f in self._faults if f.start <= k}
         turning = self._plant.turning
         system = self._plant.at(present) if turning is None else turning(present, float(self._profile.at(np.array([k]))[0]))
         if np.abs(system.D).max(initial=0.0) > 0:
@@ -139,7 +148,10 @@ class SimulatedRig(ControlLoop):
 
     def _run(self, alpha: Array, limits: Limits | None) -> Samples:
         """Run the slice in pieces that end where a fault starts or the speed has moved on."""
-        due = self._profile.steps(self._k, len(alpha)) | set(self._changes)
+        while self._asked:
+            self._faults.append(replace(self._asked.popleft(), start=self._k))
+            self._changes.add(self._k)
+        due = self._profile.steps(self._k, len(alpha)) | self._changes
         edges = [0, *sorted(c - self._k for c in due if 0 < c - self._k < len(alpha)), len(alpha)]
         pieces: list[Samples] = []
         for a, b in pairwise(edges):
@@ -227,7 +239,8 @@ class SteppedSimulator(ControlLoop):
     """A `DrivablePort` around a `SteppedPlant`: J_K and its limits act in every sample, as around hardware.
 
     ``output_cov (p, p)`` is that of white noise added to what the simulator answers, drawn from ``seed``. A simulator that fails, or
-    answers with what is no number, ends the machine with a sentence that names it.
+    answers with what is no number, ends the machine with a sentence that names it. ``sites`` names the gains that faults can be put
+    into while it runs, as (side, index).
     """
 
     def __init__(
@@ -242,12 +255,20 @@ class SteppedSimulator(ControlLoop):
         clock: Clock,
         seed: int,
         prediction: Prediction | None = None,
+        sites: Mapping[str, tuple[str, int]] | None = None,
     ) -> None:
         super().__init__(interconnection, channels, limits, settings, clock, prediction)
-        self._unit, self._faults = unit, faults
+        self._unit, self._faults, self._sites = unit, tuple(faults), sites or {}
         self._noise = np.random.default_rng(seed)
         self._chol = np.linalg.cholesky(output_cov)
         self._answer = unit.begin()
+
+    def inject(self, fault: str, severity: float) -> None:
+        """Give a gain this severity from the next sample on; raises `BadInput` for a fault that is no gain."""
+        if fault not in self._sites:
+            raise BadInput(f"fault '{fault}' cannot be injected into a stepped simulator; gain faults can: {', '.join(self._sites) or 'none'}")
+        side, index = self._sites[fault]
+        self._faults = (*(f for f in self._faults if (f.side, f.index) != (side, index)), GainFault(side, index, severity))
 
     def close(self) -> None:
         """Release the simulator."""

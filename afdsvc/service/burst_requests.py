@@ -28,7 +28,7 @@ from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
 from afdsvc.wire.codec import Message
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, EventKind, Lease, Notice, RigEvent
+from afdsvc.wire.messages import BurstReply, BurstRequest, BurstStop, Command, EventKind, Lease, Notice, RigEvent
 
 log = logging.getLogger(__name__)
 LEASE_SECONDS = 2.0
@@ -164,6 +164,13 @@ class BurstRequests:
         reply = codec.decode(BurstReply, answer)
         if not reply.accepted:
             raise Refused(f"nothing is stopped: {reply.reason}")
+
+    def inject(self, fault: str, severity: float, asked_by: str) -> None:
+        """Put a fault into a simulated machine; raises `Refused` with the rig's reason where that cannot be."""
+        command = Command("inject", {"fault": fault, "severity": severity}, asked_by, self.clock.now_ns())
+        reply = codec.decode(BurstReply, self.transport.ask(self.keys.inject(self.machine), codec.encode(command)))
+        if not reply.accepted:
+            raise Refused(reply.reason)
 
     def heard(self, event: RigEvent) -> None:
         """Take an event of the rig into account."""

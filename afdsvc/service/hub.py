@@ -28,7 +28,7 @@ from afdsvc.service.machine import MachineMonitor
 from afdsvc.service.notifications import History, Judged, NotificationQueue
 from afdsvc.service.recorder_sink import Receipts
 from afdsvc.service.retuning import Retuning
-from afdsvc.service.sinks import ThreadedSink
+from afdsvc.service.sinks import ThreadedSink, sentence_of
 from afdsvc.transport.lease_keeper import PERIOD_SECONDS, LeaseKeeper
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
@@ -326,13 +326,3 @@ class Hub:
                 for machine, (receipts, _) in self.late.items():
                     self.transport.publish(self.keys.receipt(machine), codec.encode(receipts.receipt(machine)), keep=False)
                 self.alarms.tick(self.clock.now_ns())
-
-
-def sentence_of(finding: Finding) -> str:
-    """Return a decision as one sentence for people."""
-    e = finding.evidence
-    how = f"{e.detector}: statistic {e.statistic:.3g} over threshold {e.threshold:.3g}"
-    if e.fault and e.severity:
-        return f"{e.machine}: {e.fault} {100 * e.severity.value:+.1f} % (+-{100 * e.severity.sd:.1f} %); {how}"
-    likely = ", ".join(f"{name} {100 * w:.0f} %" for name, w in sorted(e.weights.items(), key=lambda i: -i[1])[:3])
-    return f"{e.machine}: a fault; {how}" + (f"; between {likely}" if likely else "")

@@ -97,6 +97,7 @@ class Requests:
             "burst": self._burst,
             "retune": self._retune,
             "restore": self._restore,
+            "inject": self._inject,
             "console": lambda a, who: self._invited(who),
             "plan": lambda a, who: self._requests_to(a).plan(BurstOrder("a plan", purpose=str(a.get("purpose") or "diagnose"))),
             "stop": lambda a, who: self._requests_to(a).stop(str(a.get("reason", "")), who),
@@ -122,6 +123,17 @@ class Requests:
         for outbox in self._hub.outboxes[:1]:
             outbox.flush(PATIENCE)
         return alarm
+
+    def _inject(self, a: Arguments, who: str) -> dict[str, Any]:
+        try:
+            severity = float(a.get("severity") or 0.0)
+        except (TypeError, ValueError):
+            severity = 1.0
+        if not -1 <= severity <= 0:
+            raise BadInput(f"severity {a.get('severity')!r}; expected a number from 0 (healthy) to -1 (total loss)")
+        requests, fault = self._requests_to(a), str(a.get("fault") or "")
+        requests.inject(fault, severity, who)
+        return {"machine": requests.machine, "fault": fault, "severity": severity}
 
     def _invited(self, who: str) -> Mapping[str, str]:
         if self._invite is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import queue
 import threading
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
@@ -180,12 +181,13 @@ class LogSink:
     def __init__(self, machine: str) -> None:
         self._machine = machine
         self._quiet = ""  # the burst on which nothing was found, already said
+        self._said: deque[str] = deque(maxlen=32)  # what alarms say of decisions whose lines are there
 
     def take(self, message: Message) -> None:
         """Write the line of a message, if it has one."""
         match message.value:
-            case Finding(evidence=evidence):
-                self._decided(evidence)
+            case Finding() as finding:
+                self._decided(finding)
             case RigEvent() as event:
                 said = f" {event.burst}" * bool(event.burst) + f": {event.cause}" * bool(event.cause)
                 log.info("%s: %s%s", self._machine, event.kind.replace("_", " "), said)
@@ -193,22 +195,25 @@ class LogSink:
                 log.info("%s: burst %s asked for by %s", self._machine, request.burst.name, request.asked_by)
             case RetuneRequest() as request:
                 log.info("%s: Q %s for %s asked for by %s", self._machine, request.name, request.found.fault, request.asked_by)
-            case Notice(machine, level, sentence):
+            case Notice(machine, level, sentence) if sentence not in self._said:
                 log.log(LEVELS.get(level, logging.INFO), "%s", sentence if sentence.startswith(f"{machine}:") else f"{machine}: {sentence}")
             case AlarmChange() as change:
                 self._alarm(change)
 
-    def _decided(self, e: Evidence) -> None:
+    def _decided(self, finding: Finding) -> None:
+        e = finding.evidence
         quiet = e.trustworthy and not e.detected
         if not e.burst or (quiet and e.burst == self._quiet):
             return
         self._quiet = e.burst if quiet else self._quiet
         log.info("%s: %s: %s", self._machine, e.detector, _decision(e))
+        self._said.append(sentence_of(finding))
 
     def _alarm(self, change: AlarmChange) -> None:
         a, by = change.alarm, f" by {change.who}" if change.who else ""
-        why = f": {change.why}" if change.why else ""
-        log.warning("%s: alarm %s (%s %s) %s%s%s", self._machine, a.id, a.fault, size(a.severity), change.event, by, why)
+        why = f": {change.why}" if change.why and change.why not in self._said else ""
+        what = f"{a.fault} {size(a.severity)}".rstrip()
+        log.warning("%s: alarm %s (%s) %s%s%s", self._machine, a.id, what, change.event, by, why)
 
     def tick(self) -> None:
         """Pass."""
@@ -226,3 +231,13 @@ def _decision(e: Evidence) -> str:
 def size(severity: Severity | None) -> str:
     """Return a severity in percent with its standard error, "" for none."""
     return "" if severity is None else f"{100 * severity.value:+.1f} ± {100 * severity.sd:.1f} %"
+
+
+def sentence_of(finding: Finding) -> str:
+    """Return a decision as one sentence for people."""
+    e = finding.evidence
+    how = f"{e.detector}: statistic {e.statistic:.3g} over threshold {e.threshold:.3g}"
+    if e.fault and e.severity:
+        return f"{e.machine}: {e.fault} {100 * e.severity.value:+.1f} % (+-{100 * e.severity.sd:.1f} %); {how}"
+    likely = ", ".join(f"{name} {100 * w:.0f} %" for name, w in sorted(e.weights.items(), key=lambda i: -i[1])[:3])
+    return f"{e.machine}: a fault; {how}" + (f"; between {likely}" if likely else "")

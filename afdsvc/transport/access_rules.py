@@ -75,7 +75,7 @@ def access_control(
 def _rig(keys: Keys, machine: str) -> _Role:
     own = [
         keys.block(machine), keys.event(machine), keys.description(machine), keys.burst(machine), keys.stop(machine),
-        keys.retune(machine), keys.restore(machine), keys.sessions(machine),
+        keys.retune(machine), keys.restore(machine), keys.inject(machine), keys.sessions(machine),
     ]
     heard = [keys.lease(machine), keys.receipt(machine), keys.service_alive(), keys.sessions(machine)]
     return _Role([rig_name(machine)], own, heard, [keys.stored(machine)])

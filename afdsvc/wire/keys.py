@@ -78,6 +78,10 @@ class Keys:
         """Query to the rig to go back to Q = 0."""
         return self._of(machine, "restore")
 
+    def inject(self, machine: str) -> str:
+        """Query to the rig of a simulated machine to put a fault into it; a real machine refuses."""
+        return self._of(machine, "inject")
+
     def lease(self, machine: str) -> str:
         """Renewals from whoever asked for a burst or a Q; without them the rig ends it, so no machine is excited after the service has died."""
         return self._of(machine, "lease")

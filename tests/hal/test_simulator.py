@@ -79,3 +79,24 @@ def test_the_simulated_machine_may_be_another_than_the_model(plugins) -> None:
     assert 1e-4 < np.abs(y - model).max() < 0.03
     with pytest.raises(BadInput, match=r"'driver.options' gives sample time 0.001 s; the machine's is 0.0001 s"):
         samples(turboexpander(plugins, options={"sample_time": 1e-3}), plugins, 1000)
+
+
+def test_a_fault_put_in_while_the_machine_runs_is_one_of_the_site_file(bearing, plugins) -> None:
+    """From the sample it is put in on, the same noise gives the same samples; severity 0 repairs it."""
+    scheduled = ports.open_port(bearing(faults={"horizontal_actuator": (-0.5, 0.2)}), "s", FastClock(), plugins)
+    asked = ports.open_port(bearing(), "s", FastClock(), plugins)
+    dt = asked.dt
+    want, found = [], []
+    while sum(map(len, found)) * dt < 0.4:
+        if sum(map(len, found)) * dt >= 0.2 - 1e-9 and not getattr(asked, "put_in", False):
+            asked.inject("horizontal_actuator", -0.5)
+            asked.put_in = True
+        want.append(scheduled.read().values)
+        found.append(asked.read().values)
+    assert np.array_equal(np.vstack(want), np.vstack(found))
+    healthy = ports.open_port(bearing(), "s", FastClock(), plugins)
+    healthy.inject("vertical_sensor", -0.3)
+    healthy.inject("vertical_sensor", 0.0)
+    assert np.array_equal(healthy.read().values, ports.open_port(bearing(), "s", FastClock(), plugins).read().values)
+    with pytest.raises(BadInput, match="fault 'rust' is unknown; this machine has horizontal_actuator"):
+        asked.inject("rust", -0.5)
