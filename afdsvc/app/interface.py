@@ -19,7 +19,7 @@ from afdsvc.files.model.model_file import read_model
 from afdsvc.files.open import Naming, open_file
 from afdsvc.files.tables.foreign import prepared
 from afdsvc.files.tables.formats import Columns
-from afdsvc.files.tables.tables import table_trace
+from afdsvc.files.tables.tables import own_names, table_trace
 from afdsvc.files.tables.time_base import own_time
 from afdsvc.lti.statespace import Array, StateSpace
 
@@ -315,8 +315,9 @@ def _traces(recordings: Any, model: Model | None) -> list[Trace]:
 
 def _frame(frame: Any, model: Model | None) -> Trace:
     """Return a data frame or a dict of arrays as a trace."""
-    roles = {v.name: f"{role}_{v.name}" for role, side in (("u", model.inputs), ("y", model.outputs)) for v in side} if model else {}
-    columns: Columns = {roles.get(str(name), str(name)): _plain(frame[name]) for name in (frame if isinstance(frame, Mapping) else frame.columns)}
+    names = [str(name) for name in (frame if isinstance(frame, Mapping) else frame.columns)]
+    own = own_names(names, model) if model else {}
+    columns: Columns = {own.get(name, name): _plain(frame[name]) for name in names}
     if not own_time(columns) and hasattr(frame, "index") and type(frame.index).__name__ != "RangeIndex":
         columns = {"t": _plain(frame.index), **columns}
     dt = model.plant.dt if model and model.plant and model.plant.discrete else None

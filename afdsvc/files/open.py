@@ -16,7 +16,7 @@ from afdsvc.files.tables.foreign import in_model_units, read_foreign_columns, re
 from afdsvc.files.tables.mapping import DataMapping, read_mapping
 from afdsvc.files.tables.tables import PREPARED, read_table
 
-TABLES = (".csv", ".parquet", ".mat", ".npz")
+TABLES = (".csv", ".parquet", ".mat", ".npz", ".tdms", ".ulg")
 RECORDING = ".mcap"
 Span = tuple[str, int, int]
 
@@ -51,7 +51,7 @@ class TableFile:
         if mapping:
             return read_foreign_columns(self.path, mapping, model)
         step = model.plant.dt if gaps and model and model.plant and model.plant.discrete else None
-        trace = read_table(self.path, self.naming.pairs, None, gaps, step)
+        trace = read_table(self.path, self.naming.pairs, None, gaps, step, model)
         if self.naming.pairs:
             said = [f"{new} is {old}" if new else f"{old} is left out" for old, new in self.naming.pairs.items()]
             trace = replace(trace, notes={**trace.notes, PREPARED: "\n".join([*said, *trace.notes.get(PREPARED, "").splitlines()])})

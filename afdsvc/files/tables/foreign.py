@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +15,20 @@ from afdsvc.errors import BadInput
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.tables.alignment import Group, aligned
 from afdsvc.files.tables.foreign_mcap import read_topics
-from afdsvc.files.tables.formats import read_columns
+from afdsvc.files.tables.formats import opened, read_columns
 from afdsvc.files.tables.mapping import OWN_TIMES, DataMapping, Source, Time, converted, product, same_unit
 from afdsvc.files.tables.tables import PREPARED
 from afdsvc.files.tables.time_base import TIME, UNITS, is_stamped, own_time, seconds
 from afdsvc.lti.statespace import Array
 
+ULOG = ".ulg"  # of PX4: topics at rates of their own, so a mapping is always needed
 _AUX_UNITS = {"aux_speed": "rad/s", "aux_angle": "rad"}
 
 
 def read_foreign_columns(path: Path, mapping: DataMapping, model: Model | None = None) -> list[Trace]:
     """Return the mapped columns of a table as traces, see `read_foreign_topics`."""
-    return _mapped(path, *_table(path, _places(mapping), mapping.time), mapping, model)
+    found = (_ulog if path.suffix.lower() == ULOG else _table)(path, _places(mapping), mapping.time)
+    return _mapped(path, *found, mapping, model)
 
 
 def read_foreign_topics(recording: Recording, mapping: DataMapping, model: Model | None = None) -> list[Trace]:
@@ -136,6 +140,31 @@ def _table(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Grou
     if t is None:
         t = np.asarray((time.step or 0.0) * np.arange(max(lengths)), dtype=np.float64)
     return [Group("the table", t, chosen)], remarks
+
+
+def _ulog(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group], list[str]]:
+    """Return the mapped fields (``topic.field``, ``topic[1].field`` for its second instance) of a PX4 log, a group for each topic."""
+    try:
+        from pyulog import ULog
+    except ImportError:
+        raise BadInput(f"{path}: ULog needs the extra 'ulog': install afdsvc[ulog]") from None
+    opened(path).close()
+    damage = io.StringIO()
+    try:
+        with redirect_stdout(damage):  # where pyulog says so
+            topics = {f"{d.name}[{d.multi_id}]" if d.multi_id else d.name: d.data for d in ULog(str(path)).data_list}
+    except Exception as error:  # a log that is none fails in many ways
+        raise BadInput(f"{path}: not a readable ULog file: {type(error).__name__}: {error}") from None
+    groups: dict[str, dict[str, Array]] = {}
+    for signal, place in places.items():
+        topic, _, name = place.partition(".")
+        if name not in topics.get(topic, {}):
+            listed = ", ".join(f"{t} ({', '.join(k for k in data if k != 'timestamp')})" for t, data in sorted(topics.items()))
+            raise BadInput(f"{path}: no '{place}', which is to be {signal}; expected TOPIC.FIELD, and it has {listed or 'no topics'}")
+        groups.setdefault(topic, {})[signal] = np.asarray(topics[topic][name], dtype=np.float64)
+    first = min(int(topics[t]["timestamp"][0]) for t in groups)
+    made = [Group(t, (topics[t]["timestamp"].astype(np.int64) - first) * 1e-6, columns) for t, columns in groups.items()]
+    return made, ["the time of a sample is the time stamp of its topic", *([f"not all could be read: {damage.getvalue().splitlines()[0]}"] if damage.getvalue() else [])]
 
 
 def _table_time(columns: Mapping[str, Array], time: Time, path: Path) -> tuple[Array | None, str, str]:

@@ -1,4 +1,4 @@
-"""Foreign tables as columns of numbers or time stamps: CSV, Parquet, MAT (5 and 7.3), NPZ."""
+"""Foreign tables as columns of numbers or time stamps: CSV, Parquet, MAT (5 and 7.3), NPZ, TDMS."""
 
 from __future__ import annotations
 
@@ -29,6 +29,8 @@ def read_columns(path: Path) -> Columns:
 
     A column of time stamps (ISO 8601 with or without zone in CSV, dates in Parquet) is ``datetime64[ns]``, in UTC where zones are given.
     """
+    if path.suffix.lower() == ".ulg":
+        raise BadInput(f"{path}: the topics of a ULog have times of their own; expected a mapping file (--mapping FILE.toml) such as [signals] u_thrust = 'actuator_outputs.output[0]'")
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise BadInput(f"{path}: tables end in {', '.join(_READERS)}; this one ends in '{path.suffix}'")
@@ -38,7 +40,7 @@ def read_columns(path: Path) -> Columns:
         return reader(path)
     except BadInput:
         raise
-    except Exception as error:  # four libraries, each with errors of its own for files that are not what they claim
+    except Exception as error:  # five libraries, each with errors of its own for files that are not what they claim
         raise BadInput(f"{path}: not a readable {path.suffix} file: {_first_line(error)}") from None
 
 
@@ -59,25 +61,26 @@ def _csv(path: Path) -> Columns:
     with path.open(encoding="utf-8-sig", newline="") as file:
         first, second = file.readline(BOUNDS.line + 1), file.readline(BOUNDS.line + 1)
     refuse_more(path, len(first), BOUNDS.line, "characters in its first line")
-    delimiter = next((d for d in ",;\t" if d in first), ",")
+    delimiter = next((d for d in ";\t," if d in first), ",")
     header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
-    _refuse_names(path, header)
-    if header and all(_is_number(name.replace(",", ".")) for name in header):
-        raise BadInput(f"{path}: the first row holds numbers ({first.strip()[:40]}); expected the names of the columns, such as t,u_force,y_position")
     point = "," if delimiter != "," and "," in second else "."
+    named = not (header and all(_is_stamp(name) or _is_number(name.replace(point, ".")) for name in header))
+    if not named:  # no header: columns are counted
+        header = [str(k) for k in range(1, len(header) + 1)]
+    _refuse_names(path, header)
     stamps = [name for name, cell in zip(header, next(csv.reader([second], delimiter=delimiter), []), strict=False) if _is_stamp(cell)]
     try:
         table = pyarrow.csv.read_csv(
             path,
             # The header was read above, in the one way that tolerates spaces around names.
-            read_options=pyarrow.csv.ReadOptions(column_names=header, skip_rows=1),
+            read_options=pyarrow.csv.ReadOptions(column_names=header, skip_rows=int(named)),
             parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
             convert_options=pyarrow.csv.ConvertOptions(
                 column_types=dict.fromkeys(header, pa.float64()) | dict.fromkeys(stamps, pa.string()), decimal_point=point
             ),
         )
     except pa.ArrowInvalid:
-        _name_bad_cell(path, header, stamps, delimiter, point)
+        _name_bad_cell(path, header, stamps, delimiter, point, named)
         raise
     return {name: _stamps(path, name, table[name]) if name in stamps else _numbers(path, name, table[name].to_numpy()) for name in header}
 
@@ -101,10 +104,10 @@ def _stamps(path: Path, name: str, column: Any) -> Any:
     return pa.array(texts).cast(pa.timestamp("ns", "UTC" if all(zoned) else None)).to_numpy(zero_copy_only=False)
 
 
-def _name_bad_cell(path: Path, header: list[str], stamps: list[str], delimiter: str, point: str) -> None:
+def _name_bad_cell(path: Path, header: list[str], stamps: list[str], delimiter: str, point: str, named: bool) -> None:
     """Raise `BadInput` naming row and column of the first cell that is not a number, or the row of another length."""
     with path.open(encoding="utf-8-sig", newline="") as file:
-        for row, cells in enumerate(csv.reader(file, delimiter=delimiter)):
+        for row, cells in enumerate(csv.reader(file, delimiter=delimiter), 0 if named else 1):
             if row == 0 or not cells:
                 continue
             if len(cells) != len(header):
@@ -186,7 +189,36 @@ def _datasets(path: Path, group: Any) -> Iterable[tuple[str, Any]]:
 
 
 def _named(path: Path, variables: Iterable[tuple[str, Any]]) -> Columns:
-    return {name: _numbers(path, name, np.asarray(value)) for name, value in variables}
+    """Return vectors as columns, and the columns of a matrix as ``name_1``, ``name_2``, ...; its longer side is time."""
+    found: Columns = {}
+    for name, value in variables:
+        matrix = np.asarray(value)
+        if matrix.ndim == 2 and min(matrix.shape) > 1:
+            matrix = matrix if matrix.shape[0] > matrix.shape[1] else matrix.T
+            refuse_more(path, matrix.shape[1], BOUNDS.columns, f"columns in '{name}'")
+            found |= {f"{name}_{j + 1}": _numbers(path, name, matrix[:, j]) for j in range(matrix.shape[1])}
+        else:
+            found[name] = _numbers(path, name, matrix)
+    return found
+
+
+def _tdms(path: Path) -> Columns:
+    """Return the channels by name (``group/channel`` where a name comes twice), and the time that their properties state as ``t``."""
+    try:
+        from nptdms import TdmsFile
+    except ImportError:
+        raise BadInput(f"{path}: TDMS needs the extra 'tdms': install afdsvc[tdms]") from None
+    file = TdmsFile.read(path)
+    channels = [c for group in file.groups() for c in group.channels() if len(c)]
+    if not channels:
+        raise BadInput(f"{path}: not a readable .tdms file: it holds no samples")
+    often = Counter(c.name for c in channels)
+    found = {c.name if often[c.name] == 1 else f"{c.group_name}/{c.name}": _numbers(path, c.name, np.asarray(c[:])) for c in channels}
+    steps = {(c.properties.get("wf_increment"), c.properties.get("wf_start_offset", 0.0)) for c in channels}
+    step, start = steps.pop() if len(steps) == 1 else (None, 0.0)
+    if step and "t" not in found:
+        found = {"t": start + step * np.arange(len(channels[0])), **found}
+    return found
 
 
 def _numbers(path: Path, name: str, values: Any) -> Array:
@@ -216,4 +248,4 @@ def _first_line(error: Exception) -> str:
     return (str(error) or type(error).__name__).splitlines()[0]
 
 
-_READERS: dict[str, Callable[[Path], Columns]] = {".csv": _csv, ".parquet": _parquet, ".mat": _mat, ".npz": _npz}
+_READERS: dict[str, Callable[[Path], Columns]] = {".csv": _csv, ".parquet": _parquet, ".mat": _mat, ".npz": _npz, ".tdms": _tdms}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,22 +25,31 @@ SAME_STEP = 1e-4  # relative difference of sample times that is taken for roundi
 
 
 def read_table(
-    path: str | Path, mapping: Mapping[str, str] | None = None, dt: float | None = None, allow_nan: bool = False, default_dt: float | None = None
+    path: str | Path, mapping: Mapping[str, str] | None = None, dt: float | None = None, allow_nan: bool = False, default_dt: float | None = None,
+    model: Model | None = None,
 ) -> Trace:
     """Return the table as a trace named after its file.
 
     Columns are the time (``t`` [s], ``t_ms``, ``t_us``, ``t_ns``, or a column of time stamps) and ``u_, y_, alpha_, beta_, ref_, aux_`` names; ``mapping`` renames columns (to "": left
-    out). ``dt`` [s] is the sample time of a table without time and must agree with it otherwise, ``default_dt`` need not. Raises `BadInput`
+    out); those that bear a name of the ``model`` need no role (`own_names`). ``dt`` [s] is the sample time of a table without time and must agree with it otherwise, ``default_dt`` need not. Raises `BadInput`
     naming file, column and row (counted from 1 below the header) for whatever is wrong; NaN is wrong unless allowed.
     """
     path = Path(path)
-    return table_trace(_renamed(read_columns(path), mapping or {}, str(path)), path, dt, allow_nan, default_dt)
+    columns = _renamed(read_columns(path), mapping or {}, str(path))
+    own = own_names(columns, model) if model else {}
+    return table_trace(_renamed(columns, own, str(path)), path, dt, allow_nan, default_dt)
 
 
 def table_trace(columns: Columns, path: Path, dt: float | None = None, allow_nan: bool = False, default_dt: float | None = None) -> Trace:
     """Return columns by name as a trace named after ``path``, as `read_table` does."""
     columns = dict(columns)
     _refuse_unequal(columns, path)
+    counted = next((name for name in columns if name.isdigit()), "")
+    if counted:
+        raise BadInput(
+            f"{path}: the first row holds numbers, so columns are counted: {', '.join(columns)}; say what they are with --map 1=t --map 2=u_force "
+            f"--map 3=y_position, or leave one out with --map {counted}="
+        )
     time = own_time(columns)
     t, said = seconds(columns.pop(time), time) if time else (None, "")
     t0, step = _time(t, time or TIME, dt, default_dt, path)
@@ -76,6 +85,26 @@ def _renamed(columns: Columns, mapping: Mapping[str, str], where: str) -> Column
             raise BadInput(f"{where}: two columns would be called '{new}'; expected one")
         if new:
             found[new] = values
+    return found
+
+
+def own_names(columns: Iterable[str], model: Model) -> dict[str, str]:
+    """Return which columns bear the name of one of the model's inputs and outputs, with the role they have there.
+
+    ``u`` and ``y``, or ``u_1``, ``u_2``, ... (the columns of a matrix), are the inputs and outputs in the model's order.
+
+    >>> motor = Model.from_system(([3.0], [0.2, 1]), {"voltage": "V"}, {"speed": "rad/s"})
+    >>> own_names(["t", "voltage", "speed"], motor), own_names(["t", "u", "y_1"], motor)
+    ({'voltage': 'u_voltage', 'speed': 'y_speed'}, {'u': 'u_voltage', 'y_1': 'y_speed'})
+    """
+    there, found = set(columns), dict[str, str]()
+    for role, side in (("u", model.inputs), ("y", model.outputs)):
+        plain = [v.name for v in side]
+        others = {v.name for v in (*model.inputs, *model.outputs)} - set(plain)
+        found |= {n: f"{role}_{n}" for n in plain if n in there and n not in others and f"{role}_{n}" not in there}
+        counted = [role] if len(side) == 1 and role in there else [f"{role}_{k}" for k in range(1, len(side) + 1)]
+        if there.issuperset(counted) and not set(counted) & {f"{role}_{n}" for n in plain}:
+            found |= {c: f"{role}_{n}" for c, n in zip(counted, plain, strict=True)}
     return found
 
 

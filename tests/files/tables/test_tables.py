@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import parse_model
+from afdsvc.files.open import Naming, open_file
 from afdsvc.files.tables.tables import read_table, with_units
 
 RNG = np.random.default_rng(3)
@@ -154,7 +155,8 @@ def test_columns_are_renamed_and_left_out(tmp_path):
         ("t,u_a\n0,1\n1,2\n", {"dt": 0.5}, ["sample time of 1 s", "expected 0.5 s"]),
         ("t\n0\n1\n", {}, ["no signal"]),
         ("", {}, ["Empty CSV file"]),
-        ("0.0,1.5,2.5\n0.1,1,2\n", {}, ["first row holds numbers (0.0,1.5,2.5)", "t,u_force,y_position"]),
+        ("0.0,1.5,2.5\n0.1,1,2\n", {}, ["first row holds numbers", "--map 1=t --map 2=u_force"]),
+        ("0.0,1.5\n0.1,x\n", {}, ["column '2', row 2 holds 'x'"]),
         ("t,speed_rpm\n0,1\n1,2\n", {}, ["'speed_rpm' has no role", "--map", "afdsvc init"]),
         ("t,u_a\n2026-11-21T10:00:00,1\n2026-11-21T10:00:01Z,2\n", {}, ["'t', row 2", "zone in all rows or in none"]),
         ("t,u_a\n2026-11-21T10:00:00,1\nlater,2\n", {}, ["'t', row 2 holds 'later'", "2026-11-21T10:00:00.125+01:00"]),
@@ -190,7 +192,7 @@ def test_the_sample_time_is_the_number_meant(tmp_path, dt, digits):
 @pytest.mark.parametrize(
     ("name", "raw", "words"),
     [
-        ("a.xlsx", b"", "end in .csv, .parquet, .mat, .npz; this one ends in '.xlsx'"),
+        ("a.xlsx", b"", "end in .csv, .parquet, .mat, .npz, .tdms; this one ends in '.xlsx'"),
         ("a.csv", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "Git LFS pointer"),
         ("a.csv", b"t,u_\xe6\n", "not a readable .csv"),
         ("a.parquet", b"PAR1 but no more", "not a readable .parquet"),
@@ -216,7 +218,7 @@ def test_a_missing_file_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("columns", "words"),
     [
-        ({"u_a": np.zeros((3, 2))}, r"'u_a' has shape \(3, 2\)"),
+        ({"u_a": np.zeros((3, 2, 2))}, r"'u_a' has shape \(3, 2, 2\)"),
         ({"u_a": np.array(["x", "y"])}, "'u_a' holds <U1"),
         ({"u_a": np.array([1j])}, "'u_a' holds complex128"),
         ({"u_a": np.array([2**60 + 1])}, "beyond 2\\*\\*53"),
@@ -264,3 +266,88 @@ def test_units_come_from_the_model(tmp_path):
 def test_measured_benchmarks(measured, name, dt, rows):
     trace = read_table(measured / f"{name}.csv")
     assert (trace.dt, len(trace)) == (dt, rows)
+
+
+MODEL = parse_model("""
+name = "plate"
+time = "discrete"
+sample_time = 0.004
+inputs = [{name = "left", unit = "N"}, {name = "right", unit = "N"}]
+outputs = [{name = "height", unit = "mm"}]
+A = [[0.5]]
+B = [[1.0, 1.0]]
+C = [[1.0]]
+""", "MODEL.toml")
+
+
+def test_a_table_without_header_is_named_by_the_number_of_its_columns(tmp_path):
+    path = text(tmp_path / "a.csv", "2026-11-21T10:00:00Z;1,5;7\n2026-11-21T10:00:01Z;2,5;7\n")
+    trace = read_table(path, {"1": "t", "2": "u_force", "3": ""})
+    assert (trace.dt, [c.name for c in trace.channels], trace.column("u_force").tolist()) == (1.0, ["u_force"], [1.5, 2.5])
+
+
+def test_columns_named_like_the_model_need_no_role(tmp_path):
+    path = write(tmp_path / "run.csv", {"t": T, "right": COLUMNS["u_force"], "left": 2 * COLUMNS["u_force"], "height": COLUMNS["y_position"]})
+    (trace,) = open_file(path).traces(MODEL)
+    assert [(c.name, c.unit) for c in trace.channels] == [("u_right", "N"), ("u_left", "N"), ("y_height", "mm")]
+    with pytest.raises(BadInput, match="'right' has no role"):
+        open_file(path).traces()
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".mat", "7.3.mat"])
+def test_the_columns_of_a_matrix_are_the_models_channels_in_order(tmp_path, suffix):
+    u, y = RNG.normal(size=(200, 2)), RNG.normal(size=(200, 1))
+    path = tmp_path / f"run{suffix}"
+    if suffix == "7.3.mat":
+        with h5py.File(path, "w") as file:
+            file["u"], file["y"] = u.T, y.T  # as MATLAB keeps them
+    else:
+        write(path, {"u": u, "y": y})
+    (trace,) = open_file(path).traces(MODEL, gaps=True)
+    assert [c.name for c in trace.channels] == ["u_left", "u_right", "y_height"]
+    assert np.array_equal(trace.values, np.hstack([u, y]))
+    assert [c.name for c in read_table(path, {"y": "y_1"}, 0.1).channels] == ["u_1", "u_2", "y_1"]
+
+
+def test_a_tdms_file_is_a_table_with_the_time_of_its_properties(tmp_path):
+    nptdms = pytest.importorskip("nptdms")
+    properties = {"wf_increment": 0.004, "wf_start_offset": 1.0}
+    channels = [nptdms.ChannelObject("run", name, COLUMNS[name], properties) for name in ("u_force", "y_position")]
+    with nptdms.TdmsWriter(str(tmp_path / "run.tdms")) as writer:
+        writer.write_segment(channels)
+    trace = read_table(tmp_path / "run.tdms")
+    assert (trace.t0, trace.dt, [c.name for c in trace.channels]) == (1.0, 0.004, ["u_force", "y_position"])
+    assert trace.column("y_position").tobytes() == COLUMNS["y_position"].tobytes()
+    (tmp_path / "no.tdms").write_bytes(b"something else")
+    with pytest.raises(BadInput, match=r"no\.tdms: not a readable \.tdms file"):
+        read_table(tmp_path / "no.tdms")
+
+
+def ulog(path: Path, topics: dict[str, tuple[str, np.ndarray, np.ndarray]]) -> Path:
+    """Write a log as PX4 does: topic to (field, times [us], values)."""
+    said = b""
+    formats = [(b"F", f"{name}:uint64_t timestamp;float {field};".encode()) for name, (field, *_) in topics.items()]
+    for kind, content in (*formats, *((b"A", struct.pack("<BH", 0, number) + name.encode()) for number, name in enumerate(topics))):
+        said += struct.pack("<H", len(content)) + kind + content
+    for number, (_, times, values) in enumerate(topics.values()):
+        for t, v in zip(times.tolist(), values.tolist(), strict=True):
+            said += struct.pack("<HcHQf", 14, b"D", number, t, v)
+    path.write_bytes(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + said)
+    return path
+
+
+def test_topics_of_a_ulog_come_to_one_rate_by_a_mapping(tmp_path):
+    pytest.importorskip("pyulog")
+    fast, slow = np.arange(4000) * 4000 + 10**6, np.arange(1600) * 10_000 + 10**6
+    path = ulog(tmp_path / "flight.ulg", {"thrust": ("force", fast, np.sin(fast * 5e-6)), "position": ("z", slow, np.cos(slow * 5e-6))})
+    mapping = text(tmp_path / "m.toml", "[signals]\nu_thrust = {from = 'thrust.force', unit = 'N'}\ny_height = {from = 'position.z', unit = 'm'}\n")
+    (trace,) = open_file(path, Naming.of(mapping)).traces()
+    t = trace.t0 + trace.dt * np.arange(len(trace))
+    assert trace.dt == 0.01
+    assert np.abs(trace.column("u_thrust") - np.sin(5 * (t + 1))).max() < 1e-3
+    assert np.abs(trace.column("y_height") - np.cos(5 * (t + 1))).max() < 1e-3
+    with pytest.raises(BadInput, match="times of their own; expected a mapping file"):
+        open_file(path).traces()
+    other = text(tmp_path / "o.toml", "[signals]\nu_thrust = 'thrust.power'\n")
+    with pytest.raises(BadInput, match=r"no 'thrust.power', which is to be u_thrust; .* position \(z\), thrust \(force\)"):
+        open_file(path, Naming.of(other)).traces()
