@@ -248,7 +248,7 @@ def diagnose(*recordings: str | Path, model: str | Path | None = None, calibrate
     return Diagnosed(diagnose_recordings([Path(r) for r in recordings], given, calibrate, None, detectors, naming, allow_code))
 
 
-def design(site: str | Path, machine: str | None = None, *, allow_code: bool = False) -> Designed:
+def design(site: str | Path, machine: str | None = None, *, allow_code: bool = False, frequencies: Sequence[float] = ()) -> Designed:
     """Return the design sheet of a machine: burst, thresholds, detection probabilities, smallest faults.
 
     Parameters
@@ -259,6 +259,8 @@ def design(site: str | Path, machine: str | None = None, *, allow_code: bool = F
         Its id, where the site has several.
     allow_code : bool
         Permit the model's simulator to run.
+    frequencies : sequence of float
+        Candidates [rad/s] that ``document["loop"]`` tells of: what they disturb, amplitude and phase of every fault.
 
     Returns
     -------
@@ -284,7 +286,7 @@ def design(site: str | Path, machine: str | None = None, *, allow_code: bool = F
 
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "design.html"
-        document = design_files(Path(site), machine, page, allow_code)
+        document = design_files(Path(site), machine, page, allow_code, frequencies)
         return Designed({k: v for k, v in document.items() if k != "report"}, page.read_text(encoding="utf-8"))
 
 

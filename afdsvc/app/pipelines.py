@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from afdsvc.api.bursts import Burst
+from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem, Detector, FalseAlarms, Noise
 from afdsvc.api.retuning import Diagnosed, LoopCost, Tuning
 from afdsvc.app import commissioning
@@ -20,7 +20,7 @@ from afdsvc.diagnosis.data_quality import Expectation
 from afdsvc.diagnosis.pipeline import CalibratedPipeline, Design, ExcitableStream, Pipeline, calibrated
 from afdsvc.diagnosis.speed_schedule import SpeedPipeline
 from afdsvc.errors import BadInput
-from afdsvc.excite.diagnosis_burst import Aim, default_burst, second_burst
+from afdsvc.excite.diagnosis_burst import Aim, default_burst, second_burst, stated_burst
 from afdsvc.excite.identification_bursts import Band, multisine_burst, random_binary_burst, sweep_burst
 from afdsvc.files.tables.tables import read_table
 from afdsvc.lti.simulate import simulate
@@ -110,14 +110,20 @@ def _speed_pipeline(machine: Commissioned, plugins: Plugins, ready: Callable[[De
 
 
 def diagnosis_burst(machine: Commissioned) -> Callable[[DetectionProblem], Burst]:
-    """Return the design of the machine's diagnosis burst, computed once for every problem."""
+    """Return the design of the machine's diagnosis burst, or the one its site states, computed once for every problem."""
 
     @lru_cache(maxsize=64)
     def design(problem: DetectionProblem) -> Burst:
-        settings, limits = machine.config.bursts, machine.limits
+        settings, limits, id = machine.config.bursts, machine.limits, machine.config.id
         if limits is None:
-            raise BadInput(f"machine '{machine.config.id}' can be watched, not excited")
-        return default_burst(problem, limits, settings.seconds, settings.output_amplitude, Aim(severity=settings.severity))
+            raise BadInput(f"machine '{id}' can be watched, not excited; there is no burst to design")
+        if not settings.lines:
+            return default_burst(problem, limits, settings.seconds, settings.output_amplitude, Aim(severity=settings.severity))
+        unknown = next((line.input for line in settings.lines if line.input not in problem.input_names), None)
+        if unknown is not None:
+            raise BadInput(f"machine '{id}': bursts.lines names input '{unknown}'; expected one of {', '.join(problem.input_names)}")
+        lines = [Line(problem.input_names.index(line.input), line.rad_s, line.alpha) for line in settings.lines]
+        return stated_burst(problem, limits, settings.seconds, lines, settings.severity)
 
     return design
 

@@ -112,6 +112,7 @@ def design_command(
     site: SiteFile,
     machine: MachineOption = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE.html", help="Where the page goes.")] = None,
+    frequency: Annotated[list[float] | None, typer.Option("--frequency", "-w", metavar="RAD_S", help="A candidate: what it disturbs, phase and amplitude of every fault there; may be repeated.")] = None,
     allow_code: Annotated[bool, typer.Option("--allow-code", help="Permit the model's simulator to run.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -119,8 +120,8 @@ def design_command(
     from afdsvc.app.design import design_files
     from afdsvc.present.terminal import design_table
 
-    document = design_files(site, machine, out, allow_code)
-    show(as_json, document, lambda: design_table(document))
+    document = design_files(site, machine, out, allow_code, frequency or ())
+    show(as_json, document, lambda: design_table(document, bool(frequency)))
 
 
 @app.command()

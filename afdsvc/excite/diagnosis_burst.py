@@ -78,6 +78,23 @@ def default_burst(
     return replace(made, notes={**made.notes, "certificate": f"with any fault up to severity {aim.severity:g} {found}"})
 
 
+def stated_burst(problem: DetectionProblem, limits: Limits, seconds: float, lines: Sequence[Line], severity: float = -0.5, name: str = "diagnosis") -> Burst:
+    """Return a burst of these lines as they are, with ramps and settling like those of a designed one.
+
+    Raises `Refused` with the tightest limit where the machine, healthy or with any fault up to ``severity``, would exceed one; `BadInput` for
+    a frequency that cannot be sampled.
+    """
+    highest = np.pi / problem.plant.dt
+    for line in lines:
+        if not 0 < line.omega < highest:
+            raise BadInput(f"burst '{name}': a line at {line.omega:g} rad/s; expected one between 0 and {highest:g} rad/s, half the sampling rate")
+    burst = replace(_frame(problem, min(seconds, limits.seconds), name), lines=tuple(lines))
+    found = certificate(problem, limits, burst, severity)
+    if found.factor < 1:
+        raise Refused(f"burst '{name}': its lines are too large: {found}")
+    return replace(burst, notes={"certificate": f"with any fault up to severity {severity:g} {found}"})
+
+
 def second_burst(
     problem: DetectionProblem, limits: Limits, weights: Mapping[str, float], severity: float, seconds: float = 2.5
 ) -> Burst:

@@ -230,8 +230,16 @@ class LimitSettings(_Strict):
     seconds: Positive = 14.0
 
 
+class LineSection(_Strict):
+    """A sine of a stated burst: the input it enters at by name, its frequency, and its amplitude in alpha."""
+
+    input: str
+    rad_s: Positive
+    alpha: Positive
+
+
 class Bursts(_Strict):
-    """When bursts are played, where they enter the loop and how large they may be."""
+    """When bursts are played, where they enter the loop and how large they may be; ``lines`` state one in place of that which is designed."""
 
     every_seconds: Positive | None = None
     jitter_seconds: Annotated[float, Field(ge=0)] = 0.0
@@ -244,6 +252,7 @@ class Bursts(_Strict):
     through: Literal["alpha", "input", "setpoint"] = "alpha"
     severity: Annotated[float, Field(ge=-1, lt=0)] = -0.5
     quiet_hours: list[tuple[time, time]] = []
+    lines: list[LineSection] = []
 
 
 class Retune(PluginSection):

@@ -122,8 +122,8 @@ def diagnosis_table(document: dict[str, Any]) -> None:
         _weights(verdict["weights"])
 
 
-def design_table(document: dict[str, Any]) -> None:
-    """Show what the burst finds and what it cannot."""
+def design_table(document: dict[str, Any], candidates: bool = False) -> None:
+    """Show what the burst finds and what it cannot, and the ``candidates`` that were asked for."""
     for burst in document["bursts"]:
         lines = ", ".join(f"{w:.0f} rad/s" for w in burst["frequencies_rad_s"])
         OUT.print(
@@ -139,8 +139,28 @@ def design_table(document: dict[str, Any]) -> None:
     OUT.print(table)
     if document.get("uncertain"):
         OUT.print(f"allowed for: the stated uncertainty of {', '.join(document['uncertain'])}", soft_wrap=True)
+    if candidates:
+        _candidate_table(document["loop"]["candidates"])
+    gain, margin = document["loop"]["controller_gain"], document["loop"]["nu_gap"]["margin"]
+    low, high = ("" if gain[key] is None else f"{gain[key]:.3g}" for key in ("stable_from", "stable_to"))
+    OUT.print(f"loop: stable from {low or '-4 or less'} to {high or '4 or more'} times the controller; least damping {gain['least_damping']:.3g}; margin against the nu-gap {margin:.3g}", soft_wrap=True)
     OUT.print("P_D: probability of detection; smallest: severity found with P_D 0.99; sd: standard error of the severity", soft_wrap=True)
     OUT.print(f"page {document['report']}", soft_wrap=True)
+
+
+def _candidate_table(candidates: list[dict[str, Any]]) -> None:
+    """Show for every candidate what it disturbs, and amplitude and phase of every fault in the output that shows it most."""
+    k = len(candidates[0]["severities"]) // 2
+    title = f"per unit of alpha, at severity {100 * candidates[0]['severities'][k]:.0f} %"
+    table = _table(title, "rad/s", "input", "disturbs", "fault", "amplitude", "phase")
+    for c in candidates:
+        place = f"{c['rad_s']:.4g}", c["input"], f"{max(c['disturbs'].values()):.3g}"
+        for fault, outputs in c["faults"].items():
+            seen = max(outputs.values(), key=lambda found: found["amplitude"][k])
+            phase = "" if seen["phase_deg"][k] is None else f"{seen['phase_deg'][k]:.1f}°"
+            table.add_row(*place, fault, f"{seen['amplitude'][k]:.3g}", phase)
+            place = "", "", ""
+    OUT.print(table)
 
 
 MEASURES = {"r2": "R2 of the thesis (4.38), 1 - NRMSE", "r2_classical": "R2, 1 - ratio of variances"}

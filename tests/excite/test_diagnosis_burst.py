@@ -5,13 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from afdsvc.api.bursts import Limits
+from afdsvc.api.bursts import Limits, Line
+from afdsvc.api.detection import FalseAlarms
+from afdsvc.app.commissioning import commission
+from afdsvc.app.commissioning import problem as detection_problem
+from afdsvc.app.pipelines import diagnosis_burst
 from afdsvc.detect.thresholds.power import required_separation
 from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.amplitude_budget import costs, noise_deviations
-from afdsvc.excite.diagnosis_burst import Aim, default_burst
+from afdsvc.excite.diagnosis_burst import Aim, default_burst, stated_burst
 from afdsvc.excite.expected_detection import burst_detection, steady_samples
 from afdsvc.excite.simulated_burst import faulty_loop, simulate_burst
+from afdsvc.files.site import parse_site
+from afdsvc.plugins.manager import load
 from afdsvc.testing.machines import bearing_problem, unstable_problem
 
 CASES = [("proportional", 0), ("proportional", 1100), ("lqg", 0), ("lqg", 1100)]
@@ -130,3 +136,24 @@ def test_one_input_and_one_output_get_two_lines_of_the_power_of_one():
     spent = costs(problem, np.array([line.omega for line in burst.lines])).output[:, 0, 0]
     caused = np.array([line.amplitude for line in burst.lines]) * spent
     assert np.sum(caused**2) == pytest.approx(1.5**2, rel=1e-6)
+
+
+def test_stated_lines_are_played_as_they_are_or_refused_with_the_limit():
+    problem = bearing_problem("proportional")
+    burst = stated_burst(problem, problem.limits, 12.0, [Line(0, 62.0, 2.26)])
+    assert (burst.lines, burst.samples) == ((Line(0, 62.0, 2.26),), 60_000)
+    assert burst.notes["certificate"]
+    with pytest.raises(Refused, match="output 'horizontal'"):
+        stated_burst(problem, problem.limits, 12.0, [Line(0, 62.0, 9.0)])
+    with pytest.raises(BadInput, match="between 0 and 15708"):
+        stated_burst(problem, problem.limits, 12.0, [Line(0, 2e4, 0.1)])
+
+
+def test_a_site_states_its_lines(tmp_path):
+    text = 'site = "hall"\n[[machines]]\nid = "bearing"\nplant = "gas_bearing"\nbursts = {lines = [{input = "vertical", rad_s = 62, alpha = 0.5}]}\n'
+    machine = commission(parse_site(text, "t").machines[0], load())
+    burst = diagnosis_burst(machine)(detection_problem(machine, machine.noise, FalseAlarms()))
+    assert burst.lines == (Line(1, 62.0, 0.5),)
+    wrong = commission(parse_site(text.replace('"vertical"', '"v"'), "t").machines[0], load())
+    with pytest.raises(BadInput, match="expected one of horizontal, vertical"):
+        diagnosis_burst(wrong)(detection_problem(wrong, wrong.noise, FalseAlarms()))

@@ -12,9 +12,12 @@ from matplotlib.figure import Figure
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect.statistics.fault_curves import loop_response
 from afdsvc.detect.thresholds.power import detection_probability, pair_confusion, tail
 from afdsvc.excite.efficiency import efficiency
 from afdsvc.excite.expected_detection import ExpectedDetection, burst_detection, expected_detection, steady_samples
+from afdsvc.excite.loop_sheet import disturbance_gain, loop_poles, phasors
+from afdsvc.lti.statespace import StateSpace
 from afdsvc.present.html import svg
 
 COLOURS = ("#1b6ca8", "#c8553d", "#588157", "#7b4b94", "#c29200", "#3a3a3a", "#008b8b", "#a0522d")
@@ -23,10 +26,13 @@ COLOURS = ("#1b6ca8", "#c8553d", "#588157", "#7b4b94", "#c29200", "#3a3a3a", "#0
 Units = tuple[Sequence[str], Sequence[str]]
 
 
-def design_page(problem: DetectionProblem, burst: Burst, sheet: Mapping[str, Any], units: Units = ((), ())) -> str:
+def design_page(
+    problem: DetectionProblem, burst: Burst, sheet: Mapping[str, Any], units: Units = ((), ()), controller: StateSpace | None = None
+) -> str:
     """Return the page for a burst and the document `afdsvc.excite.design_sheet.design_sheet` made of it.
 
-    ``units`` are those of inputs and outputs, in the order of the problem's names.
+    ``units`` are those of inputs and outputs, in the order of the problem's names. With the ``controller`` (y to u) and the document's
+    ``loop`` (`afdsvc.excite.loop_sheet.loop_sheet`) it also shows candidate frequencies, disturbance gain, nu-gap and root locus.
     """
     seen = burst_detection(problem, burst)
     h = seen.threshold(problem.false_alarms.per_burst)
@@ -42,6 +48,8 @@ def design_page(problem: DetectionProblem, burst: Burst, sheet: Mapping[str, Any
         ("Isolability", "Probability that the fault of the column is found more likely although the fault of the row is present, at severity -0.5.",
          _isolation_figure(seen)),
     ]  # fmt: skip
+    if controller is not None:
+        figures += _loop_figures(problem, burst, sheet["loop"], controller)
     page = Environment(loader=PackageLoader("afdsvc.present.html", "."), autoescape=select_autoescape(["j2"]))
     template = page.get_template("design_page.html.j2")
     by_input = dict(zip(problem.input_names, units[0], strict=False))
@@ -128,6 +136,82 @@ def _isolation_figure(seen: ExpectedDetection) -> str:
             ax.text(j, i, words, ha="center", va="center", fontsize=7)
     ax.set_xticks(range(len(names)), names, rotation=30, ha="right", fontsize=7)
     ax.set_yticks(range(len(names)), names, fontsize=7)
+    return svg(figure)
+
+
+def _loop_figures(problem: DetectionProblem, burst: Burst, loop: Mapping[str, Any], controller: StateSpace) -> list[tuple[str, str, str]]:
+    gap, gain = loop["nu_gap"], loop["controller_gain"]
+    low, high = ("no limit tried" if gain[key] is None else f"{gain[key]:.3g}" for key in ("stable_from", "stable_to"))
+    return [
+        ("Amplitude and phase against severity", "Whitened residual per unit of alpha at candidate frequencies, in the output that shows the fault "
+         "most. Faults with the same phase at a frequency are told apart there by amplitude only.", _phase_figure(problem, burst, loop["candidates"])),
+        ("Disturbance gain", "Largest gain from a disturbance at the inputs to the outputs, without and with the controller, and from alpha; "
+         "dashed lines mark the burst's frequencies.", _disturbance_figure(problem, burst, controller)),
+        ("Distance between healthy and faulty plant (nu-gap)", f"Signals counted in their limits. Below the margin of this loop, {gap['margin']:.3g} (dashed), "
+         "it stays stable whatever the fault. The gap knows neither noise nor the length of a burst: it is no probability of detection.", _gap_figure(gap)),
+        ("Poles against the gain of the controller", f"Poles of the loop, as ln(z) / dt, for 0 to 2 times the controller (dark: small); crosses: as it is. "
+         f"Stable from {low} to {high} times; least damping {gain['least_damping']:.3g}, at most {gain['best_damping']:.3g} with {gain['best_factor']:.3g} times.",
+         _locus_figure(problem, controller)),
+    ]  # fmt: skip
+
+
+def _phase_figure(problem: DetectionProblem, burst: Burst, candidates: Sequence[Mapping[str, Any]]) -> str:
+    lines = {(line.omega, _name(problem.input_names, line.input)) for line in burst.lines}
+    shown = [c for c in candidates if (c["rad_s"], c["input"]) in lines] or list(candidates)[:6]
+    figure, axes = _axes(2, len(shown), 2.6)
+    severities = np.linspace(0.02 * problem.severity_range[0], problem.severity_range[0], 60)
+    for column, c in enumerate(shown):
+        r = phasors(problem, [c["rad_s"]], severities)[:, :, 0, :, problem.input_names.index(c["input"])]
+        for k, name in enumerate(problem.fault_names):
+            wave = r[k][:, int(np.abs(r[k][-1]).argmax())]
+            axes[column].plot(severities, np.abs(wave), color=_colour(k), lw=1.3, label=name)
+            axes[len(shown) + column].plot(severities, np.degrees(np.unwrap(np.angle(wave))), color=_colour(k), lw=1.3)
+        axes[column].set_title(f"{c['input']}, {c['rad_s']:.4g} rad/s", fontsize=8)
+        axes[len(shown) + column].set_xlabel("severity [1]")
+    axes[0].set_ylabel("amplitude [output per alpha]")
+    axes[len(shown)].set_ylabel("phase [deg]")
+    axes[0].legend(fontsize=6, frameon=False)
+    return svg(figure)
+
+
+def _disturbance_figure(problem: DetectionProblem, burst: Burst, controller: StateSpace) -> str:
+    figure, (ax,) = _axes(1, 1, 3.2)
+    omega = np.geomspace(np.pi / problem.plant.dt / 1000, 0.99 * np.pi / problem.plant.dt, 300)
+    without, within = disturbance_gain(problem.plant, controller, omega)
+    ax.loglog(omega, without, color=_colour(0), label="without the controller")
+    ax.loglog(omega, within, color=_colour(1), label="with it")
+    from_alpha = np.linalg.norm(loop_response(problem, omega).healthy().y[0], 2, axis=(1, 2))
+    ax.loglog(omega, from_alpha, color=_colour(2), ls=":", label="from alpha")
+    for line in burst.lines:
+        ax.axvline(line.omega, color="0.4", ls="--", lw=0.9)
+    ax.set(xlabel="frequency [rad/s]", ylabel="gain [output per input]")
+    ax.legend(fontsize=7, frameon=False)
+    return svg(figure)
+
+
+def _gap_figure(gap: Mapping[str, Any]) -> str:
+    figure, (ax,) = _axes(1, 1, 3.0)
+    for k, (name, values) in enumerate(gap["faults"].items()):
+        ax.semilogy(gap["severities"], values, ".-", color=_colour(k), label=name)
+    ax.axhline(gap["margin"], color="0.3", ls="--", lw=0.9)
+    ax.set(xlabel="severity [1]", ylabel="nu-gap [1]")
+    ax.legend(fontsize=7, frameon=False)
+    return svg(figure)
+
+
+def _locus_figure(problem: DetectionProblem, controller: StateSpace) -> str:
+    figure, (ax,) = _axes(1, 1, 3.6)
+    factors = np.linspace(0.0, 2.0, 81)
+
+    def s(poles: np.ndarray) -> np.ndarray:
+        return np.asarray(np.log(np.where(np.abs(poles) > 1e-9, poles, np.nan)) / problem.plant.dt)
+
+    branches = s(loop_poles(problem.plant, controller, factors))
+    ax.scatter(branches.real, branches.imag, c=np.broadcast_to(factors[:, None], branches.shape), cmap="viridis", s=3, lw=0)
+    now = s(loop_poles(problem.plant, controller, [1.0])[0])
+    ax.plot(now.real, now.imag, "x", color=_colour(1), ms=6)
+    ax.axvline(0.0, color="0.4", lw=0.9)
+    ax.set(xlabel="real [1/s]", ylabel="imaginary [rad/s]", xlim=(max(2 * float(np.nanmin(now.real)), -2 / problem.plant.dt), None))
     return svg(figure)
 
 

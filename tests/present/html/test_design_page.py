@@ -2,9 +2,13 @@
 
 from html.parser import HTMLParser
 
+import numpy as np
+
 from afdsvc.api.detection import FalseAlarms
 from afdsvc.excite.design_sheet import design_sheet
 from afdsvc.excite.diagnosis_burst import default_burst
+from afdsvc.excite.loop_sheet import loop_sheet
+from afdsvc.lti.statespace import StateSpace
 from afdsvc.present.html.design_page import design_page
 from afdsvc.testing.machines import bearing_problem
 
@@ -27,9 +31,11 @@ def test_the_page_is_self_contained_and_says_what_the_sheet_says():
     burst = default_burst(problem, problem.limits, output_amplitude=0.2)
     sheet = design_sheet(problem, [burst], {"matched_filter": FalseAlarms(1e-3)}, 60.0)
     page = Counter()
-    page.feed(design_page(problem, burst, sheet))
-    assert page.count["svg"] == 5
+    K = StateSpace.gain(0.2 * np.eye(2), problem.plant.dt)
+    page.feed(design_page(problem, burst, sheet | {"loop": loop_sheet(problem, burst, K)}, controller=K))
+    assert page.count["svg"] == 9
     assert not page.outside
+    assert "Stable from -0.66 to 2.04 times" in " ".join(" ".join(page.words).split())
     text = " ".join(" ".join(page.words).split())
     assert "This burst does not tell apart" in text
     for fault in problem.fault_names:
