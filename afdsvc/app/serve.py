@@ -43,6 +43,7 @@ from afdsvc.service.recorder_sink import LateRecorder, PreAlarmBuffer, Receipts,
 from afdsvc.service.retuning import Retuning
 from afdsvc.service.scheduler import Scheduler
 from afdsvc.service.sinks import FanOut, LogSink, Publisher, Sink, ThreadedSink
+from afdsvc.service.standby import Standby
 from afdsvc.service.warm_up import WarmUp
 from afdsvc.transport.access_rules import Access, KeyWatch, access_of
 from afdsvc.transport.lease_keeper import LeaseKeeper
@@ -54,16 +55,21 @@ from afdsvc.wire.messages import AlarmChange
 if TYPE_CHECKING:
     from afdsvc.present.rerun.log import ReviewSink
 
+GRACE_SECONDS = 15.0  # in which the first of two services may start
 CLOSING_SECONDS = 1.5  # all files together: a service has 5 s to stop
 
 
 @contextmanager
-def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
-    """Run the service of a site while the block lasts; raises `BadInput` before anything moves when the site is wrong."""
+def serving(site: Site, clock: Clock | None = None, turn: Callable[[History], object] = lambda history: None) -> Iterator[Hub]:
+    """Run the service of a site while the block lasts; raises `BadInput` before anything moves when the site is wrong.
+
+    ``turn(history)`` returns when this service may begin (see `afdsvc.service.standby`); what takes long is done before.
+    """
     clock, plugins = clock or RealClock(), load()
     machines = [commissioning.commission(m, plugins, allow_code=True) for m in site.machines]
     _refuse_unkept(site)
     keys, sinks = Keys(site.site), SiteSinks(site, clock)
+    turn(history := sinks.history())
     with ExitStack() as stack:
         transport = stack.enter_context(Transport(site.transport, True, access_of(site, SERVICE)))
         keeper = LeaseKeeper(str(configuration(site.transport, False, Access(SERVICE))))
@@ -90,7 +96,7 @@ def serving(site: Site, clock: Clock | None = None) -> Iterator[Hub]:
                 scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(burst_requests)), 0.0)
                 burst_requests[id] = BurstRequests(id, burst_design(machine, stream, diagnosis), scheduler, stream, sink, keys, transport, clock)
                 retunings[id] = Retuning(burst_requests[id], tuning_design(machine, plugins), diagnosis)
-        outboxes = open_outboxes(site, history := sinks.history(), plugins)
+        outboxes = open_outboxes(site, history, plugins)
         for outbox in outboxes:
             stack.callback(outbox.close)
         policy = Policy(site.alarms.raise_after, site.alarms.clear_after, site.alarms.latch, site.alarms.shelve_minutes)
@@ -134,6 +140,23 @@ def _answering(site: Site, hub: Hub, transport: Transport, clock: Clock, stack: 
     requests = Requests(hub, sign_in.invite if site.web.listen else None)
     requests.serve(*((None,) if security is None else (security.operators, security.tuners)))
     return requests, sign_in
+
+
+def as_one_of_two(site: Site, second: bool) -> tuple[Site, Callable[[History], Standby] | None]:
+    """Return the site as the first or ``second`` of its services serves it, and what makes its `Standby`; None for a site with one service.
+
+    Raises `BadInput` for the second service of a site that has none.
+    """
+    transport = site.transport
+    if second and not transport.standby:
+        raise BadInput(f"{site.origin}: key 'transport.standby' is missing; with --standby it says where the second service listens")
+    if not transport.standby:
+        return site, None
+    here, there = (transport.standby, transport.listen) if second else (transport.listen, transport.standby)
+    other = transport.model_copy(update={"connect": there, "standby": []})
+    own = transport.model_copy(update={"listen": here, "connect": here, "standby": []}) if second else transport.model_copy(update={"standby": []})
+    grace = GRACE_SECONDS if second else 0.0
+    return site.model_copy(update={"transport": own}), lambda history: Standby(other, Keys(site.site), history, grace)
 
 
 @contextmanager

@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -17,6 +17,9 @@ from afdsvc import __version__
 from afdsvc.cli.interrupt import end_in_order
 from afdsvc.cli.options import HERE, Json, MachineOption, SiteFile, SiteOption, show
 from afdsvc.errors import BadInput
+
+if TYPE_CHECKING:
+    from afdsvc.service.notifications import History
 
 app = typer.Typer()
 site = typer.Typer(no_args_is_help=True, help="Site files.")
@@ -36,16 +39,25 @@ def serve(
     site: SiteFile,
     seconds: Annotated[float | None, typer.Option(help="Stop after so long.")] = None,
     logs: Annotated[str, typer.Option("--log", metavar="text|json", help="How log lines are written on stderr.")] = "text",
+    standby: Annotated[bool, typer.Option("--standby", help="Be the second service of the site: listen at transport.standby once the first is gone.")] = False,
 ) -> None:
     """Run the service of one site until SIGTERM or Ctrl-C."""
-    from afdsvc.app.serve import serving
-    from afdsvc.app.supervision import collect_rarely, start_logging, supervised
+    from afdsvc.app.serve import as_one_of_two, serving
+    from afdsvc.app.supervision import collect_rarely, notify, start_logging, supervised
     from afdsvc.files.site import read_site
 
     start_logging(_one_of("--log", logs, ("text", "json")))
     stop, log = _stop_on_signals(), logging.getLogger("afdsvc")
-    found = read_site(site)
-    with serving(found) as hub, supervised(hub.healthy):
+    found, two = as_one_of_two(read_site(site), standby)
+
+    def turn(history: History) -> None:
+        if two is not None:
+            notify("READY=1")
+            two(history).wait(stop, lambda: notify("WATCHDOG=1"))
+        if stop.is_set():
+            raise typer.Exit
+
+    with serving(found, turn=turn) as hub, supervised(hub.healthy):
         collect_rarely()
         log.info("%s: serving '%s' with %d machine(s)", __version__, hub.keys.site, len(hub.watches))
         if found.transport.security is None:
@@ -53,7 +65,10 @@ def serve(
                 "%s: key 'transport.security' is missing: whoever reaches %s may read all signals and excite the machines",
                 found.origin, ", ".join(found.transport.listen),
             )
-        stop.wait(seconds)
+        if two is None or hub.history is None:
+            stop.wait(seconds)
+        else:
+            two(hub.history).hold(stop, seconds, lambda: not any(watch.present for watch in hub.watches.values()))
     _leave()
 
 

@@ -60,7 +60,7 @@ class Security(_Strict):
 
 
 class TransportSection(_Strict):
-    """Where the service listens and how the others find it; by default on the loopback interface only.
+    """Where the service listens and how the others find it; by default on the loopback interface only. A second service listens at ``standby``.
 
     A rig keeps ``cache_blocks`` blocks in memory, and what the service does not acknowledge in the folder ``store``, at most
     ``store_megabytes`` for each machine.
@@ -68,6 +68,7 @@ class TransportSection(_Strict):
 
     listen: list[str] = ["tcp/127.0.0.1:7447"]
     connect: list[str] = []
+    standby: list[str] = []
     mode: Literal["peer", "router"] = "peer"
     security: Security | None = None
     trusted_network: bool = False
@@ -78,7 +79,7 @@ class TransportSection(_Strict):
 
     @model_validator(mode="after")
     def _known_peers_only(self) -> TransportSection:
-        for endpoint in [*self.listen, *self.connect]:
+        for endpoint in [*self.listen, *self.connect, *self.standby]:
             protocol, _, address = endpoint.partition("/")
             if self.security and protocol != "tls":
                 raise ValueError(f"with 'security' every endpoint is 'tls/host:port'; found '{endpoint}'")
@@ -91,7 +92,7 @@ class TransportSection(_Strict):
 
     def endpoints(self) -> list[str]:
         """Return the endpoints rig agents and viewers connect to."""
-        return self.connect or self.listen
+        return [*(self.connect or self.listen), *self.standby]
 
 
 def _loopback(address: str) -> bool:

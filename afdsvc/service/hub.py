@@ -29,6 +29,7 @@ from afdsvc.service.notifications import History, Judged, NotificationQueue
 from afdsvc.service.recorder_sink import Receipts
 from afdsvc.service.retuning import Retuning
 from afdsvc.service.sinks import ThreadedSink, sentence_of
+from afdsvc.service.standby import handed_over
 from afdsvc.transport.lease_keeper import PERIOD_SECONDS, LeaseKeeper
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire import codec
@@ -99,6 +100,8 @@ class Hub:
         t.watch(keys.all_alive(), lambda key, alive: self._put("alive", key, alive))
         for machine in self.late:
             t.serve(keys.stored(machine), partial(self._take_stored, machine))
+        if self.history:
+            t.serve(keys.handover(), partial(handed_over, self.history))
         t.announce(keys.service_alive())
 
     def _take_stored(self, machine: str, payload: bytes) -> bytes:

@@ -6,11 +6,12 @@ import logging
 import queue
 import sqlite3
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import astuple, dataclass
+from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from afdsvc.errors import BadInput
 from afdsvc.wire import codec
@@ -118,6 +119,10 @@ BUSY_SECONDS = 5.0
 T = TypeVar("T")
 
 
+def _rows(db: sqlite3.Connection, query: str, arguments: tuple[object, ...]) -> list[tuple[Any, ...]]:
+    return db.execute(query, arguments).fetchall()
+
+
 @dataclass(frozen=True, slots=True)
 class Judged:
     """What the decisions on a burst amount to: the fault ("" where there is none) with its severity, None where none was estimated."""
@@ -153,6 +158,18 @@ class History:
         query = "SELECT * FROM judged WHERE machine = ? ORDER BY t_ns DESC LIMIT ?"
         return [Judged(*row) for row in self._do(lambda db: db.execute(query, (machine, limit)).fetchall())][::-1]
 
+    def merge(self, changes: Iterable[AlarmChange]) -> None:
+        """Keep the changes that are not kept yet: those of another service of the site, oldest first."""
+        for change in changes:
+            known = "SELECT 1 FROM change WHERE t_ns = ? AND alarm = ? AND event = ?"
+            if not self._do(partial(_rows, query=known, arguments=(change.t_ns, change.alarm.id, change.event))):
+                self.add(change)
+
+    def handover(self, limit: int = 1000) -> list[AlarmChange]:
+        """Return the newest changes and the last one of every alarm, oldest first."""
+        wanted = "number IN (SELECT max(number) FROM change GROUP BY alarm) OR number > (SELECT max(number) FROM change) - ?"
+        return self._changes(f"SELECT message FROM change WHERE {wanted} ORDER BY number", (limit,))
+
     def last(self) -> list[Alarm]:
         """Return every alarm as it stood after its last change."""
         newest = "SELECT message FROM change WHERE number IN (SELECT max(number) FROM change GROUP BY alarm) ORDER BY number"
@@ -171,7 +188,7 @@ class History:
         return self._do(lambda db: db.execute(old, (before_ns,)).rowcount + db.execute(judged, (before_ns,)).rowcount)
 
     def _changes(self, query: str, arguments: tuple[object, ...]) -> list[AlarmChange]:
-        rows = self._do(lambda db: db.execute(query, arguments).fetchall())
+        rows = self._do(partial(_rows, query=query, arguments=arguments))
         return [codec.decode(AlarmChange, bytes(row[0])) for row in rows]
 
     def _do(self, action: Callable[[sqlite3.Connection], T]) -> T:

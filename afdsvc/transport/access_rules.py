@@ -60,7 +60,8 @@ def access_control(
     people = dict.fromkeys([*operators, *tuners])
     asked = {name: [keys.command(name)] * (name in operators) + [keys.retuning(name)] * (name in tuners) for name in people}
     roles |= {f"operator-{i}": _Role([name], [], seen, [*asked[name], keys.question()]) for i, name in enumerate(people)}
-    roles["service"] = _Role([SERVICE], [keys.lease(machine) for machine in machines], [])  # its keeper of leases
+    leases = [keys.lease(machine) for machine in machines]  # by the keeper of leases; the rest is for the second service, which stands by
+    roles["service"] = _Role([SERVICE], leases, [keys.alarms(), keys.service_alive()], [keys.handover()])
     roles["viewers"] = _Role(viewers, [], seen, [keys.question()])
     filled = {id: role for id, role in roles.items() if role.names}
     return {

@@ -29,6 +29,7 @@ from afdsvc.transport.certificates import key_files
 log = logging.getLogger(__name__)
 CLOSING_SECONDS = 2.0
 HEARD_SECONDS = 0.5
+AGAIN_SECONDS = 0.2  # between two attempts to connect
 HALF_OPEN = 4000  # connections that have not said anything yet (zenoh gives each 10 s): a stranger's do not keep rigs out
 Receive = Callable[[str, bytes], None]
 Answer = Callable[[bytes], bytes]
@@ -58,7 +59,8 @@ def configuration(settings: site_file.TransportSection, hub: bool, access: Acces
     put("transport/unicast/accept_pending", HALF_OPEN)
     put("connect/retry", {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2})
     if not hub:
-        put("connect/timeout_ms", round(1000 * settings.patience_seconds))
+        patience = 1000 * settings.patience_seconds if len(settings.endpoints()) == 1 else 0  # of several, zenoh would try the first only
+        put("connect/timeout_ms", round(patience))
         put("connect/exit_on_failure", True)
     _secure(put, settings, hub, access)
     return config
@@ -107,11 +109,16 @@ class Transport:
         self.close()
 
     def open(self) -> None:
-        """Open the session; raises `NoPeer` when that cannot be done now."""
-        try:
-            self._session = zenoh.open(configuration(self._settings, self._hub, self._access))
-        except zenoh.ZError as error:
-            raise NoPeer(self._why_not(str(error))) from error
+        """Open the session; raises `NoPeer` when that cannot be done now. Several places to connect to are tried one after the other."""
+        several = not self._hub and len(self._settings.endpoints()) > 1
+        deadline = time.monotonic() + (self._settings.patience_seconds if several else 0.0)
+        while True:
+            try:
+                self._session = zenoh.open(configuration(self._settings, self._hub, self._access))
+                return
+            except zenoh.ZError as error:
+                if time.monotonic() >= deadline or self._closing.wait(AGAIN_SECONDS):
+                    raise NoPeer(self._why_not(str(error))) from error
 
     def close(self) -> None:
         """Close the session; harmless when called twice. A peer that does not answer delays this by `CLOSING_SECONDS` at most."""

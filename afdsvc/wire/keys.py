@@ -154,6 +154,10 @@ class Keys:
         """The liveliness tokens of every rig of the site, for the service."""
         return f"{self._every('alive')}/*"
 
+    def handover(self) -> str:
+        """Query of a service that stands by to the one that serves: the alarms, as JSON of encoded changes."""
+        return f"{ROOT}/{self.site}/{SERVICE}/handover"
+
     def residuals(self) -> str:
         """The residuals of every machine of the site, for viewers."""
         return self._every("residual")

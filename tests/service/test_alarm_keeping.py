@@ -23,6 +23,7 @@ from afdsvc.plugins.manager import load
 from afdsvc.service.notifications import History, NotificationQueue
 from afdsvc.service.operator_requests import json_values
 from afdsvc.service.recorder_sink import PreAlarmBuffer
+from afdsvc.service.standby import handed_over, taken_over
 from afdsvc.service.webhook import Webhook
 from afdsvc.wire import codec
 from afdsvc.wire.codec import Message
@@ -35,6 +36,25 @@ CHANGE = AlarmChange(Alarm("m/a", "m", "a", SECOND, SECOND), "raised", SECOND, w
 def said(t: int = 0, detected: bool = True) -> Finding:
     fault = "a" if detected else None
     return Finding(Evidence("x", "m", 0, 0.0, 9.0, 4.0, detected, fault=fault, severity=Severity(-0.5, 0.1)), "s", t * SECOND)
+
+
+def test_a_second_service_keeps_every_change_once_and_in_order(tmp_path):
+    first, second = History(tmp_path / "first.sqlite"), History(tmp_path / "second.sqlite")
+    book = AlarmBook(Policy(clear_after=2), first.add)
+    book.take(said(1))
+    second.merge(taken_over(handed_over(first)))
+    book.acknowledge("m/a", "kim", "seen", 2 * SECOND)
+    acknowledged = first.changes()[-1]
+    second.merge([acknowledged])
+    second.merge(taken_over(handed_over(first)))
+    assert second.changes() == first.changes()
+    assert second.last() == first.last()
+    assert second.last()[0].acknowledged_by == "kim"
+    for t in range(1500):  # more than are handed over; the last change of every alarm is among them all the same
+        first.add(replace(acknowledged, t_ns=(10 + t) * SECOND, alarm=replace(acknowledged.alarm, id="m/b")))
+    third = History(tmp_path / "third.sqlite")
+    third.merge(taken_over(handed_over(first)))
+    assert third.last() == first.last()
 
 
 def test_alarms_and_what_people_did_survive_a_restart(tmp_path):
