@@ -117,12 +117,12 @@ class BurstRequests:
         limits = problem.limits
         sides = [(name, "output", answer[:, i], limits and limits.output[i]) for i, name in enumerate(problem.output_names)]
         sides += [(name, "input", answer[:, p + j], limits and limits.input[j]) for j, name in enumerate(problem.input_names)]
-        hertz = [{"input": problem.input_names[line.input], "hertz": line.omega / (2 * np.pi), "amplitude": line.amplitude} for line in burst.lines]
+        hertz = [{"input": problem.excitation_names[line.input], "hertz": line.omega / (2 * np.pi), "amplitude": line.amplitude} for line in burst.lines]
         part = slice(None, None, max(1, len(alpha) // SHOWN))
         return {
             "machine": self.machine, "purpose": wanted.purpose, "seconds": burst.samples * self.pipeline.dt, "lines": hertz,
             "peaks": [{"name": name, "side": side, "peak": float(np.abs(x).max()), "limit": limit and float(limit)} for name, side, x, limit in sides],
-            "alpha": {name: alpha[part, j].tolist() for j, name in enumerate(problem.input_names)},
+            "alpha": {name: alpha[part, j].tolist() for j, name in enumerate(problem.excitation_names)},
         }  # fmt: skip
 
     def play(self, wanted: BurstOrder) -> str:

@@ -3,10 +3,23 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
+import json
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, select_autoescape
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+def render(template: str, filters: Mapping[str, Callable[..., str]] | None = None, **values: Any) -> str:
+    """Return a page from one of the templates beside this file."""
+    page = Environment(loader=PackageLoader("afdsvc.present.html", "."), autoescape=select_autoescape(["j2"]))
+    page.filters.update(filters or {})
+    return page.get_template(template).render(**values)
 
 
 def svg(figure: Figure) -> str:
@@ -14,3 +27,40 @@ def svg(figure: Figure) -> str:
     out = io.StringIO()
     figure.savefig(out, format="svg", metadata={"Date": None})
     return out.getvalue()[out.getvalue().index("<svg") :]
+
+
+def zoomable(figure: Figure) -> str:
+    """Return the figure as an SVG element with its data: on a page with ``figures.js.j2`` it zooms and is saved as PNG or CSV."""
+    for number, ax in enumerate(figure.axes):
+        ax.set_gid(f"axes-{number}")
+    drawn = svg(figure)  # lays the axes out
+    data = json.dumps([_axes_data(ax) for ax in figure.axes], separators=(",", ":")).replace("<", "\\u003c")
+    return f'<figure class="plot">{drawn}<script type="application/json">{data}</script></figure>'
+
+
+def _axes_data(ax: Axes) -> dict[str, Any]:
+    """Return where the axes stand [points], what they span, and what is drawn in them."""
+    place, (width, height) = ax.get_position(), 72 * ax.figure.get_size_inches()  # type: ignore[union-attr]
+    box = [place.x0 * width, (1 - place.y1) * height, place.width * width, place.height * height]
+    return {
+        "id": ax.get_gid(), "box": _short(np.array(box)), "name": ax.get_title() or ax.get_ylabel(), "x_name": ax.get_xlabel(), "y_name": ax.get_ylabel(),
+        "x": list(map(float, ax.get_xlim())), "y": list(map(float, ax.get_ylim())), "log": [ax.get_xscale() == "log", ax.get_yscale() == "log"],
+        "series": [{"name": name, "x": _short(x), "y": _short(y)} for name, x, y in _series(ax)], "fixed": bool(ax.images),
+    }  # fmt: skip
+
+
+def _series(ax: Axes) -> Iterator[tuple[str, Any, Any]]:
+    """Yield name, x and y of every curve, bar and band; lines across the whole axes are none."""
+    for line in ax.lines:
+        if all(line.get_transform().contains_branch_seperately(ax.transData)):
+            x, y = line.get_data(orig=False)
+            yield str(line.get_label()).lstrip("_"), x, y
+    for collection in ax.collections:
+        paths = collection.get_paths()
+        if paths and collection.get_offset_transform() is not ax.transData:
+            points = np.vstack([path.vertices for path in paths])
+            yield str(collection.get_label()).lstrip("_"), points[:, 0], points[:, 1]
+
+
+def _short(values: Any) -> list[float | None]:
+    return [float(f"{v:.6g}") if np.isfinite(v) else None for v in np.asarray(values, dtype=np.float64).ravel().tolist()]

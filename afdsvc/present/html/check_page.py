@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, select_autoescape
 from matplotlib.figure import Figure
 
 from afdsvc import __version__
 from afdsvc.explain.check.result import CheckResult
-from afdsvc.present.html import svg
+from afdsvc.present.html import render, zoomable
 from afdsvc.present.html.explain_page import BEFORE, MEASURED, SHOWN
 from afdsvc.present.text_plot import close_up
 
@@ -24,11 +23,10 @@ KINDS = {"stop": "stops", "warning": "limits", "ok": "holds"}
 
 def check_page(result: CheckResult, document: Mapping[str, Any]) -> str:
     """Return the page; ``document`` is what ``check --json`` says of it."""
-    page = Environment(loader=PackageLoader("afdsvc.present.html", "."), autoescape=select_autoescape(["j2"]))
     order = sorted(document["findings"], key=lambda f: list(KINDS).index(f["kind"]))
-    return page.get_template("check_page.html.j2").render(
-        document=document, name=result.model.name, verdict=VERDICTS[result.verdict], findings=order, kinds=KINDS,
-        picture=svg(figure(result)) if result.outputs else "", version=__version__,
+    return render(
+        "check_page.html.j2", document=document, name=result.model.name, verdict=VERDICTS[result.verdict], findings=order, kinds=KINDS,
+        picture=zoomable(figure(result)) if result.outputs else "", version=__version__,
     )  # fmt: skip
 
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, select_autoescape
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -18,7 +17,7 @@ from afdsvc.excite.efficiency import efficiency
 from afdsvc.excite.expected_detection import ExpectedDetection, burst_detection, expected_detection, steady_samples
 from afdsvc.excite.loop_sheet import disturbance_gain, loop_poles, phasors
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.present.html import svg
+from afdsvc.present.html import render, zoomable
 
 COLOURS = ("#1b6ca8", "#c8553d", "#588157", "#7b4b94", "#c29200", "#3a3a3a", "#008b8b", "#a0522d")
 
@@ -50,12 +49,10 @@ def design_page(
     ]  # fmt: skip
     if controller is not None:
         figures += _loop_figures(problem, burst, sheet["loop"], controller)
-    page = Environment(loader=PackageLoader("afdsvc.present.html", "."), autoescape=select_autoescape(["j2"]))
-    template = page.get_template("design_page.html.j2")
     by_input = dict(zip(problem.input_names, units[0], strict=False))
     shared = units[1][0] if len(set(units[1])) == 1 else ""
-    return template.render(
-        sheet=sheet, figures=figures, problem=problem, threshold=h, unit_of=lambda name: by_input.get(name, ""), output_unit=shared
+    return render(
+        "design_page.html.j2", sheet=sheet, figures=figures, problem=problem, threshold=h, unit_of=lambda name: by_input.get(name, ""), output_unit=shared
     )
 
 
@@ -72,7 +69,7 @@ def _efficiency_figure(problem: DetectionProblem, burst: Burst) -> str:
         ax.set(title=f"excited: {_name(problem.excitation_names, j)}", xlabel="frequency [rad/s]", ylabel="efficiency [1/output unit]")
         ax.set_ylim(bottom=max(1e-6, found.together.max() * 1e-5))
     axes[0].legend(fontsize=7, frameon=False)
-    return svg(figure)
+    return zoomable(figure)
 
 
 def _curve_figure(problem: DetectionProblem, seen: ExpectedDetection) -> str:
@@ -93,7 +90,7 @@ def _curve_figure(problem: DetectionProblem, seen: ExpectedDetection) -> str:
         ax.set(xlabel="real [sd]", ylabel="imaginary [sd]")
         ax.set_title(f"{_line_name(problem, seen, n % lines)} to {_name(problem.output_names, n // lines)}", fontsize=8)
     axes[0].legend(fontsize=6, frameon=False)
-    return svg(figure)
+    return zoomable(figure)
 
 
 def _severity_figure(seen: ExpectedDetection, h: float) -> str:
@@ -103,7 +100,7 @@ def _severity_figure(seen: ExpectedDetection, h: float) -> str:
         ax.semilogx(-severities, [seen.detection(name, float(s), h) for s in severities], color=_colour(k), label=name)
     ax.set(xlabel="loss [share of the gain]", ylabel="probability of detection [1]", ylim=(0, 1.02))
     ax.legend(fontsize=7, frameon=False)
-    return svg(figure)
+    return zoomable(figure)
 
 
 def _length_figure(problem: DetectionProblem, burst: Burst, h: float) -> str:
@@ -118,7 +115,7 @@ def _length_figure(problem: DetectionProblem, burst: Burst, h: float) -> str:
     ax.axvline(steady * problem.plant.dt, color="0.4", ls="--", lw=0.9)
     ax.set(xlabel="steady excitation [s]", ylabel="probability of detection [1]", ylim=(0, 1.02))
     ax.legend(fontsize=7, frameon=False)
-    return svg(figure)
+    return zoomable(figure)
 
 
 def _isolation_figure(seen: ExpectedDetection) -> str:
@@ -136,7 +133,7 @@ def _isolation_figure(seen: ExpectedDetection) -> str:
             ax.text(j, i, words, ha="center", va="center", fontsize=7)
     ax.set_xticks(range(len(names)), names, rotation=30, ha="right", fontsize=7)
     ax.set_yticks(range(len(names)), names, fontsize=7)
-    return svg(figure)
+    return zoomable(figure)
 
 
 def _loop_figures(problem: DetectionProblem, burst: Burst, loop: Mapping[str, Any], controller: StateSpace) -> list[tuple[str, str, str]]:
@@ -171,7 +168,7 @@ def _phase_figure(problem: DetectionProblem, burst: Burst, candidates: Sequence[
     axes[0].set_ylabel("amplitude [output per alpha]")
     axes[len(shown)].set_ylabel("phase [deg]")
     axes[0].legend(fontsize=6, frameon=False)
-    return svg(figure)
+    return zoomable(figure)
 
 
 def _disturbance_figure(problem: DetectionProblem, burst: Burst, controller: StateSpace) -> str:
@@ -186,7 +183,7 @@ def _disturbance_figure(problem: DetectionProblem, burst: Burst, controller: Sta
         ax.axvline(line.omega, color="0.4", ls="--", lw=0.9)
     ax.set(xlabel="frequency [rad/s]", ylabel="gain [output per input]")
     ax.legend(fontsize=7, frameon=False)
-    return svg(figure)
+    return zoomable(figure)
 
 
 def _gap_figure(gap: Mapping[str, Any]) -> str:
@@ -196,7 +193,7 @@ def _gap_figure(gap: Mapping[str, Any]) -> str:
     ax.axhline(gap["margin"], color="0.3", ls="--", lw=0.9)
     ax.set(xlabel="severity [1]", ylabel="nu-gap [1]")
     ax.legend(fontsize=7, frameon=False)
-    return svg(figure)
+    return zoomable(figure)
 
 
 def _locus_figure(problem: DetectionProblem, controller: StateSpace) -> str:
@@ -212,7 +209,7 @@ def _locus_figure(problem: DetectionProblem, controller: StateSpace) -> str:
     ax.plot(now.real, now.imag, "x", color=_colour(1), ms=6)
     ax.axvline(0.0, color="0.4", lw=0.9)
     ax.set(xlabel="real [1/s]", ylabel="imaginary [rad/s]", xlim=(max(2 * float(np.nanmin(now.real)), -2 / problem.plant.dt), None))
-    return svg(figure)
+    return zoomable(figure)
 
 
 def _axes(rows: int, columns: int, height: float) -> tuple[Figure, Sequence[Axes]]:

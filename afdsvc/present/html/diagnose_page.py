@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, select_autoescape
 from matplotlib.figure import Figure
 
 from afdsvc.errors import BadInput
-from afdsvc.present.html import svg
+from afdsvc.present.html import render, zoomable
 
 COLOURS = ("#1b6ca8", "#c8553d", "#588157", "#7b4b94", "#c29200", "#3a3a3a")
 NONE = "none_of_these"
@@ -18,9 +17,8 @@ NONE = "none_of_these"
 
 def diagnose_page(document: Mapping[str, Any]) -> str:
     """Return the page for the document of ``diagnose --json``."""
-    page = Environment(loader=PackageLoader("afdsvc.present.html", "."), autoescape=select_autoescape(["j2"]))
     shown = [{**recording, "answer": verdict_words(recording["verdict"]), "severities": _severities(recording)} for recording in document["recordings"]]
-    return page.get_template("diagnose_page.html.j2").render(recordings=shown, percent=_percent, weights=_weights)
+    return render("diagnose_page.html.j2", recordings=shown, percent=_percent, weights=_weights)
 
 
 def write_diagnosis(document: Mapping[str, Any], path: Path) -> None:
@@ -69,7 +67,7 @@ def _severities(recording: Mapping[str, Any]) -> str:
     ax.set_ylabel("severity [% of gain or value]", fontsize=8)
     ax.tick_params(labelsize=7)
     ax.legend(fontsize=7, frameon=False)
-    return svg(figure)
+    return zoomable(figure)
 
 
 def _columns(rows: Sequence[tuple[float, float, float]]) -> tuple[list[float], list[float], list[float]]:

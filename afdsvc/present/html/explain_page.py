@@ -8,14 +8,13 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, select_autoescape
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from afdsvc import __version__
 from afdsvc.explain.report.explanation import Explanation, RecordingCourse, Spectrum
 from afdsvc.lti.statespace import Array
-from afdsvc.present.html import svg
+from afdsvc.present.html import render, zoomable
 
 MEASURED, BEFORE, AFTER, NOISE = "0.25", "#c8553d", "#1b6ca8", "#4a9c5d"
 SHOWN = 1200  # samples of a close-up
@@ -25,7 +24,7 @@ BANDS = 60  # bands per decade of a spectrum
 def _courses(explanation: Explanation) -> str:
     """Return the held-out recording as an SVG element."""
     figure = course_figure(explanation)
-    return svg(figure) if figure else ""
+    return zoomable(figure) if figure else ""
 
 
 def course_figure(explanation: Explanation) -> Figure | None:
@@ -69,7 +68,7 @@ def _spectra(explanation: Explanation) -> str:
         _density(ax, s, f"{s.output} [({unit})²/Hz]" if unit else f"{s.output} [1/Hz]")
     axes[0].legend(fontsize=7, frameon=False, ncols=4, loc="upper right")
     axes[-1].set_xlabel("frequency [Hz]", fontsize=8)
-    return svg(figure)
+    return zoomable(figure)
 
 
 def _law(explanation: Explanation) -> str:
@@ -86,7 +85,7 @@ def _law(explanation: Explanation) -> str:
     ax.set_xlabel(f"{found.against} [{found.x_unit}]" if found.x_unit else found.against, fontsize=8)
     _labelled(ax, f"{found.site} [{found.unit}]" if found.unit else found.site)
     ax.legend(fontsize=7, frameon=False)
-    return svg(figure)
+    return zoomable(figure)
 
 
 def _density(ax: Axes, s: Spectrum, name: str) -> None:
@@ -149,12 +148,8 @@ LIBRARIES = ("numpy", "scipy", "numba")
 
 def explain_page(explanation: Explanation, document: Mapping[str, Any]) -> str:
     """Return the page; ``document`` is what ``explain --json`` says of it."""
-    page = Environment(loader=PackageLoader("afdsvc.present.html", "."), autoescape=select_autoescape(["j2"]))
-    page.filters["digits"] = _digits
-    page.filters["percent"] = _percent
-    page.filters["place"] = _place
-    return page.get_template("explain_page.html.j2").render(
-        e=explanation, document=document, verdict=_verdict_sentence(document), effects=_effects(document),
+    return render(
+        "explain_page.html.j2", {"digits": _digits, "percent": _percent, "place": _place}, e=explanation, document=document, verdict=_verdict_sentence(document), effects=_effects(document),
         courses=_courses(explanation), spectra=_spectra(explanation),
         law=_law(explanation),
         softw=", ".join(f"{name} {version(name)}" for name in LIBRARIES), version=__version__,

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, select_autoescape
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from afdsvc.identify import IdentifyResult
 from afdsvc.identify.fit import ResponseBand
 from afdsvc.lti.frequency import frequency_response
-from afdsvc.present.html import svg
+from afdsvc.present.html import render, zoomable
 
 BEFORE, AFTER, FULL = "#999999", "#1b6ca8", "#c8553d"
 
@@ -22,16 +21,15 @@ def identify_page(result: IdentifyResult, model_path: str | None = None, data: S
     the recordings."""
     figures = [
         ("Frequency response", "Identified plant with its 95 % band, the model it started from, and the plant before its "
-         "order was reduced where that was done.", svg(bode(result))),
+         "order was reduced where that was done.", zoomable(bode(result))),
         ("On a recording not used", "Measured output and the predictions of both models.", _time(result)),
         ("Order", result.fit.order_reason or "The structure fixes the order.", _singular_values(result)),
         ("Residuals", "Correlations of the residual on held-out recordings; dashed lines contain 95 % of them when it is white and independent "
          "of the input. Autocorrelations outside: coloured noise (expected of a simulation error). Cross-correlations outside at "
          "positive lags: the plant model is incomplete; at negative lags: the input depends on the noise (feedback).", _residuals(result)),
     ]  # fmt: skip
-    page = Environment(loader=PackageLoader("afdsvc.present.html", "."), autoescape=select_autoescape(["j2"]))
-    return page.get_template("identify_page.html.j2").render(
-        result=result, document=result.json(model_path), data=data, figures=[f for f in figures if f[2]]
+    return render(
+        "identify_page.html.j2", result=result, document=result.json(model_path), data=data, figures=[f for f in figures if f[2]]
     )
 
 
@@ -80,7 +78,7 @@ def _time(result: IdentifyResult) -> str:
         ax.set_ylabel(_variable(result, "outputs", i), fontsize=8)
     axes[-1].set_xlabel(f"time [s], {shown.recording}", fontsize=8)
     axes[0].legend(fontsize=7, frameon=False, ncols=3)
-    return svg(figure)
+    return zoomable(figure)
 
 
 def _singular_values(result: IdentifyResult) -> str:
@@ -94,7 +92,7 @@ def _singular_values(result: IdentifyResult) -> str:
     ax.semilogy(n[order:], values[order:], "o", color=BEFORE, ms=4, mfc="none", label="left out")
     ax.set(xlabel="state [number]", ylabel="singular value [1]")
     ax.legend(fontsize=7, frameon=False)
-    return svg(figure)
+    return zoomable(figure)
 
 
 def _residuals(result: IdentifyResult) -> str:
@@ -114,7 +112,7 @@ def _residuals(result: IdentifyResult) -> str:
             ax.vlines(lags, 0, tests.crosscorrelation[:, i, j], color=AFTER, lw=1.0)
             _limits(ax, float(tests.cross_band[i, j]))
             ax.set_title(f"with input {_variable(result, 'inputs', j)}", fontsize=8)
-    return svg(figure)
+    return zoomable(figure)
 
 
 def _limits(ax: Axes, band: float) -> None:

@@ -1,0 +1,80 @@
+"""Figures on pages: what is drawn is in the page as numbers, and in a browser they zoom and give their data away."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from afdsvc.present.html import render, zoomable
+from benchmarks.support.browser import CHROMIUM, Browser
+
+T = np.linspace(0.0, 10.0, 201)
+
+
+def drawn() -> str:
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    top, bottom = figure.subplots(2, 1)
+    top.plot(T, np.sin(T), label="measured, first")
+    top.axhline(0.5)
+    top.set(xlabel="time [s]", ylabel="speed [rpm]")
+    bottom.loglog(T[1:], T[1:] ** 2, "o-", label="spectrum")
+    bottom.fill_between(T[1:], T[1:], T[1:] ** 3, label="band")
+    return zoomable(figure)
+
+
+def test_the_numbers_of_every_curve_are_in_the_page():
+    found = json.loads(re.search(r'<script type="application/json">(.*?)</script>', drawn()).group(1))
+    assert [[s["name"] for s in ax["series"]] for ax in found] == [["measured, first"], ["spectrum", "band"]]
+    assert found[0]["series"][0]["x"] == pytest.approx(T, abs=1e-5)
+    assert found[0]["series"][0]["y"] == pytest.approx(np.sin(T), abs=1e-5)
+    assert (found[0]["y_name"], found[1]["log"]) == ("speed [rpm]", [True, True])
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+def test_figures_zoom_and_are_saved_in_a_browser(tmp_path):
+    page = tmp_path / "page.html"
+    page.write_text(render("page.html.j2").replace("<script>", f"<h2>The motor</h2>{drawn()}<script>", 1), encoding="utf-8")
+    browser = Browser(tmp_path / "browser")
+    try:
+        browser.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+        browser.open(page.as_uri(), 1000)
+        browser.until("document.querySelectorAll('.tools button').length === 7")
+        shown = "[...document.querySelectorAll('svg [id=\"axes-0\"] > g:last-child text')].map((e) => e.textContent)"
+        assert browser.value(shown) == []
+        browser.tab_to("zoom in: The motor")
+        browser.press("Enter")
+        numbers = [float(text) for text in browser.value(shown)]
+        assert min(n for n in numbers if n > 1.5) >= 2.5  # the middle half of the time axis
+        assert max(numbers) <= 7.5 + 0.3  # a margin of the axis is halved too
+        where = browser.value("(() => { const r = document.querySelector('svg [id=\"axes-0\"] path').getBoundingClientRect(); return [r.x, r.y, r.width, r.height]; })()")
+        browser.tab_to("show everything: The motor")
+        browser.press("Enter")
+        assert browser.value(shown) == []
+        x, y, width, height = where
+        for kind, share in (("mousePressed", 0.2), ("mouseMoved", 0.3), ("mouseReleased", 0.4)):
+            browser.call("Input.dispatchMouseEvent", type=kind, x=x + share * width, y=y + 0.5 * height, button="left", clickCount=1)
+        dragged = [float(text) for text in browser.value(shown)]
+        assert any(1.5 < n < 4.0 for n in dragged)
+        assert max(dragged) < 4.1
+        browser.tab_to("save as CSV: The motor")
+        browser.press("Enter")
+        saved = tmp_path / "the-motor.csv"
+        for _ in range(100):
+            if saved.exists() and saved.stat().st_size > 1000:
+                break
+            browser.value("new Promise((go) => setTimeout(go, 50))")
+        rows = list(csv.DictReader(saved.read_text().splitlines()))
+        own = [r for r in rows if r["series"] == "measured, first"]
+        assert [float(r["y"]) for r in own] == pytest.approx(np.sin(T), abs=1e-5)
+        assert browser.unnamed() == []
+        browser.open(page.as_uri(), 400)
+        browser.until("document.querySelectorAll('.tools button').length === 7")
+        assert browser.value("document.documentElement.scrollWidth") <= 400
+        assert browser.errors == []
+    finally:
+        browser.close()
