@@ -12,6 +12,7 @@ import numpy as np
 from afdsvc.api.bursts import Limits
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.features.regressors import noise_sources
+from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.statistics.fault_curves import LoopResponse, loop_response
 from afdsvc.excite.settings import BURST
 from afdsvc.excite.simulated_burst import noisy_loop
@@ -39,12 +40,17 @@ def costs(problem: DetectionProblem, omega: Sequence[float] | Array, response: L
     loop = loop_response(problem, omega) if response is None else response
     k = problem.augmented.channels
     nominal = loop.plant[:, k:, k:]
-    low, high = problem.severity_range
-    severities = [s for s in SEVERITIES if low <= s <= high] or [low]
-    paths = [loop.healthy(), *(loop.paths(name, severities) for name in problem.fault_names)]
+    paths = [loop.healthy(), *(loop.paths(name, _survived(problem, name)) for name in problem.fault_names)]
     y = np.concatenate([np.abs(path.y) for path in paths] + [np.abs(nominal @ path.u) for path in paths])
     u = np.concatenate([np.abs(path.u) for path in paths])
     return Costs(y.max(axis=0), u.max(axis=0))
+
+
+def _survived(problem: DetectionProblem, fault: str) -> list[float]:
+    """Return severities of a fault that the loop survives, up to near its loss where it does not survive all of them."""
+    (low, high), (end, _) = problem.severity_range, reachable(problem)[fault]
+    within = [s for s in SEVERITIES if max(low, end) <= s <= high] or [low]
+    return within if end <= low else [*(s for s in within if s > BURST.survived * end), BURST.survived * end]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

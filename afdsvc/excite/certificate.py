@@ -1,7 +1,9 @@
 """Certificate of a burst: no output, input or alpha passes its limit, whichever listed fault is present.
 
 The whole wave is simulated, ramps and transients included, in the healthy loop and with every fault up to a severity; to its peaks come
-those of the loop's own noise in the same faulty loop. Everything is proportional to the burst, so what is too large says by how much.
+those of the loop's own noise in the same faulty loop. Both grow by what the stated uncertainty of the model's parameters can make of them,
+three standard deviations of all parameters together, to first order. Everything is proportional to the burst, so what is too large says by
+how much.
 """
 
 from __future__ import annotations
@@ -13,8 +15,9 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst, Limits
 from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect.model_uncertainty import as_faults
 from afdsvc.detect.stability_range import reachable
-from afdsvc.errors import Refused
+from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.amplitude_budget import noise_deviations
 from afdsvc.excite.settings import BURST
 from afdsvc.lti.lft import star
@@ -22,7 +25,7 @@ from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 
 SHARES = (0.25, 0.5, 0.75, 1.0)  # of the severity up to which the burst is certified
-SURVIVED = 0.9  # of the severities the loop survives: closer to its loss no burst is small enough
+UNCERTAIN = 3.0  # standard deviations of uncertain parameters allowed for
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,32 +48,67 @@ def certificate(problem: DetectionProblem, limits: Limits, burst: Burst, severit
     names = [*(f"input {n}" for n in _names(problem.input_names, m)), *(f"output {n}" for n in _names(problem.output_names, len(limits.output)))]
     excitation = "alpha" if problem.through == "alpha" else "the reference"
     found = [_tightest(np.asarray(limits.alpha, dtype=float), np.abs(alpha).max(axis=0), [f"{excitation} {n}" for n in _names(problem.excitation_names, m)], "")]
+    wave, noise = _growth(problem, alpha)
     for fault, severities in _cases(problem, severity):
-        y_sd, u_sd = noise_deviations(problem, severities)
-        left = bounds - BURST.noise_peak * np.concatenate([u_sd, y_sd])
+        left = bounds - BURST.noise_peak * noise * _noise(problem, severities)
         if not (left > 0).all() and not fault:
             raise Refused(f"burst '{burst.name}': noise alone reaches the limit of {names[int(np.argmin(left / bounds))]}; a burst cannot be added")
         if (left > 0).all():  # else the fault breaks the limit without any burst
-            found.append(_tightest(left, _peaks(problem, severities, alpha), names, fault))
+            found.append(_tightest(left, wave * _peaks(problem, severities, alpha), names, fault))
     return min(found, key=lambda c: c.factor)
 
 
 def _cases(problem: DetectionProblem, severity: float) -> Iterator[tuple[str, Mapping[str, float]]]:
     yield "", {}
     for name, (low, high) in reachable(problem).items():
-        end = max(severity, SURVIVED * low) if severity < 0 else min(severity, SURVIVED * high)
+        end = max(severity, BURST.survived * low) if severity < 0 else min(severity, BURST.survived * high)
         for share in SHARES:
             yield f"{name} at {100 * share * end:.3g} %", {name: share * end}
 
 
+def _noise(problem: DetectionProblem, severities: Mapping[str, float]) -> Array:
+    """Return the standard deviations of inputs and outputs ``(m + p,)``."""
+    return problem.once(lambda: np.concatenate(noise_deviations(problem, severities)[::-1]), "noise", *severities.items())
+
+
+def _growth(problem: DetectionProblem, alpha: Array) -> tuple[Array, Array]:
+    """Return by which factors uncertain parameters enlarge the peaks of the burst and the noise, both ``(m + p,)``.
+
+    Raises `Refused` where a parameter at `UNCERTAIN` standard deviations loses the loop.
+    """
+    if not problem.uncertainty:
+        return np.ones(1), np.ones(1)
+    uncertain, wave, noise = as_faults(problem), [], []
+    for name, sd in problem.uncertainty.items():
+        both = [{name: sign * UNCERTAIN * sd} for sign in (-1, 1)]
+        try:
+            found = [(_peaks(uncertain, at, alpha), _noise(uncertain, at)) for at in both]
+        except BadInput as error:
+            raise Refused(f"parameter '{name}' at {UNCERTAIN:g} of its standard deviations: {error}") from error
+        wave.append(np.maximum(found[0][0], found[1][0]))
+        noise.append(np.maximum(found[0][1], found[1][1]))
+    return _enlarged(np.array(wave), _peaks(problem, {}, alpha)), _enlarged(np.array(noise), _noise(problem, {}))
+
+
+def _enlarged(moved: Array, nominal: Array) -> Array:
+    share = np.maximum(moved / np.maximum(nominal, 1e-300) - 1, 0.0)
+    return np.asarray(1 + np.sqrt(np.sum(share**2, axis=0)))
+
+
 def _peaks(problem: DetectionProblem, severities: Mapping[str, float], alpha: Array) -> Array:
     """Return the peaks of inputs and outputs ``(m + p,)``: of outputs the larger of what sensors report and what is."""
+    m, p = problem.plant.inputs, problem.plant.outputs
+    loop = problem.once(lambda: _watched_loop(problem, severities), "certified loop", *severities.items())
+    peak = np.abs(simulate(loop, alpha)[0]).max(axis=0)
+    return np.concatenate([peak[:m], np.maximum(peak[m : m + p], peak[m + p :])])
+
+
+def _watched_loop(problem: DetectionProblem, severities: Mapping[str, float]) -> StateSpace:
+    """Return the loop from the excitation to inputs, reported and true outputs ``(m + 2 p,)``."""
     g, healthy = problem.augmented.close(severities), problem.plant
     n, m, p = g.order, g.inputs, g.outputs
     C, D = np.vstack([np.zeros((m, n)), g.C, healthy.C, g.C]), np.vstack([np.eye(m), g.D, healthy.D, g.D])
-    loop = star(StateSpace(g.A, g.B, C, D, g.dt), problem.interconnection, p, m)
-    peak = np.abs(simulate(loop, alpha)[0][:, : m + 2 * p]).max(axis=0)
-    return np.concatenate([peak[:m], np.maximum(peak[m : m + p], peak[m + p :])])
+    return star(StateSpace(g.A, g.B, C, D, g.dt), problem.interconnection, p, m).select(slice(0, m + 2 * p), slice(None))
 
 
 def _tightest(left: Array, peak: Array, names: list[str], fault: str) -> Certificate:

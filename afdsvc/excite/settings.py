@@ -36,6 +36,8 @@ class BurstSettings:
     rotor_periods: int = 3
     #: Peak of the noise in standard deviations, kept free within the limits: exceeded with probability 4e-8 per sample.
     noise_peak: float = 5.5
+    #: Share of the severities a loop survives up to which a burst is safe: closer to the loss of the loop no burst is small enough.
+    survived: float = 0.9
     #: Probability of detection from which a severity counts as detectable.
     detected: float = 0.99
     #: Posterior weight that isolates a fault.

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Burst, Line
+from afdsvc.detect.uncertain_parameters import uncertain_entries
 from afdsvc.errors import Refused
 from afdsvc.excite.certificate import certificate
 from afdsvc.excite.diagnosis_burst import Aim, default_burst
@@ -58,3 +59,33 @@ def test_a_loop_that_rings_through_the_burst_is_refused_in_words():
         default_burst(problem, problem.limits, 1.5, aim=Aim(severity=-0.3))
     longer = default_burst(problem, problem.limits, 6.0, aim=Aim(severity=-0.3))
     assert longer.settle > 0.2 * longer.samples
+
+
+def test_uncertain_parameters_leave_less_room_and_every_machine_they_may_be_keeps_the_limits():
+    machine = MACHINES["order 8, process noise small"]
+    problem = problem_of(machine, room=9.0)
+    entries = uncertain_entries(problem.plant, {"A": 0.01 * np.abs(machine.A), "B": 0.05 * np.abs(machine.B)}, machine.dt)
+    doubtful = replace(problem, uncertain=entries, uncertainty=dict.fromkeys(entries.fault_names, 1.0))
+    limits = replace(problem.limits, input=1e9 * problem.limits.input)
+    burst = Burst("b", 2, 1500, 75, (Line(0, 300.0, 1.0), Line(1, 420.0, 1.0, 1.0)))
+    certain, found = (certificate(p, limits, burst, -0.3).factor for p in (problem, doubtful))
+    assert 0.3 * certain < found < 0.98 * certain
+    alpha, rng = found * alpha_of(burst, machine.dt, 300), np.random.default_rng(0)
+    for k in range(10):
+        A, B = (M * (1 + share * rng.normal(size=M.shape)) for M, share in ((machine.A, 0.01), (machine.B, 0.05)))
+        other = replace(machine, A=A, B=B)
+        y = controlled(other, machine, alpha, k)
+        assert (np.abs(y) <= problem.limits.output).all()
+
+
+def controlled(true: TrueMachine, nominal: TrueMachine, alpha: np.ndarray, seed: int) -> np.ndarray:
+    """Return the outputs of a machine in the loop of the controller that was made for another."""
+    rng, y = np.random.default_rng(seed), np.zeros((len(alpha), len(true.C)))
+    x, h = np.zeros(len(true.A)), np.zeros(len(true.A))
+    Q, R = (np.linalg.cholesky(cov + 1e-15 * np.eye(len(cov))) for cov in (true.Q, true.R))
+    for k in range(len(alpha)):
+        u = nominal.F @ h + alpha[k]
+        y[k] = true.C @ x + true.D @ u + R @ rng.normal(size=len(R))
+        beta = y[k] - nominal.C @ h - nominal.D @ u
+        x, h = true.A @ x + true.B @ u + Q @ rng.normal(size=len(Q)), nominal.A @ h + nominal.B @ u - nominal.L @ beta
+    return y
