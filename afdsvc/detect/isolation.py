@@ -20,6 +20,7 @@ from afdsvc.detect.statistics.fault_curves import FaultCurves
 from afdsvc.lti.statespace import Array
 
 NONE = "none_of_these"
+HUGE = 1e150  # score whose square would overflow: that of a loop that is lost
 NARROW = 2e-8  # of a range of severities: difference of log probabilities of its ends below which rounding is the larger error
 
 
@@ -46,7 +47,8 @@ def linear_fit(fault: str, score: float, information: float, bounds: tuple[float
         return Fit(fault, min(max(0.0, low), high), math.inf, 0.0, 0.0)
     free, sd = score / information, information**-0.5
     theta = min(max(free, low), high)
-    likelihood, peak = score * theta - 0.5 * information * theta**2, 0.5 * score**2 / information
+    likelihood = score * theta - 0.5 * information * theta**2
+    peak = 0.5 * score**2 / information if abs(score) < HUGE else 0.5 * score * free
     inside = _log_interval((low - free) / sd, (high - free) / sd)
     evidence = likelihood if inside is None else peak + inside + math.log(sd * math.sqrt(2 * math.pi) / (high - low))
     return Fit(fault, theta, sd, likelihood, evidence)

@@ -65,8 +65,9 @@ class Gate:
         """Samples in one part sum."""
         return max(1, -(-self.window // PARTS))
 
-    def judge(self, state: GateState) -> Judgement:
-        """Return whether the quiet data can be trusted as they are, and if not, why."""
+    def judge(self, state: GateState, level: float | None = None) -> Judgement:
+        """Return whether the quiet data can be trusted as they are, and if not, why; at another ``level`` where one is given."""
+        level = self.level if level is None else level
         sums = state.sums()
         if sums.n < self.needed:
             return Judgement(
@@ -74,7 +75,7 @@ class Gate:
                 f"only {sums.n} quiet samples since {state.because}; expected {self.needed} to trust a decision",
             )
         plain = whiteness(sums, self.estimated)
-        return Judgement(plain.p >= self.level, plain.reason(self.level), plain)
+        return Judgement(plain.p >= level, plain.reason(level), plain)
 
     def explained(
         self, sums: LagSums, names: Sequence[str], bounds: Sequence[tuple[float, float]]

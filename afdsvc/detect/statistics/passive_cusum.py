@@ -157,8 +157,13 @@ class PassiveDetector:
     def _remembered(self) -> int:
         return self.gate.window + self.gate.settle
 
-    def _judgement(self, state: PassiveState, k: int) -> Judgement:
-        found = self.gate.judge(state.gate)
+    @property
+    def doubt_level(self) -> float:
+        """Level of the test that runs whenever a part of the gate is full: its false doubts are no more frequent than false alarms."""
+        return min(self.gate.level, self.problem.false_alarms.per_hour * self.gate.part * self.problem.plant.dt / 3600)
+
+    def _judgement(self, state: PassiveState, k: int, level: float | None = None) -> Judgement:
+        found = self.gate.judge(state.gate, level)
         if found.ok or found.found is None:
             return found
         recent = state.recent.until(k, self._remembered)
@@ -171,10 +176,10 @@ class PassiveDetector:
         return evidence(self.name, self.problem, k, dt, "", finding, judgement, complaint, self.sure)
 
     def _doubt(self, state: PassiveState, k: int, dt: float, found: list[Evidence]) -> PassiveState:
-        """Say once that the quiet data cannot be trusted, again only after they could be in between."""
+        """Say once that the quiet data cannot be trusted, again only after they could be in between; see `doubt_level`."""
         if state.gate.sums().n < self.gate.needed:
             return state
-        ok = self._judgement(state, k).ok
+        ok = self._judgement(state, k, self.doubt_level).ok
         if not ok and not state.doubted:
             peak = float(state.cusum.g.max(initial=0.0))
             found.append(self._evidence(state, Finding(peak, self.boundary), k, dt))

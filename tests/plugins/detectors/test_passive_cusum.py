@@ -93,3 +93,27 @@ def test_a_frozen_sensor_is_named():
     found = evidence(PassiveCusumDesign().design(problem, {}), replace(record, y=y, r=r), 250)
     assert not found[0].detected
     assert any("sensor 'horizontal' stands still" in e.reason for e in found)
+
+
+def doubts(problem, record, **settings):
+    detector = PassiveCusumDesign().design(problem, {"gate_window": 1000, **settings})
+    return sum(not e.trustworthy for e in evidence(detector, record, 5000)), detector
+
+
+def test_a_healthy_machine_that_idles_is_doubted_as_rarely_as_promised():
+    # the quiet data are tested four times a window: what is promised per hour counts, not the level of one test
+    problem, n = bearing_problem("lqg"), 300_000
+    record = quiet(problem, n, 11)
+    found, detector = doubts(with_rate(problem, per_hour=0.01 * 3600 / (250 * DT)), record, gate_level=0.01)
+    assert detector.doubt_level == pytest.approx(0.01)
+    assert 2 <= found <= 0.01 * n / 250 + 2.58 * np.sqrt(0.01 * n / 250)
+    rare, detector = doubts(problem, record)
+    assert detector.doubt_level == pytest.approx(problem.false_alarms.per_hour * 250 * DT / 3600)
+    assert rare == 0
+
+
+def test_noise_a_tenth_larger_is_doubted_in_spite_of_that():
+    problem = bearing_problem("lqg")
+    louder = quiet(replace(problem, covariance=1.1**2 * problem.covariance), 20_000, 12)
+    found, _ = doubts(problem, louder, gate_window=2500)
+    assert found == 1
