@@ -1,4 +1,4 @@
-"""Several faults at once, and faults that change during a burst, from the sums a regression keeps.
+"""Several faults at once, from the sums a regression keeps or from the excited lines, and faults that change during a burst.
 
 With score b and information G a combination of faults explains ``max (theta' b - theta' G theta / 2)``, severities within their bounds.
 Combinations of one and two faults compete by that less half the logarithm of the samples for each severity (G. Schwarz, *Ann. Statist.*
@@ -8,17 +8,26 @@ Combinations of one and two faults compete by that less half the logarithm of th
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 from scipy.special import chdtrc, logsumexp
 
+from afdsvc.detect.burst_detector import Finding
+from afdsvc.detect.isolation import NONE, Fit, LineData, likelihood_gain
+from afdsvc.detect.statistics.fault_curves import FaultCurves
 from afdsvc.lti.statespace import Array
 
 JOINED = "+"  # between the names of faults that are present together
 TOGETHER = 0.05  # how often a machine with a fault has a second one
+OPEN = 0.05  # odds of the likeliest pair against the likeliest single fault from which pairs are weighed with them
+NEGLIGIBLE = 1e-6  # weight of a combination that is not listed
+UNEXPLAINED = 1e-3  # p-value of what a pair leaves of the lines below which it is no explanation
+REFINED = 8  # pairs, the likeliest by linearisation, that are fitted on the lines
+STEPS = 8  # Gauss-Newton steps of such a fit
+NUDGE = 1e-4  # severity by which derivatives are taken
 SINGULAR = 1e-9  # share of the information of one fault that another must leave for the two to be told apart
 
 
@@ -61,6 +70,82 @@ def _fit(b: Array, G: Array, faults: tuple[int, ...], bounds: tuple[float, float
     severity = np.clip(severity, *bounds)
     gain = float(severity @ score - 0.5 * severity @ information @ severity)
     return Combination(faults, severity, np.array(np.linalg.inv(information), dtype=np.float64), gain)
+
+
+def likeliest(found: Sequence[Combination], faults: int) -> Combination | None:
+    """Return the combination of so many faults that gains most, None without any."""
+    return max((c for c in found if len(c.faults) == faults), key=lambda c: c.gain, default=None)
+
+
+def paired(finding: Finding, found: Sequence[Combination], pair: Combination, names: Sequence[str], samples: int) -> Finding:
+    """Return the finding with single faults and pairs weighed, and fits of the likeliest pair."""
+    kept = {name: w for name, w in weighed(found, names, samples).items() if w > NEGLIGIBLE}
+    together = Fit(JOINED.join(names[i] for i in pair.faults), float(pair.severity.min()), math.inf, pair.gain, pair.gain)
+    product = abs(float(pair.severity.prod()))  # what the second fault makes of the first is not in the regressors
+    both = zip(pair.faults, pair.severity.tolist(), np.hypot(np.sqrt(np.diag(pair.covariance)), product).tolist(), strict=True)
+    told = {f"together.{what}.{names[i]}": v for i, s, sd in both for what, v in (("severity", s), ("sd", sd))}
+    return replace(finding, fits=(*finding.fits, together), weights=kept, parts={**finding.parts, **told})
+
+
+def paired_on_lines(finding: Finding, curves: FaultCurves, data: LineData, reach: Mapping[str, tuple[float, float]], samples: int) -> Finding:
+    """Return the finding of a burst's lines with pairs weighed too, where one may be likelier than any single fault.
+
+    What the likeliest pair leaves must be noise: otherwise the finding stays as it is.
+    """
+    singles = [
+        Combination((i,), np.array([f.severity]), np.array([[f.sd**2]]), f.log_likelihood)
+        for i, f in enumerate(finding.fits) if math.isfinite(f.sd)
+    ]  # fmt: skip
+    pairs = _pairs_on_lines(curves, data, reach, [c.faults[0] for c in singles])
+    single, pair = likeliest(singles, 1), likeliest(pairs, 2)
+    if single is None or pair is None or pair.score(samples) - single.score(samples) < math.log(OPEN):
+        return finding
+    point, covariance = curves.together({curves.names[i]: s for i, s in zip(pair.faults, pair.severity.tolist(), strict=True)})
+    rest = data.whitened(covariance, data.z - data.R @ point)[0]
+    left = float(chdtrc(max(rest.size - 2, 1), float(rest @ rest)))
+    if left < UNEXPLAINED:
+        return replace(finding, weights={NONE: 1.0}, parts={**finding.parts, "unexplained_p": left})
+    return paired(finding, [*singles, *pairs], pair, curves.names, samples)
+
+
+def _pairs_on_lines(curves: FaultCurves, data: LineData, reach: Mapping[str, tuple[float, float]], seen: Sequence[int]) -> list[Combination]:
+    """Return the likeliest pairs of the faults ``seen``, both of them losses."""
+    z = data.whitened(np.eye(data.z.size), data.z)[0]
+    slopes = {i: data.white_waves(data.R @ curves.slope(curves.names[i], 0.0)[None])[0] for i in seen}
+    b, G = np.zeros(len(curves.names)), np.zeros((len(curves.names), len(curves.names)))
+    for i in seen:
+        b[i] = slopes[i] @ z
+        G[i, seen] = [float(slopes[i] @ slopes[j]) for j in seen]
+    linear = [c for c in (_fit(b, G, pair, (-1.0, 0.0)) for pair in combinations(seen, 2)) if c is not None]
+    best = sorted(linear, key=lambda c: -c.gain)[:REFINED]
+    return [c for c in (_refined(curves, data, reach, c) for c in best) if c is not None]
+
+
+def _refined(curves: FaultCurves, data: LineData, reach: Mapping[str, tuple[float, float]], start: Combination) -> Combination | None:
+    """Return the likeliest severities of two faults on their curves together; None where one of them is no loss."""
+    names = [curves.names[i] for i in start.faults]
+    low = np.array([0.999 * reach[n][0] for n in names])
+    theta = np.clip(start.severity, low, 0.0)
+
+    def point(at: Array) -> tuple[Array, Array]:
+        return curves.together(dict(zip(names, at.tolist(), strict=True)))
+
+    for _ in range(STEPS):
+        now, covariance = point(theta)
+        tangents = [(point(theta + step)[0] - point(theta - step)[0]) / (2 * NUDGE) for step in NUDGE * np.eye(2)]
+        rest, *ways = data.whitened(covariance, data.z - data.R @ now, *(data.R @ t for t in tangents))
+        slope = np.stack(ways, axis=1)
+        moved = np.clip(theta + np.linalg.lstsq(slope, rest, rcond=None)[0], low, 0.0)
+        theta, before = moved, theta
+        if np.abs(theta - before).max() < 1e-9:
+            break
+    if not ((theta > low) & (theta < 0)).all():
+        return None
+    now, covariance = point(theta)
+    information = slope.T @ slope
+    if np.linalg.cond(information) > 1 / SINGULAR:
+        return None
+    return Combination(start.faults, theta, np.array(np.linalg.inv(information), dtype=np.float64), likelihood_gain(data, now, covariance))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

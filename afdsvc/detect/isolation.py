@@ -109,7 +109,15 @@ def curve_fit(
 
 def _log_likelihoods(curves: FaultCurves, fault: str, severities: Array, data: LineData) -> Array:
     """Return log likelihood ratios against the healthy machine, one for each severity."""
-    points, covariances = curves.coloured(fault, severities)
+    return _gains(data, *curves.coloured(fault, severities))
+
+
+def likelihood_gain(data: LineData, point: Array, covariance: Array) -> float:
+    """Return the log likelihood ratio of one wave ``(2 L, p)`` with noise of a covariance ``(D, D)`` against the healthy machine."""
+    return float(_gains(data, point[None], covariance[None])[0])
+
+
+def _gains(data: LineData, points: Array, covariances: Array) -> Array:
     left = data.z - data.R @ points
     return _log_density(left.reshape(len(left), -1), covariances + data.doubt) - _log_density(
         data.z.reshape(1, -1), np.eye(data.z.size)[None] + data.doubt

@@ -61,8 +61,8 @@ def given_up(machine: TrueMachine, seconds: float) -> float:
     assert problem.limits is not None
     largest = 1e6 * float(problem.limits.output.max())
     made = diagnosis_burst.default_burst(problem, problem.limits, seconds, largest, aim)
-    frame = diagnosis_burst._frame(problem, seconds, "b")
-    plan = diagnosis_burst._best_plan(problem, frame, room(problem, problem.limits), aim)
+    frame = diagnosis_burst._frame(problem, seconds, "b")  # noqa: SLF001
+    plan = diagnosis_burst._best_plan(problem, frame, room(problem, problem.limits), aim)  # noqa: SLF001
     return float(1 - (float(made.notes["output_amplitude"]) / plan.largest) ** 2)
 
 

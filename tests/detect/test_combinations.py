@@ -9,6 +9,7 @@ from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import FalseAlarms
 from afdsvc.detect.combinations import combined, course, weighed
 from afdsvc.plugins.detectors.burst_detectors import RegressionDesign
+from afdsvc.plugins.manager import load
 from benchmarks.detection.judged import judged
 from benchmarks.detection.truth import machines
 from benchmarks.detection.truth_problem import loss_of, problem_of
@@ -19,29 +20,35 @@ BURST = Burst("b", 2, 2000, 100, tuple(Line(i, w + 70.0 * i, 2.5) for i in range
 DETECTOR = RegressionDesign().design(PROBLEM, {})
 
 
-def found(loss, runs=20):
-    return [judged(MACHINE, PROBLEM, DETECTOR, BURST, seed, loss) for seed in range(runs)]
+LINES = {kind: load().get("detectors", kind).design(PROBLEM, {}) for kind in ("matched_filter", "fault_curves")}
 
 
+def found(loss, runs=20, detector=DETECTOR):
+    return [judged(MACHINE, PROBLEM, detector, BURST, seed, loss) for seed in range(runs)]
+
+
+@pytest.mark.parametrize("kind", ["regression", *LINES])
 @pytest.mark.parametrize("faults", [("a0", "s0"), ("a1", "s1")])
-def test_both_of_two_faults_are_named(faults):
-    evidence = found(dict.fromkeys(faults, -0.2))
+def test_both_of_two_faults_are_named(faults, kind):
+    evidence = found(dict.fromkeys(faults, -0.2), detector=LINES.get(kind, DETECTOR))
     assert Counter(e.fault for e in evidence)["+".join(faults)] >= 19
     for e in evidence:
         if e.fault:
             assert all(abs(e.parts[f"together.severity.{f}"] + 0.2) < 5 * e.parts[f"together.sd.{f}"] for f in faults)
 
 
-def test_pairs_that_do_the_same_share_the_weight():
+@pytest.mark.parametrize("kind", ["regression", *LINES])
+def test_pairs_that_do_the_same_share_the_weight(kind):
     """Both actuators or both sensors a fifth weaker: the same loop gain."""
-    for e in found({"a0": -0.2, "a1": -0.2}, 5):
+    for e in found({"a0": -0.2, "a1": -0.2}, 5, LINES.get(kind, DETECTOR)):
         assert (e.detected, e.fault) == (True, None)
         assert e.weights["a0+a1"] + e.weights["s0+s1"] > 0.99
 
 
+@pytest.mark.parametrize("kind", ["regression", *LINES])
 @pytest.mark.parametrize("fault", ["a0", "s1"])
-def test_one_fault_stays_one(fault):
-    assert Counter(e.fault for e in found({fault: -0.2}))[fault] >= 19
+def test_one_fault_stays_one(fault, kind):
+    assert Counter(e.fault for e in found({fault: -0.2}, detector=LINES.get(kind, DETECTOR)))[fault] >= 19
 
 
 def test_a_fault_that_begins_in_the_burst_is_reported_at_its_present_severity():

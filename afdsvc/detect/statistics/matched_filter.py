@@ -18,6 +18,7 @@ import numpy as np
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.burst_detector import BurstSamples, Finding
+from afdsvc.detect.combinations import paired_on_lines
 from afdsvc.detect.features.demodulation import Basis, BasisSums, Lines, line_frequencies, project
 from afdsvc.detect.features.demodulation import window as window
 from afdsvc.detect.features.nuisances import Nuisances
@@ -94,7 +95,8 @@ class MatchedFilter:
         fits = tuple(curve_fit(curves, n, data, reach[n]) for n in curves.names)
         fits = tuple(limited(f, rows @ z - heights, rows @ data.white_waves(data.R @ curves.slope(f.fault, f.severity)[None])[0]) for f in fits)
         parts = {"samples": float(sums.n), "tests": self.problem.false_alarms.per_burst / tail(h), **_amplitudes(lines, _ordered(burst))}
-        return [Finding(statistic, h, fits, weights(fits, anything_log_evidence(z)), parts)]
+        finding = Finding(statistic, h, fits, weights(fits, anything_log_evidence(z)), parts)
+        return [paired_on_lines(finding, curves, data, reach, sums.n) if statistic > h else finding]
 
     def test(self, sums: BasisSums, burst: Burst) -> tuple[float, float]:
         """Return statistic and threshold only."""

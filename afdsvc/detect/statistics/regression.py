@@ -21,7 +21,7 @@ import numpy as np
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.burst_detector import BurstSamples, Finding
-from afdsvc.detect.combinations import JOINED, Combination, combined, course, weighed
+from afdsvc.detect.combinations import OPEN, Combination, combined, course, likeliest, paired
 from afdsvc.detect.features.burst_noise import energy, noise_compared
 from afdsvc.detect.features.demodulation import Basis, BasisSums, project
 from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
@@ -37,8 +37,6 @@ from afdsvc.lti.statespace import Array
 UNSEEN = 1e-9  # a fault whose information is below this share of the best seen one is invisible to this burst
 PARTS = 8  # of a burst, each with its own severity
 CONSTANT = 1e-3  # p-value below which a severity is said to have changed, or energy to be unexplained
-OPEN = 0.05  # odds of the likeliest pair against the likeliest single fault from which pairs are weighed with them
-NEGLIGIBLE = 1e-6  # weight of a combination that is not listed
 CURVATURE = 2.0  # errors of first-order severities seen are 1.2 to 2.2 times the severity's square
 
 
@@ -119,24 +117,13 @@ class Regression:
         """Return a finding that two faults explain, or one whose fault changed during the burst, or what remains unexplained."""
         n, seen = sums.products.n, np.flatnonzero(np.diag(G) > UNSEEN * np.diag(G).max(initial=0.0)).tolist()
         found = combined(b, G, seen, self.bounds)
-        single = max((c for c in found if len(c.faults) == 1), key=lambda c: c.gain, default=None)
+        single, pair = likeliest(found, 1), likeliest(found, 2)
         if single is None:
             return finding
-        pair = max((c for c in found if len(c.faults) == 2), key=lambda c: c.gain, default=single)
-        bent = self._bent(single, G, n) / 2
-        if len(pair.faults) == 2 and pair.score(n) - single.score(n) > bent + math.log(OPEN):
-            return self._left(self._paired(finding, found, pair, n), sums, pair, b, G)
+        if pair and pair.score(n) - single.score(n) > self._bent(single, G, n) / 2 + math.log(OPEN):
+            return self._left(paired(finding, found, pair, self.names, n), sums, pair, b, G)
         changed = self._changed(finding, sums, single)
         return changed if changed is not finding else self._left(finding, sums, single, b, G)
-
-    def _paired(self, finding: Finding, found: Sequence[Combination], pair: Combination, n: int) -> Finding:
-        """Return the finding with single faults and pairs weighed, and fits of the likeliest pair."""
-        kept = {name: w for name, w in weighed(found, self.names, n).items() if w > NEGLIGIBLE}
-        together = Fit(JOINED.join(self.names[i] for i in pair.faults), float(pair.severity.min()), math.inf, pair.gain, pair.gain)
-        product = abs(float(pair.severity.prod()))  # what the second fault makes of the first is not in the regressors
-        both = zip(pair.faults, pair.severity.tolist(), np.hypot(np.sqrt(np.diag(pair.covariance)), product).tolist(), strict=True)
-        told = {f"together.{what}.{self.names[i]}": v for i, s, sd in both for what, v in (("severity", s), ("sd", sd))}
-        return replace(finding, fits=(*finding.fits, together), weights=kept, parts={**finding.parts, **told})
 
     def _changed(self, finding: Finding, sums: RegressionSums, single: Combination) -> Finding:
         """Return the finding with the course of its fault and its severity at the end, where the fault did not stay the same."""
