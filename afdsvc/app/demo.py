@@ -101,6 +101,14 @@ bursts = {{every_seconds = {options.every!r}, jitter_seconds = 0.2, first_after_
 """
 
 
+def happening(hub: Hub) -> str:
+    """Return what happens to the machine now, in a few words."""
+    watch, requests = hub.watches["bearing"], hub.burst_requests["bearing"]
+    found = watch.verdict()
+    named = f", found {found.fault} {100 * found.severity.value:.1f} %" if found.fault and found.severity else ", a fault is detected" if found.detected else ""
+    return ("the machine starts" if not watch.blocks else "a burst plays" if requests.playing else "its own noise is watched") + named
+
+
 def run_demo(options: DemoOptions, tell: Callable[[float, Hub], None]) -> dict[str, Any]:
     """Run the demonstration; ``tell(done seconds, hub)`` is called several times a second. Returns the JSON document."""
     with tempfile.TemporaryDirectory(prefix="afdsvc-demo-") as folder:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from afdsvc.api.model import Model
 from afdsvc.api.physics import Physics
 from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
+from afdsvc.explain import simulate
 from afdsvc.explain.pipeline import explain
 from afdsvc.explain.report.explanation import Explanation
 from afdsvc.files.model.improved import write_improved
@@ -67,6 +69,7 @@ def explain_files(
     folder = options.out or model.with_name(f"{model.stem}.explained")
     with writing(folder, *(folder / name for name in WRITTEN)):
         _make(folder)
+        _announce_compilation(progress)
         found = explain(nominal, train, held, load_library(), mapper=parallel(options.jobs), progress=progress, trust_units=options.trust_units)
         unit = [*nominal.extra.get(LINEARISED, ()), *linearisation_notes(nominal, [*train, *held])]
         found = replace(found, check=(*unit, *found.check), notes={**found.notes, "data": prepared([*train, *held])})
@@ -145,6 +148,13 @@ def aux_means(recordings: Sequence[Trace]) -> dict[str, float]:
         label: float(np.nanmean(np.concatenate([t.column(f"aux_{label}") for t in recordings if t.has(f"aux_{label}")])))
         for label in labels
     }
+
+
+def _announce_compilation(progress: Progress) -> None:
+    """Say so where the simulation is not compiled yet: that takes a minute, once on a computer."""
+    kept = Path(os.environ.get("NUMBA_CACHE_DIR") or simulate.__path__[0])
+    if not any(kept.rglob("*.nbi")):
+        progress("compiling the simulation, once on this computer", 0.0)
 
 
 def _make(folder: Path) -> None:

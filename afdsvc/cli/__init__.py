@@ -71,14 +71,15 @@ def demo(
     as_json: Json = False,
 ) -> None:
     """Watch a simulated machine from its first burst to a named fault, with --heal to a healed machine, on this computer alone."""
-    from afdsvc.app.demo import DemoOptions, first_fault, parse_fault, run_demo
+    print(f"afdsvc: preparing a simulated {plant}: controller, burst and detectors are designed", file=sys.stderr, flush=True)
+    from afdsvc.app.demo import DemoOptions, first_fault, happening, parse_fault, run_demo
     from afdsvc.present.terminal import demo_table, progress
 
-    wanted = [] if healthy else fault or [f"{first_fault(plant, heal)}=-0.5@12"]
     length = seconds or (60.0 if heal else 30.0)
+    wanted = [] if healthy else fault or [f"{first_fault(plant, heal)}=-0.5@{min(12.0, 0.4 * length):g}"]
     options = DemoOptions(plant, controller, rpm, tuple(parse_fault(f) for f in wanted), length, seed, out, heal=heal)
     with progress("running the machine", length) as tell:
-        document = run_demo(options, lambda done, hub: tell(done))
+        document = run_demo(options, lambda done, hub: tell(done, happening(hub)))
     show(as_json, document, lambda: demo_table(document))
 
 
@@ -97,9 +98,10 @@ def diagnose_command(
     """Run the detectors over recordings: the same code and the same evidence as live."""
     from afdsvc.app.diagnose import diagnose_recordings
     from afdsvc.files.open import Naming
-    from afdsvc.present.terminal import diagnosis_table
+    from afdsvc.present.terminal import diagnosis_table, progress
 
-    document = diagnose_recordings(recordings, model, calibrate, calibrate_on, detector or [], Naming.of(mapping), allow_code)
+    with progress("diagnosing", None):
+        document = diagnose_recordings(recordings, model, calibrate, calibrate_on, detector or [], Naming.of(mapping), allow_code)
     if page:
         from afdsvc.present.html.diagnose_page import write_diagnosis
 
@@ -158,10 +160,11 @@ def check_command(
     """
     from afdsvc.app.check import check_files
     from afdsvc.app.explain import ExplainOptions
-    from afdsvc.present.terminal import show_check
+    from afdsvc.present.terminal import progress, show_check
 
     options = ExplainOptions(None, _mapping(column or []), allow_code, machine=machine, mapping_file=mapping)
-    result, document = check_files(model, recordings or [], options, out)
+    with progress("comparing simulated with measured", None):
+        result, document = check_files(model, recordings or [], options, out)
     show(as_json, document, lambda: show_check(result, document))
     if result.verdict == "refused":
         raise typer.Exit(2)
@@ -192,13 +195,15 @@ def identify_command(
     """Identify the plant from recordings made in closed loop, and judge it on data not used."""
     from afdsvc.app.identify import identify_files
     from afdsvc.files.open import Naming
-    from afdsvc.present.terminal import identify_table
+    from afdsvc.present.terminal import identify_table, progress
 
     options = {
         "method": method, "order": order, "reduce_to": reduce_to, "starts": starts, "weighting": weighting, "horizon": horizon,
         "reduction": reduction, "norm": norm, "free": tuple(free) if free else None, "feedthrough": feedthrough, "screening": screening,
     }  # fmt: skip
-    document = identify_files(model, recordings, holdout or [], out, options, seed, allow_code, Naming.of(mapping))
+    with progress("identifying", None) as tell:
+        tell(None, f"fitting to {len(recordings)} recording{'s' if len(recordings) > 1 else ''} by {method}")
+        document = identify_files(model, recordings, holdout or [], out, options, seed, allow_code, Naming.of(mapping))
     show(as_json, document, lambda: identify_table(document))
 
 
@@ -223,7 +228,7 @@ def explain_command(
 
     options = ExplainOptions(out, _mapping(column or []), allow_code, rrd, machine, jobs, mapping, trust_units)
     with progress("explaining", 1.0) as tell:
-        document = explain_files(model, recordings or [], holdout or [], options, lambda what, share: tell(share))
+        document = explain_files(model, recordings or [], holdout or [], options, lambda what, share: tell(share, what))
     show(as_json, document, lambda: explain_table(document))
 
 

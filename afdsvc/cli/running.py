@@ -25,9 +25,8 @@ app = typer.Typer()
 site = typer.Typer(no_args_is_help=True, help="Site files.")
 
 
-def _stop_on_signals() -> threading.Event:
-    """Return an event that SIGTERM and SIGINT set, so that every `with` block is left in order."""
-    stop = threading.Event()
+def _stop_on_signals(stop: threading.Event) -> threading.Event:
+    """Let SIGTERM and SIGINT set an event, so that every `with` block is left in order."""
     end_in_order()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
@@ -47,17 +46,20 @@ def serve(
     from afdsvc.files.site import read_site
 
     start_logging(_one_of("--log", logs, ("text", "json")))
-    stop, log = _stop_on_signals(), logging.getLogger("afdsvc")
+    stop, log = threading.Event(), logging.getLogger("afdsvc")
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
     found, two = as_one_of_two(read_site(site), standby)
 
     def turn(history: History) -> None:
         if two is not None:
+            _stop_on_signals(stop)
             notify("READY=1")
             two(history).wait(stop, lambda: notify("WATCHDOG=1"))
         if stop.is_set():
             raise typer.Exit
 
     with serving(found, turn=turn) as hub, supervised(hub.healthy):
+        _stop_on_signals(stop)  # Ctrl-C ends the preparation before at once, what follows in order
         collect_rarely()
         log.info("%s: serving '%s' with %d machine(s)", __version__, hub.keys.site, len(hub.watches))
         if found.transport.security is None:
@@ -96,7 +98,7 @@ def rig(
     emergency = threading.Event()
     if hasattr(signal, "SIGUSR1"):
         signal.signal(signal.SIGUSR1, lambda *_: emergency.set())
-    run_rig(read_site(site), machine, seconds, _stop_on_signals(), emergency)
+    run_rig(read_site(site), machine, seconds, _stop_on_signals(threading.Event()), emergency)
     _leave()
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -23,17 +23,15 @@ ERR = Console(stderr=True, markup=False, emoji=False)
 
 
 @contextmanager
-def progress(what: str, total: float) -> Iterator[Callable[[float | None], None]]:
-    """Show a progress bar on a terminal's stderr; the value handed out takes what is done so far."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeRemainingColumn(),
-    )
+def progress(what: str, total: float | None = None) -> Iterator[Callable[..., None]]:
+    """Show on a terminal's stderr what is being done, how much of it, and for how long already: how long it will take is not known.
+
+    The function handed out takes what is done so far (None: not known) and, when that changes, what is being done.
+    """
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=ERR, transient=True, disable=not ERR.is_terminal) as bar:
         task = bar.add_task(what, total=total)
-        yield lambda done: bar.update(task, completed=done)
+        yield lambda done=None, now="": bar.update(task, completed=done, description=f"{what}: {now}" if now else None)
 
 
 def _percent(severity: dict[str, float] | None) -> str:

@@ -84,10 +84,10 @@ def search(
     seen = _seen(problem, path, limited)
     rounding = float(list(start.values())[-1].sd.max()) < problem.settings.rounding
     for number in range(0 if rounding else problem.settings.effects):
-        progress("searching", number / problem.settings.effects)
         seen = _seen(problem, path, limited)
         present = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
         offered = [h for h in hypotheses(library, seen, not problem.regular) if h.key not in present and mechanism(h) not in excluded]
+        progress(f"round {number + 1}, fitting {len(offered)} hypotheses", number / problem.settings.effects)
         step = rounds.next(path, rough, offered, bool(steps))
         steps.append(step)
         if not step.accepted:
