@@ -11,7 +11,7 @@ import typer
 
 from afdsvc import __version__
 from afdsvc.cli import plugins, running
-from afdsvc.cli.interrupt import INTERRUPTED, end_on_interrupt, leave
+from afdsvc.cli.interrupt import INTERRUPTED, end_on_interrupt, leave, was_interrupted
 from afdsvc.cli.options import Json, MachineOption, MappingOption, SiteFile, show
 from afdsvc.errors import AfdsvcError, BadInput
 
@@ -40,6 +40,8 @@ def run_cli() -> None:
     except BrokenPipeError:
         sys.exit(1)
     except Exception as error:
+        if was_interrupted(error):
+            leave()
         traceback.print_exc(file=sys.stderr)
         sys.exit(_fail(f"unexpected failure: {type(error).__name__}: {error}", 1))
 

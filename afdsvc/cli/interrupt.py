@@ -34,6 +34,13 @@ def end_in_order() -> None:
     signal.set_wakeup_fd(-1)
 
 
+def was_interrupted(error: BaseException | None) -> bool:
+    """Whether an interruption is behind an error: compiled code turns it into one of its own."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
 def leave() -> NoReturn:
     """Say so and end, without waiting for threads and libraries to be taken down."""
     remove_unfinished()

@@ -56,3 +56,15 @@ def test_a_failure_removes_what_is_new_and_keeps_what_was_there(tmp_path: Path):
         (tmp_path / "new").write_text("half")
         raise RuntimeError
     assert [p.name for p in tmp_path.iterdir()] == ["old"]
+
+
+def test_an_error_that_an_interruption_became_is_one():
+    from afdsvc.cli.interrupt import was_interrupted
+
+    with pytest.raises(SystemError) as became:  # as compiled code does it
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as stop:
+            raise SystemError("a result with an exception set") from stop
+    assert was_interrupted(became.value)
+    assert not was_interrupted(SystemError())
