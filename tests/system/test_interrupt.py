@@ -61,7 +61,7 @@ def test_a_failure_removes_what_is_new_and_keeps_what_was_there(tmp_path: Path):
 def test_an_error_that_an_interruption_became_is_one():
     from afdsvc.cli.interrupt import was_interrupted
 
-    with pytest.raises(SystemError) as became:  # as compiled code does it
+    with pytest.raises(SystemError) as became:  # noqa: PT012 - as compiled code does it
         try:
             raise KeyboardInterrupt
         except KeyboardInterrupt as stop:
