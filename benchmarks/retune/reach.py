@@ -30,6 +30,7 @@ from afdsvc.plugins.controllers.pid import Pid
 from afdsvc.retune.cost import loop_cost
 from afdsvc.retune.design import design_q
 from afdsvc.retune.proof import prove
+from afdsvc.retune.settings import RETUNE
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem
 
 WIDE = 0.03
@@ -105,7 +106,9 @@ def main() -> None:
     parser.add_argument("--drawn", type=int, default=20)
     parser.add_argument("--only", default="")
     parser.add_argument("--severities", type=float, nargs="+", default=[-0.25, -0.5])
+    parser.add_argument("--sensitivity", type=float, default=RETUNE.sensitivity, help="largest sensitivity of a loop with Q")
     options = parser.parse_args()
+    settings = replace(RETUNE, sensitivity=options.sensitivity)
     shares: list[float] = []
     refused = 0
     for name, problem, weights in machines(options.drawn):
@@ -117,8 +120,8 @@ def main() -> None:
                 low = max(severity - WIDE, problem.severity_range[0])
                 try:
                     found = Diagnosed(fault, low, severity + WIDE)
-                    Q = design_q(problem, found, cost)
-                    proof = prove(problem, found, cost, Q)
+                    Q = design_q(problem, found, cost, settings)
+                    proof = prove(problem, found, cost, Q, settings)
                 except AfdsvcError as why:
                     refused += 1
                     print(f"{name:32} {fault:22} {severity:5.2f}  refused: {why}", flush=True)

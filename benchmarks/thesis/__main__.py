@@ -3,6 +3,8 @@
     python -m benchmarks.thesis list          every figure and table: what it shows, and its command or the reason why there is none
     python -m benchmarks.thesis p5-0.14       one of them: the printed numbers and statements beside ours
     python -m benchmarks.thesis pages         all of them, into docs/thesis/ (three minutes)
+    python -m benchmarks.thesis record FOLDER [EXPERIMENT...]      the experiments behind them through rig agent, zenoh and service, into recordings (25 s each)
+    python -m benchmarks.thesis p5-0.14 FOLDER/rest.mcap [SECONDS]   a figure from a recording of its experiment; SECONDS: when the fault began, where no event tells
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import numpy as np
 
 from benchmarks.thesis import gas_bearing_figures, identification_figures, unavailable, unstable_plant_figures
 from benchmarks.thesis.figure import Figure, Row
+from benchmarks.thesis.recorded import EXPERIMENTS, Measured, record
 
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "thesis"
 TITLES = {"chapter-1": "Chapter 1: introduction", "chapter-2": "Chapter 2: YJBK parameterisation", "chapter-3": "Chapter 3: the rig", "chapter-4": "Chapter 4: identification", "chapter-5": "Chapter 5: fault diagnosis",
@@ -61,7 +64,8 @@ def write_pages() -> None:
             rows = f.remade()
             print(f.name, match(rows), flush=True)
             index.append(f"| [{f.name}]({page}.md#{f.name.replace('.', '')}) | {f.shows} | {match(rows)} | `{f.command}` |\n")
-            parts.append(f"\n## {f.name}\n\n{f.shows[0].upper() + f.shows[1:]}. `{f.command}`\n\n{table(rows)}")
+            recorded = f"; from a recording: `{f.command} FOLDER/{f.experiment}.mcap`" if f.recorded else ""
+            parts.append(f"\n## {f.name}\n\n{f.shows[0].upper() + f.shows[1:]}. `{f.command}`{recorded}\n\n{table(rows)}")
         if len(parts) > 1:
             (PAGES / f"{page}.md").write_text("".join(parts), encoding="utf-8")
     (PAGES / "README.md").write_text(MADE + INTRODUCTION + "".join(index), encoding="utf-8")
@@ -75,23 +79,34 @@ the numbers, and the statements that text and caption make about a plot, beside 
 the printed ones; where print and result differ the page says why ([errata](../explanation/errata.md)). Plots without printed numbers are compared
 by what is said about them.
 
+The experiments behind the main figures of chapter 5, P3 and P5 can also be run through the system, and these figures made from its recordings:
+`python -m benchmarks.thesis record FOLDER` runs rig agent (the simulator) and service in two processes with zenoh between them, a sine stated in
+`bursts.lines`, a fault in the middle, 25 s each (`rest`, `turning`, `lqg`, `p3`); `python -m benchmarks.thesis p5-0.14 FOLDER/rest.mcap` makes a figure from
+what was recorded. A recording of a real rig that played the same lines is read in the same way (with the second of the fault as a third argument). All rows
+of these eleven figures hold for recordings too (2026-11-24; `pytest -m long tests/thesis/test_recorded.py`). Not made from recordings: P4 (its plant is no plant of the
+service) and the identification of chapter 4, P1, P2 and P6, whose nominal models are chosen to be wrong.
+
 """
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Print a figure, the list, or write the pages."""
-    known, name = {f.name: f for f in figures()}, " ".join(arguments)
+    """Print a figure, the list, or write the pages or recordings."""
+    known, (name, *rest) = {f.name: f for f in figures()}, [*arguments, ""]
+    figure, rest = known.get(name), [r for r in rest if r]
     if name == "list":
         for f in known.values():
-            print(f"{f.name:14} {f.shows:75} {f.reason or f.command}")
+            print(f"{f.name:14} {f.shows:75} {f.reason or f.command}{f' (or from a recording of {f.experiment})' if f.recorded else ''}")
     elif name == "pages":
         write_pages()
-    elif name in known and known[name].remade is not None:
-        f = known[name]
-        print(f"{f.name}: {f.shows}\n\n{table(f.remade())}")
-    else:
-        print(f"{name}: {known[name].reason}" if name in known else __doc__)
+    elif name == "record" and rest:
+        for experiment in rest[1:] or EXPERIMENTS:
+            print(record(experiment, Path(rest[0])), flush=True)
+    elif figure is None or (figure.remade is None) or (rest and figure.recorded is None):
+        print(f"{name}: {figure.reason or 'is not made from a recording'}" if figure else __doc__)
         return 2
+    else:
+        rows = figure.recorded(Measured.of(Path(rest[0]), figure.experiment, *map(float, rest[1:]))) if rest and figure.recorded else figure.remade()
+        print(f"{figure.name}: {figure.shows}\n\n{table(rows)}")
     return 0
 
 

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from benchmarks.thesis.recorded import Measured
 
 
 @dataclass(frozen=True)
@@ -29,13 +33,18 @@ class Row:
 
 @dataclass(frozen=True)
 class Figure:
-    """``name`` as in ``p5-0.14``, in which chapter or paper, what it shows, and the function that remakes its numbers; else the reason."""
+    """``name`` as in ``p5-0.14``, in which chapter or paper, what it shows, and the function that remakes its numbers; else the reason.
+
+    ``recorded`` makes them from a recording of the ``experiment`` (see `benchmarks.thesis.recorded`), of the simulator or of a rig.
+    """
 
     name: str
     shows: str
     remade: Callable[[], Sequence[Row]] | None = None
     reason: str = ""
     long: bool = False
+    recorded: Callable[[Measured], Sequence[Row]] | None = None
+    experiment: str = ""
 
     @property
     def page(self) -> str:

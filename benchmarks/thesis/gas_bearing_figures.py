@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from scipy.stats import norm
@@ -15,7 +16,8 @@ from afdsvc.lti.stability import closed_loop_matrix
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plants.gas_bearing import gas_bearing
 from benchmarks.thesis.figure import Figure, Row
-from benchmarks.thesis.machines import FAULTS, autocorrelation, bearing, detect, residuals, sine
+from benchmarks.thesis.machines import FAULTS, Detected, autocorrelation, bearing, detect, residuals, sine
+from benchmarks.thesis.recorded import Measured
 
 OMEGA, FALSE_ALARM, WINDOW = 62.0, 2e-5, 12500
 H, V = 0, 1
@@ -121,21 +123,25 @@ def healthy() -> tuple[np.ndarray, np.ndarray]:
     return residuals(bearing(), FAULTS[0], 0.0, -1, np.zeros((60_000, 2)), 3)
 
 
-def correlation_of_beta() -> list[Row]:
-    band = 1.96 / math.sqrt(60_000)
-    return [Row("beta is white", False, bool(np.mean(np.abs(autocorrelation(healthy()[0][:, H])) < band) > 0.8))]
+Quiet = tuple[np.ndarray, np.ndarray]  # beta and r of a healthy machine without excitation
 
 
-def correlation_of_r() -> list[Row]:
-    inside = float(np.mean(np.abs(autocorrelation(healthy()[1][:, H])) < 1.96 / math.sqrt(60_000)))
+def correlation_of_beta(quiet: Quiet | None = None) -> list[Row]:
+    beta, _ = quiet or healthy()
+    return [Row("beta is white", False, bool(np.mean(np.abs(autocorrelation(beta[:, H])) < 1.96 / math.sqrt(len(beta))) > 0.8))]
+
+
+def correlation_of_r(quiet: Quiet | None = None) -> list[Row]:
+    beta, r = quiet or healthy()
+    inside = float(np.mean(np.abs(autocorrelation(r[:, H])) < 1.96 / math.sqrt(len(r))))
     return [
-        Row("r is much closer to white than beta", True, bool(abs(autocorrelation(healthy()[1][:, H], 1)[0]) < 0.1 * abs(autocorrelation(healthy()[0][:, H], 1)[0]))),
+        Row("r is much closer to white than beta (squares of 20 lags)", True, bool(np.sum(autocorrelation(r[:, H]) ** 2) < 0.1 * np.sum(autocorrelation(beta[:, H]) ** 2))),
         Row("lags of r inside the 95 % band", None, inside, 0.15, "some of the real rig's lie outside, whose model is not exact", 0.95),
     ]
 
 
-def histogram() -> list[Row]:
-    r = healthy()[1]
+def histogram(quiet: Quiet | None = None) -> list[Row]:
+    _, r = quiet or healthy()
     return [
         Row("variance horizontally [um^2]", 0.12, float(r[:, H].var()), 0.005), Row("variance vertically [um^2]", 0.15, float(r[:, V].var()), 0.005),
         Row("mean horizontally [um]", 0.0, float(r[:, H].mean()), 0.01),
@@ -151,8 +157,8 @@ def gains() -> list[Row]:
     ]
 
 
-def horizontal_detected() -> list[Row]:
-    found = detect(bearing(), FAULTS[0], OMEGA, ALPHA, H, H, WINDOW)
+def horizontal_detected(found: Detected | None = None) -> list[Row]:
+    found = found or detect(bearing(), FAULTS[0], OMEGA, ALPHA, H, H, WINDOW)
     return [
         Row("threshold (33)", 305, math.sqrt(0.42**2 * 31275) * tail_point(FALSE_ALARM), 0.5),
         Row("above it before the fault", False, found.before > 0), Row("above it after the fault", True, found.after == 1.0),
@@ -170,8 +176,8 @@ def horizontal_isolated() -> list[Row]:
     ]
 
 
-def short_window() -> list[Row]:
-    found = detect(bearing(), FAULTS[0], OMEGA, ALPHA, H, H, 1000)
+def short_window(found: Detected | None = None) -> list[Row]:
+    found = found or detect(bearing(), FAULTS[0], OMEGA, ALPHA, H, H, 1000)
     return [
         Row("healthy, the decision switches between faults", True, found.decisions_before > 1),
         Row("after the fault it stands", True, found.share > 0.5 and found.decided in (FAULTS[0], FAULTS[2])),
@@ -206,8 +212,8 @@ def cross_coupling() -> list[Row]:
     return [*rows, Row("horizontal actuator above the threshold in a run", True, found.after > 0.99)]
 
 
-def rotating() -> list[Row]:
-    found = detect(bearing(rpm=1100), FAULTS[0], OMEGA, ALPHA, H, H, 1000)
+def rotating(found: Detected | None = None) -> list[Row]:
+    found = found or detect(bearing(rpm=1100), FAULTS[0], OMEGA, ALPHA, H, H, 1000)
     return [Row("detected within the window of 0.2 s", True, found.after == 1.0), Row("quiet before", True, found.before < 0.01)]
 
 
@@ -222,16 +228,16 @@ def lqg_detected() -> list[Row]:
     ]  # fmt: skip
 
 
-def lqg_isolated() -> list[Row]:
+def lqg_isolated(found: Detected | None = None) -> list[Row]:
     loop, phases_apart = bearing("lqg"), "their phases differ by 0.03 degree in the model; only the size of the wave would tell"
-    found = detect(loop, FAULTS[3], OMEGA, ALPHA, V, V, WINDOW, seconds=1.0, begins=1.0)
+    found = found or detect(loop, FAULTS[3], OMEGA, ALPHA, V, V, WINDOW, seconds=1.0, begins=1.0)
     a, s = (np.angle(loop.signature(name, OMEGA)[V, V]) for name in (FAULTS[1], FAULTS[3]))
     told = bool(norm.cdf(found.deflection * abs(np.sin((a - s) / 2))) > 0.99)
     return [Row("a vertical fault is decided", True, found.decided.startswith("vertical")), Row("the sensor is told from the actuator", True, told, 0, phases_apart, False)]
 
 
-def detector_signal() -> list[Row]:
-    found = detect(bearing(), FAULTS[0], OMEGA, 0.1, H, H, WINDOW, seconds=1.0, begins=5.0 - WINDOW * 2e-4)
+def detector_signal(found: Detected | None = None) -> list[Row]:
+    found = found or detect(bearing(), FAULTS[0], OMEGA, 0.1, H, H, WINDOW, seconds=1.0, begins=5.0 - WINDOW * 2e-4)
     return [Row("below the threshold for 5 healthy seconds", True, found.before == 0.0), Row("above it a window later", True, found.after == 1.0)]
 
 
@@ -276,24 +282,39 @@ def p3_vertical() -> list[Row]:
     return [Row("energy (54)", 2.7, energy, 0.01), Row("threshold (55)", 2.2, gamma, 0.05), Row("P_D, 20,000 windows", 0.80, detected, 0.01)]
 
 
-def p3_decision() -> list[Row]:
-    loop = bearing()
-    quiet = detect(loop, FAULTS[1], 1030.0, 0.5, V, V, 60, seconds=0.5, begins=0.5, severity=-0.1)
+def p3_decision(quiet: Detected | None = None) -> list[Row]:
+    quiet = quiet or detect(bearing(), FAULTS[1], 1030.0, 0.5, V, V, 60, seconds=0.5, begins=0.5, severity=-0.1)
     return [Row("healthy, the decision is random", True, quiet.decisions_before > 1)]
 
 
-def p3_residual(source: int) -> list[Row]:
-    loop, fault = bearing(), FAULTS[source]
-    n = 20_000
-    _, r = residuals(loop, fault, -0.1, n // 2, sine(loop, 1030.0, 0.3, source, n), 7)
-    ratio = float(r[n // 2 + 500 :, source].var() / r[: n // 2, source].var())
+def p3_residual(source: int, parts: tuple[np.ndarray, np.ndarray] | None = None) -> list[Row]:
+    """``parts``: r before and after the fault."""
+    loop, fault, n = bearing(), FAULTS[source], 20_000
+    if parts is None:
+        _, r = residuals(loop, fault, -0.1, n // 2, sine(loop, 1030.0, 0.3, source, n), 7)
+        parts = r[: n // 2], r[n // 2 + 500 :]
+    ratio = float(parts[1][:, source].var() / parts[0][:, source].var())
     expected = 1 + 0.3**2 * abs(loop.signature(fault, 1030.0, -0.1)[source, source]) ** 2 / 2 / loop.problem.covariance[source, source]
     return [Row("variance after the fault over before", None, ratio, 0.05, "no number is printed; compared with the wave that S predicts", float(expected))]
 
 
+def _detected(rows: Callable[[Detected], list[Row]], fault: int, seen: int, window: int, controller: str = "proportional", rpm: int = 0) -> Callable[[Measured], list[Row]]:
+    """Return the rows of what the detector finds in a recording."""
+    return lambda m: rows(m.detect(bearing(controller, rpm), FAULTS[fault], seen, window))
+
+
+def _quiet(rows: Callable[[Quiet], list[Row]]) -> Callable[[Measured], list[Row]]:
+    return lambda m: rows(m.healthy(bearing()))
+
+
+def _p3_recorded(m: Measured) -> list[Row]:
+    r = m.residual(bearing())
+    return p3_residual(V, (r[m.begin + m.steady : m.fault], r[m.fault + 500 : m.end]))
+
+
 FIGURES = [
-    Figure("figure-5.4", "the detector signal crosses its threshold after a fault", detector_signal),
-    Figure("figure-5.7", "histogram of the healthy residual", histogram),
+    Figure("figure-5.4", "the detector signal crosses its threshold after a fault", detector_signal, recorded=_detected(detector_signal, 0, H, WINDOW), experiment="rest"),
+    Figure("figure-5.7", "histogram of the healthy residual", histogram, recorded=_quiet(histogram), experiment="rest"),
     Figure("figure-5.8", "disturbance gain, open and closed loop", disturbance),
     Figure("figure-5.9", "f_alpha for every fault, horizontal excitation, vertical residual", lambda: efficiency(H, V)),
     Figure("figure-5.10", "the detector for each of the four faults, through the cross coupling", cross_coupling),
@@ -302,9 +323,9 @@ FIGURES = [
     Figure("p3-0.9", "densities of the statistic, healthy and faulty", p3_densities),
     Figure("p3-0.10", "the residual before and after a fault of the horizontal actuator", lambda: p3_residual(H)),
     Figure("p3-0.11", "detector for the horizontal actuator, 420 samples", p3_horizontal),
-    Figure("p3-0.12", "the residual before and after a fault of the vertical actuator", lambda: p3_residual(V)),
+    Figure("p3-0.12", "the residual before and after a fault of the vertical actuator", lambda: p3_residual(V), recorded=_p3_recorded, experiment="p3"),
     Figure("p3-0.13", "detector for the vertical actuator, 60 samples", p3_vertical),
-    Figure("p3-0.14", "the decision at each step", p3_decision),
+    Figure("p3-0.14", "the decision at each step", p3_decision, recorded=_detected(p3_decision, 1, V, 60), experiment="p3"),
     Figure("p5-table-0.1", "parameters at rest", table_0_1),
     Figure("p5-table-0.2", "parameters at 1100 rpm", table_0_2),
     Figure("p5-table-0.3", "the faults considered", fault_table),
@@ -313,17 +334,17 @@ FIGURES = [
     *(Figure(f"p5-0.6{letter}", f"f_alpha, excitation {AXES[a]}, residual {AXES[b]}", lambda a=a, b=b: efficiency(a, b))
       for letter, a, b in (("a", H, H), ("b", H, V), ("c", V, H), ("d", V, V))),
     Figure("p5-0.7", "phase against the size of the fault", phases),
-    Figure("p5-0.10", "autocorrelation of beta", correlation_of_beta),
-    Figure("p5-0.11", "autocorrelation of r", correlation_of_r),
-    Figure("p5-0.12", "histogram of the healthy residual", histogram),
+    Figure("p5-0.10", "autocorrelation of beta", correlation_of_beta, recorded=_quiet(correlation_of_beta), experiment="rest"),
+    Figure("p5-0.11", "autocorrelation of r", correlation_of_r, recorded=_quiet(correlation_of_r), experiment="rest"),
+    Figure("p5-0.12", "histogram of the healthy residual", histogram, recorded=_quiet(histogram), experiment="rest"),
     Figure("p5-0.13", "gain from alpha to r for every fault", gains),
-    Figure("p5-0.14", "detector for the horizontal actuator", horizontal_detected),
+    Figure("p5-0.14", "detector for the horizontal actuator", horizontal_detected, recorded=_detected(horizontal_detected, 0, H, WINDOW), experiment="rest"),
     Figure("p5-0.15", "decision for the horizontal actuator", horizontal_isolated),
-    Figure("p5-0.16", "the same with a window of 0.2 s", short_window),
+    Figure("p5-0.16", "the same with a window of 0.2 s", short_window, recorded=_detected(short_window, 0, H, 1000), experiment="rest"),
     Figure("p5-0.17", "detector for the vertical actuator from the horizontal pair", vertical_from_horizontal),
     Figure("p5-0.18", "decision for the vertical actuator", vertical_isolated),
     Figure("p5-0.19", "the detector for each of the four faults, through the cross coupling", cross_coupling),
-    Figure("p5-0.20", "detector at 1100 rpm", rotating),
+    Figure("p5-0.20", "detector at 1100 rpm", rotating, recorded=_detected(rotating, 0, H, 1000, rpm=1100), experiment="turning"),
     Figure("p5-0.21", "the detector for each of the four faults, LQG", lqg_detected),
-    Figure("p5-0.22", "decision for the vertical sensor, LQG", lqg_isolated),
+    Figure("p5-0.22", "decision for the vertical sensor, LQG", lqg_isolated, recorded=_detected(lqg_isolated, 3, V, WINDOW, "lqg"), experiment="lqg"),
 ]  # fmt: skip

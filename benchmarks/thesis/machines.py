@@ -118,17 +118,26 @@ def detect(
     begins: float = 2.0, false_alarm: float = 2e-5, severity: float = HALF, seed: int = 1,
 ) -> Detected:  # fmt: skip
     """Return what the matched filter for this fault finds in a run, and which phase among those of all visible faults fits best."""
-    dt, variance = loop.problem.plant.dt, loop.problem.covariance[seen, seen]
+    dt = loop.problem.plant.dt
     n, start = round((begins + seconds) / dt) + 2 * window, round(begins / dt) + window
     _, r = residuals(loop, fault, severity, start, sine(loop, omega, amplitude, source, n), seed)
+    return detect_in(r, loop, fault, omega, amplitude, source, seen, window, 0, start, false_alarm, severity)
+
+
+def detect_in(
+    r: np.ndarray, loop: Loop, fault: str, omega: float, amplitude: float, source: int, seen: int, window: int, steady: int, start: int,
+    false_alarm: float = 2e-5, severity: float = HALF,
+) -> Detected:  # fmt: skip
+    """Return the same for residuals ``(n, outputs)`` from the first sample of the sine; it is ``steady`` from there on, the fault begins at ``start``."""
+    dt, variance = loop.problem.plant.dt, loop.problem.covariance[seen, seen]
     answers = {name: loop.signature(name, omega, severity)[seen, source] for name in loop.problem.fault_names}
     visible = {name: float(np.angle(a)) for name, a in answers.items() if abs(a) > 1e-9}
     sd = np.sqrt(variance * window / 2)
     statistics = {name: matched(r[:, seen], omega, dt, phase, window) / sd for name, phase in visible.items()}
     T = statistics.get(fault, np.max(list(statistics.values()), axis=0))
-    quiet, faulty = slice(window, start), slice(start + window, None)
+    quiet, faulty = slice(steady + window, start), slice(start + window, None)
     stacked = np.array(list(statistics.values()))
-    choices, names = stacked.argmax(axis=0) if len(stacked) else np.zeros(n, int), list(visible)
+    choices, names = stacked.argmax(axis=0) if len(stacked) else np.zeros(len(r), int), list(visible)
     votes = np.bincount(choices[faulty], minlength=len(names))
     h = tail_point(false_alarm)
     return Detected(

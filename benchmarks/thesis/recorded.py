@@ -1,0 +1,136 @@
+"""The experiments behind the figures, run through the system: rig agent and service in two processes, zenoh, a recording (MCAP).
+
+The rig is the simulator; a recording of a real rig that played the same lines serves as well: what is read from it are inputs, outputs, beta
+and alpha, and when the burst and the fault began.
+"""
+
+from __future__ import annotations
+
+import itertools
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from afdsvc.api.signals import of_role
+from afdsvc.app.demo import free_port, rig_process
+from afdsvc.app.serve import serving
+from afdsvc.errors import BadInput
+from afdsvc.files.recording.reader import Recording
+from afdsvc.files.site import read_site
+from afdsvc.lti.simulate import simulate
+from afdsvc.wire.messages import EventKind
+from benchmarks.thesis.machines import HALF, Detected, Loop, detect_in
+
+QUIET, BURST, FAULT_AFTER = 6.0, 13.5, 7.0  # s before the burst, of it, and from the start to the fault
+AXES = ("horizontal", "vertical")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One sine on one input of the gas bearing, and a fault while it is played."""
+
+    controller: str
+    rpm: int
+    source: int
+    rad_s: float
+    alpha: float
+    fault: str
+    severity: float = HALF
+
+    def site(self, folder: Path) -> str:
+        """Return the site file."""
+        settings = "{gain = 0.2}" if self.controller == "proportional" else "{}"
+        return f"""site = "thesis"
+[transport]
+listen = ["tcp/127.0.0.1:{free_port()}"]
+[recording]
+folder = "{folder.resolve().as_posix()}"
+[[machines]]
+id = "bearing"
+plant = "gas_bearing"
+options = {{rpm = {self.rpm}}}
+controller = {{kind = "{self.controller}", settings = {settings}}}
+driver = {{seed = 1, faults = [{{name = "{self.fault}", severity = {self.severity}, at_seconds = {QUIET + FAULT_AFTER}}}]}}
+[machines.bursts]
+every_seconds = 1000
+first_after_seconds = {QUIET}
+isolate = false
+seconds = {BURST}
+lines = [{{input = "{AXES[self.source]}", rad_s = {self.rad_s}, alpha = {self.alpha}}}]
+"""
+
+
+WAVE = 2.2602  # V, see gas_bearing_figures.ALPHA
+EXPERIMENTS = {
+    "rest": Experiment("proportional", 0, 0, 62.0, WAVE, "horizontal_actuator"),
+    "turning": Experiment("proportional", 1100, 0, 62.0, WAVE, "horizontal_actuator"),
+    "lqg": Experiment("lqg", 0, 1, 62.0, WAVE, "vertical_sensor"),
+    "p3": Experiment("proportional", 0, 1, 1030.0, 0.3, "vertical_actuator", -0.1),
+}
+
+
+def record(name: str, folder: Path) -> Path:
+    """Run an experiment in real time (25 s) and return its recording, ``folder/NAME.mcap``."""
+    path = folder / f"{name}.mcap"
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as place:
+        site = Path(place) / "site.toml"
+        site.write_text(EXPERIMENTS[name].site(Path(place) / "recordings"), encoding="utf-8")
+        with serving(read_site(site)) as hub, rig_process(site, "bearing", QUIET + BURST + 2.0) as rig:
+            rig.wait(120)
+            hub.drain()
+            files = hub.files()
+        next(f for f in files if f.suffix == ".mcap").replace(path)
+    return path
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A recording of an experiment as arrays from its first sample: ``beta, y, u, alpha (n, channels)``; ``begin``, ``end`` and ``steady`` samples
+    of the burst, ``fault`` the sample from which the fault is there."""
+
+    experiment: Experiment
+    beta: np.ndarray
+    y: np.ndarray
+    u: np.ndarray
+    alpha: np.ndarray
+    begin: int
+    end: int
+    steady: int
+    fault: int
+
+    @classmethod
+    def of(cls, path: Path, name: str, fault_at: float | None = None) -> Measured:
+        """Read a recording; ``fault_at`` [s] from its first sample where no event tells (a rig's). Raises `BadInput` where a part is missing."""
+        recording = Recording(path)
+        blocks = list(recording.blocks())
+        if not blocks or any(b.k0 != a.k0 + len(a) for a, b in itertools.pairwise(blocks)):
+            raise BadInput(f"{path}: expected blocks without a gap, found {len(blocks)} with one" if blocks else f"{path}: no blocks")
+        first, values = blocks[0].k0, np.vstack([b.values for b in blocks])
+        parts = {role: values[:, of_role(blocks[0].channels, role)] for role in ("beta", "y", "u", "alpha")}
+        request = next((r for r in recording.requests() if r.burst.lines), None)
+        begun = next((e.k for e in recording.events() if e.kind is EventKind.BURST_STARTED), None)
+        if request is None or begun is None:
+            raise BadInput(f"{path}: no burst of stated lines was played; expected bursts.lines in the site file")
+        told = next((e.k for e in recording.events() if e.kind is EventKind.FAULT_INJECTED), None)
+        if told is None and fault_at is None:
+            raise BadInput(f"{path}: no event tells when the fault began; expected the second of the fault as a third argument")
+        fault = told - first if told is not None else round((fault_at or 0.0) / blocks[0].dt)
+        burst, begin = request.burst, begun - first
+        return cls(EXPERIMENTS[name], **parts, begin=begin, end=begin + burst.samples - burst.ramp, steady=burst.ramp + burst.settle, fault=fault)
+
+    def residual(self, loop: Loop) -> np.ndarray:
+        """Return the white residual r of the whole recording, ``(n, outputs)``."""
+        return simulate(loop.problem.innovations, np.hstack([self.y, self.u]))[0]
+
+    def healthy(self, loop: Loop, skip: int = 2500) -> tuple[np.ndarray, np.ndarray]:
+        """Return beta and r before the burst, without the first half second."""
+        return self.beta[skip : self.begin], self.residual(loop)[skip : self.begin]
+
+    def detect(self, loop: Loop, fault: str, seen: int, window: int) -> Detected:
+        """Return what the published detector finds while the burst is played."""
+        e = self.experiment
+        r = self.residual(loop)[self.begin : self.end]
+        return detect_in(r, loop, fault, e.rad_s, e.alpha, e.source, seen, window, self.steady, self.fault - self.begin, severity=e.severity)
