@@ -150,6 +150,21 @@ def site_check(
         raise typer.Exit(2)
 
 
+@app.command("allow-code")
+def allow_code(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A Python file or FMI unit that models or site files name.")],
+    forget: Annotated[bool, typer.Option("--forget", help="Let it run no more.")] = False,
+) -> None:
+    """Remember for your account that a file of user code may run as it is now; once it is changed, it may not. What it imports is not checked."""
+    from afdsvc.files import allowed_code
+
+    if forget:
+        allowed_code.forget(file)
+        print(f"{file} may not run any more")
+    else:
+        print(f"{file} may run while its SHA-256 is {allowed_code.allow(file)}")
+
+
 def _ask(site: Path, name: str, **arguments: Any) -> Any:
     from afdsvc.app.ask import ask_service
     from afdsvc.files.site import read_site

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from hashlib import sha256
+
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from afdsvc.api.signals import Block, Channel
 from afdsvc.app import commissioning, ports
 from afdsvc.app.design import design_files
 from afdsvc.app.diagnose import diagnose_recordings
 from afdsvc.app.review import fault_planes
+from afdsvc.cli import app
 from afdsvc.errors import BadInput
+from afdsvc.files.model.model_file import read_model
 from afdsvc.files.model.stepped import TRUSTED
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.reader import Recording
@@ -87,6 +92,28 @@ def test_a_design_sheet_runs_a_models_code_only_with_permission(folder):
     with pytest.raises(BadInput, match="expected permission to run code: --allow-code"):
         design_files(folder / "site.toml", None, None)
     assert not (folder / "ran").exists()
+
+
+def test_permission_is_remembered_for_one_file_as_it_was(folder, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder / "state"))
+    code = folder / "evil.py"
+    before = sha256(code.read_bytes()).hexdigest()
+    with pytest.raises(BadInput, match=f"Python code .SHA-256 {before}. that would run.*'afdsvc allow-code {code}'"):
+        read_model(folder / "evil.toml")
+    assert CliRunner().invoke(app, ["allow-code", str(code)]).output == f"{code} may run while its SHA-256 is {before}\n"
+    read_model(folder / "evil.toml")
+    assert (folder / "ran").exists()
+    path = recording(folder, {"axis": (folder / "evil.toml").read_text()})
+    with pytest.raises(BadInput, match="expected permission to run code"):  # it is the model inside the recording that asks now
+        diagnose_recordings([path])
+    code.write_text(CODE + "# changed\n")
+    with pytest.raises(BadInput, match="expected permission to run code"):
+        read_model(folder / "evil.toml")
+    code.write_text(CODE)
+    read_model(folder / "evil.toml")
+    assert CliRunner().invoke(app, ["allow-code", str(code), "--forget"]).exit_code == 0
+    with pytest.raises(BadInput, match="expected permission to run code"):
+        read_model(folder / "evil.toml")
 
 
 def test_a_driver_that_is_user_code_is_opened_only_with_permission(folder):

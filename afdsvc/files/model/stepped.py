@@ -19,6 +19,7 @@ import numpy as np
 from afdsvc.api.model import Dynamics, SteppedPlant
 from afdsvc.errors import BadInput
 from afdsvc.explain.simulate.steps import continuous
+from afdsvc.files.allowed_code import allowed, sha256_of
 from afdsvc.files.model.schema import Inline, ModelTable, PerturbationTable, toml_text
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.statespace import Array, StateSpace
@@ -173,13 +174,18 @@ def refuse_code(reference: str, source: str, allow_code: bool, key: str = "") ->
 
     ``source`` is the file that must lie in a trusted folder, ``key`` (the file's key ``dynamics`` by default) is for the sentence.
     """
-    if not allow_code and not _trusted(Path(source)):
-        kind = "compiled code" if reference.endswith(".fmu") else "Python code"
-        where = key or f"{source}: key 'dynamics'"
-        raise BadInput(
-            f"{where} is '{reference}', {kind} that would run on this computer; "
-            f"expected permission to run code: --allow-code (allow_code=True), or a folder named in {TRUSTED}"
-        )
+    if allow_code or _trusted(Path(source)):
+        return
+    code = Path(source).parent / (reference if reference.endswith(".fmu") else reference.rpartition(":")[0])
+    if Path(source).is_file() and allowed(code):  # a model inside a recording is no file of its own and never permitted by that
+        return
+    kind = "compiled code" if reference.endswith(".fmu") else "Python code"
+    where = key or f"{source}: key 'dynamics'"
+    seal, remembered = (f" (SHA-256 {sha256_of(code)})", f", 'afdsvc allow-code {code}'") if code.is_file() else ("", "")
+    raise BadInput(
+        f"{where} is '{reference}', {kind}{seal} that would run on this computer; "
+        f"expected permission to run code: --allow-code (allow_code=True){remembered}, or a folder named in {TRUSTED}"
+    )
 
 
 def load_code(reference: str, folder: Path, key: str) -> Any:
