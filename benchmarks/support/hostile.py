@@ -6,6 +6,7 @@ A target is a pair of ``make(rng) -> input`` and ``eat(input)``. `TARGETS` opens
 from __future__ import annotations
 
 import io
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -24,6 +25,7 @@ from afdsvc.api.signals import Block, Channel
 from afdsvc.app import commissioning, ports
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.model.model_file import parse_model
+from afdsvc.files.open import Naming, open_file
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
@@ -202,6 +204,40 @@ def _hdf() -> list[bytes]:
     return [_saved(save)]
 
 
+def _tdms() -> list[bytes]:
+    from nptdms import ChannelObject, TdmsWriter
+
+    def save(stream: io.BytesIO) -> None:
+        with TdmsWriter(stream) as writer:
+            for _ in range(2):
+                writer.write_segment([ChannelObject("run", name, values, {"wf_increment": 0.01}) for name, values in COLUMNS.items()])
+
+    return [_saved(save)]
+
+
+def ulog(folder: Path) -> Target:
+    """Logs of PX4, through a mapping."""
+    path = folder / "mutant.ulg"
+    (folder / "map.toml").write_text("[signals]\nu_force = 'force.x[0]'\ny_position = 'position.y'\n")
+    naming = Naming.of(folder / "map.toml")
+    formats = ("force:uint64_t timestamp;float[2] x;", "point:uint64_t timestamp;float y;", "position:uint64_t timestamp;float y;point p;")
+    said = b"".join(_ulog(b"F", f.encode()) for f in formats) + _ulog(b"A", b"\0\0\0force") + _ulog(b"A", b"\0\1\0position")
+    for k in range(80):
+        said += _ulog(b"D", struct.pack("<HQff", 0, 4000 * k, k, k)) + _ulog(b"D", struct.pack("<HQfQf", 1, 4000 * k, k, 0, k))
+    whole = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + said
+
+    def eat(data: bytes) -> None:
+        path.write_bytes(data)
+        open_file(path, naming).traces()
+
+    eat(whole)
+    return Target(lambda rng: mutate_bytes(whole, whole, rng), eat)
+
+
+def _ulog(kind: bytes, content: bytes) -> bytes:
+    return struct.pack("<H", len(content)) + kind + content
+
+
 def _text(parse: Callable[[str], object], seeds: list[str]) -> Callable[[Path], Target]:
     return lambda _folder: Target(lambda rng: mutate_text(rng.choice(seeds), rng.choice(seeds), rng), parse)
 
@@ -259,6 +295,8 @@ TARGETS: dict[str, Callable[[Path], Target]] = {
     "parquet": _table(".parquet", _parquet),
     "mat": _table(".mat", _mat),
     "mat73": _table(".mat", _hdf),
+    "tdms": _table(".tdms", _tdms),
+    "ulog": ulog,
     "model": _text(lambda text: parse_model(text, "mutant.toml"), [MODEL, CONTINUOUS]),
     "site": _text(lambda text: parse_site(text, "mutant.toml"), [SITE]),
 }

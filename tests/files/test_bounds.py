@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import tracemalloc
 import zipfile
 import zlib
@@ -18,6 +19,7 @@ from mcap.records import Chunk
 from mcap.writer import CompressionType, Writer
 
 from afdsvc.errors import BadInput
+from afdsvc.files.open import Naming, open_file
 from afdsvc.files.recording.mcap_records import Loss, read_items
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import read_site
@@ -27,6 +29,7 @@ from afdsvc.files.tables.formats import read_columns
 from afdsvc.files.tables.mapping import Time
 from afdsvc.files.tables.mat5 import read_mat5
 from afdsvc.files.validation import BOUNDS, table_bytes
+from benchmarks.support.hostile import _ulog
 
 MEGABYTE = 1_000_000
 
@@ -199,3 +202,24 @@ def test_a_text_of_any_length_is_not_read(tmp_path):
 
 def test_what_a_table_may_hold_grows_with_its_file():
     assert [table_bytes(size) for size in (0, 10 * MEGABYTE, 10**9)] == [BOUNDS.table_free, 10**9, BOUNDS.table]
+
+
+@pytest.mark.parametrize("log", ["nested", "many", "itself"])
+def test_fields_of_a_ulog_that_grow_from_a_few_bytes_are_refused(tmp_path, log):
+    """Arrays in arrays, many topics of one long array, and a format that holds itself."""
+    pytest.importorskip("pyulog")
+    array = _ulog(b"F", b"a:uint8_t[65535] x;")
+    said = {
+        "nested": array + _ulog(b"F", b"b:a[65535] y;") + _ulog(b"F", b"c:b[65535] z;") + _ulog(b"A", b"\0\0\0c"),
+        "many": array + b"".join(_ulog(b"A", b"\0" + struct.pack("<H", i) + b"a") for i in range(1000)),
+        "itself": _ulog(b"F", b"a:a x;") + _ulog(b"A", b"\0\0\0a"),
+    }[log]
+    (tmp_path / "bomb.ulg").write_bytes(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + said)
+    (tmp_path / "map.toml").write_text("[signals]\nu_force = 'c.x'\n")
+    tracemalloc.start()
+    try:
+        with pytest.raises(BadInput, match=r"fields of topics; at most|not a readable ULog"):
+            open_file(tmp_path / "bomb.ulg", Naming.of(tmp_path / "map.toml")).traces()
+        assert tracemalloc.get_traced_memory()[1] < 100 * MEGABYTE
+    finally:
+        tracemalloc.stop()

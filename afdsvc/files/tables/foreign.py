@@ -6,6 +6,7 @@ import io
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +20,11 @@ from afdsvc.files.tables.formats import opened, read_columns
 from afdsvc.files.tables.mapping import OWN_TIMES, DataMapping, Source, Time, converted, product, same_unit
 from afdsvc.files.tables.tables import PREPARED
 from afdsvc.files.tables.time_base import TIME, UNITS, is_stamped, own_time, seconds
+from afdsvc.files.validation import BOUNDS, file_size, refuse_more
 from afdsvc.lti.statespace import Array
 
 ULOG = ".ulg"  # of PX4: topics at rates of their own, so a mapping is always needed
+FIELDS = 65_536  # of all topics of a ULog together
 _AUX_UNITS = {"aux_speed": "rad/s", "aux_angle": "rad"}
 
 
@@ -148,11 +151,23 @@ def _ulog(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group
         from pyulog import ULog
     except ImportError:
         raise BadInput(f"{path}: ULog needs the extra 'ulog': install afdsvc[ulog]") from None
-    opened(path).close()
-    damage = io.StringIO()
+    file_size(path, BOUNDS.table)
+    damage, fields = io.StringIO(), 0
+
+    class Bounded(ULog):  # type: ignore[misc]
+        class _MessageAddLogged(ULog._MessageAddLogged):  # type: ignore[misc] # noqa: SLF001
+            def _parse_nested_type(self, prefix: str, name: str, formats: Any) -> None:
+                """Arrays inside arrays grow from a few bytes to any number of fields."""
+                nonlocal fields
+                fields += sum(max(size, 1) for _, size, _ in formats[name].fields)
+                refuse_more(path, fields, FIELDS, "fields of topics")
+                super()._parse_nested_type(prefix, name, formats)
+
     try:
-        with redirect_stdout(damage):  # where pyulog says so
-            topics = {f"{d.name}[{d.multi_id}]" if d.multi_id else d.name: d.data for d in ULog(str(path)).data_list}
+        with opened(path) as file, redirect_stdout(damage):  # where pyulog says so
+            topics = {f"{d.name}[{d.multi_id}]" if d.multi_id else d.name: d.data for d in Bounded(file).data_list}
+    except BadInput:
+        raise
     except Exception as error:  # a log that is none fails in many ways
         raise BadInput(f"{path}: not a readable ULog file: {type(error).__name__}: {error}") from None
     groups: dict[str, dict[str, Array]] = {}
@@ -161,6 +176,8 @@ def _ulog(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group
         if name not in topics.get(topic, {}):
             listed = ", ".join(f"{t} ({', '.join(k for k in data if k != 'timestamp')})" for t, data in sorted(topics.items()))
             raise BadInput(f"{path}: no '{place}', which is to be {signal}; expected TOPIC.FIELD, and it has {listed or 'no topics'}")
+        if not len(topics[topic].get("timestamp", ())):
+            raise BadInput(f"{path}: topic '{topic}' holds no 'timestamp'; expected one for every sample")
         groups.setdefault(topic, {})[signal] = np.asarray(topics[topic][name], dtype=np.float64)
     first = min(int(topics[t]["timestamp"][0]) for t in groups)
     made = [Group(t, (topics[t]["timestamp"].astype(np.int64) - first) * 1e-6, columns) for t, columns in groups.items()]

@@ -208,8 +208,13 @@ def _tdms(path: Path) -> Columns:
         from nptdms import TdmsFile
     except ImportError:
         raise BadInput(f"{path}: TDMS needs the extra 'tdms': install afdsvc[tdms]") from None
-    file = TdmsFile.read(path)
-    channels = [c for group in file.groups() for c in group.channels() if len(c)]
+    with TdmsFile.open(path) as file:
+        return _tdms_columns(path, [c for group in file.groups() for c in group.channels() if len(c)])
+
+
+def _tdms_columns(path: Path, channels: list[Any]) -> Columns:
+    refuse_more(path, len(channels), BOUNDS.columns, "channels")
+    refuse_more(path, 8 * sum(len(c) for c in channels), table_bytes(path.stat().st_size), "bytes of samples")
     if not channels:
         raise BadInput(f"{path}: not a readable .tdms file: it holds no samples")
     often = Counter(c.name for c in channels)
