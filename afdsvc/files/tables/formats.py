@@ -208,7 +208,7 @@ def _tdms(path: Path) -> Columns:
         from nptdms import TdmsFile
     except ImportError:
         raise BadInput(f"{path}: TDMS needs the extra 'tdms': install afdsvc[tdms]") from None
-    with TdmsFile.open(path) as file:
+    with opened(path) as stream, TdmsFile.open(stream) as file:
         return _tdms_columns(path, [c for group in file.groups() for c in group.channels() if len(c)])
 
 
