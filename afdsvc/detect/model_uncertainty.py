@@ -22,7 +22,7 @@ from afdsvc.api.bursts import Line
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.statistics.fault_curves import fault_curves
 from afdsvc.detect.thresholds import maximum
-from afdsvc.detect.thresholds.model_mixture import Mixture
+from afdsvc.detect.thresholds.maximum import Mixture
 from afdsvc.detect.uncertain_parameters import uncertain_parameters
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array

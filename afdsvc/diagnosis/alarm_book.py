@@ -1,5 +1,7 @@
 """The alarms of a site: raised and ended by evidence with bounded debounce and hysteresis, handled by operators, published on change.
 
+Transitions are functions from alarm to alarm (OPC UA Part 9, section 5: the condition states).
+
 An alarm's id is ``<machine>/<fault>``; a fault that could not be singled out is ``unnamed``. What is not heard of (a machine
 that is gone, a stream that is stale) raises nothing and ends nothing: silence is not evidence.
 """
@@ -8,10 +10,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from afdsvc.api.evidence import Evidence
-from afdsvc.diagnosis import alarm_states
+from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.errors import BadInput, Refused
 from afdsvc.wire.messages import Alarm, AlarmChange, AlarmKind, Finding
 
@@ -58,7 +59,7 @@ class AlarmBook:
         with self._lock:
             self._alarms.update((a.id, a) for a in alarms)
             for alarm in [a for a in self._alarms.values() if a.active and a.kind is not AlarmKind.FAULT]:
-                self._set(alarm_states.ended(alarm, t_ns, False), "ended", t_ns, why="the service was restarted")
+                self._set(ended(alarm, t_ns, False), "ended", t_ns, why="the service was restarted")
 
     def take(self, finding: Finding, sentence: str = "") -> Alarm | None:
         """Return the alarm a decision raised or supported; None when it raised none."""
@@ -76,7 +77,7 @@ class AlarmBook:
         with self._lock:
             known = self._alarms.get(id)
             if holds and not (known and known.active):
-                self._raise(alarm_states.raised(machine, name, kind, sentence, t_ns))
+                self._raise(raised(machine, name, kind, sentence, t_ns))
             elif known and known.active and not holds:
                 self._end(known, t_ns, sentence)
 
@@ -96,7 +97,7 @@ class AlarmBook:
                 cause = cause if cause in holding else ""
                 if a.cause != cause:
                     told = f"follows from {cause}" if cause else "stands for itself"
-                    self._set(alarm_states.consequence(a, cause), "grouped", t_ns, why=told)
+                    self._set(consequence(a, cause), "grouped", t_ns, why=told)
 
     def acknowledge(self, id: str, who: str, comment: str = "", t_ns: int = 0, seen_ns: int | None = None) -> Alarm:
         """Note who has seen an alarm.
@@ -108,17 +109,17 @@ class AlarmBook:
             alarm = self._named(id)
             if seen_ns is not None and alarm.since_ns != seen_ns:
                 raise Refused(f"alarm '{id}' has occurred again since; look at it before acknowledging")
-            return self._set(alarm_states.acknowledged(alarm, who, comment), "acknowledged", t_ns, who, comment)
+            return self._set(acknowledged(alarm, who, comment), "acknowledged", t_ns, who, comment)
 
     def confirm(self, id: str, who: str, comment: str, t_ns: int) -> Alarm:
         """Note who has dealt with an alarm; raises `Refused` before it is acknowledged."""
         with self._lock:
-            return self._set(alarm_states.confirmed(self._named(id), who, comment), "confirmed", t_ns, who, comment)
+            return self._set(confirmed(self._named(id), who, comment), "confirmed", t_ns, who, comment)
 
     def reset(self, id: str, who: str, comment: str, t_ns: int) -> Alarm:
         """Release a latched alarm; raises `Refused` while it is active or unacknowledged."""
         with self._lock:
-            return self._set(alarm_states.unlatched(self._named(id)), "reset", t_ns, who, comment)
+            return self._set(unlatched(self._named(id)), "reset", t_ns, who, comment)
 
     def shelve(self, id: str, who: str, minutes: float, why: str, t_ns: int) -> Alarm:
         """Put an alarm aside for a time, with a reason; raises `BadInput` for a time that makes no sense."""
@@ -128,18 +129,18 @@ class AlarmBook:
             raise BadInput(f"alarm '{id}' cannot be shelved without a reason")
         with self._lock:
             self._pending.pop(id, None)
-            return self._set(alarm_states.shelved(self._named(id), who, t_ns + round(minutes * MINUTE)), "shelved", t_ns, who, why)
+            return self._set(shelved(self._named(id), who, t_ns + round(minutes * MINUTE)), "shelved", t_ns, who, why)
 
     def unshelve(self, id: str, who: str, t_ns: int) -> Alarm:
         """Take an alarm from the shelf."""
         with self._lock:
-            return self._set(alarm_states.unshelved(self._named(id)), "unshelved", t_ns, who)
+            return self._set(unshelved(self._named(id)), "unshelved", t_ns, who)
 
     def tick(self, t_ns: int) -> None:
         """Take from the shelf what has lain there long enough; to be called now and then."""
         with self._lock:
             for alarm in [a for a in self._alarms.values() if 0 < a.shelved_until_ns <= t_ns]:
-                self._set(alarm_states.unshelved(alarm), "unshelved", t_ns, why="the time is over")
+                self._set(unshelved(alarm), "unshelved", t_ns, why="the time is over")
 
     def _support(self, id: str, e: Evidence, sentence: str, t_ns: int) -> Alarm | None:
         self._quiet[id, e.detector] = 0
@@ -149,8 +150,8 @@ class AlarmBook:
             if self._pending[id] < self._policy.raise_after:
                 return None
             fault = e.fault or UNNAMED
-            return self._raise(alarm_states.raised(e.machine, fault, AlarmKind.FAULT, sentence, t_ns, e.detector, e.severity))
-        more = alarm_states.supported(alarm, e.detector, e.severity, t_ns)
+            return self._raise(raised(e.machine, fault, AlarmKind.FAULT, sentence, t_ns, e.detector, e.severity))
+        more = supported(alarm, e.detector, e.severity, t_ns)
         if more.raised_by != alarm.raised_by:
             return self._set(more, "supported", t_ns, why=f"{e.detector} agrees")
         self._alarms[id] = more
@@ -169,7 +170,7 @@ class AlarmBook:
         self._quiet[key] = self._quiet.get(key, 0) + 1
         if self._quiet[key] < self._policy.clear_after:
             return
-        left = alarm_states.opposed(alarm, detector)
+        left = opposed(alarm, detector)
         self._alarms[alarm.id] = left
         if not left.raised_by:
             self._end(left, t_ns, "no detector that raised it detects it any more")
@@ -177,11 +178,11 @@ class AlarmBook:
     def _raise(self, alarm: Alarm) -> Alarm:
         self._pending.pop(alarm.id, None)
         known = self._alarms.get(alarm.id)
-        return self._set(alarm_states.returned(known, alarm) if known else alarm, "raised", alarm.since_ns, why=alarm.sentence)
+        return self._set(returned(known, alarm) if known else alarm, "raised", alarm.since_ns, why=alarm.sentence)
 
     def _end(self, alarm: Alarm, t_ns: int, why: str) -> None:
         latch = self._policy.latch and alarm.kind is AlarmKind.FAULT
-        self._set(alarm_states.ended(alarm, t_ns, latch), "ended", t_ns, why=why)
+        self._set(ended(alarm, t_ns, latch), "ended", t_ns, why=why)
 
     def _set(self, alarm: Alarm, event: str, t_ns: int, who: str = "", why: str = "") -> Alarm:
         self._alarms[alarm.id] = alarm
@@ -192,3 +193,68 @@ class AlarmBook:
         if id not in self._alarms:
             raise BadInput(f"no alarm '{id}'; there are {', '.join(self._alarms) or 'none'}")
         return self._alarms[id]
+
+
+def raised(
+    machine: str, fault: str, kind: AlarmKind, sentence: str, t_ns: int, detector: str = "", severity: Severity | None = None
+) -> Alarm:
+    """Return a new alarm, raised by a detector, or by the monitoring itself (no detector)."""
+    by = (detector,) if detector else ()
+    return Alarm(f"{machine}/{fault}", machine, fault, t_ns, t_ns, severity=severity, kind=kind, sentence=sentence, raised_by=by)
+
+
+def returned(alarm: Alarm, again: Alarm) -> Alarm:
+    """Return an ended alarm that is raised again: this occurrence is unacknowledged and unconfirmed; a shelved alarm stays shelved."""
+    return replace(again, shelved_until_ns=alarm.shelved_until_ns, shelved_by=alarm.shelved_by)
+
+
+def supported(alarm: Alarm, detector: str, severity: Severity | None, t_ns: int) -> Alarm:
+    """Return the alarm with one more decision behind it."""
+    by = alarm.raised_by if detector in alarm.raised_by else (*alarm.raised_by, detector)
+    return replace(alarm, last_ns=t_ns, count=alarm.count + 1, severity=severity or alarm.severity, raised_by=by)
+
+
+def opposed(alarm: Alarm, detector: str) -> Alarm:
+    """Return the alarm without a detector that has decided otherwise."""
+    return replace(alarm, raised_by=tuple(d for d in alarm.raised_by if d != detector))
+
+
+def ended(alarm: Alarm, t_ns: int, latch: bool) -> Alarm:
+    """Return the alarm whose condition no longer holds; it stays latched where the site wants that."""
+    return replace(alarm, active=False, ended_ns=t_ns, latched=latch, suppressed="", cause="", raised_by=())
+
+
+def acknowledged(alarm: Alarm, who: str, comment: str) -> Alarm:
+    """Return the alarm as acknowledged."""
+    return replace(alarm, acknowledged=True, acknowledged_by=who, comment=comment)
+
+
+def confirmed(alarm: Alarm, who: str, comment: str) -> Alarm:
+    """Return the alarm as confirmed; raises `Refused` while it is unacknowledged."""
+    if not alarm.acknowledged:
+        raise Refused(f"alarm '{alarm.id}' is not acknowledged; acknowledge it before confirming")
+    return replace(alarm, confirmed=True, confirmed_by=who, comment=comment or alarm.comment)
+
+
+def unlatched(alarm: Alarm) -> Alarm:
+    """Return the alarm without its latch; raises `Refused` while it is active or unacknowledged."""
+    if alarm.active:
+        raise Refused(f"alarm '{alarm.id}' still holds; it can be reset when its condition is over")
+    if not alarm.acknowledged:
+        raise Refused(f"alarm '{alarm.id}' is not acknowledged; acknowledge it before resetting")
+    return replace(alarm, latched=False)
+
+
+def shelved(alarm: Alarm, who: str, until_ns: int) -> Alarm:
+    """Return the alarm shelved by a person until a time."""
+    return replace(alarm, shelved_until_ns=until_ns, shelved_by=who)
+
+
+def unshelved(alarm: Alarm) -> Alarm:
+    """Return the alarm back from the shelf."""
+    return replace(alarm, shelved_until_ns=0, shelved_by="")
+
+
+def consequence(alarm: Alarm, cause: str) -> Alarm:
+    """Return the alarm as a consequence of another ("" makes it stand for itself again)."""
+    return replace(alarm, cause=cause, suppressed=f"follows from {cause}" if cause else "")

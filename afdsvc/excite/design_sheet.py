@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,15 +12,19 @@ from scipy.optimize import brentq
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, FalseAlarms
-from afdsvc.detect.statistics.fault_curves import loop_response
+from afdsvc.detect.features.whiteness_gate import Gate
+from afdsvc.detect.statistics.active_cusum import ActiveCusum
+from afdsvc.detect.statistics.fault_curves import LoopResponse, loop_response
+from afdsvc.detect.statistics.passive_cusum import passive_detector
+from afdsvc.detect.thresholds import maximum
 from afdsvc.detect.thresholds.power import pair_confusion
+from afdsvc.detect.thresholds.regressor_information import noise_driven
 from afdsvc.excite.amplitude_budget import costs
 from afdsvc.excite.efficiency import efficiency
 from afdsvc.excite.expected_detection import ExpectedDetection, burst_detection
 from afdsvc.excite.isolation import isolable_pairs
-from afdsvc.excite.observability import blind_pairs, unseen
-from afdsvc.excite.promised_rates import alarms_per_hour, thresholds
 from afdsvc.excite.settings import BURST
+from afdsvc.lti.statespace import Array
 
 SEVERITIES = (-0.1, -0.25, -0.5, -1.0)
 RARE = 1e-6  # confusions less likely than this are not listed
@@ -146,3 +151,102 @@ def _finite(value: float) -> float | None:
 
 def _name(names: Sequence[str], index: int) -> str:
     return names[index] if index < len(names) else str(index)
+
+
+INVISIBLE = 1e-9  # gain, as a share of the largest, that is rounding
+
+
+def unseen(problem: DetectionProblem, response: LoopResponse) -> dict[str, str]:
+    """Return a sentence for every fault that no channel shows at any of the response's frequencies."""
+    reached, shown = _into_faults(response), _out_of_faults(response)
+    found = {}
+    for name in problem.fault_names:
+        own = problem.augmented.channels_of(name)
+        into, out = float(reached[:, own].max(initial=0.0)), float(shown[:, :, own].max(initial=0.0))
+        if into <= INVISIBLE * reached.max(initial=0.0):
+            found[name] = "no excitation reaches the signal this fault multiplies"
+        elif out <= INVISIBLE * shown.max(initial=0.0):
+            found[name] = "the signal this fault multiplies is excited, but its change reaches no output"
+    return found
+
+
+def blind_pairs(problem: DetectionProblem, pairs: Array, inputs: tuple[str, ...]) -> list[dict[str, str]]:
+    """Return the pairs of input and output that cannot show a fault; ``pairs (K, L, p, m)`` are efficiencies."""
+    largest, blind = pairs.max(initial=0.0), []
+    for k, name in enumerate(problem.fault_names):
+        for i, output in enumerate(problem.output_names):
+            for j, input_ in enumerate(inputs):
+                if pairs[k, :, i, j].max(initial=0.0) <= INVISIBLE * largest:
+                    blind.append({"fault": name, "input": input_, "output": output})
+    return blind
+
+
+def _into_faults(response: LoopResponse) -> Array:
+    """Return ``|Gzu u|`` per unit alpha in the healthy loop, shape ``(L, channels)``, the largest over inputs."""
+    k = response.augmented.channels
+    z = response.plant[:, :k, k:] @ response.healthy().u[0]
+    return np.asarray(np.abs(z).max(axis=-1, initial=0.0))
+
+
+def _out_of_faults(response: LoopResponse) -> Array:
+    """Return the response of r to what faults add, in the healthy loop, shape ``(L, p, channels)``."""
+    k = response.augmented.channels
+    G, Gyw = response.plant[:, k:, k:], response.plant[:, k:, :k]
+    m, p = G.shape[2], G.shape[1]
+    Kuy = response.controller[:, :m, :p]
+    y = np.linalg.solve(np.eye(p) - G @ Kuy, Gyw)
+    return np.asarray(np.abs(response.residual[:, :, :p] @ y + response.residual[:, :, p:] @ (Kuy @ y)))
+
+
+def thresholds(problem: DetectionProblem, burst: Burst, alarms: Mapping[str, FalseAlarms]) -> dict[str, float]:
+    """Return the threshold of every detector in ``alarms`` at its own promised rate; foreign detectors are left out."""
+    return {
+        name: _THRESHOLDS[name](replace(problem, false_alarms=promised), burst)
+        for name, promised in alarms.items()
+        if name in _THRESHOLDS
+    }
+
+
+def alarms_per_hour(alarms: Mapping[str, FalseAlarms], bursts_per_hour: float) -> float:
+    """Return the false alarms per hour of all detectors together; ``passive_...`` ones run always, others per burst."""
+    rates = [
+        promised.per_hour if name.startswith("passive") else promised.per_burst * bursts_per_hour
+        for name, promised in alarms.items()
+    ]
+    return float(sum(rates))
+
+
+def _largest(problem: DetectionProblem, burst: Burst) -> float:
+    return burst_detection(problem, burst).threshold(problem.false_alarms.per_burst)
+
+
+def _ratio(problem: DetectionProblem, burst: Burst) -> float:
+    return burst_detection(problem, burst).ratio_threshold(problem.false_alarms.per_burst)
+
+
+def _regression(problem: DetectionProblem, burst: Burst) -> float:
+    """Return the threshold for the information expected; the detector uses what it finds."""
+    noise, K = noise_driven(problem), len(problem.fault_names)
+    gram = (noise.gram + noise.active_gram(burst))[:K, :K]
+    seen = np.diag(gram) > 0
+    gram = gram[np.ix_(seen, seen)]
+    scale = np.sqrt(np.diag(gram))
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    return maximum.maximum_threshold(vectors * np.sqrt(np.maximum(values, 0.0)), problem.false_alarms.per_burst)
+
+
+def _cusum(problem: DetectionProblem, burst: Burst) -> float:
+    return ActiveCusum(problem).plan(burst, problem.plant.dt).boundary
+
+
+def _passive(problem: DetectionProblem, burst: Burst) -> float:
+    return passive_detector("passive_cusum", problem, Gate(), -0.3, 0.0, 0.99, 100).boundary
+
+
+_THRESHOLDS: dict[str, Callable[[DetectionProblem, Burst], float]] = {
+    "matched_filter": _largest,
+    "fault_curves": _ratio,
+    "regression": _regression,
+    "cusum": _cusum,
+    "passive_cusum": _passive,
+}

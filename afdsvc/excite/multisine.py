@@ -1,11 +1,17 @@
-"""The shortest multisine that detects and isolates faults of a given size within the budget."""
+"""The shortest multisine that detects and isolates faults of a given size within the budget, at phases that give it a low peak.
+
+Starting from Schroeder's phases (M. R. Schroeder, *IEEE Trans. Inf. Theory* 16, 1970) the p-norm of the waves is
+minimised for growing p, which tends to the peak (P. Guillaume et al., *IEEE Trans. Instrum. Meas.* 40, 1991).
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize
 
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.detection import DetectionProblem
@@ -14,12 +20,11 @@ from afdsvc.detect.statistics.fault_curves import loop_response
 from afdsvc.detect.thresholds.power import required_deflection, required_separation
 from afdsvc.errors import BadInput, Refused
 from afdsvc.excite.amplitude_budget import costs, room
-from afdsvc.excite.crest import low_crest
 from afdsvc.excite.expected_detection import expected_detection
 from afdsvc.excite.power_allocation import Allocation, Candidates, allocate, candidates
 from afdsvc.excite.settings import BURST
 from afdsvc.excite.simulated_burst import faulty_loop
-from afdsvc.lti.statespace import Array
+from afdsvc.lti.statespace import Array, ComplexArray
 
 FREQUENCIES = 200
 
@@ -129,3 +134,51 @@ def _fits(problem: DetectionProblem, limits: Limits, lines: tuple[Line, ...], na
         if (used > bound).any():
             i = int(np.argmax(used - bound))
             raise Refused(f"burst '{name}' may reach {used[i]:.3g} on {what} {i}; noise leaves {bound[i]:.3g} there")
+
+
+POWERS = (4, 8, 16, 32)
+SAMPLES = 4096
+
+
+def low_crest(lines: Sequence[Line], responses: ComplexArray, seconds: float, bounds: Array) -> tuple[Line, ...]:
+    """Return the lines with new phases.
+
+    ``responses (L, s)`` lead from each line's input to the s signals whose peaks matter (outputs, actuators), ``bounds
+    (s,)`` are their limits: the largest share of a limit is made small over ``seconds`` seconds.
+    """
+    if len(lines) < 2:
+        return tuple(lines)
+    waves = _waves(lines, responses / bounds, seconds)
+    power = np.array([line.amplitude**2 for line in lines])
+    phases = -2 * np.pi * np.cumsum(np.cumsum(power / power.sum()))
+    best = min((np.zeros(len(lines)), phases), key=lambda p: peak(waves, p))
+    for exponent in POWERS:
+        found = minimize(_norm, best, args=(waves, exponent), jac=True, method="L-BFGS-B", options={"maxiter": 200})
+        if peak(waves, found.x) < peak(waves, best):
+            best = found.x
+    return tuple(replace(line, phase=float(p % (2 * np.pi))) for line, p in zip(lines, best, strict=True))
+
+
+def peak(waves: ComplexArray, phases: Array) -> float:
+    """Return the largest value of all signals for the given phases."""
+    return float(np.abs(np.imag(np.einsum("l,lst->st", np.exp(1j * phases), waves))).max())
+
+
+def _waves(lines: Sequence[Line], responses: ComplexArray, seconds: float) -> ComplexArray:
+    """Return complex waves ``(L, s, t)`` of every line at every signal, phases not yet applied."""
+    t = np.linspace(0, seconds, SAMPLES, endpoint=False)
+    turning = np.exp(1j * np.array([line.omega for line in lines])[:, None] * t[None, :])
+    amplitude = np.array([line.amplitude for line in lines])
+    return np.asarray(amplitude[:, None, None] * responses[:, :, None] * turning[:, None, :])
+
+
+def _norm(phases: Array, waves: ComplexArray, exponent: int) -> tuple[float, Array]:
+    """Return the p-norm of all samples of all signals, normalised to the peak, and its gradient."""
+    turned = np.exp(1j * phases)[:, None, None] * waves
+    total = np.imag(turned.sum(axis=0))
+    scale = max(float(np.abs(total).max()), 1e-300)
+    share = np.abs(total) / scale
+    mean = float(np.mean(share**exponent))
+    outer = np.sign(total) * share ** (exponent - 1)
+    gradient = np.einsum("lst,st->l", np.real(turned), outer) / total.size * mean ** (1 / exponent - 1)
+    return scale * mean ** (1 / exponent), np.asarray(gradient)

@@ -8,7 +8,7 @@ import numpy as np
 from rates_cases import RATES, RateCase
 from rates_counting import Rate, counted, weighted
 
-from afdsvc.detect.energy import Energy
+from afdsvc.detect.statistics.comparison import Energy
 from afdsvc.lti.statespace import Array
 
 PART = 200

@@ -12,8 +12,8 @@ from rates_counting import Rate, counted, weighted
 from scipy.special import logsumexp, ndtr
 
 from afdsvc.detect.model_uncertainty import models
-from afdsvc.detect.published import UNSEEN, PublishedFilter
 from afdsvc.detect.stability_range import reachable
+from afdsvc.detect.statistics.comparison import UNSEEN, PublishedFilter
 from afdsvc.detect.statistics.likelihood_ratio import heights
 from afdsvc.detect.statistics.matched_filter import MatchedFilter
 from afdsvc.detect.thresholds.power import tail_point

@@ -13,8 +13,8 @@ from afdsvc.api.signals import Channel
 from afdsvc.app.commissioning import RecordedMachine, commission, problem
 from afdsvc.detect.uncertain_parameters import uncertain_entries
 from afdsvc.errors import BadInput
+from afdsvc.excite.design_sheet import thresholds
 from afdsvc.excite.diagnosis_burst import default_burst
-from afdsvc.excite.promised_rates import thresholds
 from afdsvc.excite.simulated_burst import faulty_loop, simulate_burst
 from afdsvc.files.model.model_file import model_text, parse_model
 from afdsvc.files.site import parse_site

@@ -11,11 +11,10 @@ from afdsvc.api.bursts import Limits, Line
 from afdsvc.detect.statistics.fault_curves import loop_response
 from afdsvc.detect.thresholds.power import required_deflection, required_separation
 from afdsvc.errors import BadInput, Refused
-from afdsvc.excite.crest import _waves, low_crest, peak
 from afdsvc.excite.diagnosis_burst import second_burst
 from afdsvc.excite.efficiency import efficiency, samples_for
 from afdsvc.excite.expected_detection import burst_detection, expected_detection, steady_samples
-from afdsvc.excite.multisine import Wish, multisine, shortest
+from afdsvc.excite.multisine import Wish, _waves, low_crest, multisine, peak, shortest
 from afdsvc.excite.power_allocation import allocate, candidates
 from afdsvc.testing.machines import bearing_problem, unstable_problem
 

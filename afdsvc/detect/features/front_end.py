@@ -18,9 +18,8 @@ from afdsvc.api.detection import DetectionProblem, ResidualBlock
 from afdsvc.detect.features.burst_noise import BurstNoise
 from afdsvc.detect.features.data_checks import BurstChecks, PlayedLines, Runs
 from afdsvc.detect.features.nuisances import Cleaning, Nuisances
-from afdsvc.detect.features.quiet_window import NOTHING, Recent
 from afdsvc.detect.features.shared_filter import Filters
-from afdsvc.detect.features.whiteness_gate import Gate, GateState, finite
+from afdsvc.detect.features.whiteness_gate import NOTHING, Gate, GateState, Recent, finite
 from afdsvc.lti.statespace import Array
 
 

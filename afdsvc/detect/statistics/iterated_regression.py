@@ -26,8 +26,8 @@ from afdsvc.api.detection import DetectionProblem, ResidualBlock
 from afdsvc.detect.burst_detector import BurstSamples, Finding
 from afdsvc.detect.features.demodulation import Basis, BasisSums, project
 from afdsvc.detect.features.nuisances import NONE, Nuisances
-from afdsvc.detect.features.quiet_window import between
 from afdsvc.detect.features.regressors import predictor_gain, whitener
+from afdsvc.detect.features.whiteness_gate import between
 from afdsvc.detect.isolation import Fit, anything_log_evidence, limited, linear_fit, weights
 from afdsvc.detect.thresholds import maximum
 from afdsvc.detect.thresholds.regressor_information import NoiseDriven, noise_driven

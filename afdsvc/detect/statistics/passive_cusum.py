@@ -21,9 +21,8 @@ from afdsvc.detect.burst_detector import Finding, evidence
 from afdsvc.detect.features.data_checks import Runs
 from afdsvc.detect.features.front_end import filtered
 from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
-from afdsvc.detect.features.quiet_window import NOTHING, Recent
 from afdsvc.detect.features.shared_filter import Filters, shared_regressors
-from afdsvc.detect.features.whiteness_gate import Gate, GateState, Judgement
+from afdsvc.detect.features.whiteness_gate import NOTHING, Gate, GateState, Judgement, Recent
 from afdsvc.detect.statistics.cusum import Cusum, CusumState, DeflectionBoundary, cusum
 from afdsvc.detect.thresholds import average_run_length
 from afdsvc.detect.thresholds.cusum_boundary import rate_boundary

@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 
 from afdsvc.api.detection import DetectionProblem, Detector, DetectorDesign
-from afdsvc.detect.bank import bank
 from afdsvc.detect.burst_detector import BurstStatistic, burst_detector
-from afdsvc.detect.energy import Energy
 from afdsvc.detect.features.regressors import regressors
-from afdsvc.detect.published import PublishedFilter
 from afdsvc.detect.settings import NUISANCES, Range, gate_of, nuisances_of, read
+from afdsvc.detect.statistics.comparison import Energy, PublishedFilter, bank
 
 
 @dataclass(slots=True)

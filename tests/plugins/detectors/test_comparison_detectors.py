@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from afdsvc.detect.bank import bank
 from afdsvc.detect.burst_detector import BurstSamples
-from afdsvc.detect.energy import Energy
 from afdsvc.detect.features.regressors import regressors
-from afdsvc.detect.published import PublishedFilter
+from afdsvc.detect.statistics.comparison import Energy, PublishedFilter, bank
 from afdsvc.detect.statistics.iterated_regression import iterated
 from afdsvc.excite.simulated_burst import faulty_loop, simulate_burst
 from afdsvc.plants.gas_bearing import gas_bearing

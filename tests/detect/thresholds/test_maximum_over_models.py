@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from afdsvc.detect.thresholds import maximum
-from afdsvc.detect.thresholds.model_mixture import Mixture
+from afdsvc.detect.thresholds.maximum import Mixture
 
 
 def made(seed=2, Q=7, K=9, D=4):

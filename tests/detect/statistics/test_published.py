@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from afdsvc.detect.published import PublishedFilter
+from afdsvc.detect.statistics.comparison import PublishedFilter
 from afdsvc.errors import Refused
 from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.testing.machines import bearing_problem
