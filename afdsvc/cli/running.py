@@ -292,14 +292,19 @@ def inject(
 
 
 @app.command()
-def retune(machine: Machine = None, site: SiteOption = HERE, as_json: Json = False) -> None:
+def retune(
+    machine: Machine = None,
+    fault: Annotated[str | None, typer.Option(metavar="NAME=LOW..HIGH", help="The fault and its severities as you know them, in place of what was diagnosed: horizontal_actuator=-0.55..-0.45.")] = None,
+    site: SiteOption = HERE,
+    as_json: Json = False,
+) -> None:
     """Accept what an alarm proposes: Q is designed for the fault that was named, proved, and let act beside the running controller.
 
     Refused with one sentence where nothing can be gained, or where a limit, stability or sensitivity would suffer.
     """
     from afdsvc.present.terminal import retune_table
 
-    found = _ask(site, "retune", machine=machine)
+    found = _ask(site, "retune", machine=machine, **({"fault": fault} if fault else {}))
     show(as_json, found, lambda: retune_table(found))
 
 

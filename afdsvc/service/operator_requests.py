@@ -11,6 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
+from afdsvc.api.retuning import Diagnosed
 from afdsvc.errors import AfdsvcError, BadInput, Refused
 from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.service.hub import Hub
@@ -158,13 +159,13 @@ class Requests:
 
     def _retune(self, a: Arguments, who: str) -> dict[str, Any]:
         """Design, prove and start Q for the machine's verdict; with the argument ``later`` the answer is a ticket at once."""
-        retuning = self._retuning_of(a)
-        return self._promised(self._retuned, retuning, who) if a.get("later") else self._retuned(retuning, who)
+        retuning, stated = self._retuning_of(a), _stated_fault(a)
+        return self._promised(self._retuned, retuning, who, stated) if a.get("later") else self._retuned(retuning, who, stated)
 
-    def _retuned(self, retuning: Retuning, who: str) -> dict[str, Any]:
+    def _retuned(self, retuning: Retuning, who: str, stated: Diagnosed | None) -> dict[str, Any]:
         outcome = "the service failed"
         try:
-            sheet = retuning.ask(self._hub.watches[retuning.machine].verdict(), who)
+            sheet = retuning.ask(self._hub.watches[retuning.machine].verdict(), who, stated)
             outcome = f"Q {sheet['tuning']} accepted"
             return sheet
         except AfdsvcError as error:
@@ -172,7 +173,8 @@ class Requests:
             raise
         finally:
             if self._hub.audit:
-                self._hub.audit.add(who, "retune", {"machine": retuning.machine}, outcome)
+                said = {} if stated is None else {"fault": stated.fault, "low": stated.low, "high": stated.high}
+                self._hub.audit.add(who, "retune", {"machine": retuning.machine, **said}, outcome)
 
     def _restore(self, a: Arguments, who: str) -> dict[str, str]:
         retuning = self._retuning_of(a)
@@ -216,6 +218,19 @@ class Requests:
         requests = self._requests_to(a)
         requests.scheduler.paused = why
         return {"machine": requests.machine, "paused": why}
+
+
+def _stated_fault(a: Arguments) -> Diagnosed | None:
+    """Return the fault that a person states in place of the verdict, ``NAME=LOW..HIGH`` or ``NAME=SEVERITY``; None when nothing is stated."""
+    text = str(a.get("fault") or "")
+    if not text:
+        return None
+    name, _, interval = text.partition("=")
+    low, _, high = interval.partition("..")
+    try:
+        return Diagnosed(name.strip(), float(low), float(high or low))
+    except ValueError:
+        raise BadInput(f"fault '{text[:64]}': expected NAME=LOW..HIGH, for example horizontal_actuator=-0.55..-0.45") from None
 
 
 def _not_yours(a: Arguments, who: str) -> None:

@@ -58,25 +58,26 @@ class Retuning:
             self._proposed = verdict.fault
             self.bursts.sink.take(Message(Notice(self.machine, "info", self.sentence, self.bursts.clock.now_ns())))
 
-    def ask(self, verdict: FaultVerdict, who: str) -> dict[str, Any]:
-        """Design, prove and start Q for what the verdict names; returns the design sheet, raises `Refused` with the reason."""
+    def ask(self, verdict: FaultVerdict, who: str, stated: Diagnosed | None = None) -> dict[str, Any]:
+        """Design, prove and start Q for what the verdict names, or what a person has ``stated`` instead; returns the design sheet, raises
+        `Refused` with the reason."""
         if not self._designing.acquire(blocking=False):
             raise Refused("a Q is being designed for this machine; wait for its answer")
         try:
-            return self._asked(verdict, who)
+            return self._asked(verdict, who, stated)
         finally:
             self._designing.release()
 
-    def _asked(self, verdict: FaultVerdict, who: str) -> dict[str, Any]:
+    def _asked(self, verdict: FaultVerdict, who: str, stated: Diagnosed | None) -> dict[str, Any]:
         of = self.bursts
         if not of.session:
             raise Refused(f"machine '{self.machine}' is not connected")
         if self.acting:
             raise Refused(f"{self.sentence}; restore the machine first")
-        if verdict.fault is None or verdict.severity is None:
-            raise Refused("no fault has been named with its severity, so there is nothing to design Q for")
+        if stated is None and (verdict.fault is None or verdict.severity is None):
+            raise Refused("no fault has been named with its severity, so there is nothing to design Q for; '--fault' states one")
         problem = of.pipeline.problem
-        found = _interval(verdict, problem)
+        found = stated or _interval(verdict, problem)
         tuning, proof, sheet = self.design(problem, found)
         name = f"{of.session[:8]}-q-{of.clock.now_ns() // 10**9 % 16**6:06x}-{next(self._count)}"
         self.ready(of.pipeline.announce_tuning(name, tuning.Q))

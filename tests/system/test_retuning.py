@@ -129,11 +129,31 @@ def test_nothing_is_retuned_before_a_fault_is_named(free_port, tmp_path):
             eventually(lambda: hub.watches["bearing"].blocks > 3)
             with pytest.raises(AfdsvcError, match="no fault has been named with its severity"):
                 ask_service(site, "retune", "Ada", machine="bearing")
+            for stated, why in (("horizontal_sensor", "expected NAME=LOW..HIGH"), ("horizontal_sensor=-0.4..-0.5", "expected the smaller one first"), ("pump=-0.5", "fault 'pump' is unknown")):
+                with pytest.raises(AfdsvcError, match=why):
+                    ask_service(site, "retune", "Ada", machine="bearing", fault=stated)
             with pytest.raises(AfdsvcError, match="nothing is restored: no such Q acts"):
                 ask_service(site, "restore", "Ada", machine="bearing")
             with pytest.raises(AfdsvcError, match="machine 'x' is unknown"):
                 ask_service(site, "retune", "Ada", machine="x")
         assert hub.retunings["bearing"].sentence == ""
     outcomes = [e["outcome"] for e in verify_chain(audit_file(site)).entries if e["what"] == "retune"]
-    assert "no fault has been named with its severity, so there is nothing to design Q for" in outcomes
+    assert "no fault has been named with its severity, so there is nothing to design Q for; '--fault' states one" in outcomes
     assert not any("accepted" in outcome for outcome in outcomes)
+
+
+@pytest.mark.long
+def test_a_person_states_the_fault_before_a_burst_has_named_it(free_port, tmp_path):
+    site = site_of(free_port, tmp_path, MACHINE.replace("every_seconds = 3.5, ", ""))
+    with serve.serving(site) as hub, rig(site):
+        eventually(lambda: hub.watches["bearing"].blocks > 3)
+        sheet = ask_service(site, "retune", "Ada", machine="bearing", fault="horizontal_sensor=-0.52..-0.48")
+        assert (sheet["fault"], sheet["severity"]) == ("horizontal_sensor", [-0.52, -0.48])
+        eventually(lambda: hub.watches["bearing"].pipeline._tuning == sheet["tuning"])
+        ask_service(site, "restore", "Ada", machine="bearing")
+        hub.drain()
+    (path,) = tmp_path.glob("*.mcap")
+    (asked,) = Recording(path).retunings("bearing")
+    assert (asked.found.fault, asked.found.low, asked.found.high) == ("horizontal_sensor", -0.52, -0.48)
+    (done,) = [e for e in verify_chain(audit_file(site)).entries if e["what"] == "retune" and e["outcome"].endswith("accepted")]
+    assert done["arguments"] == {"machine": "bearing", "fault": "horizontal_sensor", "low": -0.52, "high": -0.48}
