@@ -55,7 +55,7 @@ def rate_boundary(
     same = _steps(mu[own], 0 * bias[own], step[own], maximum.shares(_unit_vectors(correlation[np.ix_(own, own)]), height))
     for _ in range(3):  # again about the boundary found, until that is one of those simulated
         grid = np.maximum(found + AROUND, LOWEST + 0.01 * np.arange(len(AROUND)))
-        simulated = joint.per_look(grid)
+        simulated = joint.per_look(grid, per_look)
         if simulated is None:
             return found
         correction = np.log(np.maximum(simulated, 1e-300)) - [math.log(_rate(same, b)) for b in grid.tolist()]

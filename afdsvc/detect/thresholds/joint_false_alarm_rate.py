@@ -8,12 +8,14 @@ cycle from rest to alarm satisfies
 
 (importance sampling for rare change alarms: T. L. Lai and J. Z. Shan, *IEEE Trans. Autom. Control* 44, 1999). Once the CUSUMs
 have forgotten that they began at rest, the terms are ``w_i P(T >= s)``, and the sum over s of ``P(T >= s)`` is the run length.
-So onsets before that give the transient and later ones w_i; the relative error does not grow as alarms become rare. No share of
+So onsets before that give the transient and later ones w_i; the relative error does not grow as alarms become rare. Where alarms are
+promised more often than the CUSUMs forget, healthy loops are simulated and their alarms counted. No share of
 a CUSUM in the union and no allowance for uneven steps is needed. One set of paths, from a fixed seed, serves all boundaries.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -33,6 +35,8 @@ MOST = 10_000
 DRAW = 20  # multiplications that a normal number costs, or an exponential
 MEMORY = 16.0  # times 1 / mu^2: after so many blocks a CUSUM has forgotten where it began (it relaxes in 8 of them)
 PATIENCE = 10.0  # times the mean time a fault takes to the boundary: nothing of weight alarms later
+OFTEN = 0.5  # alarms promised while the CUSUMs forget, beyond which alarms are counted
+SEEN = 3.0  # run lengths that are then simulated
 SMALL = 1e-7  # singular values of the loop left out
 
 
@@ -48,10 +52,10 @@ class JointRate:
     C: Array
     block: int
 
-    def per_look(self, boundaries: Array) -> Array | None:
-        """Return alarms per block at every (ascending) boundary; None where too few paths are affordable."""
+    def per_look(self, boundaries: Array, promised: float = 0.0) -> Array | None:
+        """Return alarms per block at every (ascending) boundary where about ``promised`` are looked for; None where too few paths are affordable."""
         A, B, C, b = (np.ascontiguousarray(x, dtype=np.float64) for x in (self.A, self.B, self.C, boundaries))
-        return _rates(A, B, C, b, self.block)
+        return _rates(A, B, C, b, self.block, promised)
 
 
 def joint_rate(noise: NoiseDriven, which: NDArray[np.intp], theta: Array, block: int) -> JointRate | None:
@@ -78,14 +82,20 @@ class _Plan:
     paths: int
 
 
-def _rates(A: Array, B: Array, C: Array, b: Array, block: int) -> Array | None:
+def _rates(A: Array, B: Array, C: Array, b: Array, block: int, promised: float) -> Array | None:
     n, p = B.shape
     plans = _plans(A, B, C, p, block, float(b.max()))
-    if min(plan.paths for plan in plans) < FEWEST:
-        return None
     rng = np.random.Generator(np.random.PCG64(1))
     root = np.linalg.cholesky(solve_discrete_lyapunov(A, B @ B.T) + 1e-14 * np.eye(n))
     At, Bt, Ct = (np.ascontiguousarray(M.T) for M in (A, B, C))  # the loops run along memory
+    if max(plan.forgotten for plan in plans) * promised > OFTEN:
+        blocks = math.ceil(SEEN / promised)
+        paths = int(min(WORK / _work(A, B, C, block) / block / blocks, MOST))
+        x = rng.standard_normal((paths, n)) @ root.T
+        at, _ = _paths(At, Bt, Ct, x, 0, np.full(paths, blocks), 0, block, rng, b)
+        return np.asarray(np.sum(at >= 0, axis=0) / np.sum(np.where(at >= 0, at + 1, blocks), axis=0)) if paths >= FEWEST else None
+    if min(plan.paths for plan in plans) < FEWEST:
+        return None
     sums = np.zeros((3, len(b)))
     for i, plan in enumerate(plans):
         onset = ((np.arange(plan.paths) + 0.5) * (2 * plan.forgotten / plan.paths)).astype(np.int64)
@@ -97,9 +107,7 @@ def _rates(A: Array, B: Array, C: Array, b: Array, block: int) -> Array | None:
 
 
 def _plans(A: Array, B: Array, C: Array, p: int, block: int, boundary: float) -> Sequence[_Plan]:
-    K, n = len(C) // p, len(A)
-    work = n * n + n * p + n * len(C) + DRAW * (p + K / block)
-    plans = []
+    K, work, plans = len(C) // p, _work(A, B, C, block), []
     for i in range(K):
         own = C[p * i : p * (i + 1)]
         healthy, tilted = _information(A, B, own) * block, _information(A + B @ own, B, own) * block
@@ -108,6 +116,12 @@ def _plans(A: Array, B: Array, C: Array, p: int, block: int, boundary: float) ->
         paths = min(WORK / K / work / block / (forgotten + rise), MOST)
         plans.append(_Plan(forgotten, int(np.ceil(PATIENCE * rise)), int(paths)))
     return plans
+
+
+def _work(A: Array, B: Array, C: Array, block: int) -> float:
+    """Return the multiplications that a sample takes."""
+    n, p = B.shape
+    return float(n * n + n * p + n * len(C) + DRAW * (p + len(C) // p / block))
 
 
 def _information(A: Array, B: Array, C: Array) -> float:

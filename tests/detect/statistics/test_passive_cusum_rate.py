@@ -8,6 +8,8 @@ from afdsvc.detect.thresholds.joint_false_alarm_rate import joint_rate
 from afdsvc.detect.thresholds.regressor_information import noise_driven
 from afdsvc.plugins.detectors.cusum import PassiveCusumDesign
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem, with_rate
+from benchmarks.detection.truth import machines
+from benchmarks.detection.truth_problem import problem_of
 
 MACHINES = {"unstable": unstable_problem, "random": random_problem, "lqg 0": lambda: bearing_problem("lqg", 0)}
 STRETCH = {"unstable": 600, "random": 600, "lqg 0": 2500}  # samples in which so many alarms are promised
@@ -104,3 +106,15 @@ def test_rates_are_the_same_again_and_none_where_paths_would_take_too_long(monke
     assert first[1] < 0.5 * first[0]
     monkeypatch.setattr(module, "WORK", 1e4)
     assert joint.per_look(boundaries) is None
+
+
+def test_alarms_promised_before_the_cusums_forget_are_counted():
+    """A loop whose noise says so little that a CUSUM remembers longer than the time in which an alarm is promised."""
+    machine = next(m for m in machines() if m.name == "order 2, output noise")
+    problem, every = problem_of(machine), 20_000
+    detector = PassiveCusumDesign().design(with_rate(problem, per_hour=3600 / (every * machine.dt)), {})
+    assert 16 / (0.3**2 * noise_driven(problem).passive[0]) > 0.5 * every
+    assert 1.2 < detector.boundary < 1.9
+    joint = joint_rate(noise_driven(problem), detector.which, detector.test.severity, detector.test.block)
+    (rate,) = joint.per_look(np.array([detector.boundary]), detector.test.block / every)
+    assert rate == pytest.approx(detector.test.block / every, rel=0.15)
