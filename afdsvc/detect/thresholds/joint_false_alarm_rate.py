@@ -35,8 +35,8 @@ MOST = 10_000
 DRAW = 20  # multiplications that a normal number costs, or an exponential
 MEMORY = 16.0  # times 1 / mu^2: after so many blocks a CUSUM has forgotten where it began (it relaxes in 8 of them)
 PATIENCE = 10.0  # times the mean time a fault takes to the boundary: nothing of weight alarms later
-OFTEN = 0.5  # alarms promised while the CUSUMs forget, beyond which alarms are counted
-SEEN = 3.0  # run lengths that are then simulated
+OFTEN = 1.0  # alarms promised while the CUSUMs forget, beyond which alarms are counted
+SEEN = 3  # run lengths over which they are counted, after one that is not
 SMALL = 1e-7  # singular values of the loop left out
 
 
@@ -89,11 +89,10 @@ def _rates(A: Array, B: Array, C: Array, b: Array, block: int, promised: float) 
     root = np.linalg.cholesky(solve_discrete_lyapunov(A, B @ B.T) + 1e-14 * np.eye(n))
     At, Bt, Ct = (np.ascontiguousarray(M.T) for M in (A, B, C))  # the loops run along memory
     if max(plan.forgotten for plan in plans) * promised > OFTEN:
-        blocks = math.ceil(SEEN / promised)
-        paths = int(min(WORK / _work(A, B, C, block) / block / blocks, MOST))
+        blocks = math.ceil(1 / promised)
+        paths = int(min(WORK / (_work(A, B, C, block) * block + 4 * len(b) * len(plans)) / blocks / (1 + SEEN), MOST))
         x = rng.standard_normal((paths, n)) @ root.T
-        at, _ = _paths(At, Bt, Ct, x, 0, np.full(paths, blocks), 0, block, rng, b)
-        return np.asarray(np.sum(at >= 0, axis=0) / np.sum(np.where(at >= 0, at + 1, blocks), axis=0)) if paths >= FEWEST else None
+        return _counted(At, Bt, Ct, x, blocks, SEEN * blocks, block, rng, b) / (paths * SEEN * blocks) if paths >= FEWEST else None
     if min(plan.paths for plan in plans) < FEWEST:
         return None
     sums = np.zeros((3, len(b)))
@@ -170,6 +169,33 @@ def _paths(At, Bt, Ct, start, who, onset, patience, block, rng, boundaries):  # 
             if crossed == many:
                 break
     return at, weight
+
+
+@njit(cache=True, fastmath=True)
+def _counted(At, Bt, Ct, start, before, counted, block, rng, boundaries):  # type: ignore[no-untyped-def]
+    """Return the alarms at every boundary in all paths, each CUSUM set to 0 by its alarms; the first ``before`` blocks do not count."""
+    N, n = start.shape
+    p, many = Bt.shape[0], boundaries.size
+    K = Ct.shape[1] // p
+    x, new, waves, e = np.zeros(n), np.zeros(n), np.zeros(K * p), np.zeros(p)
+    g, gained, alarms = np.zeros((many, K)), np.zeros(K), np.zeros(many)
+    for path in range(N):
+        x[:] = start[path]
+        g[:] = 0.0
+        for t in range(before + counted):
+            gained[:] = 0.0
+            for _ in range(block):
+                _advance(At, Bt, Ct, x, new, waves, e, -1, rng)
+                _gain(waves, e, gained)
+            for j in range(many):
+                highest = 0.0
+                for i in range(K):
+                    g[j, i] = max(g[j, i] + gained[i], 0.0)
+                    highest = max(highest, g[j, i])
+                if highest > boundaries[j]:
+                    g[j] = 0.0
+                    alarms[j] += t >= before
+    return alarms
 
 
 @njit(cache=True, fastmath=True, inline="always")

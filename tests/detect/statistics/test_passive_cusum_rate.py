@@ -113,7 +113,7 @@ def test_alarms_promised_before_the_cusums_forget_are_counted():
     machine = next(m for m in machines() if m.name == "order 2, output noise")
     problem, every = problem_of(machine), 20_000
     detector = PassiveCusumDesign().design(with_rate(problem, per_hour=3600 / (every * machine.dt)), {})
-    assert 16 / (0.3**2 * noise_driven(problem).passive[0]) > 0.5 * every
+    assert 16 / (0.3**2 * noise_driven(problem).passive[0]) > every
     assert 1.2 < detector.boundary < 1.9
     joint = joint_rate(noise_driven(problem), detector.which, detector.test.severity, detector.test.block)
     (rate,) = joint.per_look(np.array([detector.boundary]), detector.test.block / every)
