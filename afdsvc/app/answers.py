@@ -50,6 +50,19 @@ class Answer:
             raise BadInput("pandas is not installed; expected it, or use .rows()") from None
         return pandas.DataFrame(self.rows())
 
+    def to_xarray(self) -> Any:
+        """Return the answer as an ``xarray.Dataset``: its curves where it has some, else its table. Raises `BadInput` without the extra ``xarray``."""
+        try:
+            import xarray
+        except ImportError:
+            raise BadInput("xarray is not installed; expected the extra 'xarray' (afdsvc[xarray]), or use .rows()") from None
+        return xarray.Dataset(*self._curves())
+
+    def _curves(self) -> tuple[dict[str, tuple[Any, Any]], dict[str, Any]]:
+        """Return variables as (dimensions, values), and coordinates."""
+        rows = self.rows()
+        return {name: ("row", [row[name] for row in rows]) for name in (rows[0] if rows else ())}, {}
+
     def __repr__(self) -> str:
         return "\n".join([*self.sentences, *(f"  {_line(row)}" for row in self.rows())])
 
@@ -123,6 +136,15 @@ class Identified(Answer):
         before = {name: {"r2_before": m.r2_classical} for name, m in self.result.before.items()} if self.nominal_given else {}
         return [{"output": name, **before.get(name, {}), "r2": m.r2_classical, "nrmse": m.nrmse} for name, m in self.result.after.items()]
 
+    def _curves(self) -> tuple[dict[str, tuple[Any, Any]], dict[str, Any]]:
+        """Frequency response, and the ends of its magnitude's 95 % band, against ``omega`` [rad/s], output and input."""
+        from afdsvc.present.html.identify_page import response_band
+
+        band, dims = response_band(self.result), ("omega", "output", "input")
+        low, high = band.magnitude_band()
+        names = {"output": [v.name for v in self.model.outputs], "input": [v.name for v in self.model.inputs]}
+        return {"response": (dims, band.value), "magnitude_low": (dims, low), "magnitude_high": (dims, high)}, {"omega": band.omega, **names}
+
     def plot(self) -> Figure:
         """Return the frequency response with its 95 % band."""
         from afdsvc.present.html.identify_page import bode
@@ -152,6 +174,15 @@ class Explained(Answer):
             {"physics": n.physics, "site": n.site, "weight": n.weight, "parameter": name, "value": e.value, "sd": e.sd, "unit": e.unit}
             for n in self.result.named for name, e in n.parameters.items()
         ]  # fmt: skip
+
+    def _curves(self) -> tuple[dict[str, tuple[Any, Any]], dict[str, Any]]:
+        """Measured, simulated before and after, against time [s] and output, of the first recording held out."""
+        held = [c for c in self.result.courses if c.role == "heldout"]
+        if not held:
+            return Answer._curves(self)  # noqa: SLF001 - of this very class
+        parts, dims = ("measured", "before", "after", "residual_before", "residual_after"), ("time", "output")
+        names = [v.name for v in self.result.nominal.model.outputs]
+        return {part: (dims, getattr(held[0], part)) for part in parts}, {"time": held[0].t, "output": names}
 
     def plot(self) -> Figure:
         """Return a held-out recording: measured, simulated before and after, and both residuals."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from afdsvc.app.explain import ExplainOptions, from_rest, load_library, traces
+from afdsvc.errors import BadInput
 from afdsvc.explain.check.result import CheckResult, check_all
 from afdsvc.files.open import open_model
 from afdsvc.files.tables.foreign import prepared
@@ -20,7 +21,9 @@ def check_files(model: Path, recordings: Sequence[Path], options: ExplainOptions
     between them is a finding.
     """
     nominal, beside = open_model(model, options.allow_code, options.machine)
-    data = from_rest(traces(recordings or ([beside] if beside else [model]), nominal, options), nominal)
+    if not recordings and beside is None:
+        raise BadInput(f"{model}: no recording is given to compare it with; expected at least one")
+    data = from_rest(traces(recordings or ([beside] if beside else []), nominal, options), nominal)
     result = check_all(nominal, data, load_library())
     target = page or model.with_name(f"{model.stem}.check.html")
     document = {**result.json(), "data": prepared(data), "report": str(target)}

@@ -17,7 +17,7 @@ from afdsvc.files.tables.mapping import DataMapping, read_mapping
 from afdsvc.files.tables.tables import PREPARED, read_table
 
 TABLES = (".csv", ".parquet", ".mat", ".npz", ".tdms", ".ulg")
-RECORDING = ".mcap"
+RECORDING, SPREADSHEETS = ".mcap", (".xlsx", ".xls", ".ods")
 Span = tuple[str, int, int]
 
 
@@ -125,6 +125,8 @@ def open_file(path: Path, naming: Naming = Naming()) -> OpenFile:
     """
     if path.suffix.lower() in TABLES:
         return TableFile(path, naming)
+    if path.suffix.lower() in SPREADSHEETS:
+        raise BadInput(f"{path}: is a spreadsheet; expected the sheet saved as CSV")
     if path.suffix.lower() == ".toml":
         raise BadInput(f"{path}: is no recording; expected one of {', '.join(TABLES)} or an MCAP file; a model goes before the recordings, or after --model")
     recording = Recording(path)

@@ -354,6 +354,8 @@ def parse_site(text: str, origin: str, folder: Path | None = None) -> Site:
     data = toml_table(text, origin)
     if "text" in data or "origin" in data:
         raise BadInput(f"{origin}: key 'text' or 'origin' is unknown; see the reference of the site file")
+    if "machines" not in data and {"inputs", "outputs"} & set(data):
+        raise BadInput(f"{origin}: is a model (MODEL.toml); expected a site file, with site and machines")
     site = validated(Site, data, origin)
     return _anchored(site.model_copy(update={"text": text, "origin": origin}), folder)
 

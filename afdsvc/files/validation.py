@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,7 +103,9 @@ def _sentence(schema: type[BaseModel], error: Any) -> str:
     if kind == "missing":
         return f"key '{key}' is missing; {_wanted_keys(schema, error['loc'])}"
     if kind == "extra_forbidden":
-        return f"key '{key}' is not known; {_wanted_keys(schema, error['loc'])}"
+        wanted = _wanted_keys(schema, error["loc"])
+        near = difflib.get_close_matches(str(error["loc"][-1]), wanted.replace(",", "").split(), 1, 0.6)
+        return f"key '{key}' is not known; " + (f"is '{near[0]}' meant? " if near else "") + wanted
     found = _shortened(error["input"])
     if kind == "value_error":
         detail = message.removeprefix("Value error, ")

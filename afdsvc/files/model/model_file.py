@@ -37,7 +37,10 @@ def read_model(path: str | Path, allow_code: bool = False) -> Model:
 
 def parse_model(text: str, source: str, allow_code: bool = False) -> Model:
     """Return the model in a text that came from ``source`` (a path, or a place inside a recording)."""
-    table = validated(ModelTable, toml_table(text, source), source)
+    data = toml_table(text, source)
+    if "machines" in data:
+        raise BadInput(f"{source}: is a site file; expected a model (MODEL.toml), with inputs and outputs")
+    table = validated(ModelTable, data, source)
     stepped = stepped_model(table, source, allow_code)
     dynamics = load_dynamics(table.dynamics, source, allow_code) if table.dynamics and not stepped else None
     plant = stepped.plant if stepped else _plant(table, dynamics, source)

@@ -129,7 +129,7 @@ def _time(t: Array | None, column: str, dt: float | None, default: float | None,
     if t is None:
         dt = dt or default
         if dt is None or not dt > 0:
-            raise BadInput(f"{path}: has no column 't', and no sample time is known; expected t in seconds, t_ms, or a column of ISO 8601 time stamps")
+            raise BadInput(f"{path}: has no column 't', and no sample time is known; expected t in seconds, t_ms, or a column of ISO 8601 time stamps; name it with --map COLUMN=t, or let afdsvc init write a mapping file")
         return 0.0, dt
     t0, step = time_base(t, f"{path}: column '{column}'")
     if not dt:

@@ -35,7 +35,7 @@ def identify_page(result: IdentifyResult, model_path: str | None = None, data: S
 
 def bode(result: IdentifyResult, nominal_given: bool = True) -> Figure:
     """Return the magnitude of the frequency response with its 95 % band, beside the model it started from where one was given."""
-    band = result.fit.band or _bare(result)
+    band = response_band(result)
     outputs, inputs = band.value.shape[1:]
     figure, axes = _axes(outputs, inputs, 2.6)
     hz = band.omega / (2 * np.pi)
@@ -59,7 +59,10 @@ def bode(result: IdentifyResult, nominal_given: bool = True) -> Figure:
     return figure
 
 
-def _bare(result: IdentifyResult) -> ResponseBand:
+def response_band(result: IdentifyResult) -> ResponseBand:
+    """Return the frequency response of what was identified with its band, of no width where none is known."""
+    if result.fit.band is not None:
+        return result.fit.band
     omega = result.nominal_band.omega
     value = frequency_response(result.fit.system, omega)
     return ResponseBand(omega, value, np.zeros((*value.shape, 2, 2)))

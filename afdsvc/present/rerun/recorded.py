@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from afdsvc.errors import BadInput
+from afdsvc.files.open import TABLES
 from afdsvc.files.recording import mcap_file
 from afdsvc.files.recording.foxglove import Level, decode_log
 from afdsvc.files.recording.reader import RecordedMessage, Recording
@@ -39,6 +40,9 @@ def review_recordings(
     recordings: Sequence[str | Path], save: str | Path | None = None, every_sample: bool = False, planes: Planes | None = None
 ) -> Path:
     """Write one Rerun file of several recordings, side by side, each from its own beginning; see `review_recording`."""
+    table = next((path for path in recordings if Path(path).suffix.lower() in TABLES), None)
+    if table is not None:
+        raise BadInput(f"{table}: is a table; expected a recording, which 'afdsvc import {table} -o {Path(table).stem}.mcap' makes of it")
     opened = [Recording(path) for path in recordings]
     for recording in opened:
         if not recording.machines:

@@ -1,0 +1,68 @@
+"""The mistakes a new user is likeliest to make: one sentence each, with the way out, from the command that was typed."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from afdsvc.cli import app
+from afdsvc.errors import AfdsvcError
+
+MODEL = """name = "motor"
+time = "continuous"
+inputs = [{name = "voltage", unit = "V"}]
+outputs = [{name = "speed", unit = "rad/s"}]
+num = [3.0]
+den = [0.2, 1.0]
+"""
+SITE = '[transport]\nlisten = ["tcp/127.0.0.1:28997"]\npatience_seconds = 0.3\n[[machines]]\nid = "bearing"\nplant = "gas_bearing"\n'
+TIMES = [f"{0.01 * k + (1.0 if k > 50 else 0.0):.2f}" for k in range(100)]
+ROWS = "".join(f"{0.01 * k:.2f},{math.sin(k):.3f},{math.cos(k):.3f}\n" for k in range(100))
+FILES = {
+    "MODEL.toml": MODEL, "typo.toml": MODEL.replace("num =", "nun ="), "site.toml": f'site = "hall"\n{SITE}',
+    "log.csv": "Time_ms,Voltage [V],speed_rpm\n" + ROWS, "bare.csv": ROWS, "words.csv": "t,u_voltage,y_speed\n0.00,1,2\n0.01,off,2\n",
+    "gap.csv": "t,u_voltage,y_speed\n" + "".join(f"{t},1,2\n" for t in TIMES), "book.xlsx": "PK",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    place = tmp_path_factory.mktemp("mistakes")
+    for name, content in FILES.items():
+        (place / name).write_text(content)
+    return place
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("check MODEL.toml log.csv", ["log.csv: has no column 't'", "--map COLUMN=t, or let afdsvc init write a mapping file"]),
+        ("check MODEL.toml bare.csv", ["bare.csv: the first row holds numbers", "--map 1=t --map 2=u_force"]),
+        ("explain log.csv MODEL.toml", ["log.csv: is a recording; expected the model (MODEL.toml) here, recordings after it"]),
+        ("check typo.toml gap.csv", ["typo.toml: key 'nun' is not known; is 'num' meant?"]),
+        ("check MODEL.toml book.xlsx", ["book.xlsx: is a spreadsheet; expected the sheet saved as CSV"]),
+        ("check MODEL.toml words.csv", ["words.csv: column 'u_voltage', row 2 holds 'off'; expected a number"]),
+        ("identify MODEL.toml gap.csv", ["gap.csv: column 't', row 52 comes 1.01 s after the one before it", "one recording for each side of the gap"]),
+        ("check MODEL.toml nowhere.csv", ["nowhere.csv: cannot be read: No such file or directory"]),
+        ("check MODEL.toml", ["MODEL.toml: no recording is given to compare it with"]),
+        ("check site.toml gap.csv", ["site.toml: is a site file; expected a model (MODEL.toml)"]),
+        ("design MODEL.toml", ["MODEL.toml: is a model (MODEL.toml); expected a site file"]),
+        ("diagnose gap.csv", ["gap.csv: a table carries no model; give one with --model MODEL.toml"]),
+        ("review log.csv", ["log.csv: is a table; expected a recording, which 'afdsvc import log.csv -o log.mcap' makes of it"]),
+        ("status", ["no service answers at tcp/127.0.0.1:28997; start it with 'afdsvc serve'"]),
+        ("alarms site.toml", ["'site.toml' is no alarm; the site file is given as --site site.toml"]),
+        ("rig site.toml --machine bering", ["site.toml: no machine 'bering'; it has bearing"]),
+        ("demo --plant gasbearing", ["there is no plant 'gasbearing'; there are amb_turboexpander, gas_bearing"]),
+        ("demo --fault actuator=50%", ["--fault 'actuator=50%': expected NAME=SEVERITY@SECONDS, for example horizontal_actuator=-0.5@12"]),
+        ("inject bearing horizontal_actuator", ["expected FAULT=SEVERITY, for example horizontal_actuator=-0.3"]),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_named_with_the_way_out(folder, monkeypatch, arguments, words):
+    monkeypatch.chdir(folder)
+    found = CliRunner().invoke(app, arguments.split()).exception
+    assert isinstance(found, AfdsvcError), found
+    assert "\n" not in str(found)
+    assert all(word in str(found) for word in words), str(found)
