@@ -35,7 +35,7 @@ def settled(problem: Problem) -> Settled:
     part, path = _interpolated(problem.beginning())
     problem = replace(problem, ramped=part.ramped) if part is not problem else part
     taus = {h: f.own_tau for h, f in path.items()}
-    path = base_path(part, s.horizons, taus, part.start())
+    path = base_path(part, s.horizons, taus, part.start(), path)
     path = {h: path[h] for h in _horizons(part, path)}
     start = whole_path(problem, taus, path)
     last = list(path)[-1]
@@ -52,7 +52,7 @@ def settled(problem: Problem) -> Settled:
             taus = {last: path[last].own_tau}
     else:
         taus = {h: start.get(h, f).own_tau for h, f in path.items()}
-        path = base_path(part, list(path), taus, part.start())
+        path = base_path(part, list(path), taus, part.start(), path)
     return Settled(problem, part, taus, whole_path(problem, taus, path), path, limited)
 
 
@@ -83,7 +83,7 @@ def _interpolated(problem: Problem) -> tuple[Problem, dict[float, Fit]]:
     if plant.discrete or not plant.inputs or problem.nominal.model.controller is not None or driven or _stepped(problem):
         return held
     smooth = replace(problem, ramped=True)
-    other = smooth, base_path(smooth, problem.settings.horizons, taus, problem.start())
+    other = smooth, base_path(smooth, problem.settings.horizons, taus, problem.start(), held[1])
     return min(held, other, key=lambda pair: sum(f.deviance for f in pair[1].values()))
 
 

@@ -17,17 +17,18 @@ GLANCE, BRIEF = 2, 4  # iterations of every start, and of those that are best af
 Taus = Mapping[float, float]
 
 
-def base_path(problem: Problem, horizons: Sequence[float], taus: Taus, start: Point) -> dict[float, Fit]:
-    """Return the fits of a point along the horizons, each from the one before; at the last also from ``start``."""
+def base_path(problem: Problem, horizons: Sequence[float], taus: Taus, start: Point, near: Mapping[float, Fit] | None = None) -> dict[float, Fit]:
+    """Return the fits of a point along the horizons, each from the one before; at the last also from ``start``.
+
+    Where fits of almost the same problem are at hand (``near``: samples counted or inputs interpolated otherwise), each begins there.
+    """
     path: dict[float, Fit] = {}
-    point = start
+    point, last = start, horizons[-1]
     for h in horizons:
-        path[h] = fit(problem, point, h, taus[h])
+        path[h] = fit(problem, near[h].point, h, taus[h], known=near[h].J) if near else fit(problem, point, h, taus[h])
         point = path[h].point
-    again = fit(problem, start, horizons[-1], taus[horizons[-1]]) if len(horizons) > 1 else path[horizons[-1]]
-    if again.cost < path[horizons[-1]].cost:
-        path[horizons[-1]] = again
-    return path
+    again = fit(problem, start, last, taus[last]) if len(horizons) > 1 and not near else path[last]
+    return path | {last: min(path[last], again, key=lambda f: f.cost)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

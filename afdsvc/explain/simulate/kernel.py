@@ -225,6 +225,25 @@ def _call(function, t, x, u, values, out):  # type: ignore[no-untyped-def]
     _call_dynamics(function, t, x.ctypes.data, u.ctypes.data, values.ctypes.data, out.ctypes.data)  # type: ignore[call-arg]
 
 
+@njit(types.void(_I, _M, _M, _V, types.float64[:, :, ::1]), cache=True, nogil=True, error_model="numpy")
+def slopes(rate, at, inputs, values, out):  # type: ignore[no-untyped-def]
+    """Write the derivatives of Python code with respect to its state at some states and inputs, ``(points, n, n)``: central differences."""
+    n = at.shape[1]
+    x, ahead, behind = np.zeros(n), np.zeros(n), np.zeros(n)
+    for k in range(at.shape[0]):
+        for j in range(n):
+            step = 1e-6 * max(1.0, abs(at[k, j]))
+            for i in range(n):
+                x[i] = at[k, i]
+            x[j] = at[k, j] + step
+            _call(rate, 0.0, x, inputs[k], values, ahead)
+            x[j] = at[k, j] - step
+            _call(rate, 0.0, x, inputs[k], values, behind)
+            for i in range(n):
+                slope = (ahead[i] - behind[i]) / (2 * step)
+                out[k, i, j] = slope if np.isfinite(slope) else 0.0
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _runge_kutta(rate, t, h, x, u, values, f, k1, ks, xs, new):  # type: ignore[no-untyped-def]
     """Write the state after ``h`` into ``new``: ``dx/dt = rate + f``; ``k1`` is the rate at the start, without ``f``."""

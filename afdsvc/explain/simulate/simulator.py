@@ -10,7 +10,7 @@ import numpy as np
 from afdsvc.dataset.experiment import Run, sampled
 from afdsvc.errors import BadInput
 from afdsvc.explain.simulate import kernel
-from afdsvc.explain.simulate.dynamics import linearised, program
+from afdsvc.explain.simulate.dynamics import program
 from afdsvc.explain.simulate.effects import PlacedEffect, Table, table
 from afdsvc.explain.simulate.nominal import PYTHON_ANGLE, PYTHON_SUBSTEPS, Nominal
 from afdsvc.explain.simulate.steps import Steps, contiguous
@@ -107,10 +107,11 @@ class Simulator:
             return nsub
         if not np.isfinite(simulated.y).all():
             return min(8 * nsub, PYTHON_SUBSTEPS)
-        rate, values = program(self.nominal.model).rate, self.nominal.parameters(theta)
-        where = {*simulated.x.argmin(0).tolist(), *simulated.x.argmax(0).tolist(), len(simulated.x) // 2}
-        slopes = [linearised(rate, simulated.x[k], simulated.u[k], values)[0] for k in where]
-        fastest = float(np.abs(np.linalg.eigvals(np.array(slopes))).max(initial=0.0))
+        where = [*simulated.x.argmin(0), *simulated.x.argmax(0), len(simulated.x) // 2]
+        slopes = np.empty((len(where), self.nominal.plant.order, self.nominal.plant.order))
+        rate = program(self.nominal.model).rate_address
+        kernel.slopes(rate, simulated.x[where], simulated.u[where], self.nominal.parameters(theta), slopes)
+        fastest = float(np.abs(np.linalg.eigvals(slopes)).max(initial=0.0))
         needed = int(np.ceil(fastest * self.nominal.dt / PYTHON_ANGLE))
         return min(needed, PYTHON_SUBSTEPS) if needed > 2 * nsub else nsub
 
