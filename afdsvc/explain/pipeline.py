@@ -14,7 +14,7 @@ from afdsvc.dataset.experiment import Run, joined, prepare
 from afdsvc.dataset.sample_checks import Finding
 from afdsvc.dataset.split import split
 from afdsvc.explain.check.check import checked
-from afdsvc.explain.check.still import refuse_still
+from afdsvc.explain.check.response import refuse_still
 from afdsvc.explain.gap.decision import gap_test
 from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.gap.settings import GapSettings

@@ -14,7 +14,7 @@ import pytest
 from afdsvc.api.signals import Trace
 from afdsvc.explain.pipeline import explain
 from afdsvc.explain.report.explanation import Explanation
-from afdsvc.explain.search.nuisance import NUISANCE
+from afdsvc.explain.search.problem import NUISANCE
 from afdsvc.explain.simulate.steps import substep_matrices
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.tables.tables import read_table

@@ -12,12 +12,10 @@ from afdsvc.dataset.excitation import SINE, check_excitation
 from afdsvc.dataset.experiment import prepare
 from afdsvc.dataset.sample_checks import Finding, samples
 from afdsvc.errors import BadInput
-from afdsvc.explain.check.ambiguity import ambiguities
-from afdsvc.explain.check.clock import clock
 from afdsvc.explain.check.gain import gains
-from afdsvc.explain.check.information import information
+from afdsvc.explain.check.information import ambiguities, information
 from afdsvc.explain.check.lines import lines
-from afdsvc.explain.check.loop import loop
+from afdsvc.explain.check.loop import clock, loop
 from afdsvc.explain.check.response import response
 from afdsvc.explain.simulate.nominal import nominal
 

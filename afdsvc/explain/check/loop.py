@@ -1,4 +1,4 @@
-"""The loop: is the nominal model stable, is the controller known, what drove the machine?"""
+"""Loop and clock: is the nominal model stable, is the controller known, do sample time and length fit the model's time constants?"""
 
 from __future__ import annotations
 
@@ -42,3 +42,31 @@ def _stable(nominal: Nominal) -> bool:
     if plant.discrete:
         return bool((np.abs(poles) < 1 - MARGIN).all())
     return bool((poles.real < -MARGIN).all())
+
+
+FAST, SLOW = 2.0, 0.5  # samples per radian of the fastest pole, and recordings per slowest time constant, beyond which it is said
+OTHER_UNIT = 30.0  # how far beyond, from which another unit of time is the likelier reason
+CURE = "if the times are in another unit, say so (column t_ms, or time.unit in a mapping file); otherwise "
+
+
+def clock(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
+    """Yield what the sample time and the length of the recordings say beside the poles of a model in continuous time."""
+    plant = nominal.plant
+    rates = np.abs(plant.poles()) if not plant.discrete else np.zeros(0)
+    rates = rates[rates > 1e-9 * rates.max(initial=0.0)]
+    if not len(rates):
+        return
+    dt, seconds = runs[0].dt, max(len(r) * r.dt for r in runs)
+    if (turn := float(rates.max()) * dt) > FAST:
+        yield Finding(
+            "warning", "clock",
+            f"the recordings are sampled every {dt:.4g} s and the model's fastest time constant is {1 / rates.max():.3g} s: "
+            f"{CURE if turn > OTHER_UNIT else ''}what it does between samples does not show; record at {10 * rates.max() / (2 * np.pi):.3g} Hz or more",
+        )
+    if float(rates.min()) * seconds < SLOW:
+        far = rates.min() * seconds * OTHER_UNIT < 1
+        yield Finding(
+            "warning", "clock",
+            f"the longest recording lasts {seconds:.4g} s and the model's slowest time constant is {1 / rates.min():.3g} s: "
+            f"{CURE if far else ''}record for {3 / rates.min():.3g} s or more",
+        )

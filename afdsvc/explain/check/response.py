@@ -7,8 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy import signal, stats
 
+from afdsvc.api.model import Model
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.sample_checks import Finding
+from afdsvc.errors import BadInput
 from afdsvc.explain.gap.decision import gap_test
 from afdsvc.explain.gap.signals import ResidualSignals
 from afdsvc.explain.simulate.nominal import Nominal
@@ -77,3 +79,13 @@ def _clear(y: Array, u: Array) -> bool:
     own = [signal.correlate(x, x, method="fft") / float(x @ x) for x in (y, u)]
     variance = max(float(own[0] @ own[1]), 1.0) / len(y)
     return bool(largest > max(CLEAR, float(stats.norm.isf(CHANCE / (2 * len(y)))) * np.sqrt(variance)))
+
+
+def refuse_still(model: Model, held: Sequence[Run]) -> None:
+    """Raise `BadInput` where a reading never moves in what is held out: no fit could be shown there."""
+    for j, v in enumerate(model.outputs):
+        y = np.concatenate([r.Y[:, j] for r in held])
+        if np.nanmax(y) == np.nanmin(y):
+            names = ", ".join(r.name for r in held)
+            reading = f"y_{v.name} reads {np.nanmin(y) + 0.0:.6g} {v.unit} in every sample"
+            raise BadInput(f"{names}, held out: {reading}; expected recordings in which it moves")

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.random import Generator
 
 from afdsvc.explain.gap.finding import Gap, sentence
-from afdsvc.explain.gap.instruments import projected
-from afdsvc.explain.gap.prediction import predicted
+from afdsvc.explain.gap.prediction import predicted, projected
 from afdsvc.explain.gap.regression import FeatureRegression, pose
 from afdsvc.explain.gap.repeating import repeating_share
 from afdsvc.explain.gap.ridge import CrossProducts, Scores

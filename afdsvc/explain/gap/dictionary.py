@@ -10,8 +10,21 @@ import numpy as np
 from numpy.random import Generator
 
 from afdsvc.explain.gap import features as make
-from afdsvc.explain.gap.features import ALL, LINEAR, STATIC, Dictionary, Feature, Function, SignalColumn
-from afdsvc.explain.gap.filters import first_order_lag, lagged, level, mode_pole, poles, resonate
+from afdsvc.explain.gap.features import (
+    ALL,
+    LINEAR,
+    STATIC,
+    Dictionary,
+    Feature,
+    Function,
+    SignalColumn,
+    first_order_lag,
+    lagged,
+    level,
+    mode_pole,
+    poles,
+    resonate,
+)
 from afdsvc.explain.gap.settings import GapSettings
 from afdsvc.explain.gap.signals import Names, ResidualSignals
 from afdsvc.lti.statespace import Array

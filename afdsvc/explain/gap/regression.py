@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from afdsvc.explain.gap.autoregression import whiten
 from afdsvc.explain.gap.blocks import Blocks, bartlett_time, blocks
 from afdsvc.explain.gap.dictionary import dictionary
 from afdsvc.explain.gap.features import Dictionary, Groups
 from afdsvc.explain.gap.ridge import Ridge
 from afdsvc.explain.gap.settings import GapSettings
 from afdsvc.explain.gap.signals import Centred, Names, ResidualSignals, centred
+from afdsvc.explain.noise.surrogates import whiten
 from afdsvc.lti.statespace import Array
 
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from afdsvc.explain.gap.autoregression import autoregressive, whiten
 from afdsvc.explain.gap.settings import GapSettings
 from afdsvc.explain.gap.signals import ResidualSignals
+from afdsvc.explain.noise.surrogates import autoregressive, whiten
 from afdsvc.lti.statespace import Array
 
 

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from afdsvc.explain.gap.autoregression import autoregressive, whiten
 from afdsvc.explain.gap.regression import FeatureRegression, clipped
 from afdsvc.explain.gap.ridge import Scores
 from afdsvc.explain.gap.settings import GapSettings
-from afdsvc.explain.gap.surrogates import surrogates
+from afdsvc.explain.noise.surrogates import autoregressive, surrogates, whiten
 from afdsvc.lti.statespace import Array
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from afdsvc.api.physics import Hypothesis
 from afdsvc.explain.locate.free_law import KNOTS, LawSite, evaluated, signal_of, site
-from afdsvc.explain.locate.words import described
+from afdsvc.explain.locate.places import described
 from afdsvc.explain.report.explanation import LawPicture
 from afdsvc.explain.search.evidence import block_spans, left_out
 from afdsvc.explain.search.fit import Coordinates, Fit, fit

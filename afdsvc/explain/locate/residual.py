@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from afdsvc.dataset.experiment import Run
-from afdsvc.explain.gap.autoregression import autoregressive, whiten
 from afdsvc.explain.gap.signals import ResidualSignals
+from afdsvc.explain.noise.surrogates import autoregressive, whiten
 from afdsvc.explain.search.fit import Coordinates, Fit, weighted
 from afdsvc.explain.search.problem import Point, Problem
 from afdsvc.lti.statespace import Array

@@ -16,10 +16,9 @@ from afdsvc.explain.experiment.next_experiment import experiment_after, first_ex
 from afdsvc.explain.locate.picture import picture
 from afdsvc.explain.locate.places import located
 from afdsvc.explain.noise.weighting import weighting
-from afdsvc.explain.report.courses import courses, fits, white
+from afdsvc.explain.report.courses import courses, fits, spectra, white
 from afdsvc.explain.report.explanation import Explanation
 from afdsvc.explain.report.naming import names, nearest, rejections
-from afdsvc.explain.report.spectra import spectra
 from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.forward import Found
 from afdsvc.explain.simulate.simulator import Simulator

@@ -9,8 +9,7 @@ import numpy as np
 
 from afdsvc.dataset.experiment import Run
 from afdsvc.explain.noise.weighting import even
-from afdsvc.explain.search.nuisance import loads
-from afdsvc.explain.search.problem import Point, Problem, loop_known
+from afdsvc.explain.search.problem import Point, Problem, loads, loop_known
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.explain.simulate.predictor import correction_gain

@@ -9,8 +9,7 @@ import numpy as np
 
 from afdsvc.api.physics import Coefficient
 from afdsvc.explain.noise.weighting import correlation_time
-from afdsvc.explain.search.nuisance import NUISANCE
-from afdsvc.explain.search.problem import Point, Problem
+from afdsvc.explain.search.problem import NUISANCE, Point, Problem
 from afdsvc.lti.statespace import Array
 
 STEP = 1e-4  # finite difference, in units of the prior or of the parameter

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from afdsvc.api.physics import Signal
+from afdsvc.api.physics import Coefficient, Hypothesis, Signal
 from afdsvc.dataset.experiment import Run
 from afdsvc.explain.noise.weighting import Weighting
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import Nominal
+from afdsvc.explain.simulate.predictor import driven
 from afdsvc.explain.simulate.simulator import Simulated, Simulator
 from afdsvc.lti.statespace import Array
 
@@ -108,3 +110,22 @@ def loop_known(problem: Problem) -> bool:
     """Whether the loop can be closed around the simulated plant: controller and what was added to its output are known, D is zero."""
     known = problem.nominal.model.controller is not None and all(r.W is not None for r in problem.runs)
     return known and not problem.nominal.plant.D.any()
+
+
+NUISANCE = "nuisance"  # family of effects that are part of every hypothesis and have a prior: their scale is its standard deviation
+
+
+def unknown_load(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """A constant force."""
+    out[0] += p[0]
+
+
+def loads(nominal: Nominal, force: Array, share: float) -> tuple[PlacedEffect, ...]:
+    """Return a constant load on every driven state, zero at first, with a prior of ``share`` of the nominal force there."""
+    found = []
+    for i in np.flatnonzero(np.where(driven(nominal.model, nominal.plant.order), force, 0.0) > 0):
+        name = nominal.model.states[i].name if i < len(nominal.model.states) else f"x{i}"
+        size = Coefficient("load", "", -np.inf, np.inf, share * float(force[i]), linear=True)
+        signal = Signal("x", int(i))
+        found.append(PlacedEffect(Hypothesis(NUISANCE, f"state:{name}", NUISANCE, "force", unknown_load, (signal,), (signal,), (size,), ((0.0,),)), np.zeros(1)))
+    return tuple(found)

@@ -1,16 +1,21 @@
-"""Effects laid out for the kernel."""
+"""Effects laid out for the kernel: laws compiled once, signals and memories as arrays."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
+from numba import cfunc
+from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
-from afdsvc.api.physics import Hypothesis, Signal
+from afdsvc.api.physics import Hypothesis, Law, Signal
+from afdsvc.errors import BadInput
 from afdsvc.explain.simulate import kernel
-from afdsvc.explain.simulate.compiled import compiled
+from afdsvc.explain.simulate.kernel import LAW
 from afdsvc.lti.statespace import Array
 
 _STAGE = {"input": kernel.INPUT, "force": kernel.FORCE, "output": kernel.OUTPUT}
@@ -81,3 +86,15 @@ def _stage(h: Hypothesis) -> int:
 def _address(signal: Signal, m: int, n: int, p: int, a: int) -> int:
     start = {"u": 0, "x": m, "y": m + n, "aux": m + n + p, "t": m + n + p + a}[signal.kind]
     return start + signal.index
+
+
+@cache  # its code must outlive every simulation that holds its address
+def compiled(law: Law) -> Any:
+    """Return the law as a compiled callback; raises `BadInput` with the compiler's first complaint when it cannot be."""
+    try:
+        return cfunc(LAW, cache=True, error_model="numpy")(law)
+    except NumbaError as error:
+        why = str(error).strip().splitlines()[0]
+        raise BadInput(f"law '{law.__qualname__}' does not compile: {why}") from error
+    except RuntimeError:  # a function without a file has nowhere to keep its compiled form
+        return cfunc(LAW, error_model="numpy")(law)

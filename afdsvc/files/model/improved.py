@@ -13,8 +13,7 @@ import numpy as np
 from afdsvc.api.model import Model, Quantity, Variable
 from afdsvc.api.physics import Coefficient, Hypothesis, Signal
 from afdsvc.explain.report.explanation import Explanation
-from afdsvc.explain.search.nuisance import NUISANCE
-from afdsvc.explain.search.problem import Point
+from afdsvc.explain.search.problem import NUISANCE, Point
 from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.explain.simulate.steps import Steps

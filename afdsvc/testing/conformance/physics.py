@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from afdsvc.api.physics import Axis, Hypothesis, Machine, Size
-from afdsvc.explain.simulate.compiled import compiled
+from afdsvc.explain.simulate.effects import compiled
 from afdsvc.lti.statespace import StateSpace
 
 STAGES = ("input", "force", "output")

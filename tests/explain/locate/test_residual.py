@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from afdsvc.dataset.experiment import prepare
-from afdsvc.explain.gap.autoregression import autoregressive, whiten
 from afdsvc.explain.locate.residual import by_innovations
+from afdsvc.explain.noise.surrogates import autoregressive, whiten
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.fit import Coordinates, fit, weighted
 from afdsvc.explain.settings import Settings

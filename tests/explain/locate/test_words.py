@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.physics import Size
-from afdsvc.explain.locate.words import described
+from afdsvc.explain.locate.places import described
 
 SPEED = Size(0, "v", "mm/s", 0.0, 1.0, 3.0)
 X = np.array([-3, -1.5, -0.6, -0.1, 0, 0.1, 0.6, 1.5, 3.0])

@@ -1,6 +1,6 @@
 import numpy as np
 
-from afdsvc.explain.gap.autoregression import autoregressive, colour, whiten
+from afdsvc.explain.noise.surrogates import autoregressive, colour, whiten
 
 
 def test_a_known_model_is_found_and_its_innovations_are_white():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from afdsvc.explain.gap.filters import first_order_lag, lagged, level, mode_pole, poles, resonate
+from afdsvc.explain.gap.features import first_order_lag, lagged, level, mode_pole, poles, resonate
 from afdsvc.explain.gap.signals import ResidualSignals
 
 

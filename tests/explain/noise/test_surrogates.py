@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from afdsvc.explain.gap.autoregression import autoregressive
-from afdsvc.explain.gap.surrogates import surrogates
+from afdsvc.explain.noise.surrogates import autoregressive, surrogates
 from tests.explain.gap.machines import coloured
 
 
