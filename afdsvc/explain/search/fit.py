@@ -146,13 +146,17 @@ def rms(residuals: Sequence[Array]) -> Array:
     return np.asarray(np.sqrt(np.mean(stacked**2, axis=0) + TINY))
 
 
-def jacobian(problem: Problem, c: Coordinates, q: Array, horizon: float, residuals: Sequence[Array]) -> Array:
-    """Return ``d(weighted residual) / dq``, ``(rows, size)``: shared columns first, then those of every run's initial state."""
-    rows = np.concatenate([[0], np.cumsum([e.size for e in residuals])])
-    J = np.zeros((rows[-1], c.size))
-    for k in range(c.shared):
+def jacobian(
+    problem: Problem, c: Coordinates, q: Array, horizon: float, residuals: Sequence[Array], known: Array | None = None, kept: tuple[int, int] = (0, 0)
+) -> Array:
+    """Return ``d(weighted residual) / dq``, ``(rows, size)``: shared columns first, then those of what every run begins with.
+
+    Of a ``known`` one the first ``kept`` columns, shared and of every run, are left as they are.
+    """
+    J = np.zeros((sum(e.size for e in residuals), c.size)) if known is None else known.copy()
+    for k in range(kept[0], c.shared):
         J[:, k] = _column(problem, c, q, [k], horizon, residuals)
-    _begin_columns(J, problem, c, q, range(c.n), horizon, residuals)
+    _begin_columns(J, problem, c, q, range(kept[1], c.n), horizon, residuals)
     J[~np.isfinite(J)] = 0.0
     return J
 
@@ -168,19 +172,18 @@ def _begin_columns(J: Array, problem: Problem, c: Coordinates, q: Array, which: 
 
 def borrowed(problem: Problem, base: Fit, point: Point, horizon: float) -> Array:
     """Return the Jacobian at ``base`` with one effect added in ``point``: only the columns of the effect are worked out."""
-    c = Coordinates(problem, point)
-    q = c.pack(point)
-    old = Coordinates(problem, base.point)
-    residuals = weighted(problem, point, horizon)
+    c, old = Coordinates(problem, point), Coordinates(problem, base.point)
     J = np.zeros((len(base.J), c.size))
     J[:, : old.shared] = base.J[:, : old.shared]
-    for r in range(len(residuals)):
+    for r in range(len(point.x0)):
         J[:, c.shared + c.n * r : c.shared + c.n * r + old.n] = base.J[:, old.shared + old.n * r : old.shared + old.n * (r + 1)]
-    for k in range(old.shared, c.shared):
-        J[:, k] = _column(problem, c, q, [k], horizon, residuals)
-    _begin_columns(J, problem, c, q, range(old.n, c.n), horizon, residuals)
-    J[~np.isfinite(J)] = 0.0
-    return J
+    return jacobian(problem, c, c.pack(point), horizon, weighted(problem, point, horizon), J, columns(problem, base.point))
+
+
+def columns(problem: Problem, point: Point) -> tuple[int, int]:
+    """Return how many columns of a Jacobian all recordings share, and how many each one has."""
+    c = Coordinates(problem, point)
+    return c.shared, c.n
 
 
 def _column(problem: Problem, c: Coordinates, q: Array, at: Sequence[int], horizon: float, residuals: Sequence[Array]) -> Array:
@@ -199,14 +202,14 @@ def _column(problem: Problem, c: Coordinates, q: Array, at: Sequence[int], horiz
 
 def fit(
     problem: Problem, point: Point, horizon: float, tau: float, iterations: int = 100, known: Array | None = None,
-    renewals: int | None = None, enough: float = ENOUGH,
+    renewals: int | None = None, enough: float = ENOUGH, kept: tuple[int, int] = (0, 0),
 ) -> Fit:
     """Return the local optimum of the posterior from ``point`` at one horizon.
 
     The log-likelihood is ``-N/(2 tau) sum_j log(SSE_j/N)``: noise variances are estimated under the hypothesis, and correlated
     samples count as ``N/tau``, which keeps the priors alive. Steps are those of Levenberg and Marquardt; between them the Jacobian
     follows by Broyden's rule, and is worked out anew where a step fails. ``known`` is a Jacobian to begin with. With ``renewals`` it
-    is worked out anew as often at most, and the last one is left as it is. A fit ends where the cost falls by less than ``enough``.
+    is worked out anew as often at most, but for its ``kept`` columns, and the last one is left as it is. A fit ends where the cost falls by less than ``enough``.
     """
     c = Coordinates(problem, point)
     q = c.pack(c.unpack(c.pack(point)))
@@ -229,7 +232,7 @@ def fit(
         if fall < enough:
             if fresh or (renewals is not None and renewed >= renewals):
                 break
-            J, fresh, renewed, damping = jacobian(problem, c, q, horizon, residuals), True, renewed + 1, 1e-3
+            J, fresh, renewed, damping = jacobian(problem, c, q, horizon, residuals, J, kept), True, renewed + 1, 1e-3
             continue
         fresh = fresh_now
     if renewals is None and not fresh:
