@@ -65,7 +65,7 @@ def together(recordings: InputOutputData | Iterable[InputOutputData]) -> list[In
                 f"{other.name} has {other.u.shape[1]} inputs and {other.y.shape[1]} outputs, "
                 f"{first.name} has {first.u.shape[1]} and {first.y.shape[1]}; expected equal counts"
             )
-        if not np.isclose(other.dt, first.dt, rtol=1e-6):
+        if not np.isclose(other.dt, first.dt, rtol=1e-4):
             raise BadInput(
                 f"{other.name} is sampled every {other.dt} s, {first.name} every {first.dt} s; expected one sample time"
             )

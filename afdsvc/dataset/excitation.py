@@ -44,7 +44,10 @@ def check_excitation(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
     """Yield one finding per input, and what one frequency alone leaves open."""
     for i, v in enumerate(model.inputs):
         p = input_source(runs, i)
-        if not any(p.rms):
+        if not any(p.rms) and not all(only_noise(r, i) for r in runs):
+            levels = ", ".join(f"{r.U[:, i].mean():.3g}" for r in runs)
+            yield Finding("ok", "inputs", f"input {v.name}: constant in every recording ({levels} {v.unit}); its effect shows in how the outputs settle")
+        elif not any(p.rms):
             yield Finding("warning", "inputs", f"input {v.name} is not excited: its effect cannot be distinguished from noise")
         elif p.lines <= 2 and p.periods > 1:
             yield Finding(
@@ -63,7 +66,7 @@ def _described(name: str, unit: str, p: InputSource) -> str:
         f"a non-periodic excitation, mainly from {p.band[0]:.4g} to {p.band[1]:.4g} Hz"
     )
     levels = ", ".join(f"{x:.3g}" for x in p.rms)
-    return f"input {name}: {what}, rms {levels} {unit} ({p.levels} level{'s' if p.levels != 1 else ''})"
+    return f"input {name}: {what}, rms {levels} {unit}"
 
 
 def input_source(runs: Sequence[Run], i: int) -> InputSource:
@@ -77,6 +80,11 @@ def input_source(runs: Sequence[Run], i: int) -> InputSource:
     loudest = int(np.argmax(rms))
     lines, band, odd, periods = _spectrum(runs[loudest], signals[loudest])
     return InputSource(rms, lines, band, odd, periods)
+
+
+def only_noise(run: Run, i: int) -> bool:
+    """Whether a controller feeds nothing but noise through input ``i``; also an input that is zero."""
+    return not _driver(run, i).any() and (run.commanded or not run.U[:, i].any())
 
 
 def _driver(run: Run, i: int) -> Array:

@@ -15,7 +15,7 @@ from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 
-SAME_RATE = 1e-6  # relative difference of sample times below which they are the same
+SAME_RATE = 1e-4  # relative difference of sample times below which they are the same: times are often written with six digits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,8 +68,7 @@ def prepare(model: Model, traces: Sequence[Trace]) -> list[Run]:
     """Return the traces as runs; raises `BadInput` naming the recording and column that are missing or do not fit."""
     if not traces:
         raise BadInput("no recording was given; expected at least one")
-    rates = {round(t.dt / traces[0].dt, 6) for t in traces}
-    if len(rates) > 1:
+    if any(abs(t.dt / traces[0].dt - 1) > SAME_RATE for t in traces):
         raise BadInput(
             f"recordings '{traces[0].name}' and others differ in sample time ({sorted({t.dt for t in traces})} s); "
             "expected one sample time"

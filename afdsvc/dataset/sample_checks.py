@@ -28,6 +28,7 @@ class Finding:
 
 
 STUCK = 0.002  # share of the samples at one extreme from which a signal counts as clipped
+VISITS = 2  # how often a signal must come to its extreme: once is the end of a move
 CROWDED = 3.0  # how many times as many samples lie at the extreme as on the next step inwards
 COARSE = 0.3  # ratio of resolution step to the standard deviation of sample-to-sample differences above which quantisation is reported
 DRIFT_P = 1e-6
@@ -90,11 +91,11 @@ def _still(run: Run, name: str, unit: str, x: Array) -> Iterator[Finding]:
 
 def _clipped(run: Run, name: str, unit: str, x: Array) -> Iterator[Finding]:
     x = x[np.isfinite(x)]
-    if len(x) < 50 or np.ptp(x) == 0:
+    if len(x) < 50 or np.median(np.abs(np.diff(x))) == 0:  # held or at rest, not clipped
         return
     for side, extreme in (("largest", float(x.max())), ("smallest", float(x.min()))):
         share = _share_at(x, extreme)
-        if share > STUCK and share > CROWDED * _share_next(x, extreme):
+        if share > STUCK and share > CROWDED * _share_next(x, extreme) and _visits(x, extreme) >= VISITS:
             yield Finding(
                 "warning", "saturation",
                 f"{run.name}: {100 * share:.2g} % of {name} sit at its {side} value {extreme:.6g} {unit}: it is clipped there",
@@ -103,6 +104,12 @@ def _clipped(run: Run, name: str, unit: str, x: Array) -> Iterator[Finding]:
 
 def _share_at(x: Array, extreme: float) -> float:
     return float((np.abs(x - extreme) <= 1e-9 * np.ptp(x)).mean())
+
+
+def _visits(x: Array, extreme: float) -> int:
+    """Return how often a signal comes to an extreme from elsewhere."""
+    there = np.abs(x - extreme) <= 1e-9 * np.ptp(x)
+    return int((there[1:] & ~there[:-1]).sum())
 
 
 def _share_next(x: Array, extreme: float) -> float:

@@ -14,9 +14,11 @@ from afdsvc.dataset.sample_checks import Finding, samples
 from afdsvc.errors import BadInput
 from afdsvc.explain.check.gain import gains
 from afdsvc.explain.check.information import ambiguities, information
-from afdsvc.explain.check.lines import lines
+from afdsvc.explain.check.lines import caused, lines
 from afdsvc.explain.check.loop import clock, loop
-from afdsvc.explain.check.response import response
+from afdsvc.explain.check.response import responding
+from afdsvc.explain.search.build import build
+from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
 
 
@@ -30,16 +32,17 @@ def check(model: Model, traces: Sequence[Trace]) -> tuple[Finding, ...]:
         nom = nominal(model, runs[0].dt)
     except BadInput as error:
         return (Finding("stop", "columns", str(error)),)
-    seen = lines(nom, runs)
+    problem = build(nom, runs, Settings())
+    response = caused(problem)
     return (
         *check_columns(model, traces, runs),
         *loop(nom, runs),
         *clock(nom, runs),
         *samples(model, runs),
-        *response(nom, runs),
-        *gains(nom, seen),
+        *responding(nom, runs),
+        *gains(nom, lines(problem, response)),
         *check_excitation(model, runs),
-        *information(nom, runs, seen),
+        *information(problem, response),
         *ambiguities(model, runs),
     )
 

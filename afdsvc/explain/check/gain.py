@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.dataset.sample_checks import Finding
-from afdsvc.explain.check.lines import ComplexArray, ExcitedLines, line_response
+from afdsvc.explain.check.lines import ComplexArray, ExcitedLines
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.lti.statespace import Array
 
@@ -39,8 +39,7 @@ def gains(nominal: Nominal, lines: ExcitedLines) -> Iterator[Finding]:
     """Yield what the measured gains say about units and signs, and the best shift about clocks."""
     if len(lines.angle) < 2:
         return
-    G = line_response(nominal, np.zeros(len(nominal.entries)), lines.angle)
-    terms = G * lines.U[:, None, :]
+    terms = lines.parts
     paths = [p for j in range(terms.shape[1]) for p in _paths(terms[:, j], lines.Y[:, j], j)]
     wrong = list(_factors(nominal, paths))
     yield from wrong

@@ -12,8 +12,10 @@ from afdsvc.dataset.excitation import input_source
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.periods import aperiodic_part, speeds
 from afdsvc.dataset.sample_checks import Finding
-from afdsvc.explain.check.lines import ExcitedLines, line_response
+from afdsvc.explain.check.lines import Caused, weakest
+from afdsvc.explain.search.fit import Coordinates, jacobian
 from afdsvc.explain.search.machine import bandwidth
+from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.simulate.nominal import Entry, Nominal
 from afdsvc.lti.statespace import Array
 
@@ -22,13 +24,13 @@ STEP = 1e-3
 VISIBLE = 0.3  # rms of what the excitation causes in the outputs, over the noise, below which nothing can be named
 
 
-def information(nominal: Nominal, runs: Sequence[Run], lines: ExcitedLines) -> Iterator[Finding]:
+def information(problem: Problem, response: Caused) -> Iterator[Finding]:
     """Yield which entries the data determine, and a stop when the excitation determines nothing; nothing for a machine without inputs."""
+    nominal = problem.nominal
     if not nominal.plant.inputs:
         return
-    sd = noise_sd(nominal, runs)
-    visible = visibility(nominal, lines, sd)
-    posterior = posterior_sd(nominal, lines, sd)
+    sd = noise_sd(nominal, problem.runs)
+    visible, posterior = visibility(response, sd), posterior_sd(problem, sd)
     known = [e for e, s in zip(nominal.entries, posterior, strict=True) if s < DETERMINED]
     blind = [e for e, s in zip(nominal.entries, posterior, strict=True) if s > 0.9]
     if visible < VISIBLE or (nominal.entries and not known and visible < 1.0):
@@ -58,31 +60,22 @@ def noise_sd(nominal: Nominal, runs: Sequence[Run]) -> Array:
     return np.asarray(np.maximum(np.sqrt(np.mean(rough, axis=0)), 1e-300))
 
 
-def visibility(nominal: Nominal, lines: ExcitedLines, sd: Array) -> float:
-    """Return the rms of what the inputs cause in the outputs at the excited lines, over the noise, in the best output."""
-    if not len(lines.angle):
-        return 0.0
-    G = line_response(nominal, np.zeros(len(nominal.entries)), lines.angle)
-    caused = np.abs(np.einsum("lij,lj->li", G, lines.U)) ** 2 / 2
-    return float((np.sqrt(caused.sum(0) / lines.runs) / sd).max())
+def visibility(response: Caused, sd: Array) -> float:
+    """Return the rms of what the inputs cause in the outputs, over the noise, in the best output."""
+    return float((np.std(np.vstack([c.sum(2) for c in response.parts]), axis=0) / sd).max())
 
 
-def posterior_sd(nominal: Nominal, lines: ExcitedLines, sd: Array) -> Array:
-    """Return the standard deviation of every uncertain number after the data, in units of that before."""
-    k = len(nominal.entries)
-    if not k or not len(lines.angle):
-        return np.ones(k)
-    base = line_response(nominal, np.zeros(k), lines.angle)
-    columns = []
-    for number in range(k):
-        theta = np.zeros(k)
-        theta[number] = STEP
-        change = (line_response(nominal, theta, lines.angle) - base) / STEP
-        columns.append(np.einsum("lij,lj->li", change, lines.U))
-    J = np.stack(columns, axis=2) * np.sqrt(lines.samples / 2)[:, None, None] / sd[None, :, None]
-    rows = J.reshape(-1, k)
-    F = (rows.conj().T @ rows).real
-    return np.asarray(np.sqrt(np.diag(np.linalg.inv(F + np.eye(k)))))
+def posterior_sd(problem: Problem, sd: Array) -> Array:
+    """Return the standard deviation of every uncertain number after the data, in units of that before; ``sd (p,)`` is that of the noise.
+
+    By the Jacobian of the search, offsets of the sensors being free.
+    """
+    point, horizon, k = problem.start(), weakest(problem), len(problem.nominal.entries)
+    c = Coordinates(problem, point)
+    residuals = problem.residuals(point, horizon)
+    J = jacobian(problem, c, c.pack(point), horizon, residuals)[:, :k].reshape(-1, len(sd), k)
+    rows = ((J - J.mean(0)) * (problem.scale / sd)[:, None]).reshape(-1, k)
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(rows.T @ rows + np.eye(k)))))
 
 
 def _names(nominal: Nominal, entries: Sequence[Entry]) -> str:

@@ -1,69 +1,101 @@
-"""Spectra of inputs and outputs where the excitation is, and the nominal frequency response there."""
+"""What every input causes in every output by the model, beside what was measured, at the frequencies where the excitation is."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from afdsvc.dataset.excitation import only_noise
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.periods import fold
+from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.lti.statespace import Array
 
-STRONG = 0.02  # amplitude over the strongest of the same input
+STRONG = 0.02  # size of what an input causes, over the largest at any frequency
 MOST = 800
+STEP = 1e-3  # relative change of an input
 ComplexArray = np.ndarray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ExcitedLines:
-    """Amplitudes at the excited lines of all runs: ``U (L, m)``, ``Y (L, p)`` complex, angle per sample ``angle (L,)`` rad,
-    ``samples (L,)`` how many samples each amplitude rests on, and ``runs`` how many recordings they come from."""
+class Caused:
+    """What the inputs cause by the model, run by run: ``parts (n, p, m)``, and ``measured (n, p)`` less the response to the initial state.
 
-    U: ComplexArray
+    Where the model follows the recordings, ``measured`` is the sum of the parts.
+    """
+
+    parts: tuple[Array, ...]
+    measured: tuple[Array, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExcitedLines:
+    """Amplitudes at the excited frequencies of all runs: ``parts (L, p, m)`` and ``Y (L, p)`` complex, angle per sample ``angle (L,)`` rad."""
+
+    parts: ComplexArray
     Y: ComplexArray
     angle: Array
-    samples: Array
-    runs: int
 
 
-def lines(nominal: Nominal, runs: Sequence[Run]) -> ExcitedLines:
-    """Return the lines of all runs; ordinary recordings count as one period under a Hann window."""
-    pieces = [_of_run(r) for r in runs]
-    U, Y, angle, samples = (np.concatenate(part) for part in zip(*pieces, strict=True))
-    return ExcitedLines(U, Y, angle, samples, len(runs))
+def caused(problem: Problem) -> Caused:
+    """Return what a gain of each input changes in the outputs, simulated or, where the plant cannot be, predicted from corrected states.
+
+    Inputs through which a controller feeds nothing but noise cause nothing.
+    """
+    inputs, base = range(problem.nominal.plant.inputs), _outputs(problem, np.ones(problem.nominal.plant.inputs))
+    parts = [[0 * c if only_noise(r, i) else c for r, c in zip(problem.runs, _by_gain(problem, i, base), strict=True)] for i in inputs]
+    together = tuple(np.stack(p, axis=2) for p in zip(*parts, strict=True)) if parts else tuple(y[:, :, None][:, :, :0] for y in base)
+    rest = [np.nan_to_num(r.Y - y) for r, y in zip(problem.runs, base, strict=True)]
+    return Caused(together, tuple(e + c.sum(2) for e, c in zip(rest, together, strict=True)))
 
 
-def _of_run(run: Run) -> tuple[ComplexArray, ComplexArray, Array, Array]:
-    Y = _filled(run.Y)
-    u, y = fold(run, run.U), fold(run, Y)
-    if u is not None and y is not None:
-        count, n = u.shape[:2]
-        U, S = np.fft.rfft(u.mean(0), axis=0) * 2 / n, np.fft.rfft(y.mean(0), axis=0) * 2 / n
-        worth = count * n
-    else:
-        n = worth = len(run)
-        window = np.hanning(n)[:, None]
-        U, S = (np.fft.rfft((x - x.mean(0)) * window, axis=0) * 4 / n for x in (run.U, Y))
-    top = n // 2
-    size = (np.abs(U[1:top]) / np.maximum(np.abs(U[1:top]).max(0), 1e-300)).max(1, initial=0.0)
+def _by_gain(problem: Problem, i: int, base: list[Array]) -> list[Array]:
+    gain = np.ones(problem.nominal.plant.inputs)
+    gain[i] += STEP
+    return [(b - a) / STEP for a, b in zip(base, _outputs(problem, gain), strict=True)]
+
+
+def _outputs(problem: Problem, gain: Array) -> list[Array]:
+    """Return the outputs of every run with inputs multiplied by ``gain (m,)``; 0 where the simulation left."""
+    louder = replace(problem, runs=tuple(replace(r, U=gain * r.U, W=None if r.W is None else gain * r.W) for r in problem.runs))
+    return [np.nan_to_num(s.y) for s in louder.simulated(problem.start(), weakest(problem))]
+
+
+def weakest(problem: Problem) -> float:
+    """Return the horizon of a simulation, or of the weakest predictor of a plant that cannot be simulated."""
+    return 0.0 if problem.regular else min(h for h in problem.settings.horizons if h > 0)
+
+
+def lines(problem: Problem, response: Caused) -> ExcitedLines:
+    """Return the amplitudes of all runs, of the mean of whole periods where the excitation repeats.
+
+    Recordings that last much longer than the plant remembers count from where it has forgotten what they begin with.
+    """
+    forgets = _forgotten(problem)
+    pieces = [_of_run(r, c, y, forgets if 2 * forgets < len(r) else 0) for r, c, y in zip(problem.runs, response.parts, response.measured, strict=True)]
+    parts, Y, angle = (np.concatenate(part) for part in zip(*pieces, strict=True))
+    return ExcitedLines(parts, Y, angle)
+
+
+def _forgotten(problem: Problem) -> float:
+    """Return the samples in which the slowest pole decays to a hundredth; infinite for a plant that cannot be simulated."""
+    plant, dt = problem.nominal.plant, problem.runs[0].dt
+    slowest = float((np.log(np.abs(plant.poles()) + 1e-300) if plant.discrete else plant.poles().real * dt).max(initial=-np.inf))
+    return 1 + np.log(100) / -slowest if problem.regular and slowest < 0 else np.inf
+
+
+def _of_run(run: Run, parts: Array, measured: Array, first: float) -> tuple[ComplexArray, ComplexArray, Array]:
+    flat = parts.reshape(len(run), -1)
+    folded = fold(run, flat), fold(run, measured)
+    c, y = (x[int(first) :] if f is None else f.mean(0) for x, f in zip((flat, measured), folded, strict=True))
+    C, S = (np.fft.rfft(x - x.mean(0), axis=0) * 2 / len(x) for x in (c, y))
+    size = (np.abs(C[1 : len(c) // 2]) / np.maximum(np.abs(C[1:]).max(0, initial=0.0), 1e-300)).max(1, initial=0.0)
     rows = np.flatnonzero(size > STRONG) + 1
     if len(rows) > MOST:
         rows = rows[np.linspace(0, len(rows) - 1, MOST).astype(int)]
-    return U[rows], S[rows], 2 * np.pi * rows / n, np.full(len(rows), float(worth))
-
-
-def _filled(Y: Array) -> Array:
-    """Return the outputs with gaps bridged by straight lines."""
-    if np.isfinite(Y).all():
-        return Y
-    out, t = Y.copy(), np.arange(len(Y))
-    for j in range(Y.shape[1]):
-        good = np.isfinite(Y[:, j])
-        out[:, j] = np.interp(t, t[good], Y[good, j]) if good.any() else 0.0
-    return out
+    return C[rows].reshape(len(rows), *parts.shape[1:]), S[rows], 2 * np.pi * rows / len(c)
 
 
 def line_response(nominal: Nominal, theta: Array, angle: Array) -> ComplexArray:

@@ -12,7 +12,9 @@ from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.sample_checks import Finding
 from afdsvc.errors import BadInput
 from afdsvc.explain.gap.decision import gap_test
+from afdsvc.explain.gap.settings import GapSettings
 from afdsvc.explain.gap.signals import ResidualSignals
+from afdsvc.explain.noise.weighting import correlation_time
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.explain.simulate.simulator import Simulator
 from afdsvc.lti.statespace import Array
@@ -23,7 +25,7 @@ CAUSED = 0.5  # rms of what the model says the inputs cause, over that of the ou
 REPEATS = 0.02  # share of the output that repeats with the excitation, from which it responds
 
 
-def response(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
+def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
     """Yield a stop for every output that no flexible model predicts from the inputs better than from time-shifted ones.
 
     Asked only where the model says that the inputs cause most of the output, where no controller feeds it back, and where
@@ -33,7 +35,7 @@ def response(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
     if not model.inputs or any(r.W is not None or r.commanded for r in runs):
         return
     silent = [j for j in range(len(model.outputs)) if _expected(nominal, runs, j) and not _correlated(runs, j)]
-    if not silent:
+    if not silent or _stretches(runs) < GapSettings().needed_blocks:
         return
     given = [ResidualSignals(r.Y[:, silent], r.U, r.U[:, :0], r.U[:, :0], r.dt, r.period) for r in runs]
     names = [model.outputs[j].name for j in silent]
@@ -57,6 +59,12 @@ def _expected(nominal: Nominal, runs: Sequence[Run], j: int) -> bool:
     size = np.sqrt(np.mean([np.nanvar(r.Y[:, j]) for r in runs]))
     with np.errstate(all="ignore"):
         return not np.sqrt(np.mean([np.var(c) for c in caused])) < CAUSED * size
+
+
+def _stretches(runs: Sequence[Run]) -> float:
+    """Return how many stretches of four correlation times the inputs have: steps, one a recording, look alike when they are shifted."""
+    moved = [r.U - r.U.mean(0) for r in runs if np.ptp(r.U, axis=0).any()]
+    return sum(map(len, moved)) / (GapSettings().block_times * correlation_time(moved)) if moved else 0.0
 
 
 def _correlated(runs: Sequence[Run], j: int) -> bool:

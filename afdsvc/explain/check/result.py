@@ -15,7 +15,6 @@ from afdsvc.errors import BadInput
 from afdsvc.explain.check.check import check
 from afdsvc.explain.check.comparison import Compared, compared
 from afdsvc.explain.check.information import entry_name, noise_sd, posterior_sd
-from afdsvc.explain.check.lines import lines
 from afdsvc.explain.check.offers import Offers, offers
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.problem import Problem
@@ -80,7 +79,6 @@ def _problem(model: Model, runs: Sequence[Run]) -> Problem:
 
 
 def _parameters(problem: Problem) -> dict[str, float]:
-    nominal, runs = problem.nominal, problem.runs
-    seen = lines(nominal, runs)
-    shares = posterior_sd(nominal, seen, noise_sd(nominal, runs))
+    nominal = problem.nominal
+    shares = posterior_sd(problem, noise_sd(nominal, problem.runs))
     return {e.name or entry_name(nominal, e): float(s) for e, s in zip(nominal.entries, shares, strict=True)}

@@ -16,9 +16,10 @@ from afdsvc.dataset.sample_checks import Finding
 from afdsvc.errors import BadInput
 from afdsvc.explain.check.check import check, insufficient_excitation, objection, one_frequency
 from afdsvc.explain.check.information import posterior_sd
-from afdsvc.explain.check.lines import lines
 from afdsvc.explain.experiment.next_experiment import first_experiment
 from afdsvc.explain.pipeline import explain
+from afdsvc.explain.search.build import build
+from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.tables.tables import read_table
@@ -166,9 +167,8 @@ def test_the_information_is_that_of_the_fit():
         y[k] = x
         x = 0.5 * x + 2.0 * u[k]
     trace = Trace("r", 0.01, (Channel("u_u"), Channel("y_y")), np.column_stack([u, y + sd * rng.standard_normal(n)]))
-    nom, runs = nominal(model, 0.01), prepare(model, [trace])
-    (found,) = posterior_sd(nom, lines(nom, runs), np.array([sd]))
-    sensitivity = y[400:] / 2.0  # d y / d B, whose prior sd is 1
+    (found,) = posterior_sd(build(nominal(model, 0.01), prepare(model, [trace]), Settings()), np.array([sd]))
+    sensitivity = y / 2.0  # d y / d B, whose prior sd is 1
     expected = 1 / np.sqrt(1 + (sensitivity - sensitivity.mean()) @ (sensitivity - sensitivity.mean()) / sd**2)
     assert found == pytest.approx(expected, rel=0.06)
 

@@ -9,7 +9,7 @@ import pytest
 
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.check.check import check, objection
-from afdsvc.explain.check.response import response
+from afdsvc.explain.check.response import responding
 from afdsvc.explain.simulate.nominal import nominal
 
 
@@ -31,17 +31,17 @@ def test_two_unrelated_signals_are_refused_by_name(spring, recorded, seed):
 
 def test_an_output_that_responds_raises_no_objection(spring, recorded):
     runs = prepare(spring, [recorded(k, noise=0.5) for k in (1, 2)])
-    assert list(response(nominal(spring, runs[0].dt), runs)) == []
+    assert list(responding(nominal(spring, runs[0].dt), runs)) == []
 
 
 def test_an_output_that_follows_the_size_of_the_input_responds(spring, recorded):
     traces = [noise(recorded(k), k) for k in (1, 2)]
     traces = [replace(t, values=np.column_stack([t.values[:, 0], np.abs(t.values[:, 0])])) for t in traces]
     runs = prepare(spring, traces)
-    assert list(response(nominal(spring, runs[0].dt), runs)) == []
+    assert list(responding(nominal(spring, runs[0].dt), runs)) == []
 
 
 def test_a_machine_without_inputs_is_not_asked(spring, recorded):
     free = replace(spring, inputs=(), plant=replace(spring.plant, B=np.zeros((2, 0)), D=np.zeros((1, 0))))
     runs = prepare(free, [recorded(1, decay=True)])
-    assert list(response(nominal(free, runs[0].dt), runs)) == []
+    assert list(responding(nominal(free, runs[0].dt), runs)) == []
