@@ -25,15 +25,16 @@ def pair(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 class MagneticForce:
-    """One magnet, or two against each other, about an operating point; on every axis driven by a current or a voltage."""
+    """One magnet, or two against each other, about an operating point; on every axis driven by a current or a voltage whose
+    position is not an angle: it is a gap."""
 
     name = "magnetic_force"
     summary = "a pull that goes with the square of current over gap"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return two hypotheses per axis with a position and an electrical input."""
+        """Return two hypotheses per axis with a position along a line and an electrical input."""
         for axis, q in placed(machine):
-            if axis.input is not None and quantity(machine.inputs[axis.input].unit) in ("current", "voltage"):
+            if quantity(q.unit) != "angle" and axis.input is not None and quantity(machine.inputs[axis.input].unit) in ("current", "voltage"):
                 for law, notes in ((single, {}), (pair, {"variant": "pair", "of": ""})):
                     yield self._on(axis, q, machine.inputs[axis.input], law, notes)
 
