@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from afdsvc.explain.noise.weighting import Weighting, correlation_time, own, weighting
+from afdsvc.explain.search.build import growth
 from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.path import base_path, whole_path
-from afdsvc.explain.search.problem import Problem
+from afdsvc.explain.search.problem import LOST, Problem
 from afdsvc.lti.statespace import Array
 
 
@@ -93,9 +94,13 @@ def _stepped(problem: Problem) -> bool:
 
 
 def _horizons(problem: Problem, path: dict[float, Fit]) -> tuple[float, ...]:
-    """Return the horizons down to the decision horizon: simulation for a plant that forgets, else the weakest that follows."""
+    """Return the horizons down to the decision horizon: simulation for a plant that forgets, else the weakest that follows.
+
+    A simulation in which an error of a thousandth grows to the size of the output follows nothing but its initial state.
+    """
     horizons = problem.settings.horizons
     if problem.regular:
         return horizons
-    follows = [h for h in horizons if float(np.sqrt(np.mean(path[h].sd**2))) < problem.settings.drift_limit]
+    grows = growth(problem.nominal) ** max(len(r) for r in problem.runs) > LOST
+    follows = [h for h in horizons if (h or not grows) and float(np.sqrt(np.mean(path[h].sd**2))) < problem.settings.drift_limit]
     return horizons[: horizons.index(follows[-1]) + 1] if follows else horizons[:1]

@@ -53,15 +53,15 @@ def _force(nominal: Nominal, runs: Sequence[Run]) -> Array:
     return np.asarray(np.where(force > 0, force, 0.0) if force.any() else np.ones(len(B)))
 
 
-def _transition(nominal: Nominal) -> Array:
+def growth(nominal: Nominal) -> float:
+    """Return the factor by which the plant's slowest or fastest growing motion changes in a sample."""
     s = nominal.steps(np.zeros(len(nominal.entries)))
-    return np.asarray(np.linalg.matrix_power(s.phi, s.nsub))
+    return float(np.abs(np.linalg.eigvals(np.linalg.matrix_power(s.phi, s.nsub))).max(initial=0.0))
 
 
 def _regular(nominal: Nominal) -> bool:
     """Whether the plant forgets its initial state: it has a static gain, and can be simulated from its inputs alone."""
-    phi = _transition(nominal)
-    return bool(np.abs(np.linalg.eigvals(phi)).max(initial=0.0) < 1 - 1e-9)
+    return growth(nominal) < 1 - 1e-9
 
 
 def _follows_in_loop(problem: Problem) -> bool:

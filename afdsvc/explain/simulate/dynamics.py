@@ -6,7 +6,6 @@ import ctypes
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -50,7 +49,6 @@ class Program:
     keep: tuple[Any, ...]
 
 
-@lru_cache(maxsize=16)
 def program(model: Model) -> Program:
     """Return the functions of a model with ``dynamics``; raises `BadInput` when they fail or return the wrong number of values."""
     sizes = len(model.states), len(model.inputs), len(model.outputs)

@@ -8,21 +8,21 @@ prior is standard normal.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import root
 
 from afdsvc.api.model import DEFAULT_RELATIVE_SD, Model
 from afdsvc.errors import BadInput
-from afdsvc.explain.simulate.dynamics import linearised, program
+from afdsvc.explain.simulate.dynamics import Program, linearised, program
 from afdsvc.explain.simulate.steps import Steps, continuous, substep_matrices
 from afdsvc.lti.statespace import Array, StateSpace
 
 MOST_ENTRIES = 60  # free entries of a sampled black-box model above which only the gains of its inputs and outputs move
 PYTHON_ANGLE = 0.2  # largest angle [rad] the fastest pole of Python code may turn in one Runge-Kutta step
 PYTHON_SUBSTEPS = 200
+RECENT = 64  # matrices of sub-steps kept: fits come back to the same numbers of the model
 PARAMETER, INPUT_GAIN, OUTPUT_GAIN = "parameter", "input gain", "output gain"
 
 
@@ -46,7 +46,7 @@ class Nominal:
     """A nominal model at the sample time of the recordings.
 
     ``plant`` is continuous (dt 0), or discrete when no continuous one has this sampling. ``entries`` are the free numbers. For
-    Python code ``plant`` is its linearisation at ``point``, a state and an input.
+    Python code, ``program``, ``plant`` is its linearisation at ``point``, a state and an input. ``recent`` keeps matrices of sub-steps.
     """
 
     model: Model
@@ -54,16 +54,18 @@ class Nominal:
     entries: tuple[Entry, ...]
     dt: float
     point: tuple[Array, Array] | None = None
+    program: Program | None = None
+    recent: dict[tuple[bytes, int, int], Steps] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def python(self) -> bool:
         """Whether the model is Python code, simulated as it is."""
-        return self.point is not None
+        return self.program is not None
 
     def at(self, theta: Array) -> StateSpace:
         """Return the plant with its free numbers moved by ``theta`` standard deviations, shape ``(len(entries),)``."""
-        if self.point is not None:
-            return _linear(self.model, self.point, self.parameters(theta))
+        if self.program is not None and self.point is not None:
+            return _linear(self.model, self.program, self.point, self.parameters(theta))
         parts = {"A": self.plant.A.copy(), "B": self.plant.B.copy(), "C": self.plant.C.copy(), "D": self.plant.D.copy()}
         for value, entry in zip(theta, self.entries, strict=True):
             _move(parts, entry, float(value))
@@ -85,7 +87,15 @@ class Nominal:
 
     def steps(self, theta: Array, least: int = 1, degree: int = 0) -> Steps:
         """Return the matrices the simulation needs, in at least that many sub-steps, for inputs that are polynomials of a degree."""
-        return _cached_steps(self, theta.tobytes(), least, degree)
+        key = theta.tobytes(), least, degree
+        found = self.recent.get(key)
+        if found is None:
+            plant = self.at(theta)
+            found = substep_matrices(plant, self.dt, least, PYTHON_ANGLE, PYTHON_SUBSTEPS) if self.program else substep_matrices(plant, self.dt, least, degree=degree)
+            if len(self.recent) >= RECENT:
+                self.recent.clear()
+            self.recent[key] = found
+        return found
 
     def moved(self, theta: Array) -> Model:
         """Return the model with its free numbers moved, to be written out."""
@@ -122,18 +132,19 @@ def _python(model: Model, dt: float, inputs: Array | None) -> Nominal:
             "one of the two must be resampled"
         )
     values = np.array([q.value for q in model.parameters.values()], dtype=np.float64)
-    point = _point(model, values, inputs)
+    code = program(model)
+    point = _point(model, code, values, inputs)
     sds = [abs(q.value) * q.relative_sd for q in model.parameters.values()]
     entries = tuple(Entry(PARAMETER, k, 0, sd, name) for k, (name, sd) in enumerate(zip(model.parameters, sds, strict=True)) if sd > 0)
-    return Nominal(model, _linear(model, point, values), entries, dt, point)
+    return Nominal(model, _linear(model, code, point, values), entries, dt, point, code)
 
 
-def _point(model: Model, values: Array, inputs: Array | None) -> tuple[Array, Array]:
+def _point(model: Model, code: Program, values: Array, inputs: Array | None) -> tuple[Array, Array]:
     """Return the state and input to linearise at."""
     rest = np.zeros(len(model.states))
     if inputs is None:
         return rest, np.zeros(len(model.inputs))
-    rate, u = program(model).rate, np.asarray(inputs, dtype=np.float64)
+    rate, u = code.rate, np.asarray(inputs, dtype=np.float64)
 
     def imbalance(x: Array) -> Array:
         return rate(0.0, x, u, values) - (x if model.sample_time else 0.0)
@@ -142,20 +153,13 @@ def _point(model: Model, values: Array, inputs: Array | None) -> tuple[Array, Ar
     return (np.asarray(found.x) if found.success else rest), u
 
 
-def _linear(model: Model, point: tuple[Array, Array], values: Array) -> StateSpace:
+def _linear(model: Model, code: Program, point: tuple[Array, Array], values: Array) -> StateSpace:
     """Return the linearisation of Python code, or the linear part the code itself offers; zero where it has no slope."""
     if model.plant is not None and model.plant.order == len(model.states):
         return model.plant
-    code = program(model)
     A, B = linearised(code.rate, *point, values)
     C, D = linearised(code.output, *point, values)
     return StateSpace(A, B, C, D, model.sample_time)
-
-
-@lru_cache(maxsize=64)
-def _cached_steps(nominal: Nominal, theta: bytes, least: int, degree: int) -> Steps:
-    plant = nominal.at(np.frombuffer(theta))
-    return substep_matrices(plant, nominal.dt, least, PYTHON_ANGLE, PYTHON_SUBSTEPS) if nominal.python else substep_matrices(plant, nominal.dt, least, degree=degree)
 
 
 def _continuous(name: str, plant: StateSpace, dt: float) -> StateSpace:

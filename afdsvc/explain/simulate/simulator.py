@@ -10,7 +10,6 @@ import numpy as np
 from afdsvc.dataset.experiment import Run, sampled
 from afdsvc.errors import BadInput
 from afdsvc.explain.simulate import kernel
-from afdsvc.explain.simulate.dynamics import program
 from afdsvc.explain.simulate.effects import PlacedEffect, Table, table
 from afdsvc.explain.simulate.nominal import PYTHON_ANGLE, PYTHON_SUBSTEPS, Nominal
 from afdsvc.explain.simulate.steps import Steps, contiguous
@@ -42,7 +41,7 @@ class Simulator:
     @property
     def notes(self) -> tuple[str, ...]:
         """What a person should know about this simulation: code that could not be compiled."""
-        return program(self.nominal.model).notes if self.nominal.python else ()
+        return self.nominal.program.notes if self.nominal.program else ()
 
     def run(
         self, run: Run, theta: Array, x0: Array, effects: Sequence[PlacedEffect] = (), closed: bool = False, free: bool = False,
@@ -91,26 +90,26 @@ class Simulator:
 
     def _direct(self, plant: StateSpace) -> bool:
         """Whether the inputs reach the outputs at once."""
-        return program(self.nominal.model).direct if self.nominal.python else bool(plant.D.any())
+        return self.nominal.program.direct if self.nominal.program else bool(plant.D.any())
 
     def _code(self, theta: Array) -> tuple[int, int, int, Array]:
         """Return the kind of plant, the addresses of its functions, and its parameter values."""
-        if not self.nominal.python:
+        code = self.nominal.program
+        if code is None:
             return kernel.LINEAR, 0, 0, np.zeros(0)
-        code = program(self.nominal.model)
         kind = kernel.DISCRETE if self.nominal.plant.discrete else kernel.CONTINUOUS
         return kind, code.rate_address, code.output_address, self.nominal.parameters(theta)
 
     def _needed(self, simulated: Simulated, theta: Array, nsub: int) -> int:
         """Return the sub-steps that Python code needs where it has been: its poles may be faster there than at the start."""
-        if not self.nominal.python or self.nominal.plant.discrete:
+        code = self.nominal.program
+        if code is None or self.nominal.plant.discrete:
             return nsub
         if not np.isfinite(simulated.y).all():
             return min(8 * nsub, PYTHON_SUBSTEPS)
         where = [*simulated.x.argmin(0), *simulated.x.argmax(0), len(simulated.x) // 2]
         slopes = np.empty((len(where), self.nominal.plant.order, self.nominal.plant.order))
-        rate = program(self.nominal.model).rate_address
-        kernel.slopes(rate, simulated.x[where], simulated.u[where], self.nominal.parameters(theta), slopes)
+        kernel.slopes(code.rate_address, simulated.x[where], simulated.u[where], self.nominal.parameters(theta), slopes)
         fastest = float(np.abs(np.linalg.eigvals(slopes)).max(initial=0.0))
         needed = int(np.ceil(fastest * self.nominal.dt / PYTHON_ANGLE))
         return min(needed, PYTHON_SUBSTEPS) if needed > 2 * nsub else nsub
