@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -114,8 +115,7 @@ def throws_away_a_burst_with_a_gap(thing: Any) -> None:
         if broken:
             continue
         gap = block.k0 >= BEFORE + 2000 and block.k0 - len(block) < BEFORE + 2000
-        fields = {name: getattr(block, name) for name in block.__slots__}
-        state, evidence = detector.step(state, ResidualBlock(**{**fields, "gap": gap}))
+        state, evidence = detector.step(state, replace(block, gap=gap))
         said += [e for e in evidence if e.burst and e.k >= BEFORE + 1000]  # before the gap it may have decided already
     wrong = [e for e in said if e.trustworthy and e.detected]
     assert not wrong, "a burst with a thousand samples missing was judged as if nothing were missing"
