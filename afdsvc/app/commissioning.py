@@ -154,7 +154,7 @@ def at_speed(machine: Commissioned, speed: float) -> Commissioned:
     """
     if machine.physical is None or machine.faults is None or machine.controller is None:
         raise BadInput(f"machine '{machine.config.id}' has no built-in plant; its model is valid at one speed only")
-    physical = turned(machine.physical, speed)
+    physical = plant_at_speed(machine.physical, speed)
     K = machine.controller.factorisation.K
     worst = float(np.abs(star(physical.discrete(), K, K.inputs, K.outputs).poles()).max())
     if worst >= 1:
@@ -417,7 +417,7 @@ def _answer(g: StateSpace, controller: StateSpace) -> StateSpace:
     return star(StateSpace(g.A, g.B, C, D, g.dt), controller, p, m).select(slice(0, m + p), slice(None))
 
 
-def turned(physical: PhysicalPlant, speed: float) -> PhysicalPlant:
+def plant_at_speed(physical: PhysicalPlant, speed: float) -> PhysicalPlant:
     """Return the plant at a speed [rad/s]; raises `BadInput` for a plant that is known at one speed only."""
     if speed == physical.speed:
         return physical

@@ -165,7 +165,7 @@ def _simulated(machine: commissioning.Commissioned, noise: Array, faults: tuple[
     profile = SpeedProfile.of([(t, 2 * np.pi * rpm / 60) for t, rpm in driver.speed], true.speed, true.sample_time)
 
     def turning(severities: Mapping[str, float], speed: float) -> StateSpace:
-        return faulty.true_plant(commissioning.turned(true, speed), severities)
+        return faulty.true_plant(commissioning.plant_at_speed(true, speed), severities)
 
     def still(severities: Mapping[str, float]) -> StateSpace:
         return turning(severities, true.speed)

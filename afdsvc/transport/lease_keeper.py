@@ -115,7 +115,7 @@ class Renewals:
                 self._publishers[key].put(lease)
 
 
-def main() -> None:
+def keep_leases() -> None:
     """Renew until the service closes the pipe."""
     import zenoh
 
@@ -148,4 +148,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    keep_leases()

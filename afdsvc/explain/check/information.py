@@ -12,7 +12,7 @@ from afdsvc.dataset.excitation import input_source
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.periods import aperiodic_part, speeds
 from afdsvc.dataset.sample_checks import Finding
-from afdsvc.explain.check.lines import Caused, weakest
+from afdsvc.explain.check.lines import Caused, weakest_horizon
 from afdsvc.explain.search.fit import Coordinates, jacobian
 from afdsvc.explain.search.machine import bandwidth
 from afdsvc.explain.search.problem import Problem
@@ -70,7 +70,7 @@ def posterior_sd(problem: Problem, sd: Array) -> Array:
 
     By the Jacobian of the search, offsets of the sensors being free.
     """
-    point, horizon, k = problem.start(), weakest(problem), len(problem.nominal.entries)
+    point, horizon, k = problem.start(), weakest_horizon(problem), len(problem.nominal.entries)
     c = Coordinates(problem, point)
     residuals = problem.residuals(point, horizon)
     J = jacobian(problem, c, c.pack(point), horizon, residuals)[:, :k].reshape(-1, len(sd), k)

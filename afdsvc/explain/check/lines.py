@@ -60,10 +60,10 @@ def _by_gain(problem: Problem, i: int, base: list[Array]) -> list[Array]:
 def _outputs(problem: Problem, gain: Array) -> list[Array]:
     """Return the outputs of every run with inputs multiplied by ``gain (m,)``; 0 where the simulation left."""
     louder = replace(problem, runs=tuple(replace(r, U=gain * r.U, W=None if r.W is None else gain * r.W) for r in problem.runs))
-    return [np.nan_to_num(s.y) for s in louder.simulated(problem.start(), weakest(problem))]
+    return [np.nan_to_num(s.y) for s in louder.simulated(problem.start(), weakest_horizon(problem))]
 
 
-def weakest(problem: Problem) -> float:
+def weakest_horizon(problem: Problem) -> float:
     """Return the horizon of a simulation, or of the weakest predictor of a plant that cannot be simulated."""
     return 0.0 if problem.regular else min(h for h in problem.settings.horizons if h > 0)
 

@@ -22,13 +22,13 @@ from afdsvc.explain.report.naming import names, nearest, rejections
 from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.forward import Found
 from afdsvc.explain.simulate.simulator import Simulator
-from afdsvc.explain.verdict.holdout import Judged, player
+from afdsvc.explain.verdict.holdout import HeldOutVerdict, player
 from afdsvc.explain.verdict.verdict import Verdict
 
 SEED = 1  # of the flexible model's features
 
 
-def report(found: Found, answer: Judged, roles: Split, findings: Sequence[Finding], library: Iterable[Physics], experiment: bool = True) -> Explanation:
+def report(found: Found, answer: HeldOutVerdict, roles: Split, findings: Sequence[Finding], library: Iterable[Physics], experiment: bool = True) -> Explanation:
     """Return the explanation: names, courses and fits on what was held out; ``experiment`` False leaves out the next experiment."""
     play, model = player(found), found.problem.nominal.model
     before, verdict, final = found.problem.start(), _excited(answer.verdict, findings), answer.final

@@ -177,10 +177,10 @@ def borrowed(problem: Problem, base: Fit, point: Point, horizon: float) -> Array
     J[:, : old.shared] = base.J[:, : old.shared]
     for r in range(len(point.x0)):
         J[:, c.shared + c.n * r : c.shared + c.n * r + old.n] = base.J[:, old.shared + old.n * r : old.shared + old.n * (r + 1)]
-    return jacobian(problem, c, c.pack(point), horizon, weighted(problem, point, horizon), J, columns(problem, base.point))
+    return jacobian(problem, c, c.pack(point), horizon, weighted(problem, point, horizon), J, column_counts(problem, base.point))
 
 
-def columns(problem: Problem, point: Point) -> tuple[int, int]:
+def column_counts(problem: Problem, point: Point) -> tuple[int, int]:
     """Return how many columns of a Jacobian all recordings share, and how many each one has."""
     c = Coordinates(problem, point)
     return c.shared, c.n

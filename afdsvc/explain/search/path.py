@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from afdsvc.api.physics import Hypothesis
-from afdsvc.explain.search.fit import CONVERGED, ENOUGH, Coordinates, Fit, borrowed, columns, fit, rms, weighted
+from afdsvc.explain.search.fit import CONVERGED, ENOUGH, Coordinates, Fit, borrowed, column_counts, fit, rms, weighted
 from afdsvc.explain.search.problem import Point, Problem
 from afdsvc.explain.search.screen import Screened, Start
 from afdsvc.explain.simulate.effects import PlacedEffect
@@ -49,7 +49,7 @@ def trial(problem: Problem, bases: Sequence[Mapping[float, Fit]], taus: Taus, sc
             begun = [_begin(problem, b, start, h) for start in screened[h].starts[:starts]]
             family = [fit(problem, p, h, taus[h], GLANCE, borrowed(problem, b, p, h), renewals=0) for p in begun]
             first = min(family, key=lambda f: f.cost)
-            found.append(fit(problem, first.point, h, taus[h], BRIEF, first.J, renewals=1, kept=columns(problem, b.point)))
+            found.append(fit(problem, first.point, h, taus[h], BRIEF, first.J, renewals=1, kept=column_counts(problem, b.point)))
         best = min(found, key=lambda f: f.cost)
         points.append(best.point)
         falls.append(base[h].cost - best.cost)
@@ -91,7 +91,7 @@ def added_path(problem: Problem, base: Mapping[float, Fit], taus: Taus, tried: T
     def added(point: Point, h: float) -> Fit:
         if not problem.regular:  # the simulation of a plant that integrates bends more
             return fit(problem, point, h, taus[h], renewals=1)
-        return fit(problem, point, h, taus[h], known=borrowed(problem, base[h], point, h), renewals=1, kept=columns(problem, base[h].point))
+        return fit(problem, point, h, taus[h], known=borrowed(problem, base[h], point, h), renewals=1, kept=column_counts(problem, base[h].point))
 
     path: dict[float, Fit] = {}
     point = tried.points[0]

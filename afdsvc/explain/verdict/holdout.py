@@ -72,7 +72,7 @@ def player(found: Found) -> Player:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Judged:
+class HeldOutVerdict:
     """A verdict and its final fit after a look at the recordings held out; ``refuted`` where there is a gap, but its first name does worse there."""
 
     verdict: Verdict
@@ -80,7 +80,7 @@ class Judged:
     refuted: bool = False
 
 
-def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run]) -> Judged:
+def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run]) -> HeldOutVerdict:
     """Return the verdict and the final fit: with the claimed effects, else the numbers refitted, else the model as stated.
 
     What does worse on the recordings held out than the model as stated is withdrawn. What does not do better there than the model
@@ -101,11 +101,11 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run]) -> J
             f"and {100 * refitted:.3g} % with its numbers refitted"
         )
         if error <= WORSE * stated and (shown or not alone):
-            return Judged(verdict if shown and not alone else doubted(verdict, f"{held}: no name is certain", most), final)
+            return HeldOutVerdict(verdict if shown and not alone else doubted(verdict, f"{held}: no name is certain", most), final)
         verdict, refuted = unclaimed(verdict, f"{held}: nothing is claimed", alone), not alone
     if refitted <= WORSE * stated:
-        return Judged(verdict, found.start[last], refuted)
-    return Judged(verdict, fit(found.problem, found.problem.start(), last, found.start[last].tau, iterations=0), refuted)
+        return HeldOutVerdict(verdict, found.start[last], refuted)
+    return HeldOutVerdict(verdict, fit(found.problem, found.problem.start(), last, found.start[last].tau, iterations=0), refuted)
 
 
 def _rests_on_holdout(found: Found, verdict: Verdict) -> bool:

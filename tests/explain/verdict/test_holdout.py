@@ -7,7 +7,7 @@ import pytest
 
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.verdict import holdout as module
-from afdsvc.explain.verdict.holdout import Judged, Player
+from afdsvc.explain.verdict.holdout import HeldOutVerdict, Player
 from afdsvc.explain.verdict.verdict import Claim, Verdict
 
 
@@ -20,7 +20,7 @@ def final(monkeypatch):
     return lambda *errors, present=True, even=True: _judged(monkeypatch, *errors, present, even)
 
 
-def _judged(monkeypatch, stated: float, refitted: float, error: float, present: bool, even: bool) -> Judged:
+def _judged(monkeypatch, stated: float, refitted: float, error: float, present: bool, even: bool) -> HeldOutVerdict:
     points = {name: SimpleNamespace(name=name, effects=()) for name in ("stated", "refitted", "final")}
     errors = {"stated": stated, "refitted": refitted, "final": error}
     hypothesis = SimpleNamespace(key="law@input:u", family="", physics="law")
