@@ -2,10 +2,11 @@
 
     python benchmarks/soak/run.py --minutes 30 --rigs 8 --seed 1
 
-The service runs in a process of its own, the rigs in two (several agents each); a proxy between them is stalled and cut,
-processes are stopped, hung and killed, the disk is filled and recordings are deleted, a stranger sends rubbish, floods and half-opens
-connections, a second agent claims a machine's id (16 kinds in all), and every other machine has a fault. Afterwards the recordings on disk are counted sample by sample: every gap must lie in the time of something that was
-done to it on purpose. Prints what was held; exit 1 when anything was not.
+The service runs in a process of its own, the rigs in two (several agents each), the second in a network namespace; the proxies between them are
+stalled and cut, its cable is pulled, processes are stopped, hung, killed and started under wall clocks of another day, the disk is filled and recordings are
+deleted, a stranger sends rubbish, floods and half-opens connections, a second agent claims a machine's id (18 kinds in all), and every other
+machine has a fault. Afterwards the recordings on disk are counted sample by sample: every gap must lie in the time of something that was
+done to it on purpose. Needs root, for the disk and the namespace. Prints what was held; exit 1 when anything was not.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import argparse
 import datetime
 import os
 import platform
+import shutil
 import signal
 import socket
 import subprocess
@@ -47,6 +49,20 @@ FAULTS = ("horizontal_actuator", "vertical_actuator", "horizontal_sensor", "vert
 HERE = Path(__file__).parent
 CACHE_BLOCKS = 400  # 20 s of samples a rig keeps in memory for a service that is away
 STORE_MEGABYTES = 200.0  # and on its disk: 8 minutes
+CLOCKS = (-3600, 86400, 400 * 86400)  # seconds a wall clock is wrong by after a restart
+OURS, THEIRS = "198.18.78.1", "198.18.78.2"  # the two ends of the cable (RFC 2544: for benchmarks, routed nowhere)
+SHIFT = """#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <stdlib.h>
+#include <time.h>
+int clock_gettime(clockid_t id, struct timespec *t) {
+    static int (*real)(clockid_t, struct timespec *);
+    if (!real) real = dlsym(RTLD_NEXT, "clock_gettime");
+    int failed = real(id, t);
+    if (id == CLOCK_REALTIME) t->tv_sec += atol(getenv("WRONG_BY"));
+    return failed;
+}
+"""  # preloaded into a process, makes its wall clock wrong by so many seconds
 MARGIN = 15.0  # seconds after a disturbance in which its gap may still begin: a reconnection takes some
 
 
@@ -67,6 +83,7 @@ class Soak:
     folder: Path
     rigs: int
     rng: Random
+    cable: str = ""
     done: list[Disturbance] = field(default_factory=list)
     memory: list[tuple[float, int, int]] = field(default_factory=list)
     busy: list[tuple[float, int, float]] = field(default_factory=list)
@@ -75,16 +92,20 @@ class Soak:
     def __post_init__(self) -> None:
         self.ids = [f"m{i + 1}" for i in range(self.rigs)]
         self.faults = {id: FAULTS[i // 2 % 4] for i, id in enumerate(self.ids) if i % 2}
-        self.port = free_port()
-        self.proxy = Proxy(self.port)
-        self.service_site = self._site("service.toml", self.port)
-        self.rig_site = self._site("rigs.toml", self.proxy.port)
+        self.port, self.began = free_port(), time.time()
         half = (self.rigs + 1) // 2
-        self.groups = [tuple(self.ids[:half]), tuple(self.ids[half:])] if self.rigs > 1 else [tuple(self.ids)]
+        self.groups = [group for group in (tuple(self.ids[:half]), tuple(self.ids[half:])) if group]
+        ends = ("127.0.0.1", OURS if self.cable else "127.0.0.1")[: len(self.groups)]
+        self.proxies = [Proxy(self.port, host=host) for host in ends]
+        self.service_site = self._site("service.toml", "127.0.0.1", self.port)
+        self.rig_sites = [self._site(f"rigs{i}.toml", host, proxy.port) for i, (host, proxy) in enumerate(zip(ends, self.proxies, strict=True))]
+        self.shift = self.folder / "shift.so"
+        (self.folder / "shift.c").write_text(SHIFT)
+        subprocess.run(["cc", "-shared", "-fPIC", "-o", self.shift, self.folder / "shift.c", "-ldl"], check=True)
         self.service: subprocess.Popen[bytes] | None = None
         self.processes: list[subprocess.Popen[bytes] | None] = [None] * len(self.groups)
 
-    def _site(self, name: str, port: int) -> Path:
+    def _site(self, name: str, host: str, port: int) -> Path:
         machines = ""
         for i, id in enumerate(self.ids):
             fault = f'faults = [{{name = "{self.faults[id]}", severity = -0.5, at_seconds = 12.0}}]' if id in self.faults else ""
@@ -98,29 +119,39 @@ bursts = {{every_seconds = 9.0, jitter_seconds = 2.0, first_after_seconds = {2 +
         path = self.folder / name
         path.write_text(f"""site = "soak"
 [transport]
-listen = ["tcp/127.0.0.1:{port}"]
+listen = ["tcp/{host}:{port}"]
+trusted_network = true
 cache_blocks = {CACHE_BLOCKS}
 store = "store"
 store_megabytes = {STORE_MEGABYTES}
 [recording]
 folder = "recordings"
 max_minutes = 5
+keep_days = 30
 [alarms]
 before_seconds = 10
 {machines}""")
         return path
 
-    def start_service(self) -> None:
-        """Start the service."""
+    def start_service(self, wrong_by: int = 0) -> None:
+        """Start the service, with its wall clock wrong by so many seconds."""
         command = [sys.executable, "-m", "afdsvc", "serve", str(self.service_site), "--log", "json"]
         with (self.folder / "service.log").open("ab") as log:
-            self.service = subprocess.Popen(command, stderr=log, stdout=log)
+            self.service = subprocess.Popen(command, stderr=log, stdout=log, env=self.clock(wrong_by))
 
-    def start_rigs(self, group: int) -> None:
-        """Start one process of rigs."""
-        command = [sys.executable, str(HERE / "rigs.py"), str(self.rig_site), *self.groups[group]]
+    def start_rigs(self, group: int, wrong_by: int = 0) -> None:
+        """Start one process of rigs, with its wall clock wrong by so many seconds."""
+        command = [*self.place(group), sys.executable, str(HERE / "rigs.py"), str(self.rig_sites[group]), *self.groups[group]]
         with (self.folder / f"rigs{group}.log").open("ab") as log:
-            self.processes[group] = subprocess.Popen(command, stderr=log, stdout=log)
+            self.processes[group] = subprocess.Popen(command, stderr=log, stdout=log, env=self.clock(wrong_by))
+
+    def place(self, group: int) -> list[str]:
+        """Return what puts a command on the computer of a group of rigs."""
+        return ["ip", "netns", "exec", self.cable] if self.cable and group else []
+
+    def clock(self, wrong_by: int) -> dict[str, str]:
+        """Return the environment of a process whose wall clock is wrong."""
+        return {**os.environ, **({"LD_PRELOAD": str(self.shift), "WRONG_BY": str(wrong_by)} if wrong_by else {})}
 
     def wait_ready(self) -> None:
         """Wait until the service listens."""
@@ -136,9 +167,10 @@ before_seconds = 10
         """Do something bad and undo it."""
         acts = [
             self.kill_rigs, self.hang_rigs, self.stop_rigs, self.stall, self.cut, self.rubbish, self.twin, self.hang_service,
-            self.delete_recording, self.fill_disk, self.half_open, self.flood, self.identify, self.false_receipts,
+            self.delete_recording, self.fill_disk, self.half_open, self.flood, self.identify, self.false_receipts, self.step_clock_of_rigs,
+            *[self.pull_cable] * bool(self.cable),
         ]  # fmt: skip
-        act = self.rng.choice(acts + ([self.kill_service, self.stop_service] if restart_service else []))
+        act = self.rng.choice(acts + ([self.kill_service, self.stop_service, self.step_clock_of_service] if restart_service else []))
         act()
 
     def _note(self, what: str, machines: tuple[str, ...]) -> Disturbance:
@@ -147,25 +179,40 @@ before_seconds = 10
 
     def kill_rigs(self) -> None:
         """Kill a process of rigs and start it again."""
+        self._kill_rigs("rigs killed", 0)
+
+    def step_clock_of_rigs(self) -> None:
+        """Kill a process of rigs and start it under a wall clock that is wrong."""
+        self._kill_rigs("clock of rigs stepped", self.rng.choice(CLOCKS))
+
+    def _kill_rigs(self, what: str, wrong_by: int) -> None:
         group = self.rng.randrange(len(self.groups))
-        noted = self._note("rigs killed", self.groups[group])
+        noted = self._note(what, self.groups[group])
         process = self.processes[group]
         assert process is not None
         process.kill()
         process.wait()
         time.sleep(self.rng.uniform(0.2, 3))
-        self.start_rigs(group)
+        self.start_rigs(group, wrong_by)
         time.sleep(12)
         noted.end = time.time()
 
+    def pull_cable(self) -> None:
+        """Pull the cable of the second group for 20 s, seldom for 120 s, and put it back."""
+        noted = self._note("cable pulled", self.groups[1])
+        ip("link", "set", self.cable, "down")
+        time.sleep(self.rng.choice((20, 20, 20, 120)))
+        ip("link", "set", self.cable, "up")
+        noted.end = time.time()
+
     def hang_rigs(self) -> None:
-        """Stop a process of rigs for some seconds."""
+        """Stop a process of rigs for seconds up to a minute."""
         group = self.rng.randrange(len(self.groups))
         noted = self._note("rigs hung", self.groups[group])
         process = self.processes[group]
         assert process is not None
         process.send_signal(signal.SIGSTOP)
-        time.sleep(self.rng.uniform(1, 4))
+        time.sleep(self.rng.choice((*[self.rng.uniform(1, 12)] * 4, 60.0)))
         process.send_signal(signal.SIGCONT)
         noted.end = time.time()
 
@@ -185,7 +232,7 @@ before_seconds = 10
     def hang_service(self) -> None:
         """Stop the service's process for some seconds, or for longer than a link lives."""
         assert self.service is not None
-        seconds = self.rng.choice((self.rng.uniform(1, 8), self.rng.uniform(12, 25)))
+        seconds = self.rng.choice((self.rng.uniform(1, 8), self.rng.uniform(8, 25), self.rng.uniform(8, 60)))
         noted = self._note("service hung", tuple(self.ids))
         self.service.send_signal(signal.SIGSTOP)
         time.sleep(seconds)
@@ -252,25 +299,39 @@ before_seconds = 10
     def stall(self) -> None:
         """Let nothing through for some seconds."""
         noted = self._note("network stalled", tuple(self.ids))
-        self.proxy.stall()
+        for proxy in self.proxies:
+            proxy.stall()
         time.sleep(self.rng.uniform(1, 8))
-        self.proxy.mend()
+        self.mend()
         noted.end = time.time()
 
     def cut(self) -> None:
         """Cut every connection, for seconds or for longer than the rigs' caches last."""
         noted = self._note("network cut", tuple(self.ids))
-        self.proxy.cut()
+        for proxy in self.proxies:
+            proxy.cut()
         time.sleep(self.rng.choice((self.rng.uniform(1, 5), self.rng.uniform(25, 40))))
-        self.proxy.mend()
+        self.mend()
         noted.end = time.time()
+
+    def mend(self) -> None:
+        """Make the network whole."""
+        for proxy in self.proxies:
+            proxy.mend()
 
     def kill_service(self) -> None:
         """Kill the service and start it again."""
-        noted = self._note("service killed", tuple(self.ids))
+        self._kill_service("service killed", 0)
+
+    def step_clock_of_service(self) -> None:
+        """Kill the service and start it under a wall clock that is wrong."""
+        self._kill_service("clock of the service stepped", self.rng.choice(CLOCKS))
+
+    def _kill_service(self, what: str, wrong_by: int) -> None:
+        noted = self._note(what, tuple(self.ids))
         assert self.service is not None
         self.service.kill()
-        self._again(noted)
+        self._again(noted, wrong_by)
 
     def stop_service(self) -> None:
         """Stop the service in order and start it again."""
@@ -282,11 +343,11 @@ before_seconds = 10
         noted.what += f" in {time.monotonic() - began:.1f} s"
         self._again(noted)
 
-    def _again(self, noted: Disturbance) -> None:
+    def _again(self, noted: Disturbance, wrong_by: int = 0) -> None:
         assert self.service is not None
         self.service.wait()
         time.sleep(self.rng.uniform(0.2, 3))
-        self.start_service()
+        self.start_service(wrong_by)
         self.wait_ready()
         time.sleep(3)
         noted.end = time.time()
@@ -308,9 +369,10 @@ before_seconds = 10
 
     def twin(self) -> None:
         """Start a second agent for a machine that has one; it must refuse."""
-        id = self.rng.choice(self.ids)
+        group = self.rng.randrange(len(self.groups))
+        id = self.rng.choice(self.groups[group])
         noted = self._note("second agent", (id,))
-        command = [sys.executable, "-m", "afdsvc", "rig", str(self.rig_site), "--machine", id, "--seconds", "5"]
+        command = [*self.place(group), sys.executable, "-m", "afdsvc", "rig", str(self.rig_sites[group]), "--machine", id, "--seconds", "5"]
         done = subprocess.run(command, stderr=subprocess.PIPE, check=False)
         noted.what += " (refused)" if b"has a rig agent already" in done.stderr else f" (NOT refused: exit {done.returncode})"
         noted.end = time.time()
@@ -329,7 +391,7 @@ before_seconds = 10
         time.sleep(min(15, seconds / 4))
         while (passed := time.monotonic() - began) < seconds - 60:
             self.disturb(passed < seconds / 3)
-            time.sleep(self.rng.uniform(4, 10))
+            time.sleep(self.rng.uniform(3, 7))
         time.sleep(max(seconds - (time.monotonic() - began), 0))
         over.set()
 
@@ -344,8 +406,17 @@ before_seconds = 10
         if self.service:
             self.service.terminate()
             self.service.wait(30)
-        self.proxy.close()
+        for proxy in self.proxies:
+            proxy.close()
         return time.monotonic() - began
+
+    def keep_logs(self, folder: Path) -> None:
+        """Copy the logs, and write down what was done when (UTC)."""
+        folder.mkdir(parents=True, exist_ok=True)
+        for log in self.folder.glob("*.log"):
+            shutil.copy(log, folder)
+        times = [f"{datetime.datetime.fromtimestamp(d.start, datetime.UTC):%H:%M:%S} for {d.end - d.start:.1f} s: {d.what} ({', '.join(d.machines)})\n" for d in self.done]
+        (folder / "disturbances.txt").write_text("".join(times))
 
     def _watch_memory(self, over: threading.Event) -> None:
         while not over.wait(5):
@@ -354,6 +425,28 @@ before_seconds = 10
                 pid = self.service.pid
                 self.memory.append((time.time(), pid, resident(pid)))
                 self.busy.append((time.time(), pid, busy(pid)))
+
+
+def ip(*arguments: str) -> None:
+    """Arrange the network."""
+    subprocess.run(["ip", *arguments], check=True)
+
+
+@contextmanager
+def cable() -> Iterator[str]:
+    """A network namespace and a cable to it, both of that name; needs root."""
+    name = f"soak{os.getpid() % 10_000}"
+    ip("netns", "add", name)
+    try:
+        ip("link", "add", name, "type", "veth", "peer", "name", "rig0", "netns", name)
+        ip("addr", "add", f"{OURS}/30", "dev", name)
+        ip("link", "set", name, "up")
+        ip("-n", name, "addr", "add", f"{THEIRS}/30", "dev", "rig0")
+        for device in ("rig0", "lo"):
+            ip("-n", name, "link", "set", device, "up")
+        yield name
+    finally:
+        ip("netns", "del", name)
 
 
 def free_port() -> int:
@@ -381,7 +474,12 @@ def resident(pid: int) -> int:
 # ------------------------------------------------------------------------------------------------------------------ counting
 
 
-def gaps(paths: list[Path]) -> Iterator[tuple[float, float, int]]:
+def wrong_by(soak: Soak, seconds: float) -> int:
+    """Return by how much the wall clock was wrong that read ``seconds`` during the run."""
+    return next((shift for shift in CLOCKS if soak.began <= seconds - shift <= time.time() and not soak.began <= seconds <= time.time()), 0)
+
+
+def gaps(soak: Soak, paths: list[Path]) -> Iterator[tuple[float, float, int]]:
     """Yield the gaps in one machine's samples: Unix time they begin and end at, samples missing; and at last (0, 0, samples)."""
     spans: dict[str, list[tuple[int, int, float, float]]] = {}
     for path in paths:
@@ -393,7 +491,8 @@ def gaps(paths: list[Path]) -> Iterator[tuple[float, float, int]]:
         reached, until = 0, 0.0
         for k0, ends, since, till in sorted(rows):
             if until and k0 > reached:
-                yield until, since, k0 - reached
+                shift = wrong_by(soak, rows[0][2])
+                yield until - shift, since - shift, k0 - reached
             total += max(ends - max(k0, reached), 0)
             reached, until = max(reached, ends), max(until, till)
     yield 0.0, 0.0, total
@@ -409,7 +508,7 @@ def count_samples(soak: Soak) -> tuple[int, int, int, list[str]]:
     samples = accounted = missing = 0
     wrong = []
     for id in soak.ids:
-        for start, end, n in gaps(sorted((soak.folder / "recordings").glob(f"{id}-2*.mcap"))):
+        for start, end, n in gaps(soak, sorted((soak.folder / "recordings").glob(f"{id}-2*.mcap"))):
             if not start:
                 samples += n
             elif explained(soak, id, start, end):
@@ -479,13 +578,16 @@ def main() -> int:
     parser.add_argument("--rigs", type=int, default=8)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--disk", type=float, default=4000.0, help="megabytes of the disk of the recordings")
+    parser.add_argument("--logs", type=Path, help="folder for the logs of all processes and the times of what was done")
     asked = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder, small_disk(Path(folder) / "recordings", asked.disk):
-        soak = Soak(Path(folder), asked.rigs, Random(asked.seed))
+    with tempfile.TemporaryDirectory() as folder, small_disk(Path(folder) / "recordings", asked.disk), cable() as name:
+        soak = Soak(Path(folder), asked.rigs, Random(asked.seed), name)
         try:
             soak.run(60 * asked.minutes)
         finally:
             stopped = soak.stop()
+            if asked.logs:
+                soak.keep_logs(asked.logs)
         return tell(soak, asked.minutes, asked.seed, stopped)
 
 

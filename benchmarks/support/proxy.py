@@ -1,4 +1,4 @@
-"""A network that can be stalled, cut and mended: a TCP proxy between two loopback ports."""
+"""A network that can be stalled, cut and mended: a TCP proxy to a port of this computer."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import threading
 class Proxy:
     """Forwards its ``port`` to another port of this computer. A stalled one passes nothing on, a cut one has no connections."""
 
-    def __init__(self, target: int, port: int = 0) -> None:
+    def __init__(self, target: int, port: int = 0, host: str = "127.0.0.1") -> None:
         self._target, self._flowing, self._reachable = target, threading.Event(), True
         self._flowing.set()
         self._pairs: list[tuple[socket.socket, socket.socket]] = []
         self._lock = threading.Lock()
-        self._listener = socket.create_server(("127.0.0.1", port))
+        self._listener = socket.create_server((host, port))
         self.port = int(self._listener.getsockname()[1])
         threading.Thread(target=self._accept, name="proxy", daemon=True).start()
 
