@@ -29,6 +29,7 @@ from afdsvc.transport.certificates import key_files
 log = logging.getLogger(__name__)
 CLOSING_SECONDS = 2.0
 HEARD_SECONDS = 0.5
+REPORT_SECONDS = 60.0  # between two reports of messages that cannot be read
 AGAIN_SECONDS = 0.2  # between two attempts to connect
 HALF_OPEN = 4000  # connections that have not said anything yet (zenoh gives each 10 s): a stranger's do not keep rigs out
 Receive = Callable[[str, bytes], None]
@@ -190,9 +191,16 @@ class Transport:
         (``transport.cache_blocks``); without it only news come.
         """
 
+        reported = float("-inf")
+
         def hear(sample: zenoh.Sample) -> None:
+            nonlocal reported
             try:
                 receive(str(sample.key_expr), sample.payload.to_bytes())
+            except AfdsvcError as error:  # whoever sends rubbish must not fill the log
+                if time.monotonic() - reported > REPORT_SECONDS:
+                    reported = time.monotonic()
+                    log.warning("a message on %s is ignored, and others like it for %g s: %s", sample.key_expr, REPORT_SECONDS, error)
             except Exception:
                 log.exception("a message on %s could not be handled", sample.key_expr)
 

@@ -21,7 +21,7 @@ def parse(kind: type[M], data: bytes) -> M:
         return kind.FromString(data)
     except (DecodeError, TypeError, ValueError) as error:
         name = kind.DESCRIPTOR.name
-        raise BadInput(f"{len(data)} bytes are not an {name} message of afdsvc.v1: {error}") from None
+        raise BadInput(f"{len(data)} bytes are no {name} message of afdsvc.v1: {error}") from None
 
 
 def build_message(kind: type[M], /, **fields: Any) -> M:

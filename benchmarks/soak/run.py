@@ -23,6 +23,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
@@ -30,6 +31,8 @@ from pathlib import Path
 from random import Random
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks.support
+
+from scipy.stats import poisson
 
 from afdsvc.app.ask import ask_service
 from afdsvc.errors import AfdsvcError
@@ -63,6 +66,8 @@ int clock_gettime(clockid_t id, struct timespec *t) {
     return failed;
 }
 """  # preloaded into a process, makes its wall clock wrong by so many seconds
+DETECTORS = 3  # of bursts, each of which promises one false alarm in 1000 bursts
+SAMPLE_BYTES = 80  # of eight channels in a recording, with what lies around them
 MARGIN = 15.0  # seconds after a disturbance in which its gap may still begin: a reconnection takes some
 
 
@@ -498,21 +503,22 @@ def gaps(soak: Soak, paths: list[Path]) -> Iterator[tuple[float, float, int]]:
     yield 0.0, 0.0, total
 
 
-def explained(soak: Soak, id: str, start: float, end: float) -> bool:
-    """Whether a gap lies in the time of something done to the machine."""
-    return any(id in d.machines and start <= d.end + MARGIN and end >= d.start - 1.0 for d in soak.done)
+def explained(soak: Soak, id: str, start: float, end: float) -> str:
+    """Return what was done to the machine around a gap, "" when nothing was."""
+    return " and ".join(sorted({d.what for d in soak.done if id in d.machines and start <= d.end + MARGIN and end >= d.start - 1.0}))
 
 
-def count_samples(soak: Soak) -> tuple[int, int, int, list[str]]:
-    """Return samples, gaps explained, samples missing in them, and sentences about gaps nothing explains."""
-    samples = accounted = missing = 0
+def count_samples(soak: Soak) -> tuple[int, Counter[str], Counter[str], list[str]]:
+    """Return samples, gaps and samples missing by what was done then, and sentences about gaps nothing explains."""
+    samples, accounted, missing = 0, Counter[str](), Counter[str]()
     wrong = []
     for id in soak.ids:
         for start, end, n in gaps(soak, sorted((soak.folder / "recordings").glob(f"{id}-2*.mcap"))):
             if not start:
                 samples += n
-            elif explained(soak, id, start, end):
-                accounted, missing = accounted + 1, missing + n
+            elif why := explained(soak, id, start, end):
+                accounted[why] += 1
+                missing[why] += n
             else:
                 wrong.append(f"{id}: {n} samples missing from {datetime.datetime.fromtimestamp(start, datetime.UTC):%H:%M:%S}, unexplained")
     return samples, accounted, missing, wrong
@@ -562,13 +568,12 @@ def small_disk(folder: Path, megabytes: float) -> Iterator[None]:
         subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
-def bursts(soak: Soak) -> str:
-    """Return how many bursts the machines played."""
-    played = [
-        len({r.burst.name for path in (soak.folder / "recordings").glob(f"{id}-2*.mcap") for r in Recording(path).requests()})
+def bursts(soak: Soak) -> dict[str, int]:
+    """Return how many bursts were asked of each machine."""
+    return {
+        id: len({r.burst.name for path in (soak.folder / "recordings").glob(f"{id}-2*.mcap") for r in Recording(path).requests()})
         for id in soak.ids
-    ]  # fmt: skip
-    return f"{sum(played)} asked for, {min(played)} to {max(played)} a machine"
+    }
 
 
 def main() -> int:
@@ -577,10 +582,11 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--rigs", type=int, default=8)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--disk", type=float, default=4000.0, help="megabytes of the disk of the recordings")
+    parser.add_argument("--disk", type=float, help="megabytes of the disk of the recordings, which is memory; by default what the samples take")
     parser.add_argument("--logs", type=Path, help="folder for the logs of all processes and the times of what was done")
     asked = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder, small_disk(Path(folder) / "recordings", asked.disk), cable() as name:
+    disk = asked.disk or 500 + 300_000 * asked.minutes * asked.rigs * SAMPLE_BYTES / 1e6
+    with tempfile.TemporaryDirectory() as folder, small_disk(Path(folder) / "recordings", disk), cable() as name:
         soak = Soak(Path(folder), asked.rigs, Random(asked.seed), name)
         try:
             soak.run(60 * asked.minutes)
@@ -596,18 +602,26 @@ def tell(soak: Soak, minutes: float, seed: int, stopped: float) -> int:
     samples, accounted, missing, wrong = count_samples(soak)
     told, false, never = count_alarms(soak)
     unfinished = [p.name for p in (soak.folder / "recordings").rglob("*.mcap") if Recording(p).loss and not Recording(p).metadata.get("recovered")]
-    errors = [line for line in (soak.folder / "service.log").read_text(errors="replace").splitlines() if "Traceback" in line]
+    errors = [f"{log.name}: {line}" for log in soak.folder.glob("*.log") for line in log.read_text(errors="replace").splitlines() if "Traceback" in line]
     print(f"{datetime.date.today()}, {platform.machine()}, {os.cpu_count()} cores, load while it ran {soak.load:.1f}, Python {platform.python_version()}, seed {seed}")
     print(f"{soak.rigs} machines at 5 kHz for {minutes:g} minutes")
     kinds = sorted({d.what for d in soak.done})
     print(f"{len(soak.done)} disturbances: " + ", ".join(f"{k} {sum(d.what == k for d in soak.done)}" for k in kinds))
-    print(f"samples recorded {samples} ({samples / (300_000 * minutes * soak.rigs):.1%} of all); gaps explained {accounted} ({missing} samples), unexplained {len(wrong)}")
-    print(f"faults told rightly {told} of {len(soak.faults)}; false alarms {len(false)}; not or wrongly told {len(never)}")
-    print(f"bursts: {bursts(soak)}")
+    print(f"samples recorded {samples} ({samples / (300_000 * minutes * soak.rigs):.1%} of all); gaps explained {accounted.total()} ({missing.total()} samples), unexplained {len(wrong)}")
+    for why, n in missing.most_common():
+        print(f"  {accounted[why]} gaps, {n} samples: {why}")
+    played = bursts(soak)
+    expected = sum(played[id] for id in soak.ids if id not in soak.faults) * DETECTORS / 1000
+    chance = poisson.sf(len(false) - 1, expected)
+    print(f"faults told rightly {told} of {len(soak.faults)}; not or wrongly told {len(never)}")
+    print(f"bursts: {sum(played.values())} asked for, {min(played.values())} to {max(played.values())} a machine")
+    print(f"false alarms {len(false)}; {expected:.1f} expected in the bursts of healthy machines, chance of as many {chance:.2g}")
     print(f"memory of the service: {memory(soak)}")
     print(f"processor of the service: {processor(soak)}")
-    print(f"service stopped in {stopped:.1f} s; recordings left unfinished {len(unfinished)}; tracebacks in its log {len(errors)}")
-    bad = [*wrong, *false, *never, *unfinished, *errors, *[d.what for d in soak.done if "NOT" in d.what]]
+    print(f"service stopped in {stopped:.1f} s; recordings left unfinished {len(unfinished)}; tracebacks in all logs {len(errors)}")
+    beyond = false if chance < 0.01 else []
+    left = [f"{id}: {n} bursts only" for id, n in played.items() if 2 * n < max(played.values())]
+    bad = [*wrong, *beyond, *left, *never, *unfinished, *errors, *[d.what for d in soak.done if "NOT" in d.what]]
     for sentence in bad[:30]:
         print("  !", sentence)
     return 1 if bad else 0

@@ -259,7 +259,7 @@ def test_what_is_wrong_with_a_q_is_told_and_nothing_moves(settings, bearing, plu
             assert "at most 10 s" in ask_retune(hub, retune_request(lease=60.0)).reason
             assert "is for session 'x'" in ask_retune(hub, retune_request(session="x")).reason
             assert "s ago by its time stamp" in ask_retune(hub, retune_request(t_ns=time.time_ns() - 10**12)).reason
-            assert "are not an RetuneRequest message" in codec.decode(BurstReply, hub.ask(KEYS.retune("bearing"), b"\xff\xff")).reason
+            assert "are no RetuneRequest message" in codec.decode(BurstReply, hub.ask(KEYS.retune("bearing"), b"\xff\xff")).reason
             time.sleep(0.2)
     assert all(b.tuning == "" for b in ear.blocks)
     assert sum(e.kind is EventKind.RETUNE_REFUSED for e in ear.events) == 7

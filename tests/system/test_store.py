@@ -76,7 +76,7 @@ def test_a_rig_delivers_blocks_of_its_own_machine_only(free_port, tmp_path):
     other = encode_block(Block("other", "s1", 0, 0, 1e-3, 0, channels, np.zeros((5, 2))))
     site = site_of(free_port, tmp_path)
     with serve.serving(site), Transport(site.transport, False) as rig:
-        for payload, words in ((b"rubbish", "are not an Block message"), (other, "a block of machine 'other' delivered by the rig agent of 'bearing'")):
+        for payload, words in ((b"rubbish", "are no Block message"), (other, "a block of machine 'other' delivered by the rig agent of 'bearing'")):
             with pytest.raises(AfdsvcError, match=words):
                 rig.ask(Keys("t").stored("bearing"), payload)
     assert not list((tmp_path / "recordings").glob("*.mcap"))

@@ -13,6 +13,8 @@ import pytest
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.site import TransportSection as Settings
 from afdsvc.transport.zenoh_session import PeerSilent, Transport
+from afdsvc.wire.codec import decode
+from afdsvc.wire.messages import Lease
 from benchmarks.support.proxy import Proxy
 
 
@@ -64,6 +66,25 @@ def test_a_subscriber_that_stalls_for_8_s_loses_nothing(settings):
             time.sleep(0.0125)
         assert wait_for(lambda: len(got) >= blocks, 20), (len(got), blocks, hub.lost)
     assert got == list(range(blocks))
+
+
+def test_a_thousand_messages_that_nobody_can_read_are_one_line_of_the_log(settings, caplog):
+    got: list[bytes] = []
+
+    def hear(key: str, payload: bytes) -> None:
+        got.append(payload)
+        if payload != b"good":
+            decode(Lease, payload)
+
+    with Transport(settings, hub=True) as rig, Transport(settings, hub=False) as stranger:
+        rig.subscribe("afdsvc/t/m/lease", hear, missed=False)
+        for payload in (*[b"\xff rubbish"] * 1000, b"good"):
+            stranger.publish("afdsvc/t/m/lease", payload)
+        assert wait_for(lambda: b"good" in got)
+    assert len(got) > 500
+    (line,) = (record for record in caplog.records if "lease" in record.message)
+    assert line.exc_info is None
+    assert "are no Lease message" in line.message
 
 
 def test_queries_get_an_answer_or_the_reason(settings):
