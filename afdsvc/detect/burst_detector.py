@@ -173,7 +173,7 @@ class BurstDetector:
             findings, complaint = [], complaint or str(error)
         findings = findings or [Finding(float("nan"), float("nan"))]
         about = (self.name, problem, k, dt, played.name)
-        return [evidence(*about, f, judgement, complaint or f.refused or self._loud(played, f), self.sure) for f in findings]
+        return [evidence(*about, f, judgement, complaint or f.refused or ("" if judgement.explained_by else self._loud(played, f)), self.sure) for f in findings]
 
     def _loud(self, played: Played, finding: Finding) -> str:
         """Return the sentence that the burst was louder or quieter than stated.
@@ -190,7 +190,7 @@ class BurstDetector:
         found = self.front.gate.judge(seen.gate)
         if found.ok or found.found is None:
             return found
-        return seen.recent.explained(self.front.gate, self.explain, self.front.nuisances) or found
+        return seen.recent.explained(self.front.gate, self.explain, self.front.nuisances, self.problem) or found
 
 
 def evidence(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +18,7 @@ QUIET = 3000  # samples before the burst
 
 
 def judged(
-    machine: TrueMachine, problem: DetectionProblem, detector: Detector, burst: Burst, seed: int,
+    machine: TrueMachine, problem: DetectionProblem, detector: Detector, burst: Burst, seed: int | Sequence[int],
     loss: Mapping[str, float] | np.ndarray | None = None, noisier: float = 1.0, units: tuple[float, float] = (1.0, 1.0),
 ) -> Evidence:
     """Return the decision on a burst after quiet samples; ``loss`` by fault, or ``(samples, faults)`` over the burst; ``noisier`` multiplies

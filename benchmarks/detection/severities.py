@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections import defaultdict
 
 import numpy as np
-from scipy.stats import beta
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import FalseAlarms
+from afdsvc.lti.statespace import Array
 from afdsvc.plugins.manager import load
+from benchmarks.detection.counting import share
 from benchmarks.detection.judged import judged
-from benchmarks.detection.truth import machines
+from benchmarks.detection.truth import TrueMachine, machines
 from benchmarks.detection.truth_problem import problem_of
 
 SEVERITIES = (-0.02, -0.05, -0.1, -0.3)
@@ -42,43 +42,52 @@ def bursts(machine, problem, fault, severity, detector):
     return None
 
 
+def counted(machine: TrueMachine, kind: str, severity: float, played: int, seed: int) -> Array:
+    """Return one row per burst that was played with a fault of this severity, each fault in turn; nan where it was not detected and named.
+
+    Columns: error of the plain severity, whether its interval holds the truth, error of the reported one, whether its interval does.
+    """
+    problem = problem_of(machine, FalseAlarms(1e-3))
+    detector, rows = load().get("detectors", kind).design(problem, {}), []
+    for i, fault in enumerate(problem.fault_names):
+        try:
+            burst = bursts(machine, problem, fault, severity, detector)
+        except (ValueError, KeyError):  # the loop is lost with this fault: no decision
+            continue
+        for k in range(played if burst else 0):
+            e, row = judged(machine, problem, detector, burst, [seed, i, round(-100 * severity), k], {fault: severity}), [np.nan] * 4
+            if e.detected and e.severity is not None and max(e.weights, key=lambda n: e.weights[n]) == fault:
+                x, sd, s = e.parts[f"severity.{fault}"], e.parts[f"sd.{fault}"], e.severity
+                row = [x - severity, abs(x - severity) <= HALF * sd, s.value - severity, s.low <= severity <= s.high]
+            rows.append(row)
+    return np.array(rows, dtype=float).reshape(-1, 4)
+
+
+def line(name: str, rows: Array) -> str:
+    """Return a line of the table."""
+    found = rows[np.isfinite(rows[:, 0])]
+    if not len(found):
+        return f"| {name} | 0 of {len(rows)} | | | |"
+    holds = share(int(found[:, 3].sum()), len(found), 0.99)
+    plain, reported = np.median(found[:, [0, 2]], axis=0)
+    return f"| {name} | {len(found) / len(rows):.2f} of {len(rows)} | {plain:+.4f} | {reported:+.4f} | {found[:, 1].mean():.3f} | {holds} |"
+
+
 def main() -> None:
     """Simulate, judge and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     for name, default in (("machines", 10), ("bursts", 20), ("seed", 1)):
         parser.add_argument(f"--{name}", type=int, default=default)
     parser.add_argument("--detector", default="regression")
-    asked = parser.parse_args()
-    played: dict[float, int] = defaultdict(int)
-    rows: dict[float, list[tuple[float, ...]]] = defaultdict(list)
+    asked, found = parser.parse_args(), {}
+    print(f"| {asked.detector} | detected and named | median error, plain | reported | coverage, plain | reported (99 % interval) |\n|---|---|---|---|---|---|")
     for machine in machines()[: asked.machines]:
-        problem = problem_of(machine, FalseAlarms(1e-3))
-        detector = load().get("detectors", asked.detector).design(problem, {})
-        for fault in problem.fault_names:
-            for true in SEVERITIES:
-                try:
-                    burst = bursts(machine, problem, fault, true, detector)
-                except (ValueError, KeyError) as why:
-                    print(f"no decision: {machine.name}, {fault}: {why}", flush=True)
-                    continue
-                for seed in range(asked.bursts if burst else 0):
-                    played[true] += 1
-                    e = judged(machine, problem, detector, burst, 1000 * asked.seed + seed, {fault: true})
-                    best = max(e.weights, key=e.weights.get) if e.weights else ""
-                    if e.detected and best == fault and e.severity is not None:
-                        x, sd, s = e.parts[f"severity.{fault}"], e.parts[f"sd.{fault}"], e.severity
-                        rows[true].append((x - true, abs(x - true) <= HALF * sd, s.value - true, s.low <= true <= s.high))
-    print(f"{asked.detector}: severity, bursts, detected and named | mean and median error, coverage: plain | given the detection (99 % interval)")
-    for key, n in sorted(played.items()):
-        r = np.array(rows[key], dtype=float).reshape(-1, 4)
-        mean, median = (f(r, axis=0) if len(r) else np.full(4, np.nan) for f in (np.mean, np.median))
-        k = int(r[:, 3].sum())
-        low, high = beta.ppf(0.005, k, len(r) - k + 1), beta.ppf(0.995, k + 1, len(r) - k)
-        print(
-            f"{100 * key:+4.0f} % {n:5d} {len(r) / n:5.2f} | {mean[0]:+.4f} {median[0]:+.4f} {mean[1]:.3f} | "
-            f"{mean[2]:+.4f} {median[2]:+.4f} {mean[3]:.3f} ({low:.3f} to {high:.3f})"
-        )
-    print(f"{time.process_time():.0f} s of processor")
+        for severity in SEVERITIES:
+            found[machine.name, severity] = counted(machine, asked.detector, severity, asked.bursts, asked.seed)
+        print(line(machine.name, np.vstack([found[machine.name, s] for s in SEVERITIES])), flush=True)
+    for severity in SEVERITIES:
+        print(line(f"{100 * severity:+.0f} %", np.vstack([rows for (_, s), rows in found.items() if s == severity])))
+    print(f"\n{time.process_time():.0f} s of processor")
 
 
 if __name__ == "__main__":

@@ -14,16 +14,17 @@ thesis', chapter 5.)
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.features.innovations import decay
+from afdsvc.detect.features.innovations import StreamingFilter, decay
 from afdsvc.detect.features.sums import selection
 from afdsvc.detect.uncertain_parameters import uncertain_parameters
-from afdsvc.errors import BadInput
+from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.lti.lft import AugmentedPlant
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.whitening import innovations
@@ -141,6 +142,36 @@ def _regressors(problem: DetectionProblem) -> Regressors:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FaultyResidual:
+    """The normalised residual of a machine with a fault: of its own predictor, in the covariance it has there."""
+
+    filter: StreamingFilter
+    Li: Array
+
+    def start(self) -> Array:
+        """Return the state at rest."""
+        return self.filter.start()
+
+    def step(self, state: Array, r: Array, y: Array, u: Array) -> tuple[Array, Array]:
+        """Return the state after the block and the series ``(n, 1, p)``; the residual ``r`` of the healthy machine is not used."""
+        after, own = self.filter.step(state, np.hstack([y, u]))
+        return after, (own @ self.Li.T)[:, None]
+
+
+def faulty_residual(problem: DetectionProblem, severities: Mapping[str, float]) -> FaultyResidual | None:
+    """Return the residual of the machine with faults, or with other values of uncertain parameters; None where its noises are not stated,
+    leave no steady predictor, or both kinds are asked for."""
+    faults = problem.augmented if set(severities) <= set(problem.fault_names) else problem.uncertain
+    if problem.output_cov is None or faults is None or not set(severities) <= set(faults.fault_names):
+        return None
+    try:
+        found = innovations(faults.close(severities), problem.output_cov, problem.process_cov, problem.cross_cov)
+    except AfdsvcError:
+        return None
+    return FaultyResidual(StreamingFilter(found.filter), whitener(found.covariance))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Way:
     """How one parameter enters: from its z into the error filter and the residual, what its z is made of, and how the
     predictor's gain follows it."""
@@ -169,6 +200,19 @@ def _gain_derivative(problem: DetectionProblem, augmented: AugmentedPlant, name:
     plants = [augmented.close({name: s * NUDGE}) for s in (1, -1)]
     gains = [innovations(g, problem.output_cov, problem.process_cov, problem.cross_cov).gain for g in plants]
     return np.asarray((gains[0] - gains[1]) / (2 * NUDGE))
+
+
+def covariance_slopes(problem: DetectionProblem) -> Array:
+    """Return how the covariance of the normalised innovations changes with every fault and uncertain parameter, shape ``(K, p, p)``; 0 where
+    the noises are not stated."""
+    return problem.once(lambda: _covariance_slopes(problem), "covariance slopes")
+
+
+def _covariance_slopes(problem: DetectionProblem) -> Array:
+    names, Li = regressors(problem).names, whitener(problem.covariance)
+    pairs = [[faulty_residual(problem, {name: s * NUDGE}) for s in (1, -1)] for name in names]
+    both = [[np.zeros_like(Li) if f is None else np.linalg.inv(f.Li.T @ f.Li) for f in pair] for pair in pairs]
+    return np.array([Li @ (up - down) @ Li.T / (2 * NUDGE) for up, down in both]).reshape(len(names), *Li.shape)
 
 
 def whitener(covariance: Array) -> Array:

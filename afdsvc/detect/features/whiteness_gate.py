@@ -12,14 +12,17 @@ all faults, and in detail only with the few faults that are likeliest.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.special import chdtrc
 
-from afdsvc.api.detection import ResidualBlock
+from afdsvc.api.detection import DetectionProblem, ResidualBlock
 from afdsvc.detect.features.nuisances import Cleaning, Nuisances
+from afdsvc.detect.features.regressors import FaultyResidual, covariance_slopes, faulty_residual
 from afdsvc.detect.features.shared_filter import Filters
 from afdsvc.detect.features.sums import Products
 from afdsvc.lti.statespace import Array
@@ -143,6 +146,8 @@ def finite(*arrays: Array) -> bool:
     return all(bool(np.isfinite(a).all()) for a in arrays)
 
 
+PRECISE = 5e-3  # to which a severity is found that explains quiet data
+SWEEPS = 2  # over the severities of two faults, one at a time
 LIKELIEST = 3  # faults that may explain coloured data: those that explain most of them
 
 
@@ -162,18 +167,56 @@ class Recent:
         blocks = tuple(between(b, 0, k + 1 - b.k0) for b in self.blocks if b.k0 <= k)
         return _newest(blocks, sum(len(b) for b in blocks), most)
 
-    def explained(self, gate: Gate, filters: Filters, nuisances: Nuisances) -> Judgement | None:
-        """Return the judgement that one of the likeliest faults explains these samples, None when none of them does."""
+    def explained(self, gate: Gate, filters: Filters, nuisances: Nuisances, problem: DetectionProblem) -> Judgement | None:
+        """Return the judgement that one of the likeliest faults explains these samples, None when none of them does.
+
+        Where psi does not, the machine's own predictor with the fault is tried, and with two of them: a weak sensor shows less of the
+        process noise too, which changes gain and covariance of the innovations.
+        """
         pieces = list(self._cleaned(filters, nuisances, gate))
         if not pieces:
             return None
         series = np.concatenate(pieces)
-        likeliest = _likeliest(series, filters)
+        likeliest = _likeliest(series, filters, problem)
         sums = LagSums.empty(gate.lags, len(likeliest), filters.plant.outputs)
         sums = sums.add(_with_regressors(series, filters.theta[likeliest]))
-        return gate.explained(sums, [filters.names[i] for i in likeliest], [filters.bounds[i] for i in likeliest])
+        own = {filters.names[i]: filters.bounds[i] for i in likeliest}
+        found = gate.explained(sums, list(own), list(own.values()))
+        return found if found is not None or sums.n < gate.needed else self._predicted(gate, own, nuisances, problem)
 
-    def _cleaned(self, filters: Filters, nuisances: Nuisances, gate: Gate) -> Iterator[Array]:
+    def _predicted(self, gate: Gate, own: Mapping[str, tuple[float, float]], nuisances: Nuisances, problem: DetectionProblem) -> Judgement | None:
+        """Return the judgement that the predictor of the machine with one or two faults leaves white samples, None when none does.
+
+        Severities are the likeliest ones; the second fault joins the likeliest first. They must gain more than chance does.
+        """
+        severities: dict[str, float] = {}
+
+        def left(at: Mapping[str, float]) -> tuple[Array, float]:
+            return self._left(gate, at, nuisances, problem)
+
+        healthy = left({})[1]
+        for _ in range(min(2, len(own))):
+            fits = [_likeliest_severity(left, severities, name, bounds) for name, bounds in own.items() if name not in severities]
+            _, severities = min(fits, key=lambda fit: fit[0])
+            for name in SWEEPS * list(severities) if len(severities) > 1 else ():
+                _, severities = _likeliest_severity(left, severities, name, own[name])
+            series, cost = left(severities)
+            if not np.isfinite(cost) or chdtrc(len(severities), 2 * max(healthy - cost, 0.0)) > gate.level:
+                return None
+            found = whiteness(LagSums.empty(gate.lags, 0, series.shape[2]).add(series), gate.estimated)
+            if found.p >= gate.level:
+                return Judgement(True, "", found, "+".join(severities))
+        return None
+
+    def _left(self, gate: Gate, severities: Mapping[str, float], nuisances: Nuisances, problem: DetectionProblem) -> tuple[Array, float]:
+        """Return the normalised residual ``(n, 1, p)`` under faults and minus its log likelihood, inf without a steady predictor."""
+        residual = faulty_residual(problem, severities)
+        if residual is None:
+            return np.zeros((0, 1, problem.plant.outputs)), np.inf
+        series = np.concatenate(list(self._cleaned(residual, nuisances, gate)))
+        return series, 0.5 * float(np.sum(series**2)) - len(series) * float(np.sum(np.log(np.diag(residual.Li))))
+
+    def _cleaned(self, filters: Filters | FaultyResidual, nuisances: Nuisances, gate: Gate) -> Iterator[Array]:
         """Yield series without nuisances; ``settle`` samples are left out after every interruption."""
         cleaning: Cleaning | None = None
         state: Any
@@ -209,14 +252,24 @@ def between(block: ResidualBlock, first: int, end: int) -> ResidualBlock:
     return replace(block, k0=block.k0 + first, r=r, beta=beta, u=u, y=y, alpha=alpha, aux=aux)
 
 
-def _likeliest(series: Array, filters: Filters) -> list[int]:
-    """Return the faults whose severity, inside its bounds, takes most out of the residual."""
-    sums = Products.empty(*filters.theta.shape[1:]).add(series)
-    b, G = sums.score(filters.theta), np.diag(sums.information(filters.theta))
+def _likeliest(series: Array, filters: Filters, problem: DetectionProblem) -> list[int]:
+    """Return the faults that gain most likelihood, to second order, at a severity inside its bounds: by what psi takes out of the residual
+    and by the covariance that the fault gives it."""
+    sums, slopes, e = Products.empty(*filters.theta.shape[1:]).add(series), covariance_slopes(problem), series[:, 0]
+    b = sums.score(filters.theta) + 0.5 * np.einsum("kij,ji->k", slopes, e.T @ e - len(e) * np.eye(e.shape[1]))
+    G = np.diag(sums.information(filters.theta)) + 0.5 * len(e) * np.einsum("kij,kji->k", slopes, slopes)
     low, high = np.array(filters.bounds).reshape(-1, 2).T
     severity = np.clip(b / np.where(G > 0, G, np.inf), low, high)
     gain = severity * b - severity**2 * G / 2
     return [int(i) for i in np.argsort(-gain, kind="stable")[:LIKELIEST]]
+
+
+def _likeliest_severity(
+    left: Callable[[Mapping[str, float]], tuple[Array, float]], others: Mapping[str, float], name: str, bounds: tuple[float, float],
+) -> tuple[float, dict[str, float]]:
+    """Return the smallest cost over the severity of one more fault, and all severities there."""
+    found = minimize_scalar(lambda theta: left({**others, name: float(theta)})[1], bounds=bounds, method="bounded", options={"xatol": PRECISE})
+    return float(found.fun), {**others, name: float(found.x)}
 
 
 def _with_regressors(series: Array, theta: Array) -> Array:

@@ -166,7 +166,7 @@ class PassiveDetector:
         if found.ok or found.found is None:
             return found
         recent = state.recent.until(k, self._remembered)
-        return recent.explained(self.gate, self.filters, self.nuisances) or found
+        return recent.explained(self.gate, self.filters, self.nuisances, self.problem) or found
 
     def _evidence(self, state: PassiveState, finding: Finding, k: int, dt: float) -> Evidence:
         judgement = self._judgement(state, k)
@@ -175,14 +175,14 @@ class PassiveDetector:
         return evidence(self.name, self.problem, k, dt, "", finding, judgement, complaint, self.sure)
 
     def _doubt(self, state: PassiveState, k: int, dt: float, found: list[Evidence]) -> PassiveState:
-        """Say once that the quiet data cannot be trusted, again only after they could be in between; see `doubt_level`."""
+        """Say once that the quiet data cannot be trusted, again only after they could be, unexplained, in between; see `doubt_level`."""
         if state.gate.sums().n < self.gate.needed:
             return state
-        ok = self._judgement(state, k, self.doubt_level).ok
-        if not ok and not state.doubted:
+        judge = self.gate.judge(state.gate, self.doubt_level) if state.doubted else self._judgement(state, k, self.doubt_level)
+        if not judge.ok and not state.doubted:
             peak = float(state.cusum.g.max(initial=0.0))
             found.append(self._evidence(state, Finding(peak, self.boundary), k, dt))
-        return replace(state, doubted=not ok)
+        return replace(state, doubted=not judge.ok)
 
     def _to_part(self, state: PassiveState) -> int:
         """Return the samples until the gate's present part is full."""
