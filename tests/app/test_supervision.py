@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import socket
 import subprocess
 import sys
 import time
+from importlib.metadata import metadata
 from pathlib import Path
 
 import pytest
 
 from afdsvc.app.ask import ask_service
 from afdsvc.files.site import read_site
+from afdsvc.service.audit_log import verify_chain
 
+PACKAGING = Path(__file__).parents[2] / "packaging"
 SITE = """site = "t"
 [transport]
 listen = ["tcp/127.0.0.1:{port}"]
@@ -76,22 +80,47 @@ def test_a_supervisor_is_told_and_sigterm_ends_everything_in_time_even_in_a_burs
 
 
 def test_the_shipped_units_start_what_there_is():
-    units = Path(__file__).parents[2] / "packaging"
-    commands = [line for u in units.glob("*.service") for line in u.read_text().splitlines() if line.startswith("ExecStart=")]
+    commands = [line for u in PACKAGING.glob("*.service") for line in u.read_text().splitlines() if line.startswith("ExecStart=")]
     assert sorted(c.split()[1] for c in commands) == ["rig", "serve"]
-    assert "Type=notify" in (units / "afdsvc.service").read_text()
+    assert "Type=notify" in (PACKAGING / "afdsvc.service").read_text()
 
 
 @pytest.mark.parametrize(("name", "most"), [("afdsvc.service", 20), ("afdsvc-rig@.service", 30)])
 def test_the_units_are_bound(name, most):
     """Below 2.0 of 10 by systemd's own count (8.5 before it was hardened), that of a rig, whose driver needs devices, below 3.0."""
-    unit, analyze = Path(__file__).parents[2] / "packaging" / name, shutil.which("systemd-analyze")
+    unit, analyze = PACKAGING / name, shutil.which("systemd-analyze")
     if analyze is None:
         pytest.skip("no systemd-analyze here")
     done = subprocess.run(
         [analyze, "security", "--offline=true", f"--threshold={most}", str(unit)], capture_output=True, text=True, check=False, timeout=60
     )
     assert done.returncode == 0, done.stdout[-500:] + done.stderr
+
+
+def test_the_service_runs_as_the_container_runs_it(tmp_path, free_port):
+    """Without capabilities on a read-only system, with the variables and the command of the container file."""
+    state, site = tmp_path / "state", tmp_path / "site.toml"
+    state.mkdir()
+    site.write_text(SITE.format(port=free_port))
+    alone = 'mount --make-rprivate / && mount --bind "$1" "$1" && mount -o remount,ro,bind / && shift && exec setpriv --no-new-privs --bounding-set=-all --inh-caps=-all "$@"'
+    alone = ["unshare", "-m", "sh", "-c", alone, "sh", str(state)]
+    if not shutil.which("unshare") or subprocess.run([*alone, "true"], capture_output=True, check=False).returncode:
+        pytest.skip("no right to make a read-only system here")
+    words = (PACKAGING / "Containerfile").read_text().replace("/var/lib/afdsvc", str(state)).splitlines()
+    said = dict(line.split(maxsplit=1) for line in words if line and not line.startswith((" ", "#")))
+    environment = {**os.environ, **dict(pair.split("=") for pair in said["ENV"].split())}
+    arguments = [str(site) if word.endswith("site.toml") else word for word in json.loads(said["CMD"])]
+    command = [*alone, sys.executable, "-m", *json.loads(said["ENTRYPOINT"]), *arguments, "--seconds", "1"]
+    done = subprocess.run(command, env=environment, cwd=state, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert "serving 't' with 1 machine" in done.stderr
+    assert all(json.loads(line)["level"] in ("info", "warning") for line in done.stderr.splitlines())
+    assert verify_chain(state / "recordings" / "t-audit.jsonl").entries[-1]["what"] == "stop"
+
+
+def test_the_container_installs_what_there_is():
+    (extras,) = re.findall(r"\.whl\)\[(.*?)\]", (PACKAGING / "Containerfile").read_text())
+    assert set(extras.split(",")) <= set(metadata("afdsvc").get_all("Provides-Extra"))
 
 
 def test_without_a_folder_recordings_go_to_the_state_directory_of_the_unit(tmp_path, monkeypatch):
