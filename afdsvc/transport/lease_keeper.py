@@ -24,6 +24,7 @@ PERIOD_SECONDS = 0.05  # forty renewals in the life of a lease
 REPORT_SECONDS = 0.25
 TRUST_SECONDS = 1.0  # either side takes the other for dead that has been silent for so long
 AGAIN_SECONDS = 5.0
+PRIORITY = -10  # as nice counts it, where that is permitted: renewing is very little work, and must not wait behind any other
 
 
 class LeaseKeeper:
@@ -119,6 +120,8 @@ def keep_leases() -> None:
     """Renew until the service closes the pipe."""
     import zenoh
 
+    with contextlib.suppress(OSError, AttributeError):
+        os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
     for stop in (signal.SIGINT, signal.SIGTERM):
         signal.signal(stop, signal.SIG_IGN)  # the service decides
     said = b""

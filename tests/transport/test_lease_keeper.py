@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -11,7 +12,7 @@ import time
 import numpy as np
 import pytest
 
-from afdsvc.transport.lease_keeper import PERIOD_SECONDS, TRUST_SECONDS, LeaseKeeper
+from afdsvc.transport.lease_keeper import PERIOD_SECONDS, PRIORITY, TRUST_SECONDS, LeaseKeeper
 from afdsvc.transport.zenoh_session import Transport, configuration
 from tests.transport.test_zenoh_session import Settings, free_port, wait_for
 
@@ -55,6 +56,14 @@ def test_leases_are_renewed_while_no_thread_of_the_service_runs(kept):
     assert wait_for(lambda: len(heard) >= before + 2 * 0.5 / PERIOD_SECONDS, 0.5)  # two leases; those of the half second are there already
     assert max(late) > 0.4  # or this shows nothing
     assert {payload for _, payload in heard} == {b"one", b"two"}
+
+
+def test_renewals_go_before_other_processes_where_that_is_permitted(kept):
+    keeper, _ = kept
+    assert told(keeper, [(KEY, b"one")])
+    tried = subprocess.run([sys.executable, "-c", f"import os; os.setpriority(os.PRIO_PROCESS, 0, {PRIORITY})"], capture_output=True, check=False)
+    assert keeper._process is not None
+    assert os.getpriority(os.PRIO_PROCESS, keeper._process.pid) == (PRIORITY if tried.returncode == 0 else os.getpriority(os.PRIO_PROCESS, 0))
 
 
 def hold_the_interpreter(seconds: float) -> None:
