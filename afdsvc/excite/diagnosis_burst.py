@@ -18,6 +18,7 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.detection import DetectionProblem
+from afdsvc.detect.combinations import JOINED
 from afdsvc.detect.features.innovations import decay
 from afdsvc.detect.isolation import NONE
 from afdsvc.detect.thresholds.power import required_deflection, required_separation
@@ -29,6 +30,8 @@ from afdsvc.excite.power_allocation import candidates
 from afdsvc.excite.settings import BURST
 from afdsvc.excite.simulated_burst import faulty_loop
 from afdsvc.lti.statespace import Array
+
+ALIKE = 1e-3  # share of a wave that another must leave for the two to be told apart by any burst
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,12 +102,30 @@ def second_burst(
     problem: DetectionProblem, limits: Limits, weights: Mapping[str, float], severity: float, seconds: float = 2.5
 ) -> Burst:
     """Return the burst that tells the two likeliest faults apart, given the weights a first burst left (thesis 5.5: a
-    second test at a frequency chosen for the difference of the two). ``severity`` is the one estimated."""
+    second test at a frequency chosen for the difference of the two). ``severity`` is the one estimated.
+
+    Two faults at once are told from others by all of them that are in doubt. Raises `Refused` where no burst can: the same wave on every line.
+    """
     suspects = sorted((n for n in weights if n != NONE), key=lambda n: -weights[n])[:2]
     if len(suspects) < 2:
         raise BadInput(f"weights of {', '.join(weights) or 'no fault'}; expected two faults to tell apart by a second burst")
-    aim = Aim(severity=severity, suspects=tuple(suspects))
-    return replace(default_burst(problem, limits, seconds, None, aim, "isolation"), purpose="isolate")
+    first, second = (name.split(JOINED) for name in suspects)
+    aim = Aim(severity=severity, suspects=tuple(dict.fromkeys([*first, *second])))
+    made = replace(default_burst(problem, limits, seconds, None, aim, "isolation"), purpose="isolate")
+    if JOINED in "".join(suspects) and _alike(burst_detection(problem, made), first, second):
+        raise Refused(f"no burst tells {suspects[0]} from {suspects[1]}: they do the same to the loop")
+    return made
+
+
+def _alike(seen: ExpectedDetection, first: Sequence[str], second: Sequence[str]) -> bool:
+    """Whether faults that are present together in equal severities send the wave that others may send, to first order; not where the ones are
+    among the others."""
+    if set(first) <= set(second) or set(second) <= set(first):
+        return False
+    both = [np.stack([seen.curves.slope(name, 0.0).ravel() for name in names], axis=1) for names in (first, second)]
+    wave = both[0].sum(axis=1)
+    rest = wave - both[1] @ np.linalg.lstsq(both[1], wave, rcond=None)[0]
+    return float(np.linalg.norm(rest)) < ALIKE * float(np.linalg.norm(wave))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

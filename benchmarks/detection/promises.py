@@ -27,16 +27,17 @@ from afdsvc.detect.features.noise_calibration import calibrate_noise
 from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.uncertain_parameters import uncertain_entries
 from afdsvc.errors import AfdsvcError
-from afdsvc.excite.diagnosis_burst import default_burst
+from afdsvc.excite.diagnosis_burst import Aim, default_burst
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.whitening import innovations
 from afdsvc.plugins.manager import load
 from benchmarks.detection.counting import share
+from benchmarks.detection.judged import quiet
 from benchmarks.detection.truth import TrueMachine, machines
 from benchmarks.detection.truth_problem import alpha_of, loss_of, problem_of
 
-QUIET, SAMPLES, CALIBRATED = 3000, 2000, 20_000
+SAMPLES, CALIBRATED = 2000, 20_000
 EVERY = ("matched_filter", "fault_curves", "regression", "iterated_regression", "cusum")
 TWO = ("matched_filter", "regression")
 PASSIVE_EVERY = 20_000  # samples in which the passive detector promises one alarm here
@@ -54,10 +55,10 @@ def broad(machine: TrueMachine) -> Burst:
 def shown(problem: DetectionProblem, detectors: Sequence[Detector], run: Mapping[str, np.ndarray], burst: Burst | None) -> list[list[Evidence]]:
     """Return the evidence of every detector for a run: quiet samples, then the burst (None: all of it is quiet)."""
     r, _ = simulate(problem.innovations, np.hstack([run["y"], run["u"]]))
-    end = len(r) if burst is None else QUIET
+    end = len(r) if burst is None else quiet(problem)
     parts = (r, run["beta"], run["u"], run["y"], run["alpha"])
-    edges = [(k, min(k + 5000, end), None) for k in range(0, end, 5000)] + ([] if burst is None else [(QUIET, len(r), burst)])
-    blocks = [ResidualBlock(a, problem.plant.dt, *(x[a:b] for x in parts), playing, "b" if playing else "", QUIET) for a, b, playing in edges]
+    edges = [(k, min(k + 5000, end), None) for k in range(0, end, 5000)] + ([] if burst is None else [(end, len(r), burst)])
+    blocks = [ResidualBlock(a, problem.plant.dt, *(x[a:b] for x in parts), playing, "b" if playing else "", end) for a, b, playing in edges]
     found = []
     for detector in detectors:
         state, told = detector.start(), []
@@ -84,7 +85,7 @@ def given_noise(machine: TrueMachine, rng: np.random.Generator, size: float) -> 
     rarer = replace(problem, false_alarms=FalseAlarms(1e-3))
     detectors, hits, doubted = [*designed(problem, EVERY), *designed(rarer, TWO)], np.zeros(len(EVERY) + len(TWO), int), 0
     for _ in range(bursts):
-        told = [t[-1] for t in shown(problem, detectors, machine.run(rng, alpha_of(burst, machine.dt, QUIET)), burst)]
+        told = [t[-1] for t in shown(problem, detectors, machine.run(rng, alpha_of(burst, machine.dt, quiet(problem))), burst)]
         hits += [exceeded(e) for e in told]
         doubted += not told[0].trustworthy
     for kind, rate, count in zip((*EVERY, *TWO), [1e-2] * len(EVERY) + [1e-3] * len(TWO), hits, strict=True):
@@ -94,16 +95,17 @@ def given_noise(machine: TrueMachine, rng: np.random.Generator, size: float) -> 
 
 def calibrated_noise(machine: TrueMachine, rng: np.random.Generator, size: float) -> Iterator[Row]:
     """Noise from quiet data: trusted and alarms; refused when the noise is a tenth larger, everywhere or in bursts only."""
-    plant, burst = StateSpace(machine.A, machine.B, machine.C, machine.D, machine.dt), broad(machine)
-    alpha, counts, spans, bursts = alpha_of(burst, machine.dt, QUIET), np.zeros(5, int), round(12 * size), 4
+    plant, burst, spans, bursts = StateSpace(machine.A, machine.B, machine.C, machine.D, machine.dt), broad(machine), round(12 * size), 4
+    counts = np.zeros(5, int)
     for _ in range(spans):
-        quiet = machine.run(rng, np.zeros((CALIBRATED, burst.inputs)))
-        problem = with_noise(problem_of(machine, FalseAlarms(1e-2)), calibrate_noise(plant, quiet["u"], quiet["y"]))
-        detectors = designed(problem, TWO)
+        learnt = machine.run(rng, np.zeros((CALIBRATED, burst.inputs)))
+        problem = with_noise(problem_of(machine, FalseAlarms(1e-2)), calibrate_noise(plant, learnt["u"], learnt["y"]))
+        detectors, before = designed(problem, TWO), quiet(problem)
+        alpha = alpha_of(burst, machine.dt, before)
         for _ in range(bursts):
             first, second = (t[-1] for t in shown(problem, detectors, machine.run(rng, alpha), burst))
             counts[:3] += [first.trustworthy, exceeded(first), exceeded(second)]
-        for k, where in enumerate((1.1, np.r_[np.ones(QUIET), np.full(burst.samples, 1.1)])):
+        for k, where in enumerate((1.1, np.r_[np.ones(before), np.full(burst.samples, 1.1)])):
             counts[3 + k] += not shown(problem, detectors[:1], machine.run(rng, alpha, noisier=where), burst)[0][-1].trustworthy
     n = spans * bursts
     yield "trusted, calibrated noise", "gate", int(counts[0]), n, 0.95
@@ -131,7 +133,7 @@ def references(machine: TrueMachine, rng: np.random.Generator, size: float) -> I
         slow = lfilter([0.02], [1, -0.98], rng.standard_normal((n, len(y_sd))), axis=0)
         return np.asarray(5 * y_sd * slow / slow.std())
 
-    detectors, hits, alpha = designed(problem, TWO), np.zeros(2, int), alpha_of(burst, machine.dt, QUIET)
+    detectors, hits, alpha = designed(problem, TWO), np.zeros(2, int), alpha_of(burst, machine.dt, quiet(problem))
     for _ in range(bursts):
         hits += [exceeded(t[-1]) for t in shown(problem, detectors, machine.run(rng, alpha, ref=wandering(len(alpha))), burst)]
     for kind, count in zip(TWO, hits, strict=True):
@@ -155,7 +157,7 @@ def uncertain(machine: TrueMachine, rng: np.random.Generator, size: float, sd: f
     burst, detectors, hits, n = broad(machine), designed(problem, TWO), np.zeros(2, int), 0
     for _ in range(round(12 * size)):
         A, B = (M * (1 + sd * rng.standard_normal(M.shape)) for M in (machine.A, machine.B))
-        run = Mistaken(machine, A, B).run(rng, alpha_of(burst, machine.dt, QUIET))
+        run = Mistaken(machine, A, B).run(rng, alpha_of(burst, machine.dt, quiet(problem)))
         if np.isfinite(run["y"]).all() and np.abs(run["y"]).max() < 1e3 * machine.spread()[0].max():
             n += 1
             hits += [exceeded(t[-1]) for t in shown(problem, detectors, run, burst)]
@@ -184,11 +186,11 @@ class Mistaken:
 
 
 def together(machine: TrueMachine, rng: np.random.Generator, size: float, loss: float = -0.2) -> Iterator[Row]:
-    """One fault and every pair of faults of -20 % with the default burst: named, or the true one among those that share the weight."""
+    """One fault and every pair of faults of -20 %, with the burst designed for it: named, or the true one among those that share the weight."""
     problem = problem_of(machine, FalseAlarms(1e-3))
     assert problem.limits is not None
     try:
-        burst = default_burst(problem, problem.limits, SAMPLES * machine.dt)
+        burst = default_burst(problem, problem.limits, SAMPLES * machine.dt, aim=Aim(severity=loss))
     except AfdsvcError:
         return
     detectors, names = designed(problem, TWO), [n for n, (low, _) in reachable(problem).items() if low < loss]
@@ -200,7 +202,7 @@ def together(machine: TrueMachine, rng: np.random.Generator, size: float, loss: 
                 continue
             for _ in range(round(6 * size)):
                 n += 1
-                run = machine.run(rng, alpha_of(burst, machine.dt, QUIET), loss_of(problem, severities))
+                run = machine.run(rng, alpha_of(burst, machine.dt, quiet(problem)), loss_of(problem, severities))
                 for k, told in enumerate(shown(problem, detectors, run, burst)):
                     e, name = told[-1], JOINED.join(truth)
                     possible = (name, *truth) if problem.plant.inputs == problem.plant.outputs == 1 else (name,)  # one loop gain: no burst tells them apart

@@ -10,11 +10,14 @@ from afdsvc.detect.features.regressors import whitener
 from afdsvc.detect.isolation import LineData, anything_log_evidence, curve_fit, weights
 from afdsvc.detect.statistics.matched_filter import window
 from afdsvc.detect.thresholds.power import weight_reached
+from afdsvc.errors import Refused
 from afdsvc.excite.diagnosis_burst import default_burst, second_burst
 from afdsvc.excite.expected_detection import burst_detection
 from afdsvc.excite.isolation import NOT_ISOLABLE, isolable_pairs, separation
 from afdsvc.excite.simulated_burst import faulty_loop, simulate_burst
 from afdsvc.testing.machines import bearing_problem
+from benchmarks.detection.truth import machines
+from benchmarks.detection.truth_problem import problem_of
 
 PAIR = ("horizontal_actuator", "horizontal_sensor")
 
@@ -95,3 +98,17 @@ def test_simulation_agrees_with_the_isolation_stated_for_a_second_burst(controll
     assert [(line.input, line.omega) for line in second.lines] == [(x["input"], x["rad_s"]) for x in told["second_burst"]["lines"]]
     assert told["separation"] == pytest.approx(separation(burst_detection(problem, second), PAIR, -0.5))
     assert agrees(isolated(problem, second, PAIR[0], -0.5, runs), told["probability"], runs)
+
+
+def test_the_second_burst_for_a_pair_is_made_for_all_faults_in_doubt():
+    problem = problem_of(next(m for m in machines() if m.name == "order 8, process noise small"))
+    burst = second_burst(problem, problem.limits, {"a0": 0.5, "a0+s1": 0.5}, -0.2)
+    before, after = (burst_detection(problem, b).separation("s1", -0.2, "a0") for b in (default_burst(problem, problem.limits), burst))
+    assert burst.purpose == "isolate"
+    assert after > 1.5 * before > 5.0
+
+
+def test_pairs_that_do_the_same_to_the_loop_are_refused_a_second_burst():
+    problem = problem_of(next(m for m in machines() if m.name == "order 8, process noise small"))
+    with pytest.raises(Refused, match=r"no burst tells a0\+a1 from s0\+s1"):
+        second_burst(problem, problem.limits, {"a0+a1": 0.6, "s0+s1": 0.4}, -0.2)

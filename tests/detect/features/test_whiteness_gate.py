@@ -6,8 +6,8 @@ import pytest
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import FalseAlarms
 from afdsvc.plugins.manager import load
-from benchmarks.detection.judged import judged
-from benchmarks.detection.promises import QUIET, shown
+from benchmarks.detection.judged import judged, quiet
+from benchmarks.detection.promises import shown
 from benchmarks.detection.truth import machines
 from benchmarks.detection.truth_problem import alpha_of, problem_of
 
@@ -25,6 +25,6 @@ def test_weak_sensors_and_pairs_are_judged(loss):
 
 
 def test_noise_that_no_fault_makes_is_refused():
-    alpha = alpha_of(BURST, MACHINE.dt, QUIET)
+    alpha = alpha_of(BURST, MACHINE.dt, quiet(PROBLEM))
     found = [shown(PROBLEM, [DETECTOR], MACHINE.run(np.random.default_rng(seed), alpha, noisier=1.1), BURST)[0][-1] for seed in range(10)]
     assert sum(not e.trustworthy and "times the stated standard deviation" in e.reason for e in found) >= 9
