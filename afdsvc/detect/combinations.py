@@ -77,6 +77,13 @@ def likeliest(found: Sequence[Combination], faults: int) -> Combination | None:
     return max((c for c in found if len(c.faults) == faults), key=lambda c: c.gain, default=None)
 
 
+def alike(found: Sequence[Combination], best: Combination, names: Sequence[str]) -> dict[str, float]:
+    """Return the combinations of more faults that explain the data as well as the best one does, for a finding's parts: only their being more
+    faults speaks against them. Values are the log likelihoods they fall short by."""
+    more = [c for c in found if len(c.faults) > len(best.faults) and not set(best.faults) <= set(c.faults)]
+    return {f"alike.{JOINED.join(names[i] for i in c.faults)}": best.gain - c.gain for c in more if best.gain - c.gain < -math.log(OPEN)}
+
+
 def paired(finding: Finding, found: Sequence[Combination], pair: Combination, names: Sequence[str], samples: int) -> Finding:
     """Return the finding with single faults and pairs weighed, and fits of the likeliest pair."""
     kept = {name: w for name, w in weighed(found, names, samples).items() if w > NEGLIGIBLE}
@@ -98,8 +105,10 @@ def paired_on_lines(finding: Finding, curves: FaultCurves, data: LineData, reach
     ]  # fmt: skip
     pairs = _pairs_on_lines(curves, data, reach, [c.faults[0] for c in singles])
     single, pair = likeliest(singles, 1), likeliest(pairs, 2)
-    if single is None or pair is None or pair.score(samples) - single.score(samples) < math.log(OPEN):
+    if single is None or pair is None:
         return finding
+    if pair.score(samples) - single.score(samples) < math.log(OPEN):
+        return replace(finding, parts={**finding.parts, **alike(pairs, single, curves.names)})
     point, covariance = curves.together({curves.names[i]: s for i, s in zip(pair.faults, pair.severity.tolist(), strict=True)})
     rest = data.whitened(covariance, data.z - data.R @ point)[0]
     left = float(chdtrc(max(rest.size - 2, 1), float(rest @ rest)))

@@ -45,6 +45,19 @@ def test_pairs_that_do_the_same_share_the_weight(kind):
         assert e.weights["a0+a1"] + e.weights["s0+s1"] > 0.99
 
 
+@pytest.mark.parametrize("kind", ["regression", "matched_filter"])
+def test_two_sensors_that_do_what_one_actuator_does_are_told(kind):
+    machine = next(m for m in machines() if m.name == "integrating")
+    problem = problem_of(machine, FalseAlarms(1e-2))
+    detector = load().get("detectors", kind).design(problem, {})
+    burst = Burst("b", 1, 2000, 100, (Line(0, 220.0, 3.0), Line(0, 610.0, 3.0)), settle=60)
+    for seed in range(5):
+        e = judged(machine, problem, detector, burst, seed, {"s0": -0.2, "s1": -0.2})
+        assert e.detected
+        assert e.fault in ("a0", None)
+        assert e.weights.get("s0+s1", 0.0) > 0.01 or "alike.s0+s1" in e.parts
+
+
 @pytest.mark.parametrize("kind", ["regression", *LINES])
 @pytest.mark.parametrize("fault", ["a0", "s1"])
 def test_one_fault_stays_one(fault, kind):
