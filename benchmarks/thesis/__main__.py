@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from afdsvc.errors import BadInput
 from benchmarks.thesis import gas_bearing_figures, identification_figures, unavailable, unstable_plant_figures
 from benchmarks.thesis.figure import Figure, Row
 from benchmarks.thesis.recorded import EXPERIMENTS, Measured, record
@@ -111,4 +112,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    try:
+        sys.exit(main(sys.argv[1:]))
+    except BadInput as error:
+        sys.exit(str(error))

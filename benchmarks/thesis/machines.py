@@ -14,8 +14,9 @@ from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.lft import fault_signature
 from afdsvc.lti.riccati import kalman_predictor_gain, lqr
 from afdsvc.lti.simulate import simulate
+from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.whitening import whitening_filter
-from afdsvc.lti.yjbk import interconnection
+from afdsvc.lti.yjbk import closed_loop, interconnection
 from afdsvc.plants.gas_bearing import gas_bearing
 from afdsvc.testing.machines import bearing_problem, unstable_problem
 
@@ -40,6 +41,21 @@ class Loop:
         """Return the whitened residual per unit of alpha, first output and input, with several parameters changed."""
         S = fault_signature(self.problem.augmented, self.problem.interconnection, severities)
         return complex((frequency_response(self.whitening, [omega]) @ frequency_response(S, [omega]))[0, 0, 0])
+
+    def simulated_efficiency(self, fault: str, omega: float, source: int, seen: int, severity: float = HALF) -> float:
+        """Return f_alpha from simulated runs of the loop with and without the fault, without noise."""
+        G, periods = self.problem.plant, round(2 * np.pi / omega / self.problem.plant.dt) * 10
+        alpha = sine(self, omega, 1.0, source, 2 * periods)
+        deflection = self._runs(G, alpha)[0]
+        r = simulate(self.whitening, self._runs(self.problem.augmented.close({fault: severity}), alpha)[1])[0]
+        wave = np.exp(-1j * omega * G.dt * np.arange(2 * periods))[periods:]
+        return float(abs(wave @ r[periods:, seen]) / np.linalg.norm(wave @ deflection[periods:]))
+
+    def _runs(self, plant: StateSpace, alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return outputs and beta of the loop around this plant."""
+        m, p = plant.inputs, plant.outputs
+        out, _ = simulate(closed_loop(self.factors, plant).system, np.hstack([np.zeros((len(alpha), 2 * p + m)), alpha]))
+        return out[:, :p], out[:, -p:]
 
     def efficiency(self, fault: str, omega: float, source: int, seen: int, severity: float = HALF) -> float:
         """Return f_alpha, the residual over the largest deflection that alpha causes (thesis 5.43, P5 20)."""
@@ -103,7 +119,10 @@ def matched(r: np.ndarray, omega: float, dt: float, phase: float, window: int) -
 
 @dataclass(frozen=True)
 class Detected:
-    """What the published detector does: share of windows over the threshold before and after the fault, and the decision after it."""
+    """What the published detector does: share of windows over the threshold before and after the fault, and the decision after it.
+
+    ``reached``: mean of T after the fault in standard deviations, from this many ``windows``; ``deflection``: what S predicts for it.
+    """
 
     before: float
     after: float
@@ -111,6 +130,8 @@ class Detected:
     decided: str
     share: float
     deflection: float
+    reached: float
+    windows: float
 
 
 def detect(
@@ -143,6 +164,7 @@ def detect_in(
     return Detected(
         float(np.mean(T[quiet] > h)), float(np.mean(T[faulty] > h)), len(np.unique(choices[quiet])), names[int(votes.argmax())],
         float(votes.max() / votes.sum()), float(abs(answers[fault]) * amplitude * np.sqrt(window / 2 / variance)),
+        float(T[faulty].mean()), len(T[faulty]) / window,
     )  # fmt: skip
 
 

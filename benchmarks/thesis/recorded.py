@@ -27,21 +27,31 @@ QUIET, BURST, FAULT_AFTER = 6.0, 13.5, 7.0  # s before the burst, of it, and fro
 AXES = ("horizontal", "vertical")
 
 
+PROPORTIONAL = 'controller = {kind = "proportional", settings = {gain = 0.2}}'
+REST, TURNING, LQG = f'plant = "gas_bearing"\n{PROPORTIONAL}', f'plant = "gas_bearing"\noptions = {{rpm = 1100}}\n{PROPORTIONAL}', 'plant = "gas_bearing"'
+UNSTABLE = """plant = "unstable_second_order"
+controller = {kind = "lqg", settings = {state_weight = 1.0, input_weight = 0.1, process_weight = 1.0, noise_weight = 1.0}}
+limits = {output = [100.0], input = [100.0], alpha = [100.0]}"""  # P4 has none
+
+
 @dataclass(frozen=True)
 class Experiment:
-    """One sine on one input of the gas bearing, and a fault while it is played."""
+    """One sine on one input, and a fault while it is played; ``machine``: the plant and controller of the site file."""
 
-    controller: str
-    rpm: int
+    machine: str
     source: int
     rad_s: float
     alpha: float
     fault: str
     severity: float = HALF
 
+    @property
+    def input(self) -> str:
+        """Name of the input that is excited."""
+        return "input" if self.machine is UNSTABLE else AXES[self.source]
+
     def site(self, folder: Path) -> str:
         """Return the site file."""
-        settings = "{gain = 0.2}" if self.controller == "proportional" else "{}"
         return f"""site = "thesis"
 [transport]
 listen = ["tcp/127.0.0.1:{free_port()}"]
@@ -49,25 +59,25 @@ listen = ["tcp/127.0.0.1:{free_port()}"]
 folder = "{folder.resolve().as_posix()}"
 [[machines]]
 id = "bearing"
-plant = "gas_bearing"
-options = {{rpm = {self.rpm}}}
-controller = {{kind = "{self.controller}", settings = {settings}}}
+{self.machine}
 driver = {{seed = 1, faults = [{{name = "{self.fault}", severity = {self.severity}, at_seconds = {QUIET + FAULT_AFTER}}}]}}
 [machines.bursts]
 every_seconds = 1000
 first_after_seconds = {QUIET}
 isolate = false
 seconds = {BURST}
-lines = [{{input = "{AXES[self.source]}", rad_s = {self.rad_s}, alpha = {self.alpha}}}]
+lines = [{{input = "{self.input}", rad_s = {self.rad_s}, alpha = {self.alpha}}}]
 """
 
 
 WAVE = 2.2602  # V, see gas_bearing_figures.ALPHA
 EXPERIMENTS = {
-    "rest": Experiment("proportional", 0, 0, 62.0, WAVE, "horizontal_actuator"),
-    "turning": Experiment("proportional", 1100, 0, 62.0, WAVE, "horizontal_actuator"),
-    "lqg": Experiment("lqg", 0, 1, 62.0, WAVE, "vertical_sensor"),
-    "p3": Experiment("proportional", 0, 1, 1030.0, 0.3, "vertical_actuator", -0.1),
+    "rest": Experiment(REST, 0, 62.0, WAVE, "horizontal_actuator"),
+    "turning": Experiment(TURNING, 0, 62.0, WAVE, "horizontal_actuator"),
+    "lqg": Experiment(LQG, 1, 62.0, WAVE, "vertical_sensor"),
+    "p3": Experiment(REST, 1, 1030.0, 0.3, "vertical_actuator", -0.1),
+    "p4-b1": Experiment(UNSTABLE, 0, 125.0, 0.1, "b1", -0.1),
+    "p4-b2": Experiment(UNSTABLE, 0, 125.0, 0.1, "b2", -0.1),
 }
 
 
@@ -125,12 +135,13 @@ class Measured:
         """Return the white residual r of the whole recording, ``(n, outputs)``."""
         return simulate(loop.problem.innovations, np.hstack([self.y, self.u]))[0]
 
-    def healthy(self, loop: Loop, skip: int = 2500) -> tuple[np.ndarray, np.ndarray]:
+    def healthy(self, loop: Loop) -> tuple[np.ndarray, np.ndarray]:
         """Return beta and r before the burst, without the first half second."""
+        skip = round(0.5 / loop.problem.plant.dt)
         return self.beta[skip : self.begin], self.residual(loop)[skip : self.begin]
 
-    def detect(self, loop: Loop, fault: str, seen: int, window: int) -> Detected:
+    def detect(self, loop: Loop, fault: str, seen: int, window: int, false_alarm: float = 2e-5) -> Detected:
         """Return what the published detector finds while the burst is played."""
         e = self.experiment
         r = self.residual(loop)[self.begin : self.end]
-        return detect_in(r, loop, fault, e.rad_s, e.alpha, e.source, seen, window, self.steady, self.fault - self.begin, severity=e.severity)
+        return detect_in(r, loop, fault, e.rad_s, e.alpha, e.source, seen, window, self.steady, self.fault - self.begin, false_alarm, e.severity)

@@ -26,12 +26,11 @@ _REASONS = {
     },
     PHOTO: {"figure-1.3": "the rig", "figure-3.1": "the rig", "figure-3.5": "the real-time computer", "p2-0.11": "the rig", "p3-0.5": "the rig", "p5-0.2": "the rig"},
     RIG: {
+        "p3-0.8": "histogram of the healthy residual",
         "p2-0.13": "prediction error of the models of the rig", "p6-0.6": "verification, 0.5 A", "p6-0.7": "verification, 0.7 B at 2500 rpm", "p6-0.8": "verification, 0.97 A",
         "p6-0.9": "the same for the nominal model", "p6-0.10": "a detail of it",
     },
     EXAMPLE: {"figure-5.6": "efficiency for two faults", "p4-0.7": "two faults that share a phase", "p4-0.8": "the gains that tell them apart"},
-    "the noise is stated to be white with a variance of 0.11; a histogram of such numbers compares nothing": {"p3-0.8": "histogram of the healthy residual"},
-    "direct subspace identification was not part of the kept study; `docs/reference/identification-monte-carlo.md` compares what replaced it": {"p6-0.5": "box plot of the fits"},
 }  # fmt: skip
 
 FIGURES = [Figure(name, shows, reason=reason) for reason, figures in _REASONS.items() for name, shows in figures.items()]
