@@ -43,6 +43,8 @@ def match(rows: Sequence[Row]) -> str:
     """Return how print and result agree."""
     wrong = sum(bool(r.erratum) and r.printed is not None for r in rows)
     compared = sum(r.printed is not None for r in rows)
+    if not compared:
+        return "no number in print"
     return f"{compared - wrong} of {compared}" + ("; the rest explained" if wrong else "")
 
 
@@ -64,7 +66,7 @@ def write_pages() -> None:
                 continue
             rows = f.remade()
             print(f.name, match(rows), flush=True)
-            index.append(f"| [{f.name}]({page}.md#{f.name.replace('.', '')}) | {f.shows} | {match(rows)} | `{f.command}` |\n")
+            index.append(f"| [{f.name}]({page}.md#{f.name.replace('.', '')}) | {f.shows} | {match(rows)} | `{f.command}`{' (long)' if f.long else ''} |\n")
             recorded = f"; from a recording: `{f.command} FOLDER/{f.experiment}.mcap`" if f.recorded else ""
             parts.append(f"\n## {f.name}\n\n{f.shows[0].upper() + f.shows[1:]}. `{f.command}`{recorded}\n\n{table(rows)}")
         if len(parts) > 1:
@@ -80,12 +82,16 @@ the numbers, and the statements that text and caption make about a plot, beside 
 the printed ones; where print and result differ the page says why ([errata](../explanation/errata.md)). Plots without printed numbers are compared
 by what is said about them.
 
-The experiments behind the main figures of chapter 5, P3 and P5 can also be run through the system, and these figures made from its recordings:
-`python -m benchmarks.thesis record FOLDER` runs rig agent (the simulator) and service in two processes with zenoh between them, a sine stated in
-`bursts.lines`, a fault in the middle, 25 s each (`rest`, `turning`, `lqg`, `p3`); `python -m benchmarks.thesis p5-0.14 FOLDER/rest.mcap` makes a figure from
-what was recorded. A recording of a real rig that played the same lines is read in the same way (with the second of the fault as a third argument). All rows
-of these eleven figures hold for recordings too (2026-11-24; `pytest -m long tests/thesis/test_recorded.py`). Not made from recordings: P4 (its plant is no plant of the
-service) and the identification of chapter 4, P1, P2 and P6, whose nominal models are chosen to be wrong.
+Every remade figure or table has at least one number compared; a statement in print that nothing in print quantifies ("similar", "almost the same") is
+compared with a simulation, with what S predicts, or with zero error. The commands take seconds; those marked "long" some 15 s of a core.
+
+The experiments behind the main figures of chapters 4 and 5, P3, P4 and P5 can also be run through the system, and these figures made from its
+recordings: `python -m benchmarks.thesis record FOLDER` runs rig agent (the simulator) and service in two processes with zenoh between them, sines stated
+in `bursts.lines`, 25 s each: `rest`, `turning`, `lqg`, `p3`, `p4-b1`, `p4-b2` with a fault in the middle, and `half-a`, whose model has half of the
+machine's A. `python -m benchmarks.thesis p5-0.14 FOLDER/rest.mcap` makes a figure from what was recorded. A recording of a real rig that played the same
+lines is read in the same way (with the second of the fault as a third argument). All rows of these seventeen figures hold for recordings too
+(2026-11-25; `pytest -m long tests/thesis/test_recorded.py`). Not made from recordings: P1 (its sample time of 1 ms is chosen for identification, not for
+a rig), P2 (a random plant), and the statistics over hundreds of models of figure 4.11 and P6.
 
 """
 
@@ -96,7 +102,7 @@ def main(arguments: Sequence[str]) -> int:
     figure, rest = known.get(name), [r for r in rest if r]
     if name == "list":
         for f in known.values():
-            print(f"{f.name:14} {f.shows:75} {f.reason or f.command}{f' (or from a recording of {f.experiment})' if f.recorded else ''}")
+            print(f"{f.name:14} {f.shows:75} {f.reason or f.command}{' (long)' if f.long else ''}{f' (or from a recording of {f.experiment})' if f.recorded else ''}")
     elif name == "pages":
         write_pages()
     elif name == "record" and rest:

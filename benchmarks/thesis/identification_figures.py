@@ -28,7 +28,8 @@ from afdsvc.plants.examples import random_stable
 from afdsvc.plants.gas_bearing import NOISE_VARIANCE, gas_bearing
 from afdsvc.plugins.controllers.lqg import Lqg
 from benchmarks.thesis.figure import Figure, Row
-from benchmarks.thesis.machines import bearing
+from benchmarks.thesis.machines import bearing, observed, wrong
+from benchmarks.thesis.recorded import Measured
 
 MONTE_CARLO = Path(__file__).resolve().parents[2] / "docs" / "reference" / "identification-monte-carlo.csv"
 TABLE = MONTE_CARLO.with_name("identification-table-4-1.md")
@@ -53,11 +54,19 @@ def cost_plane() -> list[Row]:
     return [Row("minimum at the true horizontal fault", truth[0], float(grid[i]), 1e-9), Row("and the vertical one", truth[1], float(grid[j]), 1e-9), Row("minima in the plane", 1, int(lowest.sum()))]
 
 
+Identified = tuple[Factorisation, StateSpace, StateSpace, StateSpace]
+
+
 @lru_cache(maxsize=1)
-def identified() -> tuple[Factorisation, StateSpace, StateSpace, StateSpace]:
+def identified() -> Identified:
     """Return factors of a nominal model with half of the sampled A, the true bearing, its S, and S identified from alpha and beta."""
-    true, fact = gas_bearing().discrete(), _wrong(0.5)
-    _, _, alpha, beta = _recorded(closed_loop(fact, true).system, np.random.default_rng(1), 8000)
+    _, _, alpha, beta = _recorded(closed_loop(wrong(0.5), gas_bearing().discrete()).system, np.random.default_rng(1), 8000)
+    return identified_from(alpha, beta)
+
+
+def identified_from(alpha: np.ndarray, beta: np.ndarray) -> Identified:
+    """Return the same from these signals."""
+    true, fact = gas_bearing().discrete(), wrong(0.5)
     S = realise(decompose([InputOutputData.of(alpha, beta, true.dt)], 24), 8, stable=True).system
     return fact, true, deviation_system(fact, true), S
 
@@ -69,13 +78,13 @@ def apart(one: StateSpace, other: StateSpace) -> float:
     return float(np.abs(a - b).max() / np.abs(a).max())
 
 
-def bode_of_s() -> list[Row]:
-    _, _, S, found = identified()
+def bode_of_s(result: Identified | None = None) -> list[Row]:
+    _, _, S, found = result or identified()
     return [Row("largest error of the identified S, relative to its peak ('similar gain')", 0.0, apart(S, found), 0.2)]
 
 
-def bode_of_g() -> list[Row]:
-    fact, true, _, found = identified()
+def bode_of_g(result: Identified | None = None) -> list[Row]:
+    fact, true, _, found = result or identified()
     G = rebuilt_plant(fact, found)
     return [Row("largest relative error of G(S) ('reaches the true system')", 0.0, apart(true, G), 0.1), Row("the nominal plant reaches it", False, apart(true, fact.plant) < 0.1), Row("the order of G(S) exceeds the nominal one's", True, G.order > fact.plant.order)]
 
@@ -140,7 +149,7 @@ def _compared(size: float, models: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the fits ``(models, 2)`` found directly and through S, theta drawn from 0 to 1 where the loop is stable."""
     rng, true, fits = np.random.default_rng(6), gas_bearing().discrete(), []
     while len(fits) < models:
-        fact = _wrong(float(rng.uniform(0, 1)))
+        fact = wrong(float(rng.uniform(0, 1)))
         loop = closed_loop(fact, true).system
         if loop.is_stable():
             (u, y, alpha, beta), (held_u, held_y, _, _) = _recorded(loop, rng, 2000, size), _recorded(loop, rng, 2000)
@@ -148,18 +157,6 @@ def _compared(size: float, models: int) -> tuple[np.ndarray, np.ndarray]:
             fits.append([_fit(G, held_u, held_y) for G in (direct, rebuilt_plant(fact, S))])
     found = np.array(fits)
     return found[:, 0], found[:, 1]
-
-
-def _wrong(theta: float) -> Factorisation:
-    """Return the factors of a nominal model with (1 - theta) of the sampled A and its observer controller (4.39)."""
-    G = gas_bearing().discrete()
-    return _observed(StateSpace((1 - theta) * G.A, G.B, G.C, G.D, G.dt))
-
-
-def _observed(nominal: StateSpace, weight: float = 1e-4) -> Factorisation:
-    """Return factors with P5's observer and LQ state feedback, this weight on the velocities."""
-    F = lqr(nominal, weight * np.diag([0, 0, 1.0, 1, 0, 0]), np.eye(2))
-    return observer_factorisation(nominal, F, kalman_predictor_gain(nominal, 0.01 * np.eye(6), np.eye(2)))
 
 
 def _recorded(loop: StateSpace, rng: np.random.Generator, n: int, size: float = 2.0) -> tuple[np.ndarray, ...]:
@@ -287,7 +284,7 @@ def unbalanced() -> list[Row]:
     rotating = gas_bearing(1100)
     true, weak = rotating.discrete(), rotating.continuous()
     nominal = sample_zoh(StateSpace(weak.A, 0.7 * weak.B, weak.C, weak.D, 0.0), rotating.sample_time)
-    fact = _observed(nominal, 1e-6)
+    fact = observed(nominal, 1e-6)
     model = Model("bearing", rotating.inputs, rotating.outputs, rotating.states, nominal, sample_time=nominal.dt, output_sd=np.sqrt(NOISE_VARIANCE), controller=fact.K)
     error = {}
     for known in (True, False):
@@ -311,10 +308,15 @@ def _shaken(fact: Factorisation, true: StateSpace, model: Model, angle_known: bo
     return Trace("run", true.dt, tuple(map(Channel, columns)), np.column_stack(list(columns.values())))
 
 
+def _measured(m: Measured) -> Identified:
+    _, _, alpha, beta = m.identification()
+    return identified_from(alpha, beta)
+
+
 FIGURES = [
     Figure("figure-4.5", "the cost J(theta) over two parameters", cost_plane),
-    Figure("figure-4.9", "identified and true S", bode_of_s),
-    Figure("figure-4.10", "identified, true and nominal plant", bode_of_g),
+    Figure("figure-4.9", "identified and true S", bode_of_s, recorded=lambda m: bode_of_s(_measured(m)), experiment="half-a"),
+    Figure("figure-4.10", "identified, true and nominal plant", bode_of_g, recorded=lambda m: bode_of_g(_measured(m)), experiment="half-a"),
     Figure("figure-4.11", "fit against the error of the nominal model, from the kept study of benchmarks/identify/monte_carlo.py", fit_against_theta),
     Figure("table-4.1", "fit of the identified models, the column with half of A in simulation (all: benchmarks/identify/table_4_1.py)", table_4_1),
     Figure("p1-0.5", "singular values of full and reduced rotor", singular_values),

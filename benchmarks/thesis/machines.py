@@ -82,6 +82,18 @@ def p4(faults: tuple[str, ...] = ("b1", "b2")) -> Loop:
     return Loop(replace(problem, interconnection=interconnection(f)), f, whitening_filter(f, problem.output_cov)[0])
 
 
+def wrong(theta: float) -> Factorisation:
+    """Return the factors of a nominal model with (1 - theta) of the sampled A and its observer controller (4.39)."""
+    G = gas_bearing().discrete()
+    return observed(StateSpace((1 - theta) * G.A, G.B, G.C, G.D, G.dt))
+
+
+def observed(nominal: StateSpace, weight: float = 1e-4) -> Factorisation:
+    """Return factors with P5's observer and LQ state feedback, this weight on the velocities."""
+    F = lqr(nominal, weight * np.diag([0, 0, 1.0, 1, 0, 0]), np.eye(2))
+    return observer_factorisation(nominal, F, kalman_predictor_gain(nominal, 0.01 * np.eye(6), np.eye(2)))
+
+
 def residuals(loop: Loop, fault: str, severity: float, start: int, alpha: np.ndarray, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Return beta and the white r ``(n, outputs)`` of a run in which the fault begins at sample ``start``."""
     problem, J, rng = loop.problem, loop.problem.interconnection, np.random.default_rng(seed)

@@ -10,8 +10,8 @@ import numpy as np
 from afdsvc.detect.thresholds.power import detection_probability, tail_point
 from benchmarks.thesis.figure import Figure, Row
 from benchmarks.thesis.gas_bearing_figures import reached
-from benchmarks.thesis.recorded import Measured
 from benchmarks.thesis.machines import Detected, autocorrelation, detect, p4, residuals
+from benchmarks.thesis.recorded import Measured
 
 OMEGA, AMPLITUDE, WINDOW, FALSE_ALARM, LOSS = 125.0, 0.1, 200, 1e-4, -0.1
 WEAK = "its wave of 0.06 in noise of 0.38 gives a deflection of 1.6 in 200 samples"

@@ -5,12 +5,19 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.thesis.__main__ import PAGES, figures, main
 from benchmarks.thesis.figure import Row
 
 ALL = figures()
+
+
+def compares_a_number(row: Row) -> bool:
+    return not isinstance(row.ours, bool | np.bool_)
+
+
 QUICK = [f for f in ALL if f.remade and not f.long]
 LONG = [f for f in ALL if f.remade and f.long]
 
@@ -18,7 +25,7 @@ LONG = [f for f in ALL if f.remade and f.long]
 @pytest.mark.parametrize("figure", QUICK, ids=lambda f: f.name)
 def test_the_printed_numbers_are_found(figure):
     rows = figure.remade()
-    assert rows
+    assert any(compares_a_number(r) for r in rows)
     assert [(r.what, r.printed, r.ours) for r in rows if not r.holds] == []
     assert all(r.erratum for r in rows if r.printed is None)
 
@@ -26,7 +33,9 @@ def test_the_printed_numbers_are_found(figure):
 @pytest.mark.long
 @pytest.mark.parametrize("figure", LONG, ids=lambda f: f.name)
 def test_the_printed_numbers_are_found_in_longer_runs(figure):
-    assert all(r.holds for r in figure.remade())
+    rows = figure.remade()
+    assert any(compares_a_number(r) for r in rows)
+    assert [(r.what, r.printed, r.ours) for r in rows if not r.holds] == []
 
 
 def test_every_figure_has_a_command_or_a_reason_and_the_index_names_it():
@@ -36,6 +45,8 @@ def test_every_figure_has_a_command_or_a_reason_and_the_index_names_it():
     index = (PAGES / "README.md").read_text()
     named = re.findall(r"^\| \[?((?:figure|table|p\d)-[a-z0-9.-]+)", index, re.MULTILINE)
     assert named == [f.name for f in ALL]
+    remade = re.findall(r"^\| \[(.+?)\]\(.+?`python -m benchmarks.thesis (.+?)`", index, re.MULTILINE)
+    assert remade == [(f.name, f.name) for f in ALL if f.remade]  # these are the ones asserted above
     for page, anchor in re.findall(r"\]\((.+?)\.md#(.+?)\)", index):
         headings = re.findall(r"^## (.+)$", Path(PAGES / f"{page}.md").read_text(), re.MULTILINE)
         assert anchor in [h.replace(".", "") for h in headings]
