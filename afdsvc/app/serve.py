@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import logging
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -55,6 +55,7 @@ from afdsvc.wire.messages import AlarmChange
 if TYPE_CHECKING:
     from afdsvc.present.rerun.log import ReviewSink
 
+log = logging.getLogger(__name__)
 GRACE_SECONDS = 15.0  # in which the first of two services may start
 CLOSING_SECONDS = 1.5  # all files together: a service has 5 s to stop
 
@@ -281,13 +282,13 @@ def _refuse_unwritable(site: Site, key: str, value: Path, folder: Path) -> None:
 
 
 def _teller(what: str) -> Callable[[str], None]:
-    return lambda why: print(f"afdsvc: {what}: {why}", file=sys.stderr, flush=True)
+    return lambda why: log.error("%s: %s", what, why)
 
 
 def open_outboxes(site: Site, history: History, plugins: Plugins) -> list[NotificationQueue]:
     """Return who hears of alarms: the history first, then every notifier of the site file."""
     opened = [(n.kind, plugins.get("notifiers", n.kind).open(n.settings)) for n in site.alarms.notify]
-    return [NotificationQueue("the history", history.add, size=100_000, batch=500)] + [NotificationQueue(name, _as_values(notify)) for name, notify in opened]
+    return [NotificationQueue("the history", history.add, size=100_000, batch=500, patient=True)] + [NotificationQueue(name, _as_values(notify)) for name, notify in opened]
 
 
 def _as_values(notify: Notify) -> Callable[[AlarmChange], None]:

@@ -55,7 +55,7 @@ class BurstRequests:
     def __post_init__(self) -> None:
         self._count = itertools.count(1)
         self._lock = threading.Lock()
-        self._deadline = 0.0
+        self._deadline = self._over = 0.0  # when a burst has ended: on the clock of the service, and in the machine's own time
         self._asking: threading.Thread | None = None
         self._played_by = ""  # the rig session the burst was asked of
         self._run = f"{self.clock.now_ns() // 10**9 % 16**6:06x}"  # names stay apart when the service restarts beside a rig
@@ -152,7 +152,7 @@ class BurstRequests:
             if not reply.accepted:
                 self._end()
                 raise Refused(reply.reason)
-            self._deadline = self.clock.monotonic() + self._seconds(burst, start)
+            self._expect_end(self._seconds(burst, start))
             return burst.name
         finally:
             self._lock.release()
@@ -210,8 +210,12 @@ class BurstRequests:
 
     def _begin(self, burst: Burst, start: int) -> None:
         self._played_by = self.session
-        self.playing, self._deadline = burst.name, self.clock.monotonic() + ANSWER_SECONDS + self._seconds(burst, start)
+        self._expect_end(ANSWER_SECONDS + self._seconds(burst, start))
+        self.playing = burst.name
         self.scheduler.started()
+
+    def _expect_end(self, seconds: float) -> None:
+        self._deadline, self._over = self.clock.monotonic() + seconds, self.seconds + seconds
 
     def _seconds(self, burst: Burst, start: int) -> float:
         """Return after how long a burst that is accepted now must have ended."""
@@ -235,9 +239,14 @@ class BurstRequests:
         return Lease(self.machine, playing, LEASE_SECONDS) if playing and self.clock.monotonic() <= self._deadline else None
 
     def _give_up(self, now: float) -> None:
-        if now > self._deadline:
+        """End what has not ended in time; while the machine is there its own time counts: what it said may wait to be judged."""
+        if now <= self._deadline or (self.session and self.seconds <= self._over):
+            return
+        if self.session:
             self._say("error", f"burst '{self.playing}' never ended; the rig did not say why")
-            self._end()
+        else:
+            self._say("warning", f"burst '{self.playing}' is given up: the rig agent is not connected")
+        self._end()
 
     def _say(self, level: str, sentence: str) -> None:
         self.sink.take(Message(Notice(self.machine, level, sentence, self.clock.now_ns())))

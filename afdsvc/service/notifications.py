@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import astuple, dataclass
 from functools import partial
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,13 +25,16 @@ PAUSES = (1.0, 5.0, 25.0)  # seconds between attempts; after the last the change
 class NotificationQueue:
     """Hands changes to ``receive`` in order; one that fails is tried again, then dropped, counted and logged.
 
-    ``receive`` gets up to ``batch`` changes that wait together as its arguments.
+    ``receive`` gets up to ``batch`` changes that wait together as its arguments. A ``patient`` queue tries without end and drops only what it
+    has no room for.
     """
 
     def __init__(
-        self, name: str, receive: Callable[..., object], pauses: tuple[float, ...] = PAUSES, size: int = 1000, batch: int = 1
-    ) -> None:
+        self, name: str, receive: Callable[..., object], pauses: tuple[float, ...] = PAUSES, size: int = 1000, batch: int = 1,
+        patient: bool = False,
+    ) -> None:  # fmt: skip
         self.name, self._receive, self._pauses = name, receive, pauses
+        self._patient = patient
         self._queue: queue.Queue[AlarmChange | Judged | None] = queue.Queue(size)
         self._stopping, self._batch = threading.Event(), batch
         self.dropped = 0
@@ -85,17 +89,25 @@ class NotificationQueue:
         return taken
 
     def _hand_over(self, changes: list[AlarmChange | Judged]) -> None:
-        for pause in (*self._pauses, None):
+        for pause in chain(self._pauses, repeat(self._pauses[-1]) if self._patient else (None,)):
+            last = pause is None or self._stopping.is_set()
             try:
                 self._receive(*changes)
                 self.failure = ""
                 return
             except Exception as error:
-                self.failure = f"{type(error).__name__}: {error}"
-            if pause is None or self._stopping.wait(pause):
+                self._report(f"{type(error).__name__}: {error}")
+            if last:
                 break
+            self._stopping.wait(pause)
         for change in changes:
             self._drop(change, self.failure)
+
+    def _report(self, failure: str) -> None:
+        """Note why nothing can be handed over; a patient queue, which drops nothing, logs it once."""
+        if self._patient and not self.failure:
+            log.error("alarms to %s: %s; tried again until it is over", self.name, failure)
+        self.failure = failure
 
     def _drop(self, change: AlarmChange | Judged, why: str) -> None:
         self.dropped += 1

@@ -69,7 +69,7 @@ class ThreadedSink:
         waiting = self._queue.qsize()
         if self._left.is_set() or waiting >= self._size:
             self._overflowed += 1
-            if not self._full:
+            if not self._full and not self._left.is_set():
                 self._full = True
                 self._failed(f"{waiting} messages wait; further ones are dropped until the queue has room")
             return

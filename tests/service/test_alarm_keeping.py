@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 import threading
+from contextlib import suppress
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
@@ -147,6 +149,29 @@ def test_an_outbox_tries_again_and_then_gives_up_and_counts(caplog):
     assert (outbox.dropped, outbox.failure) == (1, "OSError: no route")
     assert "m/a (ended) could not be delivered to test: OSError: no route" in caplog.text
     outbox.close()
+
+
+def test_a_full_disk_makes_no_alarm_forgotten_however_long_it_is_full(tmp_path, caplog):
+    if os.geteuid() != 0 or os.system(f"mount -t tmpfs -o size=200k none {tmp_path} 2>/dev/null") != 0:
+        pytest.skip("no right to mount a small disk here")
+    try:
+        history, ballast = History(tmp_path / "alarms.sqlite"), tmp_path / "ballast"
+        with ballast.open("wb", buffering=0) as file, suppress(OSError):
+            while True:
+                file.write(bytes(4096))
+        box = NotificationQueue("the history", history.add, pauses=(0.01,), patient=True)
+        box.put(CHANGE)
+        box.put(replace(CHANGE, event="acknowledged", alarm=replace(CHANGE.alarm, acknowledged_by="kim")))
+        assert not box.flush(0.5)
+        assert "disk is full" in box.failure
+        ballast.unlink()
+        assert box.flush(5)
+        assert [alarm.acknowledged_by for alarm in history.last()] == ["kim"]
+        assert (box.dropped, box.failure) == (0, "")
+        assert caplog.text.count("tried again until it is over") == 1
+        box.close()
+    finally:
+        os.system(f"umount {tmp_path}")
 
 
 def test_a_receiver_that_hangs_holds_nobody_up(caplog):

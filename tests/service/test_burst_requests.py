@@ -13,7 +13,7 @@ from afdsvc.api.bursts import Burst, Line
 from afdsvc.errors import Refused
 from afdsvc.files.site import Bursts
 from afdsvc.service.burst_requests import LEASE_SECONDS, BurstRequests
-from afdsvc.service.clock import RealClock
+from afdsvc.service.clock import FastClock, RealClock
 from afdsvc.service.hub import Hub
 from afdsvc.service.scheduler import BurstOrder, Scheduler
 from afdsvc.service.sinks import FanOut
@@ -95,6 +95,38 @@ def test_a_request_that_is_not_answered_is_taken_back():
         made.ask(BurstOrder("asked"))
     assert made.playing == ""
     assert stops == [f"s1-{made._run}-1"]
+
+
+def test_what_a_rig_said_is_waited_for_until_its_samples_are_past_the_burst():
+    made, requests = desk(ready_at=400)
+    made.clock, said = FastClock(), []
+    made.sink = SimpleNamespace(take=lambda message: said.append(message.value))
+    made.ask(BurstOrder("asked"))
+    made.clock.sleep_until(100.0)  # the service stood still; what came meanwhile is not worked off
+    made.tick()
+    assert made.playing == requests[0].burst.name
+    assert made.lease() is None
+    made.present("s1", 15.0)
+    made.tick()
+    assert made.playing
+    made.present("s1", 17.0)
+    made.tick()
+    assert not made.playing
+    assert "never ended" in said[-1].sentence
+
+
+def test_a_burst_on_a_machine_that_is_gone_is_given_up():
+    made, _ = desk(ready_at=400)
+    made.clock, said = FastClock(), []
+    made.sink = SimpleNamespace(take=lambda message: said.append(message.value))
+    made.ask(BurstOrder("asked"))
+    made.present("", 10.0)
+    made.tick()
+    assert made.playing
+    made.clock.sleep_until(100.0)
+    made.tick()
+    assert not made.playing
+    assert "is given up: the rig agent is not connected" in said[-1].sentence
 
 
 def test_a_second_request_does_not_wait_for_the_design_of_the_first():
