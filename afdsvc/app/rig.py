@@ -30,24 +30,28 @@ def rig_agent(site: Site, id: str, transport: Transport, clock: Clock) -> RigAge
     """Return the rig agent of one machine, its port open, ready to run."""
     plugins = load()
     machine = commissioning.commission(site.machine(id), plugins, allow_code=True)
-    session = uuid.uuid4().hex
-    port = ports.open_port(machine, session, clock, plugins)
+    session, real_time = uuid.uuid4().hex, machine.config.driver.real_time
+    store = _store(site, id, clock) if real_time else None
+    with ExitStack() as undone:
+        undone.callback(store.close if store else lambda: None)
+        port = ports.open_port(machine, session, clock, plugins)
+        undone.pop_all()
     description = RigDescription(
         id, session, clock.now_ns(), port.dt, port.channels, machine.limits,
         machine.controller.description if machine.controller else "unknown", site.text, machine.model_text(), __version__,
         machine.config.driver.kind,
     )  # fmt: skip
     truth = [(round(f.at_seconds / port.dt), f"{f.name} {f.severity:g}") for f in machine.config.driver.faults]
-    real_time = machine.config.driver.real_time
-    return RigAgent(
-        Keys(site.site), description, port, transport, clock, truth, patient=not real_time, store=_store(site, id, clock) if real_time else None
-    )
+    return RigAgent(Keys(site.site), description, port, transport, clock, truth, patient=not real_time, store=store)
 
 
 def _store(site: Site, id: str, clock: Clock) -> Store | None:
-    """Return where blocks are kept that the service does not acknowledge, None where the site names no folder."""
-    folder, most = site.transport.store, site.transport.store_megabytes
-    return None if folder is None else Store(folder, id, 1e6 * most, clock)
+    """Return where blocks are kept that the service does not acknowledge, None where the site names no folder; refuses a second agent."""
+    if site.transport.store is None:
+        return None
+    store = Store(site.transport.store, id, 1e6 * site.transport.store_megabytes, clock)
+    store.claim()
+    return store
 
 
 def run_rig(

@@ -11,10 +11,13 @@ from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import BinaryIO
 
 from afdsvc.api.clock import Clock
 from afdsvc.api.intervals import Intervals
 from afdsvc.api.signals import Block
+from afdsvc.errors import Refused
+from afdsvc.files.recording.mcap_file import claim
 from afdsvc.wire import codec
 from afdsvc.wire.messages import Receipt
 
@@ -52,8 +55,26 @@ class Store:
         self._taken: dict[str, Intervals] = defaultdict(Intervals)
         self._heard = float("-inf")
         self._segments: list[_Segment] | None = None
+        self._claimed: BinaryIO | None = None
         self._failed = ""
         self.lost: dict[str, Intervals] = defaultdict(Intervals)  # samples that were not kept: the store was full, or failed
+
+    def claim(self) -> None:
+        """Keep other agents of the machine away until `close`; raises `Refused` where this computer has one already.
+
+        Two agents would mix their blocks in one file.
+        """
+        path = self._folder / f"{self._machine}.lock"
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = path.open("ab")
+        except OSError as error:
+            return self._report(error)
+        if claim(file):
+            self._claimed = file
+        else:
+            file.close()
+            raise Refused(f"machine '{self._machine}' has a rig agent already: it holds {path}")
 
     def encode(self, block: Block) -> bytes:
         """Return the bytes of a block, which is kept from now on."""
@@ -95,6 +116,8 @@ class Store:
     def close(self) -> None:
         """Move everything that is not acknowledged to the disk: it is delivered after the next start."""
         self._spill(float("inf"))
+        if self._claimed is not None:
+            self._claimed.close()
 
     @property
     def waiting(self) -> int:

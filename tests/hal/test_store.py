@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.signals import Block, Channel
+from afdsvc.errors import Refused
 from afdsvc.hal import store as module
 from afdsvc.hal.store import AGAIN_SECONDS, DELIVER_SECONDS, SPILL_SECONDS, Store
 from afdsvc.service.clock import FastClock
@@ -67,6 +68,18 @@ def test_what_is_acknowledged_in_time_never_touches_the_disk(tmp_path):
         store.receive(Receipt("m1", (("s1", 0, 100 * seq + 100),)))
         store.tick(pytest.fail)
     assert not list((tmp_path / "store").iterdir())
+
+
+def test_a_store_has_one_agent_at_a_time(tmp_path):
+    first, second, other = (Store(tmp_path / "store", machine, MANY, FastClock()) for machine in ("m1", "m1", "m2"))
+    first.claim()
+    with pytest.raises(Refused, match=r"machine 'm1' has a rig agent already: it holds .*m1\.lock"):
+        second.claim()
+    other.claim()
+    first.close()
+    second.claim()
+    for store in (second, other):
+        store.close()
 
 
 def test_an_outage_is_delivered_to_the_last_bit_and_forgotten_when_it_is_acknowledged(tmp_path):

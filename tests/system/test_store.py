@@ -12,7 +12,7 @@ import pytest
 from afdsvc.api.signals import Block, Channel
 from afdsvc.app import serve
 from afdsvc.app.rig import run_rig
-from afdsvc.errors import AfdsvcError
+from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, parse_site
 from afdsvc.hal import store
@@ -53,12 +53,14 @@ def test_every_sample_of_an_outage_is_recorded_afterwards(free_port, tmp_path, m
     rig.start()
     try:
         time.sleep(4.0)
+        with pytest.raises(Refused, match="machine 'bearing' has a rig agent already"):  # no service is needed to know that
+            run_rig(site, "bearing", 1.0, threading.Event())
         with serve.serving(site) as hub:
             until(lambda: hub.watches["bearing"].seconds_seen > 6)
         time.sleep(6.0)
-        assert list(kept.iterdir())
+        assert list(kept.glob("*.blocks"))
         with serve.serving(site) as hub:
-            until(lambda: hub.watches["bearing"].blocks and not list(kept.iterdir()))
+            until(lambda: hub.watches["bearing"].blocks and not list(kept.glob("*.blocks")))
             end = round(5000 * hub.watches["bearing"].seconds_seen)
     finally:
         stop.set()
