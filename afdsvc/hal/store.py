@@ -187,7 +187,11 @@ class Store:
                 segment.path.unlink(missing_ok=True)
 
     def _deliver(self, segment: _Segment, deliver: Callable[[bytes], object]) -> None:
-        for samples, data in zip(segment.held, _records(segment.path), strict=False):
+        readable = self._found(segment.path).held
+        for session, *samples in set(segment.held) - set(readable):  # the disk damaged them
+            self.lost[session].add(*samples)
+        segment.held = readable
+        for samples, data in zip(readable, _records(segment.path), strict=False):
             if not self._recorded(*samples):
                 deliver(data)
         segment.delivered = self._clock.monotonic()

@@ -142,6 +142,19 @@ def test_every_bit_of_a_record_counts(tmp_path):
         assert [b.seq for b in after(Store(tmp_path, "m1", MANY, clock), clock).taken] == ([] if at < 4 else [1] if at < first else [0])
 
 
+def test_a_record_that_the_disk_damages_is_stated_and_holds_up_nothing(tmp_path):
+    clock = FastClock()
+    store = outage(tmp_path, clock, 3)
+    (path,) = tmp_path.iterdir()
+    data = bytearray(path.read_bytes())
+    data[100] ^= 1
+    path.write_bytes(data)
+    assert [b.seq for b in after(store, clock).taken] == [1, 2]
+    assert store.statement() == {"s1": [(0, 100)]}
+    after(store, clock, ("s1", 100, 300))
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_full_store_keeps_the_newest_and_states_what_it_lost(tmp_path, monkeypatch):
     size = len(codec.encode_block(block(0))) + module.HEAD.size
     monkeypatch.setattr(module, "SEGMENT_BYTES", 2.5 * size)
