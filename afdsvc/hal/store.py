@@ -188,8 +188,8 @@ class Store:
 
     def _deliver(self, segment: _Segment, deliver: Callable[[bytes], object]) -> None:
         readable = self._found(segment.path).held
-        for session, *samples in set(segment.held) - set(readable):  # the disk damaged them
-            self.lost[session].add(*samples)
+        for session, start, end in set(segment.held) - set(readable):  # the disk damaged them
+            self.lost[session].add(start, end)
         segment.held = readable
         for samples, data in zip(readable, _records(segment.path), strict=False):
             if not self._recorded(*samples):
