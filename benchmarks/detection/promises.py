@@ -105,14 +105,14 @@ def calibrated_noise(machine: TrueMachine, rng: np.random.Generator, size: float
         for _ in range(bursts):
             first, second = (t[-1] for t in shown(problem, detectors, machine.run(rng, alpha), burst))
             counts[:3] += [first.trustworthy, exceeded(first), exceeded(second)]
-        for k, where in enumerate((1.1, np.r_[np.ones(before), np.full(burst.samples, 1.1)])):
-            counts[3 + k] += not shown(problem, detectors[:1], machine.run(rng, alpha, noisier=where), burst)[0][-1].trustworthy
+            for k, where in enumerate((1.1, np.r_[np.ones(before), np.full(burst.samples, 1.1)])):
+                counts[3 + k] += not shown(problem, detectors[:1], machine.run(rng, alpha, noisier=where), burst)[0][-1].trustworthy
     n = spans * bursts
     yield "trusted, calibrated noise", "gate", int(counts[0]), n, 0.95
     yield "alarms, calibrated noise", TWO[0], int(counts[1]), n, 1e-2
     yield "alarms, calibrated noise", TWO[1], int(counts[2]), n, 1e-2
-    yield "refused, noise 10 % larger", "gate", int(counts[3]), spans, 0.95
-    yield "refused, noise 10 % larger in the burst", "gate", int(counts[4]), spans, 0.95
+    yield "refused, noise 10 % larger", "gate", int(counts[3]), n, 0.95
+    yield "refused, noise 10 % larger in the burst", "gate", int(counts[4]), n, 0.95
 
 
 def with_noise(problem: DetectionProblem, noise: Noise) -> DetectionProblem:
@@ -155,7 +155,7 @@ def uncertain(machine: TrueMachine, rng: np.random.Generator, size: float, sd: f
     pulled = uncertain_entries(plain.plant, entries, machine.dt)
     problem = replace(plain, uncertain=pulled, uncertainty=dict.fromkeys(pulled.fault_names, 1.0))
     burst, detectors, hits, n = broad(machine), designed(problem, TWO), np.zeros(2, int), 0
-    for _ in range(round(12 * size)):
+    for _ in range(round(40 * size)):
         A, B = (M * (1 + sd * rng.standard_normal(M.shape)) for M in (machine.A, machine.B))
         run = Mistaken(machine, A, B).run(rng, alpha_of(burst, machine.dt, quiet(problem)))
         if np.isfinite(run["y"]).all() and np.abs(run["y"]).max() < 1e3 * machine.spread()[0].max():
