@@ -146,6 +146,7 @@ def references(machine: TrueMachine, rng: np.random.Generator, size: float) -> I
             return
         (told,) = shown(hourly, [passive], machine.run(rng, np.zeros((samples, burst.inputs)), ref=ref), None)
         yield f"alarms between bursts, {words}", "passive_cusum", sum(e.detected for e in told), samples // PASSIVE_EVERY, 1.0
+        yield f"doubts between bursts, {words}", "passive_cusum", sum(not e.trustworthy for e in told), samples // PASSIVE_EVERY, 1.0
 
 
 def uncertain(machine: TrueMachine, rng: np.random.Generator, size: float, sd: float = 0.005) -> Iterator[Row]:
@@ -229,25 +230,30 @@ def problem_survives(problem: DetectionProblem, severities: Mapping[str, float])
 STUDIES = (given_noise, calibrated_noise, references, uncertain, together)
 
 
+AT_LEAST = ("trusted", "refused", "told among")  # promises that are lower bounds
+
+
 def page(rows: Sequence[Mapping[str, str]]) -> str:
-    """Return the page of counts."""
+    """Return the table of counts: one line per promise and detector over all machines."""
     sums: dict[tuple[str, str, float], list[tuple[str, int, int]]] = defaultdict(list)
     for row in rows:
         sums[row["promise"], row["detector"], float(row["promised"])].append((row["machine"], int(row["hits"]), int(row["of"])))
     lines = ["| promise | detector | promised | counted | 99 % interval | machines whose own interval does not hold it |", "|---|---|---|---|---|---|"]
-    for (promise, detector, promised), found in sums.items():
-        hits, of = sum(h for _, h, _ in found), sum(n for _, _, n in found)
-        if promise.startswith("alarms between"):
-            low, high = _poisson(hits)
-            apart = [m for m, h, n in found if not _poisson(h)[0] <= n <= _poisson(h)[1]]
-            lines.append(f"| {promise} | `{detector}` | {of} alarms | {hits} | {low:.0f} to {high:.0f} | {', '.join(apart)} |")
-            continue
-        whole = share(hits, of, 0.99)
-        least = promise.startswith(("trusted", "refused")) or "do the same" in promise
-        apart = [m for m, h, n in found if n and promised == promised and ((share(h, n, 0.99).high < promised) if least else not share(h, n, 0.99).low <= promised)]
-        words = "" if promised != promised else f"at least {promised:g}" if least else f"{promised:g}"
-        lines.append(f"| {promise} | `{detector}` | {words} | {hits} of {of:,}: {whole.value:.4g} | {whole.low:.4f} to {whole.high:.4f} | {', '.join(apart)} |")
-    return "\n".join(lines)
+    return "\n".join([*lines, *(_line(*key, found) for key, found in sums.items())])
+
+
+def _line(promise: str, detector: str, promised: float, found: Sequence[tuple[str, int, int]]) -> str:
+    hits, of = sum(h for _, h, _ in found), sum(n for _, _, n in found)
+    least, most, poisson = any(word in promise for word in AT_LEAST), promise.startswith(("not", "doubts")), " between bursts" in promise
+
+    def interval(h: int, n: int) -> tuple[float, float]:
+        both = _poisson(h) if poisson else (share(h, n, 0.99).low, share(h, n, 0.99).high)
+        return (both[0] / n, both[1] / n) if poisson else both
+
+    apart = [m for m, h, n in found if n and (interval(h, n)[1] < promised and not most or interval(h, n)[0] > promised and not least)]
+    words = "" if np.isnan(promised) else f"{'at least ' * least}{'at most ' * most}{promised:g}{f' in {PASSIVE_EVERY:,} samples' * poisson}"
+    low, high = interval(hits, of)
+    return f"| {promise} | `{detector}` | {words} | {hits:,} of {of:,}: {hits / of:.4g} | {low:.4f} to {high:.4f} | {', '.join(apart)} |"
 
 
 def _poisson(hits: int) -> tuple[float, float]:

@@ -74,6 +74,18 @@ def test_a_fault_that_begins_in_the_burst_is_reported_at_its_present_severity():
     assert all("onset_part" not in e.parts for e in found({"a0": -0.3}, 6))
 
 
+@pytest.mark.parametrize("kind", ["growing", "intermittent"])
+def test_the_course_of_a_fault_follows_what_it_did(kind):
+    t = np.arange(BURST.samples) / BURST.samples
+    share = t if kind == "growing" else (t * 4 % 2 < 1).astype(float)
+    for e in found(share[:, None] * loss_of(PROBLEM, {"a0": -0.4}), 6):
+        told = np.array([e.parts[f"course.{k}"] for k in range(8)])
+        true = -0.4 * share.reshape(8, -1).mean(axis=1)
+        assert e.fault in ("a0", None)
+        assert e.parts["course_p"] < 1e-3
+        assert np.corrcoef(told, true)[0, 1] > 0.9
+
+
 def test_energy_that_nothing_explains_withholds_the_name():
     rng = np.random.default_rng(0)
     rattle = rng.normal(0, 0.3, (BURST.samples, 1)) * loss_of(PROBLEM, {"s0": 1.0}) + loss_of(PROBLEM, {"a0": -0.3})  # a loose contact

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Burst, Line
+from afdsvc.api.detection import FalseAlarms
 from afdsvc.detect.uncertain_parameters import uncertain_entries
 from afdsvc.errors import Refused
 from afdsvc.excite.certificate import certificate
 from afdsvc.excite.diagnosis_burst import Aim, default_burst
+from afdsvc.plugins.manager import load
+from benchmarks.detection.judged import judged
 from benchmarks.detection.truth import TrueMachine, machines
 from benchmarks.detection.truth_problem import alpha_of, loss_of, problem_of
 
@@ -59,6 +62,18 @@ def test_a_loop_that_rings_through_the_burst_is_refused_in_words():
         default_burst(problem, problem.limits, 1.5, aim=Aim(severity=-0.3))
     longer = default_burst(problem, problem.limits, 6.0, aim=Aim(severity=-0.3))
     assert longer.settle > 0.2 * longer.samples
+
+
+@pytest.mark.parametrize("kind", ["matched_filter", "regression"])
+def test_losses_on_a_ringing_machine_are_named_and_inside_their_intervals(kind):
+    machine = ringing(0.997)
+    problem = problem_of(machine, FalseAlarms(1e-2))
+    burst = default_burst(problem, problem.limits, 6.0, aim=Aim(severity=-0.3))
+    detector = load().get("detectors", kind).design(problem, {})
+    found = [(fault, judged(machine, problem, detector, burst, seed, {fault: -0.3})) for fault in problem.fault_names for seed in range(8)]
+    assert sum(e.fault == fault for fault, e in found) >= 22
+    assert sum(e.severity.low <= -0.3 <= e.severity.high for _, e in found) >= 21
+    assert np.mean([e.severity.value for _, e in found]) == pytest.approx(-0.3, abs=0.02)
 
 
 def test_uncertain_parameters_leave_less_room_and_every_machine_they_may_be_keeps_the_limits():
