@@ -235,11 +235,12 @@ AT_LEAST = ("trusted", "refused", "told among")  # promises that are lower bound
 
 def page(rows: Sequence[Mapping[str, str]]) -> str:
     """Return the table of counts: one line per promise and detector over all machines."""
-    sums: dict[tuple[str, str, float], list[tuple[str, int, int]]] = defaultdict(list)
+    sums: dict[tuple[str, str, str], list[tuple[str, int, int]]] = defaultdict(list)
     for row in rows:
-        sums[row["promise"], row["detector"], float(row["promised"])].append((row["machine"], int(row["hits"]), int(row["of"])))
+        if int(row["of"]):
+            sums[row["promise"], row["detector"], row["promised"]].append((row["machine"], int(row["hits"]), int(row["of"])))
     lines = ["| promise | detector | promised | counted | 99 % interval | machines whose own interval does not hold it |", "|---|---|---|---|---|---|"]
-    return "\n".join([*lines, *(_line(*key, found) for key, found in sums.items())])
+    return "\n".join([*lines, *(_line(promise, detector, float(rate), found) for (promise, detector, rate), found in sums.items())])
 
 
 def _line(promise: str, detector: str, promised: float, found: Sequence[tuple[str, int, int]]) -> str:
@@ -250,7 +251,7 @@ def _line(promise: str, detector: str, promised: float, found: Sequence[tuple[st
         both = _poisson(h) if poisson else (share(h, n, 0.99).low, share(h, n, 0.99).high)
         return (both[0] / n, both[1] / n) if poisson else both
 
-    apart = [m for m, h, n in found if n and (interval(h, n)[1] < promised and not most or interval(h, n)[0] > promised and not least)]
+    apart = [m for m, h, n in found if (interval(h, n)[1] < promised and not most) or (interval(h, n)[0] > promised and not least)]
     words = "" if np.isnan(promised) else f"{'at least ' * least}{'at most ' * most}{promised:g}{f' in {PASSIVE_EVERY:,} samples' * poisson}"
     low, high = interval(hits, of)
     return f"| {promise} | `{detector}` | {words} | {hits:,} of {of:,}: {hits / of:.4g} | {low:.4f} to {high:.4f} | {', '.join(apart)} |"
