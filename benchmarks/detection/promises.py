@@ -230,7 +230,7 @@ def problem_survives(problem: DetectionProblem, severities: Mapping[str, float])
 STUDIES = (given_noise, calibrated_noise, references, uncertain, together)
 
 
-AT_LEAST = ("trusted", "refused", "told among")  # promises that are lower bounds
+AT_LEAST, AT_MOST = ("trusted", "refused", "one fault", "two faults"), ("not trusted", "doubts")  # how promises that are bounds begin
 
 
 def page(rows: Sequence[Mapping[str, str]]) -> str:
@@ -245,7 +245,7 @@ def page(rows: Sequence[Mapping[str, str]]) -> str:
 
 def _line(promise: str, detector: str, promised: float, found: Sequence[tuple[str, int, int]]) -> str:
     hits, of = sum(h for _, h, _ in found), sum(n for _, _, n in found)
-    least, most, poisson = any(word in promise for word in AT_LEAST), promise.startswith(("not", "doubts")), " between bursts" in promise
+    least, most, poisson = promise.startswith(AT_LEAST), promise.startswith(AT_MOST), " between bursts" in promise
 
     def interval(h: int, n: int) -> tuple[float, float]:
         both = _poisson(h) if poisson else (share(h, n, 0.99).low, share(h, n, 0.99).high)

@@ -22,7 +22,7 @@ from afdsvc.detect.features.data_checks import Runs
 from afdsvc.detect.features.front_end import filtered
 from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
 from afdsvc.detect.features.shared_filter import Filters, shared_regressors
-from afdsvc.detect.features.whiteness_gate import NOTHING, Gate, GateState, Judgement, Recent
+from afdsvc.detect.features.whiteness_gate import NOTHING, PARTS, Gate, GateState, Judgement, Recent
 from afdsvc.detect.statistics.cusum import Cusum, CusumState, DeflectionBoundary, cusum
 from afdsvc.detect.thresholds import average_run_length
 from afdsvc.detect.thresholds.cusum_boundary import rate_boundary
@@ -37,7 +37,7 @@ BLOCK = 1e-3  # seconds between looks at the CUSUMs
 @dataclass(frozen=True, slots=True, eq=False)
 class PassiveState:
     """Filters, gate, runs of constant values, CUSUMs, samples to stay silent, whether the gate's doubt was
-    reported, nuisances learnt, and the last quiet samples.
+    reported, parts of the gate since a fault was last looked for, nuisances learnt, and the last quiet samples.
     """
 
     filters: Any
@@ -46,6 +46,7 @@ class PassiveState:
     cusum: CusumState
     silent: int = 0
     doubted: bool = False
+    parts: int = PARTS
     cleaning: Cleaning | None = None
     recent: Recent = NOTHING
 
@@ -175,14 +176,20 @@ class PassiveDetector:
         return evidence(self.name, self.problem, k, dt, "", finding, judgement, complaint, self.sure)
 
     def _doubt(self, state: PassiveState, k: int, dt: float, found: list[Evidence]) -> PassiveState:
-        """Say once that the quiet data cannot be trusted, again only after they could be, unexplained, in between; see `doubt_level`."""
+        """Say once that the quiet data cannot be trusted, again only after they could be in between; see `doubt_level`.
+
+        What a fault may explain is looked at once in as many parts as are remembered: that takes longer than a part.
+        """
         if state.gate.sums().n < self.gate.needed:
             return state
-        judge = self.gate.judge(state.gate, self.doubt_level) if state.doubted else self._judgement(state, k, self.doubt_level)
-        if not judge.ok and not state.doubted:
+        ok = self.gate.judge(state.gate, self.doubt_level).ok
+        if not ok and state.parts < PARTS:
+            return replace(state, parts=state.parts + 1)
+        ok, parts = ok or self._judgement(state, k, self.doubt_level).ok, PARTS if ok else 1
+        if not ok and not state.doubted:
             peak = float(state.cusum.g.max(initial=0.0))
             found.append(self._evidence(state, Finding(peak, self.boundary), k, dt))
-        return replace(state, doubted=not judge.ok)
+        return replace(state, doubted=not ok, parts=parts)
 
     def _to_part(self, state: PassiveState) -> int:
         """Return the samples until the gate's present part is full."""
