@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import logging
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -20,6 +21,7 @@ from afdsvc.files.tables.mat5 import read_mat5
 from afdsvc.files.validation import BOUNDS, file_size, refuse_more, table_bytes
 from afdsvc.lti.statespace import Array
 
+log = logging.getLogger(__name__)
 Columns = dict[str, Array]
 _LFS = b"version https://git-lfs"
 
@@ -206,9 +208,13 @@ def _tdms(path: Path) -> Columns:
     """Return the channels by name (``group/channel`` where a name comes twice), and the time that their properties state as ``t``."""
     try:
         from nptdms import TdmsFile
+        from nptdms.log import log_manager
     except ImportError:
         raise BadInput(f"{path}: TDMS needs the extra 'tdms': install afdsvc[tdms]") from None
+    log_manager.set_level(logging.CRITICAL)  # it would print bytes of the file
     with opened(path) as stream, TdmsFile.open(stream) as file:
+        if file.file_status.incomplete_final_segment:
+            log.warning("%s: the file ends within a segment; what is whole is read", path)
         return _tdms_columns(path, [c for group in file.groups() for c in group.channels() if len(c)])
 
 

@@ -17,6 +17,7 @@ from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import parse_model
 from afdsvc.files.open import Naming, open_file
+from afdsvc.files.tables.formats import read_columns
 from afdsvc.files.tables.tables import read_table, with_units
 
 RNG = np.random.default_rng(3)
@@ -309,7 +310,7 @@ def test_the_columns_of_a_matrix_are_the_models_channels_in_order(tmp_path, suff
     assert [c.name for c in read_table(path, {"y": "y_1"}, 0.1).channels] == ["u_1", "u_2", "y_1"]
 
 
-def test_a_tdms_file_is_a_table_with_the_time_of_its_properties(tmp_path):
+def test_a_tdms_file_is_a_table_with_the_time_of_its_properties(tmp_path, caplog, capfd):
     nptdms = pytest.importorskip("nptdms")
     properties = {"wf_increment": 0.004, "wf_start_offset": 1.0}
     channels = [nptdms.ChannelObject("run", name, COLUMNS[name], properties) for name in ("u_force", "y_position")]
@@ -318,6 +319,12 @@ def test_a_tdms_file_is_a_table_with_the_time_of_its_properties(tmp_path):
     trace = read_table(tmp_path / "run.tdms")
     assert (trace.t0, trace.dt, [c.name for c in trace.channels]) == (1.0, 0.004, ["u_force", "y_position"])
     assert trace.column("y_position").tobytes() == COLUMNS["y_position"].tobytes()
+    whole = (tmp_path / "run.tdms").read_bytes()
+    (tmp_path / "torn.tdms").write_bytes(whole[:-800])
+    torn = read_columns(tmp_path / "torn.tdms")
+    assert all(np.array_equal(torn[name], COLUMNS[name][: len(torn[name])]) for name in torn if name != "t")
+    assert [record.message for record in caplog.records] == [f"{tmp_path / 'torn.tdms'}: the file ends within a segment; what is whole is read"]
+    assert "nptdms" not in capfd.readouterr().err
     (tmp_path / "no.tdms").write_bytes(b"something else")
     with pytest.raises(BadInput, match=r"no\.tdms: not a readable \.tdms file"):
         read_table(tmp_path / "no.tdms")
