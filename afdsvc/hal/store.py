@@ -133,7 +133,7 @@ class Store:
 
     def _found(self, path: Path) -> _Segment:
         held = []
-        for data in _records(path):
+        for data in records(path):
             block = codec.decode_block(data)
             held.append((block.session, block.k0, block.k0 + len(block)))
         return _Segment(path, held, path.stat().st_size)
@@ -191,7 +191,7 @@ class Store:
         for session, start, end in set(segment.held) - set(readable):  # the disk damaged them
             self.lost[session].add(start, end)
         segment.held = readable
-        for samples, data in zip(readable, _records(segment.path), strict=False):
+        for samples, data in zip(readable, records(segment.path), strict=False):
             if not self._recorded(*samples):
                 deliver(data)
         segment.delivered = self._clock.monotonic()
@@ -211,7 +211,7 @@ class Store:
         return {session: ranges.pairs() for session, ranges in lost.items()}
 
 
-def _records(path: Path) -> Iterator[bytes]:
+def records(path: Path) -> Iterator[bytes]:
     """Yield the whole records of a file: a power failure may have cut the last, and a damaged one is left out."""
     with path.open("rb") as file:
         while len(head := file.read(HEAD.size)) == HEAD.size:

@@ -24,9 +24,10 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from random import Random
 
@@ -34,10 +35,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks.suppo
 
 from scipy.stats import poisson
 
+from afdsvc.api.signals import Block
 from afdsvc.app.ask import ask_service
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import read_site
+from afdsvc.hal.store import records
 from afdsvc.service import operator_requests
 from afdsvc.service.notifications import History
 from afdsvc.transport.zenoh_session import Transport
@@ -484,13 +487,12 @@ def wrong_by(soak: Soak, seconds: float) -> int:
     return next((shift for shift in CLOCKS if soak.began <= seconds - shift <= time.time() and not soak.began <= seconds <= time.time()), 0)
 
 
-def gaps(soak: Soak, paths: list[Path]) -> Iterator[tuple[float, float, int]]:
+def gaps(soak: Soak, blocks: Iterable[Block]) -> Iterator[tuple[float, float, int]]:
     """Yield the gaps in one machine's samples: Unix time they begin and end at, samples missing; and at last (0, 0, samples)."""
     spans: dict[str, list[tuple[int, int, float, float]]] = {}
-    for path in paths:
-        for block in Recording(path).blocks():
-            ends = block.k0 + len(block)
-            spans.setdefault(block.session, []).append((block.k0, ends, block.t0_ns / 1e9, block.t0_ns / 1e9 + len(block) * block.dt))
+    for block in blocks:
+        ends = block.k0 + len(block)
+        spans.setdefault(block.session, []).append((block.k0, ends, block.t0_ns / 1e9, block.t0_ns / 1e9 + len(block) * block.dt))
     total = 0
     for rows in spans.values():
         reached, until = 0, 0.0
@@ -508,12 +510,19 @@ def explained(soak: Soak, id: str, start: float, end: float) -> str:
     return " and ".join(sorted({d.what for d in soak.done if id in d.machines and start <= d.end + MARGIN and end >= d.start - 1.0}))
 
 
+def stored(soak: Soak, id: str) -> Iterator[Block]:
+    """Yield what a rig keeps on its disk, to be delivered when it is started again."""
+    for path in soak.folder.glob(f"store/{id}.*.blocks"):
+        yield from map(codec.decode_block, records(path))
+
+
 def count_samples(soak: Soak) -> tuple[int, Counter[str], Counter[str], list[str]]:
     """Return samples, gaps and samples missing by what was done then, and sentences about gaps nothing explains."""
     samples, accounted, missing = 0, Counter[str](), Counter[str]()
     wrong = []
     for id in soak.ids:
-        for start, end, n in gaps(soak, sorted((soak.folder / "recordings").glob(f"{id}-2*.mcap"))):
+        recorded = (block for path in (soak.folder / "recordings").glob(f"{id}-2*.mcap") for block in Recording(path).blocks())
+        for start, end, n in gaps(soak, chain(recorded, stored(soak, id))):
             if not start:
                 samples += n
             elif why := explained(soak, id, start, end):
@@ -607,7 +616,8 @@ def tell(soak: Soak, minutes: float, seed: int, stopped: float) -> int:
     print(f"{soak.rigs} machines at 5 kHz for {minutes:g} minutes")
     kinds = sorted({d.what for d in soak.done})
     print(f"{len(soak.done)} disturbances: " + ", ".join(f"{k} {sum(d.what == k for d in soak.done)}" for k in kinds))
-    print(f"samples recorded {samples} ({samples / (300_000 * minutes * soak.rigs):.1%} of all); gaps explained {accounted.total()} ({missing.total()} samples), unexplained {len(wrong)}")
+    later = sum(len(block) for id in soak.ids for block in stored(soak, id))
+    print(f"samples kept {samples} ({samples / (300_000 * minutes * soak.rigs):.1%} of all), at most {later} of them on the rigs' disks yet; gaps explained {accounted.total()} ({missing.total()} samples), unexplained {len(wrong)}")
     for why, n in missing.most_common():
         print(f"  {accounted[why]} gaps, {n} samples: {why}")
     played = bursts(soak)

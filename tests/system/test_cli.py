@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
+import select
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
+
+SHIPPED = Path(__file__).parents[2] / "recordings" / "shipped"
 
 
 def afdsvc(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -127,3 +132,20 @@ def test_import_is_exact(tmp_path: Path):
 
     (trace,) = Recording(out).traces()
     assert trace.values[:, 1].tolist() == [1 / (k + 1) for k in range(99)]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+def test_an_explanation_shows_on_a_terminal_what_it_does_long_before_it_is_done(tmp_path: Path):
+    ours, theirs = os.openpty()
+    command = [sys.executable, "-m", "afdsvc", "explain", str(SHIPPED / "gas_bearing_nominal.mcap"), "--out", str(tmp_path)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=theirs)
+    try:
+        said, deadline = b"", time.monotonic() + 60
+        while b"explaining: " not in said:
+            assert select.select([ours], [], [], max(deadline - time.monotonic(), 0))[0], said
+            said += os.read(ours, 4096)
+    finally:
+        process.kill()
+        process.wait()
+        os.close(ours)
+        os.close(theirs)
