@@ -113,7 +113,8 @@ def run_demo(options: DemoOptions, tell: Callable[[float, Hub], None]) -> dict[s
     """Run the demonstration; ``tell(done seconds, hub)`` is called several times a second. Returns the JSON document."""
     with tempfile.TemporaryDirectory(prefix="afdsvc-demo-") as folder:
         path = Path(folder) / "site.toml"
-        path.write_text(site_text(options, free_port()), encoding="utf-8")
+        history = f'[alarms]\nhistory = "{(Path(folder) / "alarms.sqlite").as_posix()}"\n'  # alarms of earlier demonstrations are no part of this one
+        path.write_text(site_text(options, free_port()) + history, encoding="utf-8")
         site = read_site(path)
         with serving(site) as hub, rig_process(path, "bearing", options.seconds) as rig, ThreadPoolExecutor(1) as person:
             healing = _Healing(site, person) if options.heal else None
@@ -203,7 +204,8 @@ def _wait(
 def _document(options: DemoOptions, site: Site, files: list[Path]) -> dict[str, Any]:
     recordings = [f for f in files if f.suffix == ".mcap"]
     document = diagnose_recordings(recordings)
-    truth = [{"fault": n, "severity": s, "start_s": t} for n, s, t in options.faults]
+    late = next((b.k0 * b.dt for f in recordings for b in Recording(f).blocks()), 0.0)  # when the service heard the rig first
+    truth = [{"fault": n, "severity": s, "start_s": round(t - late, 3)} for n, s, t in options.faults]
     reviews = [str(f) for f in files if f.suffix == ".rrd"]
     return {
         **document,
