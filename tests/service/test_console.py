@@ -196,6 +196,24 @@ def test_an_alarm_is_handled_by_keyboard_alone(free_port, tmp_path, browser):
         assert browser.errors == []
 
 
+@browser_needed
+def test_one_fault_is_one_alarm(free_port, tmp_path, browser):
+    base, site = f"http://127.0.0.1:{free_port + 1}", site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")
+    with serve.serving(site) as hub:
+        unnamed = Evidence("passive_cusum", "bearing", 0, 5.0, 20.5, 20.2, True)
+        hub.alarms.take(Finding(unnamed, "s", time.time_ns()), "bearing: a fault")
+        an_alarm(hub)
+        hub.alarms.group("bearing", "horizontal_actuator", time.time_ns())
+        browser.open(base + "/", 1400)
+        browser.until("document.body.innerText.includes('What follows from it: unnamed')")
+        assert browser.value("document.querySelectorAll('section > .alarm').length") == 1
+        assert browser.value("document.title").startswith("(1) ")
+        browser.value("document.querySelector('summary').click()")
+        time.sleep(2.5)  # the page is drawn anew; what was opened stays open
+        browser.until("document.querySelector('details').open && document.body.innerText.includes('follows from bearing/horizontal_actuator')")
+        assert browser.errors == []
+
+
 @pytest.mark.parametrize(
     ("web", "sentence"),
     [("0.0.0.0:8080", "readable from other computers"), ("8080", "host:port"), ("nowhere", "host:port")],
