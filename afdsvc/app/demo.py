@@ -21,11 +21,13 @@ import numpy as np
 from afdsvc.api.signals import of_role
 from afdsvc.app.ask import ask_service
 from afdsvc.app.diagnose import diagnose_recordings
+from afdsvc.app.review import fault_planes
 from afdsvc.app.serve import serving
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, read_site
 from afdsvc.plants.registry import plant as plant_by_name
+from afdsvc.present.rerun import review_recordings
 from afdsvc.service.hub import Hub
 from afdsvc.wire.messages import EventKind
 
@@ -206,12 +208,14 @@ def _document(options: DemoOptions, site: Site, files: list[Path]) -> dict[str, 
     document = diagnose_recordings(recordings)
     late = next((b.k0 * b.dt for f in recordings for b in Recording(f).blocks()), 0.0)  # when the service heard the rig first
     truth = [{"fault": n, "severity": s, "start_s": round(t - late, 3)} for n, s, t in options.faults]
-    reviews = [str(f) for f in files if f.suffix == ".rrd"]
+    review = next((f for f in files if f.suffix == ".rrd"), None)
+    if review and recordings:
+        review_recordings(recordings, review, planes=fault_planes)  # what the live one has not: fault curves with the measured points
     return {
         **document,
         "truth": truth,
         "recording": str(recordings[0]) if recordings else None,
-        "rerun": reviews[0] if reviews else None,
+        "rerun": str(review) if review else None,
     }
 
 

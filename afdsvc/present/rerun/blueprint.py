@@ -54,7 +54,7 @@ def blueprint(machines: Mapping[str, MachineLayout], side_by_side: bool = False)
 def _compared(machines: Sequence[tuple[str, MachineLayout]]) -> rrb.Container:
     columns = []
     for id, layout in machines:
-        parts: list[rrb.Container | rrb.View] = [_answer(id), _lanes(id), _severity(id, common=True)]
+        parts: list[rrb.Container | rrb.View] = [_answer(id), _lanes(id), _severity(id)]
         parts += [_group(id, name, layout.groups[name]) for name in ("outputs", "whitened") if name in layout.groups]
         columns.append(rrb.Vertical(*parts, name=id, row_shares=[2.4, 2.6, 1.6, 1.4, 1.4][: len(parts)]))
     return rrb.Horizontal(*columns, name="side by side")
@@ -79,12 +79,11 @@ def _lanes(id: str) -> rrb.StateTimelineView:
     return rrb.StateTimelineView(origin=paths.path(id, "states"), name="since when: bursts and decisions", time_view=whole_range())
 
 
-def _severity(id: str, common: bool = False) -> rrb.TimeSeriesView:
-    """Return severities, from nothing to total loss when several machines stand side by side."""
+def _severity(id: str) -> rrb.TimeSeriesView:
+    """Return severities, from nothing to total loss."""
     return rrb.TimeSeriesView(
         origin=paths.path(id, "severity"), name="which part, how severe [%]", axis_x=whole_range(),
-        axis_y=rrb.ScalarAxis(range=(-105.0, 5.0)) if common else None,
-        plot_legend=_legend(True),
+        axis_y=rrb.ScalarAxis(range=(-105.0, 5.0)), plot_legend=_legend(True),
     )  # fmt: skip
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import colorsys
 import re
+import zlib
 
 import numpy as np
 import rerun as rr
@@ -30,6 +32,7 @@ TITLES = {
     "aux": "other signals",
 }
 
+GOLDEN_RATIO = 0.6180339887  # steps of it spread hues most evenly
 LINES = ((86, 156, 255), (255, 142, 60), (90, 200, 130), (230, 100, 180), (160, 130, 255), (200, 200, 90))
 FAINT = (170, 170, 170)
 ZERO = (90, 90, 90)
@@ -68,12 +71,11 @@ def lane(machine: str, name: str) -> str:
     return path(machine, "states", re.sub(r"[^\w.-]", "_", name))
 
 
-_FAULTS: dict[str, int] = {}  # in the order they are first drawn
-
-
 def fault_colour(fault: str) -> tuple[int, int, int]:
-    """Return a fault's colour, the same in every view."""
-    return LINES[_FAULTS.setdefault(fault, len(_FAULTS)) % len(LINES)]
+    """Return a fault's colour, the same in every view and every file: its hue follows from the name."""
+    hue = zlib.adler32(fault.encode()) * GOLDEN_RATIO % 1
+    red, green, blue = colorsys.hsv_to_rgb(hue, 0.6, 1.0)
+    return round(255 * red), round(255 * green), round(255 * blue)
 
 
 def plane(machine: str, number: int) -> str:
