@@ -39,7 +39,8 @@ _FAULT = re.compile(r"(?P<name>[a-z0-9_]+)=(?P<severity>[-+0-9.eE]+)(@(?P<at>[0-
 class DemoOptions:
     """What is demonstrated: plant, controller, rotor speed [rpm] (None: the plant's own), faults (name, severity, second), ...
 
-    With ``heal`` the inputs are disturbed, and the Q that the service proposes for the fault is accepted.
+    With ``heal`` the inputs are disturbed, and the Q that the service proposes for the fault is accepted. ``console``: ``host:port`` of
+    the page that shows the machine while it runs.
     """
 
     plant: str = "gas_bearing"
@@ -51,6 +52,7 @@ class DemoOptions:
     out: Path = Path("recordings")
     every: float = 5.0
     heal: bool = False
+    console: str = ""
 
 
 def first_fault(plant: str, heal: bool = False) -> str:
@@ -116,7 +118,8 @@ def run_demo(options: DemoOptions, tell: Callable[[float, Hub], None]) -> dict[s
     with tempfile.TemporaryDirectory(prefix="afdsvc-demo-") as folder:
         path = Path(folder) / "site.toml"
         history = f'[alarms]\nhistory = "{(Path(folder) / "alarms.sqlite").as_posix()}"\n'  # alarms of earlier demonstrations are no part of this one
-        path.write_text(site_text(options, free_port()) + history, encoding="utf-8")
+        console = f'[web]\nlisten = "{options.console}"\n' if options.console else ""
+        path.write_text(site_text(options, free_port()) + history + console, encoding="utf-8")
         site = read_site(path)
         with serving(site) as hub, rig_process(path, "bearing", options.seconds) as rig, ThreadPoolExecutor(1) as person:
             healing = _Healing(site, person) if options.heal else None
