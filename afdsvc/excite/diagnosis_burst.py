@@ -151,12 +151,13 @@ def _best_plan(problem: DetectionProblem, frame: Burst, left: Room, aim: Aim) ->
 
 
 def _reach(seen: ExpectedDetection, aim: Aim) -> float:
-    """Return the smallest separation the aim is about, or the deflection of a single fault."""
+    """Return the smallest separation the aim is about, 0 where it is rounding, or the deflection of a single fault."""
     names = seen.curves.names
     if len(names) < 2:
         return seen.deflection(names[0], aim.severity)
     suspects = aim.suspects or names
-    return min(seen.separation(a, aim.severity, b) for a in suspects for b in suspects if a != b)
+    apart = {(a, b): seen.separation(a, aim.severity, b) for a in suspects for b in suspects if a != b}
+    return min(s if s > ALIKE * seen.deflection(a, aim.severity) else 0.0 for (a, _), s in apart.items())
 
 
 def _frame(problem: DetectionProblem, seconds: float, name: str) -> Burst:
@@ -239,10 +240,12 @@ def _choose(pair_gains: Array, price: Array, omega: Array, inputs: Sequence[int]
 def _gains(problem: DetectionProblem, omega: Array, aim: Aim) -> Array:
     """Return the squared separation per sample of every pair that matters for a unit line, shape ``(L, m, pairs)``.
 
-    With one fault there is no pair and its squared deflection counts.
+    Where no line separates any pair, or there is one fault only, squared deflections count.
     """
     found = candidates(problem, omega, aim.severity)
-    gains = found.separation[_rows(problem, found.pairs, aim)] if found.pairs else found.deflection
+    seen = found.deflection.max(axis=1)
+    told = [i for i in _rows(problem, found.pairs, aim) if found.separation[i].max() > ALIKE**2 * seen[found.pairs[i][0]]]
+    gains = found.separation[told] if told else found.deflection
     return np.asarray(np.moveaxis(gains.reshape(len(gains), len(omega), problem.plant.inputs), 0, 2))
 
 

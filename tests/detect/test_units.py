@@ -8,6 +8,9 @@ import pytest
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import FalseAlarms, ResidualBlock
 from afdsvc.detect.features.noise_calibration import calibrate_noise
+from afdsvc.excite.certificate import certificate
+from afdsvc.excite.diagnosis_burst import Aim, default_burst
+from afdsvc.excite.expected_detection import burst_detection
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.whitening import innovations
@@ -77,3 +80,37 @@ def test_calibration(units):
         noise = calibrate_noise(plant, run["u"], run["y"])
         found.append(innovations(plant, noise.output_cov, noise.process_cov, noise.cross_cov).covariance)
     assert found[1] / o**2 == pytest.approx(found[0], rel=1e-3)
+
+
+@pytest.mark.parametrize("units", UNITS.values(), ids=list(UNITS))
+@pytest.mark.parametrize("name", ["unstable", "process noise large", "one input, three outputs"])
+def test_design_and_certificate(name, units):
+    machine, (s, i, o) = BASE[name], units
+    n, m, p = machine.shape
+    found = []
+    for one in (machine, machine.scaled(s * np.logspace(-0.5, 0.5, n), np.full(m, i), np.full(p, o))):
+        problem = problem_of(one)
+        burst = default_burst(problem, problem.limits, 2.0, aim=Aim(severity=-0.2))
+        seen = burst_detection(problem, burst)
+        found.append((burst, certificate(problem, problem.limits, burst, -0.2), [seen.deflection(f, -0.05) for f in problem.fault_names]))
+    (before, safe, shown), (after, same, seen) = found
+    assert [(line.input, line.omega) for line in after.lines] == [(line.input, pytest.approx(line.omega)) for line in before.lines]
+    assert [line.amplitude / i for line in after.lines] == pytest.approx([line.amplitude for line in before.lines], rel=1e-4)
+    assert (same.limit, same.fault) == (safe.limit, safe.fault)
+    assert same.factor == pytest.approx(safe.factor, rel=1e-4)
+    assert seen == pytest.approx(shown, rel=1e-4)
+
+
+@pytest.mark.parametrize("units", UNITS.values(), ids=list(UNITS))
+def test_quiet_data_that_a_fault_explains(units):
+    machine, (s, i, o) = BASE["process noise large"], units
+    n, m, p = machine.shape
+    found = []
+    for one, (iu, ou) in ((machine, (1.0, 1.0)), (machine.scaled(s * np.logspace(-0.5, 0.5, n), np.full(m, i), np.full(p, o)), (i, o))):
+        problem = problem_of(one, FalseAlarms(1e-2))
+        burst = Burst("b", m, 2000, 100, tuple(Line(k, w, 6.0) for k, w in enumerate((220.0, 610.0))), settle=60)
+        detector = load().get("detectors", "regression").design(problem, {})
+        found.append(judged(machine, problem, detector, burst, 1, {"s0": -0.2}, units=(iu, ou)))
+    before, after = found
+    assert (after.detected, after.fault, after.trustworthy) == (before.detected, before.fault, before.trustworthy) == (True, "s0", True)
+    assert after.p_white == pytest.approx(before.p_white, rel=0.05)
