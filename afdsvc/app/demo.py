@@ -190,11 +190,13 @@ def rig_process(site: Path, machine: str, seconds: float) -> Iterator[subprocess
 def _wait(
     hub: Hub, rig: subprocess.Popen[bytes], log: Path, seconds: float, tell: Callable[[float, Hub], None], healing: _Healing | None
 ) -> None:  # fmt: skip
-    """Wait until the rig has run its seconds; say so when it fails."""
-    watch = hub.watches["bearing"]
+    """Wait until the rig has run its seconds; say so when it fails, or when nothing has come from it for a minute."""
+    watch, seen = hub.watches["bearing"], 0.0
     deadline = time.monotonic() + seconds + 60
     while rig.poll() is None:
         tell(watch.seconds_seen, hub)
+        if watch.seconds_seen != seen:
+            seen, deadline = watch.seconds_seen, time.monotonic() + 60
         if healing:
             healing.accept(hub)
         if time.monotonic() > deadline:

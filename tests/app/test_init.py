@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import runpy
 import shlex
@@ -81,6 +82,13 @@ def test_the_tutorial_from_a_log_to_a_law(logs: Path):
     force = answer["named"][0]["parameters"]["force"]
     assert force["value"] == pytest.approx(runpy.run_path(str(ROOT / "examples" / "motor_recording.py"))["FRICTION"], rel=0.05)
     assert force["unit"] == "V"
+
+
+def test_the_shell_completes_commands():
+    words = {"COMP_WORDS": "afdsvc dia", "COMP_CWORD": "1", "_AFDSVC_COMPLETE": "complete_bash"}
+    code = "from afdsvc.cli import app; app(prog_name='afdsvc')"
+    done = subprocess.run([sys.executable, "-c", code], env={**os.environ, **words}, capture_output=True, text=True)
+    assert done.stdout.split() == ["diagnose"]
 
 
 def test_a_site_is_checked_machine_by_machine(tmp_path: Path):
