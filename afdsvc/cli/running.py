@@ -33,6 +33,11 @@ def _stop_on_signals(stop: threading.Event) -> threading.Event:
     return stop
 
 
+def _end(*_: object) -> NoReturn:
+    """End the preparation at once: nothing has been started yet."""
+    raise SystemExit(0)
+
+
 @app.command()
 def serve(
     site: SiteFile,
@@ -47,7 +52,7 @@ def serve(
 
     start_logging(_one_of("--log", logs, ("text", "json")))
     stop, log = threading.Event(), logging.getLogger("afdsvc")
-    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    signal.signal(signal.SIGTERM, _end)
     found, two = as_one_of_two(read_site(site), standby)
 
     def turn(history: History) -> None:

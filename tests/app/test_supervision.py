@@ -79,6 +79,29 @@ def test_a_supervisor_is_told_and_sigterm_ends_everything_in_time_even_in_a_burs
     assert {"time", "level", "logger", "thread", "message"} <= set(lines[0])
 
 
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="looks at /proc")
+def test_sigterm_ends_the_preparation_too(free_port, tmp_path):
+    site = tmp_path / "site.toml"
+    machines = "".join(f'[[machines]]\nid = "m{i}"\nplant = "gas_bearing"\n' for i in range(40))
+    site.write_text(f'site = "t"\n[transport]\nlisten = ["tcp/127.0.0.1:{free_port}"]\n{machines}')
+    service = subprocess.Popen([sys.executable, "-m", "afdsvc", "serve", str(site)], stderr=subprocess.PIPE)
+    try:
+        while not handles(service.pid, signal.SIGTERM):
+            assert service.poll() is None
+            time.sleep(0.05)
+        time.sleep(0.5)
+        service.send_signal(signal.SIGTERM)
+        assert service.wait(10) == 0
+    finally:
+        assert ended(service) == ""
+
+
+def handles(pid: int, number: int) -> bool:
+    """Return whether a process has a handler of its own for a signal."""
+    (mask,) = re.findall(r"SigCgt:\s*(\w+)", Path(f"/proc/{pid}/status").read_text())
+    return bool(int(mask, 16) >> (number - 1) & 1)
+
+
 def test_the_shipped_units_start_what_there_is():
     commands = [line for u in PACKAGING.glob("*.service") for line in u.read_text().splitlines() if line.startswith("ExecStart=")]
     assert sorted(c.split()[1] for c in commands) == ["rig", "serve"]
