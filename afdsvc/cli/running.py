@@ -17,6 +17,7 @@ from afdsvc import __version__
 from afdsvc.cli.interrupt import end_in_order
 from afdsvc.cli.options import HERE, Json, MachineOption, SiteFile, SiteOption, show
 from afdsvc.errors import BadInput
+from afdsvc.files.unfinished import remove_unfinished
 
 if TYPE_CHECKING:
     from afdsvc.service.notifications import History
@@ -35,7 +36,8 @@ def _stop_on_signals(stop: threading.Event) -> threading.Event:
 
 def _end(*_: object) -> NoReturn:
     """End the preparation at once: nothing has been started yet."""
-    raise SystemExit(0)
+    remove_unfinished()
+    os._exit(0)
 
 
 @app.command()
