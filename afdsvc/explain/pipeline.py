@@ -24,12 +24,12 @@ from afdsvc.explain.report.report import report
 from afdsvc.explain.search.base import Settled, settled, under_slow_noise
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.fit import Fit
-from afdsvc.explain.search.forward import Found, Mapper, Progress, search
+from afdsvc.explain.search.forward import Found, Mapper, Path, Progress, search
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import mechanism
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
-from afdsvc.explain.verdict.holdout import checked_on_holdout, doubted
+from afdsvc.explain.verdict.holdout import checked_on_holdout, doubted, player
 from afdsvc.explain.verdict.verdict import verdict
 
 ATTEMPTS = 3  # searches, each without the first names that the recordings held out have refuted
@@ -64,7 +64,7 @@ def explain(
         base = replace(base, limited="noise")
     refuted: list[Hypothesis] = []
     for _ in range(ATTEMPTS):
-        found = _searched(base, before, offered, mapper, progress, rng, [mechanism(h) for h in refuted])
+        found = _searched(base, before, offered, mapper, progress, rng, roles.heldout, [mechanism(h) for h in refuted])
         after = tested(found.problem, found.end, rng) if found.end is not found.start else None
         answer = checked_on_holdout(found, verdict(found, before, after), roles.heldout)
         if not refuted:
@@ -85,14 +85,22 @@ def explain(
 
 def _searched(
     base: Settled, before: Gap, library: Sequence[Physics], mapper: Mapper, progress: Progress, rng: np.random.Generator,
-    refuted: Container[tuple[str, ...]],
+    heldout: Sequence[Run], refuted: Container[tuple[str, ...]],
 ) -> Found:
     """Return what the search finds; where it finds nothing and noise is not known, also under slow noise, which is divided out."""
-    found = search(base, library, mapper, progress, lambda path: not tested(base.problem, path, rng).absent, refuted)
-    if not base.problem.weighting.even or not found.steps or any(s.accepted for s in found.steps):
+
+    def searched(base: Settled) -> Found:
+        def confirmed(without: Path, path: Path) -> bool:
+            last, sure = list(path)[-1], base.problem.settings.sure
+            return player(base.problem, last).better(heldout, without[last].point, path[last].point) > sure
+
+        return search(base, library, mapper, progress, lambda path: not tested(base.problem, path, rng).absent, confirmed, refuted)
+
+    found = searched(base)
+    if not base.problem.weighting.even or not found.steps or found.effects:
         return found
-    again = under_slow_noise(base, 1 - np.clip(before.whitened, 0.0, 1.0))
-    return search(again, library, mapper, progress, lambda path: not tested(again.problem, path, rng).absent, refuted)
+    again = searched(under_slow_noise(base, 1 - np.clip(before.whitened, 0.0, 1.0)))
+    return again if again.effects or not found.steps[0].accepted else found
 
 
 def tested(problem: Problem, path: dict[float, Fit], rng: np.random.Generator) -> Gap:

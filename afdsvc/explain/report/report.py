@@ -30,7 +30,7 @@ SEED = 1  # of the flexible model's features
 
 def report(found: Found, answer: HeldOutVerdict, roles: Split, findings: Sequence[Finding], library: Iterable[Physics], experiment: bool = True) -> Explanation:
     """Return the explanation: names, courses and fits on what was held out; ``experiment`` False leaves out the next experiment."""
-    play, model = player(found), found.problem.nominal.model
+    play, model = player(found.problem, list(found.end)[-1]), found.problem.nominal.model
     before, verdict, final = found.problem.start(), _excited(answer.verdict, findings), answer.final
     held = courses(play, roles.heldout, "heldout", before, final.point)
     floor = _floor(found, final)

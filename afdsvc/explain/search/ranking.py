@@ -87,6 +87,11 @@ def is_reason(c: Candidate, limited: str) -> bool:
     return limited == "noise" or not is_constant(c.hypothesis) or c.evidence.share > WHOLE
 
 
+def is_offset(h: Hypothesis) -> bool:
+    """Whether a hypothesis says where the zero of a signal lies, which belongs to the recordings and not to the machine."""
+    return h.family == "offset"
+
+
 def is_constant(h: Hypothesis) -> bool:
     """Whether a hypothesis says that a number of the model is off, not that physics is missing."""
     return h.physics == CONSTANT

@@ -15,7 +15,7 @@ from afdsvc.explain.search.evidence import block_spans
 from afdsvc.explain.search.fit import Coordinates, Fit, fit, rms
 from afdsvc.explain.search.forward import Found
 from afdsvc.explain.search.problem import NUISANCE, Point, Problem, loop_known
-from afdsvc.explain.search.ranking import is_constant
+from afdsvc.explain.search.ranking import is_constant, is_offset
 from afdsvc.explain.verdict.verdict import DOUBT, Verdict
 from afdsvc.lti.statespace import Array
 
@@ -61,9 +61,9 @@ class Player:
         return 1 - float(ttest_1samp(ratio, 0.0, alternative="greater").pvalue)
 
 
-def player(found: Found) -> Player:
-    """Return the way to play: from the inputs where the search could, else in closed loop where that is known, else predicted."""
-    problem, last = found.problem, list(found.end)[-1]
+def player(problem: Problem, last: float) -> Player:
+    """Return the way to play what was judged at a horizon: from the inputs where the search could, else in closed loop where that is
+    known, else predicted."""
     if last == 0.0:
         return Player(problem, WAYS[problem.closed], 0.0)
     if loop_known(problem):
@@ -87,13 +87,15 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run]) -> H
     refitted without effects, block by block, or worse than a constant, is not certain; where that is all that speaks for a gap, it is
     not claimed.
     """
-    play, last, most, refuted = player(found), list(found.end)[-1], found.problem.settings.uncertain, False
+    last, most, refuted = list(found.end)[-1], found.problem.settings.uncertain, False
+    play = player(found.problem, last)
     stated, refitted = (_error(play, runs, p) for p in (found.problem.start(), found.start[last].point))
     if verdict.claims:
         first = verdict.claims[0].candidate.hypothesis
         final = _with(found, {c.candidate.hypothesis.key for c in verdict.claims})
+        offsets = {c.candidate.hypothesis.key for c in verdict.claims if is_offset(c.candidate.hypothesis) and not is_offset(first)}
         error = _error(play, runs, final.point)
-        without = found.problem.start() if is_constant(first) else found.start[last].point
+        without = found.problem.start() if is_constant(first) else _with(found, offsets).point if offsets else found.start[last].point
         shown = error < 1.0 and play.better(runs, without, final.point) > found.problem.settings.sure
         alone = _rests_on_holdout(found, verdict)
         held = (

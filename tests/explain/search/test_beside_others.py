@@ -71,7 +71,7 @@ def test_what_a_drive_begins_every_recording_with_is_found(drive):
 
 def test_recordings_held_out_begin_with_their_own(drive):
     found, traces, _ = drive
-    play = player(found)
+    play = player(found.problem, list(found.end)[-1])
     (error,) = play.nrmse(prepare(motor.model(), traces[1:2]), found.end[0.0].point)
     assert error < 0.02
 

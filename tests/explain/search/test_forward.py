@@ -24,6 +24,7 @@ from afdsvc.plugins.physics.coulomb_friction import CoulombFriction
 from afdsvc.plugins.physics.dead_zone import DeadZone
 from afdsvc.plugins.physics.parameter_change import ParameterChange
 from afdsvc.plugins.physics.sensor_lag import SensorLag
+from afdsvc.plugins.physics.sensor_offset import SensorOffset
 
 _spec = importlib.util.spec_from_file_location("motor", Path(__file__).parents[1] / "motor.py")
 motor = importlib.util.module_from_spec(_spec)
@@ -62,6 +63,35 @@ def test_nothing_is_accepted_from_coloured_noise_alone():
     found = search(settled(problem(0.0, noise=8.0)), LIBRARY)
     assert not any(s.accepted for s in found.steps)
     assert "expected more than" in found.steps[0].reason
+
+
+def test_an_offset_is_no_effect_and_comes_last():
+    model = motor.model()
+    traces = [motor.recording(60.0, s, name=f"r{s}") for s in (1, 2)]
+    shifted = [replace(t, values=t.values + np.array([0.0, 200.0])) for t in traces]
+    settings = replace(Settings(), effects=1)
+    found = search(settled(build(nominal(model, motor.DT), prepare(model, shifted), settings)), [*LIBRARY, SensorOffset()])
+    accepted = [s.candidates[0].hypothesis.physics for s in found.steps if s.accepted]
+    assert accepted == ["coulomb_friction", "sensor_offset"]
+    assert found.effects == 1
+    values = {e.hypothesis.physics: e.values[0] for e in found.end[0.0].point.effects}
+    assert values["coulomb_friction"] == pytest.approx(60.0, rel=0.1)
+    assert values["sensor_offset"] + found.end[0.0].point.offset[0] == pytest.approx(200.0, rel=0.05)
+
+
+@pytest.mark.parametrize("confirms", [True, False])
+def test_what_resampled_blocks_doubt_the_recordings_held_out_decide(confirms):
+    unanimous = replace(problem(60.0), settings=replace(Settings(), sure=1.0))  # no share of resamplings is more than all of them
+    asked = []
+
+    def confirmed(before, after):
+        asked.append(after[0.0].cost < before[0.0].cost)
+        return confirms
+
+    found = search(settled(unanimous), LIBRARY, confirmed=confirmed)
+    assert asked == [True]
+    assert [s.accepted for s in found.steps] == [confirms]
+    assert "share of resampled blocks" in found.steps[0].reason
 
 
 def test_the_gain_of_a_sensor_is_no_reason_where_a_predictor_is_corrected():

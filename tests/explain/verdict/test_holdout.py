@@ -32,7 +32,7 @@ def _judged(monkeypatch, stated: float, refitted: float, error: float, present: 
     )
     better = lambda runs, before, after: float(errors[after.name] < errors[before.name])  # noqa: E731
     play = SimpleNamespace(nrmse=lambda runs, point: np.array([errors[point.name]]), better=better)
-    monkeypatch.setattr(module, "player", lambda found: play)
+    monkeypatch.setattr(module, "player", lambda problem, last: play)
     monkeypatch.setattr(module, "fit", lambda problem, point, *a, **k: SimpleNamespace(point=point))
     claim = Claim(SimpleNamespace(hypothesis=hypothesis), 1.0, 1, 0.5)
     verdict = Verdict("omitted_physics", (claim,), (), SimpleNamespace(present=present, total=0.02), None, (0.5, 0.1))

@@ -35,7 +35,7 @@ def test_all_is_explained_where_nothing_remains_to_be_tested():
 @pytest.mark.parametrize(("present", "certain"), [(True, [0.9 / 0.91, 0.8]), (False, [1.0, 1.0])])
 def test_further_effects_are_certain_only_where_nothing_predictable_remains(present, certain):
     settings = Settings()
-    steps = [SimpleNamespace(accepted=True, candidates=[candidate(name)], limited="model") for name in ("friction", "slew")]
+    steps = [SimpleNamespace(accepted=True, candidates=[candidate(name)], limited="model", reason="") for name in ("friction", "slew")]
     point = SimpleNamespace(theta=np.zeros(0), effects=())
     found = SimpleNamespace(
         steps=steps, problem=SimpleNamespace(settings=settings, nominal=SimpleNamespace(entries=()), weighting=SimpleNamespace(even=True, measured=False)),
