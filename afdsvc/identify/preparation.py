@@ -58,6 +58,8 @@ def prepare_problem(model: Model, traces: Sequence[Trace], heldout: Sequence[Tra
     """
     if not traces:
         raise BadInput("no recording was handed in; expected at least one")
+    if not model.inputs:
+        raise BadInput(f"model '{model.name}' has no inputs; expected at least one, since a response is identified; 'explain' takes free motion")
     notes: list[str] = []
     if model.controller is not None if screening is None else screening:
         for trace in (*traces, *heldout):

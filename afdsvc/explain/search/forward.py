@@ -85,7 +85,7 @@ def search(
     """Return what the search finds; every effect accepted is refitted with all numbers of the model. Mechanisms ``excluded`` are not tried.
 
     ``predictable`` is False where the residual of a path is noise, and the recordings are long enough to show it. ``confirmed`` says
-    whether the recordings held out are followed better with an effect that gains in most resampled blocks, but not in all that is asked.
+    whether the recordings held out are followed better with an effect that gains, but in too few resampled blocks or closes too little of the gap.
     Offsets belong to the recordings, not to the machine: they count as no effect, and what comes after them is compared with the model that has them.
     """
     problem, start, limited = settled.problem, settled.start, settled.limited
@@ -111,8 +111,6 @@ def search(
             rounds = replace(rounds, start=path, losses={})
         else:
             number += 1
-        if step.reason:
-            break
     path, steps = whole.exchanged(path, steps)
     return Found(problem, start, path, seen, tuple(steps), limited, whole.over(path, start, 0))
 
@@ -140,28 +138,22 @@ class Rounds(Settled):
 
     mapper: Mapper
     predictable: Callable[[dict[float, Fit]], bool]
-    losses: dict[Fit, Array]
+    losses: dict[tuple[Fit, int], Array]
 
-    @property
-    def spans(self) -> list[tuple[int, int, int]]:
-        """The blocks that are left out."""
-        f = list(self.start.values())[-1]
-        return block_spans([len(e) for e in f.residuals], f.tau, self.problem.settings)
-
-    def left_out(self, path: dict[float, Fit]) -> Array:
-        """Return the losses of the blocks when they are left out, at the decision horizon; each fit is asked once."""
+    def left_out(self, path: dict[float, Fit], tau: float) -> Array:
+        """Return the losses of blocks for a correlation time when they are left out, at the decision horizon; each fit is asked once."""
         last, f = list(path.items())[-1]
-        if f not in self.losses:
-            self.losses[f] = refitted(self.problem, last, f, self.spans, list(self.start.values())[-1].sd)
-        return self.losses[f]
+        spans = block_spans([len(e) for e in f.residuals], tau, self.problem.settings)
+        if (f, len(spans)) not in self.losses:
+            self.losses[f, len(spans)] = refitted(self.problem, last, f, spans, list(self.start.values())[-1].sd)
+        return self.losses[f, len(spans)]
 
-    @property
-    def gap(self) -> float:
-        """What could be closed at the decision horizon: the loss, where the noise is known what is above it, and the distance of
-        the model's numbers from what is stated."""
+    def gap(self, tau: float) -> float:
+        """Return what could be closed at the decision horizon: the loss of blocks for a correlation time, where the noise is known what
+        is above it, and the distance of the model's numbers from what is stated."""
         base, w = list(self.start.values())[-1], self.problem.weighting
         floor = 0.0 if w.even else float(base.samples * (w.noise / base.sd**2).sum())
-        return max(float(self.left_out(self.start).sum()) - floor, float(np.sqrt(2.0 * base.samples))) / base.tau + 2 * base.penalty
+        return max(float(self.left_out(self.start, tau).sum()) - floor, float(np.sqrt(2.0 * base.samples))) / base.tau + 2 * base.penalty
 
     def next(self, path: dict[float, Fit], rough: dict[float, Fit], offered: Sequence[Hypothesis], further: bool) -> Round:
         """Screen all hypotheses, fit the promising ones along the horizons, those that keep their promise to whole recordings, and
@@ -173,7 +165,7 @@ class Rounds(Settled):
         begun = _kept_promises(rough, list(self.mapper(partial(added_path, p, rough, self.taus), tried)), s.alike, self.limited)
         fitted = list(self.mapper(partial(whole_path, self.problem, self.taus, base=path), begun))
         counted = noise_times(fitted) if fitted else {}
-        list(self.mapper(self.left_out, fitted))
+        list(self.mapper(lambda path: self.left_out(path, list(counted.values())[-1]), fitted))
         found = []
         for r, q in zip(begun, fitted, strict=True):
             h = list(q.values())[-1].point.effects[-1].hypothesis
@@ -240,8 +232,11 @@ class Rounds(Settled):
         return self.over(path, base, 0 if is_constant(h) else sum(c.free for c in h.parameters) + h.unsettled * len(self.problem.runs), taus)
 
     def over(self, path: dict[float, Fit], base: dict[float, Fit], count: int, taus: dict[float, float] | None = None) -> HypothesisEvidence:
-        """Return the evidence for a path of ``count`` more parameters; samples count by ``taus``, or by the path's own residual."""
-        return hypothesis_evidence(path, base, self.left_out(path), self.left_out(base), self.gap, count, taus or noise_times([path]))
+        """Return the evidence for a path of ``count`` more parameters; samples count by ``taus``, or by the path's own residual, and
+        blocks are independent by it: what a law explains is correlated for longer than what it leaves."""
+        taus = taus or noise_times([path])
+        tau = list(taus.values())[-1]
+        return hypothesis_evidence(path, base, self.left_out(path, tau), self.left_out(base, tau), self.gap(tau), count, taus)
 
     def without_idle(self, path: dict[float, Fit]) -> dict[float, Fit]:
         """Return the path without effects that do not pay beside the others."""
@@ -305,7 +300,7 @@ def _noise(problem: Problem, base: Fit) -> list[Array]:
 
 
 def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: dict[float, float], further: bool) -> Round:
-    """Return the round with its decision; one that falls short by the agreement of the blocks alone is accepted with the reason for doubt.
+    """Return the round with its decision; one that falls short by the agreement of the blocks or its share of the gap alone is accepted with that reason for doubt.
 
     A plant that integrates is judged at the horizon where its evidence is clearest: its simulation sums up every disturbance. At the
     decision horizon every hypothesis has to gain, too.
@@ -318,16 +313,12 @@ def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: d
     gain, expected = gains[-1] if rounds.problem.regular else max(gains, key=lambda pair: pair[0] / pair[1])
     if rounds.limited == "noise" and is_constant(ranked[0].hypothesis):
         expected = s.constant  # one number that is known beforehand, not the best of many hypotheses
-    asked = [
-        (gain, expected, "gain of likelihood"), (e.gain, min(s.evidence, expected), "gain at the decision horizon"),
-        (sure, s.sure, "share of resampled blocks that gain"),
-    ]
-    if further or rounds.limited == "model":
-        asked.append((e.share, s.share, "share of the gap"))
+    asked = [(gain, expected, "gain of likelihood"), (e.gain, min(s.evidence, expected), "gain at the decision horizon")]
     if further and rounds.limited == "model":
         asked.append((e.closed, s.further, "share of what the model leaves"))
-    short = [(value, f"{what} {value:.3g}, expected more than {least:.3g}") for value, least, what in asked if not value > least]
-    if not short:
-        return Round(tuple(ranked), True, limited)
-    doubtful = [v for v, _ in short] == [sure] and sure > 0.5
-    return Round(tuple(ranked), doubtful, limited, f"{ranked[0].hypothesis.key}: {short[0][1]}")
+    doubts = [(sure, s.sure, "share of resampled blocks that gain")]
+    if further or rounds.limited == "model":
+        doubts.append((e.share, s.share, "share of the gap"))
+    short = [[f"{what} {value:.3g}, expected more than {least:.3g}" for value, least, what in rules if not value > least] for rules in (asked, doubts)]
+    reason = [*short[0], *short[1], ""][0]
+    return Round(tuple(ranked), not short[0] and sure > 0.5, limited, f"{ranked[0].hypothesis.key}: {reason}" if reason else "")

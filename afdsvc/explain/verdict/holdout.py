@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import f as f_distribution
 from scipy.stats import ttest_1samp
 
 from afdsvc.dataset.experiment import Run
@@ -41,10 +42,12 @@ class Player:
         return nrmse(np.vstack([r.Y for r in runs]), np.vstack(self.outputs(runs, point)))
 
     def better(self, runs: Sequence[Run], before: Point, after: Point) -> float:
-        """Return how sure it is that ``after`` follows the recordings better than ``before``: 1 less the p-value of a t-test over blocks.
+        """Return how sure it is that ``after`` follows the recordings better than ``before``: 1 less twice the smaller p-value of two tests.
 
-        Tested is the logarithm of the ratio of their losses. Residuals are weighted as in the search; blocks are several correlation
-        times long, and outputs count by what ``before`` misses. 0 where a simulation left, or all blocks together are followed worse.
+        One is a t-test of the logarithm of the ratio of their losses over blocks of several correlation times: it sees small differences
+        in long recordings. The other is the F-test of the ratio over all recordings, each loss with as many degrees of freedom as its
+        residual has independent samples: it sees large ones in short recordings. Residuals are weighted as in the search, and outputs
+        count by what ``before`` misses. 0 where a simulation left, or all recordings together are followed worse.
         """
         weighting, scale = self.problem.weighting, self.problem.scale
         outputs = [self.outputs(runs, p) for p in (before, after)]
@@ -55,10 +58,12 @@ class Player:
         first, second = ([e / rms(first) for e in pieces] for pieces in (first, second))
         spans = block_spans([len(r) for r in runs], correlation_time(first), self.problem.settings)
         losses = np.array([[float((e[r][a:b] ** 2).sum()) for e in (first, second)] for r, a, b in spans]) + 1e-300
-        ratio = np.log(losses[:, 0] / losses[:, 1])
-        if len(ratio) < 2 or losses[:, 0].sum() <= losses[:, 1].sum() or not np.ptp(ratio) > 0:
+        ratio, total = np.log(losses[:, 0] / losses[:, 1]), losses[:, 0].sum() / losses[:, 1].sum()
+        if not total > 1:
             return 0.0
-        return 1 - float(ttest_1samp(ratio, 0.0, alternative="greater").pvalue)
+        steady = float(ttest_1samp(ratio, 0.0, alternative="greater").pvalue) if np.ptp(ratio) > 0 else 1.0
+        degrees = [sum(e.size for e in pieces) / correlation_time(pieces) for pieces in (first, second)]
+        return 1 - 2 * min(steady, float(f_distribution.sf(total, *degrees)), 0.5)
 
 
 def player(problem: Problem, last: float) -> Player:
@@ -102,9 +107,9 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run]) -> H
             f"on the recordings held out the error is {100 * error:.3g} % with {first.key}, {100 * stated:.3g} % with the model as stated "
             f"and {100 * refitted:.3g} % with its numbers refitted"
         )
-        if error <= WORSE * stated and (shown or not alone):
+        if error <= WORSE * min(stated, refitted) and (shown or not alone):
             return HeldOutVerdict(verdict if shown and not alone else doubted(verdict, f"{held}: no name is certain", most), final)
-        verdict, refuted = unclaimed(verdict, f"{held}: nothing is claimed", alone), not alone
+        verdict, refuted = unclaimed(verdict, f"{held}: nothing is claimed", alone), not alone or verdict.gap.total > DOUBT
     if refitted <= WORSE * stated:
         return HeldOutVerdict(verdict, found.start[last], refuted)
     return HeldOutVerdict(verdict, fit(found.problem, found.problem.start(), last, found.start[last].tau, iterations=0), refuted)

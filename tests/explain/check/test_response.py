@@ -10,6 +10,7 @@ import pytest
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.check.check import check, objection
 from afdsvc.explain.check.response import responding
+from afdsvc.explain.check.result import check_all
 from afdsvc.explain.simulate.nominal import nominal
 
 
@@ -43,5 +44,7 @@ def test_an_output_that_follows_the_size_of_the_input_responds(spring, recorded)
 
 def test_a_machine_without_inputs_is_not_asked(spring, recorded):
     free = replace(spring, inputs=(), plant=replace(spring.plant, B=np.zeros((2, 0)), D=np.zeros((1, 0))))
-    runs = prepare(free, [recorded(1, decay=True)])
+    trace = recorded(1, decay=True)
+    runs = prepare(free, [trace])
     assert list(responding(nominal(free, runs[0].dt), runs)) == []
+    assert "has no inputs" in check_all(free, [trace], []).plan.sentence
