@@ -90,11 +90,11 @@ def _searched(
     """Return what the search finds; where it finds nothing and noise is not known, also under slow noise, which is divided out."""
 
     def searched(base: Settled) -> Found:
-        def confirmed(without: Path, path: Path) -> bool:
-            last, sure = list(path)[-1], base.problem.settings.sure
-            return player(base.problem, last).better(heldout, without[last].point, path[last].point) > sure
+        def better(without: Path, path: Path) -> float:
+            last = list(path)[-1]
+            return player(base.problem, last).better(heldout, without[last].point, path[last].point)
 
-        return search(base, library, mapper, progress, lambda path: not tested(base.problem, path, rng).absent, confirmed, refuted)
+        return search(base, library, mapper, progress, lambda path: not tested(base.problem, path, rng).absent, better, refuted)
 
     found = searched(base)
     if not base.problem.weighting.even or not found.steps or found.effects:

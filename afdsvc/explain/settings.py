@@ -28,7 +28,8 @@ class Settings:
         Samples that hypotheses are screened and first fitted on, the beginning of every recording; those that keep their promise are
         fitted to whole recordings.
     refined, polished : int
-        Hypotheses that are fitted with all numbers of the model after the linear screen, and those passed through all horizons.
+        Hypotheses that are fitted with all numbers of the model after the linear screen, and those passed through all horizons; more
+        of both, by the root of the ratio, where the recordings are shorter than ``screened``.
     blocks, correlation_times : int
         Left-out blocks of the cross-validation, and their least length in integrated correlation times (two of those
         are four time constants of exponential correlation).

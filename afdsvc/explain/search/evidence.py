@@ -38,6 +38,11 @@ def left_out(fit: Fit, spans: list[tuple[int, int, int]], scale: Array) -> Array
     return np.array(losses)
 
 
+def fitted_losses(fit: Fit, spans: list[tuple[int, int, int]], scale: Array) -> Array:
+    """Return the loss of every block as it is fitted; outputs divided by ``scale``."""
+    return np.array([float(((fit.residuals[r][a:b] / scale) ** 2).sum()) for r, a, b in spans])
+
+
 def refitted(problem: Problem, horizon: float, fit: Fit, spans: list[tuple[int, int, int]], scale: Array) -> Array:
     """Return the loss of every block when it is left out, simulated after one Newton step; outputs divided by ``scale``.
 
@@ -89,7 +94,8 @@ class HypothesisEvidence:
     ``gains`` are twice the logarithm of the ratio of the posteriors in independent samples, less the price of the parameters, by
     horizon. ``share`` is the part of the gap closed at the decision horizon: of the loss on left-out blocks in independent samples,
     and of the distance of the model's numbers from what is stated. ``before`` and ``after`` are the losses of the left-out blocks;
-    ``count`` the independent samples of all outputs, ``fixed`` the part of the gain that does not depend on the blocks.
+    ``count`` the independent samples of all outputs, ``fixed`` the part of the gain that does not depend on the blocks. ``fitted``
+    are the losses of the same blocks, before and after, where they are not left out.
     """
 
     gains: Mapping[float, float]
@@ -98,6 +104,7 @@ class HypothesisEvidence:
     after: Array
     count: float
     fixed: float
+    fitted: tuple[Array, Array] | None = None
 
     @property
     def gain(self) -> float:
@@ -113,9 +120,10 @@ class HypothesisEvidence:
         """Return gains as shares."""
         return np.asarray(1 - np.exp(-np.clip(gain / self.count, -5.0, 50.0)))
 
-    def resampled(self, drawn: NDArray[np.int64]) -> Array:
-        """Return the gain for blocks drawn with replacement, ``drawn (resamples, blocks)``."""
-        ratio = self.before[drawn].sum(1) / np.maximum(self.after[drawn].sum(1), 1e-300)
+    def resampled(self, drawn: NDArray[np.int64], fitted: bool = False) -> Array:
+        """Return the gain for blocks drawn with replacement, ``drawn (resamples, blocks)``, left out or ``fitted``."""
+        before, after = self.fitted if fitted and self.fitted else (self.before, self.after)
+        ratio = before[drawn].sum(1) / np.maximum(after[drawn].sum(1), 1e-300)
         return np.asarray(self.count * np.log(ratio) + self.fixed)
 
     def improves(self, resamples: int) -> float:
@@ -127,19 +135,22 @@ class HypothesisEvidence:
 Path = Mapping[float, Fit]
 
 
-def hypothesis_evidence(path: Path, base: Path, mine: Array, theirs: Array, gap: float, parameters: int, taus: Mapping[float, float]) -> HypothesisEvidence:
+Losses = tuple[Array, Array]
+
+
+def hypothesis_evidence(path: Path, base: Path, mine: Losses, theirs: Losses, gap: float, parameters: int, taus: Mapping[float, float]) -> HypothesisEvidence:
     """Return the evidence of a path over the base path; ``gap`` is what could be closed at the decision horizon.
 
-    ``mine`` and ``theirs`` are the losses of their left-out blocks; ``taus`` the correlation times that samples are counted by, the same
-    for all hypotheses that are compared.
+    ``mine`` and ``theirs`` are the losses of their blocks, left out and fitted; ``taus`` the correlation times that samples are counted by,
+    the same for all hypotheses that are compared.
     """
     last = list(path)[-1]
-    taken = float(theirs.sum() - mine.sum()) / base[last].tau
+    taken = float(theirs[0].sum() - mine[0].sum()) / base[last].tau
     eased = 2 * (base[last].penalty - path[last].penalty)
     count = path[last].samples / taus[last]
     fixed = eased - parameters * np.log(max(8.0, count))
     gains = {h: _gain(path[h], base[h], parameters, taus[h]) for h in path}
-    return HypothesisEvidence(gains, (taken + eased) / gap, theirs, mine, count * len(path[last].sd), fixed)
+    return HypothesisEvidence(gains, (taken + eased) / gap, theirs[0], mine[0], count * len(path[last].sd), fixed, (theirs[1], mine[1]))
 
 
 def noise_times(paths: Sequence[Path]) -> dict[float, float]:

@@ -13,7 +13,15 @@ from afdsvc.api.physics import Hypothesis, Machine, Physics
 from afdsvc.explain.noise.surrogates import chance
 from afdsvc.explain.noise.weighting import differing
 from afdsvc.explain.search.base import Settled
-from afdsvc.explain.search.evidence import HypothesisEvidence, block_spans, hypothesis_evidence, noise_times, refitted
+from afdsvc.explain.search.evidence import (
+    HypothesisEvidence,
+    Losses,
+    block_spans,
+    fitted_losses,
+    hypothesis_evidence,
+    noise_times,
+    refitted,
+)
 from afdsvc.explain.search.fit import CONVERGED, Fit, fit
 from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
 from afdsvc.explain.search.path import Trial, added_path, bases, ends, exchanged_path, fewer_path, trial, whole_path
@@ -79,13 +87,14 @@ class Found:
 
 def search(
     settled: Settled, library: Sequence[Physics], mapper: Mapper = map, progress: Progress = lambda what, share: None,
-    predictable: Callable[[Path], bool] = lambda path: True, confirmed: Callable[[Path, Path], bool] = lambda before, after: False,
+    predictable: Callable[[Path], bool] = lambda path: True, better: Callable[[Path, Path], float] = lambda before, after: 0.5,
     excluded: Container[tuple[str, ...]] = (),
 ) -> Found:
     """Return what the search finds; every effect accepted is refitted with all numbers of the model. Mechanisms ``excluded`` are not tried.
 
-    ``predictable`` is False where the residual of a path is noise, and the recordings are long enough to show it. ``confirmed`` says
-    whether the recordings held out are followed better with an effect that gains, but in too few resampled blocks or closes too little of the gap.
+    ``predictable`` is False where the residual of a path is noise, and the recordings are long enough to show it. ``better``
+    says how sure it is that the recordings held out are followed better with an effect: it has to be where the effect gains, but in too few resampled
+    blocks or closing too little of the gap, and a further effect must not do worse there.
     Offsets belong to the recordings, not to the machine: they count as no effect, and what comes after them is compared with the model that has them.
     """
     problem, start, limited = settled.problem, settled.start, settled.limited
@@ -101,8 +110,9 @@ def search(
         progress(f"round {len(steps) + 1}, fitting {len(offered)} hypotheses", number / problem.settings.effects)
         step = rounds.next(path, rough, offered, number > 0)
         more = rounds.accepted(step.candidates[0]) if step.accepted else (path, rough)
-        if step.accepted and step.reason and not confirmed(path, more[0]):
-            step = replace(step, accepted=False)
+        if step.accepted and (step.reason or number) and not better(path, more[0]) > (problem.settings.sure if step.reason else 0.0):
+            why = f"{step.candidates[0].hypothesis.key}: the recordings held out are followed worse with it"
+            step = replace(step, accepted=False, reason=step.reason or why)
         steps.append(step)
         if not step.accepted:
             break
@@ -138,14 +148,14 @@ class Rounds(Settled):
 
     mapper: Mapper
     predictable: Callable[[dict[float, Fit]], bool]
-    losses: dict[tuple[Fit, int], Array]
+    losses: dict[tuple[Fit, int], Losses]
 
-    def left_out(self, path: dict[float, Fit], tau: float) -> Array:
-        """Return the losses of blocks for a correlation time when they are left out, at the decision horizon; each fit is asked once."""
+    def block_losses(self, path: dict[float, Fit], tau: float) -> Losses:
+        """Return the losses of blocks for a correlation time, left out and fitted, at the decision horizon; each fit is asked once."""
         last, f = list(path.items())[-1]
-        spans = block_spans([len(e) for e in f.residuals], tau, self.problem.settings)
+        spans, scale = block_spans([len(e) for e in f.residuals], tau, self.problem.settings), list(self.start.values())[-1].sd
         if (f, len(spans)) not in self.losses:
-            self.losses[f, len(spans)] = refitted(self.problem, last, f, spans, list(self.start.values())[-1].sd)
+            self.losses[f, len(spans)] = refitted(self.problem, last, f, spans, scale), fitted_losses(f, spans, scale)
         return self.losses[f, len(spans)]
 
     def gap(self, tau: float) -> float:
@@ -153,19 +163,20 @@ class Rounds(Settled):
         is above it, and the distance of the model's numbers from what is stated."""
         base, w = list(self.start.values())[-1], self.problem.weighting
         floor = 0.0 if w.even else float(base.samples * (w.noise / base.sd**2).sum())
-        return max(float(self.left_out(self.start, tau).sum()) - floor, float(np.sqrt(2.0 * base.samples))) / base.tau + 2 * base.penalty
+        return max(float(self.block_losses(self.start, tau)[0].sum()) - floor, float(np.sqrt(2.0 * base.samples))) / base.tau + 2 * base.penalty
 
     def next(self, path: dict[float, Fit], rough: dict[float, Fit], offered: Sequence[Hypothesis], further: bool) -> Round:
         """Screen all hypotheses, fit the promising ones along the horizons, those that keep their promise to whole recordings, and
         decide on the first."""
         p, s = self.part, self.problem.settings
-        shortlist, by_chance = _shortlist(p, rough, offered, self.mapper)
+        effort = max(1, int(np.sqrt(s.screened / sum(len(r) for r in p.runs))))
+        shortlist, by_chance = _shortlist(p, rough, offered, self.mapper, effort * s.refined)
         begin = bases(p, rough, self.taus)
-        tried = _promising(list(self.mapper(partial(trial, p, begin, self.taus, starts=STARTS), shortlist)), s.polished)
+        tried = _promising(list(self.mapper(partial(trial, p, begin, self.taus, starts=STARTS), shortlist)), effort * s.polished)
         begun = _kept_promises(rough, list(self.mapper(partial(added_path, p, rough, self.taus), tried)), s.alike, self.limited)
         fitted = list(self.mapper(partial(whole_path, self.problem, self.taus, base=path), begun))
         counted = noise_times(fitted) if fitted else {}
-        list(self.mapper(lambda path: self.left_out(path, list(counted.values())[-1]), fitted))
+        list(self.mapper(lambda path: self.block_losses(path, list(counted.values())[-1]), fitted))
         found = []
         for r, q in zip(begun, fitted, strict=True):
             h = list(q.values())[-1].point.effects[-1].hypothesis
@@ -236,7 +247,7 @@ class Rounds(Settled):
         blocks are independent by it: what a law explains is correlated for longer than what it leaves."""
         taus = taus or noise_times([path])
         tau = list(taus.values())[-1]
-        return hypothesis_evidence(path, base, self.left_out(path, tau), self.left_out(base, tau), self.gap(tau), count, taus)
+        return hypothesis_evidence(path, base, self.block_losses(path, tau), self.block_losses(base, tau), self.gap(tau), count, taus)
 
     def without_idle(self, path: dict[float, Fit]) -> dict[float, Fit]:
         """Return the path without effects that do not pay beside the others."""
@@ -271,8 +282,10 @@ def _kept_promises(base: dict[float, Fit], paths: Sequence[dict[float, Fit]], sh
     return [path for path, fall in zip(paths, falls, strict=True) if (fall >= share * best).any()]
 
 
-def _shortlist(problem: Problem, path: dict[float, Fit], offered: Sequence[Hypothesis], mapper: Mapper) -> tuple[list[dict[float, Screened]], dict[float, float]]:
-    """Return the hypotheses that promise most at the strongest or the weakest correction, and what chance promises there.
+def _shortlist(
+    problem: Problem, path: dict[float, Fit], offered: Sequence[Hypothesis], mapper: Mapper, count: int
+) -> tuple[list[dict[float, Screened]], dict[float, float]]:
+    """Return the ``count`` hypotheses that promise most at the strongest or the weakest correction, and what chance promises there.
 
     The latter is the largest gain that any hypothesis reaches, to first order, on surrogates of the residual.
     """
@@ -284,7 +297,7 @@ def _shortlist(problem: Problem, path: dict[float, Fit], offered: Sequence[Hypot
         screened = sorted(mapper(screen, offered), key=lambda x: -x.fall)
         for x in screened:
             found.setdefault(x.hypothesis.key, {})[h] = x
-        chosen += [x.hypothesis.key for x in screened[: problem.settings.refined]]
+        chosen += [x.hypothesis.key for x in screened[:count]]
         directions, rng = np.array([x.starts[0].direction for x in screened]), np.random.default_rng(len(offered))
         falls = chance(_noise(problem, path[h]), [len(r) for r in problem.runs], directions, screen.scale, problem.settings.surrogates, rng)
         by_chance[h] = 2 * float(falls.max(initial=0.0))

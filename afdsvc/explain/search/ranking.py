@@ -100,14 +100,15 @@ def is_constant(h: Hypothesis) -> bool:
 def vote_shares(candidates: Sequence[Candidate], settings: Settings, limited: str) -> Array:
     """Return the share of resamplings in which each candidate comes first, ``(len(candidates),)``, sum 1.
 
-    A resampling draws the left-out blocks with replacement (Efron 1979). Mechanisms that fit alike share the
+    A resampling draws the blocks with replacement (Efron 1979); their gains are those of the fit, less the price of the parameters: a block
+    left out that alone shows a limit speaks against the very law it shows. Mechanisms that fit alike share the
     vote equally, and so do the shapes of each.
     """
     if not candidates:
         return np.zeros(0)
     count = len(candidates[0].evidence.before)
     drawn = np.random.default_rng(count).integers(0, count, (settings.resamples, count))
-    gains = np.array([c.evidence.resampled(drawn) for c in candidates])
+    gains = np.array([c.evidence.resampled(drawn, fitted=True) for c in candidates])
     votes, kinds = np.zeros(len(candidates)), [mechanism(c.hypothesis) for c in candidates]
     for column in gains.T:
         best = int(np.argmax(column))

@@ -20,6 +20,7 @@ from afdsvc.explain.search.ranking import is_constant, is_offset
 from afdsvc.explain.verdict.verdict import DOUBT, Verdict
 from afdsvc.lti.statespace import Array
 
+LIKELY = 0.5  # how sure it must be that recordings held out are followed better where only they can show a gap
 WORSE = 1.1  # ratio of held-out errors, after to before, beyond which names are withdrawn
 WAYS = ("from the inputs", "in closed loop", "predicted")
 
@@ -89,8 +90,8 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run]) -> H
     """Return the verdict and the final fit: with the claimed effects, else the numbers refitted, else the model as stated.
 
     What does worse on the recordings held out than the model as stated is withdrawn. What does not do better there than the model
-    refitted without effects, block by block, or worse than a constant, is not certain; where that is all that speaks for a gap, it is
-    not claimed.
+    refitted without effects, or worse than a constant, is not certain; where that is all that can show a gap, no name is surer than
+    that, and what is not likely is not claimed.
     """
     last, most, refuted = list(found.end)[-1], found.problem.settings.uncertain, False
     play = player(found.problem, last)
@@ -101,15 +102,17 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run]) -> H
         offsets = {c.candidate.hypothesis.key for c in verdict.claims if is_offset(c.candidate.hypothesis) and not is_offset(first)}
         error = _error(play, runs, final.point)
         without = found.problem.start() if is_constant(first) else _with(found, offsets).point if offsets else found.start[last].point
-        shown = error < 1.0 and play.better(runs, without, final.point) > found.problem.settings.sure
-        alone = _rests_on_holdout(found, verdict)
+        sure = play.better(runs, without, final.point) if error < 1.0 else 0.0
+        shown, alone = sure > found.problem.settings.sure, _rests_on_holdout(found, verdict)
         held = (
             f"on the recordings held out the error is {100 * error:.3g} % with {first.key}, {100 * stated:.3g} % with the model as stated "
             f"and {100 * refitted:.3g} % with its numbers refitted"
         )
-        if error <= WORSE * min(stated, refitted) and (shown or not alone):
+        worse = error > WORSE * min(stated, refitted)
+        if not worse and (sure > LIKELY or not alone):
+            most = min(most, sure) if alone else most
             return HeldOutVerdict(verdict if shown and not alone else doubted(verdict, f"{held}: no name is certain", most), final)
-        verdict, refuted = unclaimed(verdict, f"{held}: nothing is claimed", alone), not alone or verdict.gap.total > DOUBT
+        verdict, refuted = unclaimed(verdict, f"{held}: nothing is claimed", alone), worse and (not alone or verdict.gap.total > DOUBT)
     if refitted <= WORSE * stated:
         return HeldOutVerdict(verdict, found.start[last], refuted)
     return HeldOutVerdict(verdict, fit(found.problem, found.problem.start(), last, found.start[last].tau, iterations=0), refuted)

@@ -84,14 +84,24 @@ def test_what_resampled_blocks_doubt_the_recordings_held_out_decide(confirms):
     unanimous = replace(problem(60.0), settings=replace(Settings(), sure=1.0))  # no share of resamplings is more than all of them
     asked = []
 
-    def confirmed(before, after):
+    def better(before, after):
         asked.append(after[0.0].cost < before[0.0].cost)
-        return confirms
+        return 1.1 if confirms else 0.9
 
-    found = search(settled(unanimous), LIBRARY, confirmed=confirmed)
+    found = search(settled(unanimous), LIBRARY, better=better)
     assert asked == [True]
-    assert [s.accepted for s in found.steps] == [confirms]
+    assert found.steps[0].accepted == confirms
     assert "share of resampled blocks" in found.steps[0].reason
+
+
+def test_a_further_effect_that_recordings_held_out_follow_worse_is_not_accepted():
+    model = motor.model()
+    traces = [motor.recording(60.0, s, name=f"r{s}") for s in (1, 2)]
+    late = [replace(t, values=np.column_stack([t.values[:, 0], np.roll(t.values[:, 1], 5)])) for t in traces]
+    base = settled(build(nominal(model, motor.DT), prepare(model, late), Settings()))
+    both, one = (search(base, LIBRARY, better=lambda before, after, sure=sure: sure) for sure in (0.5, 0.0))
+    assert (both.effects, one.effects) == (2, 1)
+    assert "recordings held out" in one.steps[-1].reason
 
 
 def test_the_gain_of_a_sensor_is_no_reason_where_a_predictor_is_corrected():
