@@ -1,5 +1,6 @@
 """Which hypothesis comes first, and what a weight counts."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -38,6 +39,16 @@ def test_the_shapes_of_one_mechanism_share_one_vote():
 
 def test_a_hypothesis_that_is_never_best_is_not_first_however_simple():
     assert winner([candidate("curve", 0.9, 3), candidate("friction", 0.8, 1)], S, "model").hypothesis.physics == "curve"
+
+
+def test_votes_count_blocks_as_they_are_fitted():
+    """One block alone shows a limit: left out, the limit is unknown, and the block speaks against it."""
+    limit, curve = candidate("limit", 0.99), candidate("curve", 0.9)
+    after = limit.evidence.after.copy()
+    after[0] = 5.0
+    left_out = replace(limit, evidence=replace(limit.evidence, after=after, fitted=(limit.evidence.before, limit.evidence.after)))
+    assert vote_shares([left_out, curve], S, "model") == pytest.approx([1.0, 0.0])
+    assert left_out.evidence.improves(S.resamples) < 1
 
 
 def test_what_leaves_more_than_twice_as_much_and_is_not_simpler_does_not_fit_alike():
