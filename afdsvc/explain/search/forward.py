@@ -47,6 +47,7 @@ Path = dict[float, Fit]
 Progress = Callable[[str, float], None]
 
 
+LIKELY = 0.5  # how sure it must be that the recordings held out are followed better without an effect
 STARTS = 2  # of every hypothesis that are tried, by what they promise
 
 
@@ -94,7 +95,8 @@ def search(
 
     ``predictable`` is False where the residual of a path is noise, and the recordings are long enough to show it. ``better``
     says how sure it is that the recordings held out are followed better with an effect: it has to be where the effect gains, but in too few resampled
-    blocks or closing too little of the gap, and a further effect must not do worse there.
+    blocks or closing too little of the gap, and a further effect must not do worse there. In the end an effect without which they are likely followed
+    better is dropped.
     Offsets belong to the recordings, not to the machine: they count as no effect, and what comes after them is compared with the model that has them.
     """
     problem, start, limited = settled.problem, settled.start, settled.limited
@@ -121,7 +123,7 @@ def search(
             rounds = replace(rounds, start=path, losses={})
         else:
             number += 1
-    path, steps = whole.exchanged(path, steps)
+    path, steps = _helpful(whole, *whole.exchanged(path, steps), better)
     return Found(problem, start, path, seen, tuple(steps), limited, whole.over(path, start, 0))
 
 
@@ -131,6 +133,20 @@ def _kept(steps: Sequence[Round], path: dict[float, Fit]) -> list[Round]:
     gone = [s.accepted and s.candidates[0].hypothesis.key not in kept for s in steps]
     why = "{}: nothing is left for it beside the other effects"
     return [replace(s, accepted=False, reason=why.format(s.candidates[0].hypothesis.key)) if g else s for s, g in zip(steps, gone, strict=True)]
+
+
+def _helpful(rounds: Rounds, path: Path, steps: Sequence[Round], better: Callable[[Path, Path], float]) -> tuple[Path, list[Round]]:
+    """Return the path and the rounds without effects that the recordings held out are likely followed better without, beside the others."""
+    found = list(steps)
+    for k, step in enumerate(found):
+        effects = list(path.values())[-1].point.effects
+        at = [i for i, e in enumerate(effects) if step.accepted and e.hypothesis.key == step.candidates[0].hypothesis.key]
+        if at and sum(s.accepted for s in found) > 1:
+            fewer = fewer_path(rounds.problem, path, rounds.taus, at[0])
+            if better(path, fewer) > LIKELY:
+                why = f"{step.candidates[0].hypothesis.key}: the recordings held out are followed better without it"
+                path, found[k] = fewer, replace(step, accepted=False, reason=why)
+    return path, [*(s for s in found if s.accepted), *(s for s in found if not s.accepted)]
 
 
 def _seen(problem: Problem, path: dict[float, Fit], limited: str) -> Machine:

@@ -103,6 +103,13 @@ def test_a_further_effect_that_recordings_held_out_follow_worse_is_not_accepted(
     assert (both.effects, one.effects) == (2, 1)
     assert "recordings held out" in one.steps[-1].reason
 
+    def without(before, after):
+        return 0.9 if len(after[0.0].point.effects) < len(before[0.0].point.effects) else 0.5
+
+    dropped = search(base, LIBRARY, better=without)
+    assert dropped.effects == 1  # the last one is for the verdict to judge
+    assert "better without it" in dropped.steps[1].reason
+
 
 def test_the_gain_of_a_sensor_is_no_reason_where_a_predictor_is_corrected():
     base = settled(problem(0.0))
