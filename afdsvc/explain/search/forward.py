@@ -336,7 +336,7 @@ def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: d
     """
     s = rounds.problem.settings
     if not ranked:
-        return Round((), False, limited, "no hypothesis of the library applies")
+        return Round((), False, limited, "no hypothesis of the library gains anything")
     e, sure = ranked[0].evidence, ranked[0].evidence.improves(s.resamples)
     gains = [(e.gains[h], max(s.evidence, s.chance * v)) for h, v in by_chance.items() if h in e.gains]
     gain, expected = gains[-1] if rounds.problem.regular else max(gains, key=lambda pair: pair[0] / pair[1])

@@ -57,7 +57,7 @@ def winner(reasons: Sequence[Candidate], settings: Settings, limited: str) -> Ca
 def _simplest(shapes: Sequence[Candidate], settings: Settings, limited: str) -> Candidate:
     """Return the simplest of candidates, ordered by gain, that fit as well as the first."""
     best = shapes[0]
-    near = [c for c in shapes if alike(c, best, c.evidence.gain, best.evidence.gain, settings, limited)]
+    near = [c for c in shapes if fits_alike(c, best, c.evidence.gain, best.evidence.gain, settings, limited)]
     return min(near, key=lambda c: (complexity(c.hypothesis), -c.evidence.gain))
 
 
@@ -66,7 +66,7 @@ def complexity(h: Hypothesis) -> float:
     return sum(c.free and not c.nuisance for c in h.parameters) + (2.0 if getattr(h, "description", False) else 0.0)
 
 
-def alike(one: Candidate, best: Candidate, gain: float, highest: float, settings: Settings, limited: str) -> bool:
+def fits_alike(one: Candidate, best: Candidate, gain: float, highest: float, settings: Settings, limited: str) -> bool:
     """Whether a gain is as good as the highest: within chance, or, where the model limits, close to it in what it closes.
 
     What is not simpler has to be close in what it leaves, too; what is simpler may leave more, since a fit that bends further closes more.
@@ -112,7 +112,7 @@ def vote_shares(candidates: Sequence[Candidate], settings: Settings, limited: st
     votes, kinds = np.zeros(len(candidates)), [mechanism(c.hypothesis) for c in candidates]
     for column in gains.T:
         best = int(np.argmax(column))
-        near = [alike(c, candidates[best], g, column[best], settings, limited) for c, g in zip(candidates, column, strict=True)]
+        near = [fits_alike(c, candidates[best], g, column[best], settings, limited) for c, g in zip(candidates, column, strict=True)]
         shapes = Counter(what for what, n in zip(kinds, near, strict=True) if n)
         votes += [n and 1.0 / (len(shapes) * shapes[what]) for what, n in zip(kinds, near, strict=True)]
     return np.asarray(votes / votes.sum())
