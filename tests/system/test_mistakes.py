@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from pathlib import Path
 
@@ -26,6 +27,16 @@ FILES = {
     "log.csv": "Time_ms,Voltage [V],speed_rpm\n" + ROWS, "bare.csv": ROWS, "words.csv": "t,u_voltage,y_speed\n0.00,1,2\n0.01,off,2\n",
     "gap.csv": "t,u_voltage,y_speed\n" + "".join(f"{t},1,2\n" for t in TIMES), "book.xlsx": "PK",
 }  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def logging_as_it_was():
+    """`rig` sends log lines to a stream that ends with the command."""
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    yield
+    root.handlers[:] = handlers
+    root.setLevel(level)
 
 
 @pytest.fixture(scope="module")
