@@ -48,6 +48,7 @@ Progress = Callable[[str, float], None]
 
 
 LIKELY = 0.5  # how sure it must be that the recordings held out are followed better without an effect
+ROUNDS = 6  # at most, those of offsets included: two offsets that stand for each other would take turns
 STARTS = 2  # of every hypothesis that are tried, by what they promise
 
 
@@ -105,7 +106,7 @@ def search(
     steps: list[Round] = []
     seen = _seen(problem, path, limited)
     number = problem.settings.effects if float(list(start.values())[-1].sd.max()) < problem.settings.rounding else 0
-    while number < problem.settings.effects:
+    while number < problem.settings.effects and len(steps) < ROUNDS:
         seen = _seen(problem, path, limited)
         present = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
         offered = [h for h in hypotheses(library, seen, not problem.regular) if h.key not in present and mechanism(h) not in excluded]
