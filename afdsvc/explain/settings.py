@@ -47,6 +47,9 @@ class Settings:
         Least share of the gap, and of what earlier effects left open of it.
     sure : float
         Share of the resamplings in which a hypothesis has to gain; a look-alike that comes first in less than the rest is not named.
+    probable : float
+        How sure it must be that the recordings held out are followed better, where only they can show a gap; an effect without which
+        they are is dropped.
     tie : float
         Relative difference of shares below which the simpler mechanism goes first.
     likely : float
@@ -85,6 +88,7 @@ class Settings:
     share: float = 0.05
     further: float = 0.25
     sure: float = 0.95
+    probable: float = 0.5
     tie: float = 0.05
     likely: float = 4.0
     effects: int = 3

@@ -47,8 +47,6 @@ Path = dict[float, Fit]
 Progress = Callable[[str, float], None]
 
 
-LIKELY = 0.5  # how sure it must be that the recordings held out are followed better without an effect
-ROUNDS = 6  # at most, those of offsets included: two offsets that stand for each other would take turns
 STARTS = 2  # of every hypothesis that are tried, by what they promise
 
 
@@ -106,7 +104,7 @@ def search(
     steps: list[Round] = []
     seen = _seen(problem, path, limited)
     number = problem.settings.effects if float(list(start.values())[-1].sd.max()) < problem.settings.rounding else 0
-    while number < problem.settings.effects and len(steps) < ROUNDS:
+    while number < problem.settings.effects and len(steps) < 2 * problem.settings.effects:  # two offsets may take turns
         seen = _seen(problem, path, limited)
         present = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
         offered = [h for h in hypotheses(library, seen, not problem.regular) if h.key not in present and mechanism(h) not in excluded]
@@ -144,7 +142,7 @@ def _helpful(rounds: Rounds, path: Path, steps: Sequence[Round], better: Callabl
         at = [i for i, e in enumerate(effects) if step.accepted and e.hypothesis.key == step.candidates[0].hypothesis.key]
         if at and sum(s.accepted for s in found) > 1:
             fewer = fewer_path(rounds.problem, path, rounds.taus, at[0])
-            if better(path, fewer) > LIKELY:
+            if better(path, fewer) > rounds.problem.settings.probable:
                 why = f"{step.candidates[0].hypothesis.key}: the recordings held out are followed better without it"
                 path, found[k] = fewer, replace(step, accepted=False, reason=why)
     return path, [*(s for s in found if s.accepted), *(s for s in found if not s.accepted)]

@@ -20,7 +20,6 @@ from afdsvc.explain.search.ranking import is_constant, is_offset
 from afdsvc.explain.verdict.verdict import DOUBT, Verdict
 from afdsvc.lti.statespace import Array
 
-LIKELY = 0.5  # how sure it must be that recordings held out are followed better where only they can show a gap
 WORSE = 1.1  # ratio of held-out errors, after to before, beyond which names are withdrawn
 WAYS = ("from the inputs", "in closed loop", "predicted")
 
@@ -109,7 +108,7 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run]) -> H
             f"and {100 * refitted:.3g} % with its numbers refitted"
         )
         worse = error > WORSE * min(stated, refitted)
-        if not worse and (sure > LIKELY or not alone):
+        if not worse and (sure > found.problem.settings.probable or not alone):
             most = min(most, sure) if alone else most
             return HeldOutVerdict(verdict if shown and not alone else doubted(verdict, f"{held}: no name is certain", most), final)
         verdict, refuted = unclaimed(verdict, f"{held}: nothing is claimed", alone), worse and (not alone or verdict.gap.total > DOUBT)
