@@ -100,9 +100,9 @@ def open_question(decisions: Sequence[Evidence]) -> Question | None:
     suspects = {name: w for name, w in verdict.weights.items() if name != NONE}
     if not verdict.detected or verdict.fault or len(suspects) < 2 or verdict.weights.get(NONE, 0.0) > 0.5:
         return None
-    told = [e.severity.value for e in alarm_decisions(decisions) if e.severity]
-    told = told or [v for e in alarm_decisions(decisions) for name, v in e.parts.items() if name.startswith("together.severity.")]
-    return Question(decisions[-1].burst, suspects, told[-1] if told else TYPICAL)
+    severities = [e.severity.value for e in alarm_decisions(decisions) if e.severity]
+    severities = severities or [v for e in alarm_decisions(decisions) for name, v in e.parts.items() if name.startswith("together.severity.")]
+    return Question(decisions[-1].burst, suspects, severities[-1] if severities else TYPICAL)
 
 
 def _pooled(newest_first: Sequence[Severity]) -> Severity:

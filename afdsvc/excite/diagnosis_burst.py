@@ -31,7 +31,7 @@ from afdsvc.excite.settings import BURST
 from afdsvc.excite.simulated_burst import faulty_loop
 from afdsvc.lti.statespace import Array
 
-ALIKE = 1e-3  # share of a wave that another must leave for the two to be told apart by any burst
+ALIKE = 1e-3  # share of a wave that another must leave for any burst to distinguish the two
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +104,7 @@ def second_burst(
     """Return the burst that tells the two likeliest faults apart, given the weights a first burst left (thesis 5.5: a
     second test at a frequency chosen for the difference of the two). ``severity`` is the one estimated.
 
-    Two faults at once are told from others by all of them that are in doubt. Raises `Refused` where no burst can: the same wave on every line.
+    Two faults at once are distinguished from all other faults that are in doubt. Raises `Refused` where no burst can: the same wave on every line.
     """
     suspects = sorted((n for n in weights if n != NONE), key=lambda n: -weights[n])[:2]
     if len(suspects) < 2:
@@ -244,8 +244,8 @@ def _gains(problem: DetectionProblem, omega: Array, aim: Aim) -> Array:
     """
     found = candidates(problem, omega, aim.severity)
     seen = found.deflection.max(axis=1)
-    told = [i for i in _rows(problem, found.pairs, aim) if found.separation[i].max() > ALIKE**2 * seen[found.pairs[i][0]]]
-    gains = found.separation[told] if told else found.deflection
+    separable = [i for i in _rows(problem, found.pairs, aim) if found.separation[i].max() > ALIKE**2 * seen[found.pairs[i][0]]]
+    gains = found.separation[separable] if separable else found.deflection
     return np.asarray(np.moveaxis(gains.reshape(len(gains), len(omega), problem.plant.inputs), 0, 2))
 
 

@@ -187,7 +187,7 @@ class Mistaken:
 
 
 def together(machine: TrueMachine, rng: np.random.Generator, size: float, loss: float = -0.2) -> Iterator[Row]:
-    """One fault and every pair of faults of -20 %, with the burst designed for it: named, or told among those that do the same."""
+    """One fault and every pair of faults of -20 %, with the burst designed for it: named, or reported among faults with the same effect."""
     problem = problem_of(machine, FalseAlarms(1e-3))
     assert problem.limits is not None
     try:
@@ -211,7 +211,7 @@ def together(machine: TrueMachine, rng: np.random.Generator, size: float, loss: 
                     counts[k] += [e.fault == name, e.fault == name or shared or f"alike.{name}" in e.parts]
         for kind, (named, listed) in zip(TWO, counts.tolist(), strict=True):
             yield f"{words} of -20 % named", kind, named, n, np.nan
-            yield f"{words} of -20 % named or told among those that do the same", kind, listed, n, 0.95
+            yield f"{words} of -20 % named or reported among faults with the same effect", kind, listed, n, 0.95
 
 
 def problem_survives(problem: DetectionProblem, severities: Mapping[str, float]) -> bool:

@@ -623,7 +623,7 @@ def tell(soak: Soak, minutes: float, seed: int, stopped: float) -> int:
     played = bursts(soak)
     expected = sum(played[id] for id in soak.ids if id not in soak.faults) * DETECTORS / 1000
     chance = poisson.sf(len(false) - 1, expected)
-    print(f"faults told rightly {told} of {len(soak.faults)}; not or wrongly told {len(never)}")
+    print(f"faults identified correctly {told} of {len(soak.faults)}; missed or misidentified {len(never)}")
     print(f"bursts: {sum(played.values())} asked for, {min(played.values())} to {max(played.values())} a machine")
     print(f"false alarms {len(false)}; {expected:.1f} expected in the bursts of healthy machines, chance of as many {chance:.2g}")
     print(f"memory of the service: {memory(soak)}")

@@ -257,7 +257,7 @@ def lqg_isolated(found: Detected | None = None) -> list[Row]:
     found = found or detect(loop, FAULTS[3], OMEGA, ALPHA, V, V, WINDOW, seconds=1.0, begins=1.0)
     a, s = (np.angle(loop.signature(name, OMEGA)[V, V]) for name in (FAULTS[1], FAULTS[3]))
     told = bool(norm.cdf(found.deflection * abs(np.sin((a - s) / 2))) > 0.99)
-    return [Row("a vertical fault is decided", True, found.decided.startswith("vertical")), Row("the sensor is told from the actuator", True, told, 0, phases_apart, False), reached(found)]
+    return [Row("a vertical fault is decided", True, found.decided.startswith("vertical")), Row("sensor and actuator are distinguished", True, told, 0, phases_apart, False), reached(found)]
 
 
 def detector_signal(found: Detected | None = None) -> list[Row]:

@@ -98,10 +98,8 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run]) -> H
     if verdict.claims:
         first = verdict.claims[0].candidate.hypothesis
         final = _with(found, {c.candidate.hypothesis.key for c in verdict.claims})
-        offsets = {c.candidate.hypothesis.key for c in verdict.claims if is_offset(c.candidate.hypothesis) and not is_offset(first)}
         error = _error(play, runs, final.point)
-        without = found.problem.start() if is_constant(first) else _with(found, offsets).point if offsets else found.start[last].point
-        sure = play.better(runs, without, final.point) if error < 1.0 else 0.0
+        sure = play.better(runs, _without(found, verdict), final.point) if error < 1.0 else 0.0
         shown, alone = sure > found.problem.settings.sure, _rests_on_holdout(found, verdict)
         held = (
             f"on the recordings held out the error is {100 * error:.3g} % with {first.key}, {100 * stated:.3g} % with the model as stated "
@@ -129,6 +127,15 @@ def _with(found: Found, keys: set[str]) -> Fit:
     end = found.end[last]
     kept = tuple(e for e in end.point.effects if e.hypothesis.key in keys or e.hypothesis.family == NUISANCE)
     return end if len(kept) == len(end.point.effects) else fit(found.problem, replace(end.point, effects=kept), last, end.tau)
+
+
+def _without(found: Found, verdict: Verdict) -> Point:
+    """Return what the names are compared with: the model with its offsets only, or refitted, or as stated where a constant is claimed."""
+    first, *others = [c.candidate.hypothesis for c in verdict.claims]
+    if is_constant(first):
+        return found.problem.start()
+    offsets = {h.key for h in others if is_offset(h) and not is_offset(first)}
+    return _with(found, offsets).point if offsets else list(found.start.values())[-1].point
 
 
 def _error(play: Player, runs: Sequence[Run], point: Point) -> float:

@@ -68,7 +68,7 @@ def _axes(recording: rr.RecordingStream, root: str, plane: Plane) -> None:
     size = half_width(plane)
     axes = [[[-size, 0.0], [size, 0.0]], [[0.0, -size], [0.0, size]]]
     recording.log(f"{root}/axes", rr.LineStrips2D(axes, colors=[paths.ZERO], radii=[0.002 * size], draw_order=-10.0), static=True)
-    # Their length is told in the quarter that no curve lies in.
+    # Their length shows in the quarter that no curve lies in.
     side = np.where(sum(c.sum(axis=0) for c in plane.curves.values()) > 0, -1.0, 1.0) if plane.curves else np.ones(2)
     scale = rr.Points2D([_up(0.75 * size * side)], labels=[f"axes to ±{float(format(size, '.2g')):g}"], radii=[0.0], colors=[paths.FAINT], show_labels=True)
     recording.log(f"{root}/scale", scale, static=True)
