@@ -292,7 +292,7 @@ def _kept_promises(base: dict[float, Fit], paths: Sequence[dict[float, Fit]], sh
     """
     last = [list(path.values())[-1].point.effects[-1].hypothesis for path in paths]
     measure = [limited == "noise" or not is_constant(h) for h in last]
-    falls = np.array([[base[h].cost - path[h].cost for h in ends(base)] for path in paths]).reshape(len(paths), -1)
+    falls = np.array([[base[h].cost - path[h].cost for h in ends(base)] for path in paths]).reshape(len(paths), len(ends(base)))
     best = falls[measure if any(measure) else slice(None)].max(axis=0, initial=0.0)
     return [path for path, fall in zip(paths, falls, strict=True) if (fall >= share * best).any()]
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from afdsvc.dataset.experiment import prepare
+from afdsvc.explain.search import forward
 from afdsvc.explain.search.base import settled
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.evidence import block_spans, refitted
@@ -190,3 +191,33 @@ def test_where_the_model_was_bent_hypotheses_begin_at_the_stated_numbers_too():
     begin = [bases(replace(p, settings=Settings(strained=s)), {0.0: bent}, {0.0: 5.0}) for s in (5.0, np.inf)]
     falls = [trial(p, b, {0.0: 5.0}, screened, 1).falls[0] for b in begin]
     assert falls[0] > falls[1] + 10.0
+
+
+def test_blocks_are_as_long_as_what_the_best_law_leaves_asks(found):
+    """The friction that is missing makes the residual slow; fewer blocks would fit between its correlation times."""
+    first, base = found.steps[0].candidates[0], found.start[0.0]
+    lengths = [len(e) for e in base.residuals]
+    blocks = {f.own_tau: len(block_spans(lengths, f.own_tau, Settings())) for f in (base, first.fit)}
+    assert len(first.evidence.before) == blocks[first.fit.own_tau] > blocks[base.own_tau]
+
+
+@pytest.mark.parametrize(("samples", "factor"), [(1500, 2), (200, 7)])
+def test_short_recordings_are_searched_more_widely(monkeypatch, samples, factor):
+    asked = []
+
+    def shortlist(problem, path, offered, mapper, count):
+        asked.append(count)
+        return [], {0.0: 0.0}
+
+    monkeypatch.setattr(forward, "_shortlist", shortlist)
+    model = motor.model()
+    runs = prepare(model, [motor.recording(60.0, 1, n=samples)])
+    search(settled(build(nominal(model, motor.DT), runs, Settings())), LIBRARY)
+    assert asked == [factor * Settings().refined]
+
+
+def test_the_search_ends_though_offsets_take_turns(monkeypatch):
+    monkeypatch.setattr(forward, "is_offset", lambda hypothesis: True)
+    monkeypatch.setattr(forward.Rounds, "accepted", lambda self, first: (self.start, self.rough))  # each is idle beside the other
+    short = problem(60.0, seeds=(1,))
+    assert len(search(settled(replace(short, settings=replace(Settings(), effects=2))), LIBRARY).steps) == 4
