@@ -146,7 +146,7 @@ def hypothesis_evidence(path: Path, base: Path, mine: Losses, theirs: Losses, ga
     """
     last = list(path)[-1]
     taken = float(theirs[0].sum() - mine[0].sum()) / base[last].tau
-    eased = 2 * (base[last].penalty - path[last].penalty)
+    eased = _eased(path[last], base[last])
     count = path[last].samples / taus[last]
     fixed = eased - parameters * np.log(max(8.0, count))
     gains = {h: _gain(path[h], base[h], parameters, taus[h]) for h in path}
@@ -163,4 +163,9 @@ def noise_times(paths: Sequence[Path]) -> dict[float, float]:
 
 def _gain(fit: Fit, base: Fit, parameters: int, tau: float) -> float:
     likelihood = (base.deviance - fit.deviance) / tau
-    return float(likelihood + 2 * (base.penalty - fit.penalty) - parameters * np.log(max(8.0, fit.samples / tau)))
+    return float(likelihood + _eased(fit, base) - parameters * np.log(max(8.0, fit.samples / tau)))
+
+
+def _eased(fit: Fit, base: Fit) -> float:
+    """Return how much nearer a fit stays to what is known beforehand, twice the logarithm."""
+    return 2 * (base.penalty - fit.penalty) + base.narrowed - fit.narrowed

@@ -24,7 +24,8 @@ class Fit:
     ``residuals`` are weighted, one ``(n, p)`` per run; ``J (rows, k)`` their Jacobian in the coordinates of `Coordinates`, ``H``
     and ``tau`` the information matrix (prior included) and the correlation time it counts samples by; ``cost`` is minus the
     log posterior, ``penalty`` its part from the priors, ``shared`` the
-    number of coordinates that all recordings share, ``sd (p,)`` the rms of the weighted residual.
+    number of coordinates that all recordings share, ``sd (p,)`` the rms of the weighted residual. ``narrowed`` is what it costs to fit
+    what unsettled memories begin with: twice the logarithm of prior over posterior standard deviation, summed (MacKay 1992, Occam factor).
     """
 
     point: Point
@@ -36,6 +37,7 @@ class Fit:
     sd: Array
     penalty: float
     shared: int
+    narrowed: float = 0.0
 
     @property
     def samples(self) -> int:
@@ -88,6 +90,15 @@ class Coordinates:
                 self.units[k], self.prior_weight[self.k + self.p + k] = self.slots[k][2].scale, 1.0
         self.prior_weight[self.shared :] = 1 / s.state_sd
         self.prior_mean[self.shared :] = np.concatenate([np.pad(x / problem.state_scale, (0, self.n - len(x))) for x in problem.x0]) if problem.x0 else []
+
+    def narrowed(self, H: Array) -> float:
+        """Return how much the recordings narrow what unsettled memories begin with, initial states unknown: see `Fit`."""
+        order, total = len(self.problem.state_scale), 0.0
+        for first in range(self.shared, self.size if self.n > order else 0, self.n):
+            local, states = slice(first, first + self.n), slice(first, first + order)
+            total += float(np.linalg.slogdet(H[local, local])[1] - np.linalg.slogdet(H[states, states])[1])
+            total -= float(np.log(self.prior_weight[first + order : first + self.n] ** 2).sum())
+        return total
 
     def pack(self, point: Point) -> Array:
         """Return the coordinates of a point."""
@@ -238,7 +249,7 @@ def fit(
     if renewals is None and not fresh:
         J = jacobian(problem, c, q, horizon, residuals)
     H, _ = _normal(J, residuals, tau, c, q)
-    return Fit(c.unpack(q), tuple(residuals), J, H, tau, cost, rms(residuals), c.penalty(q), c.shared)
+    return Fit(c.unpack(q), tuple(residuals), J, H, tau, cost, rms(residuals), c.penalty(q), c.shared, c.narrowed(H))
 
 
 def _followed(J: Array, step: Array, before: Sequence[Array], after: Sequence[Array]) -> Array:

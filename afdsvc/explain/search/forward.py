@@ -187,7 +187,7 @@ class Rounds(Settled):
         effort = max(1, int(np.sqrt(s.screened / sum(len(r) for r in p.runs))))
         shortlist, by_chance = _shortlist(p, rough, offered, self.mapper, effort * s.refined)
         begin = bases(p, rough, self.taus)
-        tried = _promising(list(self.mapper(partial(trial, p, begin, self.taus, starts=STARTS), shortlist)), effort * s.polished)
+        tried = _promising(list(self.mapper(partial(trial, p, begin, self.taus, starts=STARTS), shortlist)), effort * s.polished, s.likely)
         begun = _kept_promises(rough, list(self.mapper(partial(added_path, p, rough, self.taus), tried)), s.alike, self.limited)
         fitted = list(self.mapper(partial(whole_path, self.problem, self.taus, base=path), begun))
         counted = noise_times(fitted) if fitted else {}
@@ -255,7 +255,7 @@ class Rounds(Settled):
 
     def evidence(self, path: dict[float, Fit], base: dict[float, Fit], h: Hypothesis, taus: dict[float, float] | None = None) -> HypothesisEvidence:
         """Return the evidence for one hypothesis; a constant of the model costs nothing, it is there already."""
-        return self.over(path, base, 0 if is_constant(h) else sum(c.free for c in h.parameters) + h.unsettled * len(self.problem.runs), taus)
+        return self.over(path, base, 0 if is_constant(h) else sum(c.free for c in h.parameters), taus)
 
     def over(self, path: dict[float, Fit], base: dict[float, Fit], count: int, taus: dict[float, float] | None = None) -> HypothesisEvidence:
         """Return the evidence for a path of ``count`` more parameters; samples count by ``taus``, or by the path's own residual, and
@@ -274,10 +274,11 @@ class Rounds(Settled):
         return path
 
 
-def _promising(tried: Sequence[Trial], count: int) -> list[Trial]:
-    """Return the trials that fell most at the weakest correction, half as many more of those that did at the strongest, and of every
-    mechanism among them the simplest shape."""
-    chosen = sorted(tried, key=lambda t: -t.falls[-1])[:count]
+def _promising(tried: Sequence[Trial], count: int, likely: float) -> list[Trial]:
+    """Return the trials that fell most at the weakest correction and those within chance of the first, half as many more of those that did
+    at the strongest, and of every mechanism among them the simplest shape."""
+    ordered = sorted(tried, key=lambda t: -t.falls[-1])
+    chosen = [t for k, t in enumerate(ordered) if k < count or 2 * (ordered[0].falls[-1] - t.falls[-1]) < likely]
     chosen += [t for t in sorted(tried, key=lambda t: -t.falls[0])[:count] if t not in chosen][: count // 2]
     for kind in {mechanism(t.hypothesis): None for t in chosen}:
         shapes = [t for t in tried if mechanism(t.hypothesis) == kind]
