@@ -75,7 +75,8 @@ class Hypothesis:
     other laws with a memory of the way of family "memory". ``starts`` are starting points of the search (values in the order of
     ``parameters``), guessed from the recordings. ``unsettled`` says how many of the first cells of the memory are in the unit of the
     first signal read and begin a recording at an unknown value, such as the speed of a fan: they are fitted for every recording, as
-    the initial state is, and a law adds what it begins with. ``substeps`` asks for that many calls per sample of a continuous model, for
+    the initial state is, and a law adds what it begins with. Of a ``lasting`` law the memory never settles, such as the phase of a tone
+    from outside: without what it begins with it adds nothing, and its fixed parameter is the size of one unit of the memory. ``substeps`` asks for that many calls per sample of a continuous model, for
     laws that act within a sample. ``linear`` returns the extended linear plant when the law is linear, given the continuous or
     discrete plant and the fitted values. ``predicts`` and ``refuted_by`` are sentences for people. ``description`` marks a law
     that describes a curve without a mechanism, such as a polynomial: a mechanism that fits as well goes before it.
@@ -96,6 +97,7 @@ class Hypothesis:
     starts: tuple[tuple[float, ...], ...]
     memory: int = 0
     unsettled: int = 0
+    lasting: bool = False
     substeps: int = 1
     linear: Callable[[StateSpace, Sequence[float]], StateSpace] | None = None
     predicts: str = ""

@@ -91,8 +91,13 @@ def _size(c: Coefficient, value: float, unit: float) -> float:
 
 
 def _of_effect(effect: PlacedEffect, spreads: Mapping[int, float], B: Array) -> dict[str, Estimate]:
-    free = [(j, c) for j, c in enumerate(effect.hypothesis.parameters) if c.free]
-    return {c.name: _estimate(float(effect.values[j]), c, spreads[j], B) for j, c in [x for x in free if not x[1].nuisance] or free}
+    h = effect.hypothesis
+    free = [(j, c) for j, c in enumerate(h.parameters) if c.free]
+    found = {c.name: _estimate(float(effect.values[j]), c, spreads[j], B) for j, c in [x for x in free if not x[1].nuisance] or free}
+    if h.lasting and effect.begun:
+        size = float(np.sqrt(np.mean([b @ b for b in effect.begun])))
+        found |= {c.name: _estimate(size * float(v), c, np.inf, B) for c, v in zip(h.parameters, effect.values, strict=True) if not c.free}
+    return found
 
 
 def _estimate(value: float, c: Coefficient, spread: float, B: Array) -> Estimate:

@@ -74,7 +74,7 @@ class Coordinates:
         self.slots = [(i, j, c) for i, e in enumerate(point.effects) for j, c in enumerate(e.hypothesis.parameters) if c.free]
         self.units = [_unit(c, point.effects[i].values[j]) for i, j, c in self.slots]
         known = all(r.steady for r in problem.runs)
-        self.unsettled = [(i, e.hypothesis.unsettled) for i, e in enumerate(point.effects) if e.hypothesis.unsettled and not known]
+        self.unsettled = [(i, h.unsettled) for i, h in enumerate(e.hypothesis for e in point.effects) if h.unsettled and (h.lasting or not known)]
         sizes = [np.full(count, problem.size(point.effects[i].hypothesis.reads[0])) for i, count in self.unsettled]
         self.local = np.concatenate([problem.state_scale, *sizes])
         self.n = len(self.local) if point.x0 else 0
@@ -130,12 +130,12 @@ class Coordinates:
 
 
 def logarithmic(c: Coefficient) -> bool:
-    """Whether a parameter is searched on a logarithmic scale."""
-    return c.low >= 0 and not c.linear and c.high > 0
+    """Whether a parameter is searched on a logarithmic scale: a positive one whose range is no narrow band."""
+    return c.low >= 0 and not c.linear and c.high > 2 * c.low
 
 
 def _unit(c: Coefficient, value: float) -> float:
-    return max(abs(value), c.scale, 1e-300)
+    return min(max(abs(value), c.scale, 1e-300), c.high - c.low)
 
 
 def _inward(c: Coefficient, value: float, unit: float) -> float:

@@ -66,6 +66,8 @@ class Screen:
         return np.asarray(np.concatenate([(b - a).ravel() for a, b in zip(self.base.residuals, there, strict=True)]) * self.scale)
 
     def _start(self, h: Hypothesis, values: Array) -> Start:
+        if h.lasting:
+            return self._beginnings(h, values)
         linear = [j for j, c in enumerate(h.parameters) if c.linear and c.free]
         if not linear:
             return self._along(h, values)
@@ -85,16 +87,30 @@ class Screen:
         factor = min(max(-along / power, 0.0), 1.2) if power > 0 else 0.0
         return Start(PlacedEffect(h, values), -(2 * factor * along + factor**2 * power), r, shift)
 
+    def _beginnings(self, h: Hypothesis, values: Array) -> Start:
+        """Return the start with the best beginning of a memory that lasts, for every recording."""
+        lengths, size = [e.size for e in self.base.residuals], self.problem.size(h.reads[0])
+        rows = np.repeat(np.arange(len(lengths)), lengths)
+        cells = size * np.eye(h.unsettled)
+        changes = [self.change(PlacedEffect(h, values, (cell,) * len(lengths))) for cell in cells]
+        columns = [np.where(rows == r, d, 0.0) for r in range(len(lengths)) for d in changes]
+        D, shifts, G, g, a = self._best(columns)
+        begun = tuple(cells.T @ part for part in a.reshape(len(lengths), h.unsettled))
+        return Start(PlacedEffect(h, values, begun), -float(2 * a @ g + a @ G @ a), D @ a + self.J @ (shifts @ a), shifts @ a)
+
     def _amplitudes(self, columns: Sequence[Array], linear: Sequence[int], h: Hypothesis, values: Array) -> Start:
         """Return the start with the best amplitudes of the parameters a law is proportional to."""
-        D = np.column_stack(columns)
-        shifts = np.column_stack([self.shift(d) for d in columns])
-        R = D + self.J @ shifts
-        G, g = R.T @ D, D.T @ self.e
-        a = -np.linalg.lstsq(G + 1e-12 * np.trace(G) * np.eye(len(G)), g, rcond=1e-12)[0]
+        D, shifts, G, g, a = self._best(columns)
         found = values.copy()
         for j, factor in zip(linear, a, strict=True):
             c = h.parameters[j]
             found[j] = min(max((values[j] or c.scale) * factor, c.low), c.high)
         size = np.array([found[j] / (values[j] or h.parameters[j].scale) for j in linear])
-        return Start(PlacedEffect(h, found), -float(2 * size @ g + size @ G @ size), R @ size, shifts @ size)
+        return Start(PlacedEffect(h, found), -float(2 * size @ g + size @ G @ size), D @ size + self.J @ (shifts @ size), shifts @ size)
+
+    def _best(self, columns: Sequence[Array]) -> tuple[Array, Array, Array, Array, Array]:
+        """Return changes, the shifts that answer them, curvature and slope of the cost along them, and their best sizes."""
+        D = np.column_stack(columns)
+        shifts = np.column_stack([self.shift(d) for d in columns])
+        G, g = (D + self.J @ shifts).T @ D, D.T @ self.e
+        return D, shifts, G, g, -np.linalg.lstsq(G + 1e-12 * np.trace(G) * np.eye(len(G)), g, rcond=1e-12)[0]

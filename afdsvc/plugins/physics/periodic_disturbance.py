@@ -6,22 +6,22 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal, Size
-from afdsvc.plugins.physics.attach import at_force, at_input, at_output, force
+from afdsvc.api.physics import Coefficient, Hypothesis, Machine
+from afdsvc.plugins.physics.attach import at_force, at_input, at_output, force, velocity
 
 
-def tone_on_signal(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``a cos(w t) + b sin(w t)`` beside the signal itself."""
-    out[0] += p[1] * math.cos(p[0] * z[1]) + p[2] * math.sin(p[0] * z[1])
-
-
-def _tone(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``a cos(w t) + b sin(w t)`` as a force."""
-    out[0] += p[1] * math.cos(p[0] * z[0]) + p[2] * math.sin(p[0] * z[0])
+def tone(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``p1`` times an oscillation at ``p0`` rad/s that goes on as the recording began with it."""
+    out[0] += p[1] * m[0]
+    c, s = math.cos(p[0] * dt), math.sin(p[0] * dt)
+    m[0], m[1] = c * m[0] - s * m[1], s * m[0] + c * m[1]
 
 
 class PeriodicDisturbance:
-    """A tone at every input, axis and output, at the frequencies of the lines the excitation does not explain."""
+    """A tone at every input, axis and output, at the frequencies of the lines the excitation does not explain.
+
+    Its amplitude and its phase are those of the recording: no clock connects a tone from outside with the excitation.
+    """
 
     name = "periodic_disturbance"
     summary = "a tone from outside the loop"
@@ -30,26 +30,19 @@ class PeriodicDisturbance:
         """Return one hypothesis per site and line of the residual; none when the residual has no lines."""
         for number, w in enumerate(machine.tones[:3]):
             for port in machine.outputs:
-                scale = 0.3 * float(machine.residual[port.index])
-                yield at_output(port, tone_on_signal, [Signal("t")], **self._parts(machine, w, number, self._pair(port, scale)))
+                yield at_output(port, tone, **self._parts(machine, w, number, Coefficient("amplitude", port.unit, 1.0, 1.0, 1.0)))
             for port in machine.inputs:
-                yield at_input(port, tone_on_signal, [Signal("t")], **self._parts(machine, w, number, self._pair(port, 0.05 * port.rms)))
+                yield at_input(port, tone, **self._parts(machine, w, number, Coefficient("amplitude", port.unit, 1.0, 1.0, 1.0)))
             for axis in machine.axes:
-                scale = 0.05 * axis.push
-                pair = [force(axis, f"{part} amplitude", -1e3 * scale, 1e3 * scale, scale, linear=True) for part in ("cosine", "sine")]
-                yield at_force(axis, _tone, [Signal("t")], **self._parts(machine, w, number, pair))
+                unit = axis.push / (axis.rate.rms or 1.0)
+                yield at_force(axis, tone, [velocity(axis)], **self._parts(machine, w, number, force(axis, "amplitude", unit, unit, unit)))
 
-    def _pair(self, port: Size, scale: float) -> list[Coefficient]:
-        return [
-            Coefficient(f"{part} amplitude", port.unit, -1e3 * scale, 1e3 * scale, scale, linear=True) for part in ("cosine", "sine")
-        ]
-
-    def _parts(self, machine: Machine, w: float, number: int, pair: list[Coefficient]) -> dict[str, Any]:
+    def _parts(self, machine: Machine, w: float, number: int, size: Coefficient) -> dict[str, Any]:
         width = 4 * math.pi / machine.duration
         return {
-            "physics": self.name, "family": "tone",
-            "parameters": [Coefficient("frequency", "rad/s", w - width, w + width, 0.02 * width), *pair],
-            "starts": [(w, 0.0, 0.0)], "notes": {"variant": str(number)} if number else {},
+            "physics": self.name, "family": "tone", "memory": 2, "unsettled": 2, "lasting": True,
+            "parameters": [Coefficient("frequency", "rad/s", w - width, w + width, 0.02 * width), size], "starts": [(w, size.low)],
+            "notes": {"variant": str(number)} if number else {},
             "predicts": "one line in the residual that does not repeat with the excitation",
             "refuted_by": "a line that moves with the rotor speed or with the excitation",
         }
