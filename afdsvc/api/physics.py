@@ -116,7 +116,7 @@ class Hypothesis:
 class Size:
     """A signal of the machine as the recordings show it: name, unit, mean, rms about the mean, largest absolute value.
 
-    ``step`` is the grid its values lie on, 0 when they lie on none.
+    ``step`` is the grid its values lie on, 0 when they lie on none, ``origin`` a value on it.
     """
 
     index: int
@@ -126,6 +126,7 @@ class Size:
     rms: float
     peak: float
     step: float = 0.0
+    origin: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

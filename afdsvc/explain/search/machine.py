@@ -55,7 +55,7 @@ def _sizes(variables: Sequence[Variable], values: Array) -> tuple[Size, ...]:
     for i, v in enumerate(variables):
         column = values[:, i][np.isfinite(values[:, i])]
         peak = float(np.abs(column).max(initial=0.0))
-        found.append(Size(i, v.name, v.unit, float(column.mean()), float(column.std()) or peak or 1.0, peak, grid(column)))
+        found.append(Size(i, v.name, v.unit, float(column.mean()), float(column.std()) or peak or 1.0, peak, grid(column), float(column.min()) if len(column) else 0.0))
     return tuple(found)
 
 

@@ -7,12 +7,24 @@ from collections.abc import Iterable
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
-from afdsvc.plugins.physics.attach import at_input, at_output
+from afdsvc.plugins.physics.attach import at_input, at_output, constant
+
+SHARP, TERMS = 0.04, 12  # noise in steps below which rounding is as without; terms of the series: the last is below a thousandth of the first
 
 
 def _stepped(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """The signal rounded to the nearest multiple of the step."""
     out[0] += p[0] * math.floor(z[0] / p[0] + 0.5) - z[0]
+
+
+def read_in_steps(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """The mean of the reading rounded to steps ``p0`` from ``p1`` on, normal noise of ``p2`` steps before the rounding (Widrow and Kollar 2008)."""
+    x = (z[0] - p[1]) / p[0]
+    if p[2] < SHARP:
+        out[0] += p[0] * (math.floor(x + 0.5) - x)
+    else:
+        for k in range(1, TERMS + 1):
+            out[0] += p[0] * (-1) ** k * math.exp(-2 * (math.pi * k * p[2]) ** 2) * math.sin(2 * math.pi * k * x) / (math.pi * k)
 
 
 class Quantisation:
@@ -25,9 +37,11 @@ class Quantisation:
         """Return one hypothesis per output whose recorded values lie on a grid, and one per input."""
         for port in machine.outputs:
             if port.step > 0:
-                step = Coefficient("step", port.unit, port.step, port.step, port.step)
+                noise = Coefficient("noise before the steps", "steps", 0.5 * SHARP, 1.0, 0.02)
                 yield at_output(
-                    port, _stepped, physics=self.name, family="sensor curve", parameters=[step], starts=[(port.step,)],
+                    port, read_in_steps, physics=self.name, family="sensor curve",
+                    parameters=[constant("step", port.unit, port.step), constant("origin", port.unit, port.origin), noise],
+                    starts=[(port.step, port.origin, s) for s in (0.1, 0.25)],
                     predicts="values on a grid, and an error spread evenly over one step",
                     refuted_by="values between the grid points",
                 )

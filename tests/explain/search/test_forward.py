@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from afdsvc.api.physics import Hypothesis
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.search import forward
 from afdsvc.explain.search.base import settled
@@ -15,7 +16,7 @@ from afdsvc.explain.search.evidence import block_spans, refitted
 from afdsvc.explain.search.fit import Coordinates, fit, jacobian, weighted
 from afdsvc.explain.search.forward import search
 from afdsvc.explain.search.machine import hypotheses, machine
-from afdsvc.explain.search.path import bases, trial
+from afdsvc.explain.search.path import Trial, bases, trial
 from afdsvc.explain.search.ranking import look_alikes, vote_shares
 from afdsvc.explain.search.screen import Screened, Start
 from afdsvc.explain.settings import Settings
@@ -221,3 +222,11 @@ def test_the_search_ends_though_offsets_take_turns(monkeypatch):
     monkeypatch.setattr(forward.Rounds, "accepted", lambda self, first: (self.start, self.rough))  # each is idle beside the other
     short = problem(60.0, seeds=(1,))
     assert len(search(settled(replace(short, settings=replace(Settings(), effects=2))), LIBRARY).steps) == 4
+
+
+def test_what_chance_cannot_separate_on_the_beginnings_is_fitted_to_whole_recordings():
+    def tried(name, fall):
+        return Trial(Hypothesis(name, "machine", "", "force", None, (), (), (), ()), (), (fall,))
+
+    chosen = forward._promising([tried("a", 10.0), tried("b", 8.5), tried("c", 7.9)], 1, 4.0)
+    assert [t.hypothesis.physics for t in chosen] == ["a", "b"]

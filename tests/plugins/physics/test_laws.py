@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.signal import lsim
+from scipy.stats import norm
 
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.backlash import _play
@@ -15,6 +16,8 @@ from afdsvc.plugins.physics.flexible_mode import _attach, bent_spring, masses
 from afdsvc.plugins.physics.gain_follows_aux import _scaled
 from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
 from afdsvc.plugins.physics.parameter_change import _scaled_entries, terms
+from afdsvc.plugins.physics.periodic_disturbance import tone
+from afdsvc.plugins.physics.quantisation import read_in_steps
 from afdsvc.plugins.physics.runout import uneven
 from afdsvc.plugins.physics.saturation import soft_limit
 from afdsvc.plugins.physics.sensor_drift import drift
@@ -232,3 +235,24 @@ def test_a_sensor_without_a_sign_reads_the_size_and_half_of_that_loses_one_side(
     y = np.linspace(-2, 2, 41)
     assert y + changed(unsigned, [1.0], y) == pytest.approx(np.abs(y))
     assert y + changed(unsigned, [0.5], y) == pytest.approx(np.maximum(y, 0))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05, 0.2, 0.6])
+def test_readings_in_steps_are_the_mean_of_rounding_under_noise(noise):
+    """Oracle: the mean of the rounded value from the normal distribution's probability of every step."""
+    step, origin, x = 0.5, 0.13, np.linspace(-2.0, 2.0, 161) + 1e-4
+    added = changed(read_in_steps, (step, origin, noise), x)
+    grid = origin + step * np.arange(-12, 13)
+    edges = (np.concatenate([grid - step / 2, [grid[-1] + step / 2]])[:, None] - x) / (step * max(noise, 1e-9))
+    expected = (grid[:, None] * np.diff(norm.cdf(edges), axis=0)).sum(0) - x
+    assert np.abs(added - expected).max() < 1e-3 * step
+
+
+def test_a_tone_goes_on_as_it_began():
+    m, added = np.array([0.3, -0.4]), []
+    for _ in range(500):
+        out = np.zeros(1)
+        tone(np.array([40.0, 2.0]), np.zeros(1), m, DT, out)
+        added.append(out[0])
+    t = DT * np.arange(500)
+    assert np.abs(added - 2 * (0.3 * np.cos(40 * t) + 0.4 * np.sin(40 * t))).max() < 1e-9
