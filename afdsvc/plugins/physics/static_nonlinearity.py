@@ -21,6 +21,11 @@ def power(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] += math.copysign(p[0] * (abs(z[0]) / p[0]) ** p[1], z[0]) - z[0]
 
 
+def power_from(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """`power` of what exceeds a threshold, ``p = (r, n, d)``: a drive that starts at d and whose gain then rises or falls."""
+    out[0] += math.copysign(p[0] * (max(abs(z[0]) - p[2], 0.0) / p[0]) ** p[1], z[0]) - z[0]
+
+
 def signed_square(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``u + a u |u| / r``."""
     out[0] += p[0] * z[0] * abs(z[0]) / p[1]
@@ -73,10 +78,15 @@ class StaticNonlinearity:
         for port in machine.inputs:
             for law, name, parameters, starts in _polynomials(port, "", 1.0):
                 yield at_input(port, law, parameters=parameters, starts=starts, description=True, notes=_shape(name), **words, **_POLYNOMIAL)
-            level = _level(port)
+            level, exponent = _level(port), Coefficient("exponent", "", 0.2, 4.0, 0.1)
             yield at_input(
-                port, power, parameters=[level, Coefficient("exponent", "", 0.2, 4.0, 0.1)], description=True, notes=_shape("power"),
+                port, power, parameters=[level, exponent], description=True, notes=_shape("power"),
                 starts=[(r * port.rms, n) for r in (0.5, 1.5) for n in (0.5, 1.5, 2.0, 3.0)], **words, **_CURVED,
+            )
+            yield at_input(
+                port, power_from, parameters=[level, exponent, Coefficient("threshold", port.unit, 0.0, 0.9 * port.peak, 0.05 * port.peak)], description=True,
+                notes=_shape("power from a threshold"), starts=[(port.rms, n, d * port.peak) for n in (0.4, 0.7, 1.5) for d in (0.05, 0.15, 0.4)],
+                predicts="no answer below a level, and a gain that follows the level above it", refuted_by="an answer to the smallest input", **words,
             )
             yield at_input(
                 port, power, parameters=[level, constant("exponent", "", 2.0)], notes=_shape("thrust"),
