@@ -44,7 +44,7 @@ class Settings:
     chance : float
         Gain asked for, in multiples of the largest that chance reached to first order.
     share, further : float
-        Least share of the gap, and of what earlier effects left open of it.
+        Least share of the gap, and, for a further effect, of the gap or of what earlier effects leave, noise included.
     sure : float
         Share of the resamplings in which a hypothesis has to gain; a look-alike that comes first in less than the rest is not named.
     probable : float

@@ -344,7 +344,7 @@ def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: d
         expected = s.constant  # one number that is known beforehand, not the best of many hypotheses
     asked = [(gain, expected, "gain of likelihood"), (e.gain, min(s.evidence, expected), "gain at the decision horizon")]
     if further and rounds.limited == "model":
-        asked.append((e.closed, s.further, "share of what the model leaves"))
+        asked.append((max(e.closed, e.share), s.further, "share of what the model leaves"))
     doubts = [(sure, s.sure, "share of resampled blocks that gain")]
     if further or rounds.limited == "model":
         doubts.append((e.share, s.share, "share of the gap"))

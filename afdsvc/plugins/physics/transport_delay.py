@@ -9,6 +9,9 @@ from typing import Any
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_input, at_output
 
+LONGEST = 400  # samples that are remembered
+STARTS = (0.5, 1.5, 5.0, 12.0, 30.0, 75.0, 180.0)  # samples
+
 
 def delay(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """The value ``tau`` ago, interpolated between samples; ``m`` is a ring (first a count) of the last samples."""
@@ -34,11 +37,11 @@ class TransportDelay:
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per input and per output."""
-        longest = max(8 * machine.dt, min(3 / machine.bandwidth, 400 * machine.dt))
+        longest = max(8 * machine.dt, min(LONGEST * machine.dt, machine.duration / 20))
         parts: dict[str, Any] = {
             "physics": self.name, "family": "timing",
             "parameters": [Coefficient("delay", "s", 0.01 * machine.dt, longest, 0.2 * machine.dt)],
-            "starts": [(0.5 * machine.dt,), (1.5 * machine.dt,), (0.25 * longest,), (0.6 * longest,)],
+            "starts": [(k * machine.dt,) for k in STARTS if k * machine.dt < longest],
             "predicts": "phase lag proportional to frequency at an unchanged gain",
             "refuted_by": "a gain that changes with the phase, or a phase lag that levels off",
         }
