@@ -3,6 +3,7 @@
 import importlib.util
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,12 +13,12 @@ from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.search import forward
 from afdsvc.explain.search.base import settled
 from afdsvc.explain.search.build import build
-from afdsvc.explain.search.evidence import block_spans, refitted
+from afdsvc.explain.search.evidence import HypothesisEvidence, block_spans, refitted
 from afdsvc.explain.search.fit import Coordinates, fit, jacobian, weighted
 from afdsvc.explain.search.forward import search
 from afdsvc.explain.search.machine import hypotheses, machine
 from afdsvc.explain.search.path import Trial, bases, trial
-from afdsvc.explain.search.ranking import look_alikes, vote_shares
+from afdsvc.explain.search.ranking import Candidate, look_alikes, vote_shares
 from afdsvc.explain.search.screen import Screened, Start
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.effects import PlacedEffect
@@ -230,3 +231,13 @@ def test_what_chance_cannot_separate_on_the_beginnings_is_fitted_to_whole_record
 
     chosen = forward._promising([tried("a", 10.0), tried("b", 8.5), tried("c", 7.9)], 1, 4.0)
     assert [t.hypothesis.physics for t in chosen] == ["a", "b"]
+
+
+@pytest.mark.parametrize(("share", "accepted"), [(0.6, True), (0.1, False)])
+def test_a_further_effect_counts_by_the_gap_where_noise_is_most_of_what_is_left(share, accepted):
+    before = np.full(20, 1.0)
+    evidence = HypothesisEvidence({0.0: 100.0}, share, before, 0.95 * before, 5000.0, 0.0)
+    assert evidence.closed < Settings().further
+    rounds = SimpleNamespace(problem=SimpleNamespace(settings=Settings(), regular=True), limited="model")
+    one = Candidate(Hypothesis("a", "machine", "", "force", None, (), (), (), ()), {}, evidence)
+    assert forward._decided([one], "model", rounds, {0.0: 1.0}, further=True).accepted is accepted

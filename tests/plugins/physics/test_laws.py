@@ -23,6 +23,7 @@ from afdsvc.plugins.physics.saturation import soft_limit
 from afdsvc.plugins.physics.sensor_drift import drift
 from afdsvc.plugins.physics.sensor_rectification import unsigned
 from afdsvc.plugins.physics.slew_limit import _slew
+from afdsvc.plugins.physics.static_nonlinearity import power_from
 from afdsvc.plugins.physics.stiffness_follows_aux import _spring, springs
 
 DT = 1e-3
@@ -256,3 +257,12 @@ def test_a_tone_goes_on_as_it_began():
         added.append(out[0])
     t = DT * np.arange(500)
     assert np.abs(added - 2 * (0.3 * np.cos(40 * t) + 0.4 * np.sin(40 * t))).max() < 1e-9
+
+
+def test_a_drive_that_starts_at_a_threshold_is_odd_and_meets_the_levels_gain():
+    """``(|u| - d)^n`` with its sign: nothing below d, as large as the level where the excess is."""
+    u = np.linspace(-10, 10, 401)
+    driven = u + changed(power_from, (4.0, 0.5, 2.0), u)
+    assert np.abs(driven[np.abs(u) <= 2]).max() == 0.0
+    assert np.allclose(driven, -driven[::-1])
+    assert np.allclose(driven[u > 2], np.sqrt(4 * (u[u > 2] - 2)))

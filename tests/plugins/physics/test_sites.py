@@ -34,6 +34,7 @@ def offered(machine: Machine) -> dict:
     (MAGNET, "magnetic_force@state:v magnetic_force@state:v#pair"),
     (TANKS, "saturation@state:h1 saturation@state:h2 slow_mode@state:h1 static_nonlinearity@state:h1#outflow"),
     (TANKS, "static_nonlinearity@state:h2#outflow about a level constant_load@input:pump static_nonlinearity@input:pump#thrust"),
+    (TANKS, "static_nonlinearity@input:pump#power static_nonlinearity@input:pump#power from a threshold"),
     (STRUCTURE, "clearance@machine#between v1,v2 clearance@machine#between v1,v2,v3 coulomb_friction@machine#between v1,v3"),
     (STRUCTURE, "coulomb_friction@machine#slip between v2,v3 cubic_stiffness@machine#between v1,v2 quadratic_stiffness@machine#between v1,v2,v3"),
     (ARM, "clearance@state:w#play in the spring"),
@@ -152,3 +153,11 @@ def test_an_axis_that_stands_still_is_offered_no_cogging():
     (axis,) = arm.axes
     still = replace(axis, position=replace(axis.position, mean=0.0, rms=0.0, peak=0.0))
     assert not list(Cogging().hypotheses(replace(arm, axes=(still,))))
+
+
+def test_a_delay_may_be_as_long_as_a_twentieth_of_the_recordings():
+    """The slowest excitation does not bound it: what is late in a tube may be later than the time constant of what it feeds."""
+    machine = replace(machines()[TANKS], duration=600.0, dt=1.0, bandwidth=3.0)
+    delay = offered(machine)["transport_delay@input:pump"]
+    assert delay.parameters[0].high == pytest.approx(30.0)
+    assert max(delay.starts)[0] >= 12.0
