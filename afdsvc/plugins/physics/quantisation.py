@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_input, at_output, constant
 
@@ -49,7 +51,7 @@ class Quantisation:
             low, r = max(2 * port.step, 0.02 * port.rms), port.rms
             yield at_input(
                 port, _stepped, physics=self.name, family="input curve", parameters=[Coefficient("step", port.unit, low, max(2 * port.peak, 2 * low), 0.02 * r)],
-                starts=[(max(s * r, low),) for s in (0.1, 0.2, 0.4, 0.8, 1.6)],
+                starts=[(max(s * r, low),) for s in np.geomspace(0.1, 2.0, 25)],  # a step that is off by an eighth is another staircase three steps up
                 predicts="an effect that stays the same while the command changes by less than a step",
                 refuted_by="an effect that follows the smallest changes of the command",
             )
