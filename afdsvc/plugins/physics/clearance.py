@@ -99,4 +99,4 @@ def _lost(axis: Axis, q: Size, stiffness: float) -> list[Coefficient]:
 
 def _gaps(q: Size, stiffness: float) -> list[tuple[float, float]]:
     """Return starts; with play a deflection is larger than the model's."""
-    return [(stiffness, share * q.peak) for share in (0.1, 0.3, 1.0)]
+    return [(stiffness, share * q.peak) for share in (0.1, 0.3, 0.6, 1.0, 1.7, 2.8)]
