@@ -24,11 +24,11 @@ from afdsvc.lti.statespace import Array, StateSpace
 def write_improved(explanation: Explanation, path: Path, aux: Mapping[str, float]) -> list[Path]:
     """Write the improved model as ``path`` (and ``path`` with the suffix .py when it is not linear); return what was written.
 
-    A Python simulator stays the code it is: its parameters move, and laws are added to it in a file that names it. Offsets and
-    unknown loads belong to the recordings and are not written. ``aux`` holds the mean of every auxiliary signal of the
+    A Python simulator stays the code it is: its parameters move, and laws are added to it in a file that names it. Offsets,
+    unknown loads and tones from outside belong to the recordings and are not written. ``aux`` holds the mean of every auxiliary signal of the
     recordings, sorted by name as the laws count them.
     """
-    effects = tuple(e for e in explanation.point.effects if e.hypothesis.family != NUISANCE)
+    effects = tuple(e for e in explanation.point.effects if e.hypothesis.family != NUISANCE and not e.hypothesis.lasting)
     explanation = replace(explanation, point=replace(explanation.point, effects=effects))
     nominal, point = explanation.nominal, explanation.point
     if nominal.python and not point.effects:

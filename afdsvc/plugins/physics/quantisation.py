@@ -11,8 +11,6 @@ import numpy as np
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_input, at_output, constant
 
-SHARP, TERMS = 0.04, 12  # noise in steps below which rounding is as without; terms of the series: the last is below a thousandth of the first
-
 
 def _stepped(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """The signal rounded to the nearest multiple of the step."""
@@ -22,10 +20,10 @@ def _stepped(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 def read_in_steps(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """The mean of the reading rounded to steps ``p0`` from ``p1`` on, normal noise of ``p2`` steps before the rounding (Widrow and Kollar 2008)."""
     x = (z[0] - p[1]) / p[0]
-    if p[2] < SHARP:
+    if p[2] < 0.04:  # as good as none; above it the twelfth term is less than a thousandth of the first
         out[0] += p[0] * (math.floor(x + 0.5) - x)
     else:
-        for k in range(1, TERMS + 1):
+        for k in range(1, 13):
             out[0] += p[0] * (-1) ** k * math.exp(-2 * (math.pi * k * p[2]) ** 2) * math.sin(2 * math.pi * k * x) / (math.pi * k)
 
 
@@ -39,7 +37,7 @@ class Quantisation:
         """Return one hypothesis per output whose recorded values lie on a grid, and one per input."""
         for port in machine.outputs:
             if port.step > 0:
-                noise = Coefficient("noise before the steps", "steps", 0.5 * SHARP, 1.0, 0.02)
+                noise = Coefficient("noise before the steps", "steps", 0.02, 1.0, 0.02)
                 yield at_output(
                     port, read_in_steps, physics=self.name, family="sensor curve",
                     parameters=[constant("step", port.unit, port.step), constant("origin", port.unit, port.origin), noise],

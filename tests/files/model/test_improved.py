@@ -113,7 +113,7 @@ def stepped(path: Path, r: Run, substeps: int = 1) -> np.ndarray:
     return np.array(y)
 
 
-@pytest.mark.parametrize("key", [k for k, h in LIBRARY.items() if h.linear is None])
+@pytest.mark.parametrize("key", [k for k, h in LIBRARY.items() if h.linear is None and not h.lasting])
 def test_every_law_is_written_as_it_was_fitted(key, tmp_path):
     e = explanation(PlacedEffect(LIBRARY[key], values(LIBRARY[key])))
     r = run(np.random.default_rng(1))
@@ -141,6 +141,12 @@ def test_written_and_engine_meet_as_the_engine_takes_smaller_steps(tmp_path):
         apart.append(np.linalg.norm(y - mine) / np.linalg.norm(mine))
     assert apart[1] < apart[0] / 10
     assert apart[2] < 1e-6 < apart[0] < 1e-3
+
+
+@pytest.mark.parametrize("key", [k for k, h in LIBRARY.items() if h.lasting])
+def test_a_tone_from_outside_is_no_part_of_the_machine(key, tmp_path):
+    e = explanation(PlacedEffect(LIBRARY[key], values(LIBRARY[key]), (np.ones(2),)))
+    assert [f.name for f in write_improved(e, tmp_path / "MODEL.toml", AUX)] == ["MODEL.toml"]
 
 
 @pytest.mark.parametrize("key", [k for k, h in LIBRARY.items() if h.linear is not None])
