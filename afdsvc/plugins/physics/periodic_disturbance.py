@@ -10,7 +10,7 @@ from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_force, at_input, at_output, force, velocity
 
 
-def tone(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def oscillation(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``p1`` times an oscillation at ``p0`` rad/s that goes on as the recording began with it."""
     out[0] += p[1] * m[0]
     c, s = math.cos(p[0] * dt), math.sin(p[0] * dt)
@@ -30,12 +30,12 @@ class PeriodicDisturbance:
         """Return one hypothesis per site and line of the residual; none when the residual has no lines."""
         for number, w in enumerate(machine.tones[:3]):
             for port in machine.outputs:
-                yield at_output(port, tone, **self._parts(machine, w, number, Coefficient("amplitude", port.unit, 1.0, 1.0, 1.0)))
+                yield at_output(port, oscillation, **self._parts(machine, w, number, Coefficient("amplitude", port.unit, 1.0, 1.0, 1.0)))
             for port in machine.inputs:
-                yield at_input(port, tone, **self._parts(machine, w, number, Coefficient("amplitude", port.unit, 1.0, 1.0, 1.0)))
+                yield at_input(port, oscillation, **self._parts(machine, w, number, Coefficient("amplitude", port.unit, 1.0, 1.0, 1.0)))
             for axis in machine.axes:
                 unit = axis.push / (axis.rate.rms or 1.0)
-                yield at_force(axis, tone, [velocity(axis)], **self._parts(machine, w, number, force(axis, "amplitude", unit, unit, unit)))
+                yield at_force(axis, oscillation, [velocity(axis)], **self._parts(machine, w, number, force(axis, "amplitude", unit, unit, unit)))
 
     def _parts(self, machine: Machine, w: float, number: int, size: Coefficient) -> dict[str, Any]:
         width = 4 * math.pi / machine.duration

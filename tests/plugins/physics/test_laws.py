@@ -16,7 +16,7 @@ from afdsvc.plugins.physics.flexible_mode import _attach, bent_spring, masses
 from afdsvc.plugins.physics.gain_follows_aux import _scaled
 from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
 from afdsvc.plugins.physics.parameter_change import _scaled_entries, terms
-from afdsvc.plugins.physics.periodic_disturbance import tone
+from afdsvc.plugins.physics.periodic_disturbance import oscillation
 from afdsvc.plugins.physics.quantisation import read_in_steps
 from afdsvc.plugins.physics.runout import uneven
 from afdsvc.plugins.physics.saturation import soft_limit
@@ -253,7 +253,7 @@ def test_a_tone_goes_on_as_it_began():
     m, added = np.array([0.3, -0.4]), []
     for _ in range(500):
         out = np.zeros(1)
-        tone(np.array([40.0, 2.0]), np.zeros(1), m, DT, out)
+        oscillation(np.array([40.0, 2.0]), np.zeros(1), m, DT, out)
         added.append(out[0])
     t = DT * np.arange(500)
     assert np.abs(added - 2 * (0.3 * np.cos(40 * t) + 0.4 * np.sin(40 * t))).max() < 1e-9
