@@ -1,7 +1,7 @@
-"""A slide with dry friction that its model knows nothing of: record it, ask `explain` why the model is wrong.
+"""A slide with dry friction that its model knows nothing of.
 
-    python explain_friction.py          # writes slide.toml and four recordings here, and explains them
-    afdsvc explain slide.toml weak.csv strong.csv medium.csv --holdout kept.csv      # the same on the command line
+    python explain_friction.py                                                       # writes slide.toml and four recordings
+    afdsvc explain slide.toml weak.csv strong.csv medium.csv --holdout kept.csv      # why is the model wrong?
 """
 
 from __future__ import annotations
@@ -9,8 +9,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-
-from afdsvc.app.explain import ExplainOptions, explain_files
 
 SLIDE = """
 name = "slide"
@@ -54,13 +52,6 @@ def record(path: str, level: float, seed: int) -> Path:
 
 if __name__ == "__main__":
     Path("slide.toml").write_text(SLIDE)
-    fit = [record("weak.csv", 2.0, 1), record("strong.csv", 4.0, 2), record("medium.csv", 3.0, 3)]
-    held = record("kept.csv", 2.5, 4)
-    answer = explain_files(Path("slide.toml"), fit, [held], ExplainOptions(Path("slide.explained")))
-    print("verdict:", answer["verdict"])
-    for named in answer["named"]:
-        print(f"{named['weight']:.2f}", named["sentence"])
-    for name, f in answer["fit"]["per_output"].items():
-        print(f"{name}: error {100 * f['before']['nrmse']:.2f} % before, {100 * f['after']['nrmse']:.2f} % after, "
-              f"noise {100 * f['noise_floor_nrmse']:.2f} %, on recordings never fitted")
-    print("model:", answer["model"], " report:", answer["report"])
+    for name, level, seed in (("weak", 2.0, 1), ("strong", 4.0, 2), ("medium", 3.0, 3), ("kept", 2.5, 4)):
+        record(f"{name}.csv", level, seed)
+    print("slide.toml, and weak.csv, strong.csv, medium.csv, kept.csv: a slide at four levels of force")

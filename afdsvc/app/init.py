@@ -15,7 +15,8 @@ from afdsvc.files.model.schema import Inline, toml_text
 from afdsvc.files.open import TABLES
 from afdsvc.files.tables.foreign import read_foreign_columns
 from afdsvc.files.tables.formats import read_columns
-from afdsvc.files.tables.mapping import DataMapping, Heading, heading
+from afdsvc.files.tables.historian import is_export, read_export
+from afdsvc.files.tables.mapping import DataMapping, Heading, heading, role_of_unit
 from afdsvc.files.tables.time_base import is_stamped, own_time
 from afdsvc.files.unfinished import writing
 from afdsvc.identify.first_model import Polynomials, first_model
@@ -40,7 +41,7 @@ def init_files(recording: Path, out: Path | None = None, inputs: Sequence[str] =
     there = next((f for f in (model, mapping) if f.exists() and not overwrite), None)
     if there is not None:
         raise BadInput(f"{there}: is there already; expected another folder (--out DIR), or --overwrite")
-    columns = read_columns(recording)
+    columns = {n: v for n, (_, v) in read_export(recording)[0].items()} if is_export(recording) else read_columns(recording)
     time = own_time(columns) or next((n for n in columns if heading(n).role == "t"), "")
     found = _headings(recording, [n for n in columns if n != time and not is_stamped(columns[n])], inputs, outputs)
     text = _mapping(found, time, bool(time) and is_stamped(columns[time]))
@@ -66,6 +67,8 @@ def _headings(recording: Path, names: Sequence[str], inputs: Sequence[str], outp
             raise BadInput(f"{recording}: no column '{name}'; it has {', '.join(names)}")
     found = [h for h in (heading(n, inputs, outputs) for n in names) if h.role != "t"]
     for role, option, examples in (("u", "--input", "voltage_V or torque_Nm"), ("y", "--output", "speed_rpm or position_mm")):
+        if not any(h.role == role for h in found):  # where no name says it, units do
+            found = [replace(h, role=role) if h.role == "aux" and not h.name.startswith("aux_") and role_of_unit(h.unit) == role else h for h in found]
         if not any(h.role == role for h in found):
             raise BadInput(f"{recording}: no column name says that it is an {option[2:]}, as {examples} does; expected {option} COLUMN, one of {', '.join(names)}")
     labels = [f"{h.role}_{h.label}" for h in found]

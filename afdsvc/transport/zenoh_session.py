@@ -291,7 +291,7 @@ class Transport:
 
     def _why_silent(self, key: str) -> str:
         if self._settings.security is None:
-            return f"no answer at {key}; is it running?"
+            return f"no answer at {key}; it does not run, or is still being prepared"
         who = self._access.identity
         return f"no answer at {key}: it does not run, or '{who}' lacks permission for this request at this secured site"
 

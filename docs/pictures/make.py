@@ -1,6 +1,6 @@
-"""Makes the pictures of the README and the how-tos from nothing: ``PYTHONPATH=. python docs/pictures/make.py [review compared history web]``.
+"""Makes the pictures of the README and the how-tos from nothing: ``PYTHONPATH=. python docs/pictures/make.py [review compared history web explain]``.
 
-Runs a demonstration, reviews it, and takes pictures of Rerun (headless; needs a Vulkan driver such as Debian's
+Runs a demonstration, reviews it, explains the tutorial's slide, and takes pictures of Rerun (headless; needs a Vulkan driver such as Debian's
 mesa-vulkan-drivers) and of the web page (needs chromium). About two minutes. Look at every picture before it is committed.
 """
 
@@ -147,9 +147,28 @@ def web(folder: Path) -> None:
         service.wait(20)
 
 
+def explained(folder: Path) -> None:
+    """Take pictures of the report and of the Rerun file of the tutorial "why the model is wrong"."""
+    subprocess.run([sys.executable, str(HERE.parents[1] / "examples" / "explain_friction.py")], cwd=folder, check=True)
+    command = "explain slide.toml weak.csv strong.csv medium.csv --holdout kept.csv --rrd slide.rrd"
+    subprocess.run([sys.executable, "-m", "afdsvc", *command.split()], cwd=folder, check=True)
+    explained_pictures(folder)
+
+
+def explained_pictures(folder: Path) -> None:
+    browser = Browser(folder / "browser")
+    try:
+        browser.open((folder / "slide.explained" / "report.html").as_uri(), 800)
+        browser.until("document.readyState === 'complete'")
+        browser.picture(HERE / "explain-report.png")
+    finally:
+        browser.close()
+    shot(folder / "slide.rrd", "explain-rerun.png", (1200, 750))
+
+
 def main() -> None:
     """Make what is asked for, or everything."""
-    asked = set(sys.argv[1:]) or {"review", "compared", "history", "web"}
+    asked = set(sys.argv[1:]) or {"review", "compared", "history", "web", "explain"}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if asked & {"review", "compared"}:
@@ -164,6 +183,8 @@ def main() -> None:
             shot(review_history(months(folder / "months"), folder / "history.rrd"), "review-history.png", (1600, 600))
         if "web" in asked:
             web(folder)
+        if "explain" in asked:
+            explained(folder)
 
 
 if __name__ == "__main__":

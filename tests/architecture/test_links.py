@@ -11,13 +11,36 @@ ROOT = Path(afdsvc.__file__).parent.parent
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
 
+def anchors(page: Path) -> set[str]:
+    """Return what the headings of a page are called in links: as on the site and on forges, lower case, words joined by hyphens."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    heads = re.findall(r"^#+ +(.*?) *$", re.sub(r"\]\([^)]*\)", "", text), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", head).strip().lower().replace(" ", "-") for head in heads} | set(re.findall(r'<a (?:id|name)="([^"]+)"', text))
+
+
 def test_links_lead_somewhere():
+    """To a file that is there and, where they name one, to a heading of it."""
     broken = []
     for page in PAGES:
-        for target in re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8")):
-            if not target.startswith(("http:", "https:", "mailto:")) and not (page.parent / target).exists():
-                broken.append(f"{page.relative_to(ROOT)}: {target}")
+        for target, _, anchor in re.findall(r"\]\(([^)#\s]*)(#?)([^)\s]*)\)", page.read_text(encoding="utf-8")):
+            file = page.parent / target if target else page
+            if target.startswith(("http:", "https:", "mailto:")):
+                continue
+            if not file.exists() or (anchor and file.suffix == ".md" and anchor not in anchors(file)):
+                broken.append(f"{page.relative_to(ROOT)}: {target}#{anchor}")
     assert broken == []
+
+
+def test_links_that_leave_the_documentation_lead_to_files_that_the_site_copies():
+    """See docs/site_hooks.py."""
+    left = [
+        target
+        for page in (ROOT / "docs").rglob("*.md")
+        for target in re.findall(r"\]\((\.\.[^)#\s]*)", page.read_text(encoding="utf-8"))
+        if not (page.parent / target).resolve().is_relative_to(ROOT / "docs")
+    ]
+    assert len(left) > 3
+    assert [t for t in left if not (re.match(r"\.\./\.\./(examples|packaging)/", t) and (ROOT / "docs" / "how-to" / t).is_file())] == []
 
 
 def test_the_menu_of_the_site_names_pages_that_are_there():

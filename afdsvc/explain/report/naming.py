@@ -107,11 +107,12 @@ def _estimate(value: float, c: Coefficient, spread: float, B: Array) -> Estimate
     return Estimate(value * factor, spread * abs(factor) if known else None, c.unit)
 
 
-def rejections(found: Found, claimed: Sequence[str], error: Callable[[Point], float]) -> tuple[Rejected, ...]:
-    """Return the hypotheses that were fitted and not claimed, round by round; ``error`` gives a point's held-out NRMSE."""
+def rejections(found: Found, claimed: Sequence[Hypothesis], error: Callable[[Point], float]) -> tuple[Rejected, ...]:
+    """Return the hypotheses that were fitted and not claimed in any shape, round by round; ``error`` gives a point's held-out NRMSE."""
     listed: dict[tuple[str, str], Rejected] = {}
+    named = {(h.physics, h.site) for h in claimed}
     for step in found.steps:
-        for c in [c for c in step.candidates if c.hypothesis.key not in claimed][:MOST_REJECTED]:
+        for c in [c for c in step.candidates if (c.hypothesis.physics, c.hypothesis.site) not in named][:MOST_REJECTED]:
             h = c.hypothesis
             if (h.physics, h.site) not in listed:
                 listed[h.physics, h.site] = Rejected(h.physics, h.site, error(c.fit.point), _why(c, step))

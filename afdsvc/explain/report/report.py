@@ -35,7 +35,7 @@ def report(found: Found, answer: HeldOutVerdict, roles: Split, findings: Sequenc
     held = courses(play, roles.heldout, "heldout", before, final.point)
     floor = _floor(found, final)
     outputs = [v.name for v in model.outputs]
-    claimed = [c.candidate.hypothesis.key for c in verdict.claims]
+    claimed = [c.candidate.hypothesis for c in verdict.claims]
     unexplained = verdict.verdict == "unexplained"
     return Explanation(
         verdict=verdict.verdict,

@@ -17,6 +17,7 @@ from afdsvc.files.recording.reader import Recording
 from afdsvc.files.tables.alignment import Group, aligned
 from afdsvc.files.tables.foreign_mcap import read_topics
 from afdsvc.files.tables.formats import opened, read_columns
+from afdsvc.files.tables.historian import is_export, read_export
 from afdsvc.files.tables.mapping import OWN_TIMES, DataMapping, Source, Time, converted, product, same_unit
 from afdsvc.files.tables.tables import PREPARED
 from afdsvc.files.tables.time_base import TIME, UNITS, is_stamped, own_time, seconds
@@ -30,7 +31,8 @@ _AUX_UNITS = {"aux_speed": "rad/s", "aux_angle": "rad"}
 
 def read_foreign_columns(path: Path, mapping: DataMapping, model: Model | None = None) -> list[Trace]:
     """Return the mapped columns of a table as traces, see `read_foreign_topics`."""
-    found = (_ulog if path.suffix.lower() == ULOG else _table)(path, _places(mapping), mapping.time)
+    read = _ulog if path.suffix.lower() == ULOG else _export if is_export(path) else _table
+    found = read(path, _places(mapping), mapping.time)
     return _mapped(path, *found, mapping, model)
 
 
@@ -76,12 +78,12 @@ def _model_units(model: Model | None) -> dict[str, str]:
 
 
 def prepared(traces: Sequence[Trace]) -> list[str]:
-    """Return what was done to the data of traces, every sentence once, behind the name of its file."""
-    files: dict[str, str] = {}
+    """Return what was done to the data of traces, every sentence once, behind the names of its files."""
+    files: dict[str, dict[str, None]] = {}
     for trace in traces:
-        if trace.notes.get(PREPARED):
-            files.setdefault(Path(trace.notes.get("path", trace.name)).name, trace.notes[PREPARED])
-    return [f"{name}: {sentence}" for name, text in files.items() for sentence in text.splitlines()]
+        for sentence in trace.notes.get(PREPARED, "").splitlines():
+            files.setdefault(sentence, {})[Path(trace.notes.get("path", trace.name)).name] = None
+    return [f"{', '.join(names)}: {sentence}" for sentence, names in files.items()]
 
 
 def in_model_units(trace: Trace, model: Model) -> Trace:
@@ -143,6 +145,16 @@ def _table(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Grou
     if t is None:
         t = np.asarray((time.step or 0.0) * np.arange(max(lengths)), dtype=np.float64)
     return [Group("the table", t, chosen)], remarks
+
+
+def _export(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group], list[str]]:
+    """Return the mapped tags of a historian's export, a group for each."""
+    tags, remarks = read_export(path)
+    absent = next((place for place in places.values() if place not in tags), None)
+    if absent is not None:
+        raise BadInput(f"{path}: no tag '{absent}' to be mapped; it has {', '.join(tags)}")
+    left = [name for name in tags if name not in places.values()]
+    return [Group(place, tags[place][0], {signal: tags[place][1]}) for signal, place in places.items()], [*remarks, *([f"not mapped and left out: {', '.join(left)}"] if left else [])]
 
 
 def _ulog(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group], list[str]]:

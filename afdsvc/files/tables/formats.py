@@ -23,6 +23,7 @@ from afdsvc.lti.statespace import Array
 
 log = logging.getLogger(__name__)
 Columns = dict[str, Array]
+TAGS, VALUES = ("tag", "tagname", "tag_name", "point", "variable"), ("value", "val")  # columns of a historian's export
 _LFS = b"version https://git-lfs"
 
 
@@ -59,18 +60,31 @@ def opened(path: Path) -> BinaryIO:
     return file
 
 
-def _csv(path: Path) -> Columns:
+def head(path: Path) -> tuple[list[str], str, str]:
+    """Return the cells of the first line of a CSV file, its second line, and what separates cells."""
     with path.open(encoding="utf-8-sig", newline="") as file:
         first, second = file.readline(BOUNDS.line + 1), file.readline(BOUNDS.line + 1)
     refuse_more(path, len(first), BOUNDS.line, "characters in its first line")
     delimiter = next((d for d in ";\t," if d in first), ",")
-    header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
+    return [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])], second, delimiter
+
+
+def holds_tags(header: Iterable[str]) -> bool:
+    """Return whether a table with this header is an export of a historian: one value a row, with its tag."""
+    names = {name.lower() for name in header}
+    return bool(names & set(TAGS)) and bool(names & set(VALUES))
+
+
+def _csv(path: Path) -> Columns:
+    header, second, delimiter = head(path)
+    if holds_tags(header):
+        raise BadInput(f"{path}: holds one value a row, each with its tag; expected a mapping file (--mapping FILE.toml), which 'afdsvc init' writes")
     point = "," if delimiter != "," and "," in second else "."
-    named = not (header and all(_is_stamp(name) or _is_number(name.replace(point, ".")) for name in header))
+    named = not (header and all(is_stamp(name) or _is_number(name.replace(point, ".")) for name in header))
     if not named:  # no header: columns are counted
         header = [str(k) for k in range(1, len(header) + 1)]
     _refuse_names(path, header)
-    stamps = [name for name, cell in zip(header, next(csv.reader([second], delimiter=delimiter), []), strict=False) if _is_stamp(cell)]
+    timed = [name for name, cell in zip(header, next(csv.reader([second], delimiter=delimiter), []), strict=False) if is_stamp(cell)]
     try:
         table = pyarrow.csv.read_csv(
             path,
@@ -78,26 +92,27 @@ def _csv(path: Path) -> Columns:
             read_options=pyarrow.csv.ReadOptions(column_names=header, skip_rows=int(named)),
             parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
             convert_options=pyarrow.csv.ConvertOptions(
-                column_types=dict.fromkeys(header, pa.float64()) | dict.fromkeys(stamps, pa.string()), decimal_point=point
+                column_types=dict.fromkeys(header, pa.float64()) | dict.fromkeys(timed, pa.string()), decimal_point=point
             ),
         )
     except pa.ArrowInvalid:
-        _name_bad_cell(path, header, stamps, delimiter, point, named)
+        _name_bad_cell(path, header, timed, delimiter, point, named)
         raise
-    return {name: _stamps(path, name, table[name]) if name in stamps else _numbers(path, name, table[name].to_numpy()) for name in header}
+    return {name: stamps(path, name, table[name]) if name in timed else _numbers(path, name, table[name].to_numpy()) for name in header}
 
 
 _STAMP = re.compile(r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?\s*(Z|[+-]\d\d:?\d\d)?\s*")
 
 
-def _is_stamp(cell: str) -> bool:
+def is_stamp(cell: str) -> bool:
+    """Return whether a cell holds an ISO 8601 time."""
     return bool(_STAMP.fullmatch(cell))
 
 
-def _stamps(path: Path, name: str, column: Any) -> Any:
+def stamps(path: Path, name: str, column: Any) -> Any:
     """Return a column of ISO 8601 texts as UTC times; raises `BadInput` naming the row of the first that is none."""
     texts = [text.strip().replace(",", ".") for text in column.to_pylist()]
-    bad = next((i for i, text in enumerate(texts) if not _is_stamp(text)), None)
+    bad = next((i for i, text in enumerate(texts) if not is_stamp(text)), None)
     if bad is not None:
         raise BadInput(f"{path}: column '{name}', row {bad + 1} holds '{texts[bad]}'; expected a time such as 2026-11-21T10:00:00.125+01:00")
     zoned = [bool(re.search(r"(Z|[+-]\d\d:?\d\d)$", text[10:])) for text in texts]
@@ -106,7 +121,7 @@ def _stamps(path: Path, name: str, column: Any) -> Any:
     return pa.array(texts).cast(pa.timestamp("ns", "UTC" if all(zoned) else None)).to_numpy(zero_copy_only=False)
 
 
-def _name_bad_cell(path: Path, header: list[str], stamps: list[str], delimiter: str, point: str, named: bool) -> None:
+def _name_bad_cell(path: Path, header: list[str], timed: list[str], delimiter: str, point: str, named: bool) -> None:
     """Raise `BadInput` naming row and column of the first cell that is not a number, or the row of another length."""
     with path.open(encoding="utf-8-sig", newline="") as file:
         for row, cells in enumerate(csv.reader(file, delimiter=delimiter), 0 if named else 1):
@@ -116,7 +131,7 @@ def _name_bad_cell(path: Path, header: list[str], stamps: list[str], delimiter: 
                 wanted = f"expected {len(header)}, as many as the header"
                 raise BadInput(f"{path}: row {row} has {len(cells)} cells; {wanted}")
             for name, cell in zip(header, cells, strict=True):
-                if name not in stamps and not _is_number(cell.replace(point, ".")):
+                if name not in timed and not _is_number(cell.replace(point, ".")):
                     raise BadInput(f"{path}: column '{name}', row {row} holds '{cell}'; expected a number")
 
 

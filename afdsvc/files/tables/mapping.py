@@ -152,6 +152,7 @@ def _unit(text: str, where: str) -> Any:
 INPUTS = ("voltage", "force", "torque", "current", "command", "duty", "pwm", "drive", "valve", "input", "effort")
 OUTPUTS = ("position", "speed", "velocity", "angle", "acceleration", "displacement", "pressure", "level", "rate", "output", "rpm", "deflection")
 TIMES = ("t", "time", "timestamp", "datetime", "date", "zeit", "stamp")
+UNITS = {"u": ("V", "A", "N", "N*m"), "y": ("rpm", "m", "m/s", "m/s^2")}  # what machines are driven by, and how they move
 SPELT = {"Nm": "N*m", "C": "degC", "degs": "deg/s", "rads": "rad/s", "mps": "m/s", "mms": "mm/s"}
 
 
@@ -203,3 +204,13 @@ def _role(label: str) -> str:
         if any(word in known for word in words):
             return role
     return "aux"
+
+
+def role_of_unit(unit: str) -> str:
+    """Return the role a quantity has in most logs, by its unit; "aux" where that says nothing.
+
+    >>> role_of_unit("mV"), role_of_unit("rpm"), role_of_unit("degC")
+    ('u', 'y', 'aux')
+    """
+    what = _unit(unit, "").dimensionality if unit else None
+    return next((role for role, known in UNITS.items() if any(what == _unit(u, "").dimensionality for u in known)), "aux")

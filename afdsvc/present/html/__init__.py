@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+WIDE = 6.0  # inches, from which a figure scrolls on a phone
+
 
 def render(template: str, filters: Mapping[str, Callable[..., str]] | None = None, **values: Any) -> str:
     """Return a page from one of the templates beside this file."""
@@ -35,7 +37,8 @@ def zoomable(figure: Figure) -> str:
         ax.set_gid(f"axes-{number}")
     drawn = svg(figure)  # lays the axes out
     data = json.dumps([_axes_data(ax) for ax in figure.axes], separators=(",", ":")).replace("<", "\\u003c")
-    return f'<figure class="plot">{drawn}<script type="application/json">{data}</script></figure>'
+    wide = " wide" if figure.get_size_inches()[0] > WIDE else ""
+    return f'<figure class="plot{wide}">{drawn}<script type="application/json">{data}</script></figure>'
 
 
 def _axes_data(ax: Axes) -> dict[str, Any]:

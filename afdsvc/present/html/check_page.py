@@ -41,5 +41,5 @@ def figure(result: CheckResult) -> Figure:
         ax.set_xlabel("time [s]", fontsize=8)
         ax.tick_params(labelsize=7)
         ax.grid(alpha=0.25, lw=0.5)
-        ax.legend(fontsize=7, frameon=False, ncols=2, loc="upper right")
+        ax.legend(fontsize=7, frameon=False, ncols=2, loc="upper left")
     return figure

@@ -38,8 +38,8 @@ def course_figure(explanation: Explanation) -> Figure | None:
     for j, name in enumerate(names):
         _compared(axes[2 * j], course, close, j, name)
         _residual(axes[2 * j + 1], course, j, name)
-    axes[0].legend(fontsize=7, frameon=False, ncols=3, loc="upper right")
-    axes[1].legend(fontsize=7, frameon=False, ncols=2, loc="upper right")
+    axes[0].legend(fontsize=7, frameon=False, ncols=3, loc="upper left")
+    axes[1].legend(fontsize=7, frameon=False, ncols=2, loc="upper left")
     axes[-1].set_xlabel(f"time [s], {course.name}", fontsize=8)
     return figure
 
@@ -66,7 +66,7 @@ def _spectra(explanation: Explanation) -> str:
     for ax, s in zip(axes, explanation.spectra, strict=True):
         unit = next((v.unit for v in explanation.nominal.model.outputs if v.name == s.output), "")
         _density(ax, s, f"{s.output} [({unit})²/Hz]" if unit else f"{s.output} [1/Hz]")
-    axes[0].legend(fontsize=7, frameon=False, ncols=4, loc="upper right")
+    axes[0].legend(fontsize=7, frameon=False, ncols=4, loc="upper left")
     axes[-1].set_xlabel("frequency [Hz]", fontsize=8)
     return zoomable(figure)
 

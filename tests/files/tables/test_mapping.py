@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import h5py
 import numpy as np
 import pyarrow as pa
@@ -130,6 +132,8 @@ def test_a_signal_without_a_unit_is_said_to_be_taken_as_it_is(tmp_path):
     (trace,) = read_foreign(tmp_path / "a.csv", mapping, parse_model(MODEL.replace("0.005", "0.001"), "axis.toml"))
     assert "a.csv: u_force is Current, taken to be in N" in prepared([trace])
     assert "a.csv: aux_x is Temp, its unit unknown" in prepared([trace])
+    other = replace(trace, notes={**trace.notes, "path": "b.csv"})
+    assert "a.csv, b.csv: aux_x is Temp, its unit unknown" in prepared([trace, other])  # once, together
 
 
 def test_a_table_without_time_needs_a_step(tmp_path):

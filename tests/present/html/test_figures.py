@@ -14,6 +14,7 @@ from afdsvc.present.html import render, zoomable
 from benchmarks.support.browser import CHROMIUM, Browser
 
 T = np.linspace(0.0, 10.0, 201)
+WIDE = f"<table><tr>{'<th>a long name of a column</th>' * 6}</tr><tr>{'<td>a value of some words</td>' * 6}</tr></table>"
 
 
 def drawn() -> str:
@@ -38,7 +39,7 @@ def test_the_numbers_of_every_curve_are_in_the_page():
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
 def test_figures_zoom_and_are_saved_in_a_browser(tmp_path):
     page = tmp_path / "page.html"
-    page.write_text(render("page.html.j2").replace("<script>", f"<h2>The motor</h2>{drawn()}<script>", 1), encoding="utf-8")
+    page.write_text(render("page.html.j2").replace("<script>", f"<h2>The motor</h2>{drawn()}{WIDE}<script>", 1), encoding="utf-8")
     browser = Browser(tmp_path / "browser")
     try:
         browser.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
@@ -75,6 +76,8 @@ def test_figures_zoom_and_are_saved_in_a_browser(tmp_path):
         browser.open(page.as_uri(), 400)
         browser.until("document.querySelectorAll('.tools button').length === 7")
         assert browser.value("document.documentElement.scrollWidth") <= 400
+        shown = "[...document.querySelectorAll('td')].map((e) => [e.getBoundingClientRect().right, getComputedStyle(e, '::before').content])"
+        assert all(right <= 400 and name == '"a long name of a column"' for right, name in browser.value(shown))  # a wide table is cards on a phone
         assert browser.errors == []
     finally:
         browser.close()
