@@ -38,7 +38,7 @@ class PeriodicDisturbance:
                 yield at_force(axis, oscillation, [velocity(axis)], **self._parts(machine, w, number, force(axis, "amplitude", unit, unit, unit)))
 
     def _parts(self, machine: Machine, w: float, number: int, size: Coefficient) -> dict[str, Any]:
-        width = 4 * math.pi / machine.duration
+        width = 16 * math.pi / machine.duration  # lines are found in single recordings, several times shorter than all together
         return {
             "physics": self.name, "family": "tone", "memory": 2, "unsettled": 2, "lasting": True,
             "parameters": [Coefficient("frequency", "rad/s", w - width, w + width, 0.02 * width), size], "starts": [(w, size.low)],
