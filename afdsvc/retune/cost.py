@@ -153,6 +153,18 @@ class ModelSet:
 
         Costs are those of ``A / largest_pole``: they rise without bound as a pole approaches that modulus, and bound the true ones.
         """
+        A, B, C, D, into, out, Dzu, Dyw = self.closed(Q)
+        A = A / self.largest_pole
+        if max(float(np.abs(np.linalg.eigvals(a)).max()) for a in A) >= 1:
+            return float("inf"), np.zeros((into.shape[2], out.shape[1]))
+        P, X = _lyapunov_pair(A, B @ _t(B), _t(C) @ C)
+        costs = np.trace(C @ P @ _t(C) + D @ _t(D), axis1=1, axis2=2)
+        slopes = _t(into) @ X @ (A @ P @ _t(out) / self.largest_pole + B @ _t(Dyw)) + _t(Dzu) @ (C @ P @ _t(out) + D @ _t(Dyw))
+        return float(self.weights @ costs), 2 * np.tensordot(self.weights, slopes, axes=1)
+
+    def closed(self, Q: StateSpace) -> tuple[Array, ...]:
+        """Return A, B, C, D of the loops with Q, and the factors of their slopes: ``dA = into dTheta out``, ``dB = into dTheta Dyw``,
+        ``dC = Dzu dTheta out``, ``dD = Dzu dTheta Dyw``."""
         theta = np.block([[Q.D, Q.C], [Q.B, Q.A]])
         q, m, p = Q.order, Q.outputs, Q.inputs
 
@@ -166,13 +178,7 @@ class ModelSet:
         Dzu, Dyw = grown(self.Dzu, 0, q), grown(self.Dyw, q, 0)
         A, B = grown(self.A, q, q) + into @ theta @ out, grown(self.Bw, q, 0) + into @ theta @ Dyw
         C, D = grown(self.Cz, 0, q) + Dzu @ theta @ out, self.Dzw + Dzu @ theta @ Dyw
-        A = A / self.largest_pole
-        if max(float(np.abs(np.linalg.eigvals(a)).max()) for a in A) >= 1:
-            return float("inf"), np.zeros_like(theta)
-        P, X = _lyapunov_pair(A, B @ _t(B), _t(C) @ C)
-        costs = np.trace(C @ P @ _t(C) + D @ _t(D), axis1=1, axis2=2)
-        slopes = _t(into) @ X @ (A @ P @ _t(out) / self.largest_pole + B @ _t(Dyw)) + _t(Dzu) @ (C @ P @ _t(out) + D @ _t(Dyw))
-        return float(self.weights @ costs), 2 * np.tensordot(self.weights, slopes, axes=1)
+        return A, B, C, D, into, out, Dzu, Dyw
 
 
 def model_set(models: Sequence[StateSpace], weights: Array, inputs: int, outputs: int, largest_pole: float) -> ModelSet:

@@ -10,7 +10,7 @@ H. Niemann and J. Stoustrup, "Reliable control using the primary and dual Youla 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,13 +20,12 @@ from afdsvc.api.detection import DetectionProblem
 from afdsvc.api.retuning import Diagnosed, LoopCost
 from afdsvc.errors import AfdsvcError, BadInput, Refused
 from afdsvc.lti.lft import star
-from afdsvc.lti.norms import largest_gain, output_covariance
+from afdsvc.lti.norms import output_covariance
 from afdsvc.lti.reduce import balanced_truncation, weighted_truncation
 from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.yjbk import retuned_interconnection, youla_parameter
 from afdsvc.retune.cost import (
-    ModelSet,
     best_controller,
     controlled_cost,
     damaged_model,
@@ -35,9 +34,11 @@ from afdsvc.retune.cost import (
     signal_model,
     with_q,
 )
+from afdsvc.retune.sensitivity import Priced, sensitivities
 from afdsvc.retune.settings import RETUNE, RetuneSettings
 
-TIGHTER = 2.0  # factor on the price of a signal beyond its limit, and on input weight and noise while the loop is too sensitive
+TIGHTER = 2.0  # factor on the price of a signal beyond its limit
+INSIDE = 0.98  # of the accepted sensitivity: where its price begins
 ATTEMPTS = 8  # of making it fit
 CAUTION = (1.0, 10.0, 100.0, 1000.0)  # factors on input weight and sensor noise: start from controllers of lower gain, which more machines bear
 
@@ -71,19 +72,20 @@ def design_q(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, settin
     """
     require_alpha(problem)
     grid = severity_grid(problem, found, settings.models)
-    weighted, price = cost, h2_cost(with_q(damaged_model(problem, cost, {}), _zero(problem)))
+    weighted, price, peak_price = cost, h2_cost(with_q(damaged_model(problem, cost, {}), _zero(problem))), 0.0
     for _ in range(ATTEMPTS):
-        Q = _designed(problem, found.fault, grid, weighted, settings)
-        over, sensitive = _over_limit(problem, found.fault, grid, cost, Q, settings), _too_sensitive(problem, found, Q, settings)
+        Q = _designed(problem, found, grid, weighted, peak_price, settings)
+        over, (before, after) = _over_limit(problem, found.fault, grid, cost, Q, settings), sensitivities(problem, found, Q)
+        sensitive = after > max(settings.sensitivity, before)
         if not (over or sensitive):
             break
         if over:
             weighted = _tighter(problem, weighted, over, price, settings)
             price *= TIGHTER
         if sensitive:
-            weighted = replace(weighted, input=TIGHTER * weighted.input, noise=TIGHTER * weighted.noise)
-    before, after = (np.array([h2_cost(with_q(damaged_model(problem, cost, {found.fault: s}), q)) for s in grid]) for q in (_zero(problem), Q))
-    gained = 1 - float(np.max(after / before))
+            peak_price = max(10 * peak_price, 1.0)
+    costs = [[h2_cost(with_q(damaged_model(problem, cost, {found.fault: s}), q)) for s in grid] for q in (_zero(problem), Q)]
+    gained = 1 - float(np.max(np.divide(costs[1], costs[0])))
     if gained < settings.worthwhile:
         raise Refused(
             f"'{found.fault}': nothing to gain; within limits, sensitivity and stability of the healthy machine Q changes the cost by {-100 * gained:.2g} %"
@@ -115,7 +117,10 @@ def _costs(problem: DetectionProblem, fault: str, severity: float, cost: LoopCos
     return h2_cost(with_q(model, _zero(problem))), h2_cost(with_q(model, Q)), controlled_cost(problem, cost, {fault: severity}, K)
 
 
-def _designed(problem: DetectionProblem, fault: str, grid: Array, cost: LoopCost, settings: RetuneSettings) -> StateSpace:
+def _designed(
+    problem: DetectionProblem, found: Diagnosed, grid: Array, cost: LoopCost, peak_price: float, settings: RetuneSettings
+) -> StateSpace:
+    fault = found.fault
     models = [damaged_model(problem, cost, {fault: s}) for s in grid.tolist()]
     none = _zero(problem)
     before = np.array([h2_cost(with_q(model, none)) for model in models])
@@ -134,14 +139,16 @@ def _designed(problem: DetectionProblem, fault: str, grid: Array, cost: LoopCost
     weights = np.concatenate([1 / (before - best) / len(grid), [doubted]])
     every = [*models, healthy]
     margin = min(with_q(model, none).stability_margin() for model in every)
-    fit = model_set(every, weights, problem.plant.inputs, problem.plant.outputs, 1 - settings.margin_kept * margin)
+    costs = model_set(every, weights, problem.plant.inputs, problem.plant.outputs, 1 - settings.margin_kept * margin)
+    bound = INSIDE * max(settings.sensitivity, sensitivities(problem, found, none)[0])
+    fit = Priced.of(costs, problem, found, bound, peak_price)
     start = _start(problem, fault, grid, controllers, cost, fit)
     full = _descended(fit, start, settings.iterations)
     return _of_lowest_order(fit, full, models, none, settings)
 
 
 def _start(
-    problem: DetectionProblem, fault: str, grid: Array, controllers: Sequence[StateSpace], cost: LoopCost, fit: ModelSet
+    problem: DetectionProblem, fault: str, grid: Array, controllers: Sequence[StateSpace], cost: LoopCost, fit: Priced
 ) -> StateSpace:
     """Return the cheapest Q, over all models, among those that realise LQG controllers; zero always survives."""
     cautious = [replace(cost, input=c * cost.input, noise=c * cost.noise) for c in CAUTION]
@@ -164,7 +171,7 @@ def _minimal(Q: StateSpace) -> StateSpace:
     return balanced_truncation(Q, tolerance=1e-9).system
 
 
-def _descended(fit: ModelSet, Q: StateSpace, iterations: int) -> StateSpace:
+def _descended(fit: Priced, Q: StateSpace, iterations: int) -> StateSpace:
     """Return Q after a descent (BFGS) on the cost over all models; a step to an unstable loop is never taken."""
     shape, m, p = (Q.outputs + Q.order, Q.inputs + Q.order), Q.outputs, Q.inputs
 
@@ -183,7 +190,7 @@ def _descended(fit: ModelSet, Q: StateSpace, iterations: int) -> StateSpace:
     return unpacked(done.x) if done.fun < 1 else Q
 
 
-def _of_lowest_order(fit: ModelSet, full: StateSpace, models: Sequence[StateSpace], none: StateSpace, settings: RetuneSettings) -> StateSpace:
+def _of_lowest_order(fit: Priced, full: StateSpace, models: Sequence[StateSpace], none: StateSpace, settings: RetuneSettings) -> StateSpace:
     """Return the Q of lowest order whose weighted cost is within ``order_loss`` of the reduction that ``full`` brings."""
     without, reached = fit.cost_and_slope(none)[0], fit.cost_and_slope(full)[0]
     allowed = reached + settings.order_loss * (without - reached)
@@ -236,34 +243,6 @@ def require_alpha(problem: DetectionProblem) -> None:
     """Raise `Refused` where bursts enter through references: Q acts where alpha does."""
     if problem.through != "alpha":
         raise Refused(f"machine '{problem.machine}' is excited through its references (bursts.through = '{problem.through}'); Q needs 'alpha'")
-
-
-def _too_sensitive(problem: DetectionProblem, found: Diagnosed, Q: StateSpace, settings: RetuneSettings) -> bool:
-    before, after = sensitivities(problem, found, Q)
-    return after > max(settings.sensitivity, before)
-
-
-def sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace) -> tuple[float, float]:
-    """Return the largest sensitivity at the ends and the middle of the interval, without and with Q."""
-    ends = sorted({found.low, found.middle, found.high})
-    before, after = (max(sensitivity(p, {found.fault: s}) for s in ends) for p in (problem, retuned_problem(problem, Q)))
-    return before, after
-
-
-def sensitivity(problem: DetectionProblem, severities: Mapping[str, float]) -> float:
-    """Return ``max |(I - G K)^-1|`` over all frequencies, outputs in units of their noise: its inverse is the distance to instability.
-
-    >>> from afdsvc.testing.machines import bearing_problem
-    >>> sensitivity(bearing_problem("proportional"), {}) > 1
-    True
-    """
-    g, noise = problem.augmented.close(severities), problem.covariance if problem.output_cov is None else problem.output_cov
-    p, m = g.outputs, g.inputs
-    unit = np.diag(np.sqrt(np.diag(noise)))
-    B = np.hstack([np.zeros((g.order, p)), g.B])
-    C, D = np.vstack([np.linalg.solve(unit, g.C), g.C]), np.block([[np.eye(p), np.linalg.solve(unit, g.D)], [unit, g.D]])
-    loop = star(StateSpace(g.A, B, C, D, g.dt), problem.interconnection, p, m)
-    return largest_gain(loop.select(slice(p), slice(p)))
 
 
 def deviations(signals: StateSpace, m: int, p: int) -> Array:

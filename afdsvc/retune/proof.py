@@ -27,7 +27,8 @@ from afdsvc.lti.norms import largest_gain, output_covariance
 from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace, solve_loop
 from afdsvc.retune.cost import signal_model, with_q
-from afdsvc.retune.design import deviations, expected, retuned_problem, sensitivities, sensitivity, severity_grid
+from afdsvc.retune.design import deviations, expected, severity_grid
+from afdsvc.retune.sensitivity import sensitivities, sensitivity
 from afdsvc.retune.settings import RETUNE, RetuneSettings
 
 ANGLES = 128  # frequencies that choose the scaling and say early that a rectangle is too large
@@ -191,7 +192,7 @@ def _sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace, s
     before, after = sensitivities(problem, found, Q)
     if after > max(settings.sensitivity, before):
         raise Refused(f"the sensitivity of the damaged loop would be {after:.3g}; at most {max(settings.sensitivity, before):.3g} is accepted")
-    return before, after, sensitivity(retuned_problem(problem, Q), {})
+    return before, after, sensitivity(problem, {}, Q)
 
 
 def _switch(
