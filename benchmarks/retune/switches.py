@@ -91,7 +91,7 @@ def run(case: Case, rng: np.random.Generator) -> str:
     for stage in range(3):
         span = slice(stage * STAGE, (stage + 1) * STAGE)
         if stage == 1:
-            q.begin(case.tuning, lambda: "")
+            q.begin(case.tuning, lambda: "", "q")
         elif stage == 2:
             q.end("asked")
         u, y, beta = np.empty((STAGE, m)), np.empty((STAGE, p)), np.empty((STAGE, p))
