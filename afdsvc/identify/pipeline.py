@@ -65,7 +65,7 @@ def identify(
     check, warning = _cross_check(problem, replace(outcome, fit=fit), options)
     preview = _preview(problem, parts, fit)
     if outcome.refit is not None and not holdout:
-        note = "validated on the samples kept away, then fitted once more to all of them: method and order as chosen, the fit on data not used as stated"
+        note = f"the fit on samples kept away is that of order {fit.order} by {fit.notes[0]}; method, order and model were then chosen once more from all samples"
         again = outcome.refit(whole)
         fit = replace(again, heldout=fit.heldout, tests=fit.tests, notes=(*again.notes, note))
     return IdentifyResult(

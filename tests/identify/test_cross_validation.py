@@ -46,6 +46,14 @@ def test_the_order_is_not_bounded_by_a_nominal_model(oscillators):
     assert found.order == 6
 
 
+def test_the_last_choice_rests_on_all_samples():
+    (r,) = (recording.centred() for recording in _recorded(_resonator(), 1200))
+    choice = choose_candidate([r], 6, order=2)
+    found = afdsvc.identify(r.u, r.y, dt=1.0, groups=0, order=2).result.fit
+    assert found.order_reason == choice.sentence
+    assert np.allclose(found.system.poles(), fitted_candidate(choice.candidate, [r]).system.poles())
+
+
 def test_feedback_is_seen_and_an_open_loop_is_not_taken_for_one():
     rng = np.random.default_rng(3)
     open_loop = [feedback_of(_recorded(_resonator(2.0), 2000, seed)).p for seed in range(40)]
