@@ -39,13 +39,14 @@ def identified(path: Path, method: str, names: list[str]) -> None:
 
 
 def page(paths: list[Path]) -> None:
-    """Print the table of all tools, and how often the first file's is best, within one point, and farther than five behind."""
+    """Print the table of all tools on the sets of the first file, and how often its tool is best, within one point, and farther than five behind."""
     fits: dict[str, dict[str, float]] = defaultdict(dict)
     for path in paths:
         for row in csv.DictReader(path.open()):
-            fits[row["set"]][row["tool"]] = float(row["fit"])
+            if path == paths[0] or row["set"] in fits:
+                fits[row["set"]][row["tool"]] = float(row["fit"])
     tools = list(dict.fromkeys(tool for found in fits.values() for tool in found))
-    print("| set |", " | ".join(tools), "|\n|---|", "---:|" * len(tools), sep="")
+    print("| set | ", " | ".join(tools), " |\n|---|", "---:|" * len(tools), sep="")
     for name, found in fits.items():
         best = max(found.values())
         cells = ("failed" if (v := found.get(t, -np.inf)) < -1e6 else f"**{v:.1f}**" if v == best else f"{v:.1f}" for t in tools)
