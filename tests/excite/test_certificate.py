@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import FalseAlarms
@@ -11,7 +12,9 @@ from afdsvc.detect.uncertain_parameters import uncertain_entries
 from afdsvc.errors import Refused
 from afdsvc.excite.certificate import certificate
 from afdsvc.excite.diagnosis_burst import Aim, default_burst
+from afdsvc.excite.settings import BURST
 from afdsvc.plugins.manager import load
+from benchmarks.detection.certificates import given_up
 from benchmarks.detection.judged import judged
 from benchmarks.detection.truth import TrueMachine, machines
 from benchmarks.detection.truth_problem import alpha_of, loss_of, problem_of
@@ -104,3 +107,19 @@ def controlled(true: TrueMachine, nominal: TrueMachine, alpha: np.ndarray, seed:
         beta = y[k] - nominal.C @ h - nominal.D @ u
         x, h = true.A @ x + true.B @ u + Q @ rng.normal(size=len(Q)), nominal.A @ h + nominal.B @ u - nominal.L @ beta
     return y
+
+
+def test_noise_on_the_largest_burst_passes_a_limit_as_often_as_is_allowed(monkeypatch):
+    machine, allowed = MACHINES["unstable"], 2 * norm.sf(2.5)
+    monkeypatch.setattr("afdsvc.excite.certificate.BURST", replace(BURST, noise_peak=2.5))  # a rate that can be counted
+    problem = problem_of(machine, room=6.0)
+    burst = Burst("b", 1, 1500, 75, (Line(0, 300.0, 1.0), Line(0, 470.0, 1.0, 1.0)))
+    factor, rng = certificate(problem, problem.limits, burst, -1e-6).factor, np.random.default_rng(0)
+    alpha = factor * alpha_of(burst, machine.dt, 300)
+    passed = [(np.abs(machine.run(rng, alpha)["y"][300:]) > problem.limits.output).mean() for _ in range(200)]
+    assert 0.9 * allowed < np.mean(passed) < 1.1 * allowed
+
+
+@pytest.mark.parametrize("seconds", [2.0, 6.0])
+def test_near_the_loss_of_the_loop_a_designed_burst_gives_up_at_most_a_fifth_of_its_power(seconds):
+    assert given_up(MACHINES["unstable"], seconds) < 0.2
