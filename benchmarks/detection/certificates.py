@@ -63,7 +63,7 @@ def given_up(machine: TrueMachine, seconds: float) -> float:
     made = diagnosis_burst.default_burst(problem, problem.limits, seconds, largest, aim)
     frame = diagnosis_burst._frame(problem, seconds, "b")  # noqa: SLF001
     plan = diagnosis_burst._best_plan(problem, frame, room(problem, problem.limits), aim)  # noqa: SLF001
-    return float(1 - (float(made.notes["output_amplitude"]) / plan.largest) ** 2)
+    return max(0.0, 1 - (float(made.notes["output_amplitude"]) / plan.largest) ** 2)
 
 
 def main() -> None:
