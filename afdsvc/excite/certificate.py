@@ -138,7 +138,7 @@ def _factor(bound: float, sd: float, wave: Array, low: float, high: float) -> fl
 
     if not BURST.noise_peak * sd > 1e-9 * bound or excess(0.0) >= 0:
         return low
-    return high if excess(1.0) <= 0 else low + (high - low) * brentq(excess, 0.0, 1.0, xtol=1e-6)
+    return high if excess(1.0) <= 0 else low + (high - low) * brentq(excess, 0.0, 1.0, xtol=1e-12)
 
 
 def _names(names: tuple[str, ...], count: int) -> list[str]:
