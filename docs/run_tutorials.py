@@ -97,12 +97,13 @@ class Follower:
     def _beside(self, command: str) -> None:
         """Start what keeps running; a service is waited for until it serves."""
         self.live = True
-        log = (self.here / f"terminal{len(self.running)}.txt").open("w+")
-        process = subprocess.Popen(["bash", "-c", f"exec {command}"], cwd=self.here, env=self.environment, stdout=log, stderr=subprocess.STDOUT, text=True)
+        said = self.here / f"terminal{len(self.running)}.txt"
+        with said.open("w") as log:
+            process = subprocess.Popen(["bash", "-c", f"exec {command}"], cwd=self.here, env=self.environment, stdout=log, stderr=subprocess.STDOUT)
         self.running.append(process)
-        while "serve " in command and "serving" not in Path(log.name).read_text():
+        while "serve " in command and "serving" not in said.read_text():
             if process.poll() is not None:
-                raise RuntimeError(f"{command}: {Path(log.name).read_text()}")
+                raise RuntimeError(f"{command}: {said.read_text()}")
             time.sleep(0.1)
 
     def _run(self, command: str, shown: str) -> None:
