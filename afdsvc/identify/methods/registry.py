@@ -15,7 +15,7 @@ from afdsvc.identify.excitation import Excitation, require_excitation, supported
 from afdsvc.identify.fit import Fit, jackknife_band
 from afdsvc.identify.methods.black_box_pem import black_box_band, black_box_pem
 from afdsvc.identify.methods.greybox import GreyboxOptions, fit_greybox, greybox_band
-from afdsvc.identify.methods.hansen import loop_is_stable, rebuilt_plant, youla_signals
+from afdsvc.identify.methods.hansen import rebuilt_plant, youla_signals
 from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
 from afdsvc.identify.methods.repeated_indirect import NoiseCovariances, fit_recentred
 from afdsvc.identify.methods.subspace import Subspace, Weighting, decompose, realise
@@ -24,7 +24,7 @@ from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.order import answer_p, choose_horizon, choose_order, memory, simulated_order
 from afdsvc.identify.parameters.structure import Structure, model_structure
 from afdsvc.identify.preparation import Prepared
-from afdsvc.identify.reduction import ReducedPlant, compare_reductions, reduction_cost, refine_from
+from afdsvc.identify.reduction import ReducedPlant, compare_reductions, reduction_cost, refine
 from afdsvc.identify.settings import SETTINGS
 from afdsvc.identify.validation import can_be_simulated
 from afdsvc.lti.coprime import Factorisation
@@ -102,30 +102,18 @@ def _refined(
     reductions: list[ReducedPlant],
     options: IdentifyOptions,
 ) -> MethodResult:
-    """Fit the reduced plant to the recordings, from the truncation that disturbs the loop least, from the nominal plant and from PBSIDopt."""
+    """Fit the reduced plant to the recordings, from the truncation that disturbs the loop least."""
     fact = _known_controller(problem, "hansen")
-    truncated, wanted = [r.system for r in reductions[:1] if r.loop_stable and r.system is not None], reductions[0].system
-    order = problem.nominal.order if wanted is None else wanted.order
-    starts = [*truncated, *(g for g in (problem.nominal, *_by_predictor(problem, order)) if g.order == order and loop_is_stable(g, fact.controller))]
-    refinement = refine_from(fact, signals, starts or [_chosen(reductions)], _whitener(problem, fact))
+    refinement = refine(fact, signals, _chosen(reductions), _whitener(problem, fact))
     found = reduction_cost("refined", refinement.system, full, fact, problem.training)
     band = refinement.band(omega_grid(full.dt), options.groups) if options.groups else None
     note = (
         f"{fit.notes[0]}, reduced to {found.system.order if found.system else 0} by {reductions[0].method} "
-        f"truncation and refined on the recordings from {len(starts)} starts"
+        "truncation and refined on the recordings"
     )
     return MethodResult(
         replace(fit, model=_output_error(refinement.system), band=band, notes=(note,)), full, (found, *reductions)
     )
-
-
-def _by_predictor(problem: Prepared, order: int) -> list[StateSpace]:
-    """Return the plant of PBSIDopt, none where it fails."""
-    past = max(40, choose_horizon(problem.training, 2 * problem.slowest, windows=1))
-    try:
-        return [realise_predictor(decompose_predictor(problem.training, past), order).system]
-    except (AfdsvcError, np.linalg.LinAlgError):
-        return []
 
 
 def _whitener(problem: Prepared, fact: Factorisation) -> StateSpace | None:
