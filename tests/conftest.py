@@ -19,11 +19,6 @@ from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.clock import FastClock
 
 
-def pytest_xdist_auto_num_workers() -> int:
-    """One worker more than cores: a fifth of the time tests wait for clocks."""
-    return (os.cpu_count() or 1) + 1
-
-
 @pytest.fixture(scope="session")
 def plugins() -> Plugins:
     """Everything installed."""
