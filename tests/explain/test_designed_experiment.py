@@ -46,7 +46,7 @@ def names(**hidden):
     return explain(MODEL, runs[:2], runs[2:], LIBRARY, experiment=False).named
 
 
-def hum(y: np.ndarray, t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def outside_tone(y: np.ndarray, t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return y + 0.03 * np.cos(71.3 * t + rng.uniform(0, 2 * np.pi))
 
 
@@ -55,7 +55,7 @@ def steps(y: np.ndarray, t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def test_a_tone_has_its_own_phase_in_every_recording():
-    first = names(reading=hum)[0]
+    first = names(reading=outside_tone)[0]
     assert (first.physics, first.weight > 0.3) == ("periodic_disturbance", True)
     assert first.parameters["frequency"].value == pytest.approx(71.3, abs=0.02)
     assert first.parameters["amplitude"].value == pytest.approx(0.03, rel=0.1) or first.site != "output:temperature"

@@ -51,7 +51,7 @@ TOLD = [
     "log.csv: u_force is Current [mA], times 2.5 N/A, converted to N",
     "log.csv: y_position is Pos [um], converted to mm",
 ]
-TOLD_ONCE = [said.replace("log.csv:", "log.csv, kept.csv:") for said in TOLD]
+SENTENCES_ONCE = [said.replace("log.csv:", "log.csv, kept.csv:") for said in TOLD]
 
 
 @pytest.fixture
@@ -123,7 +123,7 @@ def test_identify_tells_it_in_document_and_page(folder):
     held = write(folder / "kept.csv", 1)
     naming = Naming.of(folder / "mapping.toml")
     found = identify_files(folder / "lag.toml", [folder / "log.csv"], [held], None, {"method": "subspace", "order": 1}, 0, naming=naming)
-    assert set(TOLD_ONCE) <= set(found["notes"])
+    assert set(SENTENCES_ONCE) <= set(found["notes"])
     page = Path(found["report"]).read_text()
     assert "What was done to the data" in page
     assert "converted to mm" in page
@@ -134,7 +134,7 @@ def test_explain_tells_it_in_document_and_page(folder):
     held = write(folder / "kept.csv", 1)
     options = ExplainOptions(folder / "out", jobs=1, mapping_file=folder / "mapping.toml")
     found = explain_files(folder / "lag.toml", [folder / "log.csv"], [held], options)
-    assert set(TOLD_ONCE) <= set(found["notes"]["data"])
+    assert set(SENTENCES_ONCE) <= set(found["notes"]["data"])
     assert found["verdict"] == "consistent"
     assert "What was done to the data" in Path(found["report"]).read_text()
 
