@@ -29,6 +29,7 @@ def offered(machine: Machine) -> dict:
     (MOTOR, "flexible_mode@state:w#attached mass flexible_mode@state:w#divided in 2 flexible_mode@state:w#divided in 3"),
     (MOTOR, "saturation@state:w saturation@input:voltage#asymmetric dead_zone@input:voltage#asymmetric supply_droop@input:voltage"),
     (MOTOR, "quantisation@input:voltage parameter_change@state:w#mass parameter_change@state:w#damping sensor_drift@output:w"),
+    (MOTOR, "sensor_saturation@output:w sensor_saturation@output:w#above sensor_saturation@output:w#asymmetric"),
     (ARM, "gravity@state:w gravity@state:w#sine for a line cogging@state:w gain_follows_position@input:torque#w"),
     (ARM, "coulomb_friction@state:w#along the way coulomb_friction@state:w#grows with the transmitted force"),
     (MAGNET, "magnetic_force@state:v magnetic_force@state:v#pair"),
@@ -161,3 +162,13 @@ def test_a_delay_may_be_as_long_as_a_twentieth_of_the_recordings():
     delay = offered(machine)["transport_delay@input:pump"]
     assert delay.parameters[0].high == pytest.approx(30.0)
     assert max(delay.starts)[0] >= 12.0
+
+
+def test_starts_are_dense_where_a_fit_has_many_minima():
+    """A step off by an eighth is another staircase three steps up; with play a deflection is up to three times the model's."""
+    steps = np.array(offered(machines()[MOTOR])["quantisation@input:voltage"].starts)[:, 0]
+    assert (steps[1:] / steps[:-1]).max() < 1.15
+    play = offered(machines()[ARM])["clearance@state:w#play in the spring"]
+    gaps = np.array(play.starts)[:, 1]
+    assert gaps.max() > 0.9 * play.parameters[1].high
+    assert (gaps[1:] / gaps[:-1]).max() < 4
