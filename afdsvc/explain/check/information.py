@@ -73,8 +73,9 @@ def posterior_sd(problem: Problem, sd: Array) -> Array:
     point, horizon, k = problem.start(), weakest_horizon(problem), len(problem.nominal.entries)
     c = Coordinates(problem, point)
     residuals = problem.residuals(point, horizon)
-    J = jacobian(problem, c, c.pack(point), horizon, residuals)[:, :k].reshape(-1, len(sd), k)
-    rows = ((J - J.mean(0)) * (problem.scale / sd)[:, None]).reshape(-1, k)
+    J = jacobian(problem, c, c.pack(point), horizon, residuals)[:, :k]
+    slopes = J.reshape(len(J) // len(sd), len(sd), k)
+    rows = ((slopes - slopes.mean(0)) * (problem.scale / sd)[:, None]).reshape(len(J), k)
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(rows.T @ rows + np.eye(k)))))
 
 

@@ -58,9 +58,14 @@ def _by_gain(problem: Problem, i: int, base: list[Array]) -> list[Array]:
 
 
 def _outputs(problem: Problem, gain: Array) -> list[Array]:
-    """Return the outputs of every run with inputs multiplied by ``gain (m,)``; 0 where the simulation left."""
-    louder = replace(problem, runs=tuple(replace(r, U=gain * r.U, W=None if r.W is None else gain * r.W) for r in problem.runs))
+    """Return the outputs of every run with inputs, in a loop their external parts, times ``gain (m,)``; 0 where the simulation left."""
+    louder = replace(problem, runs=tuple(_louder(r, gain) for r in problem.runs))
     return [np.nan_to_num(s.y) for s in louder.simulated(problem.start(), weakest_horizon(problem))]
+
+
+def _louder(run: Run, gain: Array) -> Run:
+    external = run.external()
+    return replace(run, U=gain * run.U, W=None if run.W is None or external is None else run.W + (gain - 1) * external)
 
 
 def weakest_horizon(problem: Problem) -> float:

@@ -7,11 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from afdsvc.api.model import Model, Variable
+from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.check.check import check, objection
 from afdsvc.explain.check.response import responding
 from afdsvc.explain.check.result import check_all
 from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.lti.statespace import StateSpace
 
 
 def noise(trace, seed: int, output: bool = False):
@@ -48,3 +51,19 @@ def test_a_machine_without_inputs_is_not_asked(spring, recorded):
     runs = prepare(free, [trace])
     assert list(responding(nominal(free, runs[0].dt), runs)) == []
     assert "has no inputs" in check_all(free, [trace], []).plan.sentence
+
+
+def test_a_reference_excites_a_loop_whose_controller_is_known():
+    """The controller makes all of the input from the reference: nothing is added to its output."""
+    one = np.eye(1)
+    controller = StateSpace(one, -0.02 * one, one, -2 * one, dt=0.01)
+    axis = Model("axis", (Variable("u", "V"),), (Variable("y", "m"),), (Variable("x", "m"),), StateSpace(0 * one, one, one, 0 * one), controller=controller)
+    rng, x, w, rows = np.random.default_rng(1), 0.0, 0.0, []
+    for reference in np.repeat(rng.normal(size=20), 100):
+        error = x + 1e-3 * rng.normal() - reference
+        u = w - 2 * error
+        rows.append((u, error + reference, reference))
+        w, x = w - 0.02 * error, x + 0.01 * u
+    loop = Trace("loop", 0.01, (Channel("u_u"), Channel("y_y"), Channel("ref_y")), np.array(rows))
+    findings = check(axis, [loop])
+    assert [f for f in findings if f.kind == "stop"] == []
