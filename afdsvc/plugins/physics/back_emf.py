@@ -6,23 +6,23 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal
-from afdsvc.plugins.physics.attach import at_force, constant, velocity
+from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine
+from afdsvc.plugins.physics.attach import at_input, constant, velocity
 
 
 def _coil(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``tau w' + w = u - e v``; w replaces ``u``, or ``u - h v`` where the model has a damping ``b h`` by induction. ``p = (tau, e, b, h)``.
+    """``tau w' + w = u - e v``; w replaces ``u``, or ``u - h v`` where the model has a damping ``b h`` by induction. ``p = (tau, e, h)``.
 
     Exact for input and velocity held over the step; the mean of w is what acts.
     """
     goal = z[0] - p[1] * z[1]
     decay, rest = math.exp(-dt / p[0]), m[0] - goal
-    out[0] += p[2] * (goal + rest * (1 - decay) * p[0] / dt - z[0] + p[3] * z[1])
+    out[0] += goal + rest * (1 - decay) * p[0] / dt - z[0] + p[2] * z[1]
     m[0] = goal + rest * decay
 
 
 class BackEmf:
-    """A coil between the input and the force on every axis that an input drives at once."""
+    """A coil between every input and the axis it drives at once."""
 
     name = "back_emf"
     summary = "an electrical lag of the force, with a voltage induced by the motion"
@@ -33,9 +33,12 @@ class BackEmf:
             if axis.input is None or not axis.gain:
                 continue
             damping = 0.0 if machine.plant is None else max(-float(machine.plant.A[axis.rate.index, axis.rate.index]), 0.0)
-            yield self._on(axis, machine, 0.0, {})
+            several = sum(a.input == axis.input for a in machine.axes) > 1
+            one = {"variant": axis.rate.name} if several else {}
+            yield self._on(axis, machine, 0.0, one)
             if damping:
-                yield self._on(axis, machine, damping / axis.gain, {"variant": "the model's damping", "of": ""})
+                variant = "the model's damping" + (f" of {axis.rate.name}" if several else "")
+                yield self._on(axis, machine, damping / axis.gain, {"variant": variant, "of": one.get("variant", "")})
 
     def _on(self, axis: Axis, machine: Machine, induced: float, notes: dict[str, str]) -> Hypothesis:
         port, span = machine.inputs[axis.input or 0], 1 / machine.bandwidth
@@ -44,12 +47,9 @@ class BackEmf:
         low, high = sorted((0.0, 100 * scale))
         voltage = constant("induced per speed", unit, induced) if induced else Coefficient("induced per speed", unit, low, high, abs(scale))
         first = (induced,) if induced else (scale, 10 * scale)
-        return at_force(
-            axis, _coil, [Signal("u", port.index), velocity(axis)], physics=self.name, family="timing", memory=1, unsettled=1, substeps=4, notes=notes,
-            parameters=[
-                Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span), voltage, constant("gain", "", axis.gain),
-                constant("in the model", unit, induced),
-            ],
-            starts=[(s * span, e, axis.gain, induced) for s in (0.1, 1.0, 10.0) for e in first],
+        return at_input(
+            port, _coil, [velocity(axis)], physics=self.name, family="timing", memory=1, unsettled=1, substeps=4, notes=notes,
+            parameters=[Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span), voltage, constant("in the model", unit, induced)],
+            starts=[(s * span, e, induced) for s in (0.1, 1.0, 10.0) for e in first],
             predicts="a lag of the force whose size depends on whether the axis may move", refuted_by="the same lag with the axis held and free",
         )

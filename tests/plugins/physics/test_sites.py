@@ -22,7 +22,7 @@ def offered(machine: Machine) -> dict:
 
 
 @pytest.mark.parametrize(("machine", "keys"), [
-    (MOTOR, "actuator_lag@input:voltage asymmetric_damping@state:w back_emf@state:w back_emf@state:w#the model's damping"),
+    (MOTOR, "actuator_lag@input:voltage asymmetric_damping@state:w back_emf@input:voltage back_emf@input:voltage#the model's damping"),
     (MOTOR, "coulomb_friction@state:w coulomb_friction@state:w#asymmetric coulomb_friction@state:w#presliding"),
     (MOTOR, "coulomb_friction@state:w#grows with the input stribeck_friction@state:w stribeck_friction@state:w#presliding"),
     (MOTOR, "quadratic_damping@state:w cubic_damping@state:w constant_load@state:w constant_load@state:w#drifting"),
