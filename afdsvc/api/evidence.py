@@ -5,6 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+SMALLEST_P = 1e-9  # below, the distributions of the tests, exact only for many samples, say no more than this
+
+
+def p_value_text(p: float) -> str:
+    """Return a p-value in words: ``p = 0.03``, or a bound (``p < 1e-09``) where it is too small to be a number."""
+    return f"p < {SMALLEST_P:.0e}" if p < SMALLEST_P else f"p = {p:.2g}"
+
 
 @dataclass(frozen=True, slots=True)
 class Severity:

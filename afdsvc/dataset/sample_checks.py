@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
+from afdsvc.api.evidence import p_value_text
 from afdsvc.api.model import Model
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.glitches import Glitch, grid
@@ -148,4 +149,4 @@ def _drift(run: Run, name: str, unit: str, j: int) -> Iterator[Finding]:
     slope, _, _, p, _ = stats.linregress(t, means)
     change = float(slope * len(means))
     if p < DRIFT_P and abs(change) > 0.1 * float(rest.std()):
-        yield Finding("warning", "drift", f"{run.name}: {name} drifts by {change:.3g} {unit} from start to end (p = {p:.1g})")
+        yield Finding("warning", "drift", f"{run.name}: {name} drifts by {change:.3g} {unit} from start to end ({p_value_text(p)})")

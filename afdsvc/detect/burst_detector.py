@@ -14,7 +14,7 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, ResidualBlock
-from afdsvc.api.evidence import Evidence
+from afdsvc.api.evidence import Evidence, p_value_text
 from afdsvc.detect.features.front_end import FrontEnd, Played, Seen, Stage, front_end
 from afdsvc.detect.features.nuisances import NONE as NO_NUISANCES
 from afdsvc.detect.features.nuisances import Nuisances
@@ -183,7 +183,7 @@ class BurstDetector:
         share, p = played.noise.loudness(self.front.gate.level, self.front.gate.estimated)
         if share == 1.0 or not finding.fits or finding.statistic > max(share, 1.0) * finding.threshold:
             return ""
-        return f"during the burst the residual beside its lines has {share**0.5:.3g} times the stated standard deviation (p = {p:.2g})"
+        return f"during the burst the residual beside its lines has {share**0.5:.3g} times the stated standard deviation ({p_value_text(p)})"
 
     def _judgement(self, seen: Seen) -> Judgement:
         """Return whether the quiet data can be trusted, as they are or with one fault's share taken out."""

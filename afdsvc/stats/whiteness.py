@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 from scipy.special import chdtrc
 
+from afdsvc.api.evidence import p_value_text
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 
@@ -116,10 +117,10 @@ class Whiteness:
             return ""
         if self.covariance <= min(self.portmanteau, self.offset):
             ratios = ", ".join(f"{r:.3g}" for r in self.sd_ratio)
-            return f"the quiet residual has {ratios} times the stated standard deviation (p = {self.covariance:.2g})"
+            return f"the quiet residual has {ratios} times the stated standard deviation ({p_value_text(self.covariance)})"
         if self.portmanteau <= self.offset:
-            return f"the quiet residual is not white (p = {self.portmanteau:.2g}): the model is incomplete"
-        return f"the mean of the quiet residual is not zero (p = {self.offset:.2g})"
+            return f"the quiet residual is not white ({p_value_text(self.portmanteau)}): the model is incomplete"
+        return f"the mean of the quiet residual is not zero ({p_value_text(self.offset)})"
 
 
 def whiteness(sums: LagSums, estimated: int = 0) -> Whiteness:

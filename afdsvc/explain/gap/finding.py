@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from afdsvc.api.evidence import p_value_text
+
 
 @dataclass(frozen=True, slots=True)
 class Gap:
@@ -76,7 +78,7 @@ def sentence(found: Gap, outputs: Sequence[str], held: float, needed: float) -> 
     """Return the finding in words; ``held`` blocks of four correlation times where ``needed`` are expected."""
     kind = "Gap" if found.present else "No gap found"
     words = f"{kind}: a flexible model predicts {_shares(found.r2, outputs)} of the residual's power on data it was not fitted to"
-    words += f" ({100 * found.blocks_won:.0f} % of {found.blocks} blocks improve, p = {found.p_value:.2g})"
+    words += f" ({100 * found.blocks_won:.0f} % of {found.blocks} blocks improve, {p_value_text(found.p_value)})"
     if found.present:
         words += f"; linear functions of inputs and states, and of their history, predict {100 * max(found.linear, 0.0):.0f} % (all outputs)"
     if found.repeats is not None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from afdsvc.api.evidence import p_value_text
 from afdsvc.api.physics import Size
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.units import is_velocity
@@ -46,7 +47,7 @@ def _place(problem: Problem, gap: Gap, j: int, name: str, predicted: Sequence[Ar
     low, high = band(max(predicted, key=lambda x: float(x @ x)), runs[0].dt)
     follows = [group for group, lost in gap.depends_on if lost > MATTERS * max(gap.depends_on[0][1], 1e-300)]
     kind, lines = _lines(runs, residual)
-    said = f"output {name}: {100 * share:.0f} % of the residual's power is predictable (p = {gap.p_value:.2g}), 90 % of that from {low:.4g} to {high:.4g} Hz"
+    said = f"output {name}: {100 * share:.0f} % of the residual's power is predictable ({p_value_text(gap.p_value)}), 90 % of that from {low:.4g} to {high:.4g} Hz"
     if follows:
         said += f"; it follows {', '.join(follows)}"
     return Located(name, inputs[0].name if len(inputs) == 1 else None, (low, high), share, tuple(follows), said + lines, kind)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from afdsvc.api.evidence import p_value_text
 from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.search.forward import Found, Round
 from afdsvc.explain.search.ranking import Candidate, is_constant, look_alikes, vote_shares
@@ -119,4 +120,4 @@ def _rest(gap: Gap, remainder: Gap | None, explained: tuple[float, float]) -> tu
     if remainder is None or not remainder.present:
         return (said,)
     follows = ", ".join(name for name, share in remainder.depends_on[:2] if share > 0)
-    return (said, f"the remainder is not noise (p = {remainder.p_value:.2g}){' and follows ' + follows if follows else ''}")
+    return (said, f"the remainder is not noise ({p_value_text(remainder.p_value)}){' and follows ' + follows if follows else ''}")

@@ -8,6 +8,7 @@ from typing import cast
 
 import numpy as np
 
+from afdsvc.api.evidence import p_value_text
 from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.identify.cross_validation import Choice, Feedback, choose_candidate, feedback_of, fitted_candidate
@@ -279,7 +280,7 @@ def _simulates(model: InnovationsForm, recordings: Sequence[InputOutputData]) ->
 
 
 def _feedback_note(feedback: Feedback, loop: bool) -> str:
-    found = f"past outputs predict the inputs (p = {feedback.p:.2g}; up to {100 * feedback.share:.2g} % of an input's power)"
+    found = f"past outputs predict the inputs ({p_value_text(feedback.p)}; up to {100 * feedback.share:.2g} % of an input's power)"
     if loop:
         return f"{found}: taken as recorded in closed loop, identified by methods that feedback does not bias"
     return f"{found}: if a controller was at work, name it in the model, or compare with method pem: a method for open loop is biased by about that share"

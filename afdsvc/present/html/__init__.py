@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, select_autoescape
 
+from afdsvc.api.evidence import p_value_text
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -20,7 +22,7 @@ WIDE = 6.0  # inches, from which a figure scrolls on a phone
 def render(template: str, filters: Mapping[str, Callable[..., str]] | None = None, **values: Any) -> str:
     """Return a page from one of the templates beside this file."""
     page = Environment(loader=PackageLoader("afdsvc.present.html", "."), autoescape=select_autoescape(["j2"]))
-    page.filters.update(filters or {})
+    page.filters.update({"p_value": p_value_text, **(filters or {})})
     return page.get_template(template).render(**values)
 
 
