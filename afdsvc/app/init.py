@@ -1,14 +1,16 @@
-"""`afdsvc init`: a first MODEL.toml and a mapping file from a table's own columns."""
+"""`afdsvc init`: a first MODEL.toml, a mapping file and a site file from a table's own columns."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from afdsvc.api.signals import Trace
 from afdsvc.dataset.units import is_velocity
 from afdsvc.errors import BadInput
 from afdsvc.files.model.schema import Inline, toml_text
@@ -16,63 +18,125 @@ from afdsvc.files.open import TABLES
 from afdsvc.files.tables.foreign import read_foreign_columns
 from afdsvc.files.tables.formats import read_columns
 from afdsvc.files.tables.historian import is_export, read_export
-from afdsvc.files.tables.mapping import DataMapping, Heading, heading, role_of_unit
+from afdsvc.files.tables.mapping import DataMapping, Heading, heading, role_of_unit, same_unit
 from afdsvc.files.tables.time_base import is_stamped, own_time
 from afdsvc.files.unfinished import writing
-from afdsvc.identify.first_model import Polynomials, first_model
+from afdsvc.identify.first_model import MOST, Polynomials, first_model
 
-MODEL, MAPPING = "MODEL.toml", "mapping.toml"
+MODEL, MAPPING, SITE = "MODEL.toml", "mapping.toml", "site.toml"
 ESTIMATED = "# Estimated from {file}: a lag for each speed, a resonance for any other output. Put what you know of the machine in its place.\n"
+SMALLEST = 1e-6  # least share of the variance that is taken for noise
 RELATIVE = 0.3  # how well the estimate is known where physics is missing from it
 NEXT = """afdsvc check {model} {recording} --mapping {mapping}
 afdsvc explain {model} {recording} --mapping {mapping}"""
+OF_THE_LOG = """# Runs the model of {file} as a simulated machine; put your driver in its place. limits: what a burst may reach (the largest of the log,
+# where not stated otherwise). output_sd: what the first model leaves of the log, which noise cannot exceed.
+"""
 
 
-def init_files(recording: Path, out: Path | None = None, inputs: Sequence[str] = (), outputs: Sequence[str] = (), overwrite: bool = False) -> dict[str, Any]:
-    """Write MODEL.toml and mapping.toml for a table and return what was found, column by column.
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """What names of columns do not say: which are inputs and outputs, units, and limits of bursts, by column.
 
-    ``inputs`` and ``outputs`` are columns whose role their names do not say. Raises `BadInput` where there is no input or no output, and
-    where a file is there already.
+    ``ask(question, default, parse)`` is called for what is missing and returns what ``parse`` makes of the answer; None asks nothing.
     """
+
+    inputs: Sequence[str] = ()
+    outputs: Sequence[str] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+    limits: Mapping[str, str] = field(default_factory=dict)
+    ask: Callable[[str, str, Callable[[str], Any]], Any] | None = None
+
+    @property
+    def columns(self) -> list[str]:
+        """Every column that is named."""
+        return [*self.inputs, *self.outputs, *self.units, *self.limits]
+
+
+def init_files(recording: Path, out: Path | None = None, answers: Answers | None = None, overwrite: bool = False, site: bool = False) -> dict[str, Any]:
+    """Write MODEL.toml and mapping.toml for a table, with ``site`` also site.toml, and return what was found, column by column.
+
+    Raises `BadInput` where there is no input or no output and nobody to ask, and where a file is there already.
+    """
+    answers = answers or Answers()
     if recording.suffix.lower() not in TABLES:
         raise BadInput(f"{recording}: is no table; expected one that ends in {', '.join(TABLES)}")
     folder = out or recording.parent
-    model, mapping = folder / MODEL, folder / MAPPING
-    there = next((f for f in (model, mapping) if f.exists() and not overwrite), None)
+    files = [folder / name for name in (MODEL, MAPPING, *([SITE] if site else []))]
+    model, mapping = files[:2]
+    there = next((f for f in files if f.exists() and not overwrite), None)
     if there is not None:
         raise BadInput(f"{there}: is there already; expected another folder (--out DIR), or --overwrite")
     columns = {n: v for n, (_, v) in read_export(recording)[0].items()} if is_export(recording) else read_columns(recording)
     time = own_time(columns) or next((n for n in columns if heading(n).role == "t"), "")
-    found = _headings(recording, [n for n in columns if n != time and not is_stamped(columns[n])], inputs, outputs)
+    found = _headings(recording, [n for n in columns if n != time and not is_stamped(columns[n])], answers)
     text = _mapping(found, time, bool(time) and is_stamped(columns[time]))
     (trace, *_) = read_foreign_columns(recording, DataMapping.model_validate(text), None)
     ins, outs = ([h for h in found if h.role == role] for role in ("u", "y"))
     u = np.column_stack([trace.column(f"u_{h.label}") for h in ins])
     fits = [first_model(u, trace.column(f"y_{h.label}"), trace.dt, is_velocity(h.unit)) for h in outs]
+    machine = _site(recording, trace, ins, outs, fits, answers) if site else ""
     folder.mkdir(parents=True, exist_ok=True)
-    with writing(model, mapping):
+    with writing(*files):
         mapping.write_text(f"# Which column of {recording.name} is which signal, and in what unit.\n{_toml(text)}", encoding="utf-8")
         model.write_text(_model(recording, ins, outs, fits), encoding="utf-8")
+        for file in files[2:]:
+            file.write_text(machine, encoding="utf-8")
     return {
-        "model": str(model), "mapping": str(mapping), "sample_time": trace.dt, "time": time,
+        "model": str(model), "mapping": str(mapping), **({"site": str(files[2])} if site else {}), "sample_time": trace.dt, "time": time,
         "columns": [{"column": h.name, "signal": f"{h.role}_{h.label}", "unit": h.unit} for h in found],
         "fits": {h.label: {"r2": f.r2, "num": f.num, "den": f.den} for h, f in zip(outs, fits, strict=True)},
-        "next": NEXT.format(model=model, recording=recording, mapping=mapping).splitlines(),
+        "next": NEXT.format(model=model, recording=recording, mapping=mapping).splitlines() + [f"afdsvc site check {f}" for f in files[2:]],
     }  # fmt: skip
 
 
-def _headings(recording: Path, names: Sequence[str], inputs: Sequence[str], outputs: Sequence[str]) -> list[Heading]:
-    for name in (*inputs, *outputs):
+def _headings(recording: Path, names: Sequence[str], answers: Answers) -> list[Heading]:
+    for name in answers.columns:
         if name not in names:
             raise BadInput(f"{recording}: no column '{name}'; it has {', '.join(names)}")
-    found = [h for h in (heading(n, inputs, outputs) for n in names) if h.role != "t"]
-    for role, option, examples in (("u", "--input", "voltage_V or torque_Nm"), ("y", "--output", "speed_rpm or position_mm")):
+    found = [h for h in (heading(n, answers.inputs, answers.outputs) for n in names) if h.role != "t"]
+    found = [replace(h, unit=_unit(h.name, answers.units[h.name])) if h.name in answers.units else h for h in found]
+    for role, word, examples in (("u", "input", "voltage_V or torque_Nm"), ("y", "output", "speed_rpm or position_mm")):
         if not any(h.role == role for h in found):  # where no name says it, units do
             found = [replace(h, role=role) if h.role == "aux" and not h.name.startswith("aux_") and role_of_unit(h.unit) == role else h for h in found]
-        if not any(h.role == role for h in found):
-            raise BadInput(f"{recording}: no column name says that it is an {option[2:]}, as {examples} does; expected {option} COLUMN, one of {', '.join(names)}")
+        if any(h.role == role for h in found):
+            continue
+        if answers.ask is None:
+            raise BadInput(f"{recording}: no column name says that it is an {word}, as {examples} does; expected --{word} COLUMN, one of {', '.join(names)}")
+        chosen = answers.ask(f"Which columns are {word}s ({', '.join(h.name for h in found if h.role == 'aux')})?", "", _chooser(found))
+        found = [replace(h, role=role) if h.name in chosen else h for h in found]
+    if answers.ask:
+        found = [_with_unit(h, answers) for h in found]
     labels = [f"{h.role}_{h.label}" for h in found]
     return [replace(h, label=f"{h.label}_{k}") if labels.count(f"{h.role}_{h.label}") > 1 else h for k, h in enumerate(found, 1)]
+
+
+def _chooser(found: Sequence[Heading]) -> Callable[[str], list[str]]:
+    """Return what reads columns without a role from an answer, commas between them; it raises `BadInput` for any other."""
+    free = [h.name for h in found if h.role == "aux"]
+
+    def chosen(answer: str) -> list[str]:
+        columns = [c.strip() for c in answer.split(",")]
+        for column in columns:
+            if column not in free:
+                raise BadInput(f"no column '{column}' without a role; expected one or more of {', '.join(free)}, with commas between them")
+        return columns
+
+    return chosen
+
+
+def _with_unit(h: Heading, answers: Answers) -> Heading:
+    """Return an input or output with its unit, asked for where it is not stated: that of a speed decides what the first model is."""
+    if answers.ask is None or h.role == "aux" or h.unit or h.name in answers.units:
+        return h
+    return replace(h, unit=answers.ask(f"Unit of {h.name}, such as rpm, mm or V (Enter where it has none)", "", lambda text: _unit(h.name, text.strip())))
+
+
+def _unit(column: str, text: str) -> str:
+    """Return a unit that is known; raises `BadInput` for any other."""
+    if text:
+        same_unit(text, f"{text}*1", f"column '{column}'")
+    return text
 
 
 def _mapping(found: Sequence[Heading], time: str, stamped: bool) -> dict[str, Any]:
@@ -96,3 +160,32 @@ def _model(recording: Path, ins: Sequence[Heading], outs: Sequence[Heading], fit
         "uncertainty": {"relative": RELATIVE},
     }  # fmt: skip
     return ESTIMATED.format(file=recording.name) + toml_text(table)
+
+
+def _site(recording: Path, trace: Trace, ins: Sequence[Heading], outs: Sequence[Heading], fits: Sequence[Polynomials], answers: Answers) -> str:
+    id = re.sub(r"[^A-Za-z0-9_.-]+", "-", recording.stem).strip("-_.") or "machine"
+    left = [float(trace.column(f"y_{h.label}")[:MOST].std()) * max(1 - f.r2, SMALLEST) ** 0.5 for h, f in zip(outs, fits, strict=True)]
+    limits = {word: [_limit(h, trace, answers) for h in of] for word, of in (("input", ins), ("output", outs))}
+    machine = {
+        "id": id, "model": MODEL, "options": Inline(sample_time=trace.dt), "driver": Inline(kind="simulator"), "limits": Inline(limits),
+        "output_sd": [float(f"{sd:.3g}") for sd in left],
+    }  # fmt: skip
+    return OF_THE_LOG.format(file=recording.name) + toml_text({"site": id}) + "\n[[machines]]\n" + toml_text(machine)
+
+
+def _limit(h: Heading, trace: Trace, answers: Answers) -> float:
+    """Return the largest magnitude that a burst may reach: stated, asked for, or that of the log."""
+    seen = f"{np.abs(trace.column(f'{h.role}_{h.label}')).max():.3g}"
+    if h.name in answers.limits or answers.ask is None:
+        return _positive(h.name, answers.limits.get(h.name, seen))
+    return float(answers.ask(f"Largest magnitude of {h.name} during a burst{f' [{h.unit}]' if h.unit else ''}", seen, lambda text: _positive(h.name, text)))
+
+
+def _positive(column: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0 < value < float("inf"):
+        raise BadInput(f"limit of '{column}': found '{text}'; expected a number above 0")
+    return value

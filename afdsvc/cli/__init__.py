@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 import traceback
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -134,15 +135,32 @@ def init(
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder of the files (default: that of the table).")] = None,
     inputs: Annotated[list[str] | None, typer.Option("--input", metavar="COLUMN", help="A column that is an input; may be repeated.")] = None,
     outputs: Annotated[list[str] | None, typer.Option("--output", metavar="COLUMN", help="A column that is an output; may be repeated.")] = None,
+    unit: Annotated[list[str] | None, typer.Option("--unit", metavar="COLUMN=UNIT", help="The unit of a column; may be repeated.")] = None,
+    with_site: Annotated[bool, typer.Option("--with-site", help="Also write site.toml, which runs the model as a simulated machine.")] = False,
+    limit: Annotated[list[str] | None, typer.Option("--limit", metavar="COLUMN=VALUE", help="Largest magnitude in a burst, for site.toml (default: that of the table).")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Write a first MODEL.toml and a mapping file from a recording's columns."""
-    from afdsvc.app.init import init_files
+    """Write a first MODEL.toml, a mapping file and a site file from a recording's columns; on a terminal it asks what names do not say."""
+    from afdsvc.app.init import Answers, init_files
     from afdsvc.present.terminal import init_table
 
-    document = init_files(recording, out, inputs or [], outputs or [], overwrite)
+    ask = _ask if sys.stdin.isatty() and not as_json else None
+    answers = Answers(inputs or [], outputs or [], _pairs("--unit", "rpm", unit), _pairs("--limit", "24", limit), ask)
+    document = init_files(recording, out, answers, overwrite, with_site)
     show(as_json, document, lambda: init_table(document))
+
+
+def _ask(question: str, default: str, parse: Callable[[str], Any]) -> Any:
+    """Ask on the terminal until the answer can be read."""
+
+    def read(text: str) -> Any:
+        try:
+            return parse(text)
+        except BadInput as error:
+            raise typer.BadParameter(str(error)) from error
+
+    return typer.prompt(question, default=default, show_default=bool(default), value_proc=read, err=True)
 
 
 @app.command("check")
@@ -164,7 +182,7 @@ def check_command(
     from afdsvc.app.explain import ExplainOptions
     from afdsvc.present.terminal import progress, show_check
 
-    options = ExplainOptions(None, _mapping(column or []), allow_code, machine=machine, mapping_file=mapping)
+    options = ExplainOptions(None, _pairs("--map", "u_current", column), allow_code, machine=machine, mapping_file=mapping)
     with progress("comparing simulated with measured", None):
         result, document = check_files(model, recordings or [], options, out)
     show(as_json, document, lambda: show_check(result, document))
@@ -228,7 +246,7 @@ def explain_command(
     from afdsvc.app.explain import ExplainOptions, explain_files
     from afdsvc.present.terminal import explain_table, progress
 
-    options = ExplainOptions(out, _mapping(column or []), allow_code, rrd, machine, jobs, mapping, trust_units)
+    options = ExplainOptions(out, _pairs("--map", "u_current", column), allow_code, rrd, machine, jobs, mapping, trust_units)
     with progress("explaining", 1.0) as tell:
         document = explain_files(model, recordings or [], holdout or [], options, lambda what, share: tell(share, what))
     show(as_json, document, lambda: explain_table(document))
@@ -337,12 +355,12 @@ def import_(
     from afdsvc.app.diagnose import import_recording
     from afdsvc.present.terminal import show_import
 
-    done = import_recording(table, out, model, _mapping(column or []), mapping)
+    done = import_recording(table, out, model, _pairs("--map", "u_current", column), mapping)
     show(as_json, done, lambda: show_import(done))
 
 
-def _mapping(pairs: list[str]) -> dict[str, str]:
-    for pair in pairs:
+def _pairs(option: str, example: str, pairs: list[str] | None) -> dict[str, str]:
+    for pair in pairs or []:
         if pair.count("=") != 1:
-            raise BadInput(f"--map '{pair}': expected COLUMN=name, for example current=u_current")
-    return dict(pair.split("=") for pair in pairs)
+            raise BadInput(f"{option} '{pair}': expected COLUMN=VALUE, for example column={example}")
+    return dict(pair.split("=") for pair in pairs or [])

@@ -383,9 +383,10 @@ def init_table(document: dict[str, Any]) -> None:
     for c in document["columns"]:
         table.add_row(c["column"], c["signal"], c["unit"] or "not stated")
     OUT.print(table)
+    site = f"\nsite    {document['site']}" if "site" in document else ""
     for name, fit in document["fits"].items():
         OUT.print(f"{name}: {list(fit['num'])} / {list(fit['den'])} explains {100 * fit['r2']:.1f} % of its variance", soft_wrap=True)
-    OUT.print(f"model   {document['model']}\nmapping {document['mapping']}\nnext:", soft_wrap=True)
+    OUT.print(f"model   {document['model']}\nmapping {document['mapping']}{site}\nnext:", soft_wrap=True)
     for command in document["next"]:
         OUT.print(f"  {command}", soft_wrap=True)
 

@@ -11,11 +11,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from afdsvc.app.init import init_files
+from afdsvc.app.init import Answers, init_files
 from afdsvc.app.site_check import check_site
 from afdsvc.cli import app
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model
+from afdsvc.files.site import read_site
 from afdsvc.files.tables.mapping import read_mapping
 
 ROOT = Path(__file__).parents[2]
@@ -47,12 +48,13 @@ def test_a_log_of_a_motor(logs: Path, tmp_path: Path):
         ("t,alpha1,beta1", {}, ["is an input", "--input COLUMN", "alpha1, beta1"]),
         ("t,voltage_V,thing", {}, ["is an output", "--output COLUMN"]),
         ("t,voltage_V,thing", {"outputs": ["stuff"]}, ["no column 'stuff'", "voltage_V, thing"]),
+        ("t,voltage_V,thing", {"outputs": ["thing"], "units": {"thing": "parsecs/rpm/x"}}, ["column 'thing'", "is not known"]),
     ],
 )
 def test_columns_that_do_not_say_what_they_are(tmp_path: Path, header, options, words):
     (tmp_path / "log.csv").write_text(header + "\n" + "".join(f"{k},{k % 7},{k % 5}\n" for k in range(100)))
     with pytest.raises(BadInput) as error:
-        init_files(tmp_path / "log.csv", **options)
+        init_files(tmp_path / "log.csv", answers=Answers(**options))
     assert all(word in str(error.value) for word in words), str(error.value)
     assert not (tmp_path / "MODEL.toml").exists()
 
@@ -64,8 +66,37 @@ def test_units_say_the_role_where_names_do_not(tmp_path: Path):
     assert [c["signal"] for c in found] == ["u_u", "y_n", "aux_winding", "aux_gap"]
 
 
+LOG = "t,a,b\n" + "".join(f"{k / 10},{(k // 9) % 2},{(k // 9) % 2 + k % 3 / 10}\n" for k in range(300))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+def test_on_a_terminal_it_asks_what_names_do_not_say(tmp_path: Path):
+    (tmp_path / "log.csv").write_text(LOG)
+    ours, theirs = os.openpty()
+    os.write(ours, b"c\na\nb\nvolts per mile an hour\nV\nrpm\n\n-3\n2\n")  # three answers that are none: the question comes again
+    done = subprocess.run([sys.executable, "-m", "afdsvc", "init", "log.csv", "--with-site"], cwd=tmp_path, stdin=theirs, capture_output=True, text=True)
+    os.close(ours)
+    os.close(theirs)
+    assert done.returncode == 0, done.stderr
+    for words in ("Which columns are inputs (a, b)?", "no column 'c'", "Which columns are outputs (b)?", "Unit of a", "is not known", "of b during a burst [rpm] [1.2]", "found '-3'"):
+        assert words in done.stderr
+    mapping, site = read_mapping(tmp_path / "mapping.toml"), read_site(tmp_path / "site.toml")
+    assert {name: (source.place, source.unit) for name, source in mapping.signals.items()} == {"u_a": ("a", "V"), "y_b": ("b", "rpm")}
+    assert len(read_model(tmp_path / "MODEL.toml").states) == 1  # a speed: a lag
+    assert (site.machines[0].limits.input, site.machines[0].limits.output) == ([1.0], [2.0])
+
+
+def test_the_site_file_of_a_log_passes_site_check(logs: Path, tmp_path: Path):
+    document = init_files(logs / "motor.csv", tmp_path, Answers(limits={"voltage_V": "5"}), site=True)
+    (machine,) = check_site(Path(document["site"]))["machines"]
+    assert (machine["problem"], machine["bursts"], machine["sample_time"]) == ("", "on request", 0.005)
+    limits = read_site(Path(document["site"])).machines[0].limits
+    assert limits.input == [5.0]
+    assert 600 < limits.output[0] < 800
+
+
 def test_roles_from_the_command_line(tmp_path: Path):
-    (tmp_path / "log.csv").write_text("t,a,b\n" + "".join(f"{k / 10},{(k // 9) % 2},{(k // 9) % 2 + k % 3 / 10}\n" for k in range(300)))
+    (tmp_path / "log.csv").write_text(LOG)
     done = CliRunner().invoke(app, ["init", str(tmp_path / "log.csv"), "--input", "a", "--output", "b", "--json"])
     assert done.exit_code == 0, done.output
     assert [c["signal"] for c in json.loads(done.stdout)["columns"]] == ["u_a", "y_b"]
