@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
 import difflib
+import time
 import tomllib
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Thread
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -15,7 +20,7 @@ from afdsvc.errors import BadInput
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What a file may hold; sizes in bytes after decompression.
+    """What a file may hold, sizes in bytes after decompression, and how long it may be read: ``seconds``, and one for every ``pace`` bytes.
 
     Tables are held in memory as a whole, recordings are read chunk by chunk; each may expand to its ``free`` size, beyond that to
     ``expansion`` times the size of the file.
@@ -30,6 +35,8 @@ class Bounds:
     columns: int = 4096
     line: int = 1_000_000
     text: int = 16_000_000
+    seconds: float = 60.0
+    pace: int = 1_000_000
 
 
 BOUNDS = Bounds()
@@ -61,6 +68,54 @@ def file_size(path: Path, most: int) -> int:
     return size
 
 
+R = TypeVar("R")
+
+
+def reading_seconds(size: int) -> float:
+    """Return how long [s] a file of ``size`` bytes may be read."""
+    return BOUNDS.seconds + size / BOUNDS.pace
+
+
+def in_time(read: Callable[[], R], source: object, size: int) -> R:
+    """Return what ``read`` returns, called in a thread of its own; raises `BadInput` when that takes longer than ``size`` bytes may.
+
+    The thread is then made to end with its next step in Python: some libraries take hours for a few kilobytes.
+    """
+    found: Future[R] = Future()
+    thread = Thread(target=_work, args=(read, found), name="reader", daemon=True)
+    thread.start()
+    thread.join(reading_seconds(size))
+    if thread.is_alive():
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident or 0), ctypes.py_object(SystemExit))
+        raise _too_slow(source, size)
+    return found.result()
+
+
+def items_in_time(items: Iterator[R], source: object, size: int) -> Iterator[R]:
+    """Yield what is read piece by piece; raises `BadInput` when the reading alone takes more processor time than ``size`` bytes may."""
+    most, used = reading_seconds(size), 0.0
+    while used < most:
+        began = time.thread_time()
+        try:
+            item = next(items)
+        except StopIteration:
+            return
+        used += time.thread_time() - began
+        yield item
+    raise _too_slow(source, size)
+
+
+def _work(read: Callable[[], R], found: Future[R]) -> None:
+    try:
+        found.set_result(read())
+    except BaseException as error:
+        found.set_exception(error)
+
+
+def _too_slow(source: object, size: int) -> BadInput:
+    return BadInput(f"{source}: is still being read after {reading_seconds(size):.3g} s; at most that long is spent on {size:,} bytes")
+
+
 class Strict(BaseModel):
     """A table of a TOML file: unknown keys are errors, text is not taken for numbers, nothing is changed afterwards."""
 
@@ -84,7 +139,7 @@ def read_text(path: Path) -> str:
 def toml_table(text: str, source: str) -> dict[str, Any]:
     """Return the table of a TOML text; raises `BadInput` naming the source, line and column of an error."""
     try:
-        return tomllib.loads(text)
+        return in_time(lambda: tomllib.loads(text), source, len(text))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise BadInput(f"{source}: not a TOML file: {error}") from None
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import struct
+import threading
+import time
 import tracemalloc
 import zipfile
 import zlib
+from dataclasses import replace
 
 import h5py
 import lz4.frame
@@ -19,6 +22,7 @@ from mcap.records import Chunk
 from mcap.writer import CompressionType, Writer
 
 from afdsvc.errors import BadInput
+from afdsvc.files import validation
 from afdsvc.files.open import Naming, open_file
 from afdsvc.files.recording.mcap_records import Loss, read_items
 from afdsvc.files.recording.reader import Recording
@@ -125,15 +129,15 @@ def test_numbers_that_lie_in_another_file_are_not_fetched(tmp_path, kind):
         read_columns(tmp_path / "a.mat")
 
 
-def bomb(path, compress, compression: str, chunks: int, size: int, stated: int | None = None) -> None:
-    """Write a recording of chunks that expand to ``size`` bytes each and state ``stated``."""
+def bomb(path, compress, compression: str, chunks: int, size: int, stated: int | None = None, record: bytes = b"\0") -> None:
+    """Write a recording of chunks that expand to ``size`` bytes of one record again and again, and state ``stated``."""
     with path.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.NONE)
         writer.start()
         writer.finish()
     whole = path.read_bytes()
     head = whole[: whole.index(b"\x0f", 17)]  # up to the end of the data section
-    data, built = compress(bytes(size)), bytearray(head)
+    data, built = compress(record * (size // len(record))), bytearray(head)
     chunk = Chunk(
         compression=compression, data=data, message_start_time=0, message_end_time=0, uncompressed_crc=0,
         uncompressed_size=size if stated is None else stated,
@@ -223,3 +227,52 @@ def test_fields_of_a_ulog_that_grow_from_a_few_bytes_are_refused(tmp_path, log):
         assert tracemalloc.get_traced_memory()[1] < 100 * MEGABYTE
     finally:
         tracemalloc.stop()
+
+
+@pytest.fixture
+def short_of_time(monkeypatch):
+    """Let a file be read for 0.3 s, and one more for each of its megabytes."""
+    monkeypatch.setattr(validation, "BOUNDS", replace(BOUNDS, seconds=0.3))
+
+
+@pytest.mark.usefixtures("short_of_time")
+def test_a_small_text_that_takes_the_library_hours_is_given_up(tmp_path):
+    path = tmp_path / "site.toml"
+    path.write_text("a." * 100_000 + "a = 1\n")  # the reader of TOML looks at all beginnings of a key, each from its beginning
+    with pytest.raises(BadInput, match=r"site.toml: is still being read after 0.5 s; at most that long is spent on 200,006 bytes"):
+        read_site(path)
+    assert ends_within(20.0)
+
+
+def ends_within(seconds: float) -> bool:
+    """Return whether no reader that was given up goes on computing."""
+    until = time.monotonic() + seconds
+    while any(t.name == "reader" for t in threading.enumerate()):
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+@pytest.mark.usefixtures("short_of_time")
+@pytest.mark.parametrize("read", [lambda path: list(read_items(path)), lambda path: list(Recording(path).blocks())])
+def test_a_small_recording_of_ten_million_messages_is_given_up(tmp_path, read):
+    path = tmp_path / "a.mcap"
+    message = b"\x05" + (22).to_bytes(8, "little") + bytes(22)
+    bomb(path, COMPRESSED["zstd"], "zstd", 10, 31 * MEGABYTE, record=message)
+    assert path.stat().st_size < 100_000
+    began = time.process_time()
+    with pytest.raises(BadInput, match=r"a.mcap: is still being read after 0.3\d* s"):
+        read(path)
+    assert time.process_time() - began < 3.0
+
+
+@pytest.mark.usefixtures("short_of_time")
+def test_the_time_of_whoever_takes_the_records_does_not_count():
+    def take(item):
+        until = time.thread_time() + 0.1
+        while time.thread_time() < until:
+            pass
+        return item
+
+    assert [take(i) for i in validation.items_in_time(iter(range(8)), "a", 0)] == list(range(8))

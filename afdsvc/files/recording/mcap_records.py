@@ -24,7 +24,7 @@ from mcap.stream_reader import CRCValidationError
 
 from afdsvc.errors import BadInput
 from afdsvc.files.tables.formats import opened
-from afdsvc.files.validation import BOUNDS, recording_bytes, refuse_more
+from afdsvc.files.validation import BOUNDS, items_in_time, recording_bytes, refuse_more
 
 MAGIC = bytes([137, 77, 67, 65, 80, 48, 13, 10])
 _PLAIN: dict[int, Callable[[ReadDataStream], McapRecord]] = {
@@ -63,22 +63,26 @@ Item = McapRecord | Loss | End
 def read_items(path: Path) -> Iterator[Item]:
     """Yield the records of the data section (those inside chunks one by one), losses where they are, and the end.
 
-    Raises `BadInput` when the file cannot be opened, is no MCAP file, or its chunks state more bytes than are read. Memory is that
-    of one chunk.
+    Raises `BadInput` when the file cannot be opened, is no MCAP file, its chunks state more bytes than are read, or its records take
+    too long. Memory is that of one chunk.
     """
     with opened(path) as file:
         size, start = os.fstat(file.fileno()).st_size, file.read(len(MAGIC))
         if start != MAGIC:
             raise BadInput(f"{path}: is not an MCAP file: it begins with {start!r}" if start else f"{path}: is empty")
         refuse_more(path, _stated_bytes(file, size), recording_bytes(size), "bytes in its chunks")
-        for frame in _frames(file, size):
-            if isinstance(frame, Loss):
-                yield frame
-            elif frame.opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                break
-            else:
-                yield from _items(frame)
+        yield from items_in_time(_data(file, size), path, size)
         yield End(_finished(file, size))
+
+
+def _data(file: BinaryIO, size: int) -> Iterator[Item]:
+    for frame in _frames(file, size):
+        if isinstance(frame, Loss):
+            yield frame
+        elif frame.opcode in (Opcode.DATA_END, Opcode.FOOTER):
+            break
+        else:
+            yield from _items(frame)
 
 
 def is_finished(path: Path) -> bool:

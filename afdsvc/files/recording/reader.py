@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import parse_model
 from afdsvc.files.recording import mcap_file
 from afdsvc.files.recording.mcap_records import End, Item, Loss, read_items, summary_channels
+from afdsvc.files.validation import file_size, items_in_time
 from afdsvc.wire import codec
 from afdsvc.wire.messages import BurstRequest, Finding, RetuneRequest, RigDescription, RigEvent
 
@@ -79,6 +81,7 @@ class Recording:
 
     def __init__(self, path: str | Path) -> None:
         self.path, self.front = Path(path), Contents()
+        self._size = file_size(self.path, sys.maxsize)
         self._unreadable: dict[tuple[str, int, int], str] = {}
         self._known: list[McapRecord] | None = None
         self._contents: Contents | None = None
@@ -219,6 +222,9 @@ class Recording:
 
     def decoded(self, machine: str | None, *what: str) -> Iterator[tuple[str, Decoded]]:
         """Yield machine and object of the messages of these kinds, in one pass; unreadable ones are named in `loss`."""
+        return items_in_time(self._decoded(machine, what), self.path, self._size)
+
+    def _decoded(self, machine: str | None, what: Sequence[str]) -> Iterator[tuple[str, Decoded]]:
         for entry in self.messages(machine, what):
             who, kind = mcap_file.parts(entry.topic)
             try:

@@ -21,7 +21,7 @@ from afdsvc.files.tables.historian import is_export, read_export
 from afdsvc.files.tables.mapping import OWN_TIMES, DataMapping, Source, Time, converted, product, same_unit
 from afdsvc.files.tables.tables import PREPARED
 from afdsvc.files.tables.time_base import TIME, UNITS, is_stamped, own_time, seconds
-from afdsvc.files.validation import BOUNDS, file_size, refuse_more
+from afdsvc.files.validation import BOUNDS, file_size, in_time, refuse_more
 from afdsvc.lti.statespace import Array
 
 ULOG = ".ulg"  # of PX4: topics at rates of their own, so a mapping is always needed
@@ -163,8 +163,7 @@ def _ulog(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group
         from pyulog import ULog
     except ImportError:
         raise BadInput(f"{path}: ULog needs the extra 'ulog': install afdsvc[ulog]") from None
-    file_size(path, BOUNDS.table)
-    damage, fields = io.StringIO(), 0
+    size, damage, fields = file_size(path, BOUNDS.table), io.StringIO(), 0
 
     class Bounded(ULog):  # type: ignore[misc]
         class _MessageAddLogged(ULog._MessageAddLogged):  # type: ignore[misc] # noqa: SLF001
@@ -177,7 +176,7 @@ def _ulog(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group
 
     try:
         with opened(path) as file, redirect_stdout(damage):  # where pyulog says so
-            topics = {f"{d.name}[{d.multi_id}]" if d.multi_id else d.name: d.data for d in Bounded(file).data_list}
+            topics = {f"{d.name}[{d.multi_id}]" if d.multi_id else d.name: d.data for d in in_time(lambda: Bounded(file).data_list, path, size)}
     except BadInput:
         raise
     except Exception as error:  # a log that is none fails in many ways

@@ -18,8 +18,10 @@ from afdsvc.errors import BadInput
 from afdsvc.files.recording.mcap_records import Item, Loss
 from afdsvc.files.tables.alignment import Group
 from afdsvc.files.tables.mapping import OWN_TIMES, Time, converted
-from afdsvc.files.validation import file_size, refuse_more, table_bytes
+from afdsvc.files.validation import file_size, in_time, refuse_more, table_bytes
 from afdsvc.lti.statespace import Array
+
+_MESSAGE = 200  # bytes that a message of no bytes takes in memory
 
 
 @dataclass
@@ -49,7 +51,7 @@ def read_topics(path: Path, items: Iterable[Item], places: Mapping[str, str], ti
     ``places`` maps signals to ``topic.field``. Raises `BadInput` for a topic or field that is not there or no number, and for
     messages without the time that was asked for.
     """
-    topics, losses = _read(path, items, places, time)
+    topics, losses = in_time(lambda: _read(path, items, places, time), path, file_size(path, sys.maxsize))
     chosen, sentence = _clock(list(topics.values()), time, path)
     times = _seconds(topics, chosen, time, path)
     groups = []
@@ -100,7 +102,7 @@ class _File:
             topic = self.channels[item.channel_id].topic
             if any(_fits(topic, place) for place in places.values()):
                 self.stored.setdefault(item.channel_id, []).append(item)
-                self.kept += len(item.data)
+                self.kept += len(item.data) + _MESSAGE
 
     def kind(self, channel: Channel) -> str:
         """Return the type of a channel's messages."""

@@ -18,7 +18,7 @@ import pyarrow.parquet
 
 from afdsvc.errors import BadInput
 from afdsvc.files.tables.mat5 import read_mat5
-from afdsvc.files.validation import BOUNDS, file_size, refuse_more, table_bytes
+from afdsvc.files.validation import BOUNDS, file_size, in_time, refuse_more, table_bytes
 from afdsvc.lti.statespace import Array
 
 log = logging.getLogger(__name__)
@@ -38,9 +38,9 @@ def read_columns(path: Path) -> Columns:
     if reader is None:
         raise BadInput(f"{path}: tables end in {', '.join(_READERS)}; this one ends in '{path.suffix}'")
     opened(path).close()
-    file_size(path, BOUNDS.table)
+    size = file_size(path, BOUNDS.table)
     try:
-        return reader(path)
+        return in_time(lambda: reader(path), path, size)
     except BadInput:
         raise
     except Exception as error:  # five libraries, each with errors of its own for files that are not what they claim

@@ -10,7 +10,7 @@ import pyarrow.csv
 
 from afdsvc.errors import BadInput
 from afdsvc.files.tables.formats import TAGS, VALUES, head, holds_tags, is_stamp, opened, stamps
-from afdsvc.files.validation import BOUNDS, file_size
+from afdsvc.files.validation import BOUNDS, file_size, in_time
 from afdsvc.lti.statespace import Array
 
 Tags = dict[str, tuple[Array, Array]]
@@ -29,7 +29,11 @@ def read_export(path: Path) -> tuple[Tags, list[str]]:
 
     Raises `BadInput` where no column holds ISO 8601 times, or one of them is none.
     """
-    file_size(path, BOUNDS.table)
+    size = file_size(path, BOUNDS.table)
+    return in_time(lambda: _read_export(path), path, size)
+
+
+def _read_export(path: Path) -> tuple[Tags, list[str]]:
     header, _, delimiter = head(path)
     tag, value = (next(n for n in header if n.lower() in known) for known in (TAGS, VALUES))
     try:
