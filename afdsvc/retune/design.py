@@ -34,7 +34,7 @@ from afdsvc.retune.cost import (
     signal_model,
     with_q,
 )
-from afdsvc.retune.sensitivity import Priced, sensitivities
+from afdsvc.retune.sensitivity import Priced, accepted, sensitivities
 from afdsvc.retune.settings import RETUNE, RetuneSettings
 
 TIGHTER = 2.0  # factor on the price of a signal beyond its limit
@@ -75,8 +75,8 @@ def design_q(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, settin
     weighted, price, peak_price = cost, h2_cost(with_q(damaged_model(problem, cost, {}), _zero(problem))), 0.0
     for _ in range(ATTEMPTS):
         Q = _designed(problem, found, grid, weighted, peak_price, settings)
-        over, (before, after) = _over_limit(problem, found.fault, grid, cost, Q, settings), sensitivities(problem, found, Q)
-        sensitive = after > max(settings.sensitivity, before)
+        over, (before, after) = _over_limit(problem, found.fault, grid, cost, Q, settings), sensitivities(problem, found, Q).T
+        sensitive = (after > accepted(problem, found, before, settings)).any()
         if not (over or sensitive):
             break
         if over:
@@ -140,8 +140,8 @@ def _designed(
     every = [*models, healthy]
     margin = min(with_q(model, none).stability_margin() for model in every)
     costs = model_set(every, weights, problem.plant.inputs, problem.plant.outputs, 1 - settings.margin_kept * margin)
-    bound = INSIDE * max(settings.sensitivity, sensitivities(problem, found, none)[0])
-    fit = Priced.of(costs, problem, found, bound, peak_price)
+    bounds = INSIDE * accepted(problem, found, sensitivities(problem, found, none)[:, 0], settings)
+    fit = Priced.of(costs, problem, found, bounds, peak_price)
     start = _start(problem, fault, grid, controllers, cost, fit)
     full = _descended(fit, start, settings.iterations)
     return _of_lowest_order(fit, full, models, none, settings)

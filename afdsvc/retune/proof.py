@@ -28,7 +28,7 @@ from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace, solve_loop
 from afdsvc.retune.cost import signal_model, with_q
 from afdsvc.retune.design import deviations, expected, severity_grid
-from afdsvc.retune.sensitivity import sensitivities, sensitivity
+from afdsvc.retune.sensitivity import accepted, hypotheses, sensitivities
 from afdsvc.retune.settings import RETUNE, RetuneSettings
 
 ANGLES = 128  # frequencies that choose the scaling and say early that a rectangle is too large
@@ -42,7 +42,7 @@ class Proof:
     """What was proved: see `prove`.
 
     ``rectangles`` cover severity and gain; ``cost_before``, ``cost_after`` and ``reached`` (share of the reduction that the best controller
-    of the damaged plant brings) are the worst of the interval; ``sensitivity`` of damaged and healthy loops; ``rise_seconds``
+    of the damaged plant brings) are the worst of the interval; ``sensitivity`` of the damaged loops, and of those where the diagnosis is wrong (see `afdsvc.retune.sensitivity.hypotheses`); ``rise_seconds``
     and ``fall_seconds`` the shortest times in which the gain may rise and fall (0: one sample), ``bump_in`` and ``bump_out`` the largest
     standard deviations meanwhile, relative to the larger of those before and after; ``room`` the smallest share of a limit that noise peaks leave free with Q, and ``tightest`` the signal.
     """
@@ -54,7 +54,7 @@ class Proof:
     reached: float
     sensitivity_before: float
     sensitivity_after: float
-    sensitivity_healthy: float
+    sensitivity_wrong: float
     rise_seconds: float
     fall_seconds: float
     bump_in: float
@@ -188,24 +188,33 @@ def _shifted(augmented: AugmentedPlant, severity: float) -> tuple[StateSpace, in
 
 
 def _sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace, settings: RetuneSettings) -> tuple[float, float, float]:
-    """Return the largest sensitivity of the damaged loops without and with Q, and of the healthy one with it; may refuse."""
-    before, after = sensitivities(problem, found, Q)
-    if after > max(settings.sensitivity, before):
-        raise Refused(f"the sensitivity of the damaged loop would be {after:.3g}; at most {max(settings.sensitivity, before):.3g} is accepted")
-    return before, after, sensitivity(problem, {}, Q)
+    """Return the largest sensitivity of the damaged loops without and with Q, and of those where the diagnosis is wrong; may refuse."""
+    cases, peaks = hypotheses(problem, found), sensitivities(problem, found, Q)
+    for case, after, most in zip(cases, peaks[:, 1], accepted(problem, found, peaks[:, 0], settings), strict=True):
+        if after > most:
+            machine = ", ".join(f"'{name}' at {100 * s:.3g} %" for name, s in case.items()) or "no fault at all"
+            raise Refused(f"the sensitivity with {machine} would be {after:.3g}; at most {most:.3g} is accepted")
+    wrong = np.array([found.fault not in case for case in cases])
+    before, after = peaks[~wrong].max(axis=0)
+    return float(before), float(after), float(peaks[wrong, 1].max())
 
 
 def _switch(
     problem: DetectionProblem, found: Diagnosed, cost: LoopCost, Q: StateSpace, settings: RetuneSettings
 ) -> tuple[float, float, float, float, float, str]:
     """Return times and bumps of coming and going, and the smallest room with its signal; refuses where no change is smooth."""
-    severities = [*severity_grid(problem, found, settings.models).tolist(), 0.0]
-    models = [signal_model(problem, cost, {found.fault: s}) for s in severities]
-    switch = Switch.of(models, Q, problem.plant.inputs, problem.plant.outputs)
+    switch = Switch.of(judged_models(problem, found, cost, settings.models), Q, problem.plant.inputs, problem.plant.outputs)
     rise, bump_in = _shortest(problem, switch, switch.rise, settings, "comes")
     fall, bump_out = _shortest(problem, switch, switch.fall, settings, "goes")
     room, name = _room(problem, switch, switch.larger, settings)
     return rise, fall, bump_in, bump_out, room, name
+
+
+def judged_models(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, count: int) -> list[StateSpace]:
+    """Return the loops in which switches are judged: ``count`` severities of the interval, and the `hypotheses` of a wrong diagnosis."""
+    diagnosed = [{found.fault: s} for s in severity_grid(problem, found, count).tolist()]
+    wrong = [case for case in hypotheses(problem, found) if found.fault not in case]
+    return [signal_model(problem, cost, case) for case in (*diagnosed, *wrong)]
 
 
 def _shortest(

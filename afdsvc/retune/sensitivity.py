@@ -14,11 +14,14 @@ import numpy as np
 
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.api.retuning import Diagnosed
+from afdsvc.errors import BadInput
 from afdsvc.lti.frequency import transfer
 from afdsvc.lti.lft import star
 from afdsvc.lti.norms import largest_gain
+from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.retune.cost import ModelSet, model_set, with_q
+from afdsvc.retune.settings import RetuneSettings
 
 FREQUENCIES = np.geomspace(1e-3, np.pi, 150)  # rad per sample; the angles of the loop's poles come on top
 
@@ -35,14 +38,32 @@ def sensitivity(problem: DetectionProblem, severities: Mapping[str, float], Q: S
     return largest_gain(model.select(slice(p), slice(p)) if Q is None else with_q(model, Q))
 
 
-def sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace) -> tuple[float, float]:
-    """Return the largest sensitivity at the ends and the middle of the interval, without and with Q."""
-    before, after = (max(sensitivity(problem, {found.fault: s}, q) for s in _ends(found)) for q in (None, Q))
-    return before, after
+def hypotheses(problem: DetectionProblem, found: Diagnosed) -> list[dict[str, float]]:
+    """Return what the machine may be: damaged as diagnosed (ends and middle of the interval), healthy, or damaged as much by another fault.
+
+    Machines that the running controller does not hold are left out, but for those that were diagnosed.
+    """
+    diagnosed = [{found.fault: s} for s in sorted({found.low, found.middle, found.high})]
+    others = [{name: found.middle} for name in problem.fault_names if name != found.fault]
+    return [*diagnosed, {}, *(o for o in others if is_stable(_model(problem, o).A, problem.plant.dt))]
 
 
-def _ends(found: Diagnosed) -> list[float]:
-    return sorted({found.low, found.middle, found.high})
+def sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace) -> Array:
+    """Return the sensitivities of all `hypotheses` without and with Q ``(k, 2)``, inf for an unstable loop."""
+
+    def peak(case: dict[str, float], q: StateSpace | None) -> float:
+        try:
+            return sensitivity(problem, case, q)
+        except BadInput:
+            return float("inf")
+
+    return np.array([[peak(case, q) for q in (None, Q)] for case in hypotheses(problem, found)])
+
+
+def accepted(problem: DetectionProblem, found: Diagnosed, before: Array, settings: RetuneSettings) -> Array:
+    """Return the largest sensitivities ``(k,)`` of the `hypotheses` with Q; a loop that has a larger one without Q, ``before (k,)``, may keep it."""
+    largest = [settings.sensitivity if found.fault in case else settings.sensitivity_if_wrong for case in hypotheses(problem, found)]
+    return np.maximum(largest, before)
 
 
 def _model(problem: DetectionProblem, severities: Mapping[str, float]) -> StateSpace:
@@ -57,31 +78,34 @@ def _model(problem: DetectionProblem, severities: Mapping[str, float]) -> StateS
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Priced:
-    """A cost over models, and ``price`` times the sum of squares of ``sensitivity / bound - 1`` where the sensitivity is beyond its bound."""
+    """A cost over models, and ``price`` times the sum of squares of ``sensitivity / bound - 1`` where a loop's sensitivity is beyond its bound."""
 
     cost: ModelSet
     loops: ModelSet
-    bound: float
+    bounds: Array
     price: float
 
     @classmethod
-    def of(cls, cost: ModelSet, problem: DetectionProblem, found: Diagnosed, bound: float, price: float) -> Priced:
-        """Return the cost with the price on the sensitivity at the ends and the middle of the interval."""
-        models = [_model(problem, {found.fault: s}) for s in _ends(found)]
-        return cls(cost, model_set(models, np.ones(len(models)), problem.plant.inputs, problem.plant.outputs, 1.0), bound, price)
+    def of(cls, cost: ModelSet, problem: DetectionProblem, found: Diagnosed, bounds: Array, price: float) -> Priced:
+        """Return the cost with the price on the sensitivities of all `hypotheses`, with ``bounds (k,)``."""
+        models = [_model(problem, case) for case in hypotheses(problem, found)]
+        return cls(cost, model_set(models, np.ones(len(models)), problem.plant.inputs, problem.plant.outputs, 1.0), bounds, price)
 
     def cost_and_slope(self, Q: StateSpace) -> tuple[float, Array]:
-        """Return the sum and its slope in ``[Dq Cq; Bq Aq]``; as `ModelSet` where a pole is beyond its bound."""
+        """Return the sum and its slope in ``[Dq Cq; Bq Aq]``; (inf, 0) where a pole is beyond its bound."""
         value, slope = self.cost.cost_and_slope(Q)
         if self.price == 0 or not np.isfinite(value):
             return value, slope
-        for A, B, C, D, into, out, Dzu, Dyw in zip(*self.loops.closed(Q), strict=True):
-            points = np.exp(1j * np.unique(np.concatenate([FREQUENCIES, np.abs(np.angle(np.linalg.eigvals(A)))])))
+        for bound, A, B, C, D, into, out, Dzu, Dyw in zip(self.bounds, *self.loops.closed(Q), strict=True):
+            poles = np.linalg.eigvals(A)
+            if np.abs(poles).max(initial=0.0) >= 1:
+                return float("inf"), np.zeros_like(slope)
+            points = np.exp(1j * np.unique(np.concatenate([FREQUENCIES, np.abs(np.angle(poles))])))
             u, s, vh = np.linalg.svd(transfer(StateSpace(A, B, C, D, Q.dt), points))
-            over = s[:, 0] > self.bound
-            beyond = s[over, 0] / self.bound - 1
+            over = s[:, 0] > bound
+            beyond = s[over, 0] / bound - 1
             left = u[over, :, :1].conj().swapaxes(1, 2) @ transfer(StateSpace(A, into, C, Dzu, Q.dt), points[over])
             right = transfer(StateSpace(A, B, out, Dyw, Q.dt), points[over]) @ vh[over, :1].conj().swapaxes(1, 2)
             value += self.price * float(np.sum(beyond**2))
-            slope = slope + 2 * self.price / self.bound * np.einsum("k,kai,kja->ij", beyond, left, right).real
+            slope = slope + 2 * self.price / bound * np.einsum("k,kai,kja->ij", beyond, left, right).real
         return value, slope

@@ -21,6 +21,8 @@ class RetuneSettings:
     margin_kept: float = 0.25
     #: Largest sensitivity ``|(I - G K)^-1|`` of a damaged loop with Q, unless the loop without Q has a larger one.
     sensitivity: float = 6.0
+    #: The same where the diagnosis is wrong: a margin for the time until Q is taken back.
+    sensitivity_if_wrong: float = 12.0
     #: Iterations of the search over the models.
     iterations: int = 300
     #: Times [s] of a change of the gain, the first that is smooth is taken; 0 is one sample.

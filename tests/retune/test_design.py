@@ -15,7 +15,7 @@ from afdsvc.lti.statespace import StateSpace
 from afdsvc.plants.gas_bearing import gas_bearing
 from afdsvc.retune.cost import best_controller, controlled_cost, damaged_model, loop_cost, model_set
 from afdsvc.retune.design import design_q, expected
-from afdsvc.retune.sensitivity import Priced, sensitivities, sensitivity
+from afdsvc.retune.sensitivity import Priced, accepted, sensitivities, sensitivity
 from afdsvc.retune.settings import RETUNE
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem
 
@@ -157,14 +157,16 @@ def test_the_accepted_sensitivity_costs_less_than_a_tenth_of_the_reduction():
     none = StateSpace.gain(np.zeros((2, 2)), problem.plant.dt)
     before, after, best = (hand_cost(problem, cost, "actuator_1", -0.25, none), hand_cost(problem, cost, "actuator_1", -0.25, Q), hand_best(problem, cost, "actuator_1", -0.25))
     assert (before - after) > 0.9 * (before - best)
-    assert sensitivities(problem, found, Q)[1] <= RETUNE.sensitivity
+    before, after = sensitivities(problem, found, Q).T
+    assert (after <= accepted(problem, found, before, RETUNE)).all()  # also of the healthy machine, and with another fault
+    assert after[:3].max() <= RETUNE.sensitivity
 
 
 def test_the_slope_of_the_price_of_sensitivity_is_that_of_finite_differences():
     problem, found, rng = bearing_problem("proportional"), Diagnosed("vertical_sensor", -0.4, -0.3), np.random.default_rng(2)
     models = [damaged_model(problem, loop_cost(problem, {}), {})]
     nothing = model_set(models, np.zeros(1), 2, 2, 0.9999)
-    fit = Priced.of(nothing, problem, found, bound=1.3, price=1.0)
+    fit = Priced.of(nothing, problem, found, bounds=np.full(7, 1.3), price=1.0)
     theta = np.block([[0.01 * rng.standard_normal((2, 2)), 0.01 * rng.standard_normal((2, 3))], [rng.standard_normal((3, 2)), np.diag([0.5, 0.2, -0.4])]])
 
     def cost_at(t):

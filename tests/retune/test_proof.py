@@ -69,6 +69,19 @@ def test_an_unstable_q_is_refused_for_the_healthy_machine():
         prove(problem, FAULT, loop_cost(problem, {}), Q)
 
 
+def test_a_q_that_another_fault_of_that_size_does_not_bear_is_refused_and_not_designed():
+    problem, found, wrong = random_problem(2), Diagnosed("sensor_0", -0.53, -0.47), Diagnosed("sensor_1", -0.5, -0.5)
+    cost = loop_cost(problem, {})
+    free = replace(RETUNE, sensitivity=1e3, sensitivity_if_wrong=1e3)
+    careless = design_q(replace(problem, augmented=problem.augmented.reordered(["sensor_0"])), found, cost, free)  # knows of no other fault
+    assert largest_pole(problem, wrong, careless) > 1
+    with pytest.raises(Refused, match="the sensitivity with 'sensor_1' at -50 % would be inf"):
+        prove(problem, found, cost, careless, free)
+    Q = design_q(problem, found, cost)
+    assert largest_pole(problem, wrong, Q) < 1
+    assert prove(problem, found, cost, Q).reached > 0.9
+
+
 def test_a_q_that_makes_it_worse_is_refused():
     problem = random_problem(0)
     with pytest.raises(Refused, match="raises the cost"):
