@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import json
 import logging
@@ -9,6 +10,7 @@ import os
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -86,3 +88,18 @@ def collect_rarely() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 20, 100)
+
+
+def return_memory(every: float = 60.0) -> None:
+    """Give memory that is free back to the system once in ``every`` seconds, in a thread of its own, where the C library is glibc's.
+
+    By itself it keeps what the queues of an outage took in the heap of each thread, so that every outage adds to the size of the process.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+
+    def work() -> None:
+        while trim:
+            time.sleep(every)
+            trim(0)
+
+    threading.Thread(target=work, name="memory", daemon=True).start()

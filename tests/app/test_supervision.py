@@ -168,3 +168,41 @@ def test_a_service_that_can_keep_nothing_says_so_and_does_not_start(tmp_path, fr
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].endswith(f"key '{table}.{key}' is '{value}': No such file or directory; expected {what} can be made and written")
     assert "Traceback" not in done.stderr
+
+
+OUTAGES = """
+import sys, time
+from queue import SimpleQueue
+from threading import Thread
+from afdsvc.app.supervision import return_memory
+
+def resident():
+    return int(open("/proc/self/statm").read().split()[1]) * 4096 / 1e6
+
+def receive():
+    for i in range(500):
+        queue.put(bytes(20_000))
+        if i % 10 == 0:
+            kept.append(bytes(700))
+
+return_memory(float(sys.argv[1]))
+queue, kept, began = SimpleQueue(), [], resident()
+for _ in range(3):
+    threads = [Thread(target=receive) for _ in range(16)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    while not queue.empty():
+        queue.get()
+until = time.monotonic() + 5 * float(sys.argv[1])
+while resident() - began > 40 and time.monotonic() < until:
+    time.sleep(0.05)
+print(resident() - began)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the C library of Linux")
+def test_what_the_queues_of_outages_took_is_given_back():
+    left = subprocess.run([sys.executable, "-c", OUTAGES, "2"], capture_output=True, text=True, check=True)
+    assert float(left.stdout) < 40.0  # MB; 8000 blocks of 20 kB were queued three times
