@@ -89,8 +89,8 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run]) -> H
     """Return the verdict and the final fit: with the claimed effects, else the numbers refitted, else the model as stated.
 
     What does worse on the recordings held out than the model as stated is withdrawn. What does not do better there than the model
-    refitted without effects, or worse than a constant, is not certain; where that is all that can show a gap, no name is surer than
-    that, and what is not likely is not claimed.
+    refitted without effects, or worse than a constant, is not certain; where that is all that can show a gap, the error has to fall there,
+    no name is surer than that, and what is not likely is not claimed.
     """
     last, most, refuted = list(found.end)[-1], found.problem.settings.uncertain, False
     play = player(found.problem, last)
@@ -105,7 +105,7 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run]) -> H
             f"on the recordings held out the error is {100 * error:.3g} % with {first.key}, {100 * stated:.3g} % with the model as stated "
             f"and {100 * refitted:.3g} % with its numbers refitted"
         )
-        worse = error > WORSE * min(stated, refitted)
+        worse = error > (1.0 if alone else WORSE) * min(stated, refitted)
         if not worse and (sure > found.problem.settings.probable or not alone):
             most = min(most, sure) if alone else most
             return HeldOutVerdict(verdict if shown and not alone else doubted(verdict, f"{held}: no name is certain", most), final)

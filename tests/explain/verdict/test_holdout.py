@@ -17,12 +17,12 @@ from afdsvc.explain.verdict.verdict import Claim, Verdict
 def final(monkeypatch):
     """Return what is judged of one claim of weight 1, with these errors of the three models on the recordings held out.
 
-    ``present``: a flexible model predicts the residual; ``even``: residuals are not weighted.
+    ``present``: a flexible model predicts the residual; ``even``: residuals are not weighted; ``sure``: that the weighted error falls.
     """
-    return lambda *errors, present=True, even=True: _judged(monkeypatch, *errors, present, even)
+    return lambda *errors, present=True, even=True, sure=None: _judged(monkeypatch, *errors, present, even, sure)
 
 
-def _judged(monkeypatch, stated: float, refitted: float, error: float, present: bool, even: bool) -> HeldOutVerdict:
+def _judged(monkeypatch, stated: float, refitted: float, error: float, present: bool, even: bool, sure: float | None) -> HeldOutVerdict:
     points = {name: SimpleNamespace(name=name, effects=()) for name in ("stated", "refitted", "final")}
     errors = {"stated": stated, "refitted": refitted, "final": error}
     hypothesis = SimpleNamespace(key="law@input:u", family="", physics="law")
@@ -32,7 +32,7 @@ def _judged(monkeypatch, stated: float, refitted: float, error: float, present: 
         ),
         start={0.0: SimpleNamespace(point=points["refitted"], tau=1.0)}, end={0.0: SimpleNamespace(point=points["final"])},
     )
-    better = lambda runs, before, after: float(errors[after.name] < errors[before.name])  # noqa: E731
+    better = lambda runs, before, after: float(errors[after.name] < errors[before.name]) if sure is None else sure  # noqa: E731
     play = SimpleNamespace(nrmse=lambda runs, point: np.array([errors[point.name]]), better=better)
     monkeypatch.setattr(module, "player", lambda problem, last: play)
     monkeypatch.setattr(module, "fit", lambda problem, point, *a, **k: SimpleNamespace(point=point))
@@ -67,6 +67,7 @@ def test_what_only_the_search_sees_is_claimed_where_the_recordings_held_out_show
     assert [c.weight for c in shown.claims] == [0.8]
     assert not not_shown.claims
     assert not_shown.verdict == ("unexplained" if present else "consistent")
+    assert not final(0.5, 0.4, 0.405, present=present, even=even, sure=1.0).verdict.claims  # the weighted error falls, the plain one does not
 
 
 def test_better_in_every_block_is_sure_and_in_half_of_them_is_not(monkeypatch):
