@@ -61,9 +61,9 @@ def _simplest(shapes: Sequence[Candidate], settings: Settings, limited: str) -> 
     return min(near, key=lambda c: (complexity(c.hypothesis), -c.evidence.gain))
 
 
-def complexity(h: Hypothesis) -> float:
-    """Return what orders hypotheses that fit alike: fewer parameters first, descriptions of curves behind mechanisms."""
-    return sum(c.free and not c.nuisance for c in h.parameters) + (2.0 if getattr(h, "description", False) else 0.0)
+def complexity(h: Hypothesis) -> tuple[float, int]:
+    """Return what orders hypotheses that fit alike: fewer parameters first, descriptions of curves behind mechanisms; then fewer signals read."""
+    return sum(c.free and not c.nuisance for c in h.parameters) + (2.0 if getattr(h, "description", False) else 0.0), len(h.reads)
 
 
 def fits_alike(one: Candidate, best: Candidate, gain: float, highest: float, settings: Settings, limited: str) -> bool:
