@@ -145,7 +145,7 @@ def hypothesis_evidence(path: Path, base: Path, mine: Losses, theirs: Losses, ga
     the same for all hypotheses that are compared.
     """
     last = list(path)[-1]
-    taken = float(theirs[0].sum() - mine[0].sum()) / base[last].tau
+    taken = float(theirs[0].sum() - mine[0].sum()) / taus[last]
     eased = _eased(path[last], base[last])
     count = path[last].samples / taus[last]
     fixed = eased - parameters * np.log(max(8.0, count))

@@ -24,7 +24,7 @@ from afdsvc.explain.search.evidence import (
 )
 from afdsvc.explain.search.fit import CONVERGED, Fit, fit
 from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
-from afdsvc.explain.search.path import Trial, added_path, bases, ends, exchanged_path, fewer_path, trial, whole_path
+from afdsvc.explain.search.path import Trial, added_path, bases, ends, exchanged_path, fewer_path, resumed_path, trial, whole_path
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import (
     Candidate,
@@ -118,6 +118,7 @@ def search(
         if not step.accepted:
             break
         path, rough = more
+        rounds, whole = (replace(r, taus=_own_times(rough) | _own_times(path)) for r in (rounds, whole))
         if is_offset(step.candidates[0].hypothesis):
             rounds = replace(rounds, start=path, losses={})
         else:
@@ -178,18 +179,25 @@ class Rounds(Settled):
         is above it, and the distance of the model's numbers from what is stated."""
         base, w = list(self.start.values())[-1], self.problem.weighting
         floor = 0.0 if w.even else float(base.samples * (w.noise / base.sd**2).sum())
-        return max(float(self.block_losses(self.start, tau)[0].sum()) - floor, float(np.sqrt(2.0 * base.samples))) / base.tau + 2 * base.penalty
+        return max(float(self.block_losses(self.start, tau)[0].sum()) - floor, float(np.sqrt(2.0 * base.samples))) / tau + 2 * base.penalty
 
     def next(self, path: dict[float, Fit], rough: dict[float, Fit], offered: Sequence[Hypothesis], further: bool) -> Round:
         """Screen all hypotheses, fit the promising ones along the horizons, those that keep their promise to whole recordings, and
-        decide on the first."""
+        decide on the first.
+
+        What is missing is correlated for longer than the noise: fits to few independent samples stay near what is known beforehand. Once
+        promising hypotheses are fitted, samples count by what the best of them leaves.
+        """
         p, s = self.part, self.problem.settings
         effort = max(1, int(np.sqrt(s.screened / sum(len(r) for r in p.runs))))
         shortlist, by_chance = _shortlist(p, rough, offered, self.mapper, effort * s.refined)
         begin = bases(p, rough, self.taus)
         tried = _promising(list(self.mapper(partial(trial, p, begin, self.taus, starts=STARTS), shortlist)), effort * s.polished, s.likely)
-        begun = _kept_promises(rough, list(self.mapper(partial(added_path, p, rough, self.taus), tried)), s.alike, self.limited)
-        fitted = list(self.mapper(partial(whole_path, self.problem, self.taus, base=path), begun))
+        begun = list(self.mapper(partial(added_path, p, rough, self.taus), tried))
+        taus = noise_times([rough, *begun])
+        rough, *begun = self.mapper(partial(resumed_path, p, taus), [rough, *begun])
+        begun, path = _kept_promises(rough, begun, s.alike, self.limited), resumed_path(self.problem, taus, path)
+        fitted = list(self.mapper(partial(whole_path, self.problem, taus, base=path), begun))
         counted = noise_times(fitted) if fitted else {}
         list(self.mapper(lambda path: self.block_losses(path, list(counted.values())[-1]), fitted))
         found = []
@@ -200,7 +208,13 @@ class Rounds(Settled):
         return _decided(ranked, limited, self, by_chance, further)
 
     def accepted(self, first: Candidate) -> tuple[dict[float, Fit], dict[float, Fit]]:
-        """Return the path with a candidate and without effects that do not pay beside it, fitted to convergence, and its rough one."""
+        """Return the path with a candidate and without effects that do not pay beside it, fitted to convergence, and its rough one.
+
+        Samples count by the correlation time of what it leaves.
+        """
+        return replace(self, taus=_own_times(first.rough) | _own_times(first.path))._accepted(first)
+
+    def _accepted(self, first: Candidate) -> tuple[dict[float, Fit], dict[float, Fit]]:
         path = self.without_idle(first.path)
         kept = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
         path = {h: fit(self.problem, f.point, h, self.taus[h], enough=CONVERGED) for h, f in path.items()}
@@ -272,6 +286,10 @@ class Rounds(Settled):
             if self.evidence(path, fewer, path[last].point.effects[k].hypothesis).gain < self.problem.settings.evidence / 2:
                 path = fewer
         return path
+
+
+def _own_times(path: dict[float, Fit]) -> dict[float, float]:
+    return {h: f.own_tau for h, f in path.items()}
 
 
 def _promising(tried: Sequence[Trial], count: int, likely: float) -> list[Trial]:

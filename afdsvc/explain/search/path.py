@@ -119,6 +119,11 @@ def whole_path(
     return found
 
 
+def resumed_path(problem: Problem, taus: Taus, path: Mapping[float, Fit]) -> dict[float, Fit]:
+    """Return the fits of a path gone on with, samples counting by other correlation times."""
+    return {h: fit(problem, f.point, h, taus[h], known=f.J, renewals=1) for h, f in path.items()}
+
+
 def fewer_path(problem: Problem, path: Mapping[float, Fit], taus: Taus, left_out: int) -> dict[float, Fit]:
     """Return the refits of a path without one of its effects."""
     found = {}
