@@ -14,11 +14,12 @@ BLOCKS, COUNT = 20, 400.0
 S = Settings()
 
 
-def candidate(physics: str, closed: float, parameters: int = 1, site: str = "input:u", variant: str = "", share: float = 0.5) -> Candidate:
+def candidate(physics: str, closed: float, parameters: int = 1, site: str = "input:u", variant: str = "", share: float = 0.5, reads: int = 1) -> Candidate:
     """Return a candidate that leaves the share ``1 - closed`` of the loss in every block."""
     after = np.full(BLOCKS, 1 - closed)
     coefficients = tuple(SimpleNamespace(free=True, nuisance=False) for _ in range(parameters))
-    hypothesis = SimpleNamespace(physics=physics, site=site, key=f"{physics}@{site}#{variant}", notes={"variant": variant}, parameters=coefficients)
+    words = {"physics": physics, "site": site, "key": f"{physics}@{site}#{variant}", "notes": {"variant": variant}}
+    hypothesis = SimpleNamespace(**words, parameters=coefficients, reads=("u",) * reads)
     gain = -COUNT * np.log(1 - closed)
     return Candidate(hypothesis, {}, HypothesisEvidence({0.0: gain}, share, np.ones(BLOCKS), after, COUNT, 0.0))
 
@@ -27,6 +28,8 @@ def test_hypotheses_that_fit_alike_share_the_vote_and_the_simplest_goes_first():
     many, few, other = candidate("curve", 0.900, 3), candidate("friction", 0.895, 1), candidate("lag", 0.5, 1)
     assert vote_shares([many, few, other], S, "model") == pytest.approx([0.5, 0.5, 0.0])
     assert winner([many, few, other], S, "model") is few
+    coil, lag = candidate("coil", 0.9, reads=2), candidate("lag", 0.899)
+    assert winner([coil, lag], S, "model") is lag
 
 
 def test_the_shapes_of_one_mechanism_share_one_vote():
