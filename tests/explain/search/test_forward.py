@@ -54,6 +54,14 @@ def test_dry_friction_is_found_where_only_speed_is_measured(found):
     assert effect.values[0] == pytest.approx(60.0, rel=0.1)  # rpm/s, as simulated
 
 
+def test_samples_count_by_what_the_best_hypothesis_leaves(found):
+    """Friction that is missing makes the residual correlated for longer than the noise; the fits with it do not count by that."""
+    start, first, end = found.start[0.0], found.steps[0].candidates[0].fit, found.end[0.0]
+    assert start.tau > 2 * end.own_tau
+    assert first.tau == pytest.approx(first.own_tau, rel=0.2)
+    assert end.tau == pytest.approx(end.own_tau, rel=0.2)
+
+
 def test_its_weight_counts_resampled_blocks(found):
     alike = look_alikes(found.steps[0].candidates, Settings())
     w = vote_shares(alike, Settings(), found.limited)

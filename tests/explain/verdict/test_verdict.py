@@ -13,7 +13,7 @@ from afdsvc.explain.verdict.verdict import _claims, _complete, verdict
 
 def candidate(physics: str) -> Candidate:
     """Return a candidate that closes nine tenths of the gap in every block."""
-    hypothesis = SimpleNamespace(physics=physics, site="input:u", key=physics, notes={}, parameters=())
+    hypothesis = SimpleNamespace(physics=physics, site="input:u", key=physics, notes={}, parameters=(), reads=())
     return Candidate(hypothesis, {}, HypothesisEvidence({0.0: 900.0}, 0.9, np.ones(20), np.full(20, 0.1), 400.0, 0.0))
 
 
