@@ -24,7 +24,17 @@ from afdsvc.explain.search.evidence import (
 )
 from afdsvc.explain.search.fit import CONVERGED, Fit, fit
 from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
-from afdsvc.explain.search.path import Trial, added_path, bases, ends, exchanged_path, fewer_path, resumed_path, trial, whole_path
+from afdsvc.explain.search.path import (
+    Trial,
+    added_path,
+    bases,
+    ends,
+    exchanged_path,
+    fewer_path,
+    resumed_path,
+    trial,
+    whole_path,
+)
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import (
     Candidate,
@@ -212,16 +222,14 @@ class Rounds(Settled):
 
         Samples count by the correlation time of what it leaves.
         """
-        return replace(self, taus=_own_times(first.rough) | _own_times(first.path))._accepted(first)
-
-    def _accepted(self, first: Candidate) -> tuple[dict[float, Fit], dict[float, Fit]]:
-        path = self.without_idle(first.path)
+        taus = _own_times(first.rough) | _own_times(first.path)
+        path = replace(self, taus=taus).without_idle(first.path)
         kept = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
-        path = {h: fit(self.problem, f.point, h, self.taus[h], enough=CONVERGED) for h, f in path.items()}
+        path = {h: fit(self.problem, f.point, h, taus[h], enough=CONVERGED) for h, f in path.items()}
         rough = {}
         for h, f in first.rough.items():
             point = replace(f.point, effects=tuple(e for e in f.point.effects if e.hypothesis.key in kept))
-            rough[h] = path[h] if self.part is self.problem and h in path else fit(self.part, point, h, self.taus[h])
+            rough[h] = path[h] if self.part is self.problem and h in path else fit(self.part, point, h, taus[h])
         return path, rough
 
     def exchanged(self, path: dict[float, Fit], steps: Sequence[Round]) -> tuple[dict[float, Fit], list[Round]]:
