@@ -109,7 +109,7 @@ class Follower:
     def _run(self, command: str, shown: str) -> None:
         if OPENING.match(command):
             self.stop()
-        until = time.monotonic() + PATIENCE
+        until, pause = time.monotonic() + PATIENCE, 0.5
         while True:
             done = subprocess.run(["bash", "-c", command], cwd=self.here, env=self.environment, capture_output=True, text=True)
             lines = done.stdout.splitlines()
@@ -117,7 +117,8 @@ class Follower:
                 break
             if not self.running or time.monotonic() > until:
                 raise RuntimeError(f"{command}\n{done.stdout}\n{done.stderr}")
-            time.sleep(0.5)
+            time.sleep(pause)
+            pause = min(1.5 * pause, 4.0)  # s; a command costs most of a second of a processor that the service needs
         self.said += lines
 
     def _came(self, printed: str, said: list[str]) -> bool:

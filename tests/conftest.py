@@ -18,6 +18,20 @@ from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.clock import FastClock
 
+# Files of few and long tests, first what compiles for the others; a long file that comes last leaves every other worker idle.
+LONG = ("testing", "explain", "compatibility", "system", "app")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Hand files out as they are collected: pytest-xdist would begin with those of the most tests."""
+    config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the rooms whose tests are long."""
+    ranks = {room: rank for rank, room in enumerate(LONG)}
+    items.sort(key=lambda item: ranks.get(item.path.relative_to(Path(__file__).parent).parts[0], len(LONG)))
+
 
 @pytest.fixture(scope="session")
 def plugins() -> Plugins:

@@ -21,6 +21,7 @@ class BoundedServer(ThreadingHTTPServer):
     """Serves each connection in a thread, `CONNECTIONS` at most: one that is opened and left open is closed when others come."""
 
     daemon_threads = True
+    request_queue_size = 128  # connections not yet accepted; beyond it a client tries again after 1, 2, 4 ... s
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
         self._open: dict[int, socket.socket] = {}

@@ -29,10 +29,10 @@ def libraries() -> dict[str, str]:
     return {"machine": platform.machine()} | {name: version(name) for name in ("numpy", "scipy", "numba")}
 
 
-def run(command: str, folder: Path) -> str:
+def run(command: str, folder: Path, arithmetic: dict[str, str] = PINNED) -> str:
     """Return what a command prints on stdout, run in a folder; raises CalledProcessError when it fails."""
     line = [*AFDSVC, *command.split()]
-    return subprocess.run(line, cwd=folder, env=os.environ | PINNED, stdout=subprocess.PIPE, text=True, timeout=240, check=True).stdout
+    return subprocess.run(line, cwd=folder, env=os.environ | arithmetic, stdout=subprocess.PIPE, text=True, timeout=240, check=True).stdout
 
 
 def laid_out(folder: Path) -> Path:
@@ -53,7 +53,7 @@ def files(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(name="run")
-def _run() -> Callable[[str, Path], str]:
+def _run() -> Callable[..., str]:
     """Return `run`."""
     return run
 
