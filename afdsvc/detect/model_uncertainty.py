@@ -91,18 +91,6 @@ def _models(problem: DetectionProblem, lines: Sequence[Line], R: Array) -> Model
     return Models(weights, waves, np.array([covariance for _, covariance in found]))
 
 
-def sampled_models(
-    problem: DetectionProblem, lines: Sequence[Line], R: Array, draws: int, generator: np.random.Generator
-) -> Models:
-    """Return models whose parameters are drawn at random, to check the others with."""
-    deviations, curves = uncertain_parameters(problem), fault_curves(as_faults(problem), lines)
-    found = [
-        curves.together({name: float(sd * generator.normal()) for name, sd in deviations.items()}) for _ in range(draws)
-    ]
-    waves = np.array([(R @ point).ravel() for point, _ in found])
-    return Models(np.full(draws, 1 / draws), waves, np.array([covariance for _, covariance in found]))
-
-
 def threshold_over_models(directions: Array, found: Models, false_alarm: float) -> float:
     """Return h at which ``max_k <e_k, z>`` exceeds h with probability ``false_alarm`` averaged over the models.
 

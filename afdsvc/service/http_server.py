@@ -25,18 +25,19 @@ class BoundedServer(ThreadingHTTPServer):
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
         self._open: dict[int, socket.socket] = {}
+        self._places = threading.BoundedSemaphore(CONNECTIONS)
         self._lock = threading.Lock()
         super().__init__(address, handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Begin to serve a connection."""
+        """Begin to serve a connection, where none is free once the thread of the oldest has ended."""
         request.settimeout(TIMEOUT_SECONDS)
+        if not self._places.acquire(blocking=False):
+            with self._lock, contextlib.suppress(OSError, StopIteration):
+                self._open.pop(next(iter(self._open))).shutdown(socket.SHUT_RDWR)
+            self._places.acquire()
         with self._lock:
-            oldest = self._open.pop(next(iter(self._open))) if len(self._open) >= CONNECTIONS else None
             self._open[id(request)] = request
-        if oldest is not None:
-            with contextlib.suppress(OSError):
-                oldest.shutdown(socket.SHUT_RDWR)
         super().process_request(request, client_address)
 
     def shutdown_request(self, request: Any) -> None:
@@ -44,6 +45,7 @@ class BoundedServer(ThreadingHTTPServer):
         with self._lock:
             self._open.pop(id(request), None)
         super().shutdown_request(request)
+        self._places.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Note a connection that failed; a peer that hangs up is no event of the service."""

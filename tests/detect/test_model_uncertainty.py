@@ -8,7 +8,7 @@ import pytest
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.detect.burst_detector import BurstSamples
 from afdsvc.detect.features.regressors import regressors
-from afdsvc.detect.model_uncertainty import as_faults, model_doubt, model_waves, models, sampled_models
+from afdsvc.detect.model_uncertainty import Models, as_faults, model_doubt, model_waves, models
 from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.statistics.active_cusum import ActiveCusum
 from afdsvc.detect.statistics.fault_curves import fault_curves
@@ -59,9 +59,17 @@ def test_waves_and_coloured_noise_of_a_wrong_model_against_the_simulated_loop(de
     assert np.diag(covariance) == pytest.approx(noise.var(axis=0), rel=0.15)
 
 
+def sampled(problem, lines, R, draws, generator):
+    """Models whose parameters are drawn at random."""
+    deviations, curves = uncertain_parameters(problem), fault_curves(as_faults(problem), lines)
+    found = [curves.together({name: float(sd * generator.normal()) for name, sd in deviations.items()}) for _ in range(draws)]
+    waves = np.array([(R @ point).ravel() for point, _ in found])
+    return Models(np.full(draws, 1 / draws), waves, np.array([covariance for _, covariance in found]))
+
+
 def test_linearisation_quadrature_and_sampling_agree_for_small_doubt():
     problem, R = doubtful(0.002), np.sqrt(100) * np.eye(2)
-    drawn = sampled_models(problem, LINE, R, 4000, np.random.default_rng(1))
+    drawn = sampled(problem, LINE, R, 4000, np.random.default_rng(1))
     linear = model_doubt(problem, LINE, R)
     assert models(problem, LINE, R).spread == pytest.approx(linear, rel=0.03, abs=1e-4)
     assert drawn.spread == pytest.approx(linear, rel=0.08, abs=1e-3)

@@ -12,7 +12,6 @@ import math
 import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
-from scipy.stats import ncx2
 
 from afdsvc.errors import BadInput
 
@@ -37,17 +36,6 @@ def required_deflection(false_alarm: float, detection: float) -> float:
     return tail_point(false_alarm) - tail_point(detection)
 
 
-def required_samples(false_alarm: float, detection: float, deflection_per_root_sample: float) -> float:
-    """Return the number of samples a burst needs when its deflection grows as ``rate * sqrt(n)`` (inf at 0)."""
-    d = required_deflection(false_alarm, detection)
-    return (d / deflection_per_root_sample) ** 2 if deflection_per_root_sample > 0 else math.inf
-
-
-def unknown_phase(false_alarm: float, deflection: float) -> float:
-    """Return P_D of the I/Q detector, which knows neither phase nor amplitude: ``T_I^2 + T_Q^2 > -2 ln P_FA``."""
-    return float(ncx2.sf(-2 * math.log(_probability(false_alarm)), 2, max(deflection, 0.0) ** 2))
-
-
 def pair_confusion(separation: float) -> float:
     """Return the probability that the nearer of two hypotheses ``separation`` standard deviations apart is the wrong
     one.
@@ -64,16 +52,6 @@ def weight_reached(separation: float, weight: float) -> float:
     if separation <= 0:
         return 0.0
     return tail((_log_odds(weight) - separation**2 / 2) / separation)
-
-
-def falsely_sure(separation: float, weight: float) -> float:
-    """Return the probability that the wrong one of two hypotheses gets at least ``weight``.
-
-    It is largest, ``Q(sqrt(2 ln(w / (1 - w))))``, at a separation of ``sqrt(2 ln(w / (1 - w)))``.
-    """
-    if separation <= 0:
-        return 0.0
-    return tail((_log_odds(weight) + separation**2 / 2) / separation)
 
 
 def required_separation(weight: float, probability: float) -> float:

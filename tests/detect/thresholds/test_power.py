@@ -24,11 +24,8 @@ def test_detection_probability_matches_simulation():
     assert power.detection_probability(1e-2, 3.0) == pytest.approx(found, abs=4 * 0.5 / 630)
 
 
-def test_unknown_phase_costs_power_and_keeps_the_rate():
-    assert power.unknown_phase(1e-4, 1e-9) == pytest.approx(1e-4, rel=1e-6)
-    # published comparison at d = 5, P_FA = 1e-4: known phase 0.8999, I/Q detector 0.7930
+def test_a_published_power_of_a_known_wave():
     assert power.detection_probability(1e-4, 5.0) == pytest.approx(0.8999, abs=1e-4)
-    assert power.unknown_phase(1e-4, 5.0) == pytest.approx(0.7930, abs=1e-4)
 
 
 def test_weights_of_two_hypotheses_match_simulation():
@@ -36,23 +33,11 @@ def test_weights_of_two_hypotheses_match_simulation():
     ratio = rng.normal(s**2 / 2, s, n)
     bound = np.log(0.99 / 0.01)
     assert power.weight_reached(s, 0.99) == pytest.approx(np.mean(ratio > bound), abs=0.003)
-    assert power.falsely_sure(s, 0.99) == pytest.approx(np.mean(ratio < -bound), abs=2e-4)
-
-
-def test_falsely_sure_is_never_above_its_stated_maximum():
-    worst = max(power.falsely_sure(s, 0.99) for s in np.linspace(0.1, 30, 3000))
-    assert worst <= power.tail(np.sqrt(2 * np.log(99))) * (1 + 1e-9)
-    assert worst < 0.0013
 
 
 def test_required_separation_inverts_weight_reached():
     s = power.required_separation(0.99, 0.999)
     assert power.weight_reached(s, 0.99) == pytest.approx(0.999, abs=1e-9)
-
-
-def test_samples_grow_with_the_square_of_the_required_deflection():
-    assert power.required_samples(1e-6, 0.99, 0.1) == pytest.approx((7.079772 / 0.1) ** 2, rel=1e-6)
-    assert power.required_samples(1e-6, 0.99, 0.0) == np.inf
 
 
 @pytest.mark.parametrize("probability", [0.0, 1.0, -0.1, float("nan")])
