@@ -36,7 +36,7 @@ OF_THE_LOG = """# Runs the model of {file} as a simulated machine; put your driv
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What names of columns do not say: which are inputs and outputs, units, and limits of bursts, by column.
+    """What names of columns do not say: which are inputs and outputs, units and limits of bursts by column, and the seconds between rows.
 
     ``ask(question, default, parse)`` is called for what is missing and returns what ``parse`` makes of the answer; None asks nothing.
     """
@@ -45,6 +45,7 @@ class Answers:
     outputs: Sequence[str] = ()
     units: Mapping[str, str] = field(default_factory=dict)
     limits: Mapping[str, str] = field(default_factory=dict)
+    step: float | None = None
     ask: Callable[[str, str, Callable[[str], Any]], Any] | None = None
 
     @property
@@ -70,7 +71,8 @@ def init_files(recording: Path, out: Path | None = None, answers: Answers | None
     columns = {n: v for n, (_, v) in read_export(recording)[0].items()} if is_export(recording) else read_columns(recording)
     time = own_time(columns) or next((n for n in columns if heading(n).role == "t"), "")
     found = _headings(recording, [n for n in columns if n != time and not is_stamped(columns[n])], answers)
-    text = _mapping(found, time, bool(time) and is_stamped(columns[time]))
+    step = None if time or is_export(recording) else _step(recording, answers)
+    text = _mapping(found, time, bool(time) and is_stamped(columns[time]), step)
     (trace, *_) = read_foreign_columns(recording, DataMapping.model_validate(text), None)
     ins, outs = ([h for h in found if h.role == role] for role in ("u", "y"))
     u = np.column_stack([trace.column(f"u_{h.label}") for h in ins])
@@ -139,11 +141,20 @@ def _unit(column: str, text: str) -> str:
     return text
 
 
-def _mapping(found: Sequence[Heading], time: str, stamped: bool) -> dict[str, Any]:
+def _mapping(found: Sequence[Heading], time: str, stamped: bool, step: float | None) -> dict[str, Any]:
     unit = heading(time).unit if time else ""
-    clock = {"from": time} | ({} if stamped or not unit else {"unit": unit}) if time else {}
+    clock = {"from": time} | ({} if stamped or not unit else {"unit": unit}) if time else {"step": step} if step else {}
     signals = {f"{h.role}_{h.label}": {"from": h.name} | ({"unit": h.unit} if h.unit else {}) for h in found}
     return ({"time": clock} if clock else {}) | {"signals": signals}
+
+
+def _step(recording: Path, answers: Answers) -> float:
+    """Return the seconds between rows of a table whose columns hold no time; raises `BadInput` where they are not stated."""
+    if answers.step is not None:
+        return _positive("--step", str(answers.step))
+    if answers.ask is None:
+        raise BadInput(f"{recording}: no column is the time; expected one named t, t_ms or timestamp, or --step SECONDS, the time between rows")
+    return float(answers.ask("No column is the time. Seconds between rows", "", lambda text: _positive("seconds between rows", text)))
 
 
 def _toml(text: dict[str, Any]) -> str:
@@ -177,15 +188,15 @@ def _limit(h: Heading, trace: Trace, answers: Answers) -> float:
     """Return the largest magnitude that a burst may reach: stated, asked for, or that of the log."""
     seen = f"{np.abs(trace.column(f'{h.role}_{h.label}')).max():.3g}"
     if h.name in answers.limits or answers.ask is None:
-        return _positive(h.name, answers.limits.get(h.name, seen))
-    return float(answers.ask(f"Largest magnitude of {h.name} during a burst{f' [{h.unit}]' if h.unit else ''}", seen, lambda text: _positive(h.name, text)))
+        return _positive(f"limit of '{h.name}'", answers.limits.get(h.name, seen))
+    return float(answers.ask(f"Largest magnitude of {h.name} during a burst{f' [{h.unit}]' if h.unit else ''}", seen, lambda text: _positive(f"limit of '{h.name}'", text)))
 
 
-def _positive(column: str, text: str) -> float:
+def _positive(what: str, text: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = float("nan")
     if not 0 < value < float("inf"):
-        raise BadInput(f"limit of '{column}': found '{text}'; expected a number above 0")
+        raise BadInput(f"{what}: found '{text}'; expected a number above 0")
     return value

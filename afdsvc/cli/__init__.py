@@ -136,6 +136,7 @@ def init(
     inputs: Annotated[list[str] | None, typer.Option("--input", metavar="COLUMN", help="A column that is an input; may be repeated.")] = None,
     outputs: Annotated[list[str] | None, typer.Option("--output", metavar="COLUMN", help="A column that is an output; may be repeated.")] = None,
     unit: Annotated[list[str] | None, typer.Option("--unit", metavar="COLUMN=UNIT", help="The unit of a column; may be repeated.")] = None,
+    step: Annotated[float | None, typer.Option("--step", metavar="SECONDS", help="Time between rows, where no column is the time.")] = None,
     with_site: Annotated[bool, typer.Option("--with-site", help="Also write site.toml, which runs the model as a simulated machine.")] = False,
     limit: Annotated[list[str] | None, typer.Option("--limit", metavar="COLUMN=VALUE", help="Largest magnitude in a burst, for site.toml (default: that of the table).")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
@@ -146,7 +147,7 @@ def init(
     from afdsvc.present.terminal import init_table
 
     ask = _ask if sys.stdin.isatty() and not as_json else None
-    answers = Answers(inputs or [], outputs or [], _pairs("--unit", "rpm", unit), _pairs("--limit", "24", limit), ask)
+    answers = Answers(inputs or [], outputs or [], _pairs("--unit", "rpm", unit), _pairs("--limit", "24", limit), step, ask)
     document = init_files(recording, out, answers, overwrite, with_site)
     show(as_json, document, lambda: init_table(document))
 

@@ -86,6 +86,15 @@ def test_on_a_terminal_it_asks_what_names_do_not_say(tmp_path: Path):
     assert (site.machines[0].limits.input, site.machines[0].limits.output) == ([1.0], [2.0])
 
 
+def test_a_log_without_a_time(tmp_path: Path):
+    (tmp_path / "log.csv").write_text(LOG.replace("t,a,b", "n,U_V,n_rpm"))
+    with pytest.raises(BadInput, match=r"no column is the time; .*--step SECONDS"):
+        init_files(tmp_path / "log.csv")
+    document = init_files(tmp_path / "log.csv", answers=Answers(step=0.5))
+    assert document["sample_time"] == 0.5
+    assert read_mapping(tmp_path / "mapping.toml").time.step == 0.5
+
+
 def test_the_site_file_of_a_log_passes_site_check(logs: Path, tmp_path: Path):
     document = init_files(logs / "motor.csv", tmp_path, Answers(limits={"voltage_V": "5"}), site=True)
     (machine,) = check_site(Path(document["site"]))["machines"]
