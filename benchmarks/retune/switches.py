@@ -220,6 +220,8 @@ def main() -> None:
         if wrong:
             failures += 1
             print(f"{case.name}: {wrong}", flush=True)
+        if (k + 1) % 5000 == 0:
+            print(f"{2 * (k + 1)} switches, {failures} failures so far", flush=True)
     for case in made:
         proof, (measured, error) = case.proof, bump(case)
         print(
