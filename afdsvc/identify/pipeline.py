@@ -82,7 +82,7 @@ def identify(
         outcome.reductions,
         check,
         preview,
-        (*problem.notes, *warning, *_warnings(fit.heldout, before, stable), *_invented(fit.system, problem.nominal)),
+        (*problem.notes, *warning, *_warnings(fit.heldout, before, stable), *_invented(fit.system, problem.nominal, max(len(r) * r.dt for r in parts.training))),
     )
 
 
@@ -224,11 +224,11 @@ def _certain(system: StateSpace) -> ResponseBand:
     return ResponseBand(omega, value, np.zeros((*value.shape, 2, 2)))
 
 
-def _invented(found: StateSpace, nominal: StateSpace) -> tuple[str, ...]:
+def _invented(found: StateSpace, nominal: StateSpace, duration: float) -> tuple[str, ...]:
     return tuple(
         f"the identified plant has an undamped mode at {hz:.4g} Hz that the nominal model does not have; "
         "at the speed of rotation or mains frequency it is a periodic disturbance, not the plant: remove it from u and y first"
-        for hz in undamped_modes(found, nominal)
+        for hz in undamped_modes(found, nominal, duration)
     )
 
 

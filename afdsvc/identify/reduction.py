@@ -29,12 +29,13 @@ from afdsvc.identify.methods.black_box_pem import local_structure
 from afdsvc.identify.methods.hansen import excited_loop, loop_is_stable
 from afdsvc.identify.methods.indirect import Mismatch
 from afdsvc.identify.numerics.impulse_fit import approach
+from afdsvc.identify.numerics.innovations_form import fitted_errors
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.reduce import balanced_truncation, closed_loop_truncation, weighted_truncation
 from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, ComplexArray, StateSpace, block_diagonal
-from afdsvc.lti.yjbk import exchange
+from afdsvc.lti.yjbk import deviation_system, exchange
 
 TRUNCATIONS = ("balanced", "frequency_weighted", "closed_loop", "coprime")
 
@@ -170,6 +171,8 @@ def _coprime(plant: StateSpace, fact: Factorisation, order: int, u: Array, y: Ar
 
 
 _RESTARTS = 4
+#: Longest autoregression of the noise, and how often it is estimated: once more when its colour no longer misleads the fit.
+_NOISE_LAGS, _COLOURINGS = 20, 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,6 +185,12 @@ class Refinement:
     objective: Mismatch
     point: Array
 
+    def criterion(self) -> float:
+        """Return the Bayesian information criterion of the errors, as the objective whitens them."""
+        samples = sum(map(len, self.objective.recordings))
+        covariance = self.objective.error_covariance(self.point * self.objective.structure.scales)
+        return float(samples * np.linalg.slogdet(covariance)[1] + len(self.point) * np.log(samples))
+
     def band(self, omega: Array, groups: int = 16) -> ResponseBand:
         """Return the frequency response with its covariance (`sandwich_band`)."""
         local, parts = self.objective.local(self.point), self.objective.group_gradients(self.point, groups)
@@ -193,6 +202,19 @@ class Refinement:
         return sandwich_band(response, local.curvature, parts, omega)
 
 
+def noise_whitener(errors: Sequence[Array], dt: float) -> StateSpace:
+    """Return the filter that whitens errors, an autoregression of them all, its length by the Bayesian information criterion (Lütkepohl, 2005)."""
+    p, samples = errors[0].shape[1], sum(map(len, errors))
+    most = min(_NOISE_LAGS, samples // (20 * p))
+    rows = np.vstack([np.hstack([e[most - k : len(e) - k] for k in range(most + 1)]) for e in errors])  # now, one sample ago, ...
+    fits = [linalg.lstsq(rows[:, p : p * (k + 1)], rows[:, :p])[0] if k else np.zeros((0, p)) for k in range(most + 1)]
+    left = [rows[:, :p] - rows[:, p : p * (k + 1)] @ weights for k, weights in enumerate(fits)]
+    criteria = [len(rows) * np.linalg.slogdet(e.T @ e / len(e))[1] + k * p * p * np.log(len(rows)) for k, e in enumerate(left)]
+    k = int(np.argmin(criteria))
+    shift = np.eye(k * p, k=-p)
+    return StateSpace(shift, np.eye(k * p, p), -fits[k].T, np.eye(p), dt)
+
+
 def refine(
     fact: Factorisation, signals: Sequence[InputOutputData], start: StateSpace, whitener: StateSpace | None = None
 ) -> Refinement:
@@ -202,11 +224,58 @@ def refine(
     the last word, so neither the start nor where an impulse response was cut off is left in the result. ``whitener``
     filters beta before the sweeps: without it every frequency counts alike, however noisy it is.
     """
-    first = _left(_objective(fact, signals, start, whitener))
-    system = approach(fact, signals, _balanced(start))
-    objective = _objective(fact, signals, system, whitener)
-    if _left(objective) > first:
-        objective = _objective(fact, signals, start, whitener)
+    return _swept(_near(fact, signals, start, whitener), signals)
+
+
+def _near(fact: Factorisation, signals: Sequence[InputOutputData], start: StateSpace, whitener: StateSpace | None) -> Refinement:
+    """Return where correlations lead from a start, the start itself where that is better."""
+    given = _objective(fact, signals, start, whitener)
+    best = min((_objective(fact, signals, approach(fact, signals, _balanced(start)), whitener), given), key=_left)
+    z = np.zeros(len(best.structure.parameters))
+    return Refinement(best.structure.build(z), _left(best) / _left(given), best, z)
+
+
+def refine_from(
+    fact: Factorisation, signals: Sequence[InputOutputData], starts: Sequence[StateSpace], whitener: StateSpace | None = None
+) -> Refinement:
+    """Return the best `refine` from several starts, with beta whitened by a noise model estimated from what it leaves unless ``whitener`` is given.
+
+    The search has local minima. Of those reached, the one with the smallest Bayesian information criterion counts: a start without feedthrough stays
+    without, and competes with one that has it. Raises the error of the last start where none succeeds.
+    """
+    found, failure = _reached(starts, lambda start: _near(fact, signals, start, whitener))
+    if not found:
+        raise failure
+    for _ in range(_COLOURINGS if whitener is None else 1):
+        colour = whitener or _colour(fact, signals, min(found, key=Refinement.criterion).system)
+        different = {round(f.criterion()): f for f in found}.values()  # starts that led to the same minimum count once
+        swept = [_swept(Refinement(f.system, f.gain, _objective(fact, signals, f.system, colour), 0 * f.point), signals) for f in different]
+        found = [min(swept, key=Refinement.criterion)]
+    return found[0]
+
+
+def _colour(fact: Factorisation, signals: Sequence[InputOutputData], plant: StateSpace) -> StateSpace:
+    """Return the filter that whitens what a plant leaves of beta."""
+    S = deviation_system(fact, plant)
+    return noise_whitener([fitted_errors(S, r.u, r.y) for r in signals], plant.dt)
+
+
+def _reached(starts: Sequence[StateSpace], reach: Callable[[StateSpace], Refinement]) -> tuple[list[Refinement], AfdsvcError]:
+    """Return what every start leads to, and the last failure."""
+    found: list[Refinement] = []
+    failure: AfdsvcError = BadInput("no starting point was handed in; expected at least one")
+    for start in starts:
+        try:
+            found.append(reach(start))
+        except AfdsvcError as error:
+            failure = error
+    return found, failure
+
+
+def _swept(near: Refinement, signals: Sequence[InputOutputData]) -> Refinement:
+    """Return the minimum that sweeps over the samples find near where correlations led."""
+    objective, found = near.objective, near
+    first = _left(objective) / near.gain
     for _ in range(_RESTARTS):  # the coordinates are those of the point they start from
         before, z = _left(objective), np.zeros(len(objective.structure.parameters))
         unbounded = np.full(len(z), np.inf)
@@ -215,7 +284,7 @@ def refine(
         found = Refinement(system, _left(objective, best.point) / first, objective, best.point)
         if found.gain * first > before * (1 - 1e-4):
             break
-        objective = _objective(fact, signals, system, whitener)
+        objective = _objective(objective.fact, signals, system, objective.whitener)
     return found
 
 

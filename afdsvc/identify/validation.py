@@ -159,16 +159,22 @@ def agreement(first: ResponseBand, second: ResponseBand) -> Agreement:
 
 #: Relative damping below which a mode counts as undamped, growing modes too, and how near in frequency a nominal one excuses it.
 LEAST_DAMPING, NEIGHBOURHOOD = 0.01, 0.2
+#: In a short recording more damping counts as none: a mode of which this decay (natural logarithm) leaves five per cent rings from end to end.
+LEAST_DECAY, MOST_DAMPING = 3.0, 0.05
 
 
-def undamped_modes(found: StateSpace, nominal: StateSpace) -> list[float]:
-    """Return the frequencies [Hz] of undamped and growing modes of a discrete system that the nominal one does not have nearby."""
-    known = _undamped(nominal, 2 * LEAST_DAMPING)
-    new = [w for w in _undamped(found, LEAST_DAMPING) if not (np.abs(known - w) < NEIGHBOURHOOD * w).any()]
+def undamped_modes(found: StateSpace, nominal: StateSpace, duration: float = float("inf")) -> list[float]:
+    """Return the frequencies [Hz] of undamped and growing modes of a discrete system that the nominal one does not have nearby.
+
+    ``duration`` [s] is that of the longest recording.
+    """
+    known = _undamped(nominal, duration, 2.0)
+    new = [w for w in _undamped(found, duration) if not (np.abs(known - w) < NEIGHBOURHOOD * w).any()]
     return [float(w / (2 * np.pi)) for w in new]
 
 
-def _undamped(system: StateSpace, least: float) -> Array:
+def _undamped(system: StateSpace, duration: float, factor: float = 1.0) -> Array:
     poles = system.poles().astype(np.complex128)
     rates = np.log(poles[(np.abs(poles) > 0) & (poles.imag > 0)]) / system.dt
-    return np.asarray(np.abs(rates[-rates.real < least * np.abs(rates)]))
+    omega = np.abs(rates)
+    return np.asarray(omega[-rates.real < factor * np.clip(LEAST_DECAY / (omega * duration), LEAST_DAMPING, MOST_DAMPING) * omega])

@@ -16,7 +16,7 @@ from afdsvc.identify.excitation import Excitation, require_excitation, supported
 from afdsvc.identify.fit import Fit, jackknife_band
 from afdsvc.identify.methods.black_box_pem import black_box_band, black_box_pem
 from afdsvc.identify.methods.greybox import GreyboxOptions, fit_greybox, greybox_band
-from afdsvc.identify.methods.hansen import rebuilt_plant, youla_signals
+from afdsvc.identify.methods.hansen import loop_is_stable, rebuilt_plant, youla_signals
 from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
 from afdsvc.identify.methods.repeated_indirect import NoiseCovariances, fit_recentred
 from afdsvc.identify.methods.subspace import Subspace, Weighting, decompose, realise
@@ -25,7 +25,7 @@ from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.order import answer_p, choose_horizon, choose_order, memory, simulated_order
 from afdsvc.identify.parameters.structure import Structure, model_structure
 from afdsvc.identify.preparation import Prepared
-from afdsvc.identify.reduction import ReducedPlant, compare_reductions, reduction_cost, refine
+from afdsvc.identify.reduction import ReducedPlant, compare_reductions, reduction_cost, refine_from
 from afdsvc.identify.settings import SETTINGS
 from afdsvc.identify.validation import can_be_simulated
 from afdsvc.lti.coprime import Factorisation
@@ -103,18 +103,36 @@ def _refined(
     reductions: list[ReducedPlant],
     options: IdentifyOptions,
 ) -> MethodResult:
-    """Fit the reduced plant to the recordings, from the truncation that disturbs the loop least."""
+    """Fit the reduced plant to the recordings, from the truncation that disturbs the loop least, from the nominal plant and from PBSIDopt."""
     fact = _known_controller(problem, "hansen")
-    refinement = refine(fact, signals, _chosen(reductions), _whitener(problem, fact))
+    truncated, wanted = [r.system for r in reductions[:1] if r.loop_stable and r.system is not None], reductions[0].system
+    order = problem.nominal.order if wanted is None else wanted.order
+    others = (_answering_at_once(g, problem.nominal) for g in (problem.nominal, *_by_predictor(problem, order)))
+    starts = [*truncated, *(g for g in others if g.order == order and loop_is_stable(g, fact.controller))]
+    refinement = refine_from(fact, signals, starts or [_chosen(reductions)], _whitener(problem, fact))
     found = reduction_cost("refined", refinement.system, full, fact, problem.training)
     band = refinement.band(omega_grid(full.dt), options.groups) if options.groups else None
     note = (
         f"{fit.notes[0]}, reduced to {found.system.order if found.system else 0} by {reductions[0].method} "
-        "truncation and refined on the recordings"
+        f"truncation and refined on the recordings from {len(starts)} starts"
     )
     return MethodResult(
         replace(fit, model=_output_error(refinement.system), band=band, notes=(note,)), full, (found, *reductions)
     )
+
+
+def _answering_at_once(start: StateSpace, nominal: StateSpace) -> StateSpace:
+    """Return a start with the nominal feedthrough where it has none: what is zero at the start stays zero."""
+    return start if start.D.any() else StateSpace(start.A, start.B, start.C, nominal.D, start.dt)
+
+
+def _by_predictor(problem: Prepared, order: int) -> list[StateSpace]:
+    """Return the plant of PBSIDopt, none where it fails."""
+    past = max(40, choose_horizon(problem.training, 2 * problem.slowest, windows=1))
+    try:
+        return [realise_predictor(decompose_predictor(problem.training, past), order).system]
+    except (AfdsvcError, np.linalg.LinAlgError):
+        return []
 
 
 def _whitener(problem: Prepared, fact: Factorisation) -> StateSpace | None:
