@@ -27,6 +27,13 @@ def test_only_new_undamped_modes_are_told():
     assert undamped_modes(_oscillator(50.0, -0.05), _oscillator(20.0, 0.3)) == [pytest.approx(50.0, rel=1e-3)]
 
 
+def test_in_a_short_recording_a_mode_that_rings_from_end_to_end_is_undamped():
+    found, nominal = _oscillator(50.0, 0.02), _oscillator(20.0, 0.3)
+    assert undamped_modes(found, nominal, 0.4) == [pytest.approx(50.0, rel=1e-3)]  # a twelfth of it is left at the end
+    assert undamped_modes(found, nominal, 1.0) == []
+    assert undamped_modes(_oscillator(5.0, 0.2), nominal, 0.4) == []  # slow, but damped
+
+
 def test_the_orbit_of_a_rotor_is_not_taken_for_the_plant_silently(bearing, observer_loop, run_loop, binary):
     """Unbalance of twice the excited motion at 30 Hz: the estimate warns of the mode it invents; without, it does not."""
     plant, rng = gas_bearing(0), np.random.default_rng(5)
