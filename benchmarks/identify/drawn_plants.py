@@ -3,7 +3,7 @@
 Plants of 2 to 8 states with 1 or 2 inputs and outputs, every third with feedthrough; random binary inputs held for 2 samples; noise of a
 share of each output's deviation, white or AR(1) with pole 0.9. Error: median over frequency of |G - G0| / |G0| (spectral norms), in per cent.
 
-    AFDSVC_DATA=. peers/bin/python benchmarks/identify/drawn_plants.py run peers.csv --tools sippy llsi markov SysIdentPy
+    peers/bin/python benchmarks/identify/drawn_plants.py run peers.csv --tools sippy llsi markov SysIdentPy
     python benchmarks/identify/drawn_plants.py run ours.csv --tools auto
     python benchmarks/identify/drawn_plants.py page ours.csv peers.csv
 """
