@@ -57,7 +57,7 @@ class Answers:
 def init_files(recording: Path, out: Path | None = None, answers: Answers | None = None, overwrite: bool = False, site: bool = False) -> dict[str, Any]:
     """Write MODEL.toml and mapping.toml for a table, with ``site`` also site.toml, and return what was found, column by column.
 
-    Raises `BadInput` where there is no input or no output and nobody to ask, and where a file is there already.
+    Raises `BadInput` where there is no input or no output and no terminal to ask on, and where a file is there already.
     """
     answers = answers or Answers()
     if recording.suffix.lower() not in TABLES:
