@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import getpass
 import logging
+import math
 import os
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -76,7 +78,9 @@ def serve(
                 found.origin, ", ".join(found.transport.listen),
             )
         if two is None or hub.history is None:
-            stop.wait(seconds)
+            until = time.monotonic() + (math.inf if seconds is None else seconds)
+            while not stop.wait(0.5) and time.monotonic() < until:
+                pass  # a signal that another thread receives is handled when this one wakes
         else:
             two(hub.history).hold(stop, seconds, lambda: not any(watch.present for watch in hub.watches.values()))
     _leave()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import re
@@ -168,6 +169,24 @@ def test_a_service_that_can_keep_nothing_says_so_and_does_not_start(tmp_path, fr
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].endswith(f"key '{table}.{key}' is '{value}': No such file or directory; expected {what} can be made and written")
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="looks at /proc")
+def test_sigterm_ends_the_service_whichever_of_its_threads_receives_it(free_port, tmp_path):
+    site, address = tmp_path / "site.toml", tmp_path / "notify"
+    site.write_text(SITE.format(port=free_port))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ear:
+        ear.bind(str(address))
+        command = [sys.executable, "-m", "afdsvc", "serve", str(site)]
+        serve = subprocess.Popen(command, stderr=subprocess.DEVNULL, env={**os.environ, "NOTIFY_SOCKET": str(address)}, cwd=tmp_path)
+        try:
+            heard(ear, "READY=1")
+            time.sleep(1.0)
+            other = next(int(t) for t in os.listdir(f"/proc/{serve.pid}/task") if int(t) != serve.pid)
+            assert ctypes.CDLL(None).tgkill(serve.pid, other, signal.SIGTERM) == 0
+            assert serve.wait(10) == 0
+        finally:
+            serve.kill()
 
 
 OUTAGES = """
