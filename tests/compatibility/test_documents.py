@@ -12,6 +12,8 @@ import pytest
 FILES, SHIPPED = Path(__file__).parent / "09e6b58", Path(__file__).parents[2] / "recordings" / "shipped"
 COMMANDS = tomllib.loads(Path(__file__).with_name("commands.toml").read_text())
 
+ANOTHER_OPTIMUM = 0.01  # of R2 and NRMSE: the refinement of Hansen's scheme has other starts and another weighting than at that commit
+
 
 def kept(name: str) -> Any:
     """Return a document of the commit."""
@@ -48,7 +50,7 @@ def differences(old: Any, new: Any, relative: float, path: str = "") -> list[str
 
 
 def fit(document: dict[str, Any]) -> tuple[Any, dict[str, Any], dict[str, Any]]:
-    """Return what identification says: method, order and names; fit before; fit after, which an optimiser may end a little off."""
+    """Return what identification says: method, order and names; fit before; fit after."""
     outputs = document["fit"]["per_output"]
     names = {k: document[k] for k in ("method", "order", "loop_stable")} | {"heldout": document["fit"]["heldout"]}
     return names, *({o: f[when] for o, f in outputs.items()} for when in ("before", "after"))
@@ -75,7 +77,8 @@ def test_command(name, files, run, tolerance):
     elif compare == "fit":
         (names, before, after), (names_now, before_now, after_now) = fit(old), fit(new)
         assert names_now == names
-        assert differences(before, before_now, tolerance["values"]) + differences(after, after_now, 1e-3) == []
+        assert differences(before, before_now, tolerance["values"]) == []
+        assert all(after_now[o] == pytest.approx(f, abs=ANOTHER_OPTIMUM) for o, f in after.items())
 
 
 def test_the_evidence_of_the_shipped_recordings(run, tolerance):
