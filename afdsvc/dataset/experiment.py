@@ -50,11 +50,12 @@ class Run:
     def __len__(self) -> int:
         return len(self.U)
 
-    def external(self) -> Array | None:
-        """Return what reaches the plant inputs from outside the loop ``(n, m)``: ``W`` and what the controller makes of the references."""
-        if self.W is None or self.controller is None:
-            return self.W
-        return _outside(self.controller, self.W, self.REF)
+    def amplified(self, gain: Array) -> Run:
+        """Return the run with inputs times ``gain (m,)``, in a loop what comes to them from outside: ``W`` and what the controller makes of references."""
+        if self.W is None:
+            return replace(self, U=gain * self.U)
+        external = self.W if self.controller is None else _outside(self.controller, self.W, self.REF)
+        return replace(self, U=gain * self.U, W=self.W + (gain - 1) * external)
 
     def span(self, start: int, stop: int) -> Run:
         """Return some samples as a run of its own, whose controller starts at rest: W holds what its state still gave."""

@@ -42,7 +42,7 @@ class Proof:
     """What was proved: see `prove`.
 
     ``rectangles`` cover severity and gain; ``cost_before``, ``cost_after`` and ``reached`` (share of the reduction that the best controller
-    of the damaged plant brings) are the worst of the interval; ``sensitivity`` of the damaged loops, and of those where the diagnosis is wrong (see `afdsvc.retune.sensitivity.hypotheses`); ``rise_seconds``
+    of the damaged plant brings) are the worst of the interval; ``sensitivity`` of the damaged loops, of the healthy one, and the largest of those where the diagnosis is wrong (see `afdsvc.retune.sensitivity.hypotheses`); ``rise_seconds``
     and ``fall_seconds`` the shortest times in which the gain may rise and fall (0: one sample), ``bump_in`` and ``bump_out`` the largest
     standard deviations meanwhile, relative to the larger of those before and after; ``room`` the smallest share of a limit that noise peaks leave free with Q, and ``tightest`` the signal.
     """
@@ -54,6 +54,7 @@ class Proof:
     reached: float
     sensitivity_before: float
     sensitivity_after: float
+    sensitivity_healthy: float
     sensitivity_wrong: float
     rise_seconds: float
     fall_seconds: float
@@ -187,8 +188,8 @@ def _shifted(augmented: AugmentedPlant, severity: float) -> tuple[StateSpace, in
     return StateSpace(A, B, C, D, s.dt), k
 
 
-def _sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace, settings: RetuneSettings) -> tuple[float, float, float]:
-    """Return the largest sensitivity of the damaged loops without and with Q, and of those where the diagnosis is wrong; may refuse."""
+def _sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace, settings: RetuneSettings) -> tuple[float, float, float, float]:
+    """Return the largest sensitivity of the damaged loops without and with Q, of the healthy one, and of those where the diagnosis is wrong; may refuse."""
     cases, peaks = hypotheses(problem, found), sensitivities(problem, found, Q)
     for case, after, most in zip(cases, peaks[:, 1], accepted(problem, found, peaks[:, 0], settings), strict=True):
         if after > most:
@@ -196,7 +197,7 @@ def _sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace, s
             raise Refused(f"the sensitivity with {machine} would be {after:.3g}; at most {most:.3g} is accepted")
     wrong = np.array([found.fault not in case for case in cases])
     before, after = peaks[~wrong].max(axis=0)
-    return float(before), float(after), float(peaks[wrong, 1].max())
+    return float(before), float(after), float(peaks[cases.index({}), 1]), float(peaks[wrong, 1].max())
 
 
 def _switch(

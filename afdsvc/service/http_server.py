@@ -31,11 +31,11 @@ class BoundedServer(ThreadingHTTPServer):
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Begin to serve a connection, where none is free once the thread of the oldest has ended."""
-        request.settimeout(TIMEOUT_SECONDS)
         if not self._places.acquire(blocking=False):
             with self._lock, contextlib.suppress(OSError, StopIteration):
                 self._open.pop(next(iter(self._open))).shutdown(socket.SHUT_RDWR)
             self._places.acquire()
+        request.settimeout(TIMEOUT_SECONDS)
         with self._lock:
             self._open[id(request)] = request
         super().process_request(request, client_address)

@@ -68,7 +68,7 @@ def error(found: Matrices, plant: Matrices) -> float:
 
 
 def ours(data: PublicSet, order: int, method: str) -> Matrices:
-    """Return what `identify` finds; it is not told the order."""
+    """Return what `identify` finds; the order is not given."""
     import afdsvc
 
     s = afdsvc.identify(data.u, data.y, dt=1.0, groups=0, cross_check=False, method=method).result.fit.system

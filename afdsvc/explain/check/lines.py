@@ -59,13 +59,8 @@ def _by_gain(problem: Problem, i: int, base: list[Array]) -> list[Array]:
 
 def _outputs(problem: Problem, gain: Array) -> list[Array]:
     """Return the outputs of every run with inputs, in a loop their external parts, times ``gain (m,)``; 0 where the simulation left."""
-    louder = replace(problem, runs=tuple(_louder(r, gain) for r in problem.runs))
-    return [np.nan_to_num(s.y) for s in louder.simulated(problem.start(), weakest_horizon(problem))]
-
-
-def _louder(run: Run, gain: Array) -> Run:
-    external = run.external()
-    return replace(run, U=gain * run.U, W=None if run.W is None or external is None else run.W + (gain - 1) * external)
+    amplified = replace(problem, runs=tuple(r.amplified(gain) for r in problem.runs))
+    return [np.nan_to_num(s.y) for s in amplified.simulated(problem.start(), weakest_horizon(problem))]
 
 
 def weakest_horizon(problem: Problem) -> float:

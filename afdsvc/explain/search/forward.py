@@ -128,7 +128,7 @@ def search(
         if not step.accepted:
             break
         path, rough = more
-        rounds, whole = (replace(r, taus=_own_times(rough) | _own_times(path)) for r in (rounds, whole))
+        rounds, whole = (replace(r, taus=noise_times([rough]) | noise_times([path])) for r in (rounds, whole))
         if is_offset(step.candidates[0].hypothesis):
             rounds = replace(rounds, start=path, losses={})
         else:
@@ -222,7 +222,7 @@ class Rounds(Settled):
 
         Samples count by the correlation time of what it leaves.
         """
-        taus = _own_times(first.rough) | _own_times(first.path)
+        taus = noise_times([first.rough]) | noise_times([first.path])
         path = replace(self, taus=taus).without_idle(first.path)
         kept = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
         path = {h: fit(self.problem, f.point, h, taus[h], enough=CONVERGED) for h, f in path.items()}
@@ -294,10 +294,6 @@ class Rounds(Settled):
             if self.evidence(path, fewer, path[last].point.effects[k].hypothesis).gain < self.problem.settings.evidence / 2:
                 path = fewer
         return path
-
-
-def _own_times(path: dict[float, Fit]) -> dict[float, float]:
-    return {h: f.own_tau for h, f in path.items()}
 
 
 def _promising(tried: Sequence[Trial], count: int, likely: float) -> list[Trial]:

@@ -108,8 +108,9 @@ def _refined(
     truncated, wanted = [r.system for r in reductions[:1] if r.loop_stable and r.system is not None], reductions[0].system
     order = problem.nominal.order if wanted is None else wanted.order
     others = (_answering_at_once(g, problem.nominal) for g in (problem.nominal, *_by_predictor(problem, order)))
-    starts = [*truncated, *(g for g in others if g.order == order and loop_is_stable(g, fact.controller))]
-    refinement = refine_from(fact, signals, starts or [_chosen(reductions)], _whitener(problem, fact))
+    stable = [*truncated, *(g for g in others if g.order == order and loop_is_stable(g, fact.controller))]
+    starts = stable or [_chosen(reductions)]
+    refinement = refine_from(fact, signals, starts, _whitener(problem, fact))
     found = reduction_cost("refined", refinement.system, full, fact, problem.training)
     band = refinement.band(omega_grid(full.dt), options.groups) if options.groups else None
     note = (

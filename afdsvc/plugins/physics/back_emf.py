@@ -34,11 +34,10 @@ class BackEmf:
                 continue
             damping = 0.0 if machine.plant is None else max(-float(machine.plant.A[axis.rate.index, axis.rate.index]), 0.0)
             several = sum(a.input == axis.input for a in machine.axes) > 1
-            one = {"variant": axis.rate.name} if several else {}
-            yield self._on(axis, machine, 0.0, one)
+            yield self._on(axis, machine, 0.0, {"variant": axis.rate.name} if several else {})
             if damping:
-                variant = "the model's damping" + (f" of {axis.rate.name}" if several else "")
-                yield self._on(axis, machine, damping / axis.gain, {"variant": variant, "of": one.get("variant", "")})
+                own = f" of {axis.rate.name}" if several else ""
+                yield self._on(axis, machine, damping / axis.gain, {"variant": f"the model's damping{own}", "of": ""})
 
     def _on(self, axis: Axis, machine: Machine, induced: float, notes: dict[str, str]) -> Hypothesis:
         port, span = machine.inputs[axis.input or 0], 1 / machine.bandwidth

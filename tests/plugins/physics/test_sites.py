@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from afdsvc.api.physics import Machine
+from afdsvc.explain.search.ranking import mechanism
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import BUILT_IN
 from afdsvc.plugins.physics.attach import quantity, radians, summed
+from afdsvc.plugins.physics.back_emf import BackEmf
 from afdsvc.plugins.physics.cogging import Cogging
 from afdsvc.testing.conformance.physics import machines
 
@@ -162,6 +164,14 @@ def test_a_delay_may_be_as_long_as_a_twentieth_of_the_recordings():
     delay = offered(machine)["transport_delay@input:pump"]
     assert delay.parameters[0].high == pytest.approx(30.0)
     assert max(delay.starts)[0] >= 12.0
+
+
+def test_the_coil_of_an_input_that_drives_two_axes_is_one_mechanism_with_a_shape_for_each():
+    motor = machines()[MOTOR]
+    (axis,) = motor.axes
+    coils = list(BackEmf().hypotheses(replace(motor, axes=(axis, replace(axis, rate=replace(axis.rate, name="w2"))))))
+    assert len({h.key for h in coils}) == len(coils) == 4
+    assert len({mechanism(h) for h in coils}) == 1
 
 
 def test_starts_are_dense_where_a_fit_has_many_minima():
