@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,8 +24,12 @@ LONG = ("testing", "explain", "compatibility", "system", "app")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Hand files out as they are collected: pytest-xdist would begin with those of the most tests."""
+    """Hand files out as they are collected: pytest-xdist would begin with those of the most tests. Take SIGINT as on a terminal.
+
+    What a shell starts in the background ignores it, and so would every process that a test starts and means to end by it.
+    """
     config.option.loadscopereorder = False
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
