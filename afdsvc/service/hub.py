@@ -44,6 +44,7 @@ TICK_SECONDS = 0.05
 STATUS_SECONDS = 1.0
 STOPPING_SECONDS = 2.5  # a service has 5 s to stop, files included
 FULL_SECONDS = 2.0  # a message waits so long for room in the queue; zenoh holds the link for 10 s
+BEHIND_SECONDS = 2.0  # a judgement that is late by more is in the status
 HUNG_SECONDS = 20.0  # a thread that has not come round for so long is stuck
 
 
@@ -73,7 +74,7 @@ class Hub:
 
     def __post_init__(self) -> None:
         self._queue: queue.Queue[tuple[str, str, Any, float] | None] = queue.Queue(self.queue_size)
-        self._stop, self._given_up = threading.Event(), threading.Event()
+        self._stop, self._given_up, self._judging = threading.Event(), threading.Event(), float("inf")
         self._began = self.clock.monotonic()
         self._next_status = self._worked = self._ticked = self._renewed = self._began
         self.watchdog = Watchdog(self.clock)
@@ -164,7 +165,9 @@ class Hub:
         watch = self.watches[machine]
         next_burst = requests.scheduler.seconds_to_next(requests.seconds) if requests else 0.0
         tuning = self.retunings[machine].sentence if machine in self.retunings and watch.present else ""
-        return replace(watch.status(requests.playing if requests else "", next_burst, self.alarms.of(machine)), tuning=tuning)
+        seen, behind = watch.status(requests.playing if requests else "", next_burst, self.alarms.of(machine)), self.behind()
+        late = f"judgement is {behind:.0f} s behind, {self._queue.qsize()} messages wait" if behind > BEHIND_SECONDS else ""
+        return replace(seen, tuning=tuning, reason="; ".join(filter(None, (late, seen.reason))))
 
     def _put(self, kind: str, key: str, what: Any) -> None:
         """Leave a message to the worker. When too many wait the sender does too: its rigs then keep what they say, for minutes."""
@@ -185,6 +188,10 @@ class Hub:
         except Exception:
             log.exception("a service thread failed")
 
+    def behind(self) -> float:
+        """Return how long [s] the message that is being judged has waited so far; those behind it came later."""
+        return max(self.clock.monotonic() - self._judging, 0.0)
+
     def healthy(self) -> bool:
         """Whether all threads have come round lately: what a watchdog is fed by."""
         oldest = min(self._worked, self._ticked, self._renewed)
@@ -199,14 +206,15 @@ class Hub:
                 continue
             if item is None:
                 return
-            kind, key, what, since = item
+            kind, key, what, self._judging = item
             try:
                 self._handle(kind, key, what)
             except Exception:
                 log.exception("a message on %s could not be handled", key)
             finally:
                 self._queue.task_done()
-                self.watchdog.note("judgement", self.clock.monotonic() - since)
+                self.watchdog.note("judgement", self.behind())
+                self._judging = float("inf")
 
     def _handle(self, kind: str, key: str, what: Any) -> None:
         machine = machine_of(key)
@@ -320,6 +328,7 @@ class Hub:
         while not self._stop.wait(TICK_SECONDS):
             now = self.clock.monotonic()
             self.watchdog.note("bursts", now - self._ticked)
+            self.watchdog.note("judgement", self.behind())  # also of one that never ends
             self._ticked = now
             for requests in self.burst_requests.values():
                 requests.tick()

@@ -21,7 +21,6 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from random import Random
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks.support
 
@@ -32,7 +31,7 @@ from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire.codec import decode
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import Lease
-from benchmarks.soak.run import Soak
+from benchmarks.soak.testbed import Testbed
 
 LEASE, REQUEST = 0.2, 1.0  # seconds that are allowed
 
@@ -56,7 +55,9 @@ class Leases:
 def without_end(over: threading.Event, command: list[str]) -> None:
     """Run a command again and again."""
     while not over.is_set():
-        process = subprocess.Popen([sys.executable, "-m", "afdsvc", *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "afdsvc", *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
         while process.poll() is None:
             if over.wait(0.2):
                 process.kill()
@@ -105,34 +106,41 @@ def main() -> int:
         listen(options.listen, 60 * options.minutes)
         return 0
     with tempfile.TemporaryDirectory() as folder:
-        return measure(Soak(Path(folder), options.rigs, Random(1)), options.minutes)
+        return measure(Testbed(Path(folder), options.rigs), options.minutes)
 
 
-def measure(soak: Soak, minutes: float) -> int:
+def measure(testbed: Testbed, minutes: float) -> int:
     """Run service, rigs, load and listener, and print what was measured."""
     over, waits = threading.Event(), []
-    for group in range(len(soak.groups)):
-        soak.start_rigs(group)
-    soak.start_service()
-    soak.wait_ready()
+    for group in range(len(testbed.groups)):
+        testbed.start_rigs(group)
+    testbed.start_service()
+    testbed.wait_ready()
     time.sleep(20)  # the first samples, after which loops are compiled and bursts played
     example = next((Path(__file__).parents[2] / "recordings" / "shipped").rglob("*.mcap"))
-    busy = [["design", str(soak.service_site), "--machine", soak.ids[0], "--json"], ["explain", str(example), "--out", str(soak.folder / "explained"), "--json"]]
+    busy = [
+        ["design", str(testbed.service_site), "--machine", testbed.ids[0], "--json"],
+        ["explain", str(example), "--out", str(testbed.folder / "explained"), "--json"],
+    ]
     threads = [threading.Thread(target=without_end, args=(over, busy[i % 2])) for i in range(os.cpu_count() or 1)]
-    threads.append(threading.Thread(target=lambda: waits.extend(asked(soak.service_site, soak.ids, over))))
+    threads.append(threading.Thread(target=lambda: waits.extend(asked(testbed.service_site, testbed.ids, over))))
     for thread in threads:
         thread.start()
-    command = [sys.executable, __file__, "--listen", str(soak.service_site), "--minutes", str(minutes)]
+    command = [sys.executable, __file__, "--listen", str(testbed.service_site), "--minutes", str(minutes)]
     heard = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
     load, intervals = os.getloadavg()[0], sorted(map(float, heard.stdout.split()))
-    own = ask_service(read_site(soak.service_site), "status", "kim")["longest_waits"]
+    own = ask_service(read_site(testbed.service_site), "status", "kim")["longest_waits"]
     over.set()
     for thread in threads:
         thread.join(60)
-    soak.stop()
-    print(f"{datetime.date.today()}, {platform.machine()}, {os.cpu_count()} cores, load at the end {load:.1f}, Python {platform.python_version()}")
-    print(f"{soak.rigs} machines at 5 kHz for {minutes:g} minutes, design and explain beside them on all cores")
-    print(f"leases: {len(intervals)} renewals, median interval {intervals[len(intervals) // 2]:.3f} s, longest {intervals[-1]:.3f} s, 99.9 % within {intervals[int(0.999 * len(intervals))]:.3f} s")
+    testbed.stop()
+    print(
+        f"{datetime.date.today()}, {platform.machine()}, {os.cpu_count()} cores, load at the end {load:.1f}, Python {platform.python_version()}"
+    )
+    print(f"{testbed.rigs} machines at 5 kHz for {minutes:g} minutes, design and explain beside them on all cores")
+    print(
+        f"leases: {len(intervals)} renewals, median interval {intervals[len(intervals) // 2]:.3f} s, longest {intervals[-1]:.3f} s, 99.9 % within {intervals[int(0.999 * len(intervals))]:.3f} s"
+    )
     print(f"requests: {len(waits)} answered, longest {max(waits):.3f} s with the connection made for each")
     print("the service's own longest waits: " + ", ".join(f"{what} {wait:.3f} s" for what, wait in sorted(own.items())))
     return int(intervals[-1] > LEASE or max(waits) > REQUEST)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import threading
 import time
+from types import SimpleNamespace
 
 from afdsvc.files.site import TransportSection as Settings
 from afdsvc.service.clock import RealClock
-from afdsvc.service.hub import Hub
+from afdsvc.service.hub import BEHIND_SECONDS, Hub
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire.keys import Keys
+from afdsvc.wire.messages import MachineStatus
 
 
 class SlowWatch:
@@ -50,3 +53,27 @@ def test_a_backlog_larger_than_the_queue_is_worked_off_without_loss():
         hub.stop()
     assert hub.dropped == 0
     assert [p[0] for p in watch.seen] == [i % 256 for i in range(300)]
+
+
+def test_a_judgement_that_stands_still_is_in_the_status_while_it_does():
+    watch, free = SlowWatch(), threading.Event()
+    watch.take_block = lambda payload: None if free.wait(10) else None
+    watch.status = lambda *_: MachineStatus(
+        "m1", "running", "s", "the model misses something", 0, 0, 0, 0.0, 0.0, "", 0.0, True, ()
+    )
+    line = SimpleNamespace(
+        subscribe=lambda *_: None, watch=lambda *_: None, announce=lambda *_: None, publish=lambda *_, **__: None
+    )
+    hub = Hub(Keys("t"), "0", {"m1": watch}, {}, line, RealClock(), lambda: ("", 0, "", 0))
+    hub.start()
+    try:
+        for _ in range(4):
+            hub._put("block", Keys("t").block("m1"), b"")
+        time.sleep(BEHIND_SECONDS + 0.5)
+        status = hub.status()
+    finally:
+        free.set()
+        hub.stop()
+    assert re.fullmatch("judgement is [2-5] s behind, 3 messages wait; the model misses something", status.machines[0].reason)
+    assert status.longest_waits["judgement"] > BEHIND_SECONDS
+    assert hub.behind() == 0

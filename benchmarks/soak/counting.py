@@ -1,0 +1,141 @@
+"""What a soak left: samples and gaps in the recordings, alarms, bursts, memory."""
+
+from __future__ import annotations
+
+import datetime
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
+
+from afdsvc.api.signals import Block
+from afdsvc.files.recording.reader import Recording
+from afdsvc.hal.store import records
+from afdsvc.service.notifications import History
+from afdsvc.wire import codec
+from afdsvc.wire.messages import AlarmKind
+from benchmarks.soak.disturbances import Disturbance
+from benchmarks.soak.testbed import Testbed
+
+MARGIN = 15.0  # seconds after a disturbance in which its gap may still begin: a reconnection takes some
+LOSING = (
+    "recording deleted",
+    "rigs hung",
+    "rigs killed",
+    "clock of rigs stepped",
+    "rigs stopped in order",
+)  # all others must lose nothing
+
+
+def gaps(testbed: Testbed, blocks: Iterable[Block]) -> Iterator[tuple[float, float, int]]:
+    """Yield the gaps in one machine's samples: Unix time they begin and end at, samples missing; and at last (0, 0, samples)."""
+    spans: dict[str, list[tuple[int, int, float, float]]] = {}
+    for block in blocks:
+        ends = block.k0 + len(block)
+        spans.setdefault(block.session, []).append(
+            (block.k0, ends, block.t0_ns / 1e9, block.t0_ns / 1e9 + len(block) * block.dt)
+        )
+    total = 0
+    for rows in spans.values():
+        reached, until = 0, 0.0
+        for k0, ends, since, till in sorted(rows):
+            if until and k0 > reached:
+                yield testbed.true_time(until), testbed.true_time(since), k0 - reached
+            total += max(ends - max(k0, reached), 0)
+            reached, until = max(reached, ends), max(until, till)
+    yield 0.0, 0.0, total
+
+
+def explained(done: Sequence[Disturbance], id: str, start: float, end: float) -> str:
+    """Return what was done to the machine around a gap and may lose samples, "" when nothing was."""
+    return " and ".join(
+        sorted(
+            {d.what for d in done if d.what in LOSING and id in d.machines and start <= d.end + MARGIN and end >= d.start - 1.0}
+        )
+    )
+
+
+def stored(testbed: Testbed, id: str) -> Iterator[Block]:
+    """Yield what a rig keeps on its disk, to be delivered when it is started again."""
+    for path in testbed.folder.glob(f"store/{id}.*.blocks"):
+        yield from map(codec.decode_block, records(path))
+
+
+def recorded(testbed: Testbed, id: str) -> Iterator[Block]:
+    """Yield the blocks of all recordings of a machine."""
+    for path in (testbed.folder / "recordings").glob(f"{id}-2*.mcap"):
+        yield from Recording(path).blocks()
+
+
+def count_samples(testbed: Testbed, done: Sequence[Disturbance]) -> tuple[int, Counter[str], Counter[str], list[str]]:
+    """Return samples, gaps and samples missing by what was done then, and sentences about gaps nothing explains."""
+    samples, accounted, missing, wrong = 0, Counter[str](), Counter[str](), []
+    for id in testbed.ids:
+        for start, end, n in gaps(testbed, chain(recorded(testbed, id), stored(testbed, id))):
+            if not start:
+                samples += n
+            elif why := explained(done, id, start, end):
+                accounted[why] += 1
+                missing[why] += n
+            else:
+                wrong.append(
+                    f"{id}: {n} samples missing from {datetime.datetime.fromtimestamp(start, datetime.UTC):%H:%M:%S}, unexplained"
+                )
+    return samples, accounted, missing, wrong
+
+
+def count_alarms(testbed: Testbed) -> tuple[int, list[str], list[str]]:
+    """Return the machines whose fault was identified rightly, false alarms, and faults missed or misidentified."""
+    raised = [
+        c.alarm
+        for c in History(testbed.folder / "recordings" / "soak-alarms.sqlite").changes(limit=100_000)
+        if c.event == "raised"
+    ]
+    faults = [a for a in raised if a.kind is AlarmKind.FAULT]
+    told = {a.machine for a in faults if a.fault == testbed.faults.get(a.machine)}
+    false = [f"{a.id}: {a.sentence}" for a in faults if a.machine not in testbed.faults]
+    beside = [
+        f"{a.id} beside {testbed.faults[a.machine]}"
+        for a in faults
+        if a.machine in testbed.faults
+        and a.fault not in ("unnamed", testbed.faults[a.machine])  # unnamed until a burst says which
+    ]
+    return (
+        len(told),
+        false,
+        [*(f"{id}: {fault} was never named" for id, fault in testbed.faults.items() if id not in told), *beside],
+    )
+
+
+def bursts(testbed: Testbed) -> dict[str, int]:
+    """Return how many bursts were asked of each machine."""
+    return {
+        id: len(
+            {r.burst.name for path in (testbed.folder / "recordings").glob(f"{id}-2*.mcap") for r in Recording(path).requests()}
+        )
+        for id in testbed.ids
+    }
+
+
+def growth(resident: Sequence[tuple[float, int, int]]) -> tuple[str, float]:
+    """Return how the memory of the service's last process went after its first third, and by how many percent.
+
+    ``resident``: Unix time, process, bytes.
+    """
+    rows = [(t, m) for t, pid, m in resident if pid == resident[-1][1] and m] if resident else []
+    if len(rows) < 12:
+        return "too short to say", 0.0
+    warm = rows[len(rows) // 3 :]
+    half = len(warm) // 2
+    first, last = (sum(m for _, m in part) / len(part) for part in (warm[:half], warm[half:]))
+    percent = 100 * (last / first - 1)
+    span, before = warm[-1][0] - warm[0][0], warm[0][0] - rows[0][0]
+    return f"{first / 1e6:.0f} MB, then {last / 1e6:.0f} MB ({percent:+.1f} %) over {span:.0f} s after {before:.0f} s", percent
+
+
+def processor(used: Sequence[tuple[float, int, float]]) -> float:
+    """Return how much of a core [%] the service's last process used after its first third; ``used``: Unix time, process, seconds."""
+    rows = [(t, seconds) for t, pid, seconds in used if pid == used[-1][1] and seconds]
+    if len(rows) < 3:
+        return float("nan")
+    (began, first), (over, last) = rows[len(rows) // 3], rows[-1]
+    return 100 * (last - first) / (over - began)
