@@ -160,7 +160,7 @@ def tell(disturbances: Disturbances, progress: Progress, asked: argparse.Namespa
         f"{len(done)} disturbances of {len(kinds)} kinds: " + ", ".join(f"{k} {sum(d.what == k for d in done)}" for k in kinds)
     )
     later = sum(len(block) for id in testbed.ids for block in stored(testbed, id))
-    share = samples / (300_000 * asked.minutes * testbed.rigs)
+    share = samples / (5000 * (progress.memory[-1][0] - testbed.began) * testbed.rigs)
     print(
         f"samples kept {samples} ({share:.1%} of all), at most {later} of them on the rigs' disks yet; gaps explained {accounted.total()} ({missing.total()} samples), unexplained {len(wrong)}"
     )

@@ -57,7 +57,7 @@ def test_a_backlog_larger_than_the_queue_is_worked_off_without_loss():
 
 def test_a_judgement_that_stands_still_is_in_the_status_while_it_does():
     watch, free = SlowWatch(), threading.Event()
-    watch.take_block = lambda payload: None if free.wait(10) else None
+    watch.take_block = lambda payload: free.wait(10) and None
     watch.status = lambda *_: MachineStatus(
         "m1", "running", "s", "the model misses something", 0, 0, 0, 0.0, 0.0, "", 0.0, True, ()
     )
