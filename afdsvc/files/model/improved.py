@@ -164,15 +164,21 @@ class Parts:
 
 def text(parts: Parts) -> str:
     """Return the text of the simulator."""
-    what = ", ".join(f"{e.hypothesis.physics} at {e.hypothesis.site}" for e in parts.effects)
+    effects = ", ".join(f"{e.hypothesis.physics} at {e.hypothesis.site}" for e in parts.effects)
+    title = f"{parts.nominal.model.name} with what its model left out: {effects}."
     laws = dict.fromkeys((_label(e), _source(e)) for e in parts.effects)
     return "\n".join([
-        f'"""{parts.nominal.model.name} with what its model left out: {what}.', "",
+        f'"""{_inside_quotes(title)}', "",
         "Written by `afdsvc explain`. Parameters come from the MODEL.toml beside this file, by name; matrices are the refitted ones.", '"""', "",
         "from __future__ import annotations", "", "import math", *_imports(parts), "", "import numpy as np", "", *_nominal(parts), *_constants(parts), "", "",
         *(line for _, source in laws for line in (source, "", "")), *(_sampled(parts) if goes_by_samples(parts.plant, parts.effects) else _continuous(parts)), "", "",
         f"{OBJECT} = Model()", "",
     ])
+
+
+def _inside_quotes(words: str) -> str:
+    """Return words of others as they may stand in a string literal: names in a MODEL.toml are free text, and must not become code."""
+    return words.encode("unicode_escape").decode("ascii").replace('"', '\\"')
 
 
 def _label(e: PlacedEffect) -> str:

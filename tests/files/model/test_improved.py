@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -141,6 +142,17 @@ def test_written_and_engine_meet_as_the_engine_takes_smaller_steps(tmp_path):
         apart.append(np.linalg.norm(y - mine) / np.linalg.norm(mine))
     assert apart[1] < apart[0] / 10
     assert apart[2] < 1e-6 < apart[0] < 1e-3
+
+
+@pytest.mark.parametrize("end", ['"""', "\\", '\\"""'])
+def test_names_in_a_model_file_do_not_become_code(end, tmp_path):
+    """Whoever hands over a MODEL.toml without code must not have some in what is written from it."""
+    name = f"spring{end}\nopen({str(tmp_path / 'ran')!r}, 'w')\n{end}"
+    h = LIBRARY["cubic_stiffness@state:v"]
+    e = explanation(PlacedEffect(h, values(h)), nom=nominal(replace(spring(), name=name), DT))
+    model = read_model(write_improved(e, tmp_path / "MODEL.toml", AUX)[0], allow_code=True)
+    assert model.name.startswith(name)
+    assert not (tmp_path / "ran").exists()
 
 
 @pytest.mark.parametrize("key", [k for k, h in LIBRARY.items() if h.lasting])
