@@ -27,7 +27,11 @@ def render(template: str, filters: Mapping[str, Callable[..., str]] | None = Non
 
 
 def svg(figure: Figure) -> str:
-    """Return the figure as an SVG element; the same figure gives the same text."""
+    """Return the figure as an SVG element; the same figure gives the same text. Names are free text: ``$`` in one begins no formula."""
+    for ax in figure.axes:
+        legend = ax.get_legend()
+        for text in (ax.title, ax.xaxis.label, ax.yaxis.label, *ax.texts, *(legend.get_texts() if legend else ())):
+            text.set_parse_math(False)
     out = io.StringIO()
     figure.savefig(out, format="svg", metadata={"Date": None})
     return out.getvalue()[out.getvalue().index("<svg") :]

@@ -81,3 +81,12 @@ def test_figures_zoom_and_are_saved_in_a_browser(tmp_path):
         assert browser.errors == []
     finally:
         browser.close()
+
+
+def test_a_dollar_in_a_name_begins_no_formula():
+    figure = Figure(layout="constrained")
+    ax = figure.subplots()
+    ax.loglog([1, 10], [1, 10], label=r"cost $\frac$")
+    ax.set(title=r"y [$\frac$]", xlabel=r"$\frac$", ylabel=r"$\frac$")
+    ax.legend()
+    assert "<svg" in zoomable(figure)
