@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import difflib
+import stat
 import time
 import tomllib
 from collections.abc import Callable, Iterator
@@ -61,9 +62,11 @@ def refuse_more(path: Path, found: int, most: int, what: str) -> None:
 def file_size(path: Path, most: int) -> int:
     """Return the size of a file; raises `BadInput` when it is larger than ``most`` bytes or cannot be read."""
     try:
-        size = path.stat().st_size
+        size, mode = path.stat().st_size, path.stat().st_mode
     except OSError as error:
         raise BadInput(f"{path}: cannot be read: {error.strerror or error}") from None
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise BadInput(f"{path}: is a device, pipe or socket, which may never end; expected a file")
     refuse_more(path, size, most, "bytes")
     return size
 

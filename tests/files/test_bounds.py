@@ -23,6 +23,7 @@ from mcap.writer import CompressionType, Writer
 
 from afdsvc.errors import BadInput
 from afdsvc.files import validation
+from afdsvc.files.model.model_file import read_model
 from afdsvc.files.open import Naming, open_file
 from afdsvc.files.recording.mcap_records import Loss, read_items
 from afdsvc.files.recording.reader import Recording
@@ -276,3 +277,12 @@ def test_the_time_of_whoever_takes_the_records_does_not_count():
         return item
 
     assert [take(i) for i in validation.items_in_time(iter(range(8)), "a", 0)] == list(range(8))
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz", "mat", "parquet", "mcap", "toml", "tdms"])
+def test_what_may_never_end_is_not_begun(tmp_path, suffix):
+    """A link to /dev/zero, as an archive may hold one, states no size and has no end."""
+    link = tmp_path / f"a.{suffix}"
+    link.symlink_to("/dev/zero")
+    with pytest.raises(BadInput, match="is a device, pipe or socket"):
+        (read_model if suffix == "toml" else lambda path: open_file(path, Naming()).traces())(link)
