@@ -93,13 +93,15 @@ def collect_rarely() -> None:
 def return_memory(every: float = 60.0) -> None:
     """Give memory that is free back to the system once in ``every`` seconds, in a thread of its own, where the C library is glibc's.
 
-    By itself it keeps what the queues of an outage took in the heap of each thread, so that every outage adds to the size of the process.
+    By itself it keeps what the queues of an outage took in the heap of each thread, so that every outage adds to the size of the process. Cycles are looked
+    for first: the root finder of SciPy leaves one that holds the arrays of a burst's threshold.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
 
     def work() -> None:
         while trim:
             time.sleep(every)
+            gc.collect()
             trim(0)
 
     threading.Thread(target=work, name="memory", daemon=True).start()

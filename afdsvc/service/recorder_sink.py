@@ -248,7 +248,7 @@ class PreAlarmBuffer:
         self._said: deque[_Said] = deque()
         self._requests: deque[Message] = deque(maxlen=64)
         self._retuning: Message | None = None
-        self._bytes = 0
+        self._bytes = self._now = 0
         self.paths: list[Path] = []
 
     def take(self, message: Message) -> None:
@@ -256,11 +256,12 @@ class PreAlarmBuffer:
         match message.value:
             case Block() as block:
                 payload = message.payload  # the samples are not kept twice
-                self._keep(block.t0_ns, len(payload), lambda recorder: recorder.block(payload, codec.decode_block(payload)))
-            case Finding() | RigEvent() as value:
-                self._keep(value.t_ns, len(message.payload), lambda recorder: record(recorder, message))
+                self._now = block.t0_ns
+                self._keep(len(payload), lambda recorder: recorder.block(payload, codec.decode_block(payload)))
+            case Finding() | RigEvent():
+                self._keep(len(message.payload), lambda recorder: record(recorder, message))
             case Notice() as notice:
-                self._keep(notice.t_ns, len(notice.sentence), lambda recorder: record(recorder, message))
+                self._keep(len(notice.sentence), lambda recorder: record(recorder, message))
             case BurstRequest():
                 self._requests.append(message)
             case RetuneRequest():
@@ -274,10 +275,11 @@ class PreAlarmBuffer:
     def close(self) -> None:
         """Nothing: no file is open."""
 
-    def _keep(self, t_ns: int, size: int, write: Write) -> None:
-        self._said.append(_Said(t_ns, size, write))
+    def _keep(self, size: int, write: Write) -> None:
+        """Keep what came when the clock of the rig read ``_now``; after a step of that clock, back or ahead, what was before it goes."""
+        self._said.append(_Said(self._now, size, write))
         self._bytes += size
-        while self._said and (self._bytes > self._most or t_ns - self._said[0].t_ns > self._span):
+        while self._said and (self._bytes > self._most or abs(self._now - self._said[0].t_ns) > self._span):
             self._bytes -= self._said.popleft().size
 
     def _write(self, change: AlarmChange) -> None:

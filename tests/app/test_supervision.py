@@ -225,3 +225,26 @@ print(resident() - began)
 def test_what_the_queues_of_outages_took_is_given_back():
     left = subprocess.run([sys.executable, "-c", OUTAGES, "2"], capture_output=True, text=True, check=True)
     assert float(left.stdout) < 40.0  # MB; 8000 blocks of 20 kB were queued three times
+
+
+CYCLES = """
+import sys, time, weakref
+from afdsvc.app.supervision import collect_rarely, return_memory
+
+class Cycle:
+    def __init__(self):
+        self.itself, self.data = self, bytes(10_000_000)
+
+collect_rarely()
+return_memory(float(sys.argv[1]))
+left = [weakref.ref(Cycle()) for _ in range(5)]
+until = time.monotonic() + 20 * float(sys.argv[1])
+while any(w() for w in left) and time.monotonic() < until:
+    time.sleep(0.05)
+print(sum(w() is not None for w in left))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the C library of Linux")
+def test_what_cycles_hold_is_given_back_though_they_are_looked_for_rarely():
+    assert int(subprocess.run([sys.executable, "-c", CYCLES, "0.5"], capture_output=True, text=True, check=True).stdout) == 0

@@ -124,6 +124,17 @@ def test_the_black_box_holds_the_minute_before_and_nothing_older(tmp_path):
     assert len(box.paths) == 1
 
 
+@pytest.mark.parametrize("step", [-7200, -60, 86400])
+def test_a_step_of_the_rigs_clock_does_not_make_the_black_box_grow(tmp_path, step):
+    payload = codec.encode_block(block(0))
+    box = PreAlarmBuffer(tmp_path / "m", Header(), seconds=10.0)
+    for k in range(100):
+        box.take(Message(block(10_000 + k), payload))
+    for k in range(100):
+        box.take(Message(block(10_100 + step + k), payload))
+    assert len(box._said) == 11
+
+
 def test_the_black_box_does_not_grow_beyond_its_bytes(tmp_path):
     payload = codec.encode_block(block(0))
     box = PreAlarmBuffer(tmp_path / "m", Header(), seconds=1e6, most_bytes=10 * len(payload))
