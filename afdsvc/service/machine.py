@@ -21,6 +21,7 @@ from afdsvc.wire.codec import Message
 from afdsvc.wire.messages import Alarm, Finding, MachineStatus, Notice, Residual, RigDescription, RigEvent
 
 STALE_SECONDS = 2.0
+REPORT_SECONDS = 60.0  # messages that cannot be read are one line in so long
 MOST_REPORTED = 16  # machines a rig may falsely speak of, each reported once
 LEVELS = {
     "gap": "warning",
@@ -52,6 +53,7 @@ class MachineMonitor:
         self._twins: set[str] = set()
         self._taken = "", Intervals()
         self._foreign: set[str] = set()
+        self._reported = dict[str, float]()
         self._fresh: list[Finding] = []
         self._decisions, self._concluded = 0, (-1, FaultVerdict())
         self.residuals: deque[tuple[float, int, bool, Array]] | None = None  # end [s], samples, burst, sum of squares (p, p); kept for the console
@@ -61,7 +63,7 @@ class MachineMonitor:
         try:
             block = codec.decode_block(payload)
         except BadInput as error:
-            self.say("warning", f"a block could not be read: {error}")
+            self._ignore("block", error)
             return None
         if self._is_foreign("block", block.machine) or self._is_twin(block.session) or self._is_repeated(block):
             return None
@@ -103,7 +105,7 @@ class MachineMonitor:
         try:
             event = codec.decode(RigEvent, payload)
         except BadInput as error:
-            self.say("warning", f"an event could not be read: {error}")
+            self._ignore("event", error)
             return None
         if self._is_foreign("event", event.machine):
             return None
@@ -115,7 +117,7 @@ class MachineMonitor:
         try:
             description = codec.decode(RigDescription, payload)
         except BadInput as error:
-            return self.say("warning", f"a description could not be read: {error}")
+            return self._ignore("description", error)
         if not self._is_foreign("description", description.machine):
             self.head_room = description.head_room
 
@@ -184,6 +186,13 @@ class MachineMonitor:
     def say(self, level: str, sentence: str, t_ns: int | None = None) -> None:
         """Pass a sentence on."""
         self.sink.take(Message(Notice(self.machine, level, sentence, self.clock.now_ns() if t_ns is None else t_ns)))
+
+    def _ignore(self, kind: str, error: BadInput) -> None:
+        """Report a message that cannot be read, seldom: whoever sends rubbish must not fill log and recording."""
+        now = self.clock.monotonic()
+        if now - self._reported.get(kind, float("-inf")) >= REPORT_SECONDS:
+            self._reported[kind] = now
+            self.say("warning", f"{kind} ignored, and others like it for {REPORT_SECONDS:.0f} s: it could not be read: {error}")
 
     def _is_foreign(self, kind: str, machine: str) -> bool:
         """Whether a message under this machine's key speaks of another machine; each one is reported once and ignored.

@@ -47,6 +47,17 @@ def test_blocks_events_and_descriptions_of_another_machine_are_ignored():
     assert said == ["the rig agent of 'm1' sent a block of machine 'm2'; such messages are ignored"]
 
 
+def test_a_flood_of_rubbish_is_one_line_a_minute():
+    watch, said, passed = monitor()
+    for _ in range(1000):
+        watch.take_block(b"rubbish")
+        watch.take_event(b"rubbish")
+        watch.take_description(b"rubbish")
+    assert not passed
+    assert [sentence.partition(",")[0] for sentence in said] == ["block ignored", "event ignored", "description ignored"]
+    assert all("could not be read" in sentence for sentence in said)
+
+
 def test_a_flood_of_names_is_reported_a_few_times_only():
     watch, said, _ = monitor()
     for i in range(100):
