@@ -14,6 +14,7 @@ from afdsvc.lti.statespace import Array
 
 STEP = 1e-4  # finite difference, in units of the prior or of the parameter
 TINY = 1e-12
+GROWTH, ATTEMPTS = 4.0, 10  # of the damping, where a step fails, and how many are tried
 ENOUGH, CONVERGED = 0.1, 1e-3  # fall of the cost (log-likelihood) at which a fit ends, and the fit of what is accepted
 
 
@@ -219,7 +220,8 @@ def fit(
 
     The log-likelihood is ``-N/(2 tau) sum_j log(SSE_j/N)``: noise variances are estimated under the hypothesis, and correlated
     samples count as ``N/tau``, which keeps the priors alive. Steps are those of Levenberg and Marquardt; between them the Jacobian
-    follows by Broyden's rule, and is worked out anew where a step fails. ``known`` is a Jacobian to begin with. With ``renewals`` it
+    follows by Broyden's rule, and is worked out anew where a step fails. Damping is the same for all coordinates, which have the size of
+    their priors, and grows ever faster where steps fail (Nielsen 1999). ``known`` is a Jacobian to begin with. With ``renewals`` it
     is worked out anew as often at most, but for its ``kept`` columns, and the last one is left as it is. A fit ends where the cost falls by less than ``enough``.
     """
     c = Coordinates(problem, point)
@@ -234,21 +236,19 @@ def fit(
     cost, damping, fresh, renewed = cost_of(q, residuals), 1e-3, known is None, int(known is None)
     J = jacobian(problem, c, q, horizon, residuals) if known is None else known
     for _ in range(iterations):
-        H, g = _normal(J, residuals, tau, c, q)
-        step = _improving(problem, c, q, H, g, cost, damping, horizon, cost_of)
-        fall = 0.0 if step is None else cost - step[2]
+        _, curvature, slope = _normal(J, residuals, tau, c, q)
+        step = _improving(problem, c, q, curvature, slope, cost, damping, horizon, cost_of)
+        fall, exact = 0.0 if step is None else cost - step[2], fresh
         if step is not None:
-            J, fresh_now = _followed(J, step[0] - q, residuals, step[1]), False
+            J, fresh = _followed(J, step[0] - q, residuals, step[1]), False
             q, residuals, cost, damping = step
         if fall < enough:
-            if fresh or (renewals is not None and renewed >= renewals):
+            if exact or (renewals is not None and renewed >= renewals):
                 break
-            J, fresh, renewed, damping = jacobian(problem, c, q, horizon, residuals, J, kept), True, renewed + 1, 1e-3
-            continue
-        fresh = fresh_now
+            J, fresh, renewed, damping = jacobian(problem, c, q, horizon, residuals, J, kept), True, renewed + 1, min(damping, 1e-3)
     if renewals is None and not fresh:
         J = jacobian(problem, c, q, horizon, residuals)
-    H, _ = _normal(J, residuals, tau, c, q)
+    H, *_ = _normal(J, residuals, tau, c, q)
     return Fit(c.unpack(q), tuple(residuals), J, H, tau, cost, rms(residuals), c.penalty(q), c.shared, c.narrowed(H))
 
 
@@ -258,15 +258,19 @@ def _followed(J: Array, step: Array, before: Sequence[Array], after: Sequence[Ar
     return np.asarray(J + np.outer(seen - J @ step, step / max(float(step @ step), TINY)))
 
 
-def _normal(J: Array, residuals: Sequence[Array], tau: float, c: Coordinates, q: Array) -> tuple[Array, Array]:
-    sd = rms(residuals)
-    scale = np.concatenate([np.tile(1 / (sd * np.sqrt(tau)), len(e)) for e in residuals])
-    Js = J * scale[:, None]
-    e = np.concatenate([r.ravel() for r in residuals]) * scale
+def _normal(J: Array, residuals: Sequence[Array], tau: float, c: Coordinates, q: Array) -> tuple[Array, Array, Array]:
+    """Return the information matrix for noise of the present variances, the cost's curvature with variances that follow, and its slope.
+
+    Both are of Gauss and Newton; the second lacks what changes of the residual along itself change, which the variances absorb.
+    """
+    e = np.vstack(residuals)
+    scale = 1 / (rms(residuals) * np.sqrt(tau))
+    Js = J * np.tile(scale, len(e))[:, None]
+    slopes = np.einsum("ijk,ij->jk", Js.reshape(*e.shape, -1), e * scale)
     w = c.prior_weight**2
     H = Js.T @ Js + np.diag(w)
     H[np.diag_indices_from(H)] += 1e-9 * max(float(np.trace(H)) / max(len(H), 1), TINY)
-    return H, Js.T @ e + w * (q - c.prior_mean)
+    return H, H - tau / len(e) * slopes.T @ slopes, slopes.sum(0) + w * (q - c.prior_mean)
 
 
 def _improving(
@@ -274,14 +278,15 @@ def _improving(
     cost_of: Callable[[Array, Sequence[Array]], float],
 ) -> tuple[Array, tuple[Array, ...], float, float] | None:
     """Return coordinates, residuals, cost and damping after a step that lowers the cost; None when none does."""
-    for _ in range(8):
-        step = -np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
+    growth = 2.0
+    for _ in range(ATTEMPTS):
+        step = -np.linalg.solve(H + damping * np.eye(len(H)), g)
         step[: c.k] = np.clip(step[: c.k], -5, 5)
         step[c.k : c.shared] = np.clip(step[c.k : c.shared], -1.5, 1.5)
         moved = c.pack(c.unpack(q + step))
         residuals = weighted(problem, c.unpack(moved), horizon)
         new = cost_of(moved, residuals)
         if new < cost - 1e-12:
-            return moved, residuals, new, damping / 8
-        damping = max(damping * 12, 1e-2)
+            return moved, residuals, new, damping / GROWTH
+        damping, growth = damping * growth, 2 * growth
     return None

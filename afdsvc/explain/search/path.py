@@ -47,9 +47,9 @@ def trial(problem: Problem, bases: Sequence[Mapping[float, Fit]], taus: Taus, sc
         found = []
         for b in (b[h] for b in bases):
             begun = [_begin(problem, b, start, h) for start in screened[h].starts[:starts]]
-            family = [fit(problem, p, h, taus[h], GLANCE, borrowed(problem, b, p, h), renewals=0) for p in begun]
+            family = [fit(problem, p, h, taus[h], GLANCE * problem.effort, borrowed(problem, b, p, h), renewals=problem.effort - 1) for p in begun]
             first = min(family, key=lambda f: f.cost)
-            found.append(fit(problem, first.point, h, taus[h], BRIEF, first.J, renewals=1, kept=column_counts(problem, b.point)))
+            found.append(fit(problem, first.point, h, taus[h], BRIEF * problem.effort, first.J, renewals=problem.effort, kept=column_counts(problem, b.point)))
         best = min(found, key=lambda f: f.cost)
         points.append(best.point)
         falls.append(base[h].cost - best.cost)
@@ -90,8 +90,8 @@ def added_path(problem: Problem, base: Mapping[float, Fit], taus: Taus, tried: T
 
     def added(point: Point, h: float) -> Fit:
         if not problem.regular:  # the simulation of a plant that integrates bends more
-            return fit(problem, point, h, taus[h], renewals=1)
-        return fit(problem, point, h, taus[h], known=borrowed(problem, base[h], point, h), renewals=1, kept=column_counts(problem, base[h].point))
+            return fit(problem, point, h, taus[h], renewals=problem.effort)
+        return fit(problem, point, h, taus[h], known=borrowed(problem, base[h], point, h), renewals=problem.effort, kept=column_counts(problem, base[h].point))
 
     path: dict[float, Fit] = {}
     point = tried.points[0]
@@ -100,7 +100,7 @@ def added_path(problem: Problem, base: Mapping[float, Fit], taus: Taus, tried: T
         point = path[h].point
     starts = [point, tried.points[-1], path[before[0]].point] if before else [point]
     best = min((added(p, last) for p in starts), key=lambda f: f.cost)
-    path[last] = fit(problem, best.point, last, taus[last], known=best.J, renewals=1)
+    path[last] = fit(problem, best.point, last, taus[last], known=best.J, renewals=problem.effort)
     return path
 
 
@@ -115,13 +115,13 @@ def whole_path(
     for h in ends(rough)[-1:] if problem.regular else ends(rough):
         same = rough[h].samples == sum(len(r) for r in problem.runs)
         known = borrowed(problem, base[h], rough[h].point, h) if base and problem.regular and not same else rough[h].J if same else None
-        found[h] = fit(problem, rough[h].point, h, taus[h], known=known, renewals=None if known is None else 1, enough=enough)
+        found[h] = fit(problem, rough[h].point, h, taus[h], known=known, renewals=None if known is None else problem.effort, enough=enough)
     return found
 
 
 def resumed_path(problem: Problem, taus: Taus, path: Mapping[float, Fit]) -> dict[float, Fit]:
     """Return the fits of a path gone on with, samples counting by other correlation times."""
-    return {h: fit(problem, f.point, h, taus[h], known=f.J, renewals=1) for h, f in path.items()}
+    return {h: fit(problem, f.point, h, taus[h], known=f.J, renewals=problem.effort) for h, f in path.items()}
 
 
 def fewer_path(problem: Problem, path: Mapping[float, Fit], taus: Taus, left_out: int) -> dict[float, Fit]:

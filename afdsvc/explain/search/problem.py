@@ -100,6 +100,11 @@ class Problem:
         """Return the same problem on other runs."""
         return replace(self, runs=tuple(runs), x0=tuple(x0))
 
+    @property
+    def effort(self) -> int:
+        """How many times the work of long recordings these allow: the root of the ratio of `Settings.screened` to their samples, at least 1."""
+        return max(1, int(np.sqrt(self.settings.screened / max(1, sum(len(r) for r in self.runs)))))
+
     def beginning(self) -> Problem:
         """Return the problem on the beginnings of the recordings, `Settings.screened` samples in all; itself where they are no longer."""
         share = self.settings.screened / max(1, sum(len(r) for r in self.runs))

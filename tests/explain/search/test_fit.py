@@ -1,0 +1,57 @@
+"""Fits: the optimum is reached along narrow curved valleys, whatever the start."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.signal import lsim
+
+from afdsvc.api.model import Model, Variable
+from afdsvc.api.signals import Channel, Trace
+from afdsvc.dataset.experiment import prepare
+from afdsvc.explain.search.build import build
+from afdsvc.explain.search.fit import CONVERGED, Coordinates, fit, rms, weighted
+from afdsvc.explain.search.machine import machine
+from afdsvc.explain.settings import Settings
+from afdsvc.explain.simulate.effects import PlacedEffect
+from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.lti.statespace import StateSpace
+from afdsvc.plugins.physics.actuator_lag import ActuatorLag
+
+DT, SAMPLES, TAU = 0.01, 400, 3.0
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """An arm with damping 2.4 where 1.2 is stated, a load, and a lag of 0.3 s: problem, refit without effects, hypothesis of the lag."""
+    rng, t = np.random.default_rng(4), DT * np.arange(SAMPLES)
+    u = np.repeat(rng.choice([-6.0, 0.0, 6.0], SAMPLES // 20), 20)
+    A, B = np.array([[0, 1, 0], [0, -2.4, 2.2], [0, 0, -1 / 0.3]]), np.array([[0, 0], [0, 1], [1 / 0.3, 0]])
+    y = lsim((A, B, np.array([[1.0, 0, 0]]), np.zeros((1, 2))), np.column_stack([u, np.full(SAMPLES, -9.0)]), t)[1]
+    recording = Trace("arm", DT, (Channel("u_force"), Channel("y_angle")), np.column_stack([u, y + 0.01 * rng.standard_normal(SAMPLES)]))
+    plant = StateSpace(np.array([[0, 1.0], [0, -1.2]]), np.array([[0.0], [2.2]]), np.array([[1.0, 0]]), np.zeros((1, 1)))
+    states = (Variable("q", "deg"), Variable("w", "deg/s", rate_of="q"))
+    entry_sd = {"A": np.array([[0, 0], [0, 0.18]]), "B": np.array([[0.0], [0.33]]), "C": np.zeros((1, 2)), "D": np.zeros((1, 1))}
+    model = Model("arm", (Variable("force", "1"),), (Variable("angle", "deg"),), states, plant, entry_sd=entry_sd)
+    problem = build(nominal(model, DT), prepare(model, [recording]), Settings())
+    base = fit(problem, problem.start(), 0.0, TAU)
+    (lag,) = ActuatorLag().hypotheses(machine(problem, base, 0.0, [], [], "model"))
+    return problem, base, lag
+
+
+def test_every_start_of_a_lag_reaches_the_optimum_of_another_algorithm(arm):
+    """SciPy's trust-region method, reweighted by the residual's variance until it stays."""
+    problem, base, lag = arm
+    costs = [fit(problem, base.point.added(PlacedEffect(lag, np.array(s))), 0.0, TAU, enough=CONVERGED).cost for s in lag.starts]
+    point = base.point.added(PlacedEffect(lag, np.array([0.3])))
+    c = Coordinates(problem, point)
+    q = c.pack(point)
+    for _ in range(10):
+        scale = 1 / (rms(weighted(problem, c.unpack(q), 0.0)) * np.sqrt(TAU))
+
+        def residual(x, scale=scale):
+            e = np.vstack(weighted(problem, c.unpack(x), 0.0)) * scale
+            return np.concatenate([e.ravel(), c.prior_weight * (x - c.prior_mean)])
+
+        q = least_squares(residual, q, x_scale="jac").x
+    best = SAMPLES / TAU * float(np.log(rms(weighted(problem, c.unpack(q), 0.0))).sum()) + c.penalty(q)
+    assert np.max(costs) == pytest.approx(best, abs=0.5)
