@@ -111,6 +111,18 @@ class Hypothesis:
         variant = self.notes.get("variant", "")
         return f"{self.physics}@{self.site}" + (f"#{variant}" if variant else "")
 
+    @property
+    def title(self) -> str:
+        """Name, site and shape in words, such as "gravity (force on w; sine for a line)"."""
+        variant = self.notes.get("variant", "")
+        return f"{self.physics.replace('_', ' ')} ({site_words(self.site)}{f'; {variant}' if variant else ''})"
+
+
+def site_words(site: str) -> str:
+    """Return a site in words: "input voltage", "force on w", "sensor angle", "machine"."""
+    kind, _, name = site.partition(":")
+    return {"input": f"input {name}", "state": f"force on {name}", "output": f"sensor {name}"}.get(kind, site)
+
 
 @dataclass(frozen=True, slots=True)
 class Size:

@@ -107,7 +107,7 @@ def check_columns(model: Model, traces: Sequence[Trace], runs: Sequence[Run]) ->
     seconds = sum(len(r) for r in runs) * runs[0].dt
     yield Finding(
         "ok", "columns",
-        f"{len(runs)} recordings, {seconds:.4g} s at {1 / runs[0].dt:.6g} Hz; inputs {_names(model.inputs)}, outputs {_names(model.outputs)}",
+        f"{len(runs)} recording{'s' * (len(runs) != 1)}, {seconds:.4g} s at {1 / runs[0].dt:.6g} Hz; inputs {_names(model.inputs)}, outputs {_names(model.outputs)}",
     )
     yield from _unused(model, traces)
     yield from _units(model, traces)

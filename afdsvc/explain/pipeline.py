@@ -32,7 +32,7 @@ from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.verdict.holdout import checked_on_holdout, doubted, player
 from afdsvc.explain.verdict.verdict import verdict
 
-ATTEMPTS = 3  # searches, each without the first names that the recordings held out have refuted
+ATTEMPTS = 3  # searches, each without the first names that the recordings held out have not confirmed
 SEED = 20261122  # of the surrogates and of the resampled blocks: the same recordings give the same answer
 
 
@@ -63,10 +63,10 @@ def explain(
     if before.absent:  # noise limits: the refit may have moved numbers of the model to follow the recordings
         base = replace(base, limited="noise")
     refuted: list[Hypothesis] = []
-    for _ in range(ATTEMPTS):
+    for attempt in range(1, ATTEMPTS + 1):
         found = _searched(base, before, offered, mapper, progress, rng, roles.heldout, [mechanism(h) for h in refuted])
         after = tested(found.problem, found.end, rng) if found.end is not found.start else None
-        answer = checked_on_holdout(found, verdict(found, before, after), roles.heldout)
+        answer = checked_on_holdout(found, verdict(found, before, after), roles.heldout, attempt)
         if not refuted:
             first = found, answer
         if not answer.refuted:
@@ -75,7 +75,7 @@ def explain(
     if not answer.verdict.claims:
         found, answer = first
     elif refuted:
-        why = f"{', '.join(h.key for h in refuted)} fits better, and does worse on the recordings held out: no name is certain"
+        why = f"{', '.join(h.title for h in refuted)} fits better, but the recordings held out do not confirm it: no name is certain"
         answer = replace(answer, verdict=doubted(answer.verdict, why, base.problem.settings.uncertain))
     progress("reporting", 0.9)
     explanation = report(found, answer, roles, findings, offered, experiment)

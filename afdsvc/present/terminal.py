@@ -313,8 +313,10 @@ def explain_table(document: dict[str, Any]) -> None:
         OUT.print(f"note: {sentence}", soft_wrap=True)
     for place in document["located"][:5]:
         OUT.print(f"where: {place['evidence']}", soft_wrap=True)
-    for named in document["named"]:
-        OUT.print(f"{named['weight']:.3f}  {named['sentence']}", soft_wrap=True)
+    for number, named in enumerate(document["named"]):
+        if number == 0 or named["effect"] != document["named"][number - 1]["effect"]:
+            OUT.print(f"effect {named['effect']}, with its weight:", style="bold")
+        OUT.print(f"  {named['weight']:.2f}  {named['sentence']}", soft_wrap=True)
     for near in document["candidates"]:
         OUT.print(f"not claimed: {near['sentence']}", soft_wrap=True)
     if document["law"]:

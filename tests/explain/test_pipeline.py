@@ -167,8 +167,8 @@ def test_what_the_recordings_held_out_refute_gives_way_to_another_name(spring, f
     """The cubic spring is refuted by decree: the next search goes without it, and what it names is not certain."""
     checked = module.checked_on_holdout
 
-    def decreed(found, verdict, runs):
-        answer = checked(found, verdict, runs)
+    def decreed(found, verdict, runs, attempt):
+        answer = checked(found, verdict, runs, attempt)
         cubic = any(c.candidate.hypothesis.physics == "cubic_stiffness" for c in answer.verdict.claims)
         return replace(answer, refuted=True) if cubic else answer
 
@@ -177,4 +177,4 @@ def test_what_the_recordings_held_out_refute_gives_way_to_another_name(spring, f
     assert again.named
     assert "cubic_stiffness" not in {n.physics for n in again.named}
     assert max(n.weight for n in again.named) <= 0.8
-    assert any("cubic_stiffness" in s and "held out" in s for s in again.sentences)
+    assert any("cubic stiffness" in s and "held out" in s for s in again.sentences)

@@ -36,7 +36,7 @@ def test_the_motor_is_named_in_few_commands_and_its_friction_is_the_true_one():
     page = (ROOT / "docs" / "tutorial" / "from-a-log-to-a-law.md").read_text(encoding="utf-8")
     commands = [line for block in re.findall(r"^```sh\n(.*?)^```", page, re.MULTILINE | re.DOTALL) for line in block.splitlines()]
     assert len(commands) <= 6
-    (force,) = re.findall(r"^0\.500 .*against the direction of motion \(force ([0-9.]+) \+- [0-9.]+ V\)", page, re.MULTILINE)
+    (force,) = re.findall(r"^  0\.50 .*against the direction of motion \(force ([0-9.]+) \+- [0-9.]+ V\)", page, re.MULTILINE)
     assert float(force) == pytest.approx(runpy.run_path(str(ROOT / "examples" / "motor_recording.py"))["FRICTION"], rel=0.05)
 
 

@@ -70,7 +70,7 @@ def experiment_after(found: Found, claims: Sequence[Claim]) -> NextExperiment | 
         return None
     apart = [(measure(p), p) for p in tried]
     best, plan = min((x for x in apart if x[0] >= ENOUGH), key=lambda x: x[1].effort, default=max(apart, key=lambda x: x[0]))
-    names = (first.candidate.hypothesis.key, rival.candidate.hypothesis.key)
+    names = (first.candidate.hypothesis.title, rival.candidate.hypothesis.title)
     return NextExperiment(_sentence(found, names, plan, best, apart[0][0]), plan.burst, best, apart[0][0], plan.level, plan.band) if best else None
 
 

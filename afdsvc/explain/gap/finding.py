@@ -81,6 +81,8 @@ def sentence(found: Gap, outputs: Sequence[str], held: float, needed: float) -> 
     words += f" ({100 * found.blocks_won:.0f} % of {found.blocks} blocks improve, {p_value_text(found.p_value)})"
     if found.present:
         words += f"; linear functions of inputs and states, and of their history, predict {100 * max(found.linear, 0.0):.0f} % (all outputs)"
+        if max(found.whitened) > max(found.r2):
+            words += f"; of the residual's innovations it predicts {_shares(found.whitened, outputs)}"
     if found.repeats is not None:
         words += f"; {_shares(found.repeats, outputs)} repeats with the excitation"
     if not found.enough:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from afdsvc.api.physics import Coefficient, Hypothesis
+from afdsvc.api.physics import Coefficient, Hypothesis, site_words
 from afdsvc.explain.report.explanation import Estimate, Named, Nearest, Rejected
 from afdsvc.explain.search.fit import Coordinates, Fit, fit, logarithmic
 from afdsvc.explain.search.forward import Found, Round
@@ -51,23 +51,16 @@ def _each_once(claims: Sequence[Claim]) -> list[Claim]:
 def _named(claim: Claim, parameters: Mapping[str, Estimate], alike: int, partial: bool, summaries: Mapping[str, str]) -> Named:
     h = claim.candidate.hypothesis
     what = h.notes.get("variant", "") if is_constant(h) else ""
-    share = float(np.clip(claim.share, 0.0, 1.0))
     values = "; ".join(_value(name, e) for name, e in parameters.items())
     law = f"{what} other than stated" if what else summaries.get(h.physics, h.physics.replace("_", " "))
     doubt = f", weight {claim.weight:.2f} among {alike} that fit alike" if alike > 1 else ""
-    sentence = f"{place(h)}: {law}{f' ({values})' if values else ''}; closes {100 * share:.0f} % of the gap{doubt}"
-    return Named(h.physics, h.site, claim.weight, parameters, sentence, claim.effect, share, partial, h.family, what)
+    sentence = f"{site_words(h.site)}: {law}{f' ({values})' if values else ''}; closes {100 * claim.share:.0f} % of the gap{doubt}"
+    return Named(h.physics, h.site, claim.weight, parameters, sentence, claim.effect, claim.share, partial, h.family, what)
 
 
 def _value(name: str, e: Estimate) -> str:
     spread = "" if e.sd is None else f" +- {e.sd:.2g}"
     return f"{name} {e.value:.4g}{spread}{' ' + e.unit if e.unit else ''}"
-
-
-def place(h: Hypothesis) -> str:
-    """Return a site in words."""
-    kind, _, name = h.site.partition(":")
-    return {"input": f"input {name}", "state": f"force on {name}", "output": f"sensor {name}"}.get(kind, "machine")
 
 
 def estimates(problem: Problem, of: Fit, horizon: float) -> list[dict[str, Estimate]]:
@@ -122,17 +115,17 @@ def rejections(found: Found, claimed: Sequence[Hypothesis], error: Callable[[Poi
 def _why(c: Candidate, step: Round) -> str:
     """Return why a candidate is not claimed: what the accepted one does better, or what it lacks."""
     best = step.candidates[0]
-    closes = f"closes {100 * c.evidence.share:.0f} % of the gap" if c.evidence.share > 0 else "closes nothing of the gap"
+    closes = f"closes {100 * c.evidence.explained:.0f} % of the gap" if c.evidence.explained > 0 else "closes nothing of the gap"
     if not step.accepted:
-        return f"{closes}; {step.reason}" if c is best else f"{closes}, less than {best.hypothesis.key}, which is not accepted either"
-    return f"{closes} on left-out blocks, {best.hypothesis.key} {100 * best.evidence.share:.0f} %"
+        return f"{closes}; {step.reason}" if c is best else f"{closes}, less than {best.hypothesis.title}, which is not accepted either"
+    return f"{closes} on left-out blocks, {best.hypothesis.title} {100 * best.evidence.explained:.0f} %"
 
 
 def nearest(found: Found, most: int = 3) -> tuple[Nearest, ...]:
     """Return the hypotheses that come nearest where none is claimed, by the share of the gap they close."""
     step = found.steps[0] if found.steps else None
-    best = [] if step is None else [c for c in step.candidates if c.evidence.share > 0][:most]
+    best = [] if step is None else sorted((c for c in step.candidates if c.evidence.explained > 0), key=lambda c: -c.evidence.explained)[:most]
     return tuple(
-        Nearest(c.hypothesis.physics, c.hypothesis.site, c.evidence.share, f"{place(c.hypothesis)}: {c.hypothesis.physics.replace('_', ' ')} would close {100 * c.evidence.share:.0f} % of the gap")
+        Nearest(c.hypothesis.physics, c.hypothesis.site, c.evidence.explained, f"{site_words(c.hypothesis.site)}: {c.hypothesis.physics.replace('_', ' ')} would close {100 * c.evidence.explained:.0f} % of the gap")
         for c in best
     )

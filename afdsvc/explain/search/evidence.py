@@ -116,6 +116,11 @@ class HypothesisEvidence:
         """The gain as a share: 1 - exp(-gain per independent sample)."""
         return float(self.closing(np.array(self.gain)))
 
+    @property
+    def explained(self) -> float:
+        """The part of the gap that is explained, 0 to 1: the share, or the gain as one where data move numbers away from what is stated."""
+        return float(np.clip(max(self.share, self.closed), 0.0, 1.0))
+
     def closing(self, gain: Array) -> Array:
         """Return gains as shares."""
         return np.asarray(1 - np.exp(-np.clip(gain / self.count, -5.0, 50.0)))

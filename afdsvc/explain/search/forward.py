@@ -122,7 +122,7 @@ def search(
         step = rounds.next(path, rough, offered, number > 0)
         more = rounds.accepted(step.candidates[0]) if step.accepted else (path, rough)
         if step.accepted and (step.reason or number) and not better(path, more[0]) > (problem.settings.sure if step.reason else 0.0):
-            why = f"{step.candidates[0].hypothesis.key}: the recordings held out are followed worse with it"
+            why = f"{step.candidates[0].hypothesis.title}: the recordings held out are followed worse with it"
             step = replace(step, accepted=False, reason=step.reason or why)
         steps.append(step)
         if not step.accepted:
@@ -142,7 +142,7 @@ def _kept(steps: Sequence[Round], path: dict[float, Fit]) -> list[Round]:
     kept = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
     gone = [s.accepted and s.candidates[0].hypothesis.key not in kept for s in steps]
     why = "{}: nothing is left for it beside the other effects"
-    return [replace(s, accepted=False, reason=why.format(s.candidates[0].hypothesis.key)) if g else s for s, g in zip(steps, gone, strict=True)]
+    return [replace(s, accepted=False, reason=why.format(s.candidates[0].hypothesis.title)) if g else s for s, g in zip(steps, gone, strict=True)]
 
 
 def _helpful(rounds: Rounds, path: Path, steps: Sequence[Round], better: Callable[[Path, Path], float]) -> tuple[Path, list[Round]]:
@@ -154,7 +154,7 @@ def _helpful(rounds: Rounds, path: Path, steps: Sequence[Round], better: Callabl
         if at and sum(s.accepted for s in found) > 1:
             fewer = fewer_path(rounds.problem, path, rounds.taus, at[0])
             if better(path, fewer) > rounds.problem.settings.probable:
-                why = f"{step.candidates[0].hypothesis.key}: the recordings held out are followed better without it"
+                why = f"{step.candidates[0].hypothesis.title}: the recordings held out are followed better without it"
                 path, found[k] = fewer, replace(step, accepted=False, reason=why)
     return path, [*(s for s in found if s.accepted), *(s for s in found if not s.accepted)]
 
@@ -199,10 +199,9 @@ class Rounds(Settled):
         promising hypotheses are fitted, samples count by what the best of them leaves.
         """
         p, s = self.part, self.problem.settings
-        effort = max(1, int(np.sqrt(s.screened / sum(len(r) for r in p.runs))))
-        shortlist, by_chance = _shortlist(p, rough, offered, self.mapper, effort * s.refined)
+        shortlist, by_chance = _shortlist(p, rough, offered, self.mapper, p.effort * s.refined)
         begin = bases(p, rough, self.taus)
-        tried = _promising(list(self.mapper(partial(trial, p, begin, self.taus, starts=STARTS), shortlist)), effort * s.polished, s.likely)
+        tried = _promising(list(self.mapper(partial(trial, p, begin, self.taus, starts=STARTS), shortlist)), p.effort * s.polished, s.likely)
         begun = list(self.mapper(partial(added_path, p, rough, self.taus), tried))
         taus = noise_times([rough, *begun])
         rough, *begun = self.mapper(partial(resumed_path, p, taus), [rough, *begun])
@@ -366,10 +365,10 @@ def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: d
         expected = s.constant  # one number that is known beforehand, not the best of many hypotheses
     asked = [(gain, expected, "gain of likelihood"), (e.gain, min(s.evidence, expected), "gain at the decision horizon")]
     if further and rounds.limited == "model":
-        asked.append((max(e.closed, e.share), s.further, "share of what the model leaves"))
+        asked.append((e.explained, s.further, "share of what the model leaves"))
     doubts = [(sure, s.sure, "share of resampled blocks that gain")]
     if further or rounds.limited == "model":
-        doubts.append((e.share, s.share, "share of the gap"))
+        doubts.append((e.explained, s.share, "share of the gap"))
     short = [[f"{what} {value:.3g}, expected more than {least:.3g}" for value, least, what in rules if not value > least] for rules in (asked, doubts)]
     reason = [*short[0], *short[1], ""][0]
-    return Round(tuple(ranked), not short[0] and sure > 0.5, limited, f"{ranked[0].hypothesis.key}: {reason}" if reason else "")
+    return Round(tuple(ranked), not short[0] and sure > 0.5, limited, f"{ranked[0].hypothesis.title}: {reason}" if reason else "")

@@ -78,19 +78,19 @@ def player(problem: Problem, last: float) -> Player:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOutVerdict:
-    """A verdict and its final fit after a look at the recordings held out; ``refuted`` where there is a gap, but its first name does worse there."""
+    """A verdict and its final fit after a look at the recordings held out; ``refuted`` where there is a gap, but they do not confirm its first name."""
 
     verdict: Verdict
     final: Fit
     refuted: bool = False
 
 
-def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run]) -> HeldOutVerdict:
+def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run], attempt: int = 1) -> HeldOutVerdict:
     """Return the verdict and the final fit: with the claimed effects, else the numbers refitted, else the model as stated.
 
     What does worse on the recordings held out than the model as stated is withdrawn. What does not do better there than the model
     refitted without effects, or worse than a constant, is not certain; where that is all that can show a gap, the error has to fall there,
-    no name is surer than that, and what is not likely is not claimed.
+    no name is surer than that, and what is not likely is not claimed, the less so the more names were tried (``attempt`` from 1; Bonferroni).
     """
     last, most, refuted = list(found.end)[-1], found.problem.settings.uncertain, False
     play = player(found.problem, last)
@@ -102,14 +102,15 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run]) -> H
         sure = play.better(runs, _without(found, verdict), final.point) if error < 1.0 else 0.0
         shown, alone = sure > found.problem.settings.sure, _rests_on_holdout(found, verdict)
         held = (
-            f"on the recordings held out the error is {100 * error:.3g} % with {first.key}, {100 * stated:.3g} % with the model as stated "
+            f"on the recordings held out the error is {100 * error:.3g} % with {first.title}, {100 * stated:.3g} % with the model as stated "
             f"and {100 * refitted:.3g} % with its numbers refitted"
         )
         worse = error > (1.0 if alone else WORSE) * min(stated, refitted)
-        if not worse and (sure > found.problem.settings.probable or not alone):
+        likely = sure > 1 - (1 - found.problem.settings.probable) / attempt
+        if not worse and (likely or not alone):
             most = min(most, sure) if alone else most
             return HeldOutVerdict(verdict if shown and not alone else doubted(verdict, f"{held}: no name is certain", most), final)
-        verdict, refuted = unclaimed(verdict, f"{held}: nothing is claimed", alone), worse and (not alone or verdict.gap.total > DOUBT)
+        verdict, refuted = unclaimed(verdict, f"{held}: nothing is claimed", alone), not alone or verdict.gap.total > DOUBT
     if refitted <= WORSE * stated:
         return HeldOutVerdict(verdict, found.start[last], refuted)
     return HeldOutVerdict(verdict, fit(found.problem, found.problem.start(), last, found.start[last].tau, iterations=0), refuted)

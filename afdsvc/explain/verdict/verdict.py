@@ -43,7 +43,7 @@ def verdict(found: Found, gap: Gap, remainder: Gap | None) -> Verdict:
     accepted = [s for s in found.steps if s.accepted]
     explained = _explained(found)
     strained, complete = _strained(found), _complete(found, remainder, explained)
-    if not accepted:
+    if not accepted or complete < 1 - found.problem.settings.sure:
         word, sentences = _nothing(found, gap, strained)
         return Verdict(word, (), sentences, gap, remainder, explained)
     open_ended = remainder is not None and remainder.present
@@ -64,7 +64,8 @@ def _nothing(found: Found, gap: Gap, strained: Sequence[str]) -> tuple[str, tupl
     last = found.steps[-1] if found.steps else None
     if last is None:
         return "consistent", ("the residual is rounding: recording and simulation agree",)
-    stop = (f"the search stopped: {last.reason}",)
+    nearest = f"{last.candidates[0].hypothesis.title} closes too little of what can be explained" if last.accepted else last.reason
+    stop = (f"the search stopped: {nearest}",)
     if gap.present or gap.total > DOUBT:
         return "unexplained", (gap.sentence, *stop, *strained)
     if strained:
@@ -77,18 +78,18 @@ def _claims(step: Round, number: int, most: float, found: Found) -> list[Claim]:
     alike = look_alikes(step.candidates, settings, step.limited)
     w = vote_shares(alike, settings, step.limited)
     order = [0, *sorted((k for k in range(1, len(alike)) if w[k] >= 1 - settings.sure), key=lambda k: -w[k])]
-    return [Claim(alike[k], min(float(w[k]), most), number, alike[k].evidence.share) for k in order]
+    return [Claim(alike[k], min(float(w[k]), most), number, alike[k].evidence.explained) for k in order]
 
 
 def _strained(found: Found) -> tuple[str, ...]:
-    """Return a sentence for the numbers of the final model that stand far from what its owner states."""
+    """Return a sentence for the numbers of the final model that are far from the stated ones."""
     point = list(found.end.values())[-1].point
     limit = found.problem.settings.strained
     far = [(e, t) for e, t in zip(found.problem.nominal.entries, point.theta, strict=True) if abs(t) > limit]
     if not far:
         return ()
     names = ", ".join(f"{e.name or f'{e.matrix}[{e.row}, {e.column}]'} ({t:+.1f})" for e, t in far[:4])
-    return (f"the fit moves numbers of the model by more than {limit:g} stated standard deviations: {names}; no name is certain then",)
+    return (f"the fit moves numbers of the model by more than {limit:g} stated standard deviations: {names}; no name is certain",)
 
 
 def _complete(found: Found, remainder: Gap | None, explained: tuple[float, float]) -> float:
@@ -110,14 +111,15 @@ def _explained(found: Found) -> tuple[float, float]:
     e = found.evidence
     closed = e.before - e.after
     spread = np.sqrt(len(closed)) * closed.std(ddof=1) if len(closed) > 1 else 0.0
-    return float(np.clip(e.share, 0.0, 1.0)), float(spread / max(e.before.sum(), 1e-300))
+    return e.explained, float(spread / max(e.before.sum(), 1e-300))
 
 
 def _rest(gap: Gap, remainder: Gap | None, explained: tuple[float, float]) -> tuple[str, ...]:
-    said = f"closes {100 * explained[0]:.0f} % of the gap"
+    left = remainder if remainder is not None and remainder.present else None
+    said = f"closes {'more than 99' if explained[0] > 0.99 and left else f'{100 * explained[0]:.0f}'} % of the gap"
     if gap.total > 0:
         said += f"; a flexible model without physics predicts {100 * gap.total:.0f} % of the residual's power"
-    if remainder is None or not remainder.present:
+    if left is None:
         return (said,)
-    follows = ", ".join(name for name, share in remainder.depends_on[:2] if share > 0)
-    return (said, f"the remainder is not noise ({p_value_text(remainder.p_value)}){' and follows ' + follows if follows else ''}")
+    follows = ", ".join(name for name, share in left.depends_on[:2] if share > 0)
+    return (said, f"the remainder is not noise ({p_value_text(left.p_value)}){' and follows ' + follows if follows else ''}")

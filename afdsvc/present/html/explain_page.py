@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from afdsvc import __version__
+from afdsvc.api.physics import site_words
 from afdsvc.explain.report.explanation import Explanation, RecordingCourse, Spectrum
 from afdsvc.lti.statespace import Array
 from afdsvc.present.html import render, zoomable
@@ -149,7 +150,7 @@ LIBRARIES = ("numpy", "scipy", "numba")
 def explain_page(explanation: Explanation, document: Mapping[str, Any]) -> str:
     """Return the page; ``document`` is what ``explain --json`` says of it."""
     return render(
-        "explain_page.html.j2", {"digits": _digits, "percent": _percent, "place": _place}, e=explanation, document=document, verdict=_verdict_sentence(document), effects=_effects(document),
+        "explain_page.html.j2", {"digits": _digits, "percent": _percent, "place": site_words}, e=explanation, document=document, verdict=_verdict_sentence(document), effects=_effects(document),
         courses=_courses(explanation), spectra=_spectra(explanation),
         law=_law(explanation),
         softw=", ".join(f"{name} {version(name)}" for name in LIBRARIES), version=__version__,
@@ -159,7 +160,7 @@ def explain_page(explanation: Explanation, document: Mapping[str, Any]) -> str:
 def _verdict_sentence(document: Mapping[str, Any]) -> str:
     """Return the verdict as one plain sentence."""
     first = [named[0] for named in _effects(document).values()]
-    told = " and ".join(f"{n['parameter'] or n['physics'].replace('_', ' ')} ({_place(n['site'])})" for n in map(_with_parameter, first))
+    told = " and ".join(f"{n['parameter'] or n['physics'].replace('_', ' ')} ({site_words(n['site'])})" for n in map(_with_parameter, first))
     return VERDICTS[document["verdict"]].format(names=told or "see below")
 
 
@@ -174,12 +175,6 @@ def _effects(document: Mapping[str, Any]) -> dict[int, list[dict[str, Any]]]:
     for named in document["named"]:
         found.setdefault(int(named.get("effect", 1)), []).append(named)
     return found
-
-
-def _place(site: str) -> str:
-    """Return a site in words."""
-    kind, _, name = site.partition(":")
-    return {"input": f"input {name}", "state": f"force on {name}", "output": f"sensor {name}"}.get(kind, site)
 
 
 def _digits(value: float | None, count: int = 3) -> str:

@@ -44,7 +44,7 @@ def test_delay_and_lag_are_separated_by_a_multisine_that_can_be_played(answer):
     found = experiment_after(answer, claims(answer, 0.6, 0.4))
     assert found.repeated > 0
     assert found.separation >= 6
-    assert found.sentence.startswith("to separate transport_delay@input:force from actuator_lag@input:force")
+    assert found.sentence.startswith("to separate transport delay (input force) from actuator lag (input force)")
     table = found.json()["burst"]
     assert len(table["lines_input_hz_amplitude_rad"]) == len(found.burst.lines)
     assert found.burst.play(2e-3).shape == (found.burst.samples, 1)

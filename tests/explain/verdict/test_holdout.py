@@ -19,13 +19,15 @@ def final(monkeypatch):
 
     ``present``: a flexible model predicts the residual; ``even``: residuals are not weighted; ``sure``: that the weighted error falls.
     """
-    return lambda *errors, present=True, even=True, sure=None: _judged(monkeypatch, *errors, present, even, sure)
+    return lambda *errors, present=True, even=True, sure=None, attempt=1: _judged(monkeypatch, *errors, present, even, sure, attempt)
 
 
-def _judged(monkeypatch, stated: float, refitted: float, error: float, present: bool, even: bool, sure: float | None) -> HeldOutVerdict:
+def _judged(
+    monkeypatch, stated: float, refitted: float, error: float, present: bool, even: bool, sure: float | None, attempt: int
+) -> HeldOutVerdict:
     points = {name: SimpleNamespace(name=name, effects=()) for name in ("stated", "refitted", "final")}
     errors = {"stated": stated, "refitted": refitted, "final": error}
-    hypothesis = SimpleNamespace(key="law@input:u", family="", physics="law")
+    hypothesis = SimpleNamespace(key="law@input:u", title="law (input u)", family="", physics="law")
     found = SimpleNamespace(
         problem=SimpleNamespace(
             start=lambda: points["stated"], settings=Settings(), weighting=SimpleNamespace(even=even, measured=False)
@@ -38,7 +40,7 @@ def _judged(monkeypatch, stated: float, refitted: float, error: float, present: 
     monkeypatch.setattr(module, "fit", lambda problem, point, *a, **k: SimpleNamespace(point=point))
     claim = Claim(SimpleNamespace(hypothesis=hypothesis), 1.0, 1, 0.5)
     verdict = Verdict("omitted_physics", (claim,), (), SimpleNamespace(present=present, total=0.02), None, (0.5, 0.1))
-    return module.checked_on_holdout(found, verdict, [])
+    return module.checked_on_holdout(found, verdict, [], attempt)
 
 
 @pytest.mark.parametrize(
@@ -68,6 +70,14 @@ def test_what_only_the_search_sees_is_claimed_where_the_recordings_held_out_show
     assert not not_shown.claims
     assert not_shown.verdict == ("unexplained" if present else "consistent")
     assert not final(0.5, 0.4, 0.405, present=present, even=even, sure=1.0).verdict.claims  # the weighted error falls, the plain one does not
+
+
+def test_the_more_names_were_tried_the_likelier_one_must_be(final):
+    """Bonferroni: 0.5 for the first name, 0.75 for the second; what is not confirmed gives way to another name where there is a gap."""
+    once, twice = (final(0.5, 0.4, 0.2, even=False, sure=0.6, attempt=k) for k in (1, 2))
+    assert [c.weight for c in once.verdict.claims] == [0.6]
+    assert not once.refuted
+    assert not twice.verdict.claims
 
 
 def test_better_in_every_block_is_sure_and_in_half_of_them_is_not(monkeypatch):

@@ -13,7 +13,7 @@ from afdsvc.explain.verdict.verdict import _claims, _complete, verdict
 
 def candidate(physics: str) -> Candidate:
     """Return a candidate that closes nine tenths of the gap in every block."""
-    hypothesis = SimpleNamespace(physics=physics, site="input:u", key=physics, notes={}, parameters=(), reads=())
+    hypothesis = SimpleNamespace(physics=physics, site="input:u", key=physics, title=f"{physics} (input u)", notes={}, parameters=(), reads=())
     return Candidate(hypothesis, {}, HypothesisEvidence({0.0: 900.0}, 0.9, np.ones(20), np.full(20, 0.1), 400.0, 0.0))
 
 
@@ -32,18 +32,27 @@ def test_all_is_explained_where_nothing_remains_to_be_tested():
     assert _complete(found, None, (0.1, 0.0)) == 1.0
 
 
+def _found(effects: list[Candidate], evidence: HypothesisEvidence) -> SimpleNamespace:
+    """Return a search that accepted these effects, with this evidence for all of them."""
+    problem = SimpleNamespace(settings=Settings(), nominal=SimpleNamespace(entries=()), weighting=SimpleNamespace(even=True, measured=False))
+    steps = [SimpleNamespace(accepted=True, candidates=[e], limited="model", reason="") for e in effects]
+    return SimpleNamespace(steps=steps, problem=problem, end={0.0: SimpleNamespace(point=SimpleNamespace(theta=np.zeros(0), effects=()))}, evidence=evidence)
+
+
 @pytest.mark.parametrize(("present", "certain"), [(True, [0.9 / 0.91, 0.8]), (False, [1.0, 1.0])])
 def test_further_effects_are_certain_only_where_nothing_predictable_remains(present, certain):
-    settings = Settings()
-    steps = [SimpleNamespace(accepted=True, candidates=[candidate(name)], limited="model", reason="") for name in ("friction", "slew")]
-    point = SimpleNamespace(theta=np.zeros(0), effects=())
-    found = SimpleNamespace(
-        steps=steps, problem=SimpleNamespace(settings=settings, nominal=SimpleNamespace(entries=()), weighting=SimpleNamespace(even=True, measured=False)),
-        end={0.0: SimpleNamespace(point=point)}, evidence=steps[0].candidates[0].evidence,
-    )
+    effects = [candidate(name) for name in ("friction", "slew")]
+    found = _found(effects, effects[0].evidence)
     left = SimpleNamespace(present=present, total=0.1, p_value=0.01, depends_on=())
     answer = verdict(found, SimpleNamespace(present=True, total=0.9, sentence=""), left)
     assert [c.weight for c in answer.claims] == pytest.approx(certain)
+
+
+def test_what_closes_next_to_nothing_of_what_can_be_explained_is_not_named():
+    found = _found([candidate("friction")], HypothesisEvidence({0.0: 12.0}, 0.02, np.ones(20), np.full(20, 0.98), 400.0, 0.0))
+    answer = verdict(found, SimpleNamespace(present=True, total=0.9, sentence="a gap"), SimpleNamespace(present=True, total=0.9, p_value=0.01, depends_on=()))
+    assert (answer.verdict, answer.claims) == ("unexplained", ())
+    assert any("friction (input u) closes too little" in s for s in answer.sentences)
 
 
 def test_a_look_alike_that_hardly_ever_comes_first_is_not_named():
