@@ -50,11 +50,10 @@ class Testbed:
         self.groups = [group for group in (tuple(self.ids[:half]), tuple(self.ids[half:])) if group]
         ends = ("127.0.0.1", OURS if cable else "127.0.0.1")[: len(self.groups)]
         self.proxies = [Proxy(self.port, host=host) for host in ends]
+        self._starts = 0
         self.service_site = self._site("service.toml", "127.0.0.1", self.port)
-        self.rig_sites = [
-            self._site(f"rigs{i}.toml", host, proxy.port)
-            for i, (host, proxy) in enumerate(zip(ends, self.proxies, strict=True))
-        ]
+        self._ends = [(host, proxy.port) for host, proxy in zip(ends, self.proxies, strict=True)]
+        self.rig_sites = [self._site(f"rigs{i}.toml", *end) for i, end in enumerate(self._ends)]
         self.shift = folder / "shift.so"
         (folder / "shift.c").write_text(SHIFT)
         subprocess.run(["cc", "-shared", "-fPIC", "-o", self.shift, folder / "shift.c", "-ldl"], check=True)
@@ -71,7 +70,7 @@ class Testbed:
 [[machines]]
 id = "{id}"
 plant = "gas_bearing"
-driver = {{seed = {i}{", " + fault if fault else ""}}}
+driver = {{seed = {i + self.rigs * self._starts}{", " + fault if fault else ""}}}
 bursts = {{every_seconds = 9.0, jitter_seconds = 2.0, first_after_seconds = {2 + i % 4}.0, seconds = 2.0}}
 """
         path = self.folder / name
@@ -97,7 +96,9 @@ before_seconds = 10
         self.service = self._started("service.log", command, wrong_by)
 
     def start_rigs(self, group: int, wrong_by: int = 0) -> None:
-        """Start one process of rigs, with its wall clock wrong by so many seconds."""
+        """Start one process of rigs, with its wall clock wrong by so many seconds, and with noise of its own: the same would give the same false alarms."""
+        self._starts += 1
+        self._site(self.rig_sites[group].name, *self._ends[group])
         command = [*self.place(group), sys.executable, str(HERE / "rigs.py"), str(self.rig_sites[group]), *self.groups[group]]
         self.agents[group] = self._started(f"rigs{group}.log", command, wrong_by)
 

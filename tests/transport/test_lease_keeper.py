@@ -58,6 +58,18 @@ def test_leases_are_renewed_while_no_thread_of_the_service_runs(kept):
     assert {payload for _, payload in heard} == {b"one", b"two"}
 
 
+def test_renewals_of_many_machines_are_not_dropped(kept):
+    keeper, heard = kept
+    leases = [(KEY, str(i).encode()) for i in range(200)]
+    assert told(keeper, leases)
+    assert wait_for(lambda: {payload for _, payload in heard} >= {lease for _, lease in leases}, 2.0)
+    before = len(heard)
+    keeper.renew(leases)
+    time.sleep(0.9 * TRUST_SECONDS)
+    rounds = np.bincount([int(payload) for _, payload in heard[before:]], minlength=200)
+    assert rounds.min() >= rounds.max() - 2  # the first and the last round may be cut
+
+
 def test_renewals_go_before_other_processes_where_that_is_permitted(kept):
     keeper, _ = kept
     assert told(keeper, [(KEY, b"one")])
