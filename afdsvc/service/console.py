@@ -11,6 +11,7 @@ import re
 import secrets
 import shutil
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from functools import lru_cache
@@ -18,6 +19,7 @@ from http import HTTPStatus
 from http.cookies import SimpleCookie
 from http.server import BaseHTTPRequestHandler
 from importlib.resources import files
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +42,9 @@ DAY = 86400.0
 INVITED_SECONDS, SIGNED_IN_SECONDS = 300.0, 8 * 3600.0
 PEOPLE = 100  # invited or signed in at a time; the oldest gives way
 LONGEST_REQUEST = 10_000  # bytes
+STREAMS = 16  # pages that hear at once what changes, half of all connections; further ones ask every 2 s
+STREAM_SECONDS, LEAST_SECONDS = 1.0, 0.25  # between two events of a stream, and when something has changed
+TRENDS_EVERY = 10  # events
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 
 
@@ -107,11 +112,15 @@ def residual(watch: MachineMonitor) -> dict[str, list[float]]:
         problem = watch.pipeline.problem
     except AfdsvcError:  # no noise is known yet
         return {"t": [], "level": [], "burst": []}
-    inverse = np.linalg.inv(problem.covariance)
-    found = [(t, float(np.sum(inverse * S)) / _threshold(n, len(S), DAY / (n * problem.plant.dt)), burst) for t, n, burst, S in blocks]
-    parts = [found[i : i + max(1, len(found) // POINTS)] for i in range(0, len(found), max(1, len(found) // POINTS))]
-    worst = [max(part, key=lambda row: row[1]) for part in parts]
-    return {"t": [t for t, _, _ in worst], "level": [level for _, level, _ in worst], "burst": [float(b) for _, _, b in worst]}
+    if not blocks:
+        return {"t": [], "level": [], "burst": []}
+    t, n, burst = (np.array([block[k] for block in blocks]) for k in range(3))
+    S = np.concatenate([block[3] for block in blocks]).reshape(len(blocks), *problem.covariance.shape)
+    most = {int(k): _threshold(int(k), len(problem.covariance), DAY / (k * problem.plant.dt)) for k in set(n.tolist())}
+    level = (S * np.linalg.inv(problem.covariance)).sum((1, 2)) / np.array([most[k] for k in n.tolist()])
+    step = max(1, len(t) // POINTS)
+    worst = np.array([i + int(np.argmax(level[i : i + step])) for i in range(0, len(t), step)])
+    return {"t": t[worst].tolist(), "level": level[worst].tolist(), "burst": burst[worst].astype(float).tolist()}
 
 
 @lru_cache(maxsize=64)
@@ -169,6 +178,7 @@ class _Handler(BaseHTTPRequestHandler):
     folder: Path
     limit: float
     hosts: tuple[str, ...]
+    streams: threading.Semaphore
     server_version, sys_version = "afdsvc", ""
 
     def do_GET(self) -> None:
@@ -222,6 +232,8 @@ class _Handler(BaseHTTPRequestHandler):
             return self._enter(self.path.removeprefix("/sign-in/")) if whole else self.send_error(HTTPStatus.METHOD_NOT_ALLOWED)
         if self.path.startswith("/files/"):
             return self._send_file(self.path.removeprefix("/files/"), whole)
+        if self.path == "/events" and whole:
+            return self._stream()
         found = self._content()
         return self._send(found, whole=whole) if found else self.send_error(HTTPStatus.NOT_FOUND)
 
@@ -230,13 +242,38 @@ class _Handler(BaseHTTPRequestHandler):
             case "/":
                 return HTTPStatus.OK, "text/html; charset=utf-8", files("afdsvc.service").joinpath("console.html").read_bytes()
             case "/now.json":
-                return HTTPStatus.OK, "application/json", json.dumps(seen(self.hub, self._who(), self.folder), allow_nan=False).encode()
+                return HTTPStatus.OK, "application/json", self._now()
             case "/trends.json":
-                return HTTPStatus.OK, "application/json", json.dumps(trends(self.hub, self.limit), allow_nan=False).encode()
+                return HTTPStatus.OK, "application/json", self._trends()
             case "/healthz" | "/readyz":
                 good = probes(self.hub)[self.path]
                 return HTTPStatus.OK if good else HTTPStatus.SERVICE_UNAVAILABLE, "text/plain", b"yes\n" if good else b"no\n"
         return None
+
+    def _now(self) -> bytes:
+        return json.dumps(seen(self.hub, self._who(), self.folder), allow_nan=False).encode()
+
+    def _trends(self) -> bytes:
+        return json.dumps(trends(self.hub, self.limit), allow_nan=False).encode()
+
+    def _stream(self) -> None:
+        """Send what the page shows as server-sent events, each second and when an alarm or a decision changes, until the page leaves."""
+        if not self.streams.acquire(blocking=False):
+            return self.send_error(HTTPStatus.SERVICE_UNAVAILABLE, "as many pages as possible are open; this one asks every 2 s")
+        try:
+            self._begin(HTTPStatus.OK, {"Content-Type": "text/event-stream"})
+            for number in count():
+                known = self.hub.changes
+                self._push("now", self._now())
+                if number % TRENDS_EVERY == 0:
+                    self._push("trends", self._trends())
+                time.sleep(LEAST_SECONDS)
+                self.hub.wait_for_change(known, STREAM_SECONDS - LEAST_SECONDS)
+        finally:
+            self.streams.release()
+
+    def _push(self, name: str, value: bytes) -> None:
+        self.wfile.write(b"event: %s\ndata: %s\n\n" % (name.encode(), value))
 
     def _enter(self, token: str) -> None:
         try:
@@ -259,13 +296,16 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send(self, answer: Answer, headers: Mapping[str, str] | None = None, size: int | None = None, whole: bool = True) -> None:
         status, kind, body = answer
-        self.send_response(status)
-        given = {"Content-Type": kind, "Content-Length": str(len(body) if size is None else size), "Cache-Control": "no-store", **(headers or {})}
-        for name, value in (given | {"Content-Security-Policy": POLICY, "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}).items():
-            self.send_header(name, value)
-        self.end_headers()
+        self._begin(status, {"Content-Type": kind, "Content-Length": str(len(body) if size is None else size), **(headers or {})})
         if whole:
             self.wfile.write(body)
+
+    def _begin(self, status: HTTPStatus, headers: Mapping[str, str]) -> None:
+        self.send_response(status)
+        common = {"Cache-Control": "no-store", "Content-Security-Policy": POLICY, "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
+        for name, value in {**headers, **common}.items():
+            self.send_header(name, value)
+        self.end_headers()
 
     def log_message(self, format: str, *args: Any) -> None:
         """Requests are not logged: a link to sign in must not end in a log."""
@@ -280,5 +320,5 @@ def serve_console(listen: str, hub: Hub, requests: Requests, sign_in: SignIn, fo
         watch.residuals = deque(maxlen=BLOCKS)
     host = listen.rpartition(":")[0]
     names = (host, "localhost", "127.0.0.1") if host.startswith("127.") or host == "localhost" else (host,)
-    members = {"hub": hub, "requests": requests, "sign_in": sign_in, "folder": folder, "limit": limit, "hosts": names}
+    members = {"hub": hub, "requests": requests, "sign_in": sign_in, "folder": folder, "limit": limit, "hosts": names, "streams": threading.Semaphore(STREAMS)}
     return serve_http("web.listen", listen, type("Handler", (_Handler,), members))

@@ -47,6 +47,14 @@ class BoundedServer(ThreadingHTTPServer):
         super().shutdown_request(request)
         self._places.release()
 
+    def server_close(self) -> None:
+        """End every connection: a stream would go on."""
+        super().server_close()
+        with self._lock:
+            for request in self._open.values():
+                with contextlib.suppress(OSError):  # the peer was faster
+                    request.shutdown(socket.SHUT_RDWR)
+
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Note a connection that failed; a peer that hangs up is no event of the service."""
         log.debug("a connection from %s failed", client_address, exc_info=True)

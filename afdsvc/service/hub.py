@@ -80,6 +80,7 @@ class Hub:
         self.watchdog = Watchdog(self.clock)
         self._strangers: set[str] = set()
         self.alarms = AlarmBook(self.policy, self._pass_on)
+        self.changes, self._changed = 0, threading.Condition()  # of alarms and decisions, which pages wait for
         self.dropped = 0
         self.findings: list[Finding] = []
         self.refusals: list[str] = []
@@ -249,6 +250,7 @@ class Hub:
                     requests.scheduler.after_event(alarm.id)
         if fresh:
             self._sum_up(watch, fresh[-1].t_ns)
+            self._note_change()
         for burst in {f.evidence.burst for f in fresh if f.evidence.burst}:
             self._keep_judged(watch, burst, fresh[-1].t_ns)
             if requests:
@@ -289,6 +291,17 @@ class Hub:
             watch.sink.take(Message(change))
         for outbox in self.outboxes:
             outbox.put(change)
+        self._note_change()
+
+    def _note_change(self) -> None:
+        with self._changed:
+            self.changes += 1
+            self._changed.notify_all()
+
+    def wait_for_change(self, known: int, seconds: float) -> None:
+        """Return when ``changes`` is no longer ``known``, or after so many seconds."""
+        with self._changed:
+            self._changed.wait_for(lambda: self.changes != known, seconds)
 
     def _note_presence(self, watch: MachineMonitor) -> BurstRequests | None:
         requests = self.burst_requests.get(watch.machine)

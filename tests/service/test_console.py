@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 import threading
 import time
 import urllib.error
 import urllib.request
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,6 +19,7 @@ from afdsvc.app import serve
 from afdsvc.app.ask import ask_service
 from afdsvc.errors import BadInput
 from afdsvc.files.site import Site, parse_site
+from afdsvc.service.console import STREAMS
 from afdsvc.service.http_server import CONNECTIONS
 from afdsvc.service.notifications import Judged
 from afdsvc.wire.messages import Finding
@@ -152,6 +155,55 @@ def test_severities_are_kept_and_forecast(free_port, tmp_path):
         assert len(hub.history.judged("bearing")) == 29
 
 
+def events(stream) -> Iterator[tuple[str, dict]]:
+    """Yield the name and the value of every event of a stream."""
+    for line in stream:
+        if line.startswith(b"event: "):
+            yield line[7:].decode().strip(), json.loads(next(stream)[6:])
+
+
+def test_a_stream_says_what_changes_and_ends_with_the_service(free_port, tmp_path):
+    base, site = f"http://127.0.0.1:{free_port + 1}", site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")
+    with serve.serving(site) as hub:
+        cookie = entered(ask_service(site, "console", "kim")["url"])
+        stream = urllib.request.urlopen(urllib.request.Request(base + "/events", headers={"Cookie": cookie}), timeout=20)
+        assert stream.headers["Content-Type"] == "text/event-stream"
+        heard = events(stream)
+        (_, now), (_, trends) = next(heard), next(heard)
+        assert (now["status"]["site"], now["who"], now["alarms"], trends["bearing"]["points"]) == ("hall-3", "kim", [], [])
+        told = hub.changes
+        an_alarm(hub)
+        assert hub.changes > told  # which a stream waits for
+        now = next(value for name, value in heard if name == "now" and value["alarms"])
+        assert now["alarms"][0]["id"] in now["files"]
+        assert next(value for name, value in heard if name == "trends")["bearing"]["bursts"] == 29
+        with urllib.request.urlopen(base + "/events", timeout=20) as other:
+            an_alarm(hub)
+            assert next(value for name, value in events(other) if value.get("alarms"))["files"] == {}  # files are for who is signed in
+        assert ask(base + "/events", Host="evil.example")[0] == 403
+    with stream:
+        assert sum(1 for _ in zip(range(10), heard, strict=False)) < 10  # it ends
+
+
+def test_streams_are_bounded_and_a_place_is_given_back(free_port, tmp_path):
+    base = f"http://127.0.0.1:{free_port + 1}"
+    with serve.serving(site_of(free_port, tmp_path, base.removeprefix("http://"))):
+        streams = [urllib.request.urlopen(base + "/events", timeout=20) for _ in range(STREAMS)]
+        assert [next(events(s))[0] for s in streams] == ["now"] * STREAMS
+        assert ask(base + "/events")[0] == 503
+        assert ask(base + "/now.json")[0] == 200  # the others ask
+        for s in streams:
+            s.close()
+        end = time.monotonic() + 30
+        while time.monotonic() < end:
+            with contextlib.suppress(urllib.error.HTTPError), urllib.request.urlopen(base + "/events", timeout=20) as freed:
+                assert next(events(freed))[0] == "now"
+                break
+            time.sleep(0.1)
+        else:
+            raise AssertionError("no place was given back")
+
+
 @pytest.fixture
 def browser(tmp_path):
     opened = Browser(tmp_path / "browser")
@@ -204,6 +256,29 @@ def test_an_alarm_is_handled_by_keyboard_alone(free_port, tmp_path, browser):
             assert browser.unnamed() == []
             browser.picture(tmp_path / f"console-{width}.png")
         assert browser.errors == []
+
+
+@browser_needed
+def test_the_page_hears_by_itself_and_asks_where_it_cannot(free_port, tmp_path, browser):
+    base, site = f"http://127.0.0.1:{free_port + 1}", site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")
+    with serve.serving(site) as hub:
+        browser.open(base + "/", 1400)
+        browser.until("stream && stream.readyState === EventSource.OPEN && pushed > 0")
+        browser.value("window.fetch = () => Promise.reject(new Error('nothing is asked'))")
+        an_alarm(hub)
+        browser.until("document.body.innerText.includes('not acknowledged')")
+        browser.until("document.body.innerText.includes('it is reached on')")  # the trend came by itself too
+        assert "nothing is asked" not in browser.value("document.body.innerText")
+    browser.until("document.getElementById('about').textContent.includes('does not answer')")
+    with serve.serving(site):
+        streams = [urllib.request.urlopen(base + "/events", timeout=20) for _ in range(STREAMS)]
+        browser.open(base + "/", 1400)
+        browser.until("performance.now() > 5000 && pushed < 0 && document.getElementById('about').textContent.includes('up ')")
+        before = browser.value("document.getElementById('about').textContent")
+        browser.until(f"document.getElementById('about').textContent !== {json.dumps(before)}")
+        for s in streams:
+            s.close()
+        browser.until("pushed > 0")  # a place is taken as soon as one is free
 
 
 @browser_needed
