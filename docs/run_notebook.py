@@ -1,45 +1,45 @@
-"""Runs the cells of the notebooks in docs/tutorial and writes what they print and show: ``PYTHONPATH=. python docs/run_notebook.py``."""
+"""Runs the notebooks in docs/tutorial in a kernel and writes what they print and show: ``PYTHONPATH=. python docs/run_notebook.py``."""
 
 from __future__ import annotations
 
-import ast
-import contextlib
-import io
-import json
 from pathlib import Path
 from typing import Any
+
+import nbformat
+from nbclient import NotebookClient
 
 NOTEBOOKS = sorted((Path(__file__).parent / "tutorial").glob("*.ipynb"))
 
 
-def run(notebook: dict[str, Any]) -> list[list[dict[str, Any]]]:
-    """Return the outputs of the code cells, in one namespace, as a notebook stores them."""
-    place: dict[str, Any] = {"__name__": "__main__"}
-    return [_outputs("".join(cell["source"]), place) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+class Client(NotebookClient):  # type: ignore[misc]
+    """Runs a notebook and keeps every picture that was shown for a while, such as progress."""
+
+    def __init__(self, notebook: Any) -> None:
+        super().__init__(notebook, timeout=900, kernel_name="python3", record_timing=False)
+        self.pictures: list[str] = []
+
+    def process_message(self, msg: Any, cell: Any, cell_index: int) -> Any:
+        """Take a message of the kernel."""
+        if msg["msg_type"] in ("display_data", "update_display_data"):
+            self.pictures.append(msg["content"]["data"].get("text/html", ""))
+        return super().process_message(msg, cell, cell_index)
 
 
-def _outputs(source: str, place: dict[str, Any]) -> list[dict[str, Any]]:
-    body, last, said = ast.parse(source), None, io.StringIO()
-    if body.body and isinstance(body.body[-1], ast.Expr):
-        last = ast.Expression(body.body.pop().value)  # type: ignore[attr-defined]
-    with contextlib.redirect_stdout(said):
-        exec(compile(body, "cell", "exec"), place)
-        value = None if last is None else eval(compile(last, "cell", "eval"), place)
-    found: list[dict[str, Any]] = []
-    if said.getvalue():
-        found.append({"name": "stdout", "output_type": "stream", "text": said.getvalue().splitlines(keepends=True)})
-    if value is not None:
-        shown = {"text/plain": repr(value).splitlines(keepends=True)}
-        if hasattr(value, "_repr_html_"):
-            shown["text/html"] = value._repr_html_().splitlines(keepends=True)
-        found.append({"output_type": "execute_result", "execution_count": None, "metadata": {}, "data": shown})
-    return found
+def run(notebook: Any) -> list[str]:
+    """Run the cells, keep their outputs in the notebook, and return what was shown on the way."""
+    client = Client(notebook)
+    client.execute()
+    notebook.metadata.language_info = {"name": "python"}  # without the version it ran with
+    for cell in notebook.cells:
+        if cell.cell_type == "code":  # what is gone at the end, and how many runs there were, are no results
+            cell.execution_count = None
+            cell.outputs = [kept for kept in cell.outputs if kept.get("data", {}).get("text/plain", "-")]
+    return client.pictures
 
 
 if __name__ == "__main__":
     for path in NOTEBOOKS:
-        notebook = json.loads(path.read_text(encoding="utf-8"))
-        for cell, outputs in zip((c for c in notebook["cells"] if c["cell_type"] == "code"), run(notebook), strict=True):
-            cell["outputs"] = outputs
-        path.write_text(json.dumps(notebook, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        notebook = nbformat.read(path, as_version=4)
+        run(notebook)
+        nbformat.write(notebook, path)
         print(path)

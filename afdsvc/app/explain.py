@@ -69,7 +69,7 @@ def explain_files(
     folder = options.out or model.with_name(f"{model.stem}.explained")
     with writing(folder, *(folder / name for name in WRITTEN)):
         _make(folder)
-        _announce_compilation(progress)
+        announce_compilation(progress)
         found = explain(nominal, train, held, load_library(), mapper=parallel(options.jobs), progress=progress, trust_units=options.trust_units)
         unit = [*nominal.extra.get(LINEARISED, ()), *linearisation_notes(nominal, [*train, *held])]
         found = replace(found, check=(*unit, *found.check), notes={**found.notes, "data": prepared([*train, *held])})
@@ -150,7 +150,7 @@ def aux_means(recordings: Sequence[Trace]) -> dict[str, float]:
     }
 
 
-def _announce_compilation(progress: Progress) -> None:
+def announce_compilation(progress: Progress) -> None:
     """Say so where the simulation is not compiled yet: that takes a minute, once on a computer."""
     kept = Path(os.environ.get("NUMBA_CACHE_DIR") or simulate.__path__[0])
     if not any(kept.rglob("*.nbi")):

@@ -13,7 +13,7 @@ import numpy as np
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.app.answers import Checked, Designed, Diagnosed, Explained, Identified
-from afdsvc.app.explain import from_rest, load_library, parallel
+from afdsvc.app.explain import announce_compilation, from_rest, load_library, parallel
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.open import Naming, open_file
@@ -22,6 +22,7 @@ from afdsvc.files.tables.formats import Columns
 from afdsvc.files.tables.tables import own_names, table_trace
 from afdsvc.files.tables.time_base import own_time
 from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.present.notebook import notebook_progress
 
 MODELS = (".toml", ".fmu")
 
@@ -33,7 +34,7 @@ def load(path: str | Path, *, model: Model | None = None, rename: Mapping[str, s
     Parameters
     ----------
     path : str or Path
-        ``.toml`` or ``.fmu``: a model; ``.csv``, ``.parquet``, ``.mat``, ``.npz`` or ``.mcap``: a recording.
+        ``.toml`` or ``.fmu``: a model; ``.csv``, ``.parquet``, ``.mat``, ``.npz``, ``.tdms``, ``.ulg``, ``.bag``, ``.db3`` or ``.mcap``: a recording.
     model : Model, optional
         Gives a recording its units.
     rename : dict of str to str, optional
@@ -154,7 +155,8 @@ def identify(u: Any, y: Any = None, dt: float | None = None, *, model: Any = Non
     else:
         model, traces = _together(model, train)
         held, given = _traces(away, model), True
-    result = fit(model, traces, held, IdentifyOptions.of(options), np.random.default_rng(seed))
+    with notebook_progress("identifying"):
+        result = fit(model, traces, held, IdentifyOptions.of(options), np.random.default_rng(seed))
     return Identified(result.json(), result, given)
 
 
@@ -200,7 +202,9 @@ def explain(system: Any, recordings: Any, *, holdout: Any = (), jobs: int = 2, t
 
     model, traces = _together(system, recordings)
     held = from_rest(_traces(holdout, model), model)
-    result = search(model, from_rest(traces, model), held, load_library(), mapper=parallel(jobs), trust_units=trust_units)
+    with notebook_progress("explaining") as tell:
+        announce_compilation(lambda what, share: tell(share, what))
+        result = search(model, from_rest(traces, model), held, load_library(), mapper=parallel(jobs), progress=lambda what, share: tell(share, what), trust_units=trust_units)
     result = replace(result, notes={**result.notes, "data": prepared([*traces, *held])})
     return Explained(result.json(None, None), result)
 

@@ -345,7 +345,7 @@ def recover_command(
 
 @app.command("import")
 def import_(
-    table: Annotated[Path, typer.Argument(metavar="TABLE", help=".csv, .parquet, .mat, .npz, or foreign .mcap with --mapping")],
+    table: Annotated[Path, typer.Argument(metavar="TABLE", help=".csv, .parquet, .mat, .npz, .tdms, or .ulg, .bag, .db3 and foreign .mcap with --mapping")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mcap", help="The recording to write.")],
     model: Annotated[Path | None, typer.Option(metavar="MODEL.toml", help="The model to store in the recording.")] = None,
     column: Annotated[list[str] | None, typer.Option("--map", metavar="COLUMN=u_name", help="Name a foreign column.")] = None,

@@ -16,7 +16,7 @@ from afdsvc.files.tables.foreign import in_model_units, read_foreign_columns, re
 from afdsvc.files.tables.mapping import DataMapping, read_mapping
 from afdsvc.files.tables.tables import PREPARED, read_table
 
-TABLES = (".csv", ".parquet", ".mat", ".npz", ".tdms", ".ulg")
+TABLES = (".csv", ".parquet", ".mat", ".npz", ".tdms", ".ulg", ".bag", ".db3")
 RECORDING, SPREADSHEETS = ".mcap", (".xlsx", ".xls", ".ods")
 Span = tuple[str, int, int]
 

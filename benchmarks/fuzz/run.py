@@ -27,8 +27,8 @@ from random import Random
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks.support
 
 SHARES = {
-    "wire": 0.78, "burst": 0.01, "recording": 0.03, "csv": 0.04, "npz": 0.04, "parquet": 0.01, "mat": 0.02, "mat73": 0.01,
-    "model": 0.02, "site": 0.02, "tdms": 0.01, "ulog": 0.01,
+    "wire": 0.76, "burst": 0.01, "recording": 0.03, "csv": 0.04, "npz": 0.04, "parquet": 0.01, "mat": 0.02, "mat73": 0.01,
+    "model": 0.02, "site": 0.02, "tdms": 0.01, "ulog": 0.01, "bag": 0.01, "db3": 0.01,
 }  # fmt: skip
 SECONDS, MEMORY = 5.0, 1 << 30
 

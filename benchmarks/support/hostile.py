@@ -238,6 +238,41 @@ def _ulog(kind: bytes, content: bytes) -> bytes:
     return struct.pack("<H", len(content)) + kind + content
 
 
+def _bag(suffix: str) -> Callable[[Path], Target]:
+    def target(folder: Path) -> Target:
+        """Bags of ROS, through a mapping."""
+        path = folder / f"mutant{suffix}"
+        (folder / "map.toml").write_text("[signals]\nu_force = '/force.vector.x'\n")
+        naming, whole = Naming.of(folder / "map.toml"), bag(folder / f"whole{suffix}", 60).read_bytes()
+
+        def eat(data: bytes) -> None:
+            path.write_bytes(data)
+            open_file(path, naming).traces()
+
+        eat(whole)
+        return Target(lambda rng: mutate_bytes(whole, whole, rng), eat)
+
+    return target
+
+
+def bag(path: Path, samples: int) -> Path:
+    """Write a bag of ROS 1 (``.bag``) or ROS 2 (``.db3``) with one topic, `/force`, and return its path."""
+    from rosbags import rosbag1, rosbag2
+    from rosbags.typesys import Stores, get_typestore
+
+    new, kind = path.suffix == ".db3", "geometry_msgs/msg/Vector3Stamped"
+    store = get_typestore(Stores.ROS2_HUMBLE if new else Stores.ROS1_NOETIC)
+    Stamped, Header, Time, Vector = (store.types[n] for n in (kind, "std_msgs/msg/Header", "builtin_interfaces/msg/Time", "geometry_msgs/msg/Vector3"))
+    whole = rosbag2.Writer(path.with_suffix(""), version=9, storage_plugin=rosbag2.StoragePlugin.SQLITE3) if new else rosbag1.Writer(path)
+    with whole as writer:
+        topic = writer.add_connection("/force", kind, typestore=store)
+        for k in range(samples):
+            stamp = Time(sec=100, nanosec=10_000_000 * k)
+            message = Stamped(Header(**({} if new else {"seq": k}), stamp=stamp, frame_id=""), Vector(x=np.sin(k), y=0.0, z=0.0))
+            writer.write(topic, 100 * 10**9 + 10_000_000 * k, (store.serialize_cdr if new else store.serialize_ros1)(message, kind))
+    return path.with_suffix("") / path.name if new else path
+
+
 def _text(parse: Callable[[str], object], seeds: list[str]) -> Callable[[Path], Target]:
     return lambda _folder: Target(lambda rng: mutate_text(rng.choice(seeds), rng.choice(seeds), rng), parse)
 
@@ -297,6 +332,8 @@ TARGETS: dict[str, Callable[[Path], Target]] = {
     "mat73": _table(".mat", _hdf),
     "tdms": _table(".tdms", _tdms),
     "ulog": ulog,
+    "bag": _bag(".bag"),
+    "db3": _bag(".db3"),
     "model": _text(lambda text: parse_model(text, "mutant.toml"), [MODEL, CONTINUOUS]),
     "site": _text(lambda text: parse_site(text, "mutant.toml"), [SITE]),
 }

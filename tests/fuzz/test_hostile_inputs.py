@@ -20,7 +20,7 @@ from afdsvc.wire.messages import Command, CommandReply
 from benchmarks.support.hostile import TARGETS
 from benchmarks.support.messages import EXAMPLES
 
-COUNTS = {"wire": 3000, "burst": 60, "recording": 200, "csv": 300, "npz": 300, "parquet": 150, "mat": 300, "mat73": 100, "model": 300}
+COUNTS = {"wire": 3000, "burst": 60, "recording": 200, "csv": 300, "npz": 300, "parquet": 150, "mat": 300, "mat73": 100, "model": 300, "bag": 100, "db3": 100}
 
 
 @pytest.mark.parametrize("name", sorted(TARGETS))

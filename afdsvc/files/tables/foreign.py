@@ -15,10 +15,11 @@ from afdsvc.api.signals import Channel, Trace
 from afdsvc.errors import BadInput
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.tables.alignment import Group, aligned
-from afdsvc.files.tables.foreign_mcap import read_topics
+from afdsvc.files.tables.foreign_mcap import maps, read_topics
 from afdsvc.files.tables.formats import opened, read_columns
 from afdsvc.files.tables.historian import is_export, read_export
 from afdsvc.files.tables.mapping import OWN_TIMES, DataMapping, Source, Time, converted, product, same_unit
+from afdsvc.files.tables.rosbag import BAGS, read_bag
 from afdsvc.files.tables.tables import PREPARED
 from afdsvc.files.tables.time_base import TIME, UNITS, is_stamped, own_time, seconds
 from afdsvc.files.validation import BOUNDS, file_size, in_time, refuse_more
@@ -31,7 +32,8 @@ _AUX_UNITS = {"aux_speed": "rad/s", "aux_angle": "rad"}
 
 def read_foreign_columns(path: Path, mapping: DataMapping, model: Model | None = None) -> list[Trace]:
     """Return the mapped columns of a table as traces, see `read_foreign_topics`."""
-    read = _ulog if path.suffix.lower() == ULOG else _export if is_export(path) else _table
+    kind = path.suffix.lower()
+    read = _ulog if kind == ULOG else _bag if kind in BAGS else _export if is_export(path) else _table
     found = read(path, _places(mapping), mapping.time)
     return _mapped(path, *found, mapping, model)
 
@@ -193,6 +195,11 @@ def _ulog(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group
     first = min(int(topics[t]["timestamp"][0]) for t in groups)
     made = [Group(t, (topics[t]["timestamp"].astype(np.int64) - first) * 1e-6, columns) for t, columns in groups.items()]
     return made, ["the time of a sample is the time stamp of its topic", *([f"not all could be read: {damage.getvalue().splitlines()[0]}"] if damage.getvalue() else [])]
+
+
+def _bag(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group], list[str]]:
+    """Return the mapped topics of a bag of ROS, a group for each."""
+    return read_topics(path, read_bag(path, lambda topic: maps(places, topic)), places, time)
 
 
 def _table_time(columns: Mapping[str, Array], time: Time, path: Path) -> tuple[Array | None, str, str]:

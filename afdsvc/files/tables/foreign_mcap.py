@@ -18,6 +18,7 @@ from afdsvc.errors import BadInput
 from afdsvc.files.recording.mcap_records import Item, Loss
 from afdsvc.files.tables.alignment import Group
 from afdsvc.files.tables.mapping import OWN_TIMES, Time, converted
+from afdsvc.files.tables.rosbag import ros1_decoder
 from afdsvc.files.validation import file_size, in_time, refuse_more, table_bytes
 from afdsvc.lti.statespace import Array
 
@@ -100,7 +101,7 @@ class _File:
             self.losses.append(f"not all could be read: {item.sentence}")
         elif isinstance(item, Message) and item.channel_id in self.channels:
             topic = self.channels[item.channel_id].topic
-            if any(_fits(topic, place) for place in places.values()):
+            if maps(places, topic):
                 self.stored.setdefault(item.channel_id, []).append(item)
                 self.kept += len(item.data) + _MESSAGE
 
@@ -132,6 +133,11 @@ def _wanted(places: Mapping[str, str], there: Mapping[str, str], path: Path) -> 
         name = max(fitting, key=len)
         topics.setdefault(name, _Topic(name)).fields[signal] = place[len(name) :].lstrip(".")
     return topics
+
+
+def maps(places: Mapping[str, str], topic: str) -> bool:
+    """Whether something of a topic is mapped."""
+    return any(_fits(topic, place) for place in places.values())
 
 
 def _fits(topic: str, place: str) -> bool:
@@ -187,6 +193,8 @@ def decoder(channel: Channel, schema: Schema | None, where: str) -> Decode:
         return _of(DecoderFactory(), "protobuf", schema, where)
     if encoding == "cdr":
         return _ros2(schema, where)
+    if encoding == "ros1" and schema:
+        return ros1_decoder(schema, where)
     raise BadInput(f"{where}: messages are encoded as '{encoding}'; expected protobuf, json or cdr (ROS 2)")
 
 
@@ -212,7 +220,7 @@ def _of(factory: Any, encoding: str, schema: Schema | None, where: str) -> Decod
 def number(message: Any, path: str, where: str) -> float:
     """Return the number at a path such as ``pose.position.x`` or ``current[0]``; raises `BadInput` naming what there is."""
     value = _at(message, path)
-    if isinstance(value, Real):  # bool and numpy numbers too
+    if isinstance(value, (Real, np.bool_)):  # bool and numpy numbers too
         try:
             return float(value)
         except OverflowError:
@@ -268,7 +276,8 @@ def _names(message: Any) -> list[str]:
         return [str(name) for name in message]
     if hasattr(message, "DESCRIPTOR"):
         return [field.name for field in message.DESCRIPTOR.fields]
-    return [name for name in getattr(message, "__slots__", ()) if not name.startswith("_")]
+    fields = getattr(message, "__dataclass_fields__", None) or getattr(message, "__slots__", ())
+    return [name for name in fields if not name.startswith("_")]
 
 
 def _first(message: Any, names: tuple[str, ...]) -> Any:
