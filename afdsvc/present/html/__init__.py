@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-WIDE = 6.0  # inches, from which a figure scrolls on a phone
+PHONE = 4.1  # inches; a wider figure is drawn once more for phones
 
 
 def render(template: str, filters: Mapping[str, Callable[..., str]] | None = None, **values: Any) -> str:
@@ -38,23 +38,45 @@ def svg(figure: Figure) -> str:
 
 
 def zoomable(figure: Figure) -> str:
-    """Return the figure as an SVG element with its data: on a page with ``figures.js.j2`` it zooms and is saved as PNG or CSV."""
+    """Return the figure as an SVG element with its data: on a page with ``figures.js.j2`` it zooms and is saved as PNG or CSV.
+
+    A figure that is wider than a phone is drawn twice, at its own width and with one column of axes; the page shows the one that fits.
+    """
+    if figure.get_size_inches()[0] <= PHONE:
+        return _plot(figure, "plot")
+    whole = _plot(figure, "plot wide")
+    _narrow(figure)
+    return whole + _plot(figure, "plot phone", series=False)
+
+
+def _plot(figure: Figure, kind: str, series: bool = True) -> str:
     for number, ax in enumerate(figure.axes):
         ax.set_gid(f"axes-{number}")
     drawn = svg(figure)  # lays the axes out
-    data = json.dumps([_axes_data(ax) for ax in figure.axes], separators=(",", ":")).replace("<", "\\u003c")
-    wide = " wide" if figure.get_size_inches()[0] > WIDE else ""
-    return f'<figure class="plot{wide}">{drawn}<script type="application/json">{data}</script></figure>'
+    data = json.dumps([_axes_data(ax, series) for ax in figure.axes], separators=(",", ":")).replace("<", "\\u003c")
+    return f'<figure class="{kind}">{drawn}<script type="application/json">{data}</script></figure>'
 
 
-def _axes_data(ax: Axes) -> dict[str, Any]:
-    """Return where the axes stand [points], what they span, and what is drawn in them."""
+def _narrow(figure: Figure) -> None:
+    """Make a figure as wide as a phone: its axes one below the other, its legends one entry a line."""
+    own = [(ax, place) for ax in figure.axes if (place := ax.get_subplotspec()) is not None]
+    rows = max((place.get_gridspec().nrows for _, place in own), default=1)
+    figure.set_size_inches(PHONE, figure.get_size_inches()[1] / rows * max(len(own), 1))
+    grid = figure.add_gridspec(max(len(own), 1), 1)
+    for row, (ax, _) in enumerate(own):
+        ax.set_subplotspec(grid[row])
+        if old := ax.get_legend():
+            ax.legend(old.legend_handles, [t.get_text() for t in old.get_texts()], fontsize=7, frameon=False, loc="upper left")
+
+
+def _axes_data(ax: Axes, series: bool) -> dict[str, Any]:
+    """Return where the axes stand [points], what they span, and, unless the figure before has it, what is drawn in them."""
     place, (width, height) = ax.get_position(), 72 * ax.figure.get_size_inches()  # type: ignore[union-attr]
     box = [place.x0 * width, (1 - place.y1) * height, place.width * width, place.height * height]
     return {
         "id": ax.get_gid(), "box": _short(np.array(box)), "name": ax.get_title() or ax.get_ylabel(), "x_name": ax.get_xlabel(), "y_name": ax.get_ylabel(),
         "x": list(map(float, ax.get_xlim())), "y": list(map(float, ax.get_ylim())), "log": [ax.get_xscale() == "log", ax.get_yscale() == "log"],
-        "series": [{"name": name, "x": _short(x), "y": _short(y)} for name, x, y in _series(ax)], "fixed": bool(ax.images),
+        "series": [{"name": name, "x": _short(x), "y": _short(y)} for name, x, y in _series(ax)] if series else None, "fixed": bool(ax.images),
     }  # fmt: skip
 
 

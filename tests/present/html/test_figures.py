@@ -44,7 +44,7 @@ def test_figures_zoom_and_are_saved_in_a_browser(tmp_path):
     try:
         browser.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
         browser.open(page.as_uri(), 1000)
-        browser.until("document.querySelectorAll('.tools button').length === 7")
+        browser.until("document.querySelectorAll('.tools button').length === 14")
         shown = "[...document.querySelectorAll('svg [id=\"axes-0\"] > g:last-child text')].map((e) => e.textContent)"
         assert browser.value(shown) == []
         browser.tab_to("zoom in: The motor")
@@ -69,13 +69,34 @@ def test_figures_zoom_and_are_saved_in_a_browser(tmp_path):
             if saved.exists() and saved.stat().st_size > 1000:
                 break
             browser.value("new Promise((go) => setTimeout(go, 50))")
-        rows = list(csv.DictReader(saved.read_text().splitlines()))
+        lines = saved.read_text().split("\n")
+        rows = list(csv.DictReader(lines))
         own = [r for r in rows if r["series"] == "measured, first"]
         assert [float(r["y"]) for r in own] == pytest.approx(np.sin(T), abs=1e-5)
         assert browser.unnamed() == []
         browser.open(page.as_uri(), 400)
-        browser.until("document.querySelectorAll('.tools button').length === 7")
+        browser.until("document.querySelectorAll('.tools button').length === 14")
         assert browser.value("document.documentElement.scrollWidth") <= 400
+        seen = "[...document.querySelectorAll('figure')].filter((f) => getComputedStyle(f).visibility === 'visible')"
+        assert browser.value(f"{seen}.map((f) => f.className)") == ["plot phone"]
+        figure = f"{seen}[0].querySelector('svg')"
+        left, right, hidden = browser.value(f"(({{left, right}}) => [left, right, {figure}.parentElement.scrollWidth - {figure}.parentElement.clientWidth])({figure}.getBoundingClientRect())")
+        assert 0 <= left < right <= 400
+        assert hidden <= 0  # nothing scrolls sideways
+        sizes = browser.value(f"[...{figure}.querySelectorAll('[id^=\"text_\"]')].map((e) => e.getBoundingClientRect().height).filter((h) => h > 0)")
+        assert min(sizes) >= 6  # CSS pixels: digits of 7 points
+        browser.tab_to("zoom in: The motor")
+        browser.press("Enter")
+        assert browser.value(f"[...{figure}.querySelectorAll('[id=\"axes-0\"] > g:last-child text')].length") > 3
+        (tmp_path / "the-motor.csv").unlink()
+        browser.tab_to("save as CSV: The motor")
+        browser.press("Enter")
+        for _ in range(100):
+            if (tmp_path / "the-motor.csv").exists() and (tmp_path / "the-motor.csv").read_text() == "\n".join(lines):
+                break
+            browser.value("new Promise((go) => setTimeout(go, 50))")
+        else:
+            raise AssertionError("a phone saves other numbers")
         shown = "[...document.querySelectorAll('td')].map((e) => [e.getBoundingClientRect().right, getComputedStyle(e, '::before').content])"
         assert all(right <= 400 and name == '"a long name of a column"' for right, name in browser.value(shown))  # a wide table is cards on a phone
         assert browser.errors == []
