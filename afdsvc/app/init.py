@@ -67,7 +67,7 @@ def init_files(recording: Path, out: Path | None = None, answers: Answers | None
     model, mapping = files[:2]
     there = next((f for f in files if f.exists() and not overwrite), None)
     if there is not None:
-        raise BadInput(f"{there}: is there already; expected another folder (--out DIR), or --overwrite")
+        raise BadInput(f"{there}: exists already; expected another folder (--out DIR), or --overwrite")
     columns = {n: v for n, (_, v) in read_export(recording)[0].items()} if is_export(recording) else read_columns(recording)
     time = own_time(columns) or next((n for n in columns if heading(n).role == "t"), "")
     found = _headings(recording, [n for n in columns if n != time and not is_stamped(columns[n])], answers)

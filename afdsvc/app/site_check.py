@@ -26,12 +26,12 @@ def _machine(config: MachineSection, plugins: Plugins, allow_code: bool) -> dict
 
 
 def _described(machine: Commissioned) -> dict[str, Any]:
-    noise = "stated" if machine.output_cov is not None else "learnt from the first quiet seconds"
+    noise = "stated" if machine.output_cov is not None else "estimated from the first seconds without a burst"
     bursts = machine.config.bursts
     excited = "by schedule" if bursts.every_seconds else "on request"
     return {
         "plant": machine.config.plant or str(machine.config.model), "states": machine.plant.order, "sample_time": machine.plant.dt,
         "inputs": [f"{v.name} [{v.unit}]" for v in machine.inputs], "outputs": [f"{v.name} [{v.unit}]" for v in machine.outputs],
         "controller": machine.config.controller.kind if machine.controller else "unknown", "driver": machine.config.driver.kind, "noise": noise,
-        "bursts": excited if machine.limits else "never: watched only, no limits are known",
+        "bursts": excited if machine.limits else "none: no limits are stated, so the machine is only monitored",
     }  # fmt: skip

@@ -38,7 +38,7 @@ def test_a_log_of_a_motor(logs: Path, tmp_path: Path):
     assert mapping.signals["y_speed"].place == "speed_rpm"
     assert 80 < document["fits"]["speed"]["num"][0] < 115
     assert 0.05 < document["fits"]["speed"]["den"][0] < 0.08
-    with pytest.raises(BadInput, match=r"MODEL\.toml: is there already"):
+    with pytest.raises(BadInput, match=r"MODEL\.toml: exists already"):
         init_files(logs / "motor.csv", tmp_path)
 
 

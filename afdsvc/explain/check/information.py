@@ -37,15 +37,15 @@ def information(problem: Problem, response: Caused) -> Iterator[Finding]:
         yield Finding(
             "stop", "excitation",
             f"the excitation moves the outputs by {visible:.2g} of their noise and determines none of the model's numbers better than "
-            "stated: nothing can be named; an odd multisine on every input over the machine's band that moves the outputs by ten times "
+            "stated, so no effect can be named; an odd multisine on every input over the machine's band that moves the outputs by ten times "
             "their noise, at two levels and four periods or more, would do",
         )
         return
     if nominal.entries:
-        listed = f"; next to nothing is said about {_names(nominal, blind)}" if blind else ""
+        listed = f"; there is almost no information about {_names(nominal, blind)}" if blind else ""
         yield Finding(
             "ok", "information",
-            f"the recordings determine {len(known)} of {len(nominal.entries)} uncertain numbers of the model more than twice as well as stated{listed}",
+            f"the recordings determine {len(known)} of {len(nominal.entries)} uncertain numbers of the model to less than half the stated uncertainty{listed}",
         )
 
 
@@ -111,7 +111,7 @@ def _levels(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
     if drives and max(p.levels for p in drives) < 2 and all(p.periods > 1 for p in drives):
         yield Finding(
             "warning", "ambiguity",
-            "all recordings have one level: clearance and cubic stiffness, friction and a dead zone may fit alike; "
+            "all recordings excite the machine at one level: clearance and cubic stiffness, friction and a dead zone may fit alike; "
             "a second level, half or twice as high, would separate them",
         )
 
@@ -144,4 +144,4 @@ def _still(runs: Sequence[Run]) -> Iterator[Finding]:
     for k, name in enumerate(runs[0].aux):
         values = np.concatenate([r.AUX[:, k] for r in runs])
         if name not in ROTATING and np.ptp(values) <= 1e-6 * max(float(np.abs(values).max()), 1e-300):
-            yield Finding("warning", "ambiguity", f"aux_{name} does not change: nothing can be found to follow it")
+            yield Finding("warning", "ambiguity", f"aux_{name} does not change: no effect that depends on it can be found")

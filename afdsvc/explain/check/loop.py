@@ -61,7 +61,7 @@ def clock(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
         yield Finding(
             "warning", "clock",
             f"the recordings are sampled every {dt:.4g} s and the model's fastest time constant is {1 / rates.max():.3g} s: "
-            f"{CURE if turn > OTHER_UNIT else ''}what it does between samples does not show; record at {10 * rates.max() / (2 * np.pi):.3g} Hz or more",
+            f"{CURE if turn > OTHER_UNIT else ''}dynamics faster than the sampling cannot be seen; record at {10 * rates.max() / (2 * np.pi):.3g} Hz or more",
         )
     if float(rates.min()) * seconds < SLOW:
         far = rates.min() * seconds * OTHER_UNIT < 1

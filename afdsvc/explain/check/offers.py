@@ -61,7 +61,7 @@ def _lacks(physics: Physics, machine: Machine) -> str:
     for words, richer in needs.items():
         if any(True for _ in physics.hypotheses(richer)):
             return words
-    return "a place this model does not have"
+    return "a state or a signal that this model does not have"
 
 
 def _with_axis(machine: Machine) -> Machine:
