@@ -261,7 +261,7 @@ class _Handler(BaseHTTPRequestHandler):
         if not self.streams.acquire(blocking=False):
             return self.send_error(HTTPStatus.SERVICE_UNAVAILABLE, "as many pages as possible are open; this one asks every 2 s")
         try:
-            self._begin(HTTPStatus.OK, {"Content-Type": "text/event-stream"})
+            self._begin(HTTPStatus.OK, {"Content-Type": "text/event-stream", "X-Accel-Buffering": "no"})  # a proxy that waits for more would keep it
             for number in count():
                 known = self.hub.changes
                 self._push("now", self._now())
