@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from matplotlib.figure import Figure
 from afdsvc.present.html import render, zoomable
 from benchmarks.support.browser import CHROMIUM, Browser
 
+browser_needed = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
 T = np.linspace(0.0, 10.0, 201)
 WIDE = f"<table><tr>{'<th>a long name of a column</th>' * 6}</tr><tr>{'<td>a value of some words</td>' * 6}</tr></table>"
 
@@ -36,15 +38,17 @@ def test_the_numbers_of_every_curve_are_in_the_page():
     assert (found[0]["y_name"], found[1]["log"]) == ("speed [rpm]", [True, True])
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
-def test_figures_zoom_and_are_saved_in_a_browser(tmp_path):
-    page = tmp_path / "page.html"
+@pytest.fixture
+def opened(tmp_path):
+    """Open a page with a figure and a table at a width."""
+    page, browser = tmp_path / "page.html", Browser(tmp_path / "browser")
     page.write_text(render("page.html.j2").replace("<script>", f"<h2>The motor</h2>{drawn()}{WIDE}<script>", 1), encoding="utf-8")
-    browser = Browser(tmp_path / "browser")
-    try:
-        browser.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
-        browser.open(page.as_uri(), 1000)
+    browser.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+
+    def at(width: int) -> Browser:
+        browser.open(page.as_uri(), width)
         browser.until("document.querySelectorAll('.tools button').length === 14")
+<<<<<<< HEAD
         shown = "[...document.querySelectorAll('svg [id=\"axes-0\"] > g:last-child text')].map((e) => e.textContent)"
         assert browser.value(shown) == []
         browser.tab_to("zoom in: The motor")
@@ -111,3 +115,67 @@ def test_a_dollar_in_a_name_begins_no_formula():
     ax.set(title=r"y [$\frac$]", xlabel=r"$\frac$", ylabel=r"$\frac$")
     ax.legend()
     assert "<svg" in zoomable(figure)
+=======
+        return browser
+
+    yield at
+    browser.close()
+
+
+def measured(browser: Browser, folder: Path) -> list[float]:
+    """Return the curve 'measured, first' as the page saves it."""
+    saved = folder / "the-motor.csv"
+    browser.tab_to("save as CSV: The motor")
+    browser.press("Enter")
+    for _ in range(100):
+        if saved.exists() and saved.stat().st_size > 1000:
+            break
+        browser.value("new Promise((go) => setTimeout(go, 50))")
+    return [float(row["y"]) for row in csv.DictReader(saved.read_text().splitlines()) if row["series"] == "measured, first"]
+
+
+@browser_needed
+def test_figures_zoom_and_are_saved_in_a_browser(tmp_path, opened):
+    browser = opened(1000)
+    shown = "[...document.querySelectorAll('svg [id=\"axes-0\"] > g:last-child text')].map((e) => e.textContent)"
+    assert browser.value(shown) == []
+    browser.tab_to("zoom in: The motor")
+    browser.press("Enter")
+    numbers = [float(text) for text in browser.value(shown)]
+    assert min(n for n in numbers if n > 1.5) >= 2.5  # the middle half of the time axis
+    assert max(numbers) <= 7.5 + 0.3  # a margin of the axis is halved too
+    where = browser.value("(() => { const r = document.querySelector('svg [id=\"axes-0\"] path').getBoundingClientRect(); return [r.x, r.y, r.width, r.height]; })()")
+    browser.tab_to("show everything: The motor")
+    browser.press("Enter")
+    assert browser.value(shown) == []
+    x, y, width, height = where
+    for kind, share in (("mousePressed", 0.2), ("mouseMoved", 0.3), ("mouseReleased", 0.4)):
+        browser.call("Input.dispatchMouseEvent", type=kind, x=x + share * width, y=y + 0.5 * height, button="left", clickCount=1)
+    dragged = [float(text) for text in browser.value(shown)]
+    assert any(1.5 < n < 4.0 for n in dragged)
+    assert max(dragged) < 4.1
+    assert measured(browser, tmp_path) == pytest.approx(np.sin(T), abs=1e-5)
+    assert browser.unnamed() == []
+    assert browser.errors == []
+
+
+@browser_needed
+def test_a_phone_gets_figures_and_tables_that_fit(tmp_path, opened):
+    browser = opened(400)
+    assert browser.value("document.documentElement.scrollWidth") <= 400
+    seen = "[...document.querySelectorAll('figure')].filter((f) => getComputedStyle(f).visibility === 'visible')"
+    assert browser.value(f"{seen}.map((f) => f.className)") == ["plot phone"]
+    figure = f"{seen}[0].querySelector('svg')"
+    left, right, hidden = browser.value(f"(({{left, right}}) => [left, right, {figure}.parentElement.scrollWidth - {figure}.parentElement.clientWidth])({figure}.getBoundingClientRect())")
+    assert 0 <= left < right <= 400
+    assert hidden <= 0  # nothing scrolls sideways
+    sizes = browser.value(f"[...{figure}.querySelectorAll('[id^=\"text_\"]')].map((e) => e.getBoundingClientRect().height).filter((h) => h > 0)")
+    assert min(sizes) >= 6  # CSS pixels: digits of 7 points
+    browser.tab_to("zoom in: The motor")
+    browser.press("Enter")
+    assert browser.value(f"[...{figure}.querySelectorAll('[id=\"axes-0\"] > g:last-child text')].length") > 3
+    assert measured(browser, tmp_path) == pytest.approx(np.sin(T), abs=1e-5)  # a phone saves the same numbers
+    shown = "[...document.querySelectorAll('td')].map((e) => [e.getBoundingClientRect().right, getComputedStyle(e, '::before').content])"
+    assert all(right <= 400 and name == '"a long name of a column"' for right, name in browser.value(shown))  # a wide table is cards on a phone
+    assert browser.errors == []
+>>>>>>> adbeae2 (Tests: figures on a phone)
