@@ -48,74 +48,6 @@ def opened(tmp_path):
     def at(width: int) -> Browser:
         browser.open(page.as_uri(), width)
         browser.until("document.querySelectorAll('.tools button').length === 14")
-<<<<<<< HEAD
-        shown = "[...document.querySelectorAll('svg [id=\"axes-0\"] > g:last-child text')].map((e) => e.textContent)"
-        assert browser.value(shown) == []
-        browser.tab_to("zoom in: The motor")
-        browser.press("Enter")
-        numbers = [float(text) for text in browser.value(shown)]
-        assert min(n for n in numbers if n > 1.5) >= 2.5  # the middle half of the time axis
-        assert max(numbers) <= 7.5 + 0.3  # a margin of the axis is halved too
-        where = browser.value("(() => { const r = document.querySelector('svg [id=\"axes-0\"] path').getBoundingClientRect(); return [r.x, r.y, r.width, r.height]; })()")
-        browser.tab_to("show everything: The motor")
-        browser.press("Enter")
-        assert browser.value(shown) == []
-        x, y, width, height = where
-        for kind, share in (("mousePressed", 0.2), ("mouseMoved", 0.3), ("mouseReleased", 0.4)):
-            browser.call("Input.dispatchMouseEvent", type=kind, x=x + share * width, y=y + 0.5 * height, button="left", clickCount=1)
-        dragged = [float(text) for text in browser.value(shown)]
-        assert any(1.5 < n < 4.0 for n in dragged)
-        assert max(dragged) < 4.1
-        browser.tab_to("save as CSV: The motor")
-        browser.press("Enter")
-        saved = tmp_path / "the-motor.csv"
-        for _ in range(100):
-            if saved.exists() and saved.stat().st_size > 1000:
-                break
-            browser.value("new Promise((go) => setTimeout(go, 50))")
-        lines = saved.read_text().split("\n")
-        rows = list(csv.DictReader(lines))
-        own = [r for r in rows if r["series"] == "measured, first"]
-        assert [float(r["y"]) for r in own] == pytest.approx(np.sin(T), abs=1e-5)
-        assert browser.unnamed() == []
-        browser.open(page.as_uri(), 400)
-        browser.until("document.querySelectorAll('.tools button').length === 14")
-        assert browser.value("document.documentElement.scrollWidth") <= 400
-        seen = "[...document.querySelectorAll('figure')].filter((f) => getComputedStyle(f).visibility === 'visible')"
-        assert browser.value(f"{seen}.map((f) => f.className)") == ["plot phone"]
-        figure = f"{seen}[0].querySelector('svg')"
-        left, right, hidden = browser.value(f"(({{left, right}}) => [left, right, {figure}.parentElement.scrollWidth - {figure}.parentElement.clientWidth])({figure}.getBoundingClientRect())")
-        assert 0 <= left < right <= 400
-        assert hidden <= 0  # nothing scrolls sideways
-        sizes = browser.value(f"[...{figure}.querySelectorAll('[id^=\"text_\"]')].map((e) => e.getBoundingClientRect().height).filter((h) => h > 0)")
-        assert min(sizes) >= 6  # CSS pixels: digits of 7 points
-        browser.tab_to("zoom in: The motor")
-        browser.press("Enter")
-        assert browser.value(f"[...{figure}.querySelectorAll('[id=\"axes-0\"] > g:last-child text')].length") > 3
-        (tmp_path / "the-motor.csv").unlink()
-        browser.tab_to("save as CSV: The motor")
-        browser.press("Enter")
-        for _ in range(100):
-            if (tmp_path / "the-motor.csv").exists() and (tmp_path / "the-motor.csv").read_text() == "\n".join(lines):
-                break
-            browser.value("new Promise((go) => setTimeout(go, 50))")
-        else:
-            raise AssertionError("a phone saves other numbers")
-        shown = "[...document.querySelectorAll('td')].map((e) => [e.getBoundingClientRect().right, getComputedStyle(e, '::before').content])"
-        assert all(right <= 400 and name == '"a long name of a column"' for right, name in browser.value(shown))  # a wide table is cards on a phone
-        assert browser.errors == []
-    finally:
-        browser.close()
-
-
-def test_a_dollar_in_a_name_begins_no_formula():
-    figure = Figure(layout="constrained")
-    ax = figure.subplots()
-    ax.loglog([1, 10], [1, 10], label=r"cost $\frac$")
-    ax.set(title=r"y [$\frac$]", xlabel=r"$\frac$", ylabel=r"$\frac$")
-    ax.legend()
-    assert "<svg" in zoomable(figure)
-=======
         return browser
 
     yield at
@@ -178,4 +110,3 @@ def test_a_phone_gets_figures_and_tables_that_fit(tmp_path, opened):
     shown = "[...document.querySelectorAll('td')].map((e) => [e.getBoundingClientRect().right, getComputedStyle(e, '::before').content])"
     assert all(right <= 400 and name == '"a long name of a column"' for right, name in browser.value(shown))  # a wide table is cards on a phone
     assert browser.errors == []
->>>>>>> adbeae2 (Tests: figures on a phone)
