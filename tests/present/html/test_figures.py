@@ -110,3 +110,12 @@ def test_a_phone_gets_figures_and_tables_that_fit(tmp_path, opened):
     shown = "[...document.querySelectorAll('td')].map((e) => [e.getBoundingClientRect().right, getComputedStyle(e, '::before').content])"
     assert all(right <= 400 and name == '"a long name of a column"' for right, name in browser.value(shown))  # a wide table is cards on a phone
     assert browser.errors == []
+
+
+def test_a_dollar_in_a_name_begins_no_formula():
+    figure = Figure(layout="constrained")
+    ax = figure.subplots()
+    ax.loglog([1, 10], [1, 10], label=r"cost $\frac$")
+    ax.set(title=r"y [$\frac$]", xlabel=r"$\frac$", ylabel=r"$\frac$")
+    ax.legend()
+    assert "<svg" in zoomable(figure)
