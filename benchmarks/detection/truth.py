@@ -143,13 +143,33 @@ def _root(cov: np.ndarray) -> np.ndarray:
 @njit(cache=True)
 def _run(A, B, C, D, F, L, w, v, gains, alpha, ref):  # type: ignore[no-untyped-def]
     n, m, p, T = A.shape[0], B.shape[1], C.shape[0], w.shape[0]
-    x, h = np.zeros(n), np.zeros(n)
-    u, y, beta = np.zeros((T, m)), np.zeros((T, p)), np.zeros((T, p))
+    x, h, x1, h1 = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    u, y, beta, acting = np.zeros((T, m)), np.zeros((T, p)), np.zeros((T, p)), np.zeros(m)
     for k in range(T):
-        u[k] = F @ h + alpha[k]
-        acting = gains[k, :m] * u[k]
-        y[k] = gains[k, m:] * (C @ x + D @ acting) + v[k]
-        beta[k] = y[k] - ref[k] - C @ h - D @ u[k]
-        x = A @ x + B @ acting + w[k]
-        h = A @ h + B @ u[k] - L @ beta[k]
+        for i in range(m):
+            u[k, i] = alpha[k, i]
+            for j in range(n):
+                u[k, i] += F[i, j] * h[j]
+            acting[i] = gains[k, i] * u[k, i]
+        for i in range(p):
+            made, expected = 0.0, 0.0
+            for j in range(n):
+                made += C[i, j] * x[j]
+                expected += C[i, j] * h[j]
+            for j in range(m):
+                made += D[i, j] * acting[j]
+                expected += D[i, j] * u[k, j]
+            y[k, i] = gains[k, m + i] * made + v[k, i]
+            beta[k, i] = y[k, i] - ref[k, i] - expected
+        for i in range(n):
+            x1[i], h1[i] = w[k, i], 0.0
+            for j in range(n):
+                x1[i] += A[i, j] * x[j]
+                h1[i] += A[i, j] * h[j]
+            for j in range(m):
+                x1[i] += B[i, j] * acting[j]
+                h1[i] += B[i, j] * u[k, j]
+            for j in range(p):
+                h1[i] -= L[i, j] * beta[k, j]
+        x, x1, h, h1 = x1, x, h1, h
     return u, y, beta
