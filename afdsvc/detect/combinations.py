@@ -2,7 +2,9 @@
 
 With score b and information G a combination of faults explains ``max (theta' b - theta' G theta / 2)``, severities within their bounds.
 Combinations of one and two faults compete by that less half the logarithm of the samples for each severity (G. Schwarz, *Ann. Statist.*
-6, 1978). Those that no data of this burst can tell apart have the same gain, and none of them gets a weight that names it.
+6, 1978). Those that no data of this burst can tell apart have the same gain, and none of them gets a weight that names it. Where one fault
+suffices, the loss that each other one may have besides is bounded by the profile likelihood (W. Q. Meeker and L. A. Escobar, *Am. Statist.*
+49, 1995).
 """
 
 from __future__ import annotations
@@ -29,6 +31,8 @@ REFINED = 8  # pairs, the likeliest by linearisation, that are fitted on the lin
 STEPS = 8  # Gauss-Newton steps of such a fit
 NUDGE = 1e-4  # severity by which derivatives are taken
 SINGULAR = 1e-9  # share of the information of one fault that another must leave for the two to be told apart
+EXCLUDED = 0.5 * 1.959964**2  # log likelihood that a loss must fall short by: bounds hold with 97.5 %
+GRID = 201  # severities of a second fault that are tried
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +88,39 @@ def alike(found: Sequence[Combination], best: Combination, names: Sequence[str])
     return {f"alike.{JOINED.join(names[i] for i in c.faults)}": best.gain - c.gain for c in more if best.gain - c.gain < -math.log(OPEN)}
 
 
+def besides(b: Array, G: Array, single: Combination, seen: Sequence[int], names: Sequence[str], low: float) -> dict[str, float]:
+    """Return the largest loss, at most ``low``, that every other fault may have besides a single one, for a finding's parts.
+
+    What the second fault makes of the first is not in score and information: the bound is wider by the share the first has lost.
+    """
+    i, lost = single.faults[0], abs(float(single.severity[0]))
+    both = {j: [i, j] for j in seen if j != i}
+    return {f"besides.{names[j]}": max((1 + lost) * largest_second(b[own], G[np.ix_(own, own)], low), low) for j, own in both.items()}
+
+
+def largest_second(b: Array, G: Array, low: float, first: tuple[float, float] | None = None) -> float:
+    """Return the largest loss that a fault may have besides another one.
+
+    Parameters
+    ----------
+    b, G : ndarray
+        Score ``(2,)`` and information ``(2, 2)`` of the first and of the other fault.
+    low : float
+        Largest loss of the other one, a negative number.
+    first : tuple of float, optional
+        Range of the first one's severity, ``(low, 0)`` by default.
+
+    Returns
+    -------
+    float
+        Severity below which the profile likelihood falls short of its maximum by more than `EXCLUDED`.
+    """
+    s = np.linspace(0.0, low, GRID)
+    t = np.clip((b[0] - G[0, 1] * s) / G[0, 0], *(first or (low, 0.0)))
+    gain = t * b[0] + s * b[1] - 0.5 * (t**2 * G[0, 0] + 2 * t * s * G[0, 1] + s**2 * G[1, 1])
+    return float(s[gain >= gain.max() - EXCLUDED].min())
+
+
 def paired(finding: Finding, found: Sequence[Combination], pair: Combination, names: Sequence[str], samples: int) -> Finding:
     """Return the finding with single faults and pairs weighed, and fits of the likeliest pair."""
     kept = {name: w for name, w in weighed(found, names, samples).items() if w > NEGLIGIBLE}
@@ -105,16 +142,42 @@ def paired_on_lines(finding: Finding, curves: FaultCurves, data: LineData, reach
     ]  # fmt: skip
     pairs = _pairs_on_lines(curves, data, reach, [c.faults[0] for c in singles])
     single, pair = likeliest(singles, 1), likeliest(pairs, 2)
-    if single is None or pair is None:
+    if single is None:
         return finding
-    if pair.score(samples) - single.score(samples) < math.log(OPEN):
-        return replace(finding, parts={**finding.parts, **alike(pairs, single, curves.names)})
+    if pair is None or pair.score(samples) - single.score(samples) < math.log(OPEN):
+        told = {**alike(pairs, single, curves.names), **_besides_on_lines(curves, data, reach, single, [c.faults[0] for c in singles])}
+        return replace(finding, parts={**finding.parts, **told})
     point, covariance = curves.together({curves.names[i]: s for i, s in zip(pair.faults, pair.severity.tolist(), strict=True)})
     rest = data.whitened(covariance, data.z - data.R @ point)[0]
     left = float(chdtrc(max(rest.size - 2, 1), float(rest @ rest)))
     if left < UNEXPLAINED:
         return replace(finding, weights={NONE: 1.0}, parts={**finding.parts, "unexplained_p": left})
     return paired(finding, [*singles, *pairs], pair, curves.names, samples)
+
+
+def _besides_on_lines(
+    curves: FaultCurves, data: LineData, reach: Mapping[str, tuple[float, float]], single: Combination, seen: Sequence[int],
+) -> dict[str, float]:
+    """Return the largest losses of other faults besides a single one, their waves exact where the bound lies."""
+    i, at = single.faults[0], float(single.severity[0])
+    name, found = curves.names[i], {}
+    point, covariance = curves.together({name: at})
+    tangent = _tangent(curves, {name: at}, name)
+    for other in (curves.names[j] for j in seen if j != i):
+        low, loss = 0.999 * reach[other][0], -0.1
+        for _ in range(2):
+            chord = (curves.together({name: at, other: max(loss, low)})[0] - point) / max(loss, low)
+            rest, *ways = data.whitened(covariance, data.z - data.R @ point, data.R @ tangent, data.R @ chord)
+            slope = np.stack(ways, axis=1)
+            found[f"besides.{other}"] = largest_second(slope.T @ rest, slope.T @ slope, low, (0.999 * reach[name][0] - at, -at))
+            loss = min(found[f"besides.{other}"], -NUDGE)
+    return found
+
+
+def _tangent(curves: FaultCurves, at: Mapping[str, float], name: str) -> Array:
+    """Return the derivative ``(2 L, p)`` of the wave by one of several severities."""
+    low, high = (curves.together({**at, name: at[name] + step})[0] for step in (-NUDGE, NUDGE))
+    return np.asarray((high - low) / (2 * NUDGE))
 
 
 def _pairs_on_lines(curves: FaultCurves, data: LineData, reach: Mapping[str, tuple[float, float]], seen: Sequence[int]) -> list[Combination]:
@@ -136,12 +199,12 @@ def _refined(curves: FaultCurves, data: LineData, reach: Mapping[str, tuple[floa
     low = np.array([0.999 * reach[n][0] for n in names])
     theta = np.clip(start.severity, low, 0.0)
 
-    def point(at: Array) -> tuple[Array, Array]:
-        return curves.together(dict(zip(names, at.tolist(), strict=True)))
+    def severities(at: Array) -> dict[str, float]:
+        return dict(zip(names, at.tolist(), strict=True))
 
     for _ in range(STEPS):
-        now, covariance = point(theta)
-        tangents = [(point(theta + step)[0] - point(theta - step)[0]) / (2 * NUDGE) for step in NUDGE * np.eye(2)]
+        now, covariance = curves.together(severities(theta))
+        tangents = [_tangent(curves, severities(theta), name) for name in names]
         rest, *ways = data.whitened(covariance, data.z - data.R @ now, *(data.R @ t for t in tangents))
         slope = np.stack(ways, axis=1)
         moved = np.clip(theta + np.linalg.lstsq(slope, rest, rcond=None)[0], low, 0.0)
@@ -150,7 +213,7 @@ def _refined(curves: FaultCurves, data: LineData, reach: Mapping[str, tuple[floa
             break
     if not ((theta > low) & (theta < 0)).all():
         return None
-    now, covariance = point(theta)
+    now, covariance = curves.together(severities(theta))
     information = slope.T @ slope
     if np.linalg.cond(information) > 1 / SINGULAR:
         return None

@@ -37,15 +37,17 @@ class TrueMachine:
         return len(self.A), self.B.shape[1], len(self.C)
 
     def run(self, rng: np.random.Generator, alpha: np.ndarray, loss: np.ndarray | None = None, ref: np.ndarray | None = None,
-            noisier: np.ndarray | float = 1.0) -> dict[str, np.ndarray]:
+            noisier: np.ndarray | float = 1.0, plant: tuple[np.ndarray, np.ndarray] | None = None) -> dict[str, np.ndarray]:
         """Return u, y, alpha, beta of a run from rest; ``loss (n, m + p)`` are severities of actuators, then sensors, ``ref (n, p)``
-        references; ``noisier`` multiplies both noises, sample by sample if it is an array."""
+        references; ``noisier`` multiplies both noises, sample by sample if it is an array. ``plant`` are the A and B of the machine where
+        they are not those that the controller was made for."""
         n, (_, m, p) = len(alpha), self.shape
         scale = np.broadcast_to(np.asarray(noisier, dtype=float), (n,))[:, None]
         w, v = (scale * rng.standard_normal((n, len(cov))) @ _root(cov).T for cov in (self.Q, self.R))
         gains = 1 + (np.zeros((n, m + p)) if loss is None else np.broadcast_to(np.asarray(loss, dtype=float), (n, m + p)))
         known = np.zeros((n, p)) if ref is None else ref
-        u, y, beta = _run(self.A, self.B, self.C, self.D, self.F, self.L, w, v, np.ascontiguousarray(gains), alpha, known)
+        made, controller = plant or (self.A, self.B), (self.A, self.B, self.C, self.D, self.F, self.L)
+        u, y, beta = _run(*made, *controller, w, v, np.ascontiguousarray(gains), alpha, known)
         return {"u": u, "y": y, "alpha": alpha, "beta": beta, "ref": known}
 
     def spread(self) -> tuple[np.ndarray, np.ndarray]:
@@ -141,7 +143,7 @@ def _root(cov: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True)
-def _run(A, B, C, D, F, L, w, v, gains, alpha, ref):  # type: ignore[no-untyped-def]
+def _run(A1, B1, A, B, C, D, F, L, w, v, gains, alpha, ref):  # type: ignore[no-untyped-def]
     n, m, p, T = A.shape[0], B.shape[1], C.shape[0], w.shape[0]
     x, h, x1, h1 = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     u, y, beta, acting = np.zeros((T, m)), np.zeros((T, p)), np.zeros((T, p)), np.zeros(m)
@@ -164,10 +166,10 @@ def _run(A, B, C, D, F, L, w, v, gains, alpha, ref):  # type: ignore[no-untyped-
         for i in range(n):
             x1[i], h1[i] = w[k, i], 0.0
             for j in range(n):
-                x1[i] += A[i, j] * x[j]
+                x1[i] += A1[i, j] * x[j]
                 h1[i] += A[i, j] * h[j]
             for j in range(m):
-                x1[i] += B[i, j] * acting[j]
+                x1[i] += B1[i, j] * acting[j]
                 h1[i] += B[i, j] * u[k, j]
             for j in range(p):
                 h1[i] -= L[i, j] * beta[k, j]

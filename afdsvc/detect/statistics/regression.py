@@ -21,7 +21,7 @@ import numpy as np
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.burst_detector import BurstSamples, Finding
-from afdsvc.detect.combinations import OPEN, Combination, alike, combined, course, likeliest, paired
+from afdsvc.detect.combinations import OPEN, Combination, alike, besides, combined, course, likeliest, paired
 from afdsvc.detect.features.burst_noise import energy, noise_compared
 from afdsvc.detect.features.demodulation import Basis, BasisSums, project
 from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
@@ -122,7 +122,8 @@ class Regression:
             return finding
         if pair and pair.score(n) - single.score(n) > self._bent(single, G, n) / 2 + math.log(OPEN):
             return self._left(paired(finding, found, pair, self.names, n), sums, pair, b, G)
-        finding = replace(finding, parts={**finding.parts, **alike(found, single, self.names)})
+        told = {**alike(found, single, self.names), **besides(b, G, single, seen, self.names, self.bounds[0])}
+        finding = replace(finding, parts={**finding.parts, **told})
         changed = self._changed(finding, sums, single)
         return changed if changed is not finding else self._left(finding, sums, single, b, G)
 
