@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import beta, binomtest
 
 from afdsvc.lti.statespace import Array
 
@@ -28,6 +28,12 @@ def share(hits: int, of: int, level: float = 0.95) -> Share:
     """Return a binomial share with its Jeffreys interval."""
     low, high = beta.ppf([(1 - level) / 2, (1 + level) / 2], hits + 0.5, of - hits + 0.5)
     return Share(hits / of, 0.0 if hits == 0 else float(low), 1.0 if hits == of else float(high))
+
+
+def exact(hits: int, of: int, level: float = 0.95) -> Share:
+    """Return a binomial share with the interval of Clopper and Pearson."""
+    found = binomtest(hits, of).proportion_ci(level, "exact")
+    return Share(hits / of, float(found.low), float(found.high))
 
 
 def power(healthy: Array, faulty: Array, rate: float, seed: int = 1) -> Share:

@@ -1,4 +1,4 @@
-"""One burst on a true machine, judged by one detector."""
+"""One burst on a true machine, judged by detectors."""
 
 from __future__ import annotations
 
@@ -43,3 +43,20 @@ def judged(
         state, evidence = detector.step(state, ResidualBlock(a, machine.dt, *(x[a:b] for x in parts), playing, burst.name if playing else "", before))
         found += evidence
     return found[-1]
+
+
+def shown(problem: DetectionProblem, detectors: Sequence[Detector], run: Mapping[str, np.ndarray], burst: Burst | None) -> list[list[Evidence]]:
+    """Return the evidence of every detector for a run: quiet samples, then the burst (None: all of it is quiet)."""
+    r, _ = simulate(problem.innovations, np.hstack([run["y"], run["u"]]))
+    end = len(r) if burst is None else quiet(problem)
+    parts = (r, run["beta"], run["u"], run["y"], run["alpha"])
+    edges = [(k, min(k + 5000, end), None) for k in range(0, end, 5000)] + ([] if burst is None else [(end, len(r), burst)])
+    blocks = [ResidualBlock(a, problem.plant.dt, *(x[a:b] for x in parts), playing, "b" if playing else "", end) for a, b, playing in edges]
+    found = []
+    for detector in detectors:
+        state, told = detector.start(), []
+        for block in blocks:
+            state, evidence = detector.step(state, block)
+            told += evidence
+        found.append(told)
+    return found

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from afdsvc.api.bursts import Burst, Line
-from afdsvc.api.detection import DetectionProblem, Detector, FalseAlarms, Noise, ResidualBlock
+from afdsvc.api.detection import DetectionProblem, Detector, FalseAlarms, Noise
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.model import Model
 from afdsvc.app import diagnose
@@ -40,12 +40,11 @@ from afdsvc.files.model.model_file import parse_model
 from afdsvc.files.open import Naming, open_file
 from afdsvc.files.site import DetectorSection
 from afdsvc.hal.replay import blocks_of
-from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.whitening import innovations
 from afdsvc.plugins.manager import load
 from benchmarks.detection.counting import share
-from benchmarks.detection.judged import quiet
+from benchmarks.detection.judged import quiet, shown
 from benchmarks.detection.truth import TrueMachine, machines
 from benchmarks.detection.truth_problem import alpha_of, loss_of, problem_of
 
@@ -62,23 +61,6 @@ def broad(machine: TrueMachine) -> Burst:
     rate = 2 * np.pi / (SAMPLES * machine.dt)
     lines = tuple(Line(i, rate * (70 + 22 * i + 124 * j), float(size[i]), 1.0 * j) for i in range(m) for j in range(2))
     return Burst("b", m, SAMPLES, 100, lines, settle=100)
-
-
-def shown(problem: DetectionProblem, detectors: Sequence[Detector], run: Mapping[str, np.ndarray], burst: Burst | None) -> list[list[Evidence]]:
-    """Return the evidence of every detector for a run: quiet samples, then the burst (None: all of it is quiet)."""
-    r, _ = simulate(problem.innovations, np.hstack([run["y"], run["u"]]))
-    end = len(r) if burst is None else quiet(problem)
-    parts = (r, run["beta"], run["u"], run["y"], run["alpha"])
-    edges = [(k, min(k + 5000, end), None) for k in range(0, end, 5000)] + ([] if burst is None else [(end, len(r), burst)])
-    blocks = [ResidualBlock(a, problem.plant.dt, *(x[a:b] for x in parts), playing, "b" if playing else "", end) for a, b, playing in edges]
-    found = []
-    for detector in detectors:
-        state, told = detector.start(), []
-        for block in blocks:
-            state, evidence = detector.step(state, block)
-            told += evidence
-        found.append(told)
-    return found
 
 
 def designed(problem: DetectionProblem, kinds: Sequence[str], settings: Mapping[str, float] | None = None) -> list[Detector]:

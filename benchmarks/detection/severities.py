@@ -1,94 +1,134 @@
 """Severities of detected gain faults on the ten drawn machines: detected share, bias and coverage, plain and given the detection.
 
-    python -m benchmarks.detection.severities [--only MACHINE ..] [--bursts N] [--seed N] [--detector NAME]
+    python -m benchmarks.detection.severities --out COUNTS.csv [--only MACHINE ..] [--bursts N] [--seed N]
+    python -m benchmarks.detection.severities --page COUNTS.csv
 
-The amplitude of every burst is chosen so that each severity is detected in about half of them: there the selection matters most.
+The amplitude of every burst is chosen so that each severity is detected in about half of them: there the selection matters most. Counts of
+several seeds add up. ``N`` bursts for each machine and each of two pairs of detectors, spread over its faults and severities.
 """
 
 from __future__ import annotations
 
 import argparse
-import time
+import csv
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from afdsvc.api.bursts import Burst, Line
-from afdsvc.api.detection import FalseAlarms
+from afdsvc.api.detection import DetectionProblem, Detector, FalseAlarms
 from afdsvc.lti.statespace import Array
 from afdsvc.plugins.manager import load
-from benchmarks.detection.counting import share
-from benchmarks.detection.judged import judged
+from benchmarks.detection.counting import exact
+from benchmarks.detection.judged import judged, quiet, shown
 from benchmarks.detection.truth import TrueMachine, machines
-from benchmarks.detection.truth_problem import problem_of
+from benchmarks.detection.truth_problem import alpha_of, loss_of, problem_of
 
 SEVERITIES = (-0.02, -0.05, -0.1, -0.3)
+PAIRS = (("matched_filter", "fault_curves"), ("regression", "iterated_regression"))  # of equal standard errors: shown the same bursts
 HALF = 1.959964  # standard deviations on each side of a 95 % interval
 SAMPLES = 2000
 DEFLECTION = 3.5  # standard deviations that the fault moves its severity's estimate
+COLUMNS = ("machine", "detector", "severity", "played", "reported", "plain_holds", "holds", "plain_error", "error")
+Row = Mapping[str, str | float]
 
 
-def bursts(machine, problem, fault, severity, detector):
+def burst_for(machine: TrueMachine, problem: DetectionProblem, fault: str, severity: float, detector: Detector) -> Burst | None:
     """Return the burst of two lines per input under which the severity's estimate lies at `DEFLECTION` standard errors."""
     m, rate = machine.shape[1], 2 * np.pi / (SAMPLES * machine.dt)
     size = float(machine.spread()[1].max())
+
+    def burst(amplitude: float) -> Burst:
+        lines = tuple(Line(i, rate * (70 + 22 * i + 124 * j), amplitude) for i in range(m) for j in range(2))
+        return Burst("b", m, SAMPLES, 100, lines, settle=100)
+
     for k in range(12):
-        lines = tuple(Line(i, rate * (70 + 22 * i + 124 * j), size * 2.0 ** (k - 3)) for i in range(m) for j in range(2))
-        burst = Burst("b", m, SAMPLES, 100, lines, settle=100)
-        sd = np.mean([judged(machine, problem, detector, burst, s, {fault: severity}).parts[f"sd.{fault}"] for s in (1, 2)])
+        found = [judged(machine, problem, detector, burst(size * 2.0 ** (k - 3)), s, {fault: severity}) for s in (1, 2)]
+        sd = np.mean([e.parts[f"sd.{fault}"] for e in found])
         if sd < -severity / DEFLECTION:
-            share = sd * DEFLECTION / -severity
-            lines = tuple(Line(line.input, line.omega, line.amplitude * share) for line in lines)
-            return Burst("b", m, SAMPLES, 100, lines, settle=100)
+            return burst(size * 2.0 ** (k - 3) * sd * DEFLECTION / -severity)
     return None
 
 
-def counted(machine: TrueMachine, kind: str, severity: float, played: int, seed: int) -> Array:
-    """Return one row per burst that was played with a fault of this severity, each fault in turn; nan where it was not detected and named.
+def counted(machine: TrueMachine, bursts: int, seed: int) -> Iterator[Row]:
+    """Yield a row for every pair of detectors and severity."""
+    problem = problem_of(machine, FalseAlarms(1e-3))
+    each = -(-bursts // (len(problem.fault_names) * len(SEVERITIES)))
+    for kinds in PAIRS:
+        detectors = [load().get("detectors", kind).design(problem, {}) for kind in kinds]
+        for severity in SEVERITIES:
+            rows = [_played(machine, problem, detectors, fault, severity, each, [seed, i, round(-100 * severity)]) for i, fault in enumerate(problem.fault_names)]
+            for kind, own in zip(kinds, np.concatenate(rows, axis=1), strict=True):
+                found = own[np.isfinite(own[:, 0])]
+                errors = np.median(found[:, [0, 2]], axis=0).tolist() if len(found) else [np.nan, np.nan]
+                yield dict(zip(COLUMNS, (machine.name, kind, severity, len(own), len(found), *found[:, [1, 3]].sum(axis=0).astype(int).tolist(), *errors), strict=True))
+
+
+def _played(
+    machine: TrueMachine, problem: DetectionProblem, detectors: Sequence[Detector], fault: str, severity: float, bursts: int, seed: Sequence[int]
+) -> Array:
+    """Return ``(detectors, bursts, 4)``, nan where the fault was not detected, not the likeliest, or no severity was reported.
 
     Columns: error of the plain severity, whether its interval holds the truth, error of the reported one, whether its interval does.
     """
-    problem = problem_of(machine, FalseAlarms(1e-3))
-    detector, rows = load().get("detectors", kind).design(problem, {}), []
-    for i, fault in enumerate(problem.fault_names):
-        try:
-            burst = bursts(machine, problem, fault, severity, detector)
-        except (ValueError, KeyError):  # the loop is lost with this fault: no decision
-            continue
-        for k in range(played if burst else 0):
-            e, row = judged(machine, problem, detector, burst, [seed, i, round(-100 * severity), k], {fault: severity}), [np.nan] * 4
+    try:
+        burst = burst_for(machine, problem, fault, severity, detectors[0])
+    except (ValueError, KeyError):  # the loop is lost with this fault: no decision
+        burst = None
+    rows = np.full((len(detectors), bursts if burst else 0, 4), np.nan)
+    for k in range(rows.shape[1]):
+        run = machine.run(np.random.default_rng([*seed, k]), alpha_of(burst, machine.dt, quiet(problem)), loss_of(problem, {fault: severity}))
+        for i, told in enumerate(shown(problem, detectors, run, burst)):
+            e = told[-1]
             if e.detected and e.severity is not None and max(e.weights, key=lambda n: e.weights[n]) == fault:
                 x, sd, s = e.parts[f"severity.{fault}"], e.parts[f"sd.{fault}"], e.severity
-                row = [x - severity, abs(x - severity) <= HALF * sd, s.value - severity, s.low <= severity <= s.high]
-            rows.append(row)
-    return np.array(rows, dtype=float).reshape(-1, 4)
+                rows[i, k] = [x - severity, abs(x - severity) <= HALF * sd, s.value - severity, s.low <= severity <= s.high]
+    return rows
 
 
-def line(name: str, rows: Array) -> str:
-    """Return a line of the table."""
-    found = rows[np.isfinite(rows[:, 0])]
-    if not len(found):
-        return f"| {name} | 0 of {len(rows)} | | | |"
-    holds = share(int(found[:, 3].sum()), len(found), 0.99)
-    plain, reported = np.median(found[:, [0, 2]], axis=0)
-    return f"| {name} | {len(found) / len(rows):.2f} of {len(rows)} | {plain:+.4f} | {reported:+.4f} | {found[:, 1].mean():.3f} | {holds} |"
+def page(rows: Sequence[Mapping[str, str]]) -> str:
+    """Return the tables by detector and machine, and by detector and severity."""
+    tables = []
+    for key in ("machine", "severity"):
+        lines = [f"| detector | {key} | reported | median error, plain | reported | coverage, plain | reported (99 % interval) |", "|---|---|---|---|---|---|---|"]
+        sums: dict[tuple[str, str], list[Mapping[str, str]]] = defaultdict(list)
+        for row in rows:
+            sums[row["detector"], row[key]].append(row)
+        tables.append("\n".join([*lines, *(f"| `{detector}` | {name} | {_line(found)} |" for (detector, name), found in sorted(sums.items(), key=lambda s: s[0][0]))]))
+    return "\n\n".join(tables)
+
+
+def _line(rows: Sequence[Mapping[str, str]]) -> str:
+    played, n, plain, holds = (sum(int(row[c]) for row in rows) for c in ("played", "reported", "plain_holds", "holds"))
+    if not n:
+        return f"0 of {played} | | | |"
+    errors = [sum(int(row["reported"]) * float(row[c]) for row in rows if int(row["reported"])) / n for c in ("plain_error", "error")]
+    return f"{n:,} of {played:,} | {errors[0]:+.4f} | {errors[1]:+.4f} | {plain / n:.3f} | {exact(holds, n, 0.99)}"
 
 
 def main() -> None:
-    """Simulate, judge and print."""
+    """Simulate and judge, or print the page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    for name, default in (("bursts", 20), ("seed", 1)):
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--page", type=Path)
+    for name, default in (("bursts", 900), ("seed", 1)):
         parser.add_argument(f"--{name}", type=int, default=default)
     parser.add_argument("--only", type=int, nargs="*", default=range(10), help="machines by number")
-    parser.add_argument("--detector", default="regression")
-    asked, found = parser.parse_args(), {}
-    print(f"| {asked.detector} | detected and named | median error, plain | reported | coverage, plain | reported (99 % interval) |\n|---|---|---|---|---|---|")
+    asked = parser.parse_args()
+    if asked.page:
+        with asked.page.open() as stream:
+            print(page(list(csv.DictReader(stream))))
+        return
     for machine in (machines()[i] for i in asked.only):
-        for severity in SEVERITIES:
-            found[machine.name, severity] = counted(machine, asked.detector, severity, asked.bursts, asked.seed)
-        print(line(machine.name, np.vstack([found[machine.name, s] for s in SEVERITIES])), flush=True)
-    for severity in SEVERITIES:
-        print(line(f"{100 * severity:+.0f} %", np.vstack([rows for (_, s), rows in found.items() if s == severity])))
-    print(f"\n{time.process_time():.0f} s of processor")
+        for row in counted(machine, asked.bursts, asked.seed):
+            fresh = not asked.out.exists()
+            with asked.out.open("a", newline="") as stream:
+                writer = csv.DictWriter(stream, COLUMNS)
+                if fresh:
+                    writer.writeheader()
+                writer.writerow(row)
 
 
 if __name__ == "__main__":

@@ -145,33 +145,31 @@ def _root(cov: np.ndarray) -> np.ndarray:
 @njit(cache=True)
 def _run(A1, B1, A, B, C, D, F, L, w, v, gains, alpha, ref):  # type: ignore[no-untyped-def]
     n, m, p, T = A.shape[0], B.shape[1], C.shape[0], w.shape[0]
-    x, h, x1, h1 = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    u, y, beta, acting = np.zeros((T, m)), np.zeros((T, p)), np.zeros((T, p)), np.zeros(m)
+    x, h = np.zeros((2, n)), np.zeros((2, n))
+    u, y, beta, acting, expected = alpha.copy(), np.zeros((T, p)), np.zeros((T, p)), np.zeros(m), np.zeros(p)
     for k in range(T):
-        for i in range(m):
-            u[k, i] = alpha[k, i]
-            for j in range(n):
-                u[k, i] += F[i, j] * h[j]
-            acting[i] = gains[k, i] * u[k, i]
-        for i in range(p):
-            made, expected = 0.0, 0.0
-            for j in range(n):
-                made += C[i, j] * x[j]
-                expected += C[i, j] * h[j]
-            for j in range(m):
-                made += D[i, j] * acting[j]
-                expected += D[i, j] * u[k, j]
-            y[k, i] = gains[k, m + i] * made + v[k, i]
-            beta[k, i] = y[k, i] - ref[k, i] - expected
-        for i in range(n):
-            x1[i], h1[i] = w[k, i], 0.0
-            for j in range(n):
-                x1[i] += A1[i, j] * x[j]
-                h1[i] += A[i, j] * h[j]
-            for j in range(m):
-                x1[i] += B1[i, j] * acting[j]
-                h1[i] += B[i, j] * u[k, j]
-            for j in range(p):
-                h1[i] -= L[i, j] * beta[k, j]
-        x, x1, h, h1 = x1, x, h1, h
+        now, then = k % 2, 1 - k % 2
+        _add(u[k], F, h[now], 1.0)
+        acting[:] = gains[k, :m] * u[k]
+        _add(y[k], C, x[now], 1.0)
+        _add(y[k], D, acting, 1.0)
+        y[k] = gains[k, m:] * y[k] + v[k]
+        expected[:] = ref[k]
+        _add(expected, C, h[now], 1.0)
+        _add(expected, D, u[k], 1.0)
+        beta[k] = y[k] - expected
+        x[then], h[then] = w[k], 0.0
+        _add(x[then], A1, x[now], 1.0)
+        _add(x[then], B1, acting, 1.0)
+        _add(h[then], A, h[now], 1.0)
+        _add(h[then], B, u[k], 1.0)
+        _add(h[then], L, beta[k], -1.0)
     return u, y, beta
+
+
+@njit(cache=True)
+def _add(out, M, v, factor):  # type: ignore[no-untyped-def]
+    """Add ``factor M v``, in loops: calls of BLAS cost several times as much for matrices this small."""
+    for i in range(M.shape[0]):
+        for j in range(M.shape[1]):
+            out[i] += factor * M[i, j] * v[j]
