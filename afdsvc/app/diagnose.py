@@ -359,6 +359,7 @@ def decision_document(e: Evidence) -> dict[str, Any]:
             "trustworthy": e.trustworthy,
             "reason": e.reason,
             "p_white": e.p_white,
+            "besides": {part.removeprefix("besides."): v for part, v in e.parts.items() if part.startswith("besides.")},
         }
     )
     return found

@@ -1,13 +1,14 @@
 """Two faults at once, faults that change inside a burst, and energy that nothing explains."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import FalseAlarms
-from afdsvc.detect.combinations import combined, course, weighed
+from afdsvc.detect.combinations import combined, course, largest_second, weighed
 from afdsvc.plugins.detectors.burst_detectors import RegressionDesign
 from afdsvc.plugins.manager import load
 from benchmarks.detection.judged import judged
@@ -23,8 +24,8 @@ DETECTOR = RegressionDesign().design(PROBLEM, {})
 LINES = {kind: load().get("detectors", kind).design(PROBLEM, {}) for kind in ("matched_filter", "fault_curves")}
 
 
-def found(loss, runs=20, detector=DETECTOR):
-    return [judged(MACHINE, PROBLEM, detector, BURST, seed, loss) for seed in range(runs)]
+def found(loss, runs=20, detector=DETECTOR, burst=BURST):
+    return [judged(MACHINE, PROBLEM, detector, burst, seed, loss) for seed in range(runs)]
 
 
 @pytest.mark.parametrize("kind", ["regression", *LINES])
@@ -62,6 +63,23 @@ def test_two_sensors_that_do_what_one_actuator_does_are_told(kind):
 @pytest.mark.parametrize("fault", ["a0", "s1"])
 def test_one_fault_stays_one(fault, kind):
     assert Counter(e.fault for e in found({fault: -0.2}, detector=LINES.get(kind, DETECTOR)))[fault] >= 19
+
+
+@pytest.mark.parametrize("kind", ["regression", *LINES])
+def test_a_second_fault_too_small_for_the_burst_is_inside_the_bound_stated_besides_the_first(kind):
+    small = replace(BURST, lines=tuple(replace(line, amplitude=line.amplitude / 5) for line in BURST.lines))
+    hidden = [e for e in found({"a0": -0.2, "s0": -0.2}, 40, LINES.get(kind, DETECTOR), small) if max(e.weights, key=e.weights.get, default="") == "a0"]
+    assert len(hidden) >= 10
+    assert sum(e.parts["besides.s0"] <= -0.2 for e in hidden) >= len(hidden) - 1
+    for e in found({"a0": -0.2}, 5, LINES.get(kind, DETECTOR)):  # a large burst leaves little room for a second one
+        assert -0.1 < e.parts["besides.s0"] <= 0
+
+
+def test_the_largest_second_loss():
+    apart, alike = np.diag([100.0, 400.0]), np.full((2, 2), 100.0)
+    assert largest_second(apart @ [-0.3, -0.1], apart, -1.0) == pytest.approx(-0.1 - 1.96 / 20, abs=0.005)
+    assert largest_second(alike @ [-0.3, -0.1], alike, -1.0) == pytest.approx(-0.4 - 1.96 / 10, abs=0.005)  # all of it may be the other one
+    assert largest_second(apart @ [-0.3, -0.1], apart, -0.15) == -0.15
 
 
 def test_a_fault_that_begins_in_the_burst_is_reported_at_its_present_severity():
