@@ -67,10 +67,10 @@ def test_one_fault_stays_one(fault, kind):
 
 @pytest.mark.parametrize("kind", ["regression", *LINES])
 def test_a_second_fault_too_small_for_the_burst_is_inside_the_bound_stated_besides_the_first(kind):
-    small = replace(BURST, lines=tuple(replace(line, amplitude=line.amplitude / 5) for line in BURST.lines))
-    hidden = [e for e in found({"a0": -0.2, "s0": -0.2}, 40, LINES.get(kind, DETECTOR), small) if max(e.weights, key=e.weights.get, default="") == "a0"]
-    assert len(hidden) >= 10
-    assert sum(e.parts["besides.s0"] <= -0.2 for e in hidden) >= len(hidden) - 1
+    small = replace(BURST, lines=tuple(replace(line, amplitude=line.amplitude / 8) for line in BURST.lines))
+    bounds = [e.parts["besides.a0"] for e in found({"a0": -0.2, "s0": -0.2}, 20, LINES.get(kind, DETECTOR), small) if "besides.a0" in e.parts]
+    assert len(bounds) >= 10
+    assert sum(bound <= -0.2 for bound in bounds) >= len(bounds) - 1
     for e in found({"a0": -0.2}, 5, LINES.get(kind, DETECTOR)):  # a large burst leaves little room for a second one
         assert -0.1 < e.parts["besides.s0"] <= 0
 

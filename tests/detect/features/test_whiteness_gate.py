@@ -6,8 +6,7 @@ import pytest
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import FalseAlarms
 from afdsvc.plugins.manager import load
-from benchmarks.detection.judged import judged, quiet
-from benchmarks.detection.promises import shown
+from benchmarks.detection.judged import judged, quiet, shown
 from benchmarks.detection.truth import machines
 from benchmarks.detection.truth_problem import alpha_of, problem_of
 
