@@ -29,6 +29,7 @@ from afdsvc.plugins.manager import Plugins
 from afdsvc.retune.cost import WEIGHTS, loop_cost, signal_model, with_q
 from afdsvc.retune.design import deviations
 from afdsvc.retune.proof import Proof, proved_tuning
+from afdsvc.retune.settings import stated
 from afdsvc.service.retuning import Design as TuningDesign
 from afdsvc.service.scheduler import BurstOrder
 
@@ -186,11 +187,12 @@ def tuning_design(machine: Commissioned, plugins: Plugins) -> TuningDesign:
     The cost has the weights of the running controller where it was designed with any, and those of key ``retune.cost`` before all.
     """
     wanted = machine.config.retune
+    settings = stated(wanted.settings)  # bounds hold for design and proof alike
 
     def design(problem: DetectionProblem, found: Diagnosed) -> tuple[Tuning, str, Mapping[str, Any]]:
         cost = loop_cost(problem, {**_own_weights(machine, problem), **wanted.cost})
         Q = plugins.get("retuners", wanted.kind).design(problem, found, cost, wanted.settings)
-        tuning, proof = proved_tuning(problem, found, cost, Q)
+        tuning, proof = proved_tuning(problem, found, cost, Q, settings)
         return tuning, proof_sentence(proof), {**asdict(proof), "signals": _signals(problem, found, cost, Q)}
 
     return design
@@ -207,6 +209,7 @@ def proof_sentence(proof: Proof) -> str:
     return (
         f"stable for every severity of the interval and in the healthy machine; cost {proof.cost_before:.4g} to {proof.cost_after:.4g} "
         f"({100 * proof.reached:.0f} % of the possible), sensitivity {proof.sensitivity_before:.3g} to {proof.sensitivity_after:.3g}"
+        + (f"; {proof.bound}" if proof.bound else "")
     )
 
 

@@ -228,7 +228,7 @@ def retune_table(sheet: dict[str, Any]) -> None:
     OUT.print(
         f"{100 * sheet['reached']:.0f} % of what the best controller of the damaged machine gains; gain rises over {sheet['rise_seconds']:g} s, falls over "
         f"{sheet['fall_seconds']:g} s; if the diagnosis is wrong: sensitivity at most {sheet['sensitivity_wrong']:.3g}; "
-        f"least room {100 * sheet['room']:.0f} % ({sheet['tightest']})", soft_wrap=True,
+        f"least room {100 * sheet['room']:.0f} % ({sheet['tightest']})" + (f"; {sheet['bound']}: it limits what is gained" if sheet["bound"] else ""), soft_wrap=True,
     )  # fmt: skip
 
 

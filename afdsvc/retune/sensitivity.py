@@ -101,7 +101,9 @@ class Priced:
             if np.abs(poles).max(initial=0.0) >= 1:
                 return float("inf"), np.zeros_like(slope)
             points = np.exp(1j * np.unique(np.concatenate([FREQUENCIES, np.abs(np.angle(poles))])))
-            u, s, vh = np.linalg.svd(transfer(StateSpace(A, B, C, D, Q.dt), points))
+            response = transfer(StateSpace(A, B, C, D, Q.dt), points)
+            suspect = np.linalg.norm(response, axis=(1, 2)) > bound  # the Frobenius norm is never below the largest singular value
+            points, (u, s, vh) = points[suspect], np.linalg.svd(response[suspect])
             over = s[:, 0] > bound
             beyond = s[over, 0] / bound - 1
             left = u[over, :, :1].conj().swapaxes(1, 2) @ transfer(StateSpace(A, into, C, Dzu, Q.dt), points[over])

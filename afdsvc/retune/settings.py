@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from afdsvc.errors import BadInput
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,3 +44,25 @@ class RetuneSettings:
 
 
 RETUNE = RetuneSettings()
+
+
+def stated(settings: Mapping[str, Any]) -> RetuneSettings:
+    """Return the settings with those that are stated by name; others are not for it. Raises `BadInput` for a value of another kind.
+
+    >>> stated({"models": 3}).models
+    3
+    """
+    known = {f.name: settings[f.name] for f in fields(RETUNE) if f.name in settings}
+    for name, value in known.items():
+        usual = getattr(RETUNE, name)
+        many = isinstance(usual, tuple)
+        numbers = value if many and isinstance(value, list | tuple) and value else [value]
+        kind, least = ("whole number", 1) if isinstance(usual, int) else ("number", 0)
+        if not all(_number(x) and x >= least and (kind == "number" or x == int(x)) for x in numbers):
+            raise BadInput(f"retune.settings.{name} is {value!r}; expected {'a list of numbers' if many else f'a {kind}'} of at least {least}")
+        known[name] = tuple(numbers) if many else value
+    return replace(RETUNE, **known)
+
+
+def _number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any
 
 from afdsvc.api.detection import DetectionProblem
@@ -11,7 +11,7 @@ from afdsvc.api.retuning import Diagnosed, LoopCost
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.retune.design import design_q
-from afdsvc.retune.settings import RETUNE
+from afdsvc.retune.settings import RETUNE, stated
 
 
 class H2:
@@ -26,4 +26,4 @@ class H2:
         for key in settings:
             if key not in names:
                 raise BadInput(f"h2: unknown setting '{key}'; known are {', '.join(names)}")
-        return design_q(problem, found, cost, replace(RETUNE, **settings))
+        return design_q(problem, found, cost, stated(settings))
