@@ -136,7 +136,7 @@ def _root(M: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelSet:
-    """k models of one order n, as stacked matrices, with weights ``(k,)`` of their costs and their ``largest_pole (k,)``; see `model_set`."""
+    """k models of one order n, as stacked matrices, with weights ``(k,)`` of their costs; see `model_set`."""
 
     A: Array
     Bw: Array
@@ -147,7 +147,7 @@ class ModelSet:
     Dzu: Array
     Dyw: Array
     weights: Array
-    largest_pole: Array
+    largest_pole: float
 
     def cost_and_slope(self, Q: StateSpace) -> tuple[float, Array]:
         """Return the weighted cost with Q and its slope in ``[Dq Cq; Bq Aq]``; (inf, 0) where a pole is beyond ``largest_pole``.
@@ -155,13 +155,12 @@ class ModelSet:
         Costs are those of ``A / largest_pole``: they rise without bound as a pole approaches that modulus, and bound the true ones.
         """
         A, B, C, D, into, out, Dzu, Dyw = self.closed(Q)
-        largest = self.largest_pole[:, None, None]
-        A = A / largest
+        A = A / self.largest_pole
         if max(float(np.abs(np.linalg.eigvals(a)).max()) for a in A) >= 1:
             return float("inf"), np.zeros((into.shape[2], out.shape[1]))
         P, X = _lyapunov_pair(A, B @ _t(B), _t(C) @ C)
         costs = np.trace(C @ P @ _t(C) + D @ _t(D), axis1=1, axis2=2)
-        slopes = _t(into) @ X @ (A @ P @ _t(out) / largest + B @ _t(Dyw)) + _t(Dzu) @ (C @ P @ _t(out) + D @ _t(Dyw))
+        slopes = _t(into) @ X @ (A @ P @ _t(out) / self.largest_pole + B @ _t(Dyw)) + _t(Dzu) @ (C @ P @ _t(out) + D @ _t(Dyw))
         return float(self.weights @ costs), 2 * np.tensordot(self.weights, slopes, axes=1)
 
     def closed(self, Q: StateSpace) -> tuple[Array, ...]:
@@ -183,8 +182,8 @@ class ModelSet:
         return A, B, C, D, into, out, Dzu, Dyw
 
 
-def model_set(models: Sequence[StateSpace], weights: ArrayLike, inputs: int, outputs: int, largest_pole: ArrayLike) -> ModelSet:
-    """Return models ``[w, alpha] -> [z, beta]`` with m = ``inputs`` alphas and p = ``outputs`` betas, stacked; one ``largest_pole`` is that of all."""
+def model_set(models: Sequence[StateSpace], weights: ArrayLike, inputs: int, outputs: int, largest_pole: float) -> ModelSet:
+    """Return models ``[w, alpha] -> [z, beta]`` with m = ``inputs`` alphas and p = ``outputs`` betas, stacked."""
     w, z = models[0].inputs - inputs, models[0].outputs - outputs
 
     def stacked(name: str, rows: slice, columns: slice) -> Array:
@@ -194,7 +193,7 @@ def model_set(models: Sequence[StateSpace], weights: ArrayLike, inputs: int, out
     return ModelSet(
         stacked("A", every, every), stacked("B", every, slice(w)), stacked("B", every, into), stacked("C", slice(z), every),
         stacked("C", by, every), stacked("D", slice(z), slice(w)), stacked("D", slice(z), into), stacked("D", by, slice(w)),
-        np.asarray(weights, dtype=float), np.broadcast_to(np.asarray(largest_pole, dtype=float), len(models)),
+        np.asarray(weights, dtype=float), largest_pole,
     )  # fmt: skip
 
 

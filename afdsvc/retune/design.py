@@ -38,8 +38,6 @@ from afdsvc.retune.sensitivity import Priced, accepted, sensitivities
 from afdsvc.retune.settings import RETUNE, RetuneSettings
 
 TIGHTER = 2.0  # factor on the price of a signal beyond its limit
-FIRST_PRICE = 0.1  # of a sensitivity beyond what is accepted; ten times more with each attempt, from the Q before (exterior penalty method)
-BARRIER = 0.01  # share of the costs of A / largest_pole, which rise without bound as a pole comes near it, in the costs minimised
 INSIDE = 0.98  # of the accepted sensitivity: where its price begins
 ATTEMPTS = 8  # of making it fit
 CAUTION = (1.0, 10.0, 100.0, 1000.0)  # factors on input weight and sensor noise: start from controllers of lower gain, which more machines bear
@@ -75,11 +73,8 @@ def design_q(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, settin
     require_alpha(problem)
     grid = severity_grid(problem, found, settings.models)
     weighted, price, peak_price = cost, h2_cost(with_q(damaged_model(problem, cost, {}), _zero(problem))), 0.0
-    full = None
     for _ in range(ATTEMPTS):
-        fit, controllers = _fit(problem, found, grid, weighted, peak_price, settings)
-        full = _descended(fit, full or _start(problem, found.fault, grid, controllers, weighted, fit), settings.iterations)
-        Q = _of_lowest_order(fit, full, damaged_model(problem, weighted, {found.fault: float(grid[len(grid) // 2])}), settings)
+        Q = _designed(problem, found, grid, weighted, peak_price, settings)
         over, (before, after) = _over_limit(problem, found.fault, grid, cost, Q, settings), sensitivities(problem, found, Q).T
         sensitive = (after > accepted(problem, found, before, settings)).any()
         if not (over or sensitive):
@@ -88,7 +83,7 @@ def design_q(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, settin
             weighted = _tighter(problem, weighted, over, price, settings)
             price *= TIGHTER
         if sensitive:
-            peak_price = max(10 * peak_price, FIRST_PRICE)
+            peak_price = max(10 * peak_price, 1.0)
     costs = [[h2_cost(with_q(damaged_model(problem, cost, {found.fault: s}), q)) for s in grid] for q in (_zero(problem), Q)]
     gained = 1 - float(np.max(np.divide(costs[1], costs[0])))
     if gained < settings.worthwhile:
@@ -122,10 +117,9 @@ def _costs(problem: DetectionProblem, fault: str, severity: float, cost: LoopCos
     return h2_cost(with_q(model, _zero(problem))), h2_cost(with_q(model, Q)), controlled_cost(problem, cost, {fault: severity}, K)
 
 
-def _fit(
+def _designed(
     problem: DetectionProblem, found: Diagnosed, grid: Array, cost: LoopCost, peak_price: float, settings: RetuneSettings
-) -> tuple[Priced, Sequence[StateSpace]]:
-    """Return what Q is to minimise, and the best controllers for the severities of the grid; refuses where nothing can be gained."""
+) -> StateSpace:
     fault = found.fault
     models = [damaged_model(problem, cost, {fault: s}) for s in grid.tolist()]
     none = _zero(problem)
@@ -141,13 +135,16 @@ def _fit(
     least = controlled_cost(problem, cost, {}, best_controller(problem, cost, {}))
     if not least > 0:
         raise Refused(f"'{fault}': nothing to gain; without disturbances the best controller of the healthy machine does nothing and costs nothing")
-    weights = np.concatenate([1 / (before - best) / len(grid), [settings.doubt / least]])
+    doubted = settings.doubt / least
+    weights = np.concatenate([1 / (before - best) / len(grid), [doubted]])
     every = [*models, healthy]
     margin = min(with_q(model, none).stability_margin() for model in every)
-    poles = np.repeat([1.0, 1 - settings.margin_kept * margin], len(every))
-    costs = model_set([*every, *every], np.kron([1 - BARRIER, BARRIER], weights), problem.plant.inputs, problem.plant.outputs, poles)
+    costs = model_set(every, weights, problem.plant.inputs, problem.plant.outputs, 1 - settings.margin_kept * margin)
     bounds = INSIDE * accepted(problem, found, sensitivities(problem, found, none)[:, 0], settings)
-    return Priced.of(costs, problem, found, bounds, peak_price), controllers
+    fit = Priced.of(costs, problem, found, bounds, peak_price)
+    start = _start(problem, fault, grid, controllers, cost, fit)
+    full = descended(fit, start, settings.iterations)
+    return _of_lowest_order(fit, full, models, none, settings)
 
 
 def _start(
@@ -174,7 +171,7 @@ def _minimal(Q: StateSpace) -> StateSpace:
     return balanced_truncation(Q, tolerance=1e-9).system
 
 
-def _descended(fit: Priced, Q: StateSpace, iterations: int) -> StateSpace:
+def descended(fit: Priced, Q: StateSpace, iterations: int) -> StateSpace:
     """Return Q after a descent (BFGS) on the cost over all models; a step to an unstable loop is never taken."""
     shape, m, p = (Q.outputs + Q.order, Q.inputs + Q.order), Q.outputs, Q.inputs
 
@@ -193,12 +190,12 @@ def _descended(fit: Priced, Q: StateSpace, iterations: int) -> StateSpace:
     return unpacked(done.x) if done.fun < 1 else Q
 
 
-def _of_lowest_order(fit: Priced, full: StateSpace, model: StateSpace, settings: RetuneSettings) -> StateSpace:
-    """Return the Q of lowest order whose cost is within ``order_loss`` of the reduction that ``full`` brings; ``model`` weights the truncation."""
-    without, reached = fit.cost_and_slope(StateSpace.gain(np.zeros((full.outputs, full.inputs)), full.dt))[0], fit.cost_and_slope(full)[0]
+def _of_lowest_order(fit: Priced, full: StateSpace, models: Sequence[StateSpace], none: StateSpace, settings: RetuneSettings) -> StateSpace:
+    """Return the Q of lowest order whose weighted cost is within ``order_loss`` of the reduction that ``full`` brings."""
+    without, reached = fit.cost_and_slope(none)[0], fit.cost_and_slope(full)[0]
     allowed = reached + settings.order_loss * (without - reached)
-    loop = _with_alpha(model, full)
-    z, w = model.outputs - full.inputs, model.inputs - full.outputs
+    loop = _with_alpha(models[len(models) // 2], full)
+    z, w = models[0].outputs - full.inputs, models[0].inputs - full.outputs
     to_cost = loop.select(slice(z), slice(w, None))
     from_noise = loop.select(slice(z, None), slice(w))
     for order in range(full.order):
@@ -207,7 +204,7 @@ def _of_lowest_order(fit: Priced, full: StateSpace, model: StateSpace, settings:
         except AfdsvcError:
             continue
         if is_stable(lower.A, lower.dt) and fit.cost_and_slope(lower)[0] <= allowed:
-            return _descended(fit, lower, settings.iterations)
+            return descended(fit, lower, settings.iterations)
     return full
 
 
