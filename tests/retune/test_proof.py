@@ -16,6 +16,7 @@ from afdsvc.lti.yjbk import retuned_interconnection
 from afdsvc.retune.cost import loop_cost, signal_model
 from afdsvc.retune.design import design_q, expected
 from afdsvc.retune.proof import Switch, covered, gain_ramp, prove, proved_tuning
+from afdsvc.retune.sensitivity import sensitivities
 from afdsvc.retune.settings import RETUNE
 from afdsvc.testing.machines import random_problem
 
@@ -97,6 +98,12 @@ def test_a_designed_q_is_proved_and_a_tight_limit_refuses_it():
     assert proof.reached > 0.9
     assert proof.cost_after < proof.cost_before
     assert max(proof.bump_in, proof.bump_out) <= RETUNE.bump
+    assert proof.bound == ""
+    near = replace(RETUNE, sensitivity_if_wrong=1.02 * proof.sensitivity_wrong)
+    wrong = sensitivities(problem, found, Q)[3:, 1]
+    assert wrong.max() == proof.sensitivity_wrong
+    machine = ["no fault at all", "'actuator_1' at -30 %", "'sensor_0' at -30 %", "'sensor_1' at -30 %"][int(np.argmax(wrong))]
+    assert prove(problem, found, cost, Q, near).bound == f"the sensitivity with {machine} is at its bound of {near.sensitivity_if_wrong:.3g}"
     models = [signal_model(problem, cost, {"actuator_0": s}) for s in (-0.3, 0.0)]
     switch = Switch.of(models, Q, 2, 2)
     larger = switch.after.max(axis=0) > switch.before.max(axis=0)

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from afdsvc.api.retuning import Diagnosed
+from afdsvc.app.commissioning import commission
+from afdsvc.app.pipelines import tuning_design
 from afdsvc.errors import BadInput, Refused
 from afdsvc.lti.frequency import frequency_response
+from afdsvc.files.site import parse_site
 from afdsvc.lti.lft import star
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins import retuners
@@ -71,3 +74,28 @@ def test_a_careless_retuner_fails_where_it_is_careless():
 
     failed = {r.check for r in examine("retuners", Careless()) if r.failure}
     assert failed == {"refuses_unknown_settings", "q_is_stable", "the_damaged_machine_is_stable"}
+
+
+@pytest.mark.parametrize(
+    ("settings", "why"),
+    [({"models": "five"}, "models is 'five'; expected a whole number of at least 1"), ({"doubt": -1.0}, "doubt is -1.0"), ({"switch_seconds": 0.1}, "expected a list of numbers")],
+)
+def test_a_setting_of_another_kind_is_refused(settings, why):
+    problem = bearing_problem("proportional")
+    with pytest.raises(BadInput, match=why):
+        H2().design(problem, FOUND, loop_cost(problem, {}), settings)
+
+
+def test_what_the_site_states_holds_for_the_proof_too():
+    problem, plugins = bearing_problem("proportional"), load()
+    text = """
+    site = "t"
+    [[machines]]
+    id = "bearing"
+    plant = "gas_bearing"
+    controller = {kind = "proportional", settings = {gain = 0.2}}
+    retune = {settings = {models = 2, iterations = 30, rectangles = 1}, cost = {input_weight = 1.0}}
+    """
+    machine = commission(parse_site(text, "t").machines[0], plugins)
+    with pytest.raises(Refused, match="could not be proved between grid points with 1 rectangles"):
+        tuning_design(machine, plugins)(problem, Diagnosed("horizontal_actuator", -0.5, -0.2))
