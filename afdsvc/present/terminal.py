@@ -224,11 +224,13 @@ def retune_table(sheet: dict[str, Any]) -> None:
         table.add_row(f"standard deviation of {row['signal']}", _number(row["before"]), _number(row["after"]))
     table.add_row("cost, at worst", _number(sheet["cost_before"]), _number(sheet["cost_after"]))
     table.add_row("sensitivity, at worst", _number(sheet["sensitivity_before"]), _number(sheet["sensitivity_after"]))
+    table.add_row("largest noise peak, of its limit", *(f"{100 - 100 * sheet[k]:.0f} %" for k in ("room_before", "room")))
     OUT.print(table)
     OUT.print(
-        f"{100 * sheet['reached']:.0f} % of what the best controller of the damaged machine gains; gain rises over {sheet['rise_seconds']:g} s, falls over "
-        f"{sheet['fall_seconds']:g} s; if the diagnosis is wrong: sensitivity at most {sheet['sensitivity_wrong']:.3g}; "
-        f"least room {100 * sheet['room']:.0f} % ({sheet['tightest']})" + (f"; {sheet['bound']}: it limits what is gained" if sheet["bound"] else ""), soft_wrap=True,
+        f"{100 * sheet['reached']:.0f} % of what the best controller of the damaged machine gains" + (f" ({sheet['bound']})" if sheet["bound"] else "")
+        + f"; gain rises over {sheet['rise_seconds']:g} s, falls over {sheet['fall_seconds']:g} s, standard deviations meanwhile at most "
+        f"{max(sheet['bump_in'], sheet['bump_out']):.2f} times those before and after; if the diagnosis is wrong: sensitivity at most "
+        f"{sheet['sensitivity_wrong']:.3g}; closest to its limit: {sheet['tightest']}", soft_wrap=True,
     )  # fmt: skip
 
 

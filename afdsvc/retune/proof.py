@@ -46,7 +46,8 @@ class Proof:
     of the damaged plant brings) are the worst of the interval; ``sensitivity`` of the damaged loops, of the healthy one, and the largest of those where the diagnosis is wrong (see `afdsvc.retune.sensitivity.hypotheses`); ``bound`` names the machine whose
     sensitivity is at its bound, "" where none is: there the bound and not the damage limits ``reached``; ``rise_seconds``
     and ``fall_seconds`` the shortest times in which the gain may rise and fall (0: one sample), ``bump_in`` and ``bump_out`` the largest
-    standard deviations meanwhile, relative to the larger of those before and after; ``room`` the smallest share of a limit that noise peaks leave free with Q, and ``tightest`` the signal.
+    standard deviations meanwhile, relative to the larger of those before and after; ``room_before`` and ``room`` the smallest share of a limit that noise peaks leave free without and with Q,
+    and ``tightest`` the signal with Q.
     """
 
     order: int
@@ -63,6 +64,7 @@ class Proof:
     fall_seconds: float
     bump_in: float
     bump_out: float
+    room_before: float
     room: float
     tightest: str
 
@@ -85,12 +87,10 @@ def prove(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, Q: StateS
         worst = int(np.argmax(costs.after / costs.before))
         raise Refused(f"at {100 * costs.severities[worst]:.3g} % Q raises the cost from {costs.before[worst]:.4g} to {costs.after[worst]:.4g}")
     sensitive = _sensitivities(problem, found, Q, settings)
-    rise, fall, bump_in, bump_out, room, tightest = _switch(problem, found, cost, Q, settings)
+    switched = _switch(problem, found, cost, Q, settings)
     k = int(np.argmax(costs.after / costs.before))
     reached = float(np.nan_to_num(costs.reached, nan=1.0).min())
-    return Proof(
-        Q.order, rectangles, float(costs.before[k]), float(costs.after[k]), reached, *sensitive, rise, fall, bump_in, bump_out, room, tightest
-    )
+    return Proof(Q.order, rectangles, float(costs.before[k]), float(costs.after[k]), reached, *sensitive, *switched)
 
 
 def proved_tuning(
@@ -208,13 +208,13 @@ def _sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace, s
 
 def _switch(
     problem: DetectionProblem, found: Diagnosed, cost: LoopCost, Q: StateSpace, settings: RetuneSettings
-) -> tuple[float, float, float, float, float, str]:
-    """Return times and bumps of coming and going, and the smallest room with its signal; refuses where no change is smooth."""
+) -> tuple[float, float, float, float, float, float, str]:
+    """Return times and bumps of coming and going, and the smallest room before and with Q with its signal; refuses where no change is smooth."""
     switch = Switch.of(judged_models(problem, found, cost, settings.models), Q, problem.plant.inputs, problem.plant.outputs)
     rise, bump_in = _shortest(problem, switch, switch.rise, settings, "comes")
     fall, bump_out = _shortest(problem, switch, switch.fall, settings, "goes")
-    room, name = _room(problem, switch, switch.larger, settings)
-    return rise, fall, bump_in, bump_out, room, name
+    room_before, _ = _room(problem, switch, switch.before, settings)
+    return rise, fall, bump_in, bump_out, room_before, *_room(problem, switch, switch.larger, settings)
 
 
 def judged_models(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, count: int) -> list[StateSpace]:

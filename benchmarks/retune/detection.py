@@ -102,7 +102,7 @@ def main() -> None:
         for name, known, acting in (("made for the loop with Q", healed, Q), ("made for the loop without Q", problem, Q), ("no Q acts", problem, none)):
             found = [e.severity for e in judged(known, FaultCurvesDesign(), problem, acting, (TRUTH, 0.0), n) if e.severity]
             values = np.array([s.value for s in found])
-            inside = sum(s.low <= TRUTH <= s.high for s in found)
+            inside = sum(s.low <= TRUTH <= s.high if s.low is not None and s.high is not None else abs(s.value - TRUTH) < 1.96 * s.sd for s in found)
             print(
                 f"  severity, {name}: mean {values.mean():.4f} +- {1.96 * values.std() / np.sqrt(len(found)):.4f}, median {np.median(values):.4f}, true {TRUTH}; "
                 f"{len(found)} of {n} detected; in its 95 % interval {share(inside, len(found))}", flush=True,
