@@ -114,11 +114,11 @@ def bounded(problem: DetectionProblem, cost: LoopCost, case: dict[str, float]) -
     before, best = h2_cost(with_q(model, none)), controlled_cost(problem, cost, case, oracle(problem, cost, case))
     bounds = accepted(problem, found, sensitivities(problem, found, none)[:, 0], RETUNE)
     fit = Priced.of(model_set([model], [1 / (before - best)], m, p, 1.0), problem, found, bounds, 1.0)
-    cautious = [replace(cost, input=c * cost.input, noise=c * cost.noise) for c in (1, 3, 10, 100)]
-    starts = [youla_parameter(problem.interconnection, best_controller(problem, c, at)) for c in cautious for at in (case, {fault: severity / 2}, {})]
+    cautious = [replace(cost, input=c * cost.input, noise=c * cost.noise) for c in (3, 30)]
+    starts = [youla_parameter(problem.interconnection, best_controller(problem, c, at)) for c in cautious for at in (case, {})]
     scaled = [[replace(Q, C=g * Q.C, D=g * Q.D) for g in (1, 0.5, 0.25, 0.1)] for Q in starts if Q.is_stable()]
     usable = [next((Q for Q in gains if np.isfinite(fit.cost_and_slope(Q)[0])), None) for gains in scaled]
-    return [before / (before - best) - fit.cost_and_slope(descended(fit, Q, 2000))[0] for Q in usable if Q]
+    return [before / (before - best) - fit.cost_and_slope(descended(fit, Q, 1000))[0] for Q in usable if Q]
 
 
 def main() -> None:
