@@ -9,8 +9,8 @@ from afdsvc.api.retuning import Diagnosed
 from afdsvc.app.commissioning import commission
 from afdsvc.app.pipelines import tuning_design
 from afdsvc.errors import BadInput, Refused
-from afdsvc.lti.frequency import frequency_response
 from afdsvc.files.site import parse_site
+from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.lft import star
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins import retuners
