@@ -86,11 +86,11 @@ def prove(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, Q: StateS
     if not (costs.after < costs.before).all():
         worst = int(np.argmax(costs.after / costs.before))
         raise Refused(f"at {100 * costs.severities[worst]:.3g} % Q raises the cost from {costs.before[worst]:.4g} to {costs.after[worst]:.4g}")
-    sensitive = _sensitivities(problem, found, Q, settings)
-    switched = _switch(problem, found, cost, Q, settings)
+    sensitive, bound = _sensitivities(problem, found, Q, settings)
+    times_and_peaks, tightest = _switch(problem, found, cost, Q, settings)
     k = int(np.argmax(costs.after / costs.before))
     reached = float(np.nan_to_num(costs.reached, nan=1.0).min())
-    return Proof(Q.order, rectangles, float(costs.before[k]), float(costs.after[k]), reached, *sensitive, *switched)
+    return Proof(Q.order, rectangles, float(costs.before[k]), float(costs.after[k]), reached, *sensitive, bound, *times_and_peaks, tightest)
 
 
 def proved_tuning(
@@ -191,7 +191,7 @@ def _shifted(augmented: AugmentedPlant, severity: float) -> tuple[StateSpace, in
     return StateSpace(A, B, C, D, s.dt), k
 
 
-def _sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace, settings: RetuneSettings) -> tuple[float, float, float, float, str]:
+def _sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace, settings: RetuneSettings) -> tuple[tuple[float, float, float, float], str]:
     """Return the largest sensitivity of the damaged loops without and with Q, of the healthy one, of those where the diagnosis is wrong, and the one
     at its bound; may refuse."""
     cases, peaks = hypotheses(problem, found), sensitivities(problem, found, Q)
@@ -203,18 +203,19 @@ def _sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace, s
     bound = f"the sensitivity with {machine} is at its bound of {most[k]:.3g}" if peaks[k, 1] > AT_BOUND * most[k] and peaks[k, 1] > peaks[k, 0] else ""
     wrong = np.array([found.fault not in case for case in cases])
     before, after = peaks[~wrong].max(axis=0)
-    return float(before), float(after), float(peaks[cases.index({}), 1]), float(peaks[wrong, 1].max()), bound
+    return (float(before), float(after), float(peaks[cases.index({}), 1]), float(peaks[wrong, 1].max())), bound
 
 
 def _switch(
     problem: DetectionProblem, found: Diagnosed, cost: LoopCost, Q: StateSpace, settings: RetuneSettings
-) -> tuple[float, float, float, float, float, float, str]:
+) -> tuple[tuple[float, float, float, float, float, float], str]:
     """Return times and bumps of coming and going, and the smallest room before and with Q with its signal; refuses where no change is smooth."""
     switch = Switch.of(judged_models(problem, found, cost, settings.models), Q, problem.plant.inputs, problem.plant.outputs)
     rise, bump_in = _shortest(problem, switch, switch.rise, settings, "comes")
     fall, bump_out = _shortest(problem, switch, switch.fall, settings, "goes")
     room_before, _ = _room(problem, switch, switch.before, settings)
-    return rise, fall, bump_in, bump_out, room_before, *_room(problem, switch, switch.larger, settings)
+    room, name = _room(problem, switch, switch.larger, settings)
+    return (rise, fall, bump_in, bump_out, room_before, room), name
 
 
 def judged_models(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, count: int) -> list[StateSpace]:
