@@ -56,7 +56,7 @@ def stated(settings: Mapping[str, Any]) -> RetuneSettings:
     for name, value in known.items():
         usual = getattr(RETUNE, name)
         many = isinstance(usual, tuple)
-        numbers = value if many and isinstance(value, list | tuple) and value else [None if many else value]
+        numbers: Any = value if many and isinstance(value, list | tuple) and value else [None if many else value]
         kind, least = ("whole number", 1) if isinstance(usual, int) else ("number", 0)
         if not all(_number(x) and x >= least and (kind == "number" or x == int(x)) for x in numbers):
             raise BadInput(f"retune.settings.{name} is {value!r}; expected {'a list of numbers' if many else f'a {kind}'} of at least {least}")
