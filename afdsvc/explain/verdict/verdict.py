@@ -52,7 +52,7 @@ def verdict(found: Found, gap: Gap, remainder: Gap | None) -> Verdict:
     claims = [c for k, s in enumerate(accepted) for c in _claims(s, k + 1, most[k], found)]
     firsts = [next(c for c in claims if c.effect == k) for k in range(1, len(accepted) + 1)]
     word = "parameter_change" if all(is_constant(c.candidate.hypothesis) for c in firsts) else "omitted_physics"
-    limit = (f"the named effects close {100 * complete:.0f} % of what can be explained; no name is surer than that",) if complete < 1 else ()
+    limit = (f"the named effects close {100 * complete:.0f} % of what can be explained; no name is surer than that",) if complete < 0.995 else ()
     doubts = tuple(f"{s.reason}; the recordings held out confirm it: no name is certain" for s in accepted if s.reason)
     return Verdict(word, tuple(claims), (*_rest(gap, remainder, explained), *limit, *doubts, *strained), gap, remainder, explained)
 
