@@ -27,7 +27,7 @@ def notebook_progress(what: str) -> Iterator[Callable[..., None]]:
         value = "" if done is None else f' value="{done:.3f}"'
         return {"text/html": f'<progress aria-label="{what}"{value}></progress> {words}, {time.monotonic() - began:.0f} s', "text/plain": words}
 
-    handle = display(shown(), raw=True, display_id=True)
+    handle = display(shown(), raw=True, display_id=True)  # type: ignore[no-untyped-call]
     try:
         yield lambda done=None, now="": handle.update(shown(done, now), raw=True)
     finally:

@@ -276,7 +276,7 @@ def _names(message: Any) -> list[str]:
         return [str(name) for name in message]
     if hasattr(message, "DESCRIPTOR"):
         return [field.name for field in message.DESCRIPTOR.fields]
-    fields = getattr(message, "__dataclass_fields__", None) or getattr(message, "__slots__", ())
+    fields: Any = getattr(message, "__dataclass_fields__", None) or getattr(message, "__slots__", ())
     return [name for name in fields if not name.startswith("_")]
 
 

@@ -46,8 +46,9 @@ def _ros1(path: Path, wanted: Callable[[str], bool]) -> Iterator[Item]:
     size = file_size(path, BOUNDS.table)
 
     library = _library(path).rosbag1.reader
+    reader: Any = library.Reader
 
-    class Bounded(library.Reader):  # type: ignore[misc]
+    class Bounded(reader):  # type: ignore[misc]
         def read_index_data(self, pos: int, indexes: Mapping[int, list[Any]]) -> None:
             """Every entry takes 12 bytes of the file, unless parts of it are read again and again."""
             super().read_index_data(pos, indexes)
