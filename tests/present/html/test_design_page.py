@@ -33,7 +33,7 @@ def test_the_page_is_self_contained_and_says_what_the_sheet_says():
     page = Counter()
     K = StateSpace.gain(0.2 * np.eye(2), problem.plant.dt)
     page.feed(design_page(problem, burst, sheet | {"loop": loop_sheet(problem, burst, K)}, controller=K))
-    assert page.count["svg"] == 9
+    assert page.count["svg"] == 2 * 9  # wide and for phones
     assert not page.outside
     assert "Stable from -0.66 to 2.04 times" in " ".join(" ".join(page.words).split())
     text = " ".join(" ".join(page.words).split())
