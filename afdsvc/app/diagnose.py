@@ -152,7 +152,7 @@ class _RecordedMachine:
             self._judge(self._begun(), self.waiting.popleft())
 
     def document(self) -> dict[str, Any]:
-        """Judge what is left and return the machine's part of ``diagnose --json``."""
+        """Judge the blocks that wait and return the machine's part of ``diagnose --json``."""
         replay, recording = self._begun(), self.file.recording
         for block in self.waiting:
             self._judge(replay, block)

@@ -1,6 +1,6 @@
 """The running service: messages from zenoh go through one queue to one worker; a ticker plays bursts and publishes the state.
 
-Leases are renewed by a process that does nothing else (`afdsvc.transport.lease_keeper`), told by a thread that does nothing else: neither a design, a
+Leases are renewed by a process that does nothing else (`afdsvc.transport.lease_keeper`) and hears from a thread that does nothing else: neither a design, a
 judgement, a disk, a viewer nor a computer that is overloaded holds them up.
 """
 

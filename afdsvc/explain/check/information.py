@@ -1,4 +1,4 @@
-"""Which uncertain numbers of the model these data determine: Fisher information of the recordings against the owner's prior;
+"""Which uncertain numbers of the model these data determine: Fisher information of the recordings against the stated uncertainty;
 and which hypotheses no fit to these recordings can separate."""
 
 from __future__ import annotations
