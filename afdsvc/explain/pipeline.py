@@ -13,7 +13,7 @@ from afdsvc.api.signals import Trace
 from afdsvc.dataset.experiment import Run, joined, prepare
 from afdsvc.dataset.sample_checks import Finding
 from afdsvc.dataset.split import split
-from afdsvc.explain.check.check import checked
+from afdsvc.explain.check.check import checked, one_frequency
 from afdsvc.explain.check.response import refuse_still
 from afdsvc.explain.gap.decision import gap_test
 from afdsvc.explain.gap.finding import Gap
@@ -56,7 +56,10 @@ def explain(
     runs = prepare(model, [*recordings, *holdout])
     roles = split(runs[: len(recordings)], runs[len(recordings) :])
     refuse_still(model, roles.heldout)
-    problem = build(nominal(model, roles.train[0].dt, _mean_input(roles.train)), roles.train, settings or Settings(), roles.heldout)
+    settings = settings or Settings()
+    if one_frequency(findings):  # a complex gain for every input and output tells no effects apart
+        settings = replace(settings, effects=1)
+    problem = build(nominal(model, roles.train[0].dt, _mean_input(roles.train)), roles.train, settings, roles.heldout)
     base, rng, offered = settled(problem), np.random.default_rng(SEED), list(library)
     progress("testing", 0.0)
     before = tested(base.problem, base.start, rng)

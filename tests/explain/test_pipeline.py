@@ -15,6 +15,7 @@ from afdsvc.api.signals import Channel, Trace
 from afdsvc.errors import BadInput
 from afdsvc.explain.pipeline import explain
 from afdsvc.explain.report.explanation import Explanation
+from afdsvc.explain.settings import Settings
 from afdsvc.files.model.improved import write_improved
 from afdsvc.files.model.model_file import read_model
 from afdsvc.plugins.physics import afdsvc_physics
@@ -178,3 +179,22 @@ def test_what_the_recordings_held_out_refute_gives_way_to_another_name(spring, f
     assert "cubic_stiffness" not in {n.physics for n in again.named}
     assert max(n.weight for n in again.named) <= 0.8
     assert any("cubic stiffness" in s and "held out" in s for s in again.sentences)
+
+
+@pytest.mark.parametrize(("lines", "most"), [((12.0,), 1), ((5.0, 12.0, 21.0), Settings().effects)])
+def test_an_input_of_one_frequency_names_one_effect_at_most(spring, recorded, monkeypatch, lines, most):
+    """A sine determines one complex gain: further effects were named beside a resonant actuator that was all there was."""
+    t = 2e-3 * np.arange(3000)
+    u = sum(np.sin(2 * np.pi * f * t) for f in lines)
+    y = lfilter([0, 0.0392], [1, -1.921, 0.9608], u)  # the spring, about
+    trace = replace(recorded(1), values=np.column_stack([u, y]))
+    asked = []
+
+    def built(nominal, runs, settings, heldout):
+        asked.append(settings.effects)
+        raise BadInput("enough")
+
+    monkeypatch.setattr(module, "build", built)
+    with pytest.raises(BadInput, match="enough"):
+        explain(spring, [trace, trace], [], [])
+    assert asked == [most]
