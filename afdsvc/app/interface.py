@@ -202,9 +202,13 @@ def explain(system: Any, recordings: Any, *, holdout: Any = (), jobs: int = 2, t
 
     model, traces = _together(system, recordings)
     held = from_rest(_traces(holdout, model), model)
-    with notebook_progress("explaining") as tell:
-        announce_compilation(lambda what, share: tell(share, what))
-        result = search(model, from_rest(traces, model), held, load_library(), mapper=parallel(jobs), progress=lambda what, share: tell(share, what), trust_units=trust_units)
+    with notebook_progress("explaining") as bar:
+
+        def progress(what: str, share: float | None) -> None:
+            bar(share, what)
+
+        announce_compilation(progress)
+        result = search(model, from_rest(traces, model), held, load_library(), mapper=parallel(jobs), progress=progress, trust_units=trust_units)
     result = replace(result, notes={**result.notes, "data": prepared([*traces, *held])})
     return Explained(result.json(None, None), result)
 

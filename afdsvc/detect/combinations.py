@@ -127,8 +127,8 @@ def paired(finding: Finding, found: Sequence[Combination], pair: Combination, na
     together = Fit(JOINED.join(names[i] for i in pair.faults), float(pair.severity.min()), math.inf, pair.gain, pair.gain)
     product = abs(float(pair.severity.prod()))  # what the second fault makes of the first is not in the regressors
     both = zip(pair.faults, pair.severity.tolist(), np.hypot(np.sqrt(np.diag(pair.covariance)), product).tolist(), strict=True)
-    told = {f"together.{what}.{names[i]}": v for i, s, sd in both for what, v in (("severity", s), ("sd", sd))}
-    return replace(finding, fits=(*finding.fits, together), weights=kept, parts={**finding.parts, **told})
+    parts = {f"together.{what}.{names[i]}": v for i, s, sd in both for what, v in (("severity", s), ("sd", sd))}
+    return replace(finding, fits=(*finding.fits, together), weights=kept, parts={**finding.parts, **parts})
 
 
 def paired_on_lines(finding: Finding, curves: FaultCurves, data: LineData, reach: Mapping[str, tuple[float, float]], samples: int) -> Finding:
@@ -145,8 +145,8 @@ def paired_on_lines(finding: Finding, curves: FaultCurves, data: LineData, reach
     if single is None:
         return finding
     if pair is None or pair.score(samples) - single.score(samples) < math.log(OPEN):
-        told = {**alike(pairs, single, curves.names), **_besides_on_lines(curves, data, reach, single, [c.faults[0] for c in singles])}
-        return replace(finding, parts={**finding.parts, **told})
+        parts = {**alike(pairs, single, curves.names), **_besides_on_lines(curves, data, reach, single, [c.faults[0] for c in singles])}
+        return replace(finding, parts={**finding.parts, **parts})
     point, covariance = curves.together({curves.names[i]: s for i, s in zip(pair.faults, pair.severity.tolist(), strict=True)})
     rest = data.whitened(covariance, data.z - data.R @ point)[0]
     left = float(chdtrc(max(rest.size - 2, 1), float(rest @ rest)))

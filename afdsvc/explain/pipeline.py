@@ -65,20 +65,20 @@ def explain(
     before = tested(base.problem, base.start, rng)
     if before.absent:  # noise limits: the refit may have moved numbers of the model to follow the recordings
         base = replace(base, limited="noise")
-    refuted: list[Hypothesis] = []
+    unconfirmed: list[Hypothesis] = []
     for attempt in range(1, ATTEMPTS + 1):
-        found = _searched(base, before, offered, mapper, progress, rng, roles.heldout, [mechanism(h) for h in refuted])
+        found = _searched(base, before, offered, mapper, progress, rng, roles.heldout, [mechanism(h) for h in unconfirmed])
         after = tested(found.problem, found.end, rng) if found.end is not found.start else None
         answer = checked_on_holdout(found, verdict(found, before, after), roles.heldout, attempt)
-        if not refuted:
+        if not unconfirmed:
             first = found, answer
-        if not answer.refuted:
+        if not answer.unconfirmed:
             break
-        refuted.append(found.steps[0].candidates[0].hypothesis)
+        unconfirmed.append(found.steps[0].candidates[0].hypothesis)
     if not answer.verdict.claims:
         found, answer = first
-    elif refuted:
-        why = f"{', '.join(h.title for h in refuted)} fits better, but the recordings held out do not confirm it: no name is certain"
+    elif unconfirmed:
+        why = f"{', '.join(h.title for h in unconfirmed)} fits better, but the recordings held out do not confirm it: no name is certain"
         answer = replace(answer, verdict=doubted(answer.verdict, why, base.problem.settings.uncertain))
     progress("reporting", 0.9)
     explanation = report(found, answer, roles, findings, offered, experiment)
@@ -88,7 +88,7 @@ def explain(
 
 def _searched(
     base: Settled, before: Gap, library: Sequence[Physics], mapper: Mapper, progress: Progress, rng: np.random.Generator,
-    heldout: Sequence[Run], refuted: Container[tuple[str, ...]],
+    heldout: Sequence[Run], excluded: Container[tuple[str, ...]],
 ) -> Found:
     """Return what the search finds; where it finds nothing and noise is not known, also under slow noise, which is divided out."""
 
@@ -97,7 +97,7 @@ def _searched(
             last = list(path)[-1]
             return player(base.problem, last).better(heldout, without[last].point, path[last].point)
 
-        return search(base, library, mapper, progress, lambda path: not tested(base.problem, path, rng).absent, better, refuted)
+        return search(base, library, mapper, progress, lambda path: not tested(base.problem, path, rng).absent, better, excluded)
 
     found = searched(base)
     if not base.problem.weighting.even or not found.steps or found.effects:

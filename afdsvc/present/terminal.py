@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
+from itertools import groupby
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 from rich import box
@@ -315,10 +317,10 @@ def explain_table(document: dict[str, Any]) -> None:
         OUT.print(f"note: {sentence}", soft_wrap=True)
     for place in document["located"][:5]:
         OUT.print(f"where: {place['evidence']}", soft_wrap=True)
-    for number, named in enumerate(document["named"]):
-        if number == 0 or named["effect"] != document["named"][number - 1]["effect"]:
-            OUT.print(f"effect {named['effect']}, with its weight:", style="bold")
-        OUT.print(f"  {named['weight']:.2f}  {named['sentence']}", soft_wrap=True)
+    for effect, names in groupby(document["named"], key=itemgetter("effect")):
+        OUT.print(f"effect {effect}, with the weight of each name:", style="bold")
+        for named in names:
+            OUT.print(f"  {named['weight']:.2f}  {named['sentence']}", soft_wrap=True)
     for near in document["candidates"]:
         OUT.print(f"not claimed: {near['sentence']}", soft_wrap=True)
     if document["law"]:

@@ -54,9 +54,9 @@ def shown(problem: DetectionProblem, detectors: Sequence[Detector], run: Mapping
     blocks = [ResidualBlock(a, problem.plant.dt, *(x[a:b] for x in parts), playing, "b" if playing else "", end) for a, b, playing in edges]
     found = []
     for detector in detectors:
-        state, told = detector.start(), []
+        state, decisions = detector.start(), []
         for block in blocks:
             state, evidence = detector.step(state, block)
-            told += evidence
-        found.append(told)
+            decisions += evidence
+        found.append(decisions)
     return found

@@ -79,9 +79,9 @@ def given_noise(machine: TrueMachine, rng: np.random.Generator, size: float) -> 
     rarer = replace(problem, false_alarms=FalseAlarms(1e-3))
     detectors, hits, doubted = [*designed(problem, EVERY), *designed(rarer, TWO)], np.zeros(len(EVERY) + len(TWO), int), 0
     for _ in range(bursts):
-        told = [t[-1] for t in shown(problem, detectors, machine.run(rng, alpha_of(burst, machine.dt, quiet(problem))), burst)]
-        hits += [exceeded(e) for e in told]
-        doubted += not told[0].trustworthy
+        decisions = [t[-1] for t in shown(problem, detectors, machine.run(rng, alpha_of(burst, machine.dt, quiet(problem))), burst)]
+        hits += [exceeded(e) for e in decisions]
+        doubted += not decisions[0].trustworthy
     for kind, rate, count in zip((*EVERY, *TWO), [1e-2] * len(EVERY) + [1e-3] * len(TWO), hits, strict=True):
         yield "alarms, stated noise", kind, int(count), bursts, rate
     yield "not trusted, stated noise", "gate", doubted, bursts, 2e-3  # the quiet data and the burst, each at 1e-3
@@ -114,8 +114,8 @@ def calibrated_noise(machine: TrueMachine, rng: np.random.Generator, size: float
 def between_bursts(problem: DetectionProblem, run: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return the alarms of the passive detector in quiet data, and how often it doubts them."""
     hourly = replace(problem, false_alarms=FalseAlarms(per_hour=3600 / (PASSIVE_EVERY * problem.plant.dt)))
-    (told,) = shown(hourly, designed(hourly, ["passive_cusum"], {"silence_seconds": 0.0}), run, None)
-    return np.array([sum(e.detected for e in told), sum(not e.trustworthy for e in told)])
+    (decisions,) = shown(hourly, designed(hourly, ["passive_cusum"], {"silence_seconds": 0.0}), run, None)
+    return np.array([sum(e.detected for e in decisions), sum(not e.trustworthy for e in decisions)])
 
 
 def _between(words: str, found: np.ndarray, stretches: int) -> Iterator[Row]:
@@ -189,8 +189,8 @@ def together(machine: TrueMachine, rng: np.random.Generator, size: float, loss: 
                 for _ in range(round(20 * size)):
                     n += 1
                     run = machine.run(rng, alpha_of(burst, machine.dt, quiet(problem)), loss_of(problem, severities))
-                    told = [t[-1] for t in shown(problem, detectors, run, burst)]
-                    counts[:, :3] += [[e.detected, e.fault == JOINED.join(truth), e.detected and reported(e, truth, loss)] for e in told]
+                    decisions = [t[-1] for t in shown(problem, detectors, run, burst)]
+                    counts[:, :3] += [[e.detected, e.fault == JOINED.join(truth), e.detected and reported(e, truth, loss)] for e in decisions]
                     if len(truth) == 1:
                         counts[:, 3:] += singles_only(problem, detectors, run, burst, truth[0])
             for kind, (detected, named, stated, alone, alone_named) in zip(TWO, counts.tolist(), strict=True):
@@ -241,13 +241,13 @@ def units(machine: TrueMachine, rng: np.random.Generator, size: float) -> Iterat
         fault = problem.fault_names[k % len(problem.fault_names)]
         loss = loss_of(problem, {fault: 0.0 if k % 2 else max(-0.1, 0.5 * reachable(problem)[fault][0])})
         run = machine.run(rng, alpha_of(burst, machine.dt, quiet(problem)), loss)
-        told = []
+        decisions = []
         for q, own, (_, i, o) in zip((problem, *others), detectors, [(1, 1, 1), *scales], strict=True):
             same = {name: v * (i if name in ("u", "alpha") else o) for name, v in run.items()}
             scaled = replace(burst, lines=tuple(replace(line, amplitude=i * line.amplitude) for line in burst.lines))
-            told.append([(e.detected, e.fault, e.trustworthy) for e in (t[-1] for t in shown(q, own, same, scaled))])
+            decisions.append([(e.detected, e.fault, e.trustworthy) for e in (t[-1] for t in shown(q, own, same, scaled))])
         of += len(scales)
-        changed += [sum(other[j] != told[0][j] for other in told[1:]) for j in range(len(EVERY))]
+        changed += [sum(other[j] != decisions[0][j] for other in decisions[1:]) for j in range(len(EVERY))]
     for kind, count in zip(EVERY, changed.tolist(), strict=True):
         yield "decisions changed by units of 1e-12 to 1e12", kind, count, of, 0.0
 

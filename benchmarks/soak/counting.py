@@ -91,7 +91,7 @@ def count_alarms(testbed: Testbed) -> tuple[int, list[str], list[str]]:
         if c.event == "raised"
     ]
     faults = [a for a in raised if a.kind is AlarmKind.FAULT]
-    told = {a.machine for a in faults if a.fault == testbed.faults.get(a.machine)}
+    named = {a.machine for a in faults if a.fault == testbed.faults.get(a.machine)}
     false = [f"{a.id}: {a.sentence}" for a in faults if a.machine not in testbed.faults]
     beside = [
         f"{a.id} beside {testbed.faults[a.machine]}"
@@ -100,9 +100,9 @@ def count_alarms(testbed: Testbed) -> tuple[int, list[str], list[str]]:
         and a.fault not in ("unnamed", testbed.faults[a.machine])  # unnamed until a burst says which
     ]
     return (
-        len(told),
+        len(named),
         false,
-        [*(f"{id}: {fault} was never named" for id, fault in testbed.faults.items() if id not in told), *beside],
+        [*(f"{id}: {fault} was never named" for id, fault in testbed.faults.items() if id not in named), *beside],
     )
 
 

@@ -139,7 +139,7 @@ def tell(disturbances: Disturbances, progress: Progress, asked: argparse.Namespa
     """Print what was held; returns 1 when anything was not."""
     testbed, done = disturbances.testbed, disturbances.done
     samples, accounted, missing, wrong = count_samples(testbed, done)
-    told, false, never = count_alarms(testbed)
+    named, false, never = count_alarms(testbed)
     unfinished = [
         p.name
         for p in (testbed.folder / "recordings").rglob("*.mcap")
@@ -170,7 +170,7 @@ def tell(disturbances: Disturbances, progress: Progress, asked: argparse.Namespa
     expected = sum(played[id] for id in testbed.ids if id not in testbed.faults) * DETECTORS / 1000
     chance = poisson.sf(len(false) - 1, expected)
     memory, percent = growth(progress.memory)
-    print(f"faults identified correctly {told} of {len(testbed.faults)}; missed or misidentified {len(never)}")
+    print(f"faults identified correctly {named} of {len(testbed.faults)}; missed or misidentified {len(never)}")
     print(f"bursts: {sum(played.values())} asked for, {min(played.values())} to {max(played.values())} a machine")
     print(
         f"false alarms {len(false)}; {expected:.1f} expected in the bursts of healthy machines, chance of as many {chance:.2g}"

@@ -171,7 +171,7 @@ def test_what_the_recordings_held_out_refute_gives_way_to_another_name(spring, f
     def decreed(found, verdict, runs, attempt):
         answer = checked(found, verdict, runs, attempt)
         cubic = any(c.candidate.hypothesis.physics == "cubic_stiffness" for c in answer.verdict.claims)
-        return replace(answer, refuted=True) if cubic else answer
+        return replace(answer, unconfirmed=True) if cubic else answer
 
     monkeypatch.setattr(module, "checked_on_holdout", decreed)
     again = explain(spring, four[:3], four[3:], some("cubic_stiffness", "clearance", "stiffness_follows_aux", "cogging"), experiment=False)

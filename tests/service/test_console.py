@@ -171,9 +171,9 @@ def test_a_stream_says_what_changes_and_ends_with_the_service(free_port, tmp_pat
         heard = events(stream)
         (_, now), (_, trends) = next(heard), next(heard)
         assert (now["status"]["site"], now["who"], now["alarms"], trends["bearing"]["points"]) == ("hall-3", "kim", [], [])
-        told = hub.changes
+        known = hub.changes
         an_alarm(hub)
-        assert hub.changes > told  # which a stream waits for
+        assert hub.changes > known  # which a stream waits for
         now = next(value for name, value in heard if name == "now" and value["alarms"])
         assert now["alarms"][0]["id"] in now["files"]
         assert next(value for name, value in heard if name == "trends")["bearing"]["bursts"] == 29

@@ -122,8 +122,8 @@ class Regression:
             return finding
         if pair and pair.score(n) - single.score(n) > self._bent(single, G, n) / 2 + math.log(OPEN):
             return self._left(paired(finding, found, pair, self.names, n), sums, pair, b, G)
-        told = {**alike(found, single, self.names), **besides(b, G, single, seen, self.names, self.bounds[0])}
-        finding = replace(finding, parts={**finding.parts, **told})
+        parts = {**alike(found, single, self.names), **besides(b, G, single, seen, self.names, self.bounds[0])}
+        finding = replace(finding, parts={**finding.parts, **parts})
         changed = self._changed(finding, sums, single)
         return changed if changed is not finding else self._left(finding, sums, single, b, G)
 
@@ -132,14 +132,14 @@ class Regression:
         i = single.faults[0]
         products = [products for products, _ in sums.parts]
         b, G = (np.array(v) for v in zip(*(self._own(p, i) for p in products), strict=True))
-        told = course(np.diff(b, prepend=0.0), np.diff(G, prepend=0.0))
-        bent = 0.0 if told is None or self.names[i] not in self.first_order else CURVATURE * float(single.severity[0]) ** 2
-        if told is None or not told.p < CONSTANT or np.ptp(told.severity) < 2 * bent:
+        over_time = course(np.diff(b, prepend=0.0), np.diff(G, prepend=0.0))
+        bent = 0.0 if over_time is None or self.names[i] not in self.first_order else CURVATURE * float(single.severity[0]) ** 2
+        if over_time is None or not over_time.p < CONSTANT or np.ptp(over_time.severity) < 2 * bent:
             return finding
-        severity, sd = told.now()
+        severity, sd = over_time.now()
         fits = tuple(replace(f, severity=float(np.clip(severity, *self.bounds)), sd=sd, limit=math.inf) if f.fault == self.names[i] else f for f in finding.fits)
-        parts = {f"course.{k}": float(s) for k, s in enumerate(told.severity)}
-        return replace(finding, fits=fits, parts={**finding.parts, **parts, "course_p": told.p, "onset_part": float(told.onset)})
+        parts = {f"course.{k}": float(s) for k, s in enumerate(over_time.severity)}
+        return replace(finding, fits=fits, parts={**finding.parts, **parts, "course_p": over_time.p, "onset_part": float(over_time.onset)})
 
     def _own(self, products: Products, fault: int) -> tuple[float, float]:
         theta = self.theta[fault : fault + 1]

@@ -78,11 +78,11 @@ def player(problem: Problem, last: float) -> Player:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOutVerdict:
-    """A verdict and its final fit after a look at the recordings held out; ``refuted`` where there is a gap, but they do not confirm its first name."""
+    """A verdict and its final fit after a look at the recordings held out; ``unconfirmed`` where there is a gap, but they do not confirm its first name."""
 
     verdict: Verdict
     final: Fit
-    refuted: bool = False
+    unconfirmed: bool = False
 
 
 def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run], attempt: int = 1) -> HeldOutVerdict:
@@ -92,7 +92,7 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run], atte
     refitted without effects, or worse than a constant, is not certain; where that is all that can show a gap, the error has to fall there,
     no name is surer than that, and what is not likely is not claimed, the less so the more names were tried (``attempt`` from 1; Bonferroni).
     """
-    last, most, refuted = list(found.end)[-1], found.problem.settings.uncertain, False
+    last, most, unconfirmed = list(found.end)[-1], found.problem.settings.uncertain, False
     play = player(found.problem, last)
     stated, refitted = (_error(play, runs, p) for p in (found.problem.start(), found.start[last].point))
     if verdict.claims:
@@ -110,10 +110,10 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run], atte
         if not worse and (likely or not alone):
             most = min(most, sure) if alone else most
             return HeldOutVerdict(verdict if shown and not alone else doubted(verdict, f"{held}: no name is certain", most), final)
-        verdict, refuted = unclaimed(verdict, f"{held}: nothing is claimed", alone), not alone or verdict.gap.total > DOUBT
+        verdict, unconfirmed = unclaimed(verdict, f"{held}: nothing is claimed", alone), not alone or verdict.gap.total > DOUBT
     if refitted <= WORSE * stated:
-        return HeldOutVerdict(verdict, found.start[last], refuted)
-    return HeldOutVerdict(verdict, fit(found.problem, found.problem.start(), last, found.start[last].tau, iterations=0), refuted)
+        return HeldOutVerdict(verdict, found.start[last], unconfirmed)
+    return HeldOutVerdict(verdict, fit(found.problem, found.problem.start(), last, found.start[last].tau, iterations=0), unconfirmed)
 
 
 def _rests_on_holdout(found: Found, verdict: Verdict) -> bool:

@@ -160,8 +160,8 @@ def explain_page(explanation: Explanation, document: Mapping[str, Any]) -> str:
 def _verdict_sentence(document: Mapping[str, Any]) -> str:
     """Return the verdict as one plain sentence."""
     first = [named[0] for named in _effects(document).values()]
-    told = " and ".join(f"{n['parameter'] or n['physics'].replace('_', ' ')} ({site_words(n['site'])})" for n in map(_with_parameter, first))
-    return VERDICTS[document["verdict"]].format(names=told or "see below")
+    names = " and ".join(f"{n['parameter'] or n['physics'].replace('_', ' ')} ({site_words(n['site'])})" for n in map(_with_parameter, first))
+    return VERDICTS[document["verdict"]].format(names=names or "see below")
 
 
 def _with_parameter(named: Mapping[str, Any]) -> dict[str, Any]:

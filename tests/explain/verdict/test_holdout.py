@@ -56,10 +56,10 @@ def test_a_name_is_certain_only_where_the_recordings_held_out_are_followed_bette
 @pytest.mark.parametrize(("stated", "refitted"), [(0.2, 0.2), (0.2, 0.5), (0.5, 0.2)])
 def test_a_name_that_does_worse_than_the_model_without_it_is_refuted(final, stated, refitted):
     answer = final(stated, refitted, 0.3)
-    assert answer.refuted
+    assert answer.unconfirmed
     assert answer.verdict.verdict == "unexplained"
     assert not answer.verdict.claims
-    assert not final(0.5, 0.4, 0.2).refuted
+    assert not final(0.5, 0.4, 0.2).unconfirmed
 
 
 @pytest.mark.parametrize(("present", "even"), [(False, True), (True, False)])
@@ -76,7 +76,7 @@ def test_the_more_names_were_tried_the_likelier_one_must_be(final):
     """Bonferroni: 0.5 for the first name, 0.75 for the second; what is not confirmed gives way to another name where there is a gap."""
     once, twice = (final(0.5, 0.4, 0.2, even=False, sure=0.6, attempt=k) for k in (1, 2))
     assert [c.weight for c in once.verdict.claims] == [0.6]
-    assert not once.refuted
+    assert not once.unconfirmed
     assert not twice.verdict.claims
 
 
