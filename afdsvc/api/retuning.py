@@ -25,7 +25,7 @@ class Diagnosed:
 
     def __post_init__(self) -> None:
         if not self.low <= self.high:
-            raise BadInput(f"fault '{self.fault}': severities from {self.low} to {self.high}; expected the smaller one first")
+            raise BadInput(f"fault '{self.fault}': severities from {self.low:g} to {self.high:g}; expected the larger loss first, as in {self.high:g}..{self.low:g}")
 
     @property
     def middle(self) -> float:

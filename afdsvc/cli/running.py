@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -316,7 +317,8 @@ def retune(
     """
     from afdsvc.present.terminal import retune_table
 
-    found = _ask(site, "retune", machine=machine, **({"fault": fault} if fault else {}))
+    said = "afdsvc: Q is being designed and proved; Ctrl-C does not stop that, 'afdsvc restore' does"
+    found = _ask(site, "retune", waiting=partial(typer.echo, said, err=True), machine=machine, **({"fault": fault} if fault else {}))
     show(as_json, found, lambda: retune_table(found))
 
 
@@ -327,7 +329,7 @@ def restore(
     site: SiteOption = HERE,
     as_json: Json = False,
 ) -> None:
-    """Go back to the controller as it was, over the time that was proved to be smooth."""
+    """Go back to the controller as it was, over the time that was proved to be smooth; a Q that is still being designed is withdrawn."""
     found = _ask(site, "restore", machine=machine, reason=reason)
     show(as_json, found, lambda: print(f"machine {found['machine']} is restored"))
 

@@ -376,7 +376,7 @@ class RigAgent:
         return self._stopped(self._bursts, payload, "stopped", "no such burst is playing")
 
     def _on_restore(self, payload: bytes) -> bytes:
-        return self._stopped(self._qs, payload, "restored", "no such Q acts")
+        return self._stopped(self._qs, payload, "restored", f"no Q acts on machine '{self.machine}'")
 
     def _on_inject(self, payload: bytes) -> bytes:
         """Put a fault into a simulated machine; that it is there is told with the next block, as of a fault of the site file."""

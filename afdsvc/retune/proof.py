@@ -26,7 +26,8 @@ from afdsvc.lti.lft import AugmentedPlant, star
 from afdsvc.lti.norms import largest_gain, output_covariance
 from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace, solve_loop
-from afdsvc.retune.cost import signal_model, with_q
+from afdsvc.lti.yjbk import youla_parameter
+from afdsvc.retune.cost import best_controller, signal_model, with_q
 from afdsvc.retune.design import deviations, expected, severity_grid
 from afdsvc.retune.sensitivity import accepted, hypotheses, sensitivities
 from afdsvc.retune.settings import RETUNE, RetuneSettings
@@ -34,6 +35,7 @@ from afdsvc.retune.settings import RETUNE, RetuneSettings
 ANGLES = 128  # frequencies that choose the scaling and say early that a rectangle is too large
 SCALINGS = np.geomspace(1e-3, 1e3, 25)  # of the severity's channels against the gain's
 AT_BOUND = 0.95  # share of a bound on sensitivity from which it is called binding: the design stops short of it
+SHORT = 0.9  # share of the possible reduction below which the sheet says what limits it
 SETTLED = 1e-3  # of a transient, after which a switch is over
 LONGEST_SWITCH = 200_000  # samples looked at after Q has gone to zero
 
@@ -44,7 +46,7 @@ class Proof:
 
     ``rectangles`` cover severity and gain; ``cost_before``, ``cost_after`` and ``reached`` (share of the reduction that the best controller
     of the damaged plant brings) are the worst of the interval; ``sensitivity`` of the damaged loops, of the healthy one, and the largest of those where the diagnosis is wrong (see `afdsvc.retune.sensitivity.hypotheses`); ``bound`` names the machine whose
-    sensitivity is at its bound, "" where none is: there the bound and not the damage limits ``reached``; ``rise_seconds``
+    sensitivity is at its bound, or, where ``reached`` is below `SHORT`, says why the best controller itself would be refused; "" where only the damage limits ``reached``; ``rise_seconds``
     and ``fall_seconds`` the shortest times in which the gain may rise and fall (0: one sample), ``bump_in`` and ``bump_out`` the largest
     standard deviations meanwhile, relative to the larger of those before and after; ``room_before`` and ``room`` the smallest share of a limit that noise peaks leave free without and with Q,
     and ``tightest`` the signal with Q.
@@ -90,6 +92,8 @@ def prove(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, Q: StateS
     times_and_peaks, tightest = _switch(problem, found, cost, Q, settings)
     k = int(np.argmax(costs.after / costs.before))
     reached = float(np.nan_to_num(costs.reached, nan=1.0).min())
+    if not bound and reached < SHORT:
+        bound = _refusal_of_best(problem, found, cost, settings)
     return Proof(Q.order, rectangles, float(costs.before[k]), float(costs.after[k]), reached, *sensitive, bound, *times_and_peaks, tightest)
 
 
@@ -204,6 +208,16 @@ def _sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace, s
     wrong = np.array([found.fault not in case for case in cases])
     before, after = peaks[~wrong].max(axis=0)
     return (float(before), float(after), float(peaks[cases.index({}), 1]), float(peaks[wrong, 1].max())), bound
+
+
+def _refusal_of_best(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, settings: RetuneSettings) -> str:
+    """Return why the best controller of the damaged machine would be refused, "" where it would not: what keeps Q from it."""
+    best = best_controller(problem, cost, {found.fault: found.middle})
+    try:
+        prove(problem, Diagnosed(found.fault, found.middle, found.middle), cost, youla_parameter(problem.interconnection, best), settings)
+    except Refused as why:
+        return f"the best controller itself would be refused: {why}"
+    return ""
 
 
 def _switch(

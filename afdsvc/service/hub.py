@@ -19,7 +19,7 @@ from typing import Any
 from afdsvc.api.clock import Clock
 from afdsvc.diagnosis.alarm_book import UNNAMED, AlarmBook, Policy
 from afdsvc.diagnosis.pipeline import Outcome
-from afdsvc.diagnosis.verdict import conclude
+from afdsvc.diagnosis.verdict import FaultVerdict, conclude
 from afdsvc.errors import BadInput, Refused
 from afdsvc.service.audit_log import AuditLog
 from afdsvc.service.burst_requests import BurstRequests
@@ -281,8 +281,14 @@ class Hub:
         self.alarms.condition(watch.machine, "model_gap", AlarmKind.NOTICE, bool(watch.doubt), why, t_ns)
         if any(a.active for a in self.alarms.of(watch.machine)):
             self.alarms.group(watch.machine, watch.verdict().fault, t_ns)
-            if watch.machine in self.retunings:
-                self.retunings[watch.machine].propose(watch.verdict())
+        if watch.machine in self.retunings:
+            self.retunings[watch.machine].propose(self.standing(watch.machine))
+
+    def standing(self, machine: str) -> FaultVerdict:
+        """Return the verdict on a machine while the alarm of the fault that it names is active, else an empty one."""
+        verdict = self.watches[machine].verdict()
+        alarm = self.alarms.alarms.get(f"{machine}/{verdict.fault}")
+        return verdict if alarm and alarm.active else FaultVerdict()
 
     def _pass_on(self, change: AlarmChange) -> None:
         """Pass a change of an alarm to the sinks and the notifiers."""

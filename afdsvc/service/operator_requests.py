@@ -71,7 +71,8 @@ class Requests:
 
     def _audit(self, operator: str, command: Command, reply: CommandReply) -> None:
         if command.name not in QUESTIONS and self._hub.audit:
-            self._hub.audit.add(operator or command.asked_by, command.name, command.arguments, reply.error or "done")
+            later = isinstance(reply.result, Mapping) and "ticket" in reply.result
+            self._hub.audit.add(operator or command.asked_by, command.name, command.arguments, reply.error or ("being designed" if later else "done"))
 
     def _admit(self, operator: str, command: Command) -> None:
         """Raise `Refused` for a command that is not by the ``operator`` whose key it came by, stale, or not new."""
@@ -165,7 +166,7 @@ class Requests:
     def _retuned(self, retuning: Retuning, who: str, stated: Diagnosed | None) -> dict[str, Any]:
         outcome = "the service failed"
         try:
-            sheet = retuning.ask(self._hub.watches[retuning.machine].verdict(), who, stated)
+            sheet = retuning.ask(self._hub.standing(retuning.machine), who, stated)
             outcome = f"Q {sheet['tuning']} accepted"
             return sheet
         except AfdsvcError as error:

@@ -40,6 +40,7 @@ class Retuning:
     def __post_init__(self) -> None:
         self._count, self._designing = itertools.count(1), threading.Lock()
         self._session = self._proposed = ""
+        self._withdrawn: BurstStop | None = None
         self.acting = ""  # the name of the Q
         self.sentence = ""  # a Q is proposed, or acts
 
@@ -49,8 +50,11 @@ class Retuning:
         return self.bursts.machine
 
     def propose(self, verdict: FaultVerdict) -> None:
-        """Say once, for each fault that is named with its severity, that a person may accept a Q for it."""
-        if verdict.fault is None or verdict.severity is None or self.acting:
+        """Say once, for each fault that is named with its severity, that a person may accept a Q for it; say no more where none is."""
+        if self.acting:
+            return
+        if verdict.fault is None or verdict.severity is None:
+            self.sentence = ""
             return
         found = _interval(verdict, self.bursts.pipeline.problem)
         self.sentence = f"proposed: 'afdsvc retune {self.machine}' designs Q for {_said(found)}"
@@ -63,6 +67,7 @@ class Retuning:
         `Refused` with the reason."""
         if not self._designing.acquire(blocking=False):
             raise Refused("a Q is being designed for this machine; wait for its answer")
+        self._withdrawn = None
         try:
             return self._asked(verdict, who, stated)
         finally:
@@ -79,12 +84,16 @@ class Retuning:
         problem = of.pipeline.problem
         found = stated or _interval(verdict, problem)
         tuning, proof, sheet = self.design(problem, found)
+        self._refuse_withdrawn()
         name = f"{of.session[:8]}-q-{of.clock.now_ns() // 10**9 % 16**6:06x}-{next(self._count)}"
         self.ready(of.pipeline.announce_tuning(name, tuning.Q))
         newest = round(of.seconds / of.pipeline.dt)
         message = Message(RetuneRequest(self.machine, name, tuning, found, LEASE_SECONDS, who, of.clock.now_ns(), of.session, newest, proof))
         of.sink.take(message)
         self._begin(message)
+        if self._withdrawn:  # while the rig was asked
+            self._stopped(self._withdrawn)
+            self._refuse_withdrawn()
         return {"machine": self.machine, "tuning": name, "fault": found.fault, "severity": [found.low, found.high], **sheet}
 
     def _begin(self, message: Message) -> None:
@@ -102,11 +111,20 @@ class Retuning:
             raise Refused(reply.reason)
 
     def restore(self, reason: str, who: str) -> None:
-        """Go back to Q = 0; raises `Refused` with the rig's reason when no Q acts."""
-        of, stop = self.bursts, BurstStop(self.machine, reason or "no reason given", who or "unknown")
-        reply = codec.decode(BurstReply, of.transport.ask(of.keys.restore(self.machine), codec.encode(stop)))
-        if not reply.accepted:
+        """Go back to Q = 0, also where Q is still being designed; raises `Refused` with the rig's reason when there is none."""
+        stop, designing = BurstStop(self.machine, reason or "no reason given", who or "unknown"), self._designing.locked()
+        self._withdrawn = stop
+        reply = self._stopped(stop)
+        if not (reply.accepted or designing):
             raise Refused(f"nothing is restored: {reply.reason}")
+
+    def _stopped(self, stop: BurstStop) -> BurstReply:
+        of = self.bursts
+        return codec.decode(BurstReply, of.transport.ask(of.keys.restore(self.machine), codec.encode(stop)))
+
+    def _refuse_withdrawn(self) -> None:
+        if self._withdrawn:
+            raise Refused(f"withdrawn by {self._withdrawn.asked_by} while Q was designed: {self._withdrawn.reason}")
 
     def lease(self) -> Lease | None:
         """Return the lease of the Q that acts; waits for nothing."""

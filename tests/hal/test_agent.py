@@ -223,7 +223,7 @@ def test_q_acts_until_there_is_a_reason_and_every_block_says_so(settings, bearin
             time.sleep(0.3)
             if how == "person":
                 stop = codec.encode(BurstStop("bearing", "enough", "Ada"))
-                assert "no such Q acts" in codec.decode(BurstReply, hub.ask(KEYS.restore("bearing"), stop)).reason
+                assert "no Q acts on machine" in codec.decode(BurstReply, hub.ask(KEYS.restore("bearing"), stop)).reason
     words = {"person": "restored by Ada: enough", "lease": "no renewal", "vanish": "the service vanished", "promise": "was promised"}
     assert words[how] in ended.cause
     labels = [label for i, label in enumerate(b.tuning for b in ear.blocks) if i == 0 or label != ear.blocks[i - 1].tuning]

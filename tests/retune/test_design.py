@@ -185,7 +185,7 @@ def test_what_is_asked_wrongly_is_named():
     cost = loop_cost(problem, {})
     with pytest.raises(BadInput, match="fault 'nonsense' is unknown"):
         design_q(problem, Diagnosed("nonsense", -0.5, -0.4), cost)
-    with pytest.raises(BadInput, match="expected the smaller one first"):
+    with pytest.raises(BadInput, match="expected the larger loss first"):
         Diagnosed("actuator_0", -0.4, -0.5)
     with pytest.raises(BadInput, match="expected -1 to 0"):
         design_q(problem, Diagnosed("actuator_0", -0.4, 0.5), cost)

@@ -13,12 +13,13 @@ from afdsvc.errors import Refused
 from afdsvc.lti.lft import star
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.yjbk import retuned_interconnection
-from afdsvc.retune.cost import loop_cost, signal_model
+from afdsvc.plants.gas_bearing import FASTEST_RPM, gas_bearing
+from afdsvc.retune.cost import best_controller, loop_cost, signal_model
 from afdsvc.retune.design import design_q, expected
 from afdsvc.retune.proof import Switch, covered, gain_ramp, prove, proved_tuning
 from afdsvc.retune.sensitivity import sensitivities
 from afdsvc.retune.settings import RETUNE
-from afdsvc.testing.machines import random_problem
+from afdsvc.testing.machines import bearing_problem, random_problem
 
 FAULT = Diagnosed("sensor_1", -0.6, -0.3)
 
@@ -164,3 +165,17 @@ def test_the_promise_is_kept_by_the_machine_diagnosed_and_says_when_it_is_not():
         xj, xq = xj @ J.A.T + y @ J.B[:, :2].T + alpha @ J.B[:, 2:].T, xq @ Q.A.T + beta @ Q.B.T
     assert np.mean(measured) == pytest.approx(4.0, rel=0.05)
     assert tuning.promise.cost == 6.0
+
+
+def test_where_much_less_is_gained_than_the_best_controller_gains_it_is_said_why_that_one_is_refused():
+    problem, found, quick = bearing_problem("lqg", FASTEST_RPM), Diagnosed("vertical_sensor", -0.51, -0.49), replace(RETUNE, iterations=20, models=1)
+    published = {k: gas_bearing(FASTEST_RPM).recommended["lqg"][k] for k in ("state_weight", "input_weight")}
+    B = problem.plant.B
+    for disturbance, short in ((1.0, True), (0.01, False)):
+        cost = loop_cost(problem, {**published, "process_weight": disturbance * B @ B.T})
+        proof = prove(problem, found, cost, design_q(problem, found, cost, quick), quick)
+        said = proof.bound.startswith("the best controller itself would be refused: Q has the pole")
+        assert (said, proof.reached < 0.9) == (short, short)
+        if short:
+            best = best_controller(problem, cost, {found.fault: found.middle})
+            assert np.abs(star(problem.augmented.close({}), best, 2, 2).poles()).max() > 1

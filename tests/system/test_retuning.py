@@ -5,12 +5,13 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from afdsvc.app import diagnose, serve
+from afdsvc.app import ask, diagnose, serve
 from afdsvc.app.ask import ask_service
 from afdsvc.app.demo import measured_deviations
 from afdsvc.app.rig import run_rig
@@ -81,7 +82,7 @@ def test_what_an_alarm_proposes_a_person_accepts_and_takes_back(free_port, tmp_p
         eventually(lambda: sum(e.seconds > healed and e.trustworthy for e in list(watch.evidence)) >= 2)
         assert ask_service(site, "restore", "Ada", machine="bearing", reason="enough") == {"machine": "bearing"}
         eventually(lambda: retuning.acting == "" and watch.pipeline._tuning == "")
-        with pytest.raises(AfdsvcError, match="nothing is restored: no such Q acts"):
+        with pytest.raises(AfdsvcError, match="nothing is restored: no Q acts on machine"):
             ask_service(site, "restore", "Ada", machine="bearing")
         restored = watch.seconds_seen
         eventually(lambda: watch.evidence[-1].seconds > restored)
@@ -129,10 +130,10 @@ def test_nothing_is_retuned_before_a_fault_is_named(free_port, tmp_path):
             eventually(lambda: hub.watches["bearing"].blocks > 3)
             with pytest.raises(AfdsvcError, match="no fault has been named with its severity"):
                 ask_service(site, "retune", "Ada", machine="bearing")
-            for stated, why in (("horizontal_sensor", "expected NAME=LOW..HIGH"), ("horizontal_sensor=-0.4..-0.5", "expected the smaller one first"), ("pump=-0.5", "fault 'pump' is unknown")):
+            for stated, why in (("horizontal_sensor", "expected NAME=LOW..HIGH"), ("horizontal_sensor=-0.4..-0.5", "expected the larger loss first"), ("pump=-0.5", "fault 'pump' is unknown")):
                 with pytest.raises(AfdsvcError, match=why):
                     ask_service(site, "retune", "Ada", machine="bearing", fault=stated)
-            with pytest.raises(AfdsvcError, match="nothing is restored: no such Q acts"):
+            with pytest.raises(AfdsvcError, match="nothing is restored: no Q acts on machine"):
                 ask_service(site, "restore", "Ada", machine="bearing")
             with pytest.raises(AfdsvcError, match="machine 'x' is unknown"):
                 ask_service(site, "retune", "Ada", machine="x")
@@ -157,3 +158,44 @@ def test_a_person_states_the_fault_before_a_burst_has_named_it(free_port, tmp_pa
     assert (asked.found.fault, asked.found.low, asked.found.high) == ("horizontal_sensor", -0.52, -0.48)
     (done,) = [e for e in verify_chain(audit_file(site)).entries if e["what"] == "retune" and e["outcome"].endswith("accepted")]
     assert done["arguments"] == {"machine": "bearing", "fault": "horizontal_sensor", "low": -0.52, "high": -0.48}
+
+
+@pytest.mark.parametrize("stage", ["designed", "designed and the rig not asked yet"])
+def test_who_restores_before_q_acts_withdraws_it(free_port, tmp_path, monkeypatch, stage):
+    monkeypatch.setattr(ask, "SILENT_SECONDS", 0.0)
+    site, heard = site_of(free_port, tmp_path, MACHINE.replace("every_seconds = 3.5, ", "")), []
+    withdrawn = "withdrawn by Eve while Q was designed: not now"
+    with serve.serving(site) as hub, rig(site), ThreadPoolExecutor(1) as person:
+        retuning = hub.retunings["bearing"]
+        eventually(lambda: hub.watches["bearing"].blocks > 3)
+        if stage != "designed":
+            retuning.ready = lambda problem: retuning.restore("not now", "Eve")
+        asked = person.submit(ask_service, site, "retune", "Ada", lambda: heard.append("waits"), machine="bearing", fault="horizontal_sensor=-0.52..-0.48")
+        if stage == "designed":
+            eventually(retuning._designing.locked)
+            assert ask_service(site, "restore", "Eve", machine="bearing", reason="not now") == {"machine": "bearing"}
+        with pytest.raises(AfdsvcError, match=withdrawn):
+            asked.result(60)
+        assert heard == ["waits"]
+        eventually(lambda: retuning.acting == "" and hub.watches["bearing"].pipeline._tuning == "")
+        hub.drain()
+    (path,) = tmp_path.glob("*.mcap")
+    events = [(e.kind, e.cause) for e in Recording(path).events("bearing") if e.kind in (EventKind.RETUNED, EventKind.RESTORED)]
+    assert len(list(Recording(path).retunings("bearing"))) == (stage != "designed")
+    assert events[1:] == [(EventKind.RESTORED, "restored by Eve: not now")] * len(events[1:])
+    assert len(events) % 2 == 0  # what began has ended
+    outcomes = [e["outcome"] for e in verify_chain(audit_file(site)).entries if e["what"] == "retune"]
+    assert outcomes == ["being designed", withdrawn]
+
+
+@pytest.mark.long
+def test_what_was_proposed_for_a_fault_that_is_repaired_is_proposed_no_more(free_port, tmp_path):
+    site = site_of(free_port, tmp_path)
+    with serve.serving(site) as hub, rig(site):
+        retuning = hub.retunings["bearing"]
+        eventually(lambda: retuning.sentence.startswith("proposed"))
+        ask_service(site, "inject", "Ada", machine="bearing", fault="horizontal_sensor", severity=0.0)
+        eventually(lambda: not any(a.active for a in hub.alarms.of("bearing")))
+        eventually(lambda: retuning.sentence == "", 5.0)
+        with pytest.raises(AfdsvcError, match="no fault has been named with its severity"):
+            ask_service(site, "retune", "Ada", machine="bearing")

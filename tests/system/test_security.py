@@ -143,7 +143,7 @@ def test_only_tuners_may_retune_and_only_the_service_speaks_to_the_rig(free_port
         with pytest.raises(AfdsvcError, match=UNHEARD):
             ask_service(site, "pause", "max", machine="bearing")
         for name in ("kim", "lee", "max"):  # going back is open to all of them
-            with pytest.raises(AfdsvcError, match="nothing is restored: no such Q acts"):
+            with pytest.raises(AfdsvcError, match="nothing is restored: no Q acts on machine"):
                 ask_service(site, "restore", name, machine="bearing")
         for name in ("panel", "lee", rig_name("other")):
             with Session(site.transport, False, Access(name)) as peer:

@@ -191,7 +191,7 @@ def message_of(kind, **changes):
         ("retune_request", lambda m: setattr(m, "states", 2**40), "numbers; expected"),
         ("retune_request", lambda m: m.matrices.__setitem__(0, float("nan")), "NaN"),
         ("retune_request", lambda m: setattr(m, "rise", -1.0), "times -1.0"),
-        ("retune_request", lambda m: setattr(m, "low", 0.0), "expected the smaller one first"),
+        ("retune_request", lambda m: setattr(m, "low", 0.0), "expected the larger loss first"),
         ("retune_request", lambda m: m.promise.output.append(1.0), "weights of 5 and 1"),
         ("retune_request", lambda m: m.ClearField("asked_by"), "without asked_by"),
         ("lease", lambda m: setattr(m, "seconds", float("inf")), "seconds = inf"),
