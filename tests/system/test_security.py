@@ -123,7 +123,7 @@ def test_an_operator_cannot_speak_for_another_and_the_audit_log_says_who_asked(f
         ("service", "start", "done"),
         ("lee", "pause", "the request says that 'kim' asks; it came from 'lee'"),
         ("lee", "resume", "done"),
-        ("kim", "burst", "done"),
+        ("kim", "burst", "being designed"),
         ("kim", "burst", f"burst {burst} accepted"),
         ("service", "stop", "done"),
     ]
