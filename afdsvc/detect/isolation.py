@@ -30,6 +30,7 @@ class Fit:
     log likelihood ratio against "no fault" and the same averaged over the severities.
 
     ``limit`` is the severity from which on, all else equal, nothing would have been detected; inf where detection does not depend on it.
+    ``bias`` bounds the error of a linearisation, which ``sd`` includes.
     """
 
     fault: str
@@ -38,6 +39,7 @@ class Fit:
     log_likelihood: float
     log_evidence: float
     limit: float = math.inf
+    bias: float = 0.0
 
 
 def linear_fit(fault: str, score: float, information: float, bounds: tuple[float, float]) -> Fit:

@@ -19,10 +19,13 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem, Detector, FalseAlarms
+from afdsvc.detect.stability_range import reachable
+from afdsvc.detect.thresholds.regressor_information import noise_driven
+from afdsvc.excite.expected_detection import burst_detection
 from afdsvc.lti.statespace import Array
 from afdsvc.plugins.manager import load
 from benchmarks.detection.counting import exact
-from benchmarks.detection.judged import judged, quiet, shown
+from benchmarks.detection.judged import quiet, shown
 from benchmarks.detection.truth import TrueMachine, machines
 from benchmarks.detection.truth_problem import alpha_of, loss_of, problem_of
 
@@ -35,31 +38,34 @@ COLUMNS = ("machine", "detector", "severity", "played", "reported", "plain_holds
 Row = Mapping[str, str | float]
 
 
-def burst_for(machine: TrueMachine, problem: DetectionProblem, fault: str, severity: float, detector: Detector) -> Burst | None:
-    """Return the burst of two lines per input under which the severity's estimate lies at `DEFLECTION` standard errors."""
+def burst_for(machine: TrueMachine, problem: DetectionProblem, fault: str, severity: float, passive: float) -> Burst | None:
+    """Return the burst of two lines per input under which the severity's estimate lies at `DEFLECTION` standard errors; ``passive`` is the
+    information in the loop's own noise. None where the loop is lost or no burst shows the fault."""
     m, rate = machine.shape[1], 2 * np.pi / (SAMPLES * machine.dt)
-    size = float(machine.spread()[1].max())
 
     def burst(amplitude: float) -> Burst:
         lines = tuple(Line(i, rate * (70 + 22 * i + 124 * j), amplitude) for i in range(m) for j in range(2))
         return Burst("b", m, SAMPLES, 100, lines, settle=100)
 
-    for k in range(12):
-        found = [judged(machine, problem, detector, burst(size * 2.0 ** (k - 3)), s, {fault: severity}) for s in (1, 2)]
-        sd = np.mean([e.parts[f"sd.{fault}"] for e in found])
-        if sd < -severity / DEFLECTION:
-            return burst(size * 2.0 ** (k - 3) * sd * DEFLECTION / -severity)
-    return None
+    size = float(machine.spread()[1].max())
+    sd = burst_detection(problem, burst(size)).deviation(fault, severity) if reachable(problem)[fault][0] < severity else np.inf
+    wanted = (DEFLECTION / severity) ** 2
+    return burst(size * sd * max(wanted - passive, 0.01 * wanted) ** 0.5) if np.isfinite(sd) else None
 
 
 def counted(machine: TrueMachine, bursts: int, seed: int) -> Iterator[Row]:
     """Yield a row for every pair of detectors and severity."""
     problem = problem_of(machine, FalseAlarms(1e-3))
     each = -(-bursts // (len(problem.fault_names) * len(SEVERITIES)))
+    own = noise_driven(problem).passive * SAMPLES
     for kinds in PAIRS:
+        passive = own if "regression" in kinds else np.zeros_like(own)
         detectors = [load().get("detectors", kind).design(problem, {}) for kind in kinds]
         for severity in SEVERITIES:
-            rows = [_played(machine, problem, detectors, fault, severity, each, [seed, i, round(-100 * severity)]) for i, fault in enumerate(problem.fault_names)]
+            rows = [
+                _played(machine, problem, detectors, {fault: severity}, burst_for(machine, problem, fault, severity, passive[i]), each, [seed, i, round(-100 * severity)])
+                for i, fault in enumerate(problem.fault_names)
+            ]
             for kind, own in zip(kinds, np.concatenate(rows, axis=1), strict=True):
                 found = own[np.isfinite(own[:, 0])]
                 errors = np.median(found[:, [0, 2]], axis=0).tolist() if len(found) else [np.nan, np.nan]
@@ -67,22 +73,20 @@ def counted(machine: TrueMachine, bursts: int, seed: int) -> Iterator[Row]:
 
 
 def _played(
-    machine: TrueMachine, problem: DetectionProblem, detectors: Sequence[Detector], fault: str, severity: float, bursts: int, seed: Sequence[int]
+    machine: TrueMachine, problem: DetectionProblem, detectors: Sequence[Detector], truth: Mapping[str, float], burst: Burst | None, bursts: int,
+    seed: Sequence[int],
 ) -> Array:
-    """Return ``(detectors, bursts, 4)``, nan where the fault was not detected, not the likeliest, or no severity was reported.
+    """Return ``(detectors, bursts, 4)``, nan where the fault was not detected, not the likeliest, or no interval was reported.
 
     Columns: error of the plain severity, whether its interval holds the truth, error of the reported one, whether its interval does.
     """
-    try:
-        burst = burst_for(machine, problem, fault, severity, detectors[0])
-    except (ValueError, KeyError):  # the loop is lost with this fault: no decision
-        burst = None
+    ((fault, severity),) = truth.items()
     rows = np.full((len(detectors), bursts if burst else 0, 4), np.nan)
     for k in range(rows.shape[1]):
-        run = machine.run(np.random.default_rng([*seed, k]), alpha_of(burst, machine.dt, quiet(problem)), loss_of(problem, {fault: severity}))
-        for i, decisions in enumerate(shown(problem, detectors, run, burst)):
-            e = decisions[-1]
-            if e.detected and e.severity is not None and max(e.weights, key=lambda n: e.weights[n]) == fault:
+        run = machine.run(np.random.default_rng([*seed, k]), alpha_of(burst, machine.dt, quiet(problem)), loss_of(problem, dict(truth)))
+        for i, told in enumerate(shown(problem, detectors, run, burst)):
+            e = told[-1]
+            if e.severity and e.severity.low is not None and max(e.weights, key=lambda n: e.weights[n]) == fault:
                 x, sd, s = e.parts[f"severity.{fault}"], e.parts[f"sd.{fault}"], e.severity
                 rows[i, k] = [x - severity, abs(x - severity) <= HALF * sd, s.value - severity, s.low <= severity <= s.high]
     return rows

@@ -7,6 +7,8 @@ Annals of Statistics 44 (2016) 907-927, theorem 5.2.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from scipy.optimize import brentq
 from scipy.special import log_ndtr, ndtri
 
@@ -14,6 +16,7 @@ from afdsvc.api.evidence import Severity
 from afdsvc.detect.isolation import Fit
 
 HALF = 1.959964  # standard errors to each side of a 95 % interval
+BIASED = 0.3  # of the standard error: linearisation errors up to which an interval for random errors alone has its coverage to a per cent
 FAR = 6.0  # standard errors beyond the limit of detection from which on the detection says nothing
 
 
@@ -76,8 +79,14 @@ def severity_at(probability: float, estimate: float, sd: float, cut: float, boun
 def given_detection(fit: Fit, bounds: tuple[float, float]) -> Severity:
     """Return a detected fault's severity: median-unbiased and with a 95 % interval, both given the detection.
 
-    Far from the limit of detection these are the plain estimate, its standard error and 1.96 of them to both sides.
+    Far from the limit of detection these are the plain estimate, its standard error and 1.96 of them to both sides. No interval is given
+    where the error of a linearisation counts: it is no random number.
     """
+    found = _given_detection(fit, bounds)
+    return found if fit.bias < BIASED * fit.sd else replace(found, low=None, high=None)
+
+
+def _given_detection(fit: Fit, bounds: tuple[float, float]) -> Severity:
     x, sd, (low, high) = fit.severity, fit.sd, bounds
     if not fit.limit < x + FAR * sd:
         return Severity(x, sd, max(x - HALF * sd, low), min(x + HALF * sd, high))

@@ -30,6 +30,7 @@ from afdsvc.detect.features.shared_filter import Filters
 from afdsvc.detect.features.sums import Products
 from afdsvc.detect.isolation import NONE as NONE_OF_THESE
 from afdsvc.detect.isolation import Fit, anything_log_evidence, limited, linear_fit, weights
+from afdsvc.detect.statistics.binding_function import BindingFunction
 from afdsvc.detect.thresholds import maximum
 from afdsvc.detect.thresholds.regressor_information import NoiseDriven, noise_driven
 from afdsvc.lti.statespace import Array
@@ -37,6 +38,7 @@ from afdsvc.lti.statespace import Array
 UNSEEN = 1e-9  # a fault whose information is below this share of the best seen one is invisible to this burst
 PARTS = 8  # of a burst, each with its own severity
 CONSTANT = 1e-3  # p-value below which a severity is said to have changed, or energy to be unexplained
+LIKELY = 0.01  # weight from which a fault's severity is worth the time to take its bias out
 CURVATURE = 2.0  # errors of first-order severities seen are 1.2 to 2.2 times the severity's square
 
 
@@ -56,8 +58,9 @@ class RegressionSums:
 class Regression:
     """Statistic of the regression detector. ``false_alarm`` is per burst, ``bounds`` those of the severities, ``sd``
     the standard deviations of the model's uncertain parameters, which are averaged out, ``nuisances`` what is projected
-    out of residual and regressors, ``theta (K, p, F)`` makes the regressors from the features in the series. Severities of
-    the standard errors of the faults of ``first_order`` include twice the square of the severity. ``estimated`` counts the samples that
+    out of residual and regressors, ``theta (K, p, F)`` makes the regressors from the features in the series. Severities of the faults of
+    ``first_order`` are biased; ``loop`` tells by how much, None where the controller is not known: then standard errors include twice the
+    square of the severity. ``estimated`` counts the samples that
     the noise was estimated from (0: stated); faults of ``feedthrough`` do not change the signal they multiply, but for the loop.
     """
 
@@ -72,6 +75,7 @@ class Regression:
     first_order: frozenset[str] = frozenset()
     estimated: int = 0
     feedthrough: frozenset[str] = frozenset()
+    loop: DetectionProblem | None = None
 
     def start(self, burst: Burst, dt: float) -> RegressionSums:
         """Return empty sums."""
@@ -100,11 +104,24 @@ class Regression:
         statistic, h = self.judged(sums.products.n, b, G, burst)
         both = zip(self.names, b, np.diag(G), strict=True)
         fits = tuple(linear_fit(name, float(v), float(g), self.bounds) for name, v, g in both)
-        parts = {"samples": float(sums.products.n)}
-        adjusted = tuple(replace(f, sd=float(np.hypot(f.sd, CURVATURE * f.severity**2))) if f.fault in self.first_order else f for f in fits)
-        adjusted = self._limited(adjusted, sums.products.n, b, G, burst, h)
-        finding = Finding(statistic, h, adjusted, weights(fits, self._anything(sums, burst)), parts)
+        parts, weight = {"samples": float(sums.products.n)}, weights(fits, self._anything(sums, burst))
+        limits = self._limited(fits, sums.products.n, b, G, burst, h)
+        adjusted = tuple(self._unbiased(f, burst, statistic > h and weight[f.fault] > LIKELY) for f in limits)
+        finding = Finding(statistic, h, adjusted, weight, parts)
         return [self._explained(finding, sums, b, G) if statistic > h else finding]
+
+    def _unbiased(self, fit: Fit, burst: Burst, likely: bool) -> Fit:
+        """Return the fit of a fault of first order without its bias; where that is not known, and of faults that are not likely, with a bound."""
+        if fit.fault not in self.first_order or not math.isfinite(fit.sd):
+            return fit
+        known = likely and self.loop is not None and burst.waveform is None and not len(self.sd)
+        binding = BindingFunction(self.loop, fit.fault, burst) if known and self.loop else None
+        found = binding.inverse(fit.severity) if binding else None
+        if found is None or binding is None:
+            bias = CURVATURE * fit.severity**2
+            return replace(fit, sd=float(np.hypot(fit.sd, bias)), bias=bias)
+        severity, slope = found
+        return replace(fit, severity=severity, sd=fit.sd * binding.spread(severity) / slope, limit=severity + (fit.limit - fit.severity) / slope)
 
     def _limited(self, fits: tuple[Fit, ...], samples: int, b: Array, G: Array, burst: Burst, threshold: float) -> tuple[Fit, ...]:
         """Return the fits with their limits of detection."""
@@ -223,7 +240,10 @@ def regression(
     first_order = frozenset(n for n, exact in zip(filters.names, filters.exact, strict=False) if not exact)
     s = problem.augmented.system
     straight = frozenset(n for n in problem.fault_names if no_return(s, problem.augmented.channels_of(n)))
-    return Regression(problem.fault_names, filters.sd, p, rate, problem.severity_range, noise, filters.theta, nuisances, first_order, problem.noise_samples, straight)
+    return Regression(
+        problem.fault_names, filters.sd, p, rate, problem.severity_range, noise, filters.theta, nuisances, first_order, problem.noise_samples, straight,
+        problem if problem.loop_known else None,
+    )
 
 
 def _omega(burst: Burst | None) -> tuple[float, ...]:

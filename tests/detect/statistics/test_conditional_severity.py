@@ -53,6 +53,13 @@ def test_far_from_the_limit_the_plain_estimate_is_reported():
     assert given_detection(fit, (-1.0, 0.0)) == Severity(-0.3, 0.02, pytest.approx(-0.3392, abs=1e-4), pytest.approx(-0.2608, abs=1e-4))
 
 
+def test_no_interval_is_given_where_the_error_of_a_linearisation_counts():
+    known, unknown = (given_detection(Fit("pump", -0.3, 0.02, 0.0, 0.0, limit=-0.2, bias=bias), (-1.0, 0.0)) for bias in (0.001, 0.01))
+    assert None not in (known.low, known.high)
+    assert (unknown.low, unknown.high) == (None, None)
+    assert (unknown.value, unknown.sd) == (known.value, known.sd)
+
+
 def test_near_the_limit_the_estimate_moves_towards_health():
     near = given_detection(Fit("pump", -0.3, 0.02, 0.0, 0.0, limit=-0.29), (-1.0, 0.0))
     assert near.value == severity_at(0.5, -0.3, 0.02, -0.29) > -0.3

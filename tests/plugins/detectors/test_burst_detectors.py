@@ -198,13 +198,20 @@ def test_missing_noise_is_refused_at_design(name):
         DESIGNS[name].design(problem, {})
 
 
-def test_a_severity_of_first_order_says_how_wrong_it_may_be(bursts, run, shown):
-    """Stiffness is no gain: one regression is right to first order only, and its error covers what the second order does."""
+@pytest.mark.parametrize("known", [True, False])
+def test_a_severity_of_first_order_is_unbiased_or_says_how_wrong_it_may_be(bursts, run, shown, known):
+    """Stiffness is no gain: one regression is right to first order only. Where the loop is not known its error covers what the second order does."""
     problem = bearing_problem("proportional")
     names = ("stiffness_hh", "damping_vv")
-    problem = replace(problem, augmented=gas_bearing().faults(list(names)), severity_range=(-0.5, 0.0))
+    problem = replace(problem, augmented=gas_bearing().faults(list(names)), severity_range=(-0.5, 0.0), loop_known=known)
     burst = bursts("proportional")[1]
     found, *_ = shown(DESIGNS["regression"].design(problem, {}), run(problem, burst, {"stiffness_hh": -0.1}, 5), burst)
     assert found.detected
     assert found.fault == "stiffness_hh"
-    assert 0.01 < abs(found.severity.value + 0.1) < 3 * found.severity.sd
+    error, (low, high) = abs(found.severity.value + 0.1), (found.severity.low, found.severity.high)
+    if known:
+        assert error < 4 * found.severity.sd < 0.04
+        assert low < -0.1 < high
+    else:
+        assert 0.01 < error < 3 * found.severity.sd
+        assert (low, high) == (None, None)
