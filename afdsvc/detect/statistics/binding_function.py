@@ -65,7 +65,7 @@ class BindingFunction:
 
     @property
     def _sources(self) -> int:
-        return noise_sources(self.problem)[0].shape[1]
+        return int(noise_sources(self.problem)[0].shape[1])
 
     def _loop(self, severity: float) -> StateSpace:
         return _loop(self.problem, regressors(self.problem), self.fault, severity)
