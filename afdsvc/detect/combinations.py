@@ -32,7 +32,7 @@ STEPS = 8  # Gauss-Newton steps of such a fit
 NUDGE = 1e-4  # severity by which derivatives are taken
 SINGULAR = 1e-9  # share of the information of one fault that another must leave for the two to be told apart
 EXCLUDED = 0.5 * 1.959964**2  # log likelihood that a loss must fall short by: bounds hold with 97.5 %
-GRID = 201  # severities of a second fault that are tried
+GRID = 2001  # severities of a second fault that are tried
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,10 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq, minimize_scalar
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import FalseAlarms
-from afdsvc.detect.combinations import combined, course, largest_second, weighed
+from afdsvc.detect.combinations import EXCLUDED, Combination, _besides_on_lines, combined, course, largest_second, weighed
+from afdsvc.detect.isolation import LineData
+from afdsvc.detect.stability_range import reachable
+from afdsvc.detect.statistics.fault_curves import fault_curves
 from afdsvc.plugins.detectors.burst_detectors import RegressionDesign
 from afdsvc.plugins.manager import load
 from benchmarks.detection.judged import judged
@@ -73,6 +77,24 @@ def test_a_second_fault_too_small_for_the_burst_is_inside_the_bound_stated_besid
     assert sum(bound <= -0.2 for bound in bounds) >= len(bounds) - 1
     for e in found({"a0": -0.2}, 5, LINES.get(kind, DETECTOR)):  # a large burst leaves little room for a second one
         assert -0.1 < e.parts["besides.s0"] <= 0
+
+
+@pytest.mark.parametrize(("first", "at", "second"), [("a0", -0.2, "s1"), ("a0", -0.7, "s0")])
+def test_the_bound_of_a_second_fault_on_lines_is_where_the_exact_profile_falls_short(first, at, second):
+    curves, reach = fault_curves(PROBLEM, BURST.lines), reachable(PROBLEM)
+    point, covariance = curves.together({first: at})
+    data = LineData(point, np.eye(len(point)), np.zeros((point.size, point.size)))
+    i, j = (curves.names.index(name) for name in (first, second))
+    found = _besides_on_lines(curves, data, reach, Combination((i,), np.array([at]), np.eye(1), 0.0), [i, j])
+
+    def short(loss):
+        def rest(of_first):
+            (r,) = data.whitened(covariance, curves.together({first: of_first, second: loss})[0] - point)
+            return 0.5 * float(r @ r)
+
+        return minimize_scalar(rest, bounds=(0.999 * reach[first][0], 0.0), method="bounded").fun - EXCLUDED
+
+    assert found[f"besides.{second}"] == pytest.approx(brentq(short, 0.999 * reach[second][0], -1e-6), rel=0.01)
 
 
 def test_the_largest_second_loss():
