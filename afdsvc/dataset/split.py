@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from afdsvc.dataset.experiment import Run
+from afdsvc.lti.statespace import Array
 
 HELD_SHARE = 1 / 3  # of a single recording
 
@@ -25,13 +28,20 @@ class Split:
 
 
 def split(runs: Sequence[Run], holdout: Sequence[Run]) -> Split:
-    """Return the roles: the holdout as given, else the last recording, or the last third of a single one."""
+    """Return the roles: the holdout as given, else the last recording in which every output moves, or the last third of the only one."""
     if holdout:
         return Split(tuple(runs), tuple(holdout))
-    if len(runs) > 1:
-        return Split(tuple(runs[:-1]), (runs[-1],))
-    first, last = _parts(runs[0], 1 - HELD_SHARE)
-    return Split((first,), (last,))
+    last = [r for r in runs if not still(r.Y).any()] or [runs[-1]]
+    others = tuple(r for r in runs if r is not last[-1])
+    if len(last) > 1:
+        return Split(others, (last[-1],))
+    first, rest = _parts(last[0], 1 - HELD_SHARE)
+    return Split((*others, first), (rest,))
+
+
+def still(y: Array) -> Array:
+    """Return which columns of ``y (T, p)`` hold one value, readings that are missing aside."""
+    return np.asarray(np.nanmax(y, axis=0) == np.nanmin(y, axis=0))
 
 
 def _parts(run: Run, share: float) -> tuple[Run, Run]:

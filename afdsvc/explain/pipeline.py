@@ -55,7 +55,7 @@ def explain(
         findings = (*findings, Finding("ok", "recordings", f"{given - len(recordings)} files go on where others end, and are taken as parts of them"))
     runs = prepare(model, [*recordings, *holdout])
     roles = split(runs[: len(recordings)], runs[len(recordings) :])
-    refuse_still(model, roles.heldout)
+    refuse_still(model, roles)
     settings = settings or Settings()
     if one_frequency(findings):  # a complex gain for every input and output tells no effects apart
         settings = replace(settings, effects=1)

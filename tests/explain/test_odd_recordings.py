@@ -12,6 +12,7 @@ from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.dataset.split import split
 from afdsvc.errors import BadInput
+from afdsvc.explain.check.response import refuse_still
 from afdsvc.explain.pipeline import explain
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.simulate.steps import continuous
@@ -87,6 +88,19 @@ def test_what_is_held_out_is_never_fitted():
     assert [len(x) for x in (many.train, many.heldout)] == [4, 1]
 
 
+@pytest.mark.parametrize(("moving", "fitted", "held"), [
+    ([True, True, False], ["r0", "r2"], "r1"), ([False, True, False], ["r0", "r2", "r1"], "r1, "), ([True, False, True], ["r0", "r1"], "r2"),
+    ([False, False], ["r0", "r1"], "r1, "),
+])
+def test_a_recording_in_which_an_output_moves_is_held_out(moving, fitted, held):
+    runs = [r if m else replace(r, Y=0 * r.Y + 3) for r, m in zip(prepare(model(), [recording(k) for k in range(len(moving))]), moving, strict=True)]
+    roles = split(runs, [])
+    assert [r.name for r in roles.train] == fitted
+    (name,) = roles.heldout_names
+    assert name.startswith(held)
+    assert sum(len(r) for r in (*roles.train, *roles.heldout)) == sum(map(len, runs))
+
+
 def pair(dead: bool = False) -> tuple[Model, list[Trace]]:
     """Two machines of one kind side by side, the second at rest: nothing is played on it, and its sensor sees noise."""
     plant = StateSpace(*(np.kron(np.eye(2), M) for M in (PLANT.A, PLANT.B, PLANT.C, PLANT.D)))
@@ -129,6 +143,13 @@ def test_a_recording_without_readings_is_refused_by_name(which, spoil, said):
     traces[which] = replace(traces[which], values=np.column_stack([traces[which].values[:, 0], np.full(len(traces[which]), spoil)]))
     with pytest.raises(BadInput, match=said):
         explain(model(), traces[:2], traces[2:], afdsvc_physics(), experiment=False)
+
+
+def test_a_fitted_part_in_which_a_reading_never_moves_is_refused():
+    (run,) = prepare(model(), [recording(0)])
+    roles = split([run], [])
+    with pytest.raises(BadInput, match="r0, fitted: y_position reads 2 mm in every sample"):
+        refuse_still(model(), replace(roles, train=tuple(replace(r, Y=0 * r.Y + 2) for r in roles.train)))
 
 
 def test_an_infinite_reading_is_refused_with_its_place():

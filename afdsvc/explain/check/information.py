@@ -12,6 +12,7 @@ from afdsvc.dataset.excitation import input_source
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.periods import aperiodic_part, speeds
 from afdsvc.dataset.sample_checks import Finding
+from afdsvc.dataset.split import still
 from afdsvc.explain.check.lines import Caused, weakest_horizon
 from afdsvc.explain.search.fit import Coordinates, jacobian
 from afdsvc.explain.search.machine import bandwidth
@@ -50,14 +51,18 @@ def information(problem: Problem, response: Caused) -> Iterator[Finding]:
 
 
 def noise_sd(nominal: Nominal, runs: Sequence[Run]) -> Array:
-    """Return the noise per output ``(p,)``: what does not repeat, else as stated, else the sample-to-sample roughness."""
+    """Return the noise per output ``(p,)``: what does not repeat, else as stated, else the sample-to-sample roughness.
+
+    It is infinite for a reading that never moves: it holds no information.
+    """
     pieces = aperiodic_part(runs, [r.Y for r in runs])
     if pieces:
-        return np.asarray(np.maximum(np.vstack(pieces).std(0), 1e-300))
-    if nominal.model.output_sd is not None:
-        return np.asarray(nominal.model.output_sd, dtype=np.float64)
-    rough = [np.nanmean(np.diff(r.Y, 4, axis=0) ** 2, axis=0) / 70 for r in runs]
-    return np.asarray(np.maximum(np.sqrt(np.mean(rough, axis=0)), 1e-300))
+        sd = np.vstack(pieces).std(0)
+    elif nominal.model.output_sd is not None:
+        sd = np.array(nominal.model.output_sd, dtype=np.float64)
+    else:
+        sd = np.sqrt(np.mean([np.nanmean(np.diff(r.Y, 4, axis=0) ** 2, axis=0) / 70 for r in runs], axis=0))
+    return np.where(still(np.concatenate([r.Y for r in runs])), np.inf, np.maximum(sd, 1e-300))
 
 
 def visibility(response: Caused, sd: Array) -> float:

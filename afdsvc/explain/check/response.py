@@ -10,6 +10,7 @@ from scipy import signal, stats
 from afdsvc.api.model import Model
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.sample_checks import Finding
+from afdsvc.dataset.split import Split, still
 from afdsvc.errors import BadInput
 from afdsvc.explain.gap.decision import gap_test
 from afdsvc.explain.gap.settings import GapSettings
@@ -89,11 +90,11 @@ def _clear(y: Array, u: Array) -> bool:
     return bool(largest > max(CLEAR, float(stats.norm.isf(CHANCE / (2 * len(y)))) * np.sqrt(variance)))
 
 
-def refuse_still(model: Model, held: Sequence[Run]) -> None:
-    """Raise `BadInput` where a reading never moves in what is held out: no fit could be shown there."""
-    for j, v in enumerate(model.outputs):
-        y = np.concatenate([r.Y[:, j] for r in held])
-        if np.nanmax(y) == np.nanmin(y):
-            names = ", ".join(r.name for r in held)
-            reading = f"y_{v.name} reads {np.nanmin(y) + 0.0:.6g} {v.unit} in every sample"
-            raise BadInput(f"{names}, held out: {reading}; expected recordings in which it moves")
+def refuse_still(model: Model, roles: Split) -> None:
+    """Raise `BadInput` where a reading never moves in what is fitted or in what is held out: nothing could be fitted or shown there."""
+    for runs, role in ((roles.train, "fitted"), (roles.heldout, "held out")):
+        y = np.concatenate([r.Y for r in runs])
+        for v, value, dead in zip(model.outputs, np.nanmin(y, axis=0), still(y), strict=True):
+            if dead:
+                names = ", ".join(r.name for r in runs)
+                raise BadInput(f"{names}, {role}: y_{v.name} reads {value + 0.0:.6g} {v.unit} in every sample; expected recordings in which it moves")
