@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -43,8 +44,14 @@ def run_cli() -> None:
     except Exception as error:
         if was_interrupted(error):
             leave()
-        traceback.print_exc(file=sys.stderr)
-        sys.exit(_fail(f"unexpected failure: {type(error).__name__}: {error}", 1))
+        sys.exit(_fail(f"unexpected failure: {type(error).__name__}: {error}; a report of it needs {_traceback()}", 1))
+
+
+def _traceback() -> str:
+    """Return the file that holds the traceback of the exception at hand."""
+    with tempfile.NamedTemporaryFile("w", prefix="afdsvc-", suffix=".txt", encoding="utf-8", delete=False) as file:
+        traceback.print_exc(file=file)
+    return file.name
 
 
 def _fail(sentence: str, code: int) -> int:

@@ -7,10 +7,13 @@ import os
 import select
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 import pytest
+
+from afdsvc import cli
 
 SHIPPED = Path(__file__).parents[2] / "recordings" / "shipped"
 
@@ -149,3 +152,14 @@ def test_an_explanation_shows_on_a_terminal_what_it_does_long_before_it_is_done(
         process.wait()
         os.close(ours)
         os.close(theirs)
+
+
+def test_an_unexpected_failure_is_one_sentence_that_names_the_file_of_its_traceback(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(cli, "app", lambda: 1 / 0)
+    with pytest.raises(SystemExit) as end:
+        cli.run_cli()
+    (said,) = capsys.readouterr().err.splitlines()
+    assert end.value.code == 1
+    assert said.startswith("afdsvc: unexpected failure: ZeroDivisionError: division by zero; a report of it needs ")
+    assert "1 / 0" in Path(said.rsplit(" ", 1)[1]).read_text(encoding="utf-8")
