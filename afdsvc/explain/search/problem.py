@@ -73,10 +73,10 @@ class Problem:
 
     def simulated(self, point: Point, horizon: float) -> list[Simulated]:
         """Return the simulation of every run; the offset is in the outputs."""
-        simulator = Simulator(self.nominal, self.gains[horizon], self.ramped)
-        found = []
+        simulator, found = Simulator(self.nominal, self.gains[horizon], self.ramped), []
+        read = self.closed or bool(self.gains[horizon].any())
         for k, (run, x0) in enumerate(zip(self.runs, point.x0, strict=True)):
-            there = replace(run, Y=run.Y - point.offset, REF=run.REF - point.offset)
+            there = replace(run, Y=run.Y - point.offset, REF=run.REF - point.offset) if read else run
             s = simulator.run(there, point.theta, x0, point.effects, closed=self.closed, begun=point.begun(k))
             found.append(Simulated(s.y + point.offset, s.u, s.x))
         return found
@@ -87,6 +87,8 @@ class Problem:
 
     def _residual(self, run: Run, y: Array) -> Array:
         e = (run.Y - y) / self.scale
+        if np.abs(e).max(initial=0.0) < LOST:  # false where one is not a number
+            return np.asarray(e)
         left = np.isfinite(run.Y) & ~(np.abs(e) < LOST)
         return np.asarray(np.where(left, LOST, np.nan_to_num(e)))
 

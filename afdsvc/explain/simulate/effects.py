@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from types import FunctionType
 from typing import Any
 
 import numpy as np
-from numba import cfunc
+from numba import carray, cfunc, njit  # type: ignore[attr-defined]
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
@@ -88,13 +89,25 @@ def _address(signal: Signal, m: int, n: int, p: int, a: int) -> int:
     return start + signal.index
 
 
+def _called(p: Any, np_: int, z: Any, nz: int, m: Any, nm: int, dt: float, out: Any, nout: int) -> None:
+    """Call a law, a global of this function's copy, on arrays at the addresses given."""
+    law(carray(p, np_), carray(z, nz), carray(m, nm), dt, carray(out, nout))  # type: ignore[name-defined]  # noqa: F821
+
+
 @cache  # its code must outlive every simulation that holds its address
 def compiled(law: Law) -> Any:
-    """Return the law as a compiled callback; raises `BadInput` with the compiler's first complaint when it cannot be."""
+    """Return the law as a compiled callback; raises `BadInput` with the compiler's first complaint when it cannot be.
+
+    The callback bears the name, file and line of the law: numba keeps it until that file changes.
+    """
+    own = law.__code__
+    code = _called.__code__.replace(co_filename=own.co_filename, co_firstlineno=own.co_firstlineno, co_name=own.co_name, co_qualname=own.co_qualname)
+    scope = {"law": njit(error_model="numpy")(law), "carray": carray, "__name__": law.__module__}
+    callback = FunctionType(code, scope)
     try:
-        return cfunc(LAW, cache=True, error_model="numpy")(law)
+        return cfunc(LAW, cache=True, error_model="numpy")(callback)
     except NumbaError as error:
         why = str(error).strip().splitlines()[0]
         raise BadInput(f"law '{law.__qualname__}' does not compile: {why}") from error
     except RuntimeError:  # a function without a file has nowhere to keep its compiled form
-        return cfunc(LAW, error_model="numpy")(law)
+        return cfunc(LAW, error_model="numpy")(callback)

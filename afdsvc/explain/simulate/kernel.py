@@ -14,9 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 from llvmlite import ir
-from numba import carray, njit, types  # type: ignore[attr-defined]
+from numba import njit, types
 from numba.core import cgutils
-from numba.core.types import FunctionType
 from numba.extending import intrinsic
 
 _V, _M = types.float64[::1], types.float64[:, ::1]
@@ -27,7 +26,9 @@ LIMIT = 1e150  # a state beyond it has diverged
 
 NUMBERS = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
 DYNAMICS = types.void(types.float64, NUMBERS, NUMBERS, NUMBERS, NUMBERS)  # t, x, u, p, out
-LAW = types.void(types.float64[::1], types.float64[::1], types.float64[::1], types.float64, types.float64[::1])
+LAW = types.void(  # parameters, signals, memory, time step, what it adds: addresses and lengths
+    NUMBERS, types.intp, NUMBERS, types.intp, NUMBERS, types.intp, types.float64, NUMBERS, types.intp
+)
 MOST_SIGNALS = 16
 READS = 7  # columns of a plan: stage, reads, writes, parameters, memory from, memory to, bent, then addresses
 INPUT, FORCE, OUTPUT, FRICTION = 0, 1, 2, 3
@@ -38,41 +39,27 @@ PASSES = 40  # most evaluations of a friction law in one sub-step
 
 
 @intrinsic
-def _pointer(typingctx, address):  # type: ignore[no-untyped-def]
-    """Return an address as a pointer, so that views of memory can be made without counting references."""
+def _address(typingctx, array):  # type: ignore[no-untyped-def]
+    """Return the address of an array's first number."""
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
+        made = context.make_array(signature.args[0])(context, builder, arguments[0])
+        return builder.ptrtoint(made.data, context.get_value_type(types.intp))
 
-    return types.voidptr(address), build
+    return types.intp(array), build
 
 
 @intrinsic
-def _call_dynamics(typingctx, function, t, x, u, p, out):  # type: ignore[no-untyped-def]
-    """Call a function of signature `DYNAMICS` by its address; the arrays are given by theirs."""
+def _call(typingctx, function, arguments):  # type: ignore[no-untyped-def]
+    """Call compiled code by its address with a tuple of numbers and addresses."""
 
-    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        numbers = ir.DoubleType().as_pointer()
-        kind = ir.FunctionType(ir.VoidType(), [ir.DoubleType(), *[numbers] * 4])
-        target = builder.inttoptr(arguments[0], kind.as_pointer())
-        builder.call(target, [arguments[1], *(builder.inttoptr(a, numbers) for a in arguments[2:])])
+    def build(context, builder, signature, given):  # type: ignore[no-untyped-def]
+        values = cgutils.unpack_tuple(builder, given[1])  # type: ignore[no-untyped-call]
+        kind = ir.FunctionType(ir.VoidType(), [v.type for v in values])
+        builder.call(builder.inttoptr(given[0], kind.as_pointer()), values)
         return context.get_dummy_value()
 
-    return types.void(types.int64, types.float64, *[types.uintp] * 4), build
-
-
-@intrinsic
-def _law(typingctx, address):  # type: ignore[no-untyped-def]
-    """Return the law at an address as a function of signature `LAW`."""
-    kind = FunctionType(LAW)
-
-    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        made = cgutils.create_struct_proxy(kind)(context, builder)  # type: ignore[no-untyped-call]
-        made.c_addr = builder.inttoptr(arguments[0], cgutils.voidptr_t)
-        made.py_addr = made.jit_addr = cgutils.get_null_value(cgutils.voidptr_t)  # type: ignore[no-untyped-call]
-        return made._getvalue()  # noqa: SLF001 - numba has no other way to read a structure
-
-    return kind(types.int64), build
+    return types.void(types.int64, arguments), build
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -81,20 +68,15 @@ def _evaluate(i, laws, plan, par, mem, work, dt):  # type: ignore[no-untyped-def
 
     A bent law is multiplied by ``1 + c1 w + c2 w^2``, ``w`` the size of its first signal over a reference (the last parameters).
     """
-    nwrite = plan[i, 2]
-    z = carray(_pointer(work.ctypes.data), plan[i, 1], np.float64)  # type: ignore[call-arg]
-    out = carray(_pointer(work.ctypes.data + 8 * MOST_SIGNALS), nwrite, np.float64)
-    values = carray(_pointer(par.ctypes.data + 8 * i * par.shape[1]), plan[i, 3], np.float64)
-    memory = carray(_pointer(mem.ctypes.data + 8 * plan[i, 4]), plan[i, 5] - plan[i, 4], np.float64)
-    for k in range(nwrite):
-        out[k] = 0.0
-    first = z[0]
-    law = _law(laws[i])
-    law(values, z, memory, dt, out)
+    first, nwrite, columns = work[0], plan[i, 2], par.shape[1]
+    for k in range(MOST_SIGNALS, MOST_SIGNALS + nwrite):
+        work[k] = 0.0
+    values, memory, z = _address(par) + 8 * i * columns, _address(mem) + 8 * plan[i, 4], _address(work)  # type: ignore[call-arg, var-annotated]
+    _call(laws[i], (values, plan[i, 3], z, plan[i, 1], memory, plan[i, 5] - plan[i, 4], dt, z + 8 * MOST_SIGNALS, nwrite))
     if plan[i, 6]:
-        w = abs(first) / par[i, par.shape[1] - 1]
-        for k in range(nwrite):
-            out[k] *= 1.0 + par[i, par.shape[1] - 3] * w + par[i, par.shape[1] - 2] * w * w
+        w = abs(first) / par[i, columns - 1]
+        for k in range(MOST_SIGNALS, MOST_SIGNALS + nwrite):
+            work[k] *= 1.0 + par[i, columns - 3] * w + par[i, columns - 2] * w * w
 
 
 @njit(cache=True, nogil=True)
@@ -220,9 +202,9 @@ def _between(U, k, w, share, out, middle):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _call(function, t, x, u, values, out):  # type: ignore[no-untyped-def]
+def _python(function, t, x, u, values, out):  # type: ignore[no-untyped-def]
     """Call Python code by its address."""
-    _call_dynamics(function, t, x.ctypes.data, u.ctypes.data, values.ctypes.data, out.ctypes.data)  # type: ignore[call-arg]
+    _call(function, (t, _address(x), _address(u), _address(values), _address(out)))  # type: ignore[call-arg]
 
 
 @njit(types.void(_I, _M, _M, _V, types.float64[:, :, ::1]), cache=True, nogil=True, error_model="numpy")
@@ -236,9 +218,9 @@ def slopes(rate, at, inputs, values, out):  # type: ignore[no-untyped-def]
             for i in range(n):
                 x[i] = at[k, i]
             x[j] = at[k, j] + step
-            _call(rate, 0.0, x, inputs[k], values, ahead)
+            _python(rate, 0.0, x, inputs[k], values, ahead)
             x[j] = at[k, j] - step
-            _call(rate, 0.0, x, inputs[k], values, behind)
+            _python(rate, 0.0, x, inputs[k], values, behind)
             for i in range(n):
                 slope = (ahead[i] - behind[i]) / (2 * step)
                 out[k, i, j] = slope if np.isfinite(slope) else 0.0
@@ -252,7 +234,7 @@ def _runge_kutta(rate, t, h, x, u, values, f, k1, ks, xs, new):  # type: ignore[
         xs[i] = x[i] + h / 2 * (k1[i] + f[i])
     for stage in range(3):
         ahead = h if stage == 2 else h / 2
-        _call(rate, t + ahead, xs, u, values, ks)
+        _python(rate, t + ahead, xs, u, values, ks)
         weight = h / 6 if stage == 2 else h / 3
         ahead = h / 2 if stage == 0 else h
         for i in range(x.size):
@@ -334,7 +316,7 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
         else:
             for j in range(n):
                 xs[j] = x[j]
-            _call(output, s[it], xs, ue, values, y)
+            _python(output, s[it], xs, ue, values, y)
         for j in range(p):
             s[m + n + j] = y[j]
         if observed:
@@ -380,13 +362,13 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
             elif kind == DISCRETE:
                 for i in range(n):
                     xs[i] = x[i]
-                _call(rate, s[it], xs, mean, values, new)
+                _python(rate, s[it], xs, mean, values, new)
                 for i in range(n):
                     s[m + i] = (x[i] + new[i]) / 2
             else:
                 for i in range(n):
                     xs[i] = x[i]
-                _call(rate, s[it], xs, mean, values, k1)
+                _python(rate, s[it], xs, mean, values, k1)
                 for i in range(n):
                     s[m + i] = x[i] + h / 2 * k1[i]
             if forced.size:

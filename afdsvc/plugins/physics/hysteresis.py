@@ -36,12 +36,12 @@ def bouc_wen_turned(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     step = (w - m[1]) / p[1]
     m[1] = w
     pieces = min(int(abs(step) / 0.1) + 1, 40)
-    d = step / pieces
+    d, outwards, back = step / pieces, math.cos(p[3]), math.sin(p[3])
     for _ in range(pieces):
         s = m[0]
         for part in range(1, 3):  # midpoint rule
             full = abs(s) ** p[2]
-            slope = 1.0 - math.cos(p[3]) * full if d * s > 0 else 1.0 + math.sin(p[3]) * full
+            slope = 1.0 - outwards * full if d * s > 0 else 1.0 + back * full
             s = m[0] + d * slope * 0.5 * part
         m[0] = min(max(s, -1e3), 1e3)
     out[0] += p[0] * m[0]
