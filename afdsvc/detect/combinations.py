@@ -10,7 +10,7 @@ suffices, the loss that each other one may have besides is bounded by the profil
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -32,7 +32,8 @@ STEPS = 8  # Gauss-Newton steps of such a fit
 NUDGE = 1e-4  # severity by which derivatives are taken
 SINGULAR = 1e-9  # share of the information of one fault that another must leave for the two to be told apart
 EXCLUDED = 0.5 * 1.959964**2  # log likelihood that a loss must fall short by: bounds hold with 97.5 %
-GRID = 2001  # severities of a second fault that are tried
+GRID, COARSE = 2001, 21  # severities of a second fault that are tried, and on the curves of the lines
+HALVINGS, NEWTON = 8, 3  # steps to the bound between two of them, and to the nearest point
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,20 +159,41 @@ def paired_on_lines(finding: Finding, curves: FaultCurves, data: LineData, reach
 def _besides_on_lines(
     curves: FaultCurves, data: LineData, reach: Mapping[str, tuple[float, float]], single: Combination, seen: Sequence[int],
 ) -> dict[str, float]:
-    """Return the largest losses of other faults besides a single one, their waves exact where the bound lies."""
-    i, at = single.faults[0], float(single.severity[0])
-    name, found = curves.names[i], {}
-    point, covariance = curves.together({name: at})
-    tangent = _tangent(curves, {name: at}, name)
-    for other in (curves.names[j] for j in seen if j != i):
-        low, loss = 0.999 * reach[other][0], -0.1
-        for _ in range(2):
-            chord = (curves.together({name: at, other: max(loss, low)})[0] - point) / max(loss, low)
-            rest, *ways = data.whitened(covariance, data.z - data.R @ point, data.R @ tangent, data.R @ chord)
-            slope = np.stack(ways, axis=1)
-            found[f"besides.{other}"] = largest_second(slope.T @ rest, slope.T @ slope, low, (0.999 * reach[name][0] - at, -at))
-            loss = min(found[f"besides.{other}"], -NUDGE)
-    return found
+    """Return the largest losses of other faults besides a single one, by the profile likelihood on the curves."""
+    at, name = float(single.severity[0]), curves.names[single.faults[0]]
+    covariance, low = curves.together({name: at})[1], 0.999 * reach[name][0]
+
+    def largest(other: str) -> float:
+        return _largest_on_lines(lambda loss, first: _nearest(curves, data, covariance, {name: first, other: loss}, low), at, 0.999 * reach[other][0])
+
+    return {f"besides.{other}": largest(other) for other in (curves.names[j] for j in seen) if other != name}
+
+
+def _largest_on_lines(nearest: Callable[[float, float], tuple[float, float]], at: float, end: float) -> float:
+    """Return the largest loss of ``(0, end)`` that is not excluded; ``nearest(loss, first)`` as `_nearest`, from the first severity near there."""
+    grid, halves, firsts = np.linspace(0.0, end, COARSE).tolist(), [], [at]
+    for loss in grid:
+        half, first = nearest(loss, firsts[-1])
+        halves.append(half)
+        firsts.append(first)
+    k = int(np.flatnonzero(np.array(halves) <= min(halves) + EXCLUDED)[-1])
+    inside, outside, first = grid[k], grid[min(k + 1, COARSE - 1)], firsts[k + 1]
+    for _ in range(HALVINGS):
+        middle = (inside + outside) / 2
+        half, there = nearest(middle, first)
+        inside, outside, first = (middle, outside, there) if half <= min(halves) + EXCLUDED else (inside, middle, first)
+    return float(outside)
+
+
+def _nearest(curves: FaultCurves, data: LineData, covariance: Array, both: Mapping[str, float], low: float) -> tuple[float, float]:
+    """Return half the squared distance to the nearest point where the second of two faults is as stated, and the severity of the first there."""
+    (name, first), (other, loss) = both.items()
+    for _ in range(NEWTON):
+        at = {name: first, other: loss}
+        rest, slope = data.whitened(covariance, data.z - data.R @ curves.together(at)[0], data.R @ _tangent(curves, at, name))
+        first = min(max(first + float(slope @ rest) / max(float(slope @ slope), 1e-300), low), 0.0)
+    (rest,) = data.whitened(covariance, data.z - data.R @ curves.together({name: first, other: loss})[0])
+    return 0.5 * float(rest @ rest), first
 
 
 def _tangent(curves: FaultCurves, at: Mapping[str, float], name: str) -> Array:

@@ -57,9 +57,9 @@ def counted(machine: TrueMachine, bursts: int, seed: int) -> Iterator[Row]:
     """Yield a row for every pair of detectors and severity."""
     problem = problem_of(machine, FalseAlarms(1e-3))
     each = -(-bursts // (len(problem.fault_names) * len(SEVERITIES)))
-    own = noise_driven(problem).passive * SAMPLES
+    in_noise = noise_driven(problem).passive * SAMPLES
     for kinds in PAIRS:
-        passive = own if "regression" in kinds else np.zeros_like(own)
+        passive = in_noise if "regression" in kinds else np.zeros_like(in_noise)
         detectors = [load().get("detectors", kind).design(problem, {}) for kind in kinds]
         for severity in SEVERITIES:
             rows = [
