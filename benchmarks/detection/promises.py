@@ -170,6 +170,19 @@ def uncertain(machine: TrueMachine, rng: np.random.Generator, size: float, sd: f
         yield "alarms, parameters off by their stated 0.5 %", kind, int(count), n, 5e-2
 
 
+def margins(machine: TrueMachine, rng: np.random.Generator, size: float, sd: float = 0.005) -> Iterator[Row]:
+    """Entries of A and B off as in `uncertain`: loops that are lost, and loops that keep less than half of their stability margin."""
+    g, draws = machine, round(4000 * size)
+
+    def margin(A: np.ndarray, B: np.ndarray) -> float:
+        observer = g.A + g.B @ g.F + g.L @ g.C
+        return 1 - float(np.abs(np.linalg.eigvals(np.block([[A, B @ g.F], [-g.L @ g.C, observer]]))).max())
+
+    found = np.array([margin(*(M * (1 + sd * rng.standard_normal(M.shape)) for M in (g.A, g.B))) for _ in range(draws)])
+    for words, bound in (("lost", 0.0), ("with less than half of its stability margin", 0.5 * margin(g.A, g.B))):
+        yield f"loop {words}, parameters off by their stated 0.5 %", "", int(np.sum(found < bound)), draws, np.nan
+
+
 def held(machine: TrueMachine, run: Mapping[str, np.ndarray]) -> bool:
     """Whether the loop has not been lost."""
     return bool(np.isfinite(run["y"]).all() and np.abs(run["y"]).max() < 1e3 * machine.spread()[0].max())
@@ -311,7 +324,7 @@ def judged_table(model: Model, dt: float, run: Mapping[str, np.ndarray], kinds: 
     return diagnose.evidence_of(machine, marked(blocks_of(trace, "table", "table", 0), played), bursts.values(), load()).evidence
 
 
-STUDIES = (given_noise, calibrated_noise, references, uncertain, together, units, recorded)
+STUDIES = (given_noise, calibrated_noise, references, uncertain, together, units, recorded, margins)
 
 
 AT_LEAST, AT_MOST = ("trusted", "refused", "one fault", "two faults"), ("not trusted", "doubts")  # how promises that are bounds begin
