@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import queue
 import threading
 from collections import deque
@@ -223,9 +224,9 @@ class LogSink:
 
 
 def _decision(e: Evidence) -> str:
-    """Return a decision in words, with its statistic and threshold."""
+    """Return a decision in words, with its statistic and threshold where there are any."""
     said = e.reason or "not trustworthy" if not e.trustworthy else f"{e.fault or 'a fault, not isolated'} {size(e.severity)}".rstrip() if e.detected else "no fault"
-    return f"{said} (statistic {e.statistic:.3g}, threshold {e.threshold:.3g})"
+    return f"{said} (statistic {e.statistic:.3g}, threshold {e.threshold:.3g})" if math.isfinite(e.statistic) else said
 
 
 def size(severity: Severity | None) -> str:

@@ -11,7 +11,7 @@ from afdsvc.wire.messages import Alarm, AlarmChange, EventKind, Finding, RigEven
 
 
 def evidence(burst: str, detector: str, **more: object) -> Finding:
-    return Finding(Evidence(detector, "bearing", 0, 1.0, 12.3, 40.0, more.pop("detected", False), burst=burst, **more), "s", 0)
+    return Finding(Evidence(detector, "bearing", 0, 1.0, more.pop("statistic", 12.3), 40.0, more.pop("detected", False), burst=burst, **more), "s", 0)
 
 
 def test_bursts_decisions_alarms_and_people(caplog):
@@ -23,6 +23,7 @@ def test_bursts_decisions_alarms_and_people(caplog):
     sink.take(Message(evidence("b2", "chi_square", detected=True, fault="horizontal_actuator", severity=severity)))
     sink.take(Message(evidence("", "limit_check", detected=True)))  # no burst: alarms tell
     sink.take(Message(evidence("b3", "chi_square", trustworthy=False, reason="the actuator saturated")))
+    sink.take(Message(evidence("b4", "chi_square", trustworthy=False, reason="Q came", statistic=float("nan"))))
     alarm = Alarm("a1", "bearing", "horizontal_actuator", 0, 0, severity=severity)
     sink.take(Message(AlarmChange(alarm, "raised", 0)))
     sink.take(Message(AlarmChange(alarm, "acknowledged", 0, "ann", "on my way")))
@@ -31,6 +32,7 @@ def test_bursts_decisions_alarms_and_people(caplog):
         "bearing: chi_square: no fault (statistic 12.3, threshold 40)",
         "bearing: chi_square: horizontal_actuator -50.0 ± 1.0 % (statistic 12.3, threshold 40)",
         "bearing: chi_square: the actuator saturated (statistic 12.3, threshold 40)",
+        "bearing: chi_square: Q came",
         "bearing: alarm a1 (horizontal_actuator -50.0 ± 1.0 %) raised",
         "bearing: alarm a1 (horizontal_actuator -50.0 ± 1.0 %) acknowledged by ann: on my way",
     ]

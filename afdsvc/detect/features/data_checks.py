@@ -77,7 +77,7 @@ class BurstChecks:
     def complaint(self, samples: int, frozen: int, inputs: Sequence[str], outputs: Sequence[str]) -> str:
         """Return why the burst of ``samples`` samples must not be judged, in one sentence; "" when it may be."""
         if self.gap:
-            return "samples are missing inside the burst"
+            return "samples are missing inside the burst, or Q came or went in it"
         if self.bad:
             return f"{self.bad} samples of the burst are not finite numbers"
         if self.n < samples:

@@ -99,7 +99,7 @@ def spoilt(problem, burst):
         return replace(b, u=u)
 
     return {
-        "samples are missing inside": only_inside(lambda b: replace(b, gap=True)),
+        "samples are missing inside the burst, or Q came or went in it": only_inside(lambda b: replace(b, gap=True)),
         "not finite": only_inside(nan),
         "sensor 'vertical' was constant": only_inside(frozen),
         "actuator 'horizontal' was saturated": only_inside(saturated),
