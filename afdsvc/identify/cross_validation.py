@@ -1,19 +1,18 @@
 """Choice of method, horizon, feedthrough, order and noise model by samples left out of the fit.
 
 The recordings are cut into `FOLDS` stretches. A candidate is fitted without each of them in turn and simulated over it from the recorded
-inputs, initial state and operating point fitted; its loss is the mean squared error relative to the power of the outputs. Where the plant cannot be
+inputs, initial state and operating point fitted; its loss is the mean squared error relative to the power of the outputs, and its level the mean of
+the logarithms of its losses, so that the stretch with most noise does not decide alone. Where the plant cannot be
 simulated in open loop, one-step prediction errors take the place of simulation errors, for every candidate alike. Orders grow from one
 until the loss has not fallen for `PATIENCE` orders, whatever a nominal model says, for PBSIDopt and for the subspace method (CVA). The best
-are refined by output errors and by prediction errors. Chosen is the candidate with the fewest parameters whose loss is within one standard error of the
-smallest, that of the difference or of the smallest loss itself, whichever is less, or no larger than the penalty of the Bayesian information
-criterion for the parameters saved (Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984; Schwarz,
-Annals of Statistics 6, 1978). Where past outputs predict the inputs, feedback may
-be at work, and methods that it does not bias are preferred as long as one of them is within that standard error.
+are refined by output errors and by prediction errors. Chosen is the candidate with the smallest level plus the penalty of the Bayesian information
+criterion for its parameters (Schwarz, Annals of Statistics 6, 1978). Where past outputs predict the inputs, feedback may be at work, and methods
+that it does not bias are preferred as long as one of them is within one standard error of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -144,39 +143,40 @@ class _Folds:
             offset = offset + errors.mean(axis=0)
         return np.asarray(errors - errors.mean(axis=0))
 
+    def level(self, candidate: _Candidate) -> float:
+        """Return the mean over the stretches of the logarithm of the loss."""
+        return float(np.mean(np.log(self.loss(candidate))))
+
+    def criterion(self, candidate: _Candidate) -> float:
+        """Return the level with the penalty of the parameters."""
+        price = np.log(self.samples) / (self.samples * self.shape[1])
+        return self.level(candidate) + candidate.parameters(*self.shape) * float(price)
+
     def grown(self, candidate: _Candidate, largest: int) -> None:
-        """Try orders from 1 until the loss has not fallen for `PATIENCE` orders."""
+        """Try orders from 1 until the level has not fallen for `PATIENCE` orders."""
         best, at = float("inf"), 0
         for order in range(1, largest + 1):
-            loss = float(self.loss(replace(candidate, order=order)).mean())
-            best, at = (loss, order) if loss < best else (best, at)
+            level = self.level(replace(candidate, order=order))
+            best, at = (level, order) if level < best else (best, at)
             if order - at >= PATIENCE and at:
                 return
 
-    def best(self, among: Iterable[_Candidate] | None = None) -> _Candidate:
-        """Return the candidate with the smallest loss; raises `BadInput` where every fit failed."""
-        found = min(among or self.losses, key=lambda c: float(self.losses[c].mean()))
-        if not np.isfinite(self.losses[found].mean()):
+    def best(self, measure: Callable[[_Candidate], float] | None = None) -> _Candidate:
+        """Return the candidate with the smallest level, or other ``measure``; raises `BadInput` where every fit failed."""
+        found = min(self.losses, key=measure or self.level)
+        if not np.isfinite(self.level(found)):
             raise BadInput("no model of any order could be fitted to the recordings and simulated; record longer, or give method and order")
         return found
 
-    def near(self) -> list[_Candidate]:
-        """Return the candidates within one standard error of the best, or within what the parameters that they save may cost (BIC)."""
-        best = self.best()
-        least, saving = self.losses[best], np.log(self.samples) / (self.samples * self.shape[1])
-        widest = float(least.std(ddof=1))  # a candidate that fails on one stretch has a wide difference, and is not near for it
-
-        def close(c: _Candidate, v: Array) -> bool:
-            saved = (best.parameters(*self.shape) - c.parameters(*self.shape)) * saving
-            return bool(float(v.mean() - least.mean()) <= max(min(_spread(v - least), widest) / np.sqrt(FOLDS), saved * float(least.mean())))
-
-        return [c for c, v in self.losses.items() if close(c, v)]
-
-    def smallest(self, feedback: bool) -> _Candidate:
-        """Return the one of `near` with the fewest parameters; with ``feedback``, among those that it biases least."""
-        near = self.near()
-        kept = [c for c in near if c.consistent == max(n.consistent for n in near)] if feedback else near
-        return min(kept, key=lambda c: (c.parameters(*self.shape), float(self.losses[c].mean())))
+    def chosen(self, feedback: bool) -> _Candidate:
+        """Return the candidate with the smallest criterion; with ``feedback``, of those within one standard error of it that it biases least."""
+        found = self.best(self.criterion)
+        if not feedback:
+            return found
+        least = self.losses[found]
+        near = [c for c, v in self.losses.items() if float(v.mean() - least.mean()) <= min(_spread(v - least), _spread(least)) / np.sqrt(FOLDS)]
+        most = max(c.consistent for c in near)
+        return min((c for c in near if c.consistent == most), key=self.criterion)
 
 
 def choose_candidate(
@@ -203,30 +203,30 @@ def choose_candidate(
         samples = sum(map(len, recordings))
         raise BadInput(f"{samples} samples are too few to leave some out in choosing a model of {m} inputs and {p} outputs; record longer, or give order and method")
     _refinements(folds, feedback, closed_loop, True in direct and feedthrough is None)
-    found, best = folds.smallest(feedback), folds.best()
+    found, best = folds.chosen(feedback), folds.best()
     loss, least = (float(folds.losses[c].mean()) for c in (found, best))
     sentence = (
         f"order {found.order} by {found.sentence}: {100 * loss:.3g} % of the outputs' power is missed by "
-        f"{'simulations' if simulated else 'one-step predictions'} of {FOLDS} stretches left out in turn; the smallest loss of {len(folds.losses)} candidates is "
-        f"{100 * least:.3g} % (order {best.order} by {best.sentence}), and this one has the fewest parameters that the data do not tell from it"
+        f"{'simulations' if simulated else 'one-step predictions'} of {FOLDS} stretches left out in turn; that of the best of {len(folds.losses)} candidates is "
+        f"{100 * least:.3g} % (order {best.order} by {best.sentence}), and this one is the best for its number of parameters"
         f"{', methods without bias by feedback preferred' if feedback or closed_loop else ''}"
     )
-    others = sorted((c for c in folds.losses if c != found), key=lambda c: float(folds.losses[c].mean()))
+    others = sorted((c for c in folds.losses if c != found), key=folds.criterion)
     return Choice(found, loss, sentence, tuple(others))
 
 
 def _refinements(folds: _Folds, feedback: bool, closed_loop: bool, either: bool) -> None:
-    """Refine the candidate chosen so far and the best, without feedthrough too where ``either`` is allowed, and at lower orders."""
-    for chosen in dict.fromkeys((folds.smallest(feedback), folds.best())):
+    """Refine the candidate chosen so far and the best, without feedthrough too where ``either`` is allowed, and at orders near it."""
+    for chosen in dict.fromkeys((folds.chosen(feedback), folds.best())):
         for refined in ("pem",) if closed_loop else ("output_error", "pem"):
             folds.loss(replace(chosen, refined=refined))
-    for chosen in (folds.smallest(feedback), folds.best()) if either else ():
+    for chosen in (folds.chosen(feedback), folds.best()) if either else ():
         folds.loss(replace(chosen, feedthrough=False))
     order, refined = 0, "pem" if feedback or closed_loop else "output_error"
-    while (chosen := folds.smallest(feedback)).order != order:  # a refined model may need a state, or a mode, less than the start did
+    while (chosen := folds.chosen(feedback)).order != order:  # a refined model may need a state, or a mode, less or more than the start did
         order = chosen.order
-        for fewer in (n for n in (order - 1, order - 2) if n > 0):
-            folds.loss(replace(chosen, order=fewer, refined=refined))
+        for near in (n for n in range(order - 2, order + 3) if n > 0):
+            folds.loss(replace(chosen, order=near, refined=refined))
 
 
 def _families(horizons: Sequence[int], direct: Sequence[bool], closed_loop: bool, doubled: bool) -> list[_Candidate]:

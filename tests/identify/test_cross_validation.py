@@ -34,6 +34,27 @@ def test_order_and_feedthrough_are_found(D):
     omega = np.linspace(0.05, 3, 40)
     truth = frequency_response(_resonator(D), omega)
     assert np.abs(frequency_response(found, omega) - truth).max() < 0.02 * np.abs(truth).max()
+    assert {c.order for c in choice.others if c.refined} >= {1, 3, 4}  # refined models of fewer states and of more were tried
+
+
+@pytest.mark.parametrize("D", [0.0, 2.0])
+def test_methods_that_feedback_does_not_bias_are_preferred_at_the_right_order(D):
+    found = [choose_candidate(_recorded(_resonator(D), seed=seed), 12, feedback=True).candidate for seed in range(4)]
+    assert [c.order for c in found] == [2] * 4
+    assert {c.consistent for c in found} == {1 if D else 2}
+
+
+def test_a_stretch_with_much_noise_does_not_decide_the_order_alone():
+    """A weak mode beside a strong one, noise five times as large in the first third: the weak mode is found all the same."""
+    weak, orders = StateSpace.of([[-0.6, -0.72], [1.0, 0.0]], [[1.0], [0.0]], [[0.12, 0.084]], [[0.0]], dt=1.0), []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        u = rng.standard_normal((3000, 1))
+        y = simulate(_resonator(), u)[0] + simulate(weak, u)[0]
+        loud = np.where(np.arange(3000) < 1000, 5.0, 1.0)[:, None]
+        record = InputOutputData.of(u, y + 0.2 * y.std() * loud * rng.standard_normal(y.shape), 1.0)
+        orders.append(choose_candidate([record], 12).candidate.order)
+    assert set(orders) <= {4, 5}
 
 
 def test_the_order_is_not_bounded_by_a_nominal_model(oscillators):
