@@ -285,9 +285,9 @@ class Hub:
             self.retunings[watch.machine].propose(self.standing(watch.machine))
 
     def standing(self, machine: str) -> FaultVerdict:
-        """Return the verdict on a machine while the alarm of the fault that it names is active, else an empty one."""
+        """Return the verdict on a machine while its alarm, of the fault that it names or of none, is active, else an empty one."""
         verdict = self.watches[machine].verdict()
-        alarm = self.alarms.alarms.get(f"{machine}/{verdict.fault}")
+        alarm = self.alarms.alarms.get(f"{machine}/{verdict.fault or UNNAMED}")
         return verdict if alarm and alarm.active else FaultVerdict()
 
     def _pass_on(self, change: AlarmChange) -> None:

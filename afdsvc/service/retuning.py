@@ -80,7 +80,7 @@ class Retuning:
         if self.acting:
             raise Refused(f"{self.sentence}; restore the machine first")
         if stated is None and (verdict.fault is None or verdict.severity is None):
-            raise Refused("no fault has been named with its severity, so there is nothing to design Q for; '--fault' states one")
+            raise Refused(f"no fault has been named with its severity{_left_open(verdict)}, so there is nothing to design Q for; '--fault' states one")
         problem = of.pipeline.problem
         found = stated or _interval(verdict, problem)
         tuning, proof, sheet = self.design(problem, found)
@@ -146,6 +146,11 @@ def _interval(verdict: FaultVerdict, problem: DetectionProblem) -> Diagnosed:
         raise AfdsvcError("the verdict names no fault with its severity")
     value, wide, (low, high) = verdict.severity.value, DEVIATIONS * verdict.severity.sd, problem.severity_range
     return Diagnosed(verdict.fault, max(value - wide, low), min(value + wide, high))
+
+
+def _left_open(verdict: FaultVerdict) -> str:
+    likely = sorted(((w, name) for name, w in verdict.weights.items() if w > 0.01), reverse=True)
+    return f" (the newest decision: {', '.join(f'{name} {100 * w:.0f} %' for w, name in likely)})" if likely else ""
 
 
 def _said(found: Diagnosed) -> str:
