@@ -99,7 +99,7 @@ def _apply(stage, laws, plan, par, mem, s, work, dt, target, base):  # type: ign
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _friction(laws, plan, par, mem, s, work, dt, base, x, new, gxt, first, last):  # type: ignore[no-untyped-def]  # noqa: C901
+def _friction(laws, plan, par, mem, s, work, dt, base, x, new, gx, first, last):  # type: ignore[no-untyped-def]  # noqa: C901
     """Add friction to ``new``, the states at the end of the sub-step without it.
 
     The force ``f = law(x + 0.75 (x+ - x))`` acts over the sub-step and depends on the state ``x+`` it leads to. It is ``r`` times
@@ -121,7 +121,7 @@ def _friction(laws, plan, par, mem, s, work, dt, base, x, new, gxt, first, last)
                 if 0 <= j < x.size:
                     end = new[j]
                     for q in range(plan[i, 2]):
-                        end += r * first[q] * gxt[plan[i, READS + MOST_SIGNALS + q], j]
+                        end += r * first[q] * gx[j, plan[i, READS + MOST_SIGNALS + q]]
                     work[k] = x[j] + IMPLICIT * (end - x[j])
             _evaluate(i, laws, plan, par, mem, work, SHARP * dt)
             if turn == 0:
@@ -156,27 +156,26 @@ def _friction(laws, plan, par, mem, s, work, dt, base, x, new, gxt, first, last)
         last[i] = r * first[0]
         for q in range(plan[i, 2]):
             for j in range(x.size):
-                new[j] += r * first[q] * gxt[plan[i, READS + MOST_SIGNALS + q], j]
+                new[j] += r * first[q] * gx[j, plan[i, READS + MOST_SIGNALS + q]]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _affine(At, x, Bt, u, out):  # type: ignore[no-untyped-def]
-    """Write ``A x + B u`` into ``out``; matrices transposed, so the inner loops run along memory."""
-    out[:] = 0.0
-    for j in range(x.size):
-        xj = x[j]
-        for i in range(out.size):
-            out[i] += At[j, i] * xj
-    for j in range(u.size):
-        uj = u[j]
-        for i in range(out.size):
-            out[i] += Bt[j, i] * uj
+@njit(cache=True, nogil=True, error_model="numpy")
+def _affine(A, x, B, u, out):  # type: ignore[no-untyped-def]
+    """Write ``A x + B u`` into ``out``."""
+    for i in range(out.size):
+        a = 0.0
+        for j in range(x.size):
+            a += A[i, j] * x[j]
+        for j in range(u.size):
+            a += B[i, j] * u[j]
+        out[i] = a
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _middle(phih, x, gamh, ue, rows, base, s):  # type: ignore[no-untyped-def]
     """Predict the states ``rows`` half a step ahead, into the signals."""
-    for i in rows:
+    for k in range(rows.size):
+        i = rows[k]
         a = 0.0
         for j in range(x.size):
             a += phih[i, j] * x[j]
@@ -185,7 +184,7 @@ def _middle(phih, x, gamh, ue, rows, base, s):  # type: ignore[no-untyped-def]
         s[base + i] = a
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _between(U, k, w, share, out, middle):  # type: ignore[no-untyped-def]
     """Write the cubic through four samples around ``k`` from ``w`` of the way to sample k + 1 on: its coefficients in shares of the
     interval, constant first, and its value half a share later."""
@@ -278,8 +277,6 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
     s, work, first = np.zeros(m + n + p + na + 1), np.zeros(2 * MOST_SIGNALS), np.zeros(MOST_SIGNALS)
     last = np.zeros(plan.shape[0])
     it = m + n + p + na
-    phit, gamt, gxt, ct, dtr, kt = phi.T.copy(), gam.T.copy(), gx.T.copy(), C.T.copy(), D.T.copy(), Kp.T.copy()
-    KAt, KBt, KCt, KDt = KA.T.copy(), KB.T.copy(), KC.T.copy(), KD.T.copy()
     corrected = 0 if closed or not np.any(Kp) else p
     shaped, observed, rubbed = False, False, False
     for i in range(plan.shape[0]):
@@ -312,7 +309,7 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
             if shaped:
                 _apply(INPUT, laws, plan, par, mem, s, work, h, ue, 0)
         if kind == LINEAR:
-            _affine(ct, x, dtr, ue, y)
+            _affine(C, x, D, ue, y)
         else:
             for j in range(n):
                 xs[j] = x[j]
@@ -326,8 +323,8 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
         if closed:
             for j in range(p):
                 e[j] = y[j] - R[k, j]
-            _affine(KCt, xk, KDt, e, u)
-            _affine(KAt, xk, KBt, e, knew)
+            _affine(KC, xk, KD, e, u)
+            _affine(KA, xk, KB, e, knew)
             xk[:] = knew
         if not ramped and (closed or not direct):
             for j in range(m):
@@ -354,10 +351,10 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
                     mean[j] = u[j]
                     s[j] = u[j]
                 _apply(INPUT, laws, plan, par, mem, s, work, h, mean, 0)
-            for j in forced:
-                f[j] = 0.0
+            for j in range(forced.size):
+                f[forced[j]] = 0.0
             if kind == LINEAR:
-                _affine(phit, x, gamt, drive, new)
+                _affine(phi, x, gam, drive, new)
                 _middle(phih, x, gamh, drive, middle, m, s)
             elif kind == DISCRETE:
                 for i in range(n):
@@ -376,11 +373,11 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
             if kind == CONTINUOUS:
                 _runge_kutta(rate, s[it], h, x, mean, values, f, k1, ks, xs, new)
             else:
-                for j in forced:
+                for j in range(forced.size):
                     for i in range(n):
-                        new[i] += gxt[j, i] * f[j]
+                        new[i] += gx[i, forced[j]] * f[forced[j]]
             if rubbed:
-                _friction(laws, plan, par, mem, s, work, h, m, x, new, gxt, first, last)
+                _friction(laws, plan, par, mem, s, work, h, m, x, new, gx, first, last)
             for j in range(n):
                 x[j] = new[j]
             s[it] += h
@@ -391,7 +388,7 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
                 d = Y[k, j] - y[j]
                 if np.isfinite(d):
                     for i in range(n):
-                        x[i] += kt[j, i] * d
+                        x[i] += Kp[i, j] * d
         for i in range(n):
             if not (-LIMIT < x[i] < LIMIT):
                 yhat[k:, :] = np.nan
