@@ -216,17 +216,17 @@ def choose_candidate(
 
 
 def _refinements(folds: _Folds, feedback: bool, closed_loop: bool, either: bool) -> None:
-    """Refine the candidate chosen so far and the best, without feedthrough too where ``either`` is allowed, and at orders near it."""
+    """Refine the candidate chosen so far and the best, without feedthrough too where ``either`` is allowed, and at lower orders."""
     for chosen in dict.fromkeys((folds.chosen(feedback), folds.best())):
         for refined in ("pem",) if closed_loop else ("output_error", "pem"):
             folds.loss(replace(chosen, refined=refined))
     for chosen in (folds.chosen(feedback), folds.best()) if either else ():
         folds.loss(replace(chosen, feedthrough=False))
     order, refined = 0, "pem" if feedback or closed_loop else "output_error"
-    while (chosen := folds.chosen(feedback)).order != order:  # a refined model may need a state, or a mode, less or more than the start did
+    while (chosen := folds.chosen(feedback)).order != order:  # a refined model may need a state, or a mode, less than the start did
         order = chosen.order
-        for near in (n for n in range(order - 2, order + 3) if n > 0):
-            folds.loss(replace(chosen, order=near, refined=refined))
+        for fewer in (n for n in (order - 1, order - 2) if n > 0):
+            folds.loss(replace(chosen, order=fewer, refined=refined))
 
 
 def _families(horizons: Sequence[int], direct: Sequence[bool], closed_loop: bool, doubled: bool) -> list[_Candidate]:
