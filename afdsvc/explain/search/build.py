@@ -18,6 +18,8 @@ from afdsvc.lti.statespace import Array
 STRONG = 0.3  # predictor of the trajectories that scales are taken from
 WINDOW = 0.02  # of a run, from which its initial state is guessed, and the least number of samples
 LEAST_WINDOW = 20
+STEPS = 5  # towards the initial state, and the shares of each that are tried
+SHARES = (1.0, 0.3, 0.1, 0.03)
 
 
 def build(nominal: Nominal, runs: Sequence[Run], settings: Settings, heldout: Sequence[Run] = ()) -> Problem:
@@ -73,9 +75,11 @@ def _follows_in_loop(problem: Problem) -> bool:
 
 
 def initial(problem: Problem, k: int) -> Array:
-    """Return the initial state of run ``k`` that fits its first samples, held to the size of the states by a weak prior."""
-    run = problem.runs[k]
-    n = problem.nominal.plant.order
+    """Return the initial state of run ``k`` that fits its first samples, held to the size of the states by a weak prior.
+
+    Damped Gauss-Newton, from zero or from the smallest state with the first reading, whichever fits better.
+    """
+    run, n, unit = problem.runs[k], problem.nominal.plant.order, problem.state_scale
     part = run.span(0, min(len(run), max(LEAST_WINDOW, 3 * n, int(WINDOW * len(run)))))
     alone = problem.of([part], [np.zeros(n)])
 
@@ -83,14 +87,20 @@ def initial(problem: Problem, k: int) -> Array:
         point = Point(np.zeros(len(problem.nominal.entries)), (x0,), np.zeros(len(problem.scale)))
         return alone.residuals(point, 0.0)[0].ravel()
 
-    x, unit = np.zeros(n), problem.state_scale
-    for _ in range(3):
+    def misfit(x0: Array) -> float:
+        return float(np.linalg.norm(residual(x0)))
+
+    if not n:
+        return np.zeros(0)
+    x = min(np.zeros(n), unit * (np.linalg.pinv(problem.nominal.plant.C * unit) @ np.nan_to_num(run.Y[0])), key=misfit)
+    for _ in range(STEPS):
         e = residual(x)
-        J = np.column_stack([(residual(x + 1e-3 * unit * row) - e) / 1e-3 for row in np.eye(n)]) if n else np.zeros((len(e), 0))
+        J = np.column_stack([(residual(x + 1e-3 * unit * row) - e) / 1e-3 for row in np.eye(n)])
         J[~np.isfinite(J)] = 0.0
-        ridge = 1e-4 * len(e) / max(n, 1) * np.eye(n)
-        step = np.linalg.solve(J.T @ J + ridge, -J.T @ e - ridge @ (x / unit)) if n else x
-        if np.linalg.norm(residual(x + unit * step)) > np.linalg.norm(e):
+        ridge = 1e-4 * len(e) / n * np.eye(n)
+        step = unit * np.linalg.solve(J.T @ J + ridge, -J.T @ e - ridge @ (x / unit))
+        share = next((s for s in SHARES if misfit(x + s * step) <= np.linalg.norm(e)), 0.0)
+        if not share:
             break
-        x = x + unit * step
+        x = x + share * step
     return x

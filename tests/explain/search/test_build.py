@@ -1,15 +1,21 @@
 """How a plant that falls over by itself is simulated: in its loop where that can be closed, else corrected by the recordings."""
 
 import importlib.util
+import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
+from afdsvc.api.model import Model, Quantity, Variable
+from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.search.build import build
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.explain.verdict.holdout import on
 
 _spec = importlib.util.spec_from_file_location("odd_machines", Path(__file__).parents[1] / "test_odd_machines.py")
 odd = importlib.util.module_from_spec(_spec)
@@ -23,3 +29,31 @@ def test_the_loop_is_closed_where_all_recordings_allow_it(known, open_heldout, c
     problem = build(nominal(model, odd.DT), [fitted], Settings(), [replace(held, W=None) if open_heldout else held])
     assert problem.closed == closed
     assert problem.settings.horizons == ((0.0,) if closed else Settings().horizons)
+
+
+STEP = 1 / 150
+
+
+class Pendulum:
+    """A pendulum that swings by any angle."""
+
+    def f(self, t, x, u, p):
+        return [x[1], -p["stiffness"] * math.sin(x[0])]
+
+    def h(self, t, x, u, p):
+        return [x[0]]
+
+
+def swing(angle: float, rate: float) -> Trace:
+    """Return 40 s of a pendulum let go, by another integrator than the product's."""
+    found = solve_ivp(lambda t, x: [x[1], -23.0 * np.sin(x[0])], (0, 40), [angle, rate], t_eval=np.arange(6000) * STEP, rtol=1e-9, atol=1e-9)
+    return Trace("swing", STEP, (Channel("y_angle", "rad"),), found.y[:1].T)
+
+
+@pytest.mark.parametrize(("angle", "rate"), [(-2.8, 1.5), (2.5, 2.0), (0.3, -2.0), (3.1, 0.2)])
+def test_the_initial_state_is_found_far_from_what_was_fitted(angle, rate):
+    states = (Variable("q", "rad"), Variable("w", "rad/s", rate_of="q"))
+    model = Model("pendulum", (), (Variable("angle", "rad"),), states, plant=None, dynamics=Pendulum(), parameters={"stiffness": Quantity(23.0, "1/s^2", 0.1)})
+    fitted, held = prepare(model, [swing(0.1, 0.0), swing(angle, rate)])
+    found = on(build(nominal(model, STEP), [fitted], Settings()), [held]).x0[0]
+    assert found == pytest.approx([angle, rate], abs=0.1)
