@@ -9,6 +9,7 @@ Source: C. Gourieroux, A. Monfort, E. Renault, "Indirect inference", Journal of 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.features.regressors import Regressors, noise_sources, regressors
 from afdsvc.detect.stability_range import reachable
 from afdsvc.lti.frequency import frequency_response
-from afdsvc.lti.lft import star
+from afdsvc.lti.lft import AugmentedPlant, star
 from afdsvc.lti.lyapunov import discrete_lyapunov
 from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
 
@@ -68,7 +69,7 @@ class BindingFunction:
         return int(noise_sources(self.problem)[0].shape[1])
 
     def _loop(self, severity: float) -> StateSpace:
-        return _loop(self.problem, regressors(self.problem), self.fault, severity)
+        return _loop(self.problem, self.fault, self.problem.augmented, {self.fault: severity})
 
     def _waves(self, loop: StateSpace) -> list[tuple[ComplexArray, ComplexArray]]:
         """Return for every line the wave of ``[e, psi]`` and its responses to the noise there."""
@@ -78,9 +79,7 @@ class BindingFunction:
 
     def _second(self, loop: StateSpace) -> Array:
         """Return the mean of ``[e, psi] [e, psi]'``."""
-        noise, rows = slice(0, self._sources), slice(0, 2 * self.problem.plant.outputs)
-        P = discrete_lyapunov(loop.A, loop.B[:, noise] @ loop.B[:, noise].T)
-        second = loop.C[rows] @ P @ loop.C[rows].T + loop.D[rows, noise] @ loop.D[rows, noise].T
+        second = _of_noise(self.problem, loop)
         played = 0.5 * float(np.mean(self.burst.envelope() ** 2))
         return np.asarray(second + sum(played * np.outer(wave, wave.conj()).real for wave, _ in self._waves(loop)))
 
@@ -100,13 +99,30 @@ class BindingFunction:
         return None
 
 
-def _loop(problem: DetectionProblem, f: Regressors, fault: str, severity: float) -> StateSpace:
-    """Return the loop with the fault from ``[unit white noise, alpha]`` to ``[normalised e, normalised psi, ..]``."""
-    s, k, (Bn, Dn) = problem.augmented.system, problem.augmented.channels, noise_sources(problem)
+def products_of_noise(problem: DetectionProblem, fault: str, augmented: AugmentedPlant, severities: Mapping[str, float]) -> tuple[float, float] | None:
+    """Return the means of ``psi'e`` and ``psi'psi`` per sample, psi of one fault, in the loop that noise alone drives, its plant that of
+    ``augmented`` with these severities; None where the loop is lost."""
+    p, loop = problem.plant.outputs, _loop(problem, fault, augmented, severities)
+    if not loop.is_stable():
+        return None
+    second = _of_noise(problem, loop)
+    return float(np.trace(second[p:, :p])), float(np.trace(second[p:, p:]))
+
+
+def _of_noise(problem: DetectionProblem, loop: StateSpace) -> Array:
+    """Return the mean of ``[e, psi] [e, psi]'`` without a burst."""
+    noise, rows = slice(0, len(noise_sources(problem)[0].T)), slice(0, 2 * problem.plant.outputs)
+    P = discrete_lyapunov(loop.A, loop.B[:, noise] @ loop.B[:, noise].T)
+    return np.asarray(loop.C[rows] @ P @ loop.C[rows].T + loop.D[rows, noise] @ loop.D[rows, noise].T)
+
+
+def _loop(problem: DetectionProblem, fault: str, augmented: AugmentedPlant, severities: Mapping[str, float]) -> StateSpace:
+    """Return the loop with these severities from ``[unit white noise, alpha]`` to ``[normalised e, normalised psi, ..]``."""
+    s, k, (Bn, Dn), f = augmented.system, augmented.channels, noise_sources(problem), regressors(problem)
     (p, q), m = Dn.shape, problem.plant.inputs
     B = np.hstack([s.B[:, :k], Bn, s.B[:, k:]])
     D = np.hstack([s.D[:, :k], np.vstack([np.zeros((k, q)), Dn]), s.D[:, k:]])
-    g = replace(problem.augmented, system=StateSpace(s.A, B, s.C, D, s.dt)).close({fault: severity})
+    g = replace(augmented, system=StateSpace(s.A, B, s.C, D, s.dt)).close(severities)
     h, (out_y, out_u) = _filter(f, f.names.index(fault))
     u = np.hstack([np.zeros((m, q)), np.eye(m)])
     A = np.block([[g.A, np.zeros((g.order, h.order))], [h.B[:, :p] @ g.C, h.A]])

@@ -23,15 +23,18 @@ from afdsvc.detect.features.front_end import filtered
 from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
 from afdsvc.detect.features.shared_filter import Filters, shared_regressors
 from afdsvc.detect.features.whiteness_gate import NOTHING, PARTS, Gate, GateState, Judgement, Recent
+from afdsvc.detect.statistics.binding_function import products_of_noise
 from afdsvc.detect.statistics.cusum import Cusum, CusumState, DeflectionBoundary, cusum
 from afdsvc.detect.thresholds import average_run_length
-from afdsvc.detect.thresholds.cusum_boundary import rate_boundary
+from afdsvc.detect.thresholds.cusum_boundary import Models, rate_boundary
 from afdsvc.detect.thresholds.joint_false_alarm_rate import joint_rate
 from afdsvc.detect.thresholds.regressor_information import NoiseDriven, excursion_steps, faulty_information, noise_driven
+from afdsvc.detect.uncertain_parameters import uncertain_parameters
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 
 BLOCK = 1e-3  # seconds between looks at the CUSUMs
+HERMITE = 15  # models averaged over in one direction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,11 +233,27 @@ def _boundary(
     """Return the boundary of CUSUMs that look at blocks of samples and alarm as often as promised."""
     per_block = problem.false_alarms.per_hour * problem.plant.dt / 3600 * block
     mu = np.abs(theta) * np.sqrt(block * noise.passive[which])
-    wrong = noise.gram[: filters.faults, filters.faults :][which] * filters.sd[None, :]
-    bias = block * np.abs(theta) * np.linalg.norm(wrong, axis=1)
-    step = excursion_steps(noise, which, theta, block)
-    joint = joint_rate(noise, which, theta, block)
-    return rate_boundary(correlation(noise)[np.ix_(which, which)], mu, bias, step, per_block, joint)
+    step, joint, models = excursion_steps(noise, which, theta, block), joint_rate(noise, which, theta, block), _models(problem, noise, which, theta, block)
+    return rate_boundary(correlation(noise)[np.ix_(which, which)], mu, step, per_block, joint, models)
+
+
+def _models(problem: DetectionProblem, noise: NoiseDriven, which: NDArray[np.intp], theta: Array, block: int) -> Models | None:
+    """Return the models that the uncertain parameters allow, those of each CUSUM along the direction that shifts its mean most; loops that are
+    lost are left out. None for a model that is certain."""
+    sd = uncertain_parameters(problem)
+    if not sd or problem.uncertain is None:
+        return None
+    faults = len(problem.fault_names)
+    (z, weight), found = np.polynomial.hermite_e.hermegauss(HERMITE), np.zeros((3, len(which), HERMITE))
+    for k, i in enumerate(which):
+        shift = noise.gram[i, faults:] * list(sd.values())
+        way = shift * list(sd.values()) / max(float(np.linalg.norm(shift)), 1e-300)
+        for q in range(HERMITE):
+            at = dict(zip(sd, (z[q] * way).tolist(), strict=True))
+            mean = products_of_noise(problem, problem.fault_names[i], problem.uncertain, at)
+            score, information = mean or (0.0, float(noise.passive[i]))
+            found[:, k, q] = abs(theta[k]) * math.sqrt(block * information), theta[k] * block * score, weight[q] if mean else 0.0
+    return Models(found[0], found[1], found[2] / found[2].sum(axis=1, keepdims=True))
 
 
 def correlation(noise: NoiseDriven) -> Array:

@@ -17,9 +17,17 @@ from afdsvc.detect.thresholds import average_run_length, maximum
 from afdsvc.detect.thresholds.joint_false_alarm_rate import JointRate
 from afdsvc.lti.statespace import Array
 
-HERMITE = 15  # models averaged over in one direction
 LOWEST = 0.05  # boundary
 AROUND = np.linspace(-0.8, 0.8, 9)  # boundaries simulated, about the one looked for
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Models:
+    """Models that may be true, Q for each of K CUSUMs, arrays ``(K, Q)``: deflection per look, bias of the mean increment, weight."""
+
+    mu: Array
+    bias: Array
+    weight: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,21 +46,21 @@ class Step:
 
 
 def rate_boundary(
-    correlation: Array, mu: Array, bias: Array, step: Array, per_look: float, joint: JointRate | None = None
+    correlation: Array, mu: Array, step: Array, per_look: float, joint: JointRate | None = None, models: Models | None = None
 ) -> float:
     """Return the boundary at which K CUSUMs that run always alarm ``per_look`` times per look in all.
 
-    ``mu (K,)`` is the deflection per look of each, ``correlation (K, K)`` that of their log-likelihood ratios, ``bias (K,)``
-    the standard deviation of their mean increments over uncertain models, ``step (K,)`` as in `arl.run_length`. ``joint``
-    simulates all of them or some, without bias: what it finds relative to the formula for the same CUSUMs corrects the sum.
+    ``mu (K,)`` is the deflection per look of each, ``correlation (K, K)`` that of their log-likelihood ratios, ``step (K,)`` as in
+    `arl.run_length`; ``models`` are averaged over. ``joint`` simulates all of them or some, in the nominal model: what it finds relative
+    to the formula for the same CUSUMs corrects the sum.
     """
     height = math.sqrt(2 * math.log(1 / per_look))
-    steps = _steps(mu, bias, step, maximum.shares(_unit_vectors(correlation), height))
+    steps = _steps(mu, step, maximum.shares(_unit_vectors(correlation), height), models)
     found = _solved(steps, per_look, len(mu))
     if joint is None or found <= LOWEST:
         return found
     own = joint.which
-    same = _steps(mu[own], 0 * bias[own], step[own], maximum.shares(_unit_vectors(correlation[np.ix_(own, own)]), height))
+    same = _steps(mu[own], step[own], maximum.shares(_unit_vectors(correlation[np.ix_(own, own)]), height))
     for _ in range(3):  # again about the boundary found, until that is one of those simulated
         grid = np.maximum(found + AROUND, LOWEST + 0.01 * np.arange(len(AROUND)))
         simulated = joint.per_look(grid, per_look)
@@ -84,15 +92,16 @@ def _solved(steps: list[Step], per_look: float, K: int, grid: Array | None = Non
     return float(brentq(excess, low, high, xtol=1e-4))
 
 
-def _steps(mu: Array, bias: Array, step: Array, share: Array) -> list[Step]:
-    """Return the distinct steps, to a per cent, and the shares that go with each; a normal bias by quadrature."""
-    rounded = np.round(np.log(np.column_stack([mu, step])), 2)
-    kinds, which = np.unique(np.column_stack([rounded, bias]), axis=0, return_inverse=True)
-    weight = np.bincount(which.ravel(), weights=share)
-    z, w = np.polynomial.hermite_e.hermegauss(HERMITE) if bias.any() else (np.zeros(1), np.ones(1))
-    nodes = list(zip(z.tolist(), (w / w.sum()).tolist(), strict=True))
-    kind = [(math.exp(m), d, math.exp(v), s) for (m, v, d), s in zip(kinds.tolist(), weight.tolist(), strict=True)]
-    return [Step(m, d * zq, v, s * wq) for m, d, v, s in kind for zq, wq in nodes]
+def _steps(mu: Array, step: Array, share: Array, models: Models | None = None) -> list[Step]:
+    """Return the distinct steps, to a per cent, and the shares that go with each."""
+    m = models or Models(mu[:, None], np.zeros((len(mu), 1)), np.ones((len(mu), 1)))
+    rounded = np.round(np.log(np.column_stack([m.mu, step])), 2)
+    kinds, which = np.unique(np.column_stack([rounded, m.bias, m.weight]), axis=0, return_inverse=True)
+    shares, Q, steps = np.bincount(which.ravel(), weights=share).tolist(), m.mu.shape[1], list[Step]()
+    for kind, share_of_kind in zip(kinds.tolist(), shares, strict=True):
+        each = zip(kind[:Q], kind[Q + 1 : 2 * Q + 1], kind[2 * Q + 1 :], strict=True)
+        steps += [Step(math.exp(log_mu), bias, math.exp(kind[Q]), share_of_kind * weight) for log_mu, bias, weight in each if weight > 0]
+    return steps
 
 
 def _unit_vectors(gram: Array) -> Array:

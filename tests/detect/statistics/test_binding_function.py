@@ -6,7 +6,8 @@ import pytest
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import FalseAlarms
 from afdsvc.detect.features.regressors import regressors
-from afdsvc.detect.statistics.binding_function import BindingFunction
+from afdsvc.detect.statistics.binding_function import BindingFunction, products_of_noise
+from afdsvc.detect.uncertain_parameters import uncertain_entries
 from afdsvc.lti.simulate import simulate
 from afdsvc.plugins.manager import load
 from benchmarks.detection.judged import judged
@@ -33,6 +34,22 @@ def test_the_mean_of_a_long_regression(name, fault, severity):
     e, psi = series[:, 0], series[:, 1 + i]
     found, sd = np.sum(psi * e) / np.sum(psi**2), np.sum(psi**2) ** -0.5
     assert BindingFunction(problem, fault, burst)(severity) == pytest.approx(found, abs=5 * sd)
+
+
+@pytest.mark.parametrize("fault", ["a0", "s0"])
+def test_the_mean_of_a_long_regression_on_noise_where_the_plant_is_another(fault):
+    machine, problem, rng = MACHINES["unstable"], problem_of(MACHINES["unstable"]), np.random.default_rng(2)
+    pulled = uncertain_entries(problem.plant, {"A": 0.004 * np.abs(machine.A)}, machine.dt)
+    run = machine.run(rng, np.zeros((200_000, machine.shape[1])), plant=(machine.A + 0.004 * np.abs(machine.A), machine.B))
+    filters, i = regressors(problem), problem.fault_names.index(fault)
+    r, _ = simulate(problem.innovations, np.hstack([run["y"], run["u"]]))
+    series = filters.step(filters.start(), r, run["y"], run["u"])[1]
+    e, psi = series[:, 0], series[:, 1 + i]
+    score, information = products_of_noise(problem, fault, pulled, dict.fromkeys(pulled.fault_names, 1.0))
+    sd = np.sum(psi**2) ** -0.5
+    assert information == pytest.approx(np.sum(psi**2) / len(psi), rel=0.05)
+    assert abs(score / information) > 10 * sd
+    assert score / information == pytest.approx(np.sum(psi * e) / np.sum(psi**2), abs=5 * sd)
 
 
 @pytest.mark.parametrize(("name", "fault", "severity"), CASES)
