@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from afdsvc.api.evidence import p_value_text
 from afdsvc.api.model import Model
 from afdsvc.api.physics import Hypothesis, Physics
 from afdsvc.api.signals import Trace
@@ -29,8 +30,8 @@ from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import mechanism
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
-from afdsvc.explain.verdict.holdout import checked_on_holdout, doubted, player
-from afdsvc.explain.verdict.verdict import verdict
+from afdsvc.explain.verdict.holdout import HeldOutVerdict, checked_on_holdout, doubted, on, played_back, player
+from afdsvc.explain.verdict.verdict import DOUBT, verdict
 
 ATTEMPTS = 3  # searches, each without the first names that the recordings held out have not confirmed
 SEED = 20261122  # of the surrogates and of the resampled blocks: the same recordings give the same answer
@@ -81,7 +82,7 @@ def explain(
         why = f"{', '.join(h.title for h in unconfirmed)} fits better, but the recordings held out do not confirm it: no name is certain"
         answer = replace(answer, verdict=doubted(answer.verdict, why, base.problem.settings.uncertain))
     progress("reporting", 0.9)
-    explanation = report(found, answer, roles, findings, offered, experiment)
+    explanation = report(found, _consistent_there(answer, found.problem, list(found.end)[-1], roles.heldout, rng), roles, findings, offered, experiment)
     progress("reporting", 1.0)
     return explanation
 
@@ -104,6 +105,19 @@ def _searched(
         return found
     again = searched(under_slow_noise(base, 1 - np.clip(before.whitened, 0.0, 1.0)))
     return again if again.effects or not found.steps[0].accepted else found
+
+
+def _consistent_there(answer: HeldOutVerdict, problem: Problem, horizon: float, heldout: Sequence[Run], rng: np.random.Generator) -> HeldOutVerdict:
+    """Return the answer, not consistent where a flexible model predicts what is missed of the recordings held out."""
+    if answer.verdict.verdict != "consistent":
+        return answer
+    there, point = on(problem, heldout), answer.final.point
+    _, states = played_back(there, point.rested(there.x0), horizon)
+    gap = gap_test(signals(there, replace(point, x0=tuple(states)), horizon), *signal_names(there), rng)
+    if not gap.present or gap.total < DOUBT:
+        return answer
+    said = f"on the recordings held out a flexible model predicts {100 * gap.total:.0f} % of the residual's power ({p_value_text(gap.p_value)}): they show what those fitted do not"
+    return replace(answer, verdict=replace(answer.verdict, verdict="unexplained", sentences=(*answer.verdict.sentences, said)))
 
 
 def tested(problem: Problem, path: dict[float, Fit], rng: np.random.Generator) -> Gap:

@@ -89,6 +89,12 @@ def test_a_machine_as_stated_is_consistent(spring, recorded):
     assert (answer.named, answer.remainder, answer.law) == ((), None, None)
 
 
+def test_a_machine_that_differs_in_what_is_held_out_only_is_not_consistent(spring, recorded):
+    answer = explain(spring, [recorded(0, 0.05, cubic), recorded(1, 0.05, cubic)], [recorded(2, 1.0, cubic)], some("cubic_stiffness"))
+    assert (answer.verdict, answer.named) == ("unexplained", ())
+    assert any(s.startswith("on the recordings held out a flexible model predicts") for s in answer.sentences)
+
+
 def test_physics_that_no_hypothesis_has_is_unexplained_with_the_nearest_beside_it(spring, recorded, tmp_path):
     *recordings, held = [recorded(seed, level, lambda q, v: -3e3 * np.sin(6 * q)) for seed, level in enumerate(LEVELS)]
     answer = explain(spring, recordings, [held], some("coulomb_friction"))

@@ -103,4 +103,4 @@ def initial(problem: Problem, k: int) -> Array:
         if not share:
             break
         x = x + share * step
-    return x
+    return np.asarray(x)
