@@ -13,7 +13,7 @@ from afdsvc.api.physics import Hypothesis, Physics
 from afdsvc.api.signals import Trace
 from afdsvc.dataset.experiment import Run, joined, prepare
 from afdsvc.dataset.sample_checks import Finding
-from afdsvc.dataset.split import split
+from afdsvc.dataset.split import Split, split
 from afdsvc.explain.check.check import checked, one_frequency
 from afdsvc.explain.check.response import refuse_still
 from afdsvc.explain.gap.decision import gap_test
@@ -50,6 +50,22 @@ def explain(
     for recordings that do not fit the model.
     """
     progress("checking", 0.0)
+    findings, roles = _checked(model, recordings, holdout, trust_units)
+    base, rng, offered = settled(_problem(model, roles, settings or Settings(), findings)), np.random.default_rng(SEED), list(library)
+    progress("testing", 0.0)
+    gap = tested(base.problem, base.start, rng)
+    if gap.absent:  # noise limits: the refit may have moved numbers of the model to follow the recordings
+        base = replace(base, limited="noise")
+    found, answer = _confirmed(base, gap, offered, mapper, progress, rng, roles.heldout)
+    answer = _consistent_there(answer, found.problem, list(found.end)[-1], roles.heldout, rng)
+    progress("reporting", 0.9)
+    explanation = report(found, answer, roles, findings, offered, experiment)
+    progress("reporting", 1.0)
+    return explanation
+
+
+def _checked(model: Model, recordings: Sequence[Trace], holdout: Sequence[Trace], trust_units: bool) -> tuple[tuple[Finding, ...], Split]:
+    """Return what the check says, and what is fitted and held out."""
     given, recordings = len(recordings), joined(recordings)
     findings = checked(model, recordings, trust_units)
     if len(recordings) < given:
@@ -57,34 +73,33 @@ def explain(
     runs = prepare(model, [*recordings, *holdout])
     roles = split(runs[: len(recordings)], runs[len(recordings) :])
     refuse_still(model, roles)
-    settings = settings or Settings()
+    return findings, roles
+
+
+def _problem(model: Model, roles: Split, settings: Settings, findings: Sequence[Finding]) -> Problem:
     if one_frequency(findings):  # a complex gain for every input and output tells no effects apart
         settings = replace(settings, effects=1)
-    problem = build(nominal(model, roles.train[0].dt, _mean_input(roles.train)), roles.train, settings, roles.heldout)
-    base, rng, offered = settled(problem), np.random.default_rng(SEED), list(library)
-    progress("testing", 0.0)
-    before = tested(base.problem, base.start, rng)
-    if before.absent:  # noise limits: the refit may have moved numbers of the model to follow the recordings
-        base = replace(base, limited="noise")
+    return build(nominal(model, roles.train[0].dt, _mean_input(roles.train)), roles.train, settings, roles.heldout)
+
+
+def _confirmed(
+    base: Settled, gap: Gap, library: Sequence[Physics], mapper: Mapper, progress: Progress, rng: np.random.Generator, heldout: Sequence[Run]
+) -> tuple[Found, HeldOutVerdict]:
+    """Return what is found and said; where the recordings held out do not confirm the first name, of a search without it."""
     unconfirmed: list[Hypothesis] = []
-    for attempt in range(1, ATTEMPTS + 1):
-        found = _searched(base, before, offered, mapper, progress, rng, roles.heldout, [mechanism(h) for h in unconfirmed])
+    answers: list[tuple[Found, HeldOutVerdict]] = []
+    while len(answers) < ATTEMPTS and (not answers or answers[-1][1].unconfirmed):
+        unconfirmed += [found.steps[0].candidates[0].hypothesis for found, _ in answers[-1:]]
+        found = _searched(base, gap, library, mapper, progress, rng, heldout, [mechanism(h) for h in unconfirmed])
         after = tested(found.problem, found.end, rng) if found.end is not found.start else None
-        answer = checked_on_holdout(found, verdict(found, before, after), roles.heldout, attempt)
-        if not unconfirmed:
-            first = found, answer
-        if not answer.unconfirmed:
-            break
-        unconfirmed.append(found.steps[0].candidates[0].hypothesis)
+        answers.append((found, checked_on_holdout(found, verdict(found, gap, after), heldout, len(answers) + 1)))
+    found, answer = answers[-1]
     if not answer.verdict.claims:
-        found, answer = first
-    elif unconfirmed:
+        return answers[0]
+    if unconfirmed:
         why = f"{', '.join(h.title for h in unconfirmed)} fits better, but the recordings held out do not confirm it: no name is certain"
         answer = replace(answer, verdict=doubted(answer.verdict, why, base.problem.settings.uncertain))
-    progress("reporting", 0.9)
-    explanation = report(found, _consistent_there(answer, found.problem, list(found.end)[-1], roles.heldout, rng), roles, findings, offered, experiment)
-    progress("reporting", 1.0)
-    return explanation
+    return found, answer
 
 
 def _searched(
