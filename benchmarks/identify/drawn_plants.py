@@ -99,16 +99,24 @@ def run(path: Path, wanted: list[str], plants: int, noises: list[str], samples: 
                 file.flush()
 
 
+def _ratio(first: np.ndarray, errors: np.ndarray) -> str:
+    """Return the geometric mean of the ratios on the same plants, and its bootstrap interval."""
+    logs = np.log(first / errors)[np.isfinite(errors)]
+    means = np.random.default_rng(0).choice(logs, (4000, len(logs))).mean(axis=1)
+    return "{:.2f} ({:.2f} to {:.2f})".format(*np.exp([logs.mean(), *np.percentile(means, [2.5, 97.5])]))
+
+
 def page(paths: list[Path]) -> None:
-    """Print medians of error and seconds of every tool, how often its order is right, and how often it failed."""
+    """Print medians of error and seconds of every tool, how often its order is right, how often it failed, and the first tool's errors against its."""
     cells: dict[tuple[str, str], dict[str, list[tuple[float, bool, float]]]] = defaultdict(lambda: defaultdict(list))
     for row in itertools.chain.from_iterable(csv.DictReader(path.open()) for path in paths):
         cells[row["noise"], row["samples"]][row["tool"]].append((float(row["error"]), row["order"] == row["true order"], float(row["seconds"])))
-    print("| noise | samples | tool | median error, % | median time, s | order right | failed |\n|---|---:|---|---:|---:|---:|---:|")
+    print("| noise | samples | tool | median error, % | median time, s | order right | failed | first / this, 95 % |\n|---|---:|---|---:|---:|---:|---:|---:|")
     for (noise, samples), tools in cells.items():
+        first = np.array(next(iter(tools.values())))[:, 0]
         for tool, found in tools.items():
             errors, right, seconds = np.array(found).T
-            print(f"| {noise} | {samples} | {tool} | {np.median(errors):.3g} | {np.median(seconds):.2g} | {int(right.sum())} of {len(found)} | {int(np.isinf(errors).sum())} |")
+            print(f"| {noise} | {samples} | {tool} | {np.median(errors):.3g} | {np.median(seconds):.2g} | {int(right.sum())} of {len(found)} | {int(np.isinf(errors).sum())} | {_ratio(first, errors)} |")
 
 
 if __name__ == "__main__":
