@@ -6,8 +6,8 @@ Gauss-Newton step moves the estimate. The first samples, in which the predictor 
 left out. For gain faults of a stable plant with output noise one step is exact and nothing is gained over
 `regression`.
 
-The predictor's gain stays the nominal one: with process noise the error of a faulty model is then not quite white,
-which costs a little precision, not correctness.
+The predictor's gain stays the nominal one: with process noise the error of a faulty model is then not white, and where that noise is large
+severities of sensors are found too small.
 
 Slopes are driven by the very noise they are compared with. Without a fault the first step is that of `regression`, and mean and
 variance of its signed root are taken out as there.
@@ -31,6 +31,7 @@ from afdsvc.detect.features.whiteness_gate import between
 from afdsvc.detect.isolation import Fit, anything_log_evidence, limited, linear_fit, weights
 from afdsvc.detect.thresholds import maximum
 from afdsvc.detect.thresholds.regressor_information import NoiseDriven, noise_driven
+from afdsvc.errors import Refused
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, StateSpace
@@ -67,7 +68,9 @@ class Iterated:
     nuisances: Nuisances = NONE
 
     def start(self, burst: Burst, dt: float) -> Recorded:
-        """Return an empty record."""
+        """Return an empty record; raises `Refused` for a burst that is over before the predictor has forgotten its start."""
+        if not burst.samples > self.settle:
+            raise Refused(f"the predictor forgets its start in {self.settle} samples; the burst has {burst.samples}, play a longer one")
         return Recorded((), BasisSums.empty(self._basis(burst, False), self.problem.plant.outputs))
 
     def step(self, sums: Recorded, samples: BurstSamples) -> tuple[Recorded, None]:
