@@ -132,3 +132,21 @@ def test_a_pulse_counter_that_knows_no_direction_is_named():
     assert answer.named[0].parameters["sign lost"].value == pytest.approx(1.0, abs=0.03)
     assert answer.fit[0].before_nrmse > 1
     assert answer.fit[0].after_nrmse < 0.1
+
+
+def loaded(seed: int) -> Trace:
+    """Return 10 s of a mass under forces that change every 0.1 s, and under a load of 0.3 N that is not recorded."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.standard_normal(100), 10)
+    mass = StateSpace(np.array([[0, 1.0], [0, -2.0]]), np.array([[0], [5.0]]), np.array([[1.0, 0]]), np.zeros((1, 1)))
+    q = simulate(sample_zoh(mass, 0.01), u[:, None] + 0.3)[0][:, 0]
+    return Trace(f"r{seed}", 0.01, (Channel("u_force"), Channel("y_position")), np.column_stack([u, q + 0.002 * rng.standard_normal(1000)]))
+
+
+def test_a_constant_load_of_an_integrating_plant_is_reported():
+    plant = StateSpace(np.array([[0, 1.0], [0, -2.0]]), np.array([[0], [5.0]]), np.array([[1.0, 0]]), np.zeros((1, 1)))
+    answer = explain(Model("mass", FORCE, POSITION, STATES, plant), [loaded(0), loaded(1)], [loaded(2)], afdsvc_physics(), experiment=False)
+    (said,) = [s for s in answer.sentences if s.startswith("a constant load")]
+    assert float(said.split()[3]) == pytest.approx(0.3, rel=0.05)
+    assert said.endswith("N on v is fitted to these recordings; the improved model does not have it")
+    assert answer.named == ()

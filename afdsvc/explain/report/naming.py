@@ -51,14 +51,15 @@ def _each_once(claims: Sequence[Claim]) -> list[Claim]:
 def _named(claim: Claim, parameters: Mapping[str, Estimate], alike: int, partial: bool, summaries: Mapping[str, str]) -> Named:
     h = claim.candidate.hypothesis
     what = h.notes.get("variant", "") if is_constant(h) else ""
-    values = "; ".join(_value(name, e) for name, e in parameters.items())
+    values = "; ".join(value_text(name, e) for name, e in parameters.items())
     law = f"{what} other than stated" if what else summaries.get(h.physics, h.physics.replace("_", " "))
     doubt = f", weight {claim.weight:.2f} among {alike} that fit alike" if alike > 1 else ""
     sentence = f"{site_words(h.site)}: {law}{f' ({values})' if values else ''}; closes {100 * claim.share:.0f} % of the gap{doubt}"
     return Named(h.physics, h.site, claim.weight, parameters, sentence, claim.effect, claim.share, partial, h.family, what)
 
 
-def _value(name: str, e: Estimate) -> str:
+def value_text(name: str, e: Estimate) -> str:
+    """Return a number with its name, standard deviation and unit."""
     spread = "" if e.sd is None else f" +- {e.sd:.2g}"
     return f"{name} {e.value:.4g}{spread}{' ' + e.unit if e.unit else ''}"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,14 +18,16 @@ from afdsvc.explain.locate.places import located
 from afdsvc.explain.noise.weighting import weighting
 from afdsvc.explain.report.courses import courses, fits, spectra, white
 from afdsvc.explain.report.explanation import Explanation
-from afdsvc.explain.report.naming import names, nearest, rejections
+from afdsvc.explain.report.naming import estimates, names, nearest, rejections, value_text
 from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.forward import Found
+from afdsvc.explain.search.problem import NUISANCE, Problem
 from afdsvc.explain.simulate.simulator import Simulator
 from afdsvc.explain.verdict.holdout import HeldOutVerdict, player
 from afdsvc.explain.verdict.verdict import Verdict
 
 SEED = 1  # of the flexible model's features
+CLEAR = 3.0  # standard deviations from which a load is reported
 
 
 def report(found: Found, answer: HeldOutVerdict, roles: Split, findings: Sequence[Finding], library: Iterable[Physics], experiment: bool = True) -> Explanation:
@@ -52,7 +54,7 @@ def report(found: Found, answer: HeldOutVerdict, roles: Split, findings: Sequenc
         candidates=nearest(found) if unexplained else (),
         law=picture(found, final, bool(claimed)) if claimed or unexplained else None,
         check=tuple(f.sentence for f in findings),
-        sentences=verdict.sentences,
+        sentences=(*verdict.sentences, *_loads(found.problem, final, list(found.end)[-1])),
         next_experiment=_next(found, verdict) if experiment else None,
         noise_floor=floor,
         courses=(*courses(play, roles.train, "train", before, final.point), *held),
@@ -73,6 +75,16 @@ def _excited(verdict: Verdict, findings: Sequence[Finding]) -> Verdict:
     if not poor or verdict.claims:
         return verdict
     return replace(verdict, verdict="insufficient_excitation", sentences=(poor, *verdict.sentences))
+
+
+def _loads(problem: Problem, final: Fit, horizon: float) -> Iterator[str]:
+    """Yield a sentence on every constant load that every fit of an integrating plant has, where it is not zero."""
+    for effect, values in zip(final.point.effects, estimates(problem, final, horizon), strict=True):
+        if effect.hypothesis.family == NUISANCE:
+            load = values["load"]
+            if load.sd is not None and abs(load.value) > CLEAR * load.sd:
+                site = effect.hypothesis.site.removeprefix("state:")
+                yield f"a constant {value_text('load', load)} on {site} is fitted to these recordings; the improved model does not have it"
 
 
 def _next(found: Found, verdict: Verdict) -> Mapping[str, Any] | None:

@@ -129,10 +129,12 @@ def unknown_load(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 def loads(nominal: Nominal, force: Array, share: float) -> tuple[PlacedEffect, ...]:
     """Return a constant load on every driven state, zero at first, with a prior of ``share`` of the nominal force there."""
-    found = []
-    for i in np.flatnonzero(np.where(driven(nominal.model, nominal.plant.order), force, 0.0) > 0):
-        name = nominal.model.states[i].name if i < len(nominal.model.states) else f"x{i}"
-        size = Coefficient("load", "", -np.inf, np.inf, share * float(force[i]), linear=True)
+    found, model = [], nominal.model
+    for i in np.flatnonzero(np.where(driven(model, nominal.plant.order), force, 0.0) > 0):
+        name = model.states[i].name if i < len(model.states) else f"x{i}"
+        j = int(np.argmax(np.abs(nominal.plant.B[i]))) if model.inputs else None
+        unit, through = ("", None) if j is None else (model.inputs[j].unit, (int(i), j))
+        size = Coefficient("load", unit, -np.inf, np.inf, share * float(force[i]), linear=True, through=through)
         signal = Signal("x", int(i))
         found.append(PlacedEffect(Hypothesis(NUISANCE, f"state:{name}", NUISANCE, "force", unknown_load, (signal,), (signal,), (size,), ((0.0,),)), np.zeros(1)))
     return tuple(found)
