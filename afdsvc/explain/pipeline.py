@@ -24,7 +24,7 @@ from afdsvc.explain.report.explanation import Explanation
 from afdsvc.explain.report.report import report
 from afdsvc.explain.search.base import Settled, settled, under_slow_noise
 from afdsvc.explain.search.build import build
-from afdsvc.explain.search.fit import Fit
+from afdsvc.explain.search.fit import Fit, rms
 from afdsvc.explain.search.forward import Found, Mapper, Path, Progress, search
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import mechanism
@@ -127,8 +127,10 @@ def _consistent_there(answer: HeldOutVerdict, problem: Problem, horizon: float, 
     if answer.verdict.verdict != "consistent":
         return answer
     there, point = on(problem, heldout), answer.final.point
-    _, states = played_back(there, point.rested(there.x0), horizon)
-    gap = gap_test(signals(there, replace(point, x0=tuple(states)), horizon), *signal_names(there), rng)
+    begun = replace(point, x0=tuple(played_back(there, point.rested(there.x0), horizon)[1]))
+    if rms(there.residuals(begun, horizon)).max() < problem.settings.rounding:
+        return answer
+    gap = gap_test(signals(there, begun, horizon), *signal_names(there), rng)
     if not gap.present or gap.total < DOUBT:
         return answer
     said = f"on the recordings held out a flexible model predicts {100 * gap.total:.0f} % of the residual's power ({p_value_text(gap.p_value)}): they show what those fitted do not"
