@@ -18,8 +18,8 @@ TYPICAL = -0.5  # severity a second burst is made for when the first could not t
 class FaultVerdict:
     """What a series of decisions amounts to.
 
-    ``fault`` is None while nothing was detected or the evidence does not single one out (then ``weights`` tells between
-    which it hangs). ``first_detected_s`` is the time of the first trustworthy detection.
+    ``fault`` is None while nothing was detected or the evidence does not single one out (then ``weights`` has those it
+    may be). ``first_detected_s`` is the time of the first trustworthy detection.
     """
 
     fault: str | None = None
