@@ -6,8 +6,9 @@ Gauss-Newton step moves the estimate. The first samples, in which the predictor 
 left out. For gain faults of a stable plant with output noise one step is exact and nothing is gained over
 `regression`.
 
-The predictor's gain stays the nominal one: with process noise the error of a faulty model is then not white, and where that noise is large
-severities of sensors are found too small.
+The predictor of a faulty model is its own steady one where the noises are stated; else the gain stays the nominal one, and where process noise
+is large severities of sensors are found too small. Errors are weighed by the nominal covariance: its change with severity, which would
+add a little precision, is not used.
 
 Slopes are driven by the very noise they are compared with. Without a fault the first step is that of `regression`, and mean and
 variance of its signed root are taken out as there.
@@ -16,7 +17,7 @@ variance of its signed root are taken out as there.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,10 +32,11 @@ from afdsvc.detect.features.whiteness_gate import between
 from afdsvc.detect.isolation import Fit, anything_log_evidence, limited, linear_fit, weights
 from afdsvc.detect.thresholds import maximum
 from afdsvc.detect.thresholds.regressor_information import NoiseDriven, noise_driven
-from afdsvc.errors import Refused
+from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.lti.whitening import innovations
 
 STEPS = 12
 NUDGE = 1e-4  # severity by which derivatives are taken
@@ -61,7 +63,6 @@ class Iterated:
     """The statistic for one machine; ``nuisances`` are projected out of every prediction error."""
 
     problem: DetectionProblem
-    Kp: Array
     Li: Array
     settle: int
     noise: NoiseDriven
@@ -84,7 +85,7 @@ class Iterated:
     def decide(self, sums: Recorded, burst: Burst, dt: float) -> Sequence[Finding]:
         """Return one finding for all outputs together."""
         signals = sums.whole()
-        healthy = self._error(self.problem.augmented.plant, signals)
+        healthy = self._error({}, signals)
         scores = np.array([self._slope(name, 0.0, signals) for name in self.problem.fault_names])
         seen = np.flatnonzero(np.sum(scores**2, axis=1) > 1e-12)
         if healthy is None or not len(seen):
@@ -122,7 +123,7 @@ class Iterated:
         step = float(rest @ slope) / float(slope @ slope)
         for _ in range(10):
             moved = min(max(theta + step, low), high)
-            error = self._error(self.problem.augmented.close({name: moved}), signals)
+            error = self._error({name: moved}, signals)
             if error is not None and error @ error < rest @ rest:
                 return moved, error
             step /= 2
@@ -130,19 +131,17 @@ class Iterated:
 
     def _slope(self, name: str, theta: float, signals: ResidualBlock) -> Array:
         """Return minus the derivative of the error by the severity; 0 where a neighbour has no stable predictor."""
-        ends = [self._error(self.problem.augmented.close({name: theta + s * NUDGE}), signals) for s in (-1, 1)]
+        ends = [self._error({name: theta + s * NUDGE}, signals) for s in (-1, 1)]
         if ends[0] is None or ends[1] is None:
             return np.zeros_like(self._settled(signals, np.zeros_like(signals.y)))
         return np.asarray((ends[0] - ends[1]) / (2 * NUDGE))
 
-    def _error(self, g: StateSpace, signals: ResidualBlock) -> Array | None:
-        """Return the normalised prediction error after settling, flattened; None when the predictor is unstable."""
-        A = g.A - self.Kp @ g.C
-        if not is_stable(A, g.dt):
+    def _error(self, severities: Mapping[str, float], signals: ResidualBlock) -> Array | None:
+        """Return the normalised prediction error after settling, flattened; None when there is no stable predictor."""
+        f = _predictor(self.problem, severities)
+        if f is None or not is_stable(f.A, f.dt):
             return None
-        B, D = np.hstack([self.Kp, g.B - self.Kp @ g.D]), np.hstack([np.eye(g.outputs), -g.D])
-        e, _ = simulate(StateSpace(A, B, -self.Li @ g.C, self.Li @ D, g.dt), np.hstack([signals.y, signals.u]))
-        return self._settled(signals, e)
+        return self._settled(signals, simulate(f, np.hstack([signals.y, signals.u]))[0] @ self.Li.T)
 
     def _settled(self, signals: ResidualBlock, e: Array) -> Array:
         """Return errors ``(n, p)`` without nuisances, flattened, settling and the samples that were spent on them left out."""
@@ -156,8 +155,19 @@ class Iterated:
 
 def iterated(problem: DetectionProblem, settle: int, nuisances: Nuisances = NONE) -> Iterated:
     """Return the statistic for one machine; the first ``settle`` samples of every burst are left out."""
-    gain = predictor_gain(problem, problem.augmented.plant)
-    return Iterated(problem, gain, whitener(problem.covariance), settle, noise_driven(problem), nuisances)
+    return Iterated(problem, whitener(problem.covariance), settle, noise_driven(problem), nuisances)
+
+
+def _predictor(problem: DetectionProblem, severities: Mapping[str, float]) -> StateSpace | None:
+    """Return the steady predictor of the machine with faults, from ``[y; u]`` to its error; with the nominal gain where the noises are not stated."""
+    g = problem.augmented.close(severities)
+    if problem.output_cov is None:
+        Kp = predictor_gain(problem, problem.augmented.plant)
+        return StateSpace(g.A - Kp @ g.C, np.hstack([Kp, g.B - Kp @ g.D]), -g.C, np.hstack([np.eye(g.outputs), -g.D]), g.dt)
+    try:
+        return innovations(g, problem.output_cov, problem.process_cov, problem.cross_cov).filter
+    except AfdsvcError:
+        return None
 
 
 def _signed_root(fit: Fit) -> float:

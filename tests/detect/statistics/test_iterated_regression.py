@@ -40,3 +40,15 @@ def test_a_burst_that_is_over_before_the_predictor_has_forgotten_its_start_is_re
         e = judged(machine, problem, detector, Burst("b", 1, samples, 100, (Line(0, 220.0, 5.0),), settle=60), 1, {"a0": -0.3})
         assert e.reason.startswith("the predictor forgets its start in 2077 samples; the burst has 2000") == refused
         assert (e.trustworthy, e.detected) == (not refused, not refused)
+
+
+def test_losses_of_sensors_are_unbiased_where_process_noise_is_large():
+    machine = next(m for m in machines() if m.name == "process noise large")
+    problem = problem_of(machine)
+    detector = load().get("detectors", "iterated_regression").design(problem, {})
+    fault = next(n for n in problem.fault_names if n.startswith("s"))
+    errors = []
+    for seed in range(8):
+        e = judged(machine, problem, detector, Burst("b", 2, 2000, 100, (Line(0, 220.0, 2.0),), settle=60), seed, {fault: -0.3})
+        errors.append((e.parts[f"severity.{fault}"] + 0.3) / e.parts[f"sd.{fault}"])
+    assert abs(np.mean(errors)) < 2.58 / np.sqrt(len(errors)) + 0.2, errors
