@@ -12,10 +12,10 @@ from afdsvc.lti.statespace import Array, StateSpace
 
 
 @dataclass(frozen=True, slots=True)
-class Diagnosed:
+class DiagnosedFault:
     """A fault of the machine and the interval its severity lies in, ``low <= high`` (-1 is total loss, 0 healthy).
 
-    >>> Diagnosed("horizontal_actuator", -0.55, -0.45).middle
+    >>> DiagnosedFault("horizontal_actuator", -0.55, -0.45).middle
     -0.5
     """
 
@@ -76,6 +76,6 @@ class RetunerDesign(Protocol):
     name: str
     summary: str
 
-    def design(self, problem: DetectionProblem, found: Diagnosed, cost: LoopCost, settings: Mapping[str, Any]) -> StateSpace:
+    def design(self, problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, settings: Mapping[str, Any]) -> StateSpace:
         """Return a stable Q ``(m, p)`` from beta to alpha; raises `Refused` where nothing is gained, `BadInput` for a setting."""
         ...

@@ -13,7 +13,7 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem, Detector, FalseAlarms, Noise
-from afdsvc.api.retuning import Diagnosed, LoopCost, Tuning
+from afdsvc.api.retuning import DiagnosedFault, LoopCost, Tuning
 from afdsvc.app import commissioning
 from afdsvc.app.commissioning import Commissioned, controller_settings
 from afdsvc.diagnosis.data_quality import Expectation
@@ -189,7 +189,7 @@ def tuning_design(machine: Commissioned, plugins: Plugins) -> TuningDesign:
     wanted = machine.config.retune
     settings = stated(wanted.settings)  # bounds hold for design and proof alike
 
-    def design(problem: DetectionProblem, found: Diagnosed) -> tuple[Tuning, str, Mapping[str, Any]]:
+    def design(problem: DetectionProblem, found: DiagnosedFault) -> tuple[Tuning, str, Mapping[str, Any]]:
         cost = loop_cost(problem, {**_own_weights(machine, problem), **wanted.cost})
         Q = plugins.get("retuners", wanted.kind).design(problem, found, cost, wanted.settings)
         tuning, proof = proved_tuning(problem, found, cost, Q, settings)
@@ -213,7 +213,7 @@ def proof_sentence(proof: Proof) -> str:
     )
 
 
-def _signals(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, Q: StateSpace) -> list[dict[str, Any]]:
+def _signals(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, Q: StateSpace) -> list[dict[str, Any]]:
     """Return the standard deviation of every signal that has a limit, in the middle of the interval without and with Q."""
     model, m, p = signal_model(problem, cost, {found.fault: found.middle}), problem.plant.inputs, problem.plant.outputs
     names = [*(f"u_{n}" for n in problem.input_names or range(m)), *(f"y_{n}" for n in problem.output_names)]

@@ -77,7 +77,7 @@ def _fit(b: Array, G: Array, faults: tuple[int, ...], bounds: tuple[float, float
     return Combination(faults, severity, np.array(np.linalg.inv(information), dtype=np.float64), gain)
 
 
-def likeliest(found: Sequence[Combination], faults: int) -> Combination | None:
+def likeliest_combination(found: Sequence[Combination], faults: int) -> Combination | None:
     """Return the combination of so many faults that gains most, None without any."""
     return max((c for c in found if len(c.faults) == faults), key=lambda c: c.gain, default=None)
 
@@ -142,7 +142,7 @@ def paired_on_lines(finding: Finding, curves: FaultCurves, data: LineData, reach
         for i, f in enumerate(finding.fits) if math.isfinite(f.sd)
     ]  # fmt: skip
     pairs = _pairs_on_lines(curves, data, reach, [c.faults[0] for c in singles])
-    single, pair = likeliest(singles, 1), likeliest(pairs, 2)
+    single, pair = likeliest_combination(singles, 1), likeliest_combination(pairs, 2)
     if single is None:
         return finding
     if pair is None or pair.score(samples) - single.score(samples) < math.log(OPEN):

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.api.retuning import Diagnosed, LoopCost
+from afdsvc.api.retuning import DiagnosedFault, LoopCost
 from afdsvc.errors import AfdsvcError, BadInput, Refused
 from afdsvc.lti.lft import star
 from afdsvc.lti.norms import output_covariance
@@ -58,7 +58,7 @@ class Expected:
         return np.asarray((self.before - self.after) / (self.before - self.best), dtype=np.float64)
 
 
-def design_q(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, settings: RetuneSettings = RETUNE) -> StateSpace:
+def design_q(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, settings: RetuneSettings = RETUNE) -> StateSpace:
     """Return Q ``(m, p)`` for the diagnosed fault, of the lowest order that loses less than ``order_loss`` of the reduction.
 
     Raises `Refused` when nothing worthwhile can be gained, when the running controller does not hold the damaged machine, and when no
@@ -67,7 +67,7 @@ def design_q(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, settin
     >>> from afdsvc.testing.machines import bearing_problem
     >>> from afdsvc.retune.cost import loop_cost
     >>> machine = bearing_problem("proportional")
-    >>> design_q(machine, Diagnosed("horizontal_actuator", -0.5, -0.4), loop_cost(machine, {})).is_stable()
+    >>> design_q(machine, DiagnosedFault("horizontal_actuator", -0.5, -0.4), loop_cost(machine, {})).is_stable()
     True
     """
     require_alpha(problem)
@@ -93,7 +93,7 @@ def design_q(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, settin
     return Q
 
 
-def severity_grid(problem: DetectionProblem, found: Diagnosed, count: int) -> Array:
+def severity_grid(problem: DetectionProblem, found: DiagnosedFault, count: int) -> Array:
     """Return severities over the interval, ends included; raises `BadInput` for an unknown fault or a severity out of range."""
     low, high = problem.severity_range
     if found.fault not in problem.fault_names:
@@ -103,7 +103,7 @@ def severity_grid(problem: DetectionProblem, found: Diagnosed, count: int) -> Ar
     return np.linspace(found.low, found.high, count if found.high > found.low else 1)
 
 
-def expected(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, Q: StateSpace, count: int = RETUNE.models) -> Expected:
+def expected(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, Q: StateSpace, count: int = RETUNE.models) -> Expected:
     """Return the costs over the interval without and with Q, and what the best controller for every severity reaches."""
     grid = severity_grid(problem, found, count)
     rows = [_costs(problem, found.fault, s, cost, Q) for s in grid.tolist()]
@@ -118,7 +118,7 @@ def _costs(problem: DetectionProblem, fault: str, severity: float, cost: LoopCos
 
 
 def _designed(
-    problem: DetectionProblem, found: Diagnosed, grid: Array, cost: LoopCost, peak_price: float, settings: RetuneSettings
+    problem: DetectionProblem, found: DiagnosedFault, grid: Array, cost: LoopCost, peak_price: float, settings: RetuneSettings
 ) -> StateSpace:
     fault = found.fault
     models = [damaged_model(problem, cost, {fault: s}) for s in grid.tolist()]

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.api.retuning import Diagnosed, LoopCost, Promise, Tuning
+from afdsvc.api.retuning import DiagnosedFault, LoopCost, Promise, Tuning
 from afdsvc.errors import Refused
 from afdsvc.lti.frequency import transfer
 from afdsvc.lti.lft import AugmentedPlant, star
@@ -71,14 +71,14 @@ class Proof:
     tightest: str
 
 
-def prove(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, Q: StateSpace, settings: RetuneSettings = RETUNE) -> Proof:
+def prove(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, Q: StateSpace, settings: RetuneSettings = RETUNE) -> Proof:
     """Return what holds for Q beside the running controller; raises `Refused` with the reason that binds.
 
     >>> from afdsvc.testing.machines import bearing_problem
     >>> from afdsvc.retune.cost import loop_cost
     >>> machine = bearing_problem("proportional")
     >>> Q = StateSpace.gain(0.02 * np.eye(2), machine.plant.dt)
-    >>> prove(machine, Diagnosed("vertical_sensor", -0.4, -0.3), loop_cost(machine, {}), Q).order
+    >>> prove(machine, DiagnosedFault("vertical_sensor", -0.4, -0.3), loop_cost(machine, {}), Q).order
     0
     """
     if not is_stable(Q.A, Q.dt):
@@ -98,7 +98,7 @@ def prove(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, Q: StateS
 
 
 def proved_tuning(
-    problem: DetectionProblem, found: Diagnosed, cost: LoopCost, Q: StateSpace, settings: RetuneSettings = RETUNE
+    problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, Q: StateSpace, settings: RetuneSettings = RETUNE
 ) -> tuple[Tuning, Proof]:
     """Return Q as a rig runs it, with the times and the promise that were proved, and the proof; raises `Refused` like `prove`.
 
@@ -108,7 +108,7 @@ def proved_tuning(
     >>> from afdsvc.testing.machines import bearing_problem
     >>> from afdsvc.retune.cost import loop_cost
     >>> machine = bearing_problem("proportional")
-    >>> tuning, _ = proved_tuning(machine, Diagnosed("vertical_sensor", -0.4, -0.3), loop_cost(machine, {}), StateSpace.gain(0.02 * np.eye(2), 2e-4))
+    >>> tuning, _ = proved_tuning(machine, DiagnosedFault("vertical_sensor", -0.4, -0.3), loop_cost(machine, {}), StateSpace.gain(0.02 * np.eye(2), 2e-4))
     >>> tuning.promise.cost
     6.0
     """
@@ -120,12 +120,12 @@ def proved_tuning(
     return Tuning(Q, proof.rise_seconds, proof.fall_seconds, promise), proof
 
 
-def covered(problem: DetectionProblem, found: Diagnosed, Q: StateSpace, settings: RetuneSettings = RETUNE) -> int:
+def covered(problem: DetectionProblem, found: DiagnosedFault, Q: StateSpace, settings: RetuneSettings = RETUNE) -> int:
     """Return how many rectangles of severity and gain prove stability over the whole interval; raises `Refused` where that fails.
 
     >>> from afdsvc.testing.machines import bearing_problem
     >>> machine = bearing_problem("proportional")
-    >>> covered(machine, Diagnosed("vertical_sensor", -0.4, -0.3), StateSpace.gain(0.02 * np.eye(2), machine.plant.dt)) >= 1
+    >>> covered(machine, DiagnosedFault("vertical_sensor", -0.4, -0.3), StateSpace.gain(0.02 * np.eye(2), machine.plant.dt)) >= 1
     True
     """
     severity_grid(problem, found, 2)
@@ -195,7 +195,7 @@ def _shifted(augmented: AugmentedPlant, severity: float) -> tuple[StateSpace, in
     return StateSpace(A, B, C, D, s.dt), k
 
 
-def _sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace, settings: RetuneSettings) -> tuple[tuple[float, float, float, float], str]:
+def _sensitivities(problem: DetectionProblem, found: DiagnosedFault, Q: StateSpace, settings: RetuneSettings) -> tuple[tuple[float, float, float, float], str]:
     """Return the largest sensitivity of the damaged loops without and with Q, of the healthy one, of those where the diagnosis is wrong, and the one
     at its bound; may refuse."""
     cases, peaks = hypotheses(problem, found), sensitivities(problem, found, Q)
@@ -210,18 +210,18 @@ def _sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace, s
     return (float(before), float(after), float(peaks[cases.index({}), 1]), float(peaks[wrong, 1].max())), bound
 
 
-def _refusal_of_best(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, settings: RetuneSettings) -> str:
+def _refusal_of_best(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, settings: RetuneSettings) -> str:
     """Return why the best controller of the damaged machine would be refused, "" where it would not: what keeps Q from it."""
     best = best_controller(problem, cost, {found.fault: found.middle})
     try:
-        prove(problem, Diagnosed(found.fault, found.middle, found.middle), cost, youla_parameter(problem.interconnection, best), settings)
+        prove(problem, DiagnosedFault(found.fault, found.middle, found.middle), cost, youla_parameter(problem.interconnection, best), settings)
     except Refused as why:
         return f"the best controller itself would be refused: {why}"
     return ""
 
 
 def _switch(
-    problem: DetectionProblem, found: Diagnosed, cost: LoopCost, Q: StateSpace, settings: RetuneSettings
+    problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, Q: StateSpace, settings: RetuneSettings
 ) -> tuple[tuple[float, float, float, float, float, float], str]:
     """Return times and bumps of coming and going, and the smallest room before and with Q with its signal; refuses where no change is smooth."""
     switch = Switch.of(judged_models(problem, found, cost, settings.models), Q, problem.plant.inputs, problem.plant.outputs)
@@ -232,7 +232,7 @@ def _switch(
     return (rise, fall, bump_in, bump_out, room_before, room), name
 
 
-def judged_models(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, count: int) -> list[StateSpace]:
+def judged_models(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, count: int) -> list[StateSpace]:
     """Return the loops in which switches are judged: ``count`` severities of the interval, and the `hypotheses` of a wrong diagnosis."""
     diagnosed = [{found.fault: s} for s in severity_grid(problem, found, count).tolist()]
     wrong = [case for case in hypotheses(problem, found) if found.fault not in case]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.api.retuning import Diagnosed
+from afdsvc.api.retuning import DiagnosedFault
 from afdsvc.errors import BadInput
 from afdsvc.lti.frequency import transfer
 from afdsvc.lti.lft import star
@@ -38,7 +38,7 @@ def sensitivity(problem: DetectionProblem, severities: Mapping[str, float], Q: S
     return largest_gain(model.select(slice(p), slice(p)) if Q is None else with_q(model, Q))
 
 
-def hypotheses(problem: DetectionProblem, found: Diagnosed) -> list[dict[str, float]]:
+def hypotheses(problem: DetectionProblem, found: DiagnosedFault) -> list[dict[str, float]]:
     """Return what the machine may be: damaged as diagnosed (ends and middle of the interval), healthy, or damaged as much by another fault.
 
     Machines that the running controller does not hold are left out, but for those that were diagnosed.
@@ -48,7 +48,7 @@ def hypotheses(problem: DetectionProblem, found: Diagnosed) -> list[dict[str, fl
     return [*diagnosed, {}, *(o for o in others if is_stable(_model(problem, o).A, problem.plant.dt))]
 
 
-def sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace) -> Array:
+def sensitivities(problem: DetectionProblem, found: DiagnosedFault, Q: StateSpace) -> Array:
     """Return the sensitivities of all `hypotheses` without and with Q ``(k, 2)``, inf for an unstable loop."""
 
     def peak(case: dict[str, float], q: StateSpace | None) -> float:
@@ -60,7 +60,7 @@ def sensitivities(problem: DetectionProblem, found: Diagnosed, Q: StateSpace) ->
     return np.array([[peak(case, q) for q in (None, Q)] for case in hypotheses(problem, found)])
 
 
-def accepted(problem: DetectionProblem, found: Diagnosed, before: Array, settings: RetuneSettings) -> Array:
+def accepted(problem: DetectionProblem, found: DiagnosedFault, before: Array, settings: RetuneSettings) -> Array:
     """Return the largest sensitivities ``(k,)`` of the `hypotheses` with Q; a loop that has a larger one without Q, ``before (k,)``, may keep it."""
     largest = [settings.sensitivity if found.fault in case else settings.sensitivity_if_wrong for case in hypotheses(problem, found)]
     return np.maximum(largest, before)
@@ -86,7 +86,7 @@ class Priced:
     price: float
 
     @classmethod
-    def of(cls, cost: ModelSet, problem: DetectionProblem, found: Diagnosed, bounds: Array, price: float) -> Priced:
+    def of(cls, cost: ModelSet, problem: DetectionProblem, found: DiagnosedFault, bounds: Array, price: float) -> Priced:
         """Return the cost with the price on the sensitivities of all `hypotheses`, with ``bounds (k,)``."""
         models = [_model(problem, case) for case in hypotheses(problem, found)]
         return cls(cost, model_set(models, np.ones(len(models)), problem.plant.inputs, problem.plant.outputs, 1.0), bounds, price)

@@ -11,7 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
-from afdsvc.api.retuning import Diagnosed
+from afdsvc.api.retuning import DiagnosedFault
 from afdsvc.errors import AfdsvcError, BadInput, Refused
 from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.service.hub import Hub
@@ -163,7 +163,7 @@ class Requests:
         retuning, stated = self._retuning_of(a), _stated_fault(a)
         return self._promised(self._retuned, retuning, who, stated) if a.get("later") else self._retuned(retuning, who, stated)
 
-    def _retuned(self, retuning: Retuning, who: str, stated: Diagnosed | None) -> dict[str, Any]:
+    def _retuned(self, retuning: Retuning, who: str, stated: DiagnosedFault | None) -> dict[str, Any]:
         outcome = "the service failed"
         try:
             sheet = retuning.ask(self._hub.standing(retuning.machine), who, stated)
@@ -221,7 +221,7 @@ class Requests:
         return {"machine": requests.machine, "paused": why}
 
 
-def _stated_fault(a: Arguments) -> Diagnosed | None:
+def _stated_fault(a: Arguments) -> DiagnosedFault | None:
     """Return the fault that a person states in place of the verdict, ``NAME=LOW..HIGH`` or ``NAME=SEVERITY``; None when nothing is stated."""
     text = str(a.get("fault") or "")
     if not text:
@@ -229,7 +229,7 @@ def _stated_fault(a: Arguments) -> Diagnosed | None:
     name, _, interval = text.partition("=")
     low, _, high = interval.partition("..")
     try:
-        return Diagnosed(name.strip(), float(low), float(high or low))
+        return DiagnosedFault(name.strip(), float(low), float(high or low))
     except ValueError:
         raise BadInput(f"fault '{text[:64]}': expected NAME=LOW..HIGH, for example horizontal_actuator=-0.55..-0.45") from None
 

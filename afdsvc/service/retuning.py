@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.api.retuning import Diagnosed, Tuning
+from afdsvc.api.retuning import DiagnosedFault, Tuning
 from afdsvc.diagnosis.verdict import FaultVerdict
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.service.burst_requests import BurstRequests
@@ -22,7 +22,7 @@ ANSWER_SECONDS = 10.0
 DEVIATIONS = 3.0  # of the severity's standard error, on both sides: the interval Q is proved for
 OVER = (EventKind.RESTORED, EventKind.RETUNE_REFUSED, EventKind.RIG_STOPPED)
 
-Design = Callable[[DetectionProblem, Diagnosed], tuple[Tuning, str, Mapping[str, Any]]]
+Design = Callable[[DetectionProblem, DiagnosedFault], tuple[Tuning, str, Mapping[str, Any]]]
 
 
 @dataclass
@@ -62,7 +62,7 @@ class Retuning:
             self._proposed = verdict.fault
             self.bursts.sink.take(Message(Notice(self.machine, "info", self.sentence, self.bursts.clock.now_ns())))
 
-    def ask(self, verdict: FaultVerdict, who: str, stated: Diagnosed | None = None) -> dict[str, Any]:
+    def ask(self, verdict: FaultVerdict, who: str, stated: DiagnosedFault | None = None) -> dict[str, Any]:
         """Design, prove and start Q for what the verdict names, or what a person has ``stated`` instead; returns the design sheet, raises
         `Refused` with the reason."""
         if not self._designing.acquire(blocking=False):
@@ -73,7 +73,7 @@ class Retuning:
         finally:
             self._designing.release()
 
-    def _asked(self, verdict: FaultVerdict, who: str, stated: Diagnosed | None) -> dict[str, Any]:
+    def _asked(self, verdict: FaultVerdict, who: str, stated: DiagnosedFault | None) -> dict[str, Any]:
         of = self.bursts
         if not of.session:
             raise Refused(f"machine '{self.machine}' is not connected")
@@ -140,12 +140,12 @@ class Retuning:
         self.acting = self.sentence = self._proposed = ""
 
 
-def _interval(verdict: FaultVerdict, problem: DetectionProblem) -> Diagnosed:
+def _interval(verdict: FaultVerdict, problem: DetectionProblem) -> DiagnosedFault:
     """Return the fault with its severity, `DEVIATIONS` standard errors to both sides, within what the machine can have."""
     if verdict.fault is None or verdict.severity is None:
         raise AfdsvcError("the verdict names no fault with its severity")
     value, wide, (low, high) = verdict.severity.value, DEVIATIONS * verdict.severity.sd, problem.severity_range
-    return Diagnosed(verdict.fault, max(value - wide, low), min(value + wide, high))
+    return DiagnosedFault(verdict.fault, max(value - wide, low), min(value + wide, high))
 
 
 def _left_open(verdict: FaultVerdict) -> str:
@@ -153,5 +153,5 @@ def _left_open(verdict: FaultVerdict) -> str:
     return f" (the newest decision: {', '.join(f'{name} {100 * w:.0f} %' for w, name in likely)})" if likely else ""
 
 
-def _said(found: Diagnosed) -> str:
+def _said(found: DiagnosedFault) -> str:
     return f"{found.fault} {100 * found.low:.1f} to {100 * found.high:.1f} %"

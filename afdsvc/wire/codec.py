@@ -22,7 +22,7 @@ from google.protobuf.descriptor import FieldDescriptor
 
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.evidence import Evidence, Severity
-from afdsvc.api.retuning import Diagnosed, Promise, Tuning
+from afdsvc.api.retuning import DiagnosedFault, Promise, Tuning
 from afdsvc.api.signals import Block, Channel
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array, StateSpace
@@ -312,7 +312,7 @@ def _retune_request(fields: Fields) -> RetuneRequest:
     if promise is not None:
         promise = dataclasses.replace(promise, output=promise.output.reshape(columns, columns), input=promise.input.reshape(rows, rows))
     tuning = Tuning(StateSpace(A, B, C, D, fields.pop("dt")), fields.pop("rise"), fields.pop("fall"), promise)
-    found = Diagnosed(fields.pop("fault"), fields.pop("low"), fields.pop("high"))
+    found = DiagnosedFault(fields.pop("fault"), fields.pop("low"), fields.pop("high"))
     return RetuneRequest(tuning=tuning, found=found, **fields)
 
 

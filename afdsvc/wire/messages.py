@@ -9,7 +9,7 @@ from typing import Any
 
 from afdsvc.api.bursts import Burst, Limits
 from afdsvc.api.evidence import Evidence, Severity
-from afdsvc.api.retuning import Diagnosed, Tuning
+from afdsvc.api.retuning import DiagnosedFault, Tuning
 from afdsvc.api.signals import Block, Channel
 
 
@@ -77,7 +77,7 @@ class RetuneRequest:
     machine: str
     name: str
     tuning: Tuning
-    found: Diagnosed
+    found: DiagnosedFault
     lease: float
     asked_by: str
     t_ns: int

@@ -30,7 +30,7 @@ from numba import njit
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # benchmarks.support
 
 from afdsvc.api.bursts import Burst, Line
-from afdsvc.api.retuning import Diagnosed, Tuning
+from afdsvc.api.retuning import DiagnosedFault, Tuning
 from afdsvc.app import commissioning
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.site import MachineSection, PluginSection
@@ -240,7 +240,7 @@ class Attack:
         Q = StateSpace(np.diag([pole, pole]), np.ones((2, outputs)), size * np.ones((2, 2)), size * np.ones((2, outputs)), self.G.dt)
         tuning = Tuning(Q, rng.choice((0.0, 0.01, 1.0)), rng.choice((0.0, 0.01, 1.0)), None)
         request = RetuneRequest(
-            rng.choice(("m", "m", "other")), f"q{self.n}", tuning, Diagnosed("any", -0.1, 0.0), rng.choice((0.05, 2.0, 9.0, 1e9)), "eve",
+            rng.choice(("m", "m", "other")), f"q{self.n}", tuning, DiagnosedFault("any", -0.1, 0.0), rng.choice((0.05, 2.0, 9.0, 1e9)), "eve",
             self.clock.now_ns(), self.agent.description.session, self.agent._k, "",  # noqa: SLF001
         )  # fmt: skip
         self.watch_over()

@@ -18,7 +18,7 @@ from scipy.stats import binomtest
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem, DetectorDesign, Evidence, FalseAlarms, ResidualBlock
-from afdsvc.api.retuning import Diagnosed
+from afdsvc.api.retuning import DiagnosedFault
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.plugins.detectors.burst_detectors import FaultCurvesDesign, MatchedFilterDesign, RegressionDesign
@@ -36,7 +36,7 @@ def loop(kind: str) -> tuple[DetectionProblem, StateSpace]:
     whole = bearing_problem(kind)
     problem = replace(whole, false_alarms=FalseAlarms(per_burst=RATE), augmented=whole.augmented.reordered([FIRST]))
     cost = loop_cost(problem, {"process_weight": 0.01 * problem.plant.B @ problem.plant.B.T})
-    return problem, design_q(problem, Diagnosed(FIRST, -0.35, -0.25), cost)
+    return problem, design_q(problem, DiagnosedFault(FIRST, -0.35, -0.25), cost)
 
 
 def simulated(problem: DetectionProblem, Q: StateSpace, losses: tuple[float, float], bursts: int, seed: int) -> dict[str, Array]:

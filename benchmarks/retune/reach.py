@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.api.retuning import Diagnosed, LoopCost
+from afdsvc.api.retuning import DiagnosedFault, LoopCost
 from afdsvc.errors import AfdsvcError
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.yjbk import youla_parameter
@@ -109,7 +109,7 @@ def bounded(problem: DetectionProblem, cost: LoopCost, case: dict[str, float]) -
     the bounds. Where all searches agree, the largest share is what the bounds allow, whatever the method of design.
     """
     ((fault, severity),) = case.items()
-    found, m, p = Diagnosed(fault, severity, severity), problem.plant.inputs, problem.plant.outputs
+    found, m, p = DiagnosedFault(fault, severity, severity), problem.plant.inputs, problem.plant.outputs
     none, model = StateSpace.gain(np.zeros((m, p)), problem.plant.dt), damaged_model(problem, cost, case)
     before, best = h2_cost(with_q(model, none)), controlled_cost(problem, cost, case, oracle(problem, cost, case))
     bounds = accepted(problem, found, sensitivities(problem, found, none)[:, 0], RETUNE)
@@ -142,7 +142,7 @@ def main() -> None:
             for severity in options.severities:
                 low = max(severity - WIDE, problem.severity_range[0])
                 try:
-                    found = Diagnosed(fault, low, severity + WIDE)
+                    found = DiagnosedFault(fault, low, severity + WIDE)
                     Q = design_q(problem, found, cost, settings)
                     proof = prove(problem, found, cost, Q, settings)
                 except AfdsvcError as why:

@@ -23,7 +23,7 @@ from reach import turboexpander
 
 from afdsvc.api.bursts import Limits
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.api.retuning import Diagnosed, LoopCost, Tuning
+from afdsvc.api.retuning import DiagnosedFault, LoopCost, Tuning
 from afdsvc.errors import Refused
 from afdsvc.hal import control_sample
 from afdsvc.hal.excitation import RunningQ
@@ -49,7 +49,7 @@ class Case:
 
     name: str
     problem: DetectionProblem
-    found: Diagnosed
+    found: DiagnosedFault
     cost: LoopCost
     tuning: Tuning
     proof: Proof
@@ -86,7 +86,7 @@ def cases() -> list[Case]:
     """Return the machines whose Q was proved."""
     made = []
     for name, problem, fault, weights, turning in listed():
-        found, own = Diagnosed(fault, -0.35, -0.25), problem.limits if problem.limits and max(problem.limits.input) < 1e5 else None
+        found, own = DiagnosedFault(fault, -0.35, -0.25), problem.limits if problem.limits and max(problem.limits.input) < 1e5 else None
         free = replace(problem, limits=own)
         cost = loop_cost(free, weights)
         try:
@@ -108,7 +108,7 @@ def cases() -> list[Case]:
     return made
 
 
-def _wide(problem: DetectionProblem, found: Diagnosed, cost: LoopCost, Q: StateSpace) -> Limits:
+def _wide(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, Q: StateSpace) -> Limits:
     m, p = problem.plant.inputs, problem.plant.outputs
     bound = 8 * Switch.of(judged_models(problem, found, cost, 5), Q, m, p).larger.max(axis=0)
     return Limits(bound[m:], bound[:m], 10 * bound[:m])

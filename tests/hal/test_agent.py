@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Burst, Line
-from afdsvc.api.retuning import Diagnosed, Promise, Tuning
+from afdsvc.api.retuning import DiagnosedFault, Promise, Tuning
 from afdsvc.app import ports
 from afdsvc.errors import Refused
 from afdsvc.files.site import TransportSection as Settings
@@ -188,7 +188,7 @@ def test_what_is_measured_before_the_network_is_there_is_sent_when_it_is(setting
 
 
 SOME_Q = StateSpace(np.diag([0.9, 0.5]), np.ones((2, 2)), 0.002 * np.ones((2, 2)), 0.01 * np.eye(2), 2e-4)
-FOUND = Diagnosed("horizontal_actuator", -0.5, -0.4)
+FOUND = DiagnosedFault("horizontal_actuator", -0.5, -0.4)
 
 
 def retune_request(Q: StateSpace | None = None, lease: float = 1.0, name: str = "q1", promise: Promise | None = None, **changes) -> RetuneRequest:

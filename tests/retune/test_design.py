@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 from afdsvc.api.bursts import Limits
-from afdsvc.api.retuning import Diagnosed
+from afdsvc.api.retuning import DiagnosedFault
 from afdsvc.errors import BadInput, Refused
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plants.gas_bearing import gas_bearing
@@ -68,7 +68,7 @@ def hand_best(problem, cost, fault: str, severity: float) -> float:
 @pytest.mark.parametrize(("seed", "fault"), [(0, "actuator_0"), (2, "sensor_1"), (5, "actuator_1")])
 def test_q_reaches_nine_tenths_of_the_oracle(seed, fault):
     problem = random_problem(seed)
-    cost, found = loop_cost(problem, {}), Diagnosed(fault, -0.35, -0.25)
+    cost, found = loop_cost(problem, {}), DiagnosedFault(fault, -0.35, -0.25)
     Q = design_q(problem, found, cost)
     none = StateSpace.gain(np.zeros((2, 2)), 1e-3)
     for severity in (-0.35, -0.3, -0.27):
@@ -103,19 +103,19 @@ def test_the_machine_that_runs_optimally_is_left_alone():
     K = best_controller(problem, cost, {"actuator_0": -0.3})
     J = StateSpace(K.A, np.hstack([K.B, np.zeros((4, 2))]), np.vstack([K.C, np.zeros((2, 4))]), np.block([[K.D, np.eye(2)], [np.eye(2), np.zeros((2, 2))]]), K.dt)
     with pytest.raises(Refused, match="nothing to gain"):
-        design_q(replace(problem, interconnection=J), Diagnosed("actuator_0", -0.31, -0.29), cost)
+        design_q(replace(problem, interconnection=J), DiagnosedFault("actuator_0", -0.31, -0.29), cost)
 
 
 def test_a_fault_the_running_controller_does_not_survive_is_refused():
     problem = unstable_problem()
     with pytest.raises(Refused, match="does not hold the machine with 'b1'"):
-        design_q(problem, Diagnosed("b1", -0.5, -0.4), loop_cost(problem, {}))
+        design_q(problem, DiagnosedFault("b1", -0.5, -0.4), loop_cost(problem, {}))
 
 
 def test_an_unstable_plant_with_a_weak_input_is_retuned():
     problem = unstable_problem()
     cost = loop_cost(problem, {"state_weight": 1.0, "input_weight": 0.1, "process_weight": 1.0})
-    found = Diagnosed("b2", -0.35, -0.25)
+    found = DiagnosedFault("b2", -0.35, -0.25)
     told = expected(problem, found, cost, design_q(problem, found, cost))
     assert told.reached.min() > 0.9
 
@@ -123,7 +123,7 @@ def test_an_unstable_plant_with_a_weak_input_is_retuned():
 def test_a_tight_limit_is_kept_where_the_cost_alone_would_break_it():
     problem = bearing_problem("proportional")
     cost = loop_cost(problem, {"process_weight": 0.01 * problem.plant.B @ problem.plant.B.T, "input_weight": 0.01})
-    found = Diagnosed("horizontal_actuator", -0.35, -0.25)
+    found = DiagnosedFault("horizontal_actuator", -0.35, -0.25)
     quick = replace(RETUNE, models=2, iterations=40)
     free = design_q(replace(problem, limits=None), found, cost, quick)
     used = 5.5 * np.sqrt(_input_variance(problem, cost, found.fault, -0.3, free))
@@ -152,7 +152,7 @@ def test_the_accepted_sensitivity_costs_less_than_a_tenth_of_the_reduction():
     """The oracle has a sensitivity of 8.5 and more here; more weight on inputs and noise until it fits would cost a third."""
     problem, recommended = bearing_problem("proportional"), gas_bearing().recommended["lqg"]
     weights = {"state_weight": recommended["state_weight"], "process_weight": 0.01 * problem.plant.B @ problem.plant.B.T}
-    cost, found = loop_cost(problem, weights), Diagnosed("vertical_actuator", -0.28, -0.22)
+    cost, found = loop_cost(problem, weights), DiagnosedFault("vertical_actuator", -0.28, -0.22)
     Q = design_q(problem, found, cost)
     none = StateSpace.gain(np.zeros((2, 2)), problem.plant.dt)
     before, after, best = (hand_cost(problem, cost, "actuator_1", -0.25, none), hand_cost(problem, cost, "actuator_1", -0.25, Q), hand_best(problem, cost, "actuator_1", -0.25))
@@ -163,7 +163,7 @@ def test_the_accepted_sensitivity_costs_less_than_a_tenth_of_the_reduction():
 
 
 def test_the_slope_of_the_price_of_sensitivity_is_that_of_finite_differences():
-    problem, found, rng = bearing_problem("proportional"), Diagnosed("vertical_sensor", -0.4, -0.3), np.random.default_rng(2)
+    problem, found, rng = bearing_problem("proportional"), DiagnosedFault("vertical_sensor", -0.4, -0.3), np.random.default_rng(2)
     models = [damaged_model(problem, loop_cost(problem, {}), {})]
     nothing = model_set(models, np.zeros(1), 2, 2, 0.9999)
     fit = Priced.of(nothing, problem, found, bounds=np.full(7, 1.3), price=1.0)
@@ -184,11 +184,11 @@ def test_what_is_asked_wrongly_is_named():
     problem = random_problem(0)
     cost = loop_cost(problem, {})
     with pytest.raises(BadInput, match="fault 'nonsense' is unknown"):
-        design_q(problem, Diagnosed("nonsense", -0.5, -0.4), cost)
+        design_q(problem, DiagnosedFault("nonsense", -0.5, -0.4), cost)
     with pytest.raises(BadInput, match="expected the larger loss first"):
-        Diagnosed("actuator_0", -0.4, -0.5)
+        DiagnosedFault("actuator_0", -0.4, -0.5)
     with pytest.raises(BadInput, match="expected -1 to 0"):
-        design_q(problem, Diagnosed("actuator_0", -0.4, 0.5), cost)
+        design_q(problem, DiagnosedFault("actuator_0", -0.4, 0.5), cost)
     with pytest.raises(BadInput, match="unknown setting 'weight'"):
         loop_cost(problem, {"weight": 1.0})
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Limits
-from afdsvc.api.retuning import Diagnosed
+from afdsvc.api.retuning import DiagnosedFault
 from afdsvc.errors import Refused
 from afdsvc.lti.lft import star
 from afdsvc.lti.statespace import StateSpace
@@ -21,7 +21,7 @@ from afdsvc.retune.sensitivity import sensitivities
 from afdsvc.retune.settings import RETUNE
 from afdsvc.testing.machines import bearing_problem, random_problem
 
-FAULT = Diagnosed("sensor_1", -0.6, -0.3)
+FAULT = DiagnosedFault("sensor_1", -0.6, -0.3)
 
 
 def drawn_q(seed: int, size: float) -> StateSpace:
@@ -30,7 +30,7 @@ def drawn_q(seed: int, size: float) -> StateSpace:
     return StateSpace(A, rng.standard_normal((3, 2)), size * rng.standard_normal((2, 3)), size * rng.standard_normal((2, 2)), 1e-3)
 
 
-def largest_pole(problem, found: Diagnosed, Q: StateSpace) -> float:
+def largest_pole(problem, found: DiagnosedFault, Q: StateSpace) -> float:
     """Return the largest modulus of a pole over a dense grid of severities and gains."""
     return max(
         float(np.abs(star(problem.augmented.close({found.fault: s}), retuned_interconnection(problem.interconnection, Q, g), 2, 2).poles()).max())
@@ -72,7 +72,7 @@ def test_an_unstable_q_is_refused_for_the_healthy_machine():
 
 
 def test_a_q_that_another_fault_of_that_size_does_not_bear_is_refused_and_not_designed():
-    problem, found, wrong = random_problem(2), Diagnosed("sensor_0", -0.53, -0.47), Diagnosed("sensor_1", -0.5, -0.5)
+    problem, found, wrong = random_problem(2), DiagnosedFault("sensor_0", -0.53, -0.47), DiagnosedFault("sensor_1", -0.5, -0.5)
     cost = loop_cost(problem, {})
     free = replace(RETUNE, sensitivity=1e3, sensitivity_if_wrong=1e3)
     careless = design_q(replace(problem, augmented=problem.augmented.reordered(["sensor_0"])), found, cost, free)  # knows of no other fault
@@ -93,7 +93,7 @@ def test_a_q_that_makes_it_worse_is_refused():
 
 def test_a_designed_q_is_proved_and_a_tight_limit_refuses_it():
     problem = random_problem(2)
-    cost, found = loop_cost(problem, {}), Diagnosed("actuator_0", -0.35, -0.25)
+    cost, found = loop_cost(problem, {}), DiagnosedFault("actuator_0", -0.35, -0.25)
     Q = design_q(problem, found, cost)
     proof = prove(problem, found, cost, Q)
     assert proof.reached > 0.9
@@ -119,7 +119,7 @@ def test_deviations_during_a_switch_are_those_of_an_ensemble(rising):
     """2000 machines simulated by a loop that shares no code with the recursion; agreement within 5 standard errors of a deviation."""
     problem, ensemble, N, before = random_problem(2), 2000, 40, 400
     cost = loop_cost(problem, {})
-    Q = design_q(problem, Diagnosed("actuator_0", -0.35, -0.25), cost)
+    Q = design_q(problem, DiagnosedFault("actuator_0", -0.35, -0.25), cost)
     switch = Switch.of([signal_model(problem, cost, {"actuator_0": -0.3})], Q, 2, 2)
     peaks = (switch.rise if rising else switch.fall)(N)[0]
     rng, J = np.random.default_rng(7), problem.interconnection
@@ -148,7 +148,7 @@ def test_deviations_during_a_switch_are_those_of_an_ensemble(rising):
 def test_the_promise_is_kept_by_the_machine_diagnosed_and_says_when_it_is_not():
     """The predicted variances against a simulation by hand: the measured cost is m + p = 4 within 5 %, and more with less damping."""
     problem = random_problem(2)
-    cost, found = loop_cost(problem, {}), Diagnosed("actuator_0", -0.3, -0.3)
+    cost, found = loop_cost(problem, {}), DiagnosedFault("actuator_0", -0.3, -0.3)
     tuning, proof = proved_tuning(problem, found, cost, design_q(problem, found, cost))
     assert (tuning.rise, tuning.fall) == (proof.rise_seconds, proof.fall_seconds)
     rng, J, Q, ensemble = np.random.default_rng(1), problem.interconnection, tuning.Q, 4000
@@ -168,7 +168,7 @@ def test_the_promise_is_kept_by_the_machine_diagnosed_and_says_when_it_is_not():
 
 
 def test_where_much_less_is_gained_than_the_best_controller_gains_it_is_said_why_that_one_is_refused():
-    problem, found, quick = bearing_problem("lqg", FASTEST_RPM), Diagnosed("vertical_sensor", -0.51, -0.49), replace(RETUNE, iterations=20, models=1)
+    problem, found, quick = bearing_problem("lqg", FASTEST_RPM), DiagnosedFault("vertical_sensor", -0.51, -0.49), replace(RETUNE, iterations=20, models=1)
     published = {k: gas_bearing(FASTEST_RPM).recommended["lqg"][k] for k in ("state_weight", "input_weight")}
     B = problem.plant.B
     for disturbance, short in ((1.0, True), (0.01, False)):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from afdsvc.api.bursts import Burst, Limits, Line
 from afdsvc.api.evidence import Evidence, Severity
-from afdsvc.api.retuning import Diagnosed, Promise, Tuning
+from afdsvc.api.retuning import DiagnosedFault, Promise, Tuning
 from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import StateSpace
@@ -78,7 +78,7 @@ MESSAGES = {
     "burst_reply": BurstReply(False, "b1", "already playing"),
     "burst_stop": BurstStop("m1", "asked to", "kim", "b1"),
     "retune_request": RetuneRequest(
-        "m1", "q1", Tuning(Q, 0.0, 0.01, Promise(np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([[3.0]]), 4.5, 2.0)), Diagnosed("horizontal_actuator", -0.6, -0.5),
+        "m1", "q1", Tuning(Q, 0.0, 0.01, Promise(np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([[3.0]]), 4.5, 2.0)), DiagnosedFault("horizontal_actuator", -0.6, -0.5),
         2.0, "kim", T, "s1", 77, "stable",
     ),
     "lease": Lease("m1", "b1", 2.0),

@@ -21,7 +21,7 @@ import numpy as np
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.burst_detector import BurstSamples, Finding
-from afdsvc.detect.combinations import OPEN, Combination, alike, besides, combined, course, likeliest, paired
+from afdsvc.detect.combinations import OPEN, Combination, alike, besides, combined, course, likeliest_combination, paired
 from afdsvc.detect.features.burst_noise import energy, noise_compared
 from afdsvc.detect.features.demodulation import Basis, BasisSums, project
 from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
@@ -134,7 +134,7 @@ class Regression:
         """Return a finding that two faults explain, or one whose fault changed during the burst, or what remains unexplained."""
         n, seen = sums.products.n, np.flatnonzero(np.diag(G) > UNSEEN * np.diag(G).max(initial=0.0)).tolist()
         found = combined(b, G, seen, self.bounds)
-        single, pair = likeliest(found, 1), likeliest(found, 2)
+        single, pair = likeliest_combination(found, 1), likeliest_combination(found, 2)
         if single is None:
             return finding
         if pair and pair.score(n) - single.score(n) > self._bent(single, G, n) / 2 + math.log(OPEN):

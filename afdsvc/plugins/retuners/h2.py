@@ -7,7 +7,7 @@ from dataclasses import fields
 from typing import Any
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.api.retuning import Diagnosed, LoopCost
+from afdsvc.api.retuning import DiagnosedFault, LoopCost
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.retune.design import design_q
@@ -20,7 +20,7 @@ class H2:
     name = "h2"
     summary = "smallest quadratic cost over the interval of the severity, lowest order, stable also in the healthy machine"
 
-    def design(self, problem: DetectionProblem, found: Diagnosed, cost: LoopCost, settings: Mapping[str, Any]) -> StateSpace:
+    def design(self, problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, settings: Mapping[str, Any]) -> StateSpace:
         """Return Q; raises `Refused` where nothing worthwhile can be gained."""
         names = [f.name for f in fields(RETUNE)]
         for key in settings:

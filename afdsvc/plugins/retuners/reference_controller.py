@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.api.retuning import Diagnosed, LoopCost
+from afdsvc.api.retuning import DiagnosedFault, LoopCost
 from afdsvc.errors import BadInput, Refused
 from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
 from afdsvc.lti.statespace import StateSpace
@@ -19,7 +19,7 @@ class ReferenceController:
     name = "reference_controller"
     summary = "the Q that makes the loop's controller exactly the one given by its matrices"
 
-    def design(self, problem: DetectionProblem, found: Diagnosed, cost: LoopCost, settings: Mapping[str, Any]) -> StateSpace:
+    def design(self, problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, settings: Mapping[str, Any]) -> StateSpace:
         """Return Q, of the orders of J_K and K together; raises `Refused` where K does not hold the healthy machine."""
         for key in settings:
             if key not in ("A", "B", "C", "D"):

@@ -21,7 +21,7 @@ from afdsvc.wire.messages import Finding
 KEPT = 400
 
 
-class Answers:
+class MachineAnswers:
     """What the decisions on one machine amount to, as words and as severity and weight per fault over time."""
 
     def __init__(self, machine: str) -> None:
@@ -142,7 +142,7 @@ class MachineReview:
         self._end = ("", 0)
         self._end_ns = 0
         self.told = False
-        self.answers = Answers(id)
+        self.answers = MachineAnswers(id)
         self.planes: tuple[tuple[str, float], ...] = ()
 
     def show(self, recording: rr.RecordingStream, block: Block, groups: Groups, start_ns: int) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from afdsvc.api.retuning import Diagnosed
+from afdsvc.api.retuning import DiagnosedFault
 from afdsvc.lti.lft import star
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.yjbk import retuned_interconnection
@@ -14,7 +14,7 @@ from afdsvc.retune.cost import loop_cost
 from afdsvc.testing.conformance.named import settings_check, settings_of
 from afdsvc.testing.machines import bearing_problem
 
-FOUND = Diagnosed("horizontal_actuator", -0.35, -0.25)
+FOUND = DiagnosedFault("horizontal_actuator", -0.35, -0.25)
 
 
 def _designed(thing: Any) -> StateSpace:

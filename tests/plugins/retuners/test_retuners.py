@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from afdsvc.api.retuning import Diagnosed
+from afdsvc.api.retuning import DiagnosedFault
 from afdsvc.app.commissioning import commission
 from afdsvc.app.pipelines import tuning_design
 from afdsvc.errors import BadInput, Refused
@@ -21,7 +21,7 @@ from afdsvc.retune.cost import loop_cost
 from afdsvc.testing.conformance import checks, examine
 from afdsvc.testing.machines import bearing_problem
 
-FOUND = Diagnosed("horizontal_actuator", -0.35, -0.25)
+FOUND = DiagnosedFault("horizontal_actuator", -0.35, -0.25)
 
 
 class Quick(H2):
@@ -98,4 +98,4 @@ def test_what_the_site_states_holds_for_the_proof_too():
     """
     machine = commission(parse_site(text, "t").machines[0], plugins)
     with pytest.raises(Refused, match="could not be proved between grid points with 1 rectangles"):
-        tuning_design(machine, plugins)(problem, Diagnosed("horizontal_actuator", -0.5, -0.2))
+        tuning_design(machine, plugins)(problem, DiagnosedFault("horizontal_actuator", -0.5, -0.2))
