@@ -15,7 +15,6 @@ from afdsvc.identify.fit import Fit, ResponseBand
 from afdsvc.identify.methods import registry
 from afdsvc.identify.methods.hansen import loop_is_stable
 from afdsvc.identify.methods.registry import MethodResult, omega_grid
-from afdsvc.identify.numerics.innovations_form import InnovationsForm
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.order import samples_needed
 from afdsvc.identify.preparation import Prepared, nominal_plant, prepare_problem
@@ -28,7 +27,6 @@ from afdsvc.identify.validation import (
     can_be_simulated,
     heldout_measures,
     hold_out,
-    improvement,
     predicted_outputs,
     predicts_only,
     undamped_modes,
@@ -61,8 +59,7 @@ def identify(
     method = _method(problem, options)
     outcome = _run(method, problem, options, rng)
     names = [v.name for v in model.outputs]
-    fit = outcome.fit if method != "hansen" else _better_than_nominal(outcome.fit, problem, parts)
-    fit = validate_fit(fit, parts.heldout, names, problem.fact)
+    fit = validate_fit(outcome.fit, parts.heldout, names, problem.fact)
     stable = None if problem.fact is None else loop_is_stable(fit.system, problem.fact.controller)
     before = _before(problem, parts, names)
     check, warning = _cross_check(problem, replace(outcome, fit=fit), options)
@@ -138,20 +135,6 @@ def _method(problem: Prepared, options: IdentifyOptions) -> str:
             "which need none"
         )
     return "auto"
-
-
-def _better_than_nominal(fit: Fit, problem: Prepared, parts: HoldoutSplit) -> Fit:
-    """Return the fit where its plant is better than the nominal one beyond chance, else the nominal plant with the band that was found."""
-    fact = problem.fact
-    if fact is None or fit.system is problem.nominal or not loop_is_stable(fit.system, fact.controller):
-        return fit
-    try:
-        gain = improvement(fit.system, problem.nominal, parts.training, parts.heldout, fact)
-    except BadInput:  # the part held out is shorter than the controller's filters need
-        return fit
-    if gain.real:
-        return replace(fit, notes=(*fit.notes, gain.sentence))
-    return replace(fit, model=InnovationsForm.output_error(problem.nominal), notes=(*fit.notes, f"the nominal model is kept: {gain.sentence}"))
 
 
 def _usable(problem: Prepared, system: StateSpace) -> bool:

@@ -1,4 +1,4 @@
-"""Validation on held-out recordings: fit measures, comparison with the nominal model, agreement of two independent estimates, undamped modes.
+"""Validation on held-out recordings: fit measures, agreement of two independent estimates, undamped modes.
 
 The orbit of an unbalanced rotor, or interference at mains frequency, is predictable without any input. An order chosen from the data then
 makes room for an undamped mode, which draws the disturbance from its initial state and is no property of the plant.
@@ -14,15 +14,13 @@ import numpy as np
 from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
 from afdsvc.identify.fit import Fit, ResponseBand
-from afdsvc.identify.methods.hansen import excited_loop, youla_signals
+from afdsvc.identify.methods.hansen import excited_loop
 from afdsvc.identify.numerics.innovations_form import fitted_errors
-from afdsvc.identify.reduction import noise_whitener
 from afdsvc.identify.settings import SETTINGS
 from afdsvc.lti.coprime import Factorisation
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace
-from afdsvc.lti.yjbk import deviation_system
 from afdsvc.stats.fit_measures import Measures, measures
 from afdsvc.stats.portmanteau import residual_tests
 
@@ -110,63 +108,6 @@ PREDICTED = "the plant is unstable and no controller is named, so the fit on dat
 def predicts_only(fit: Fit, recordings: Sequence[InputOutputData], fact: Factorisation | None) -> bool:
     """Whether a model can be judged by one-step predictions only: an unstable plant with a noise model and without its controller."""
     return fact is None and bool(fit.model.gain.any()) and not all(can_be_simulated(fit.system, len(r)) for r in recordings)
-
-
-@dataclass(frozen=True, slots=True)
-class Improvement:
-    """By how much the sum of squared errors falls from the nominal to the identified plant, in units of the noise.
-
-    ``used`` counts the recordings of the fit, where chance alone lets it fall by the number of ``parameters``; ``unused`` others, ``sd`` its
-    standard deviation.
-    """
-
-    used: float
-    unused: float
-    sd: float
-    parameters: int
-
-    @property
-    def real(self) -> bool:
-        """Whether the plant is better on data not used, and by Akaike's criterion on those used (IEEE Trans. Automatic Control 19, 1974)."""
-        return self.unused > 0 and self.used > 2 * self.parameters
-
-    @property
-    def sentence(self) -> str:
-        """The comparison in words."""
-        return (
-            f"against the nominal model the sum of squared errors, in units of their noise, falls by {self.unused:.3g} (standard deviation {self.sd:.2g}) "
-            f"on data not used and by {self.used:.3g} on those used, where {2 * self.parameters} is required of {self.parameters} parameters"
-        )
-
-
-#: Groups of samples whose spread gives the standard deviation of a difference of squared errors.
-GROUPS = 16
-
-
-def improvement(found: StateSpace, nominal: StateSpace, used: Sequence[InputOutputData], unused: Sequence[InputOutputData], fact: Factorisation) -> Improvement:
-    """Return what a plant identified in a loop gains over the nominal one, from beta as alpha explains it, on recordings of u and y.
-
-    Errors are whitened by the noise model of what the identified plant leaves of the recordings ``used``.
-    """
-    own = _unexplained(found, used, fact)
-    whitener = noise_whitener(own, found.dt)
-    white = np.vstack([simulate(whitener, e)[0] for e in own])
-    weight = np.linalg.inv(white.T @ white / len(white))
-
-    def gains(recordings: Sequence[InputOutputData]) -> Array:
-        before, after = (np.vstack([simulate(whitener, e)[0] for e in _unexplained(g, recordings, fact)]) for g in (nominal, found))
-        return np.asarray(np.einsum("ni,ij,nj->n", before, weight, before) - np.einsum("ni,ij,nj->n", after, weight, after))
-
-    fresh = gains(unused)
-    spread = np.std([g.sum() for g in np.array_split(fresh, GROUPS)], ddof=1) * np.sqrt(GROUPS)
-    parameters = found.order * (found.inputs + found.outputs) + found.D.size * bool(found.D.any())
-    return Improvement(float(gains(used).sum()), float(fresh.sum()), float(spread), parameters)
-
-
-def _unexplained(plant: StateSpace, recordings: Sequence[InputOutputData], fact: Factorisation) -> list[Array]:
-    S = deviation_system(fact, plant)
-    signals = (youla_signals(fact, r).centred() for r in recordings)
-    return [fitted_errors(S, s.u, s.y) for s in signals]
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,42 +36,24 @@ def test_in_a_short_recording_a_mode_that_rings_from_end_to_end_is_undamped():
 
 def test_the_orbit_of_a_rotor_is_not_taken_for_the_plant_silently(bearing, observer_loop, run_loop, binary):
     """Unbalance of twice the excited motion at 30 Hz: the estimate warns of the mode it invents; without, it does not."""
-    rng = np.random.default_rng(5)
-    model, fact = _with_controller(StateSpace(0.97 * bearing.A, bearing.B, bearing.C, bearing.D, bearing.dt), observer_loop)
+    plant, rng = gas_bearing(0), np.random.default_rng(5)
+    nominal = StateSpace(0.97 * bearing.A, bearing.B, bearing.C, bearing.D, bearing.dt)
+    fact = observer_loop(nominal)
+    model = Model(
+        "bearing", plant.inputs, plant.outputs, plant.states, nominal, sample_time=nominal.dt, controller=fact.controller
+    )
+    roles = (("u", plant.inputs), ("y", plant.outputs), ("alpha", plant.inputs))
+    channels = tuple(Channel(f"{role}_{v.name}", v.unit) for role, side in roles for v in side)
     angle = 2 * np.pi * 30 * np.arange(4000) * bearing.dt
     told = []
     for size in (0.0, 4.0):
         d = 0.1 * rng.standard_normal((4000, 2)) + size * np.column_stack([np.cos(angle), np.sin(angle)])
-        trace = _trace(model, run_loop(fact, bearing, 0.5 * binary(rng, 4000), d))
+        record, alpha, _ = run_loop(fact, bearing, 0.5 * binary(rng, 4000), d)
+        trace = Trace("run", bearing.dt, channels, np.hstack([record.u, record.y, alpha]))
         told.append([w for w in identify(model, [trace], options=IdentifyOptions(groups=0)).warnings if "undamped" in w])
     assert told[0] == []
     assert len(told[1]) == 1
     assert "periodic disturbance" in told[1][0]
-
-
-def _with_controller(nominal, observer_loop):
-    """Return a model of the bearing with a nominal plant, and the factorisation of its controller."""
-    plant, fact = gas_bearing(0), observer_loop(nominal)
-    return Model("bearing", plant.inputs, plant.outputs, plant.states, nominal, sample_time=nominal.dt, controller=fact.controller), fact
-
-
-def _trace(model, run):
-    record, alpha, _ = run
-    roles = (("u", model.inputs), ("y", model.outputs), ("alpha", model.inputs))
-    channels = tuple(Channel(f"{role}_{v.name}", v.unit) for role, side in roles for v in side)
-    return Trace("run", record.dt, channels, np.hstack([record.u, record.y, alpha]))
-
-
-def test_a_plant_found_in_noise_takes_the_place_of_the_nominal_one_only_where_it_is_better(bearing, observer_loop, run_loop, binary):
-    """The nominal model is the plant, then one with modes that decay too fast: the former is kept, the latter is not."""
-    rng, options = np.random.default_rng(8), IdentifyOptions(order=4, groups=0, cross_check=False)
-    for decay, kept in ((1.0, True), (0.7, False)):
-        model, fact = _with_controller(StateSpace(decay * bearing.A, bearing.B, bearing.C, bearing.D, bearing.dt), observer_loop)
-        trace = _trace(model, run_loop(fact, bearing, 0.5 * binary(rng, 4000), rng.standard_normal((4000, 2))))
-        found = identify(model, [trace], options=options)
-        assert (found.fit.system is found.nominal) is kept
-        assert any("the nominal model is kept" in note for note in found.fit.notes) is kept
-        assert any("falls by" in note for note in found.fit.notes)
 
 
 def _bands(difference, sd):

@@ -77,7 +77,7 @@ def hansen(problem: Prepared, options: IdentifyOptions) -> MethodResult:
     full = rebuilt_plant(fact, S.system)
     wanted = options.reduce_to if options.reduce_to is not None else problem.nominal.order
     note = f"S of order {order} with horizon {found.horizon}, plant of order {full.order}"
-    fit = Fit("hansen", InnovationsForm.output_error(full), found.singular_values, reason, deviation=S.system, notes=(note,))
+    fit = Fit("hansen", _output_error(full), found.singular_values, reason, deviation=S.system, notes=(note,))
     if wanted >= full.order:
         return MethodResult(
             _banded(fit, _hansen_repeat(fact, found.horizon, order, options, None, wanted), problem.training, options),
@@ -88,7 +88,7 @@ def hansen(problem: Prepared, options: IdentifyOptions) -> MethodResult:
         return _refined(problem, signals, fit, full, reductions, options)
     fit = replace(
         fit,
-        model=InnovationsForm.output_error(_chosen(reductions)),
+        model=_output_error(_chosen(reductions)),
         notes=(f"{note}, reduced to {wanted} by {reductions[0].method} truncation",),
     )
     repeat = _hansen_repeat(fact, found.horizon, order, options, reductions[0].method, wanted)
@@ -118,7 +118,7 @@ def _refined(
         f"truncation and refined on the recordings from {len(starts)} starts"
     )
     return MethodResult(
-        replace(fit, model=InnovationsForm.output_error(refinement.system), band=band, notes=(note,)), full, (found, *reductions)
+        replace(fit, model=_output_error(refinement.system), band=band, notes=(note,)), full, (found, *reductions)
     )
 
 
@@ -388,7 +388,12 @@ def _order(
 def _nominal_stands(problem: Prepared, reason: str) -> Fit:
     S = StateSpace.gain(np.zeros((problem.nominal.outputs, problem.nominal.inputs)), problem.nominal.dt)
     note = "no deviation from the nominal model shows in the recordings; the nominal model is kept"
-    return Fit("hansen", InnovationsForm.output_error(problem.nominal), order_reason=reason, deviation=S, notes=(note,))
+    return Fit("hansen", _output_error(problem.nominal), order_reason=reason, deviation=S, notes=(note,))
+
+
+def _output_error(system: StateSpace) -> InnovationsForm:
+    """Return the plant without a noise model."""
+    return InnovationsForm(system, np.zeros((system.order, system.outputs)), np.eye(system.outputs))
 
 
 def _reductions(

@@ -29,11 +29,6 @@ class InnovationsForm:
     gain: Array
     covariance: Array
 
-    @classmethod
-    def output_error(cls, system: StateSpace) -> InnovationsForm:
-        """Return a plant without a noise model."""
-        return cls(system, np.zeros((system.order, system.outputs)), np.eye(system.outputs))
-
     def predictor(self) -> StateSpace:
         """Return the one-step predictor: inputs ``[u, y]``, output the predicted y."""
         s = self.system
