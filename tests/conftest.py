@@ -20,7 +20,7 @@ from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.clock import FastClock
 
 # Files of few and long tests, first what compiles for the others; a long file that comes last leaves every other worker idle.
-LONG = ("testing", "explain", "compatibility", "system", "app")
+LONG = ("testing", "explain", "compatibility", "system", "app", "trial")
 
 
 def pytest_configure(config: pytest.Config) -> None:
