@@ -30,7 +30,7 @@ from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import mechanism
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
-from afdsvc.explain.verdict.holdout import HeldOutVerdict, checked_on_holdout, doubted, on, played_back, player
+from afdsvc.explain.verdict.holdout import HeldOutVerdict, checked_on_holdout, doubted, player
 from afdsvc.explain.verdict.verdict import DOUBT, verdict
 
 ATTEMPTS = 3  # searches, each without the first names that the recordings held out have not confirmed
@@ -126,11 +126,11 @@ def _consistent_there(answer: HeldOutVerdict, problem: Problem, horizon: float, 
     """Return the answer, not consistent where a flexible model predicts what is missed of the recordings held out."""
     if answer.verdict.verdict != "consistent":
         return answer
-    there, point = on(problem, heldout), answer.final.point
-    begun = replace(point, x0=tuple(played_back(there, point.rested(there.x0), horizon)[1]))
-    if rms(there.residuals(begun, horizon)).max() < problem.settings.rounding:
+    play = player(problem, horizon)
+    there, point, _ = play.begun(heldout, answer.final.point)
+    if rms(there.residuals(point, play.horizon)).max() < problem.settings.rounding:
         return answer
-    gap = gap_test(signals(there, begun, horizon), *signal_names(there), rng)
+    gap = gap_test(signals(there, point, play.horizon), *signal_names(there), rng)
     if not gap.present or gap.total < DOUBT:
         return answer
     said = f"on the recordings held out a flexible model predicts {100 * gap.total:.0f} % of the residual's power ({p_value_text(gap.p_value)}): they show what those fitted do not"

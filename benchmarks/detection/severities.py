@@ -84,8 +84,8 @@ def _played(
     rows = np.full((len(detectors), bursts if burst else 0, 4), np.nan)
     for k in range(rows.shape[1]):
         run = machine.run(np.random.default_rng([*seed, k]), alpha_of(burst, machine.dt, quiet(problem)), loss_of(problem, dict(truth)))
-        for i, told in enumerate(shown(problem, detectors, run, burst)):
-            e = told[-1]
+        for i, decisions in enumerate(shown(problem, detectors, run, burst)):
+            e = decisions[-1]
             if e.severity and e.severity.low is not None and max(e.weights, key=lambda n: e.weights[n]) == fault:
                 x, sd, s = e.parts[f"severity.{fault}"], e.parts[f"sd.{fault}"], e.severity
                 rows[i, k] = [x - severity, abs(x - severity) <= HALF * sd, s.value - severity, s.low <= severity <= s.high]

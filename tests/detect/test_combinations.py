@@ -99,7 +99,7 @@ def test_the_bound_of_a_second_fault_on_lines_is_where_the_exact_profile_falls_s
 
 @pytest.mark.parametrize("kind", ["regression", *LINES])
 def test_two_faults_that_do_exactly_what_one_does_are_inside_the_bound(kind):
-    """One input and one output: the losses multiply, and neither is told from the other."""
+    """One input and one output: the losses multiply, and the two cannot be distinguished."""
     machine = next(m for m in machines() if m.name == "huge units")
     problem = problem_of(machine, FalseAlarms(1e-2))
     burst = Burst("b", 1, 2000, 100, tuple(Line(0, w, 5 * float(machine.spread()[1][0])) for w in (220.0, 610.0)), settle=60)

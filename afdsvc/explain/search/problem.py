@@ -74,7 +74,7 @@ class Problem:
     def simulated(self, point: Point, horizon: float) -> list[Simulated]:
         """Return the simulation of every run; the offset is in the outputs."""
         simulator, found = Simulator(self.nominal, self.gains[horizon], self.ramped), []
-        read = self.closed or bool(self.gains[horizon].any())
+        read = self.closed or bool(self.gains[horizon].any())  # else the simulation reads neither outputs nor references
         for k, (run, x0) in enumerate(zip(self.runs, point.x0, strict=True)):
             there = replace(run, Y=run.Y - point.offset, REF=run.REF - point.offset) if read else run
             s = simulator.run(there, point.theta, x0, point.effects, closed=self.closed, begun=point.begun(k))

@@ -34,8 +34,13 @@ class Player:
 
     def outputs(self, runs: Sequence[Run], point: Point) -> list[Array]:
         """Return the simulated outputs ``(n, p)`` of every run, from the initial state that fits it best."""
+        return self.begun(runs, point)[2]
+
+    def begun(self, runs: Sequence[Run], point: Point) -> tuple[Problem, Point, list[Array]]:
+        """Return the problem on other runs, the point with the initial states that fit them best, and the simulated outputs."""
         there = on(self.problem, runs)
-        return played_back(there, point.rested(there.x0), self.horizon)[0]
+        outputs, states = played_back(there, point.rested(there.x0), self.horizon)
+        return there, point.rested(states), outputs
 
     def nrmse(self, runs: Sequence[Run], point: Point) -> Array:
         """Return ``|y - yhat| / |y - mean|`` of every output over all runs, ``(p,)``; infinite where a simulation left."""
