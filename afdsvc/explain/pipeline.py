@@ -19,6 +19,7 @@ from afdsvc.explain.check.response import refuse_still
 from afdsvc.explain.gap.decision import gap_test
 from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.gap.settings import GapSettings
+from afdsvc.explain.gap.signals import LEAST_SAMPLES
 from afdsvc.explain.locate.residual import by_innovations, signal_names, signals
 from afdsvc.explain.report.explanation import Explanation
 from afdsvc.explain.report.report import report
@@ -123,9 +124,13 @@ def _searched(
 
 
 def _consistent_there(answer: HeldOutVerdict, problem: Problem, horizon: float, heldout: Sequence[Run], rng: np.random.Generator) -> HeldOutVerdict:
-    """Return the answer, not consistent where a flexible model predicts what is missed of the recordings held out."""
+    """Return the answer, not consistent where a flexible model predicts what is missed of the recordings held out; short ones are not tested."""
     if answer.verdict.verdict != "consistent":
         return answer
+    samples = sum(map(len, heldout))
+    if samples < LEAST_SAMPLES:
+        said = f"the recordings held out have {samples} samples; a test of what is missed there needs at least {LEAST_SAMPLES}"
+        return replace(answer, verdict=replace(answer.verdict, sentences=(*answer.verdict.sentences, said)))
     play = player(problem, horizon)
     there, point, _ = play.begun(heldout, answer.final.point)
     if rms(there.residuals(point, play.horizon)).max() < problem.settings.rounding:

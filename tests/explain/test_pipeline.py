@@ -95,6 +95,12 @@ def test_a_machine_that_differs_in_what_is_held_out_only_is_not_consistent(sprin
     assert any(s.startswith("on the recordings held out a flexible model predicts") for s in answer.sentences)
 
 
+def test_a_few_samples_held_out_do_not_stop_the_answer(spring, recorded):
+    answer = explain(spring, [recorded(0), recorded(1, 0.5)], [recorded(2).span(0, 80)], some("cubic_stiffness"))
+    assert answer.verdict == "consistent"
+    assert "the recordings held out have 80 samples; a test of what is missed there needs at least 100" in answer.sentences
+
+
 def test_physics_that_no_hypothesis_has_is_unexplained_with_the_nearest_beside_it(spring, recorded, tmp_path):
     *recordings, held = [recorded(seed, level, lambda q, v: -3e3 * np.sin(6 * q)) for seed, level in enumerate(LEVELS)]
     answer = explain(spring, recordings, [held], some("coulomb_friction"))

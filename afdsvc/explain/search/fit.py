@@ -14,7 +14,7 @@ from afdsvc.lti.statespace import Array
 
 STEP = 1e-4  # finite difference, in units of the prior or of the parameter
 TINY = 1e-12
-GROWTH, ATTEMPTS = 4.0, 10  # of the damping, where a step fails, and how many are tried
+GROWTH, ATTEMPTS, SHORTER = 4.0, 6, 0.5  # of the damping where a step succeeds; how many are tried, each this share of the last or less
 ENOUGH, CONVERGED = 0.1, 1e-3  # fall of the cost (log-likelihood) at which a fit ends, and the fit of what is accepted
 
 
@@ -278,15 +278,22 @@ def _improving(
     cost_of: Callable[[Array, Sequence[Array]], float],
 ) -> tuple[Array, tuple[Array, ...], float, float] | None:
     """Return coordinates, residuals, cost and damping after a step that lowers the cost; None when none does."""
-    growth = 2.0
+    growth, failed = 2.0, np.inf
     for _ in range(ATTEMPTS):
-        step = -np.linalg.solve(H + damping * np.eye(len(H)), g)
-        step[: c.k] = np.clip(step[: c.k], -5, 5)
-        step[c.k : c.shared] = np.clip(step[c.k : c.shared], -1.5, 1.5)
+        while (size := float(np.linalg.norm(step := _damped(c, H, g, damping)))) > SHORTER * failed:
+            damping, growth = damping * growth, 2 * growth
         moved = c.pack(c.unpack(q + step))
         residuals = weighted(problem, c.unpack(moved), horizon)
         new = cost_of(moved, residuals)
         if new < cost - 1e-12:
-            return moved, residuals, new, damping / GROWTH
-        damping, growth = damping * growth, 2 * growth
+            return moved, residuals, new, damping / GROWTH if failed == np.inf else damping
+        failed = size
     return None
+
+
+def _damped(c: Coordinates, H: Array, g: Array, damping: float) -> Array:
+    """Return a step, held to a length that keeps shape parameters in sight."""
+    step = -np.linalg.solve(H + damping * np.eye(len(H)), g)
+    step[: c.k] = np.clip(step[: c.k], -5, 5)
+    step[c.k : c.shared] = np.clip(step[c.k : c.shared], -1.5, 1.5)
+    return np.asarray(step)
