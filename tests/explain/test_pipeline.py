@@ -95,6 +95,11 @@ def test_a_machine_that_differs_in_what_is_held_out_only_is_not_consistent(sprin
     assert any(s.startswith("on the recordings held out a flexible model predicts") for s in answer.sentences)
 
 
+def test_without_a_hypothesis_a_gap_is_unexplained(spring, four):
+    answer = explain(spring, four[:3], four[3:], [])
+    assert (answer.verdict, answer.named, answer.candidates) == ("unexplained", (), ())
+
+
 def test_a_few_samples_held_out_do_not_stop_the_answer(spring, recorded):
     answer = explain(spring, [recorded(0), recorded(1, 0.5)], [recorded(2).span(0, 80)], some("cubic_stiffness"))
     assert answer.verdict == "consistent"
@@ -138,13 +143,13 @@ def test_python_code_is_explained_as_it_is_and_stays_the_code_it_is(spring, four
     model: Model = replace(
         spring, plant=None, dynamics=Code(), parameters=parameters, origin=str(tmp_path / "model.toml"), extra={"dynamics": "spring.py:model"}
     )
-    answer = explain(model, four[:3], four[3:], FEW)
+    answer = explain(model, four[:3], four[3:], some("cubic_stiffness", "coulomb_friction"), experiment=False)
     assert (answer.named[0].physics, answer.named[0].site) == ("cubic_stiffness", "state:v")
     (tmp_path / "out").mkdir()
     written = write_improved(answer, tmp_path / "out" / "MODEL.toml", {})
     assert [f.name for f in written] == ["MODEL.toml", "MODEL.py"]
     improved = read_model(written[0], allow_code=True)
-    again = explain(improved, four[:3], four[3:], FEW)
+    again = explain(improved, four[:3], four[3:], some("cubic_stiffness"), experiment=False)
     left = [n.parameters["stiffness"].value for n in again.named if n.physics == "cubic_stiffness"]
     assert sum(left) < 0.03 * answer.named[0].parameters["stiffness"].value  # the fit holds a force over each step, the written code does not
     assert again.fit[0].before_nrmse < 0.1 * answer.fit[0].before_nrmse

@@ -335,7 +335,8 @@ def _shortlist(
         for x in screened:
             found.setdefault(x.hypothesis.key, {})[h] = x
         chosen += [x.hypothesis.key for x in screened[:count]]
-        directions, rng = np.array([x.starts[0].direction for x in screened]), np.random.default_rng(len(offered))
+        directions = np.array([x.starts[0].direction for x in screened]).reshape(len(screened), len(screen.scale))
+        rng = np.random.default_rng(len(offered))
         falls = chance(_noise(problem, path[h]), [len(r) for r in problem.runs], directions, screen.scale, problem.settings.surrogates, rng)
         by_chance[h] = 2 * float(falls.max(initial=0.0))
     return [found[k] for k in dict.fromkeys(chosen)], by_chance
