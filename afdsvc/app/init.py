@@ -15,16 +15,18 @@ from afdsvc.dataset.units import is_velocity
 from afdsvc.errors import BadInput
 from afdsvc.files.model.schema import Inline, toml_text
 from afdsvc.files.open import TABLES
+from afdsvc.files.tables.alignment import SHORTEST
 from afdsvc.files.tables.foreign import read_foreign_columns
 from afdsvc.files.tables.formats import read_columns
 from afdsvc.files.tables.historian import is_export, read_export
 from afdsvc.files.tables.mapping import DataMapping, Heading, heading, role_of_unit, same_unit
-from afdsvc.files.tables.time_base import is_stamped, own_time
+from afdsvc.files.tables.time_base import is_stamped, own_step, own_time
 from afdsvc.files.unfinished import writing
 from afdsvc.identify.first_model import MOST, Polynomials, first_model
 
 MODEL, MAPPING, SITE = "MODEL.toml", "mapping.toml", "site.toml"
 ESTIMATED = "# Estimated from {file}: a lag for each speed, a resonance for any other output. Put what you know of the machine in its place.\n"
+SECONDS = ("s", "ms", "us", "ns")
 SMALLEST = 1e-6  # least share of the variance that is taken for noise
 RELATIVE = 0.3  # how well the estimate is known where physics is missing from it
 NEXT = """afdsvc check {model} {recording} --mapping {mapping}
@@ -69,11 +71,13 @@ def init_files(recording: Path, out: Path | None = None, answers: Answers | None
     if there is not None:
         raise BadInput(f"{there}: exists already; expected another folder (--out DIR), or --overwrite")
     columns = {n: v for n, (_, v) in read_export(recording)[0].items()} if is_export(recording) else read_columns(recording)
-    time = own_time(columns) or next((n for n in columns if heading(n).role == "t"), "")
-    found = _headings(recording, [n for n in columns if n != time and not is_stamped(columns[n])], answers)
-    step = None if time or is_export(recording) else _step(recording, answers)
-    text = _mapping(found, time, bool(time) and is_stamped(columns[time]), step)
-    (trace, *_) = read_foreign_columns(recording, DataMapping.model_validate(text), None)
+    _, stated = own_step(columns)
+    columns = {n: v for n, v in columns.items() if len(v) > 1}  # MAT files hold numbers beside vectors
+    time = own_time(columns) or next((n for n in columns if answers.units.get(n) in SECONDS or heading(n).role == "t"), "")
+    found = _headings(recording, [n for n in columns if n != time and not is_stamped(columns[n])], answers, time)
+    step = None if time or is_export(recording) else _step(recording, replace(answers, step=answers.step or stated))
+    text = _mapping(found, time, is_stamped(columns[time]) if time else False, answers.units.get(time) or (heading(time).unit if time else ""), step)
+    trace = _longest(read_foreign_columns(recording, DataMapping.model_validate(text), None))
     ins, outs = ([h for h in found if h.role == role] for role in ("u", "y"))
     u = np.column_stack([trace.column(f"u_{h.label}") for h in ins])
     fits = [first_model(u, trace.column(f"y_{h.label}"), trace.dt, is_velocity(h.unit)) for h in outs]
@@ -92,9 +96,21 @@ def init_files(recording: Path, out: Path | None = None, answers: Answers | None
     }  # fmt: skip
 
 
-def _headings(recording: Path, names: Sequence[str], answers: Answers) -> list[Heading]:
+def _longest(traces: Sequence[Trace]) -> Trace:
+    """Return the longest stretch without an empty cell in an input or output; raises `BadInput` where it is too short."""
+    best = traces[0].span(0, 0)
+    for trace in traces:
+        good = np.isfinite(np.hstack([trace.role("u"), trace.role("y")])).all(axis=1)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
+        best = max([best, *(trace.span(a, b) for a, b in edges.reshape(-1, 2).tolist())], key=len)
+    if len(best) < SHORTEST:
+        raise BadInput(f"{best.name}: {len(best)} rows in a row have a number in every input and output; expected at least {SHORTEST}")
+    return best
+
+
+def _headings(recording: Path, names: Sequence[str], answers: Answers, time: str) -> list[Heading]:
     for name in answers.columns:
-        if name not in names:
+        if name not in (*names, time):
             raise BadInput(f"{recording}: no column '{name}'; it has {', '.join(names)}")
     found = [h for h in (heading(n, answers.inputs, answers.outputs) for n in names) if h.role != "t"]
     found = [replace(h, unit=_unit(h.name, answers.units[h.name])) if h.name in answers.units else h for h in found]
@@ -141,8 +157,7 @@ def _unit(column: str, text: str) -> str:
     return text
 
 
-def _mapping(found: Sequence[Heading], time: str, stamped: bool, step: float | None) -> dict[str, Any]:
-    unit = heading(time).unit if time else ""
+def _mapping(found: Sequence[Heading], time: str, stamped: bool, unit: str, step: float | None) -> dict[str, Any]:
     clock = {"from": time} | ({} if stamped or not unit else {"unit": unit}) if time else {"step": step} if step else {}
     signals = {f"{h.role}_{h.label}": {"from": h.name} | ({"unit": h.unit} if h.unit else {}) for h in found}
     return ({"time": clock} if clock else {}) | {"signals": signals}
@@ -153,7 +168,7 @@ def _step(recording: Path, answers: Answers) -> float:
     if answers.step is not None:
         return _positive("--step", str(answers.step))
     if answers.ask is None:
-        raise BadInput(f"{recording}: no column is the time; expected one named t, t_ms or timestamp, or --step SECONDS, the time between rows")
+        raise BadInput(f"{recording}: no column is the time; expected one named t, t_ms or timestamp, --unit COLUMN=s (or ms, us, ns), or --step SECONDS, the time between rows")
     return float(answers.ask("No column is the time. Seconds between rows", "", lambda text: _positive("seconds between rows", text)))
 
 

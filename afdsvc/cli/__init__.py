@@ -142,7 +142,7 @@ def init(
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder of the files (default: that of the table).")] = None,
     inputs: Annotated[list[str] | None, typer.Option("--input", metavar="COLUMN", help="A column that is an input; may be repeated.")] = None,
     outputs: Annotated[list[str] | None, typer.Option("--output", metavar="COLUMN", help="A column that is an output; may be repeated.")] = None,
-    unit: Annotated[list[str] | None, typer.Option("--unit", metavar="COLUMN=UNIT", help="The unit of a column; may be repeated.")] = None,
+    unit: Annotated[list[str] | None, typer.Option("--unit", metavar="COLUMN=UNIT", help="The unit of a column; with s, ms, us or ns it is the time; may be repeated.")] = None,
     step: Annotated[float | None, typer.Option("--step", metavar="SECONDS", help="Time between rows, where no column is the time.")] = None,
     with_site: Annotated[bool, typer.Option("--with-site", help="Also write site.toml, which runs the model as a simulated machine.")] = False,
     limit: Annotated[list[str] | None, typer.Option("--limit", metavar="COLUMN=VALUE", help="Largest magnitude in a burst, for site.toml (default: that of the table).")] = None,

@@ -8,9 +8,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.io import savemat
 from typer.testing import CliRunner
 
+from afdsvc import load
 from afdsvc.app.init import Answers, init_files
 from afdsvc.app.site_check import check_site
 from afdsvc.cli import app
@@ -66,6 +69,7 @@ def test_units_say_the_role_where_names_do_not(tmp_path: Path):
     assert [c["signal"] for c in found] == ["u_u", "y_n", "aux_winding", "aux_gap"]
 
 
+LOG_COLUMNS = (np.arange(300) // 9 % 2.0, np.convolve(np.arange(300) // 9 % 2.0, 0.5 * 0.5 ** np.arange(20))[:300])
 LOG = "t,a,b\n" + "".join(f"{k / 10},{(k // 9) % 2},{(k // 9) % 2 + k % 3 / 10}\n" for k in range(300))
 
 
@@ -130,3 +134,41 @@ def test_a_site_is_checked_machine_by_machine(tmp_path: Path):
     done = CliRunner().invoke(app, ["site", "check", str(tmp_path / "site.toml")])
     assert done.exit_code == 2
     assert "starts" in done.output
+
+
+def test_matrices_u_and_y_of_a_mat_file_with_their_sample_time(tmp_path: Path):
+    u, y = LOG_COLUMNS
+    savemat(tmp_path / "log.mat", {"u": u[:, None], "y": np.column_stack([y, 2 * y]), "Ts": 0.1})
+    document = init_files(tmp_path / "log.mat")
+    assert [c["signal"] for c in document["columns"]] == ["u_u", "y_1", "y_2"]
+    assert document["sample_time"] == 0.1
+    assert load(tmp_path / "log.mat", model=read_model(document["model"]))[0].dt == 0.1  # the matrices are the model's signals in order, without the mapping too
+
+
+def test_columns_that_are_counted_get_role_time_and_unit_from_the_command_line(tmp_path: Path):
+    u, y = LOG_COLUMNS
+    (tmp_path / "log.csv").write_text("".join(f"{100 * k},{u[k]},{y[k]}\n" for k in range(len(u))))
+    document = init_files(tmp_path / "log.csv", answers=Answers(["2"], ["3"], {"1": "ms", "2": "V", "3": "rpm"}))
+    assert [c["signal"] for c in document["columns"]] == ["u_2", "y_3"]
+    assert document["sample_time"] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("every", [2, 3])
+def test_columns_of_two_rates_in_one_table(tmp_path: Path, every: int):
+    """A logger that writes a row for every fast sample leaves the slow column's cells empty: it has times of its own."""
+    u, y = (np.repeat(c, every) for c in LOG_COLUMNS)
+    (tmp_path / "log.csv").write_text("t,U_V,n_rpm\n" + "".join(f"{k / 100:g},{u[k]},{'' if k % every else y[k]}\n" for k in range(len(u))))
+    document = init_files(tmp_path / "log.csv")
+    assert document["sample_time"] == pytest.approx(every / 100)
+    assert document["fits"]["n"]["r2"] > 0.8
+
+
+def test_the_first_model_is_of_the_longest_stretch_without_an_empty_cell(tmp_path: Path):
+    u, y = LOG_COLUMNS
+    rows = [f"{k / 10},{u[k]},{'' if k in (40, 45) else y[k]}\n" for k in range(len(u))]
+    (tmp_path / "log.csv").write_text("t,U_V,n_rpm\n" + "".join(rows))
+    assert init_files(tmp_path / "log.csv")["fits"]["n"]["r2"] > 0.8
+    rows = [f"{k / 10},{u[k]},{y[k] if k % 40 else ''}\n" for k in range(len(u))]
+    (tmp_path / "short.csv").write_text("t,U_V,n_rpm\n" + "".join(rows))
+    with pytest.raises(BadInput, match=r"39 rows in a row have a number in every input and output; expected at least 50"):
+        init_files(tmp_path / "short.csv", tmp_path / "short")

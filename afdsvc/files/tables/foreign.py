@@ -146,7 +146,14 @@ def _table(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Grou
         raise BadInput(f"{path}: columns of {', '.join(map(str, sorted(lengths)))} rows; expected equal lengths")
     if t is None:
         t = np.asarray((time.step or 0.0) * np.arange(max(lengths)), dtype=np.float64)
-    return [Group("the table", t, chosen)], remarks
+    slow = {signal: Group(places[signal], t[full], {signal: values[full]}) for signal, values in chosen.items() if _slower(full := np.isfinite(values))}
+    return [*([Group("the table", t, rest)] if (rest := {s: v for s, v in chosen.items() if s not in slow}) else []), *slow.values()], remarks
+
+
+def _slower(full: Array) -> bool:
+    """Whether a column was sampled at a rate below the rows': most of its cells are followed by empty ones."""
+    rows = np.flatnonzero(full)
+    return len(rows) > 1 and float(np.median(np.diff(rows))) > 1
 
 
 def _export(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group], list[str]]:

@@ -153,6 +153,7 @@ INPUTS = ("voltage", "force", "torque", "current", "command", "duty", "pwm", "dr
 OUTPUTS = ("position", "speed", "velocity", "angle", "acceleration", "displacement", "pressure", "level", "rate", "output", "rpm", "deflection")
 TIMES = ("t", "time", "timestamp", "datetime", "date", "zeit", "stamp")
 UNITS = {"u": ("V", "A", "N", "N*m"), "y": ("rpm", "m", "m/s", "m/s^2")}  # what machines are driven by, and how they move
+NO_UNITS = ("PV", "MV", "CV", "SP", "OP", "U", "act", "point")  # last words of names that would else be petavolts, megavolts and the like
 SPELT = {"Nm": "N*m", "C": "degC", "degs": "deg/s", "rads": "rad/s", "mps": "m/s", "mms": "mm/s"}
 
 
@@ -180,15 +181,16 @@ def heading(name: str, inputs: Sequence[str] = (), outputs: Sequence[str] = ()) 
     label = re.sub(r"\W+", "_", words.strip()).strip("_").lower() or "signal"
     if name in inputs or name in outputs:
         return Heading(name, label, unit, "u" if name in inputs else "y")
-    role = own or _role(label)
+    role = own or (name if name in ("u", "y") else _role(label))  # matrices u and y: inputs and outputs
     return Heading(name, rest if own and not unit else label, unit, role)
 
 
 def _unit_of(name: str) -> tuple[str, str]:
     """Return a name without its unit, and the unit: in brackets, or what follows the last underscore if it is one."""
-    found = re.fullmatch(r"(.*?)\s*[\[(]([^\])]+)[\])]\s*", name) or re.fullmatch(r"(.+)_([A-Za-z%/0-9]+)", name)
-    unit = SPELT.get(found.group(2), found.group(2)) if found else ""
-    return (found.group(1), unit) if found and _is_unit(unit) else (name, "")
+    found = re.fullmatch(r"(.*?)\s*[\[(]([^\])]+)[\])]\s*", name) or re.fullmatch(rf"(.+)_(?!(?:{'|'.join(NO_UNITS)})$)([A-Za-z%][A-Za-z%/0-9]*)", name)
+    stated = found.group(2) if found else ""
+    unit = next((u for u in (SPELT.get(stated, stated), stated.lower()) if u and _is_unit(u)), "")  # SPEED_RPM is in rpm
+    return (found.group(1), unit) if found and unit else (name, "")
 
 
 def _is_unit(text: str) -> bool:

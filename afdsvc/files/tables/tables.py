@@ -14,7 +14,7 @@ from afdsvc.files.model.model_file import model_text
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.files.tables.formats import Columns, read_columns
-from afdsvc.files.tables.time_base import TIME, is_stamped, own_time, seconds, time_base
+from afdsvc.files.tables.time_base import TIME, is_stamped, own_step, own_time, seconds, time_base
 from afdsvc.files.unfinished import writing
 from afdsvc.lti.statespace import Array
 from afdsvc.wire.codec import encode_block
@@ -43,6 +43,10 @@ def read_table(
 def table_trace(columns: Columns, path: Path, dt: float | None = None, allow_nan: bool = False, default_dt: float | None = None) -> Trace:
     """Return columns by name as a trace named after ``path``, as `read_table` does."""
     columns = dict(columns)
+    name, stated = own_step(columns)
+    if stated is not None:
+        del columns[name]
+        default_dt = stated
     _refuse_unequal(columns, path)
     counted = next((name for name in columns if name.isdigit()), "")
     if counted:

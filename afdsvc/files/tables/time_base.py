@@ -19,6 +19,7 @@ from afdsvc.lti.statespace import Array
 
 TIME = "t"
 UNITS = {"t": 1.0, "t_s": 1.0, "t_ms": 1e-3, "t_us": 1e-6, "t_ns": 1e-9}
+STEPS = ("ts", "dt", "step")
 JITTER = 0.1  # share of the sample time by which a time may miss its place
 
 
@@ -52,6 +53,12 @@ def own_time(columns: Mapping[str, Array]) -> str:
     """Return the column that is the time: ``t`` in seconds, ``t_ms``, ``t_us``, ``t_ns``, else the only one of time stamps; "" if none."""
     stamped = [name for name, column in columns.items() if is_stamped(column)]
     return next((name for name in UNITS if name in columns), stamped[0] if len(stamped) == 1 else "")
+
+
+def own_step(columns: Mapping[str, Array]) -> tuple[str, float | None]:
+    """Return the number beside vectors that is the sample time [s], ``Ts``, ``dt`` or ``step``, and its name; ("", None) if none."""
+    longest = max(map(len, columns.values()), default=0)
+    return next(((n, float(v[0])) for n, v in columns.items() if n.lower() in STEPS and len(v) == 1 < longest and not is_stamped(v)), ("", None))
 
 
 def is_stamped(column: Array) -> bool:
