@@ -107,7 +107,7 @@ class Model:
         Parameters
         ----------
         system : control.StateSpace, control.TransferFunction, scipy.signal.lti, tuple
-            The plant; a tuple is ``(num, den)``, ``(zeros, poles, gain)`` or ``(A, B, C, D)`` in continuous time.
+            The plant; a tuple is ``(num, den)``, ``(zeros, poles, gain)``, ``(A, B, C)`` or ``(A, B, C, D)`` in continuous time.
         inputs, outputs, states : list of str, or dict of str to str
             Names, or names with their units. Without names they are ``u1``, ``y1``; states that are an output as it stands, or
             the rate of one, are known as that.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -251,6 +252,11 @@ def diagnose(*recordings: str | Path, model: str | Path | None = None, calibrate
     """
     from afdsvc.app.diagnose import diagnose_recordings
 
+    if not recordings:
+        raise BadInput("no recording was given; expected at least one")
+    for one in recordings:
+        if not isinstance(one, (str, Path)):
+            raise BadInput(f"a recording is a {type(one).__name__}; expected the path of one by the service, or of a table with model=")
     naming = Naming.of(None if mapping is None else Path(mapping), rename)
     given = None if model is None else Path(model)
     return Diagnosed(diagnose_recordings([Path(r) for r in recordings], given, calibrate, None, detectors, naming, allow_code))
@@ -347,19 +353,26 @@ def _plain(column: Any) -> Any:
 
 def _arrays(u: Any, y: Any, dt: float | None) -> list[Trace]:
     """Return arrays, or lists of them (an experiment each), as traces."""
-    if dt is None or not dt > 0:
+    if not isinstance(dt, Real) or not dt > 0:
         raise BadInput(f"dt is {dt}; expected the sample time in seconds with arrays of u and y")
     if isinstance(u, (list, tuple)) and isinstance(y, (list, tuple)) and np.ndim(u[0]) > 0:
+        if len(u) != len(y):
+            raise BadInput(f"u has {len(u)} experiments and y {len(y)}; expected as many")
         return [replace(_arrays(a, b, dt)[0], name=f"experiment {k}") for k, (a, b) in enumerate(zip(u, y, strict=True), 1)]
-    inputs, outputs = (_columns(part) for part in (u, y))
+    inputs, outputs = _columns("u", u), _columns("y", y)
     if len(inputs) != len(outputs):
         raise BadInput(f"u has {len(inputs)} samples and y {len(outputs)}; expected equal lengths")
     names = [f"{role}_{role}{k + 1}" for role, part in (("u", inputs), ("y", outputs)) for k in range(part.shape[1])]
     return [Trace("arrays", dt, tuple(Channel(n) for n in names), np.hstack([inputs, outputs]))]
 
 
-def _columns(part: Any) -> Array:
-    found = np.asarray(part, dtype=np.float64)
+def _columns(name: str, part: Any) -> Array:
+    try:
+        found = np.asarray(part, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"{name}: {error}; expected an array of numbers") from error
+    if found.ndim not in (1, 2) or found.shape[-1] > len(found):
+        raise BadInput(f"{name} is an array {found.shape}; expected (samples,) or (samples, signals)")
     return np.ascontiguousarray(found[:, None] if found.ndim == 1 else found)
 
 

@@ -15,6 +15,7 @@ from afdsvc.lti.statespace import Array
 SATURATED_SHARE = 0.005
 #: Share of an output's power that a straight line may explain.
 DRIFT_SHARE = 0.1
+STRETCHES = 10  # whose means show a trend
 #: Consecutive samples in which nothing at all changes, above which the recorder must have stood still.
 FROZEN_SAMPLES = 8
 
@@ -108,7 +109,7 @@ def _drift(trace: Trace, column: int) -> str:
     y, t = trace.values[:, column], np.linspace(-1, 1, len(trace))
     y = y - y.mean()
     power = float(y @ y)
-    if not power > 0:
+    if len(y) < STRETCHES or not power > 0:
         return ""
     slope = float(t @ y) / float(t @ t)
     share = slope**2 * float(t @ t) / power
@@ -123,9 +124,9 @@ def _drift(trace: Trace, column: int) -> str:
 
 
 def _trend_p_value(y: Array, line: Array) -> float:
-    """Return how likely means of 10 stretches rise like this without a trend (rank correlation, immune to colour)."""
-    means = np.asarray([part.mean() for part in np.array_split(y, 10)])
-    return float(stats.kendalltau(np.arange(10), means * np.sign(line[-1]), alternative="greater").pvalue)
+    """Return how likely the means of the stretches rise like this without a trend (rank correlation, immune to colour)."""
+    means = np.asarray([part.mean() for part in np.array_split(y, STRETCHES)])
+    return float(stats.kendalltau(np.arange(STRETCHES), means * np.sign(line[-1]), alternative="greater").pvalue)
 
 
 def _longest_run(flags: Array) -> tuple[int, int]:

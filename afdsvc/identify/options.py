@@ -54,6 +54,8 @@ class IdentifyOptions:
         ):
             if getattr(self, name) not in known:
                 raise BadInput(f"option {name} = '{getattr(self, name)}'; expected one of {', '.join(known)}")
+        if any(number is not None and number < 1 for number in (self.order, self.horizon)):
+            raise BadInput(f"options order = {self.order}, horizon = {self.horizon}; expected at least 1, or None: chosen from the data")
         if self.norm not in (1, 2):
             raise BadInput(f"option norm = {self.norm}; expected 1 or 2")
         if self.groups != 0 and self.groups < 3:

@@ -137,14 +137,17 @@ def as_state_space(system: Any) -> StateSpace:
         return from_polynomials(num, den, _seconds(system.dt))
     if all(hasattr(system, part) for part in ("zeros", "poles", "gain")) and not callable(system.zeros):
         return from_roots(system.zeros, system.poles, float(system.gain), _seconds(system.dt))
-    raise BadInput(f"the system is a {type(system).__name__}; expected one of python-control or scipy.signal, or (num, den), (zeros, poles, gain), (A, B, C, D)")
+    raise BadInput(f"the system is a {type(system).__name__}; expected one of python-control or scipy.signal, or (num, den), (zeros, poles, gain), (A, B, C), (A, B, C, D)")
 
 
 def _of_parts(parts: tuple[Any, ...], dt: float) -> StateSpace:
     if len(parts) == 2:
         num, den = (np.atleast_1d(np.asarray(p, dtype=np.float64)) for p in parts)
         return from_polynomials([[num]], [[den]], dt)
-    return from_roots(parts[0], parts[1], float(parts[2]), dt) if len(parts) == 3 else StateSpace.of(parts[0], parts[1], parts[2], parts[3], dt)
+    if len(parts) == 3 and np.ndim(parts[2]) == 0:
+        return from_roots(parts[0], parts[1], float(parts[2]), dt)
+    A, B, C, D = parts if len(parts) == 4 else (*parts, np.zeros((len(parts[2]), np.shape(parts[1])[-1])))
+    return StateSpace.of(A, B, C, D, dt)
 
 
 def to_control(system: StateSpace, dt: Any) -> Any:

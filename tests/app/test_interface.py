@@ -81,6 +81,7 @@ SYSTEMS = {
     "num, den": ([12.0], [0.08, 1]),
     "zpk": ([], [-12.5], 150.0),
     "abcd": ([[-12.5]], [[150.0]], [[1.0]], [[0.0]]),
+    "abc": ([[-12.5]], [[150.0]], [[1.0]]),
 }
 
 
@@ -150,11 +151,30 @@ def test_identify_in_one_line_each(run):
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [((np.zeros(500), np.zeros(500)), "dt is None"), ((np.zeros(500), np.zeros(400), 0.1), "u has 500 samples and y 400"), ((3,), "recordings are a int")],
+    [
+        ((np.zeros(500), np.zeros(500)), "dt is None"),
+        ((np.zeros(500), np.zeros(500), "5 ms"), "dt is 5 ms; expected the sample time in seconds"),
+        ((np.zeros(500), np.zeros(400), 0.1), "u has 500 samples and y 400"),
+        ((np.zeros((1, 500)), np.zeros(500), 0.1), r"u is an array \(1, 500\); expected \(samples,\) or \(samples, signals\)"),
+        ((["on"] * 500, np.zeros(500), 0.1), "u: could not convert string to float: 'on'; expected an array of numbers"),
+        (([np.zeros(500)] * 2, [np.zeros(500)] * 3, 0.1), "u has 2 experiments and y 3"),
+        ((3,), "recordings are a int"),
+    ],
 )
 def test_what_identify_cannot_use_is_named(arguments, words):
     with pytest.raises(BadInput, match=words):
         afdsvc.identify(*arguments)
+
+
+def test_an_order_below_one_is_refused(run):
+    with pytest.raises(BadInput, match="order = -1, horizon = None; expected at least 1"):
+        afdsvc.identify(*run, dt=5e-3, order=-1)
+
+
+@pytest.mark.parametrize(("recordings", "words"), [((), "no recording was given"), ((pd.DataFrame(),), "a recording is a DataFrame; expected the path")])
+def test_what_diagnose_cannot_use_is_named(recordings, words):
+    with pytest.raises(BadInput, match=words):
+        afdsvc.diagnose(*recordings)
 
 
 def test_a_frame_without_time_is_refused(run):

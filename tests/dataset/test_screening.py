@@ -67,6 +67,11 @@ def test_drifting_sensor(healthy):
         screen(_changed(healthy, 2, y + drift), 1000)
 
 
+def test_few_samples_have_no_trend(healthy):
+    """A stretch before a missing sample may be as short as this; its drift is not judged, and numpy has nothing to warn of."""
+    screen(healthy.span(0, 9), 9)
+
+
 def test_false_refusals_are_rare(oscillators):
     """200 healthy recordings with slow noise (one time constant is a fiftieth of the record): fewer than 2 % refused."""
     from scipy import signal
