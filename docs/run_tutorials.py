@@ -109,7 +109,7 @@ class Follower:
     def _run(self, command: str, shown: str) -> None:
         if OPENING.match(command):
             self.stop()
-        until, pause = time.monotonic() + PATIENCE, 0.5
+        until, pause = time.monotonic() + PATIENCE, 2.0
         while True:
             done = subprocess.run(["bash", "-c", command], cwd=self.here, env=self.environment, capture_output=True, text=True)
             lines = done.stdout.splitlines()
