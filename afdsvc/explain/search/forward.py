@@ -138,9 +138,10 @@ def search(
 
 
 def _kept(steps: Sequence[Round], path: dict[float, Fit]) -> list[Round]:
-    """Return the rounds, not accepted where a later one left nothing for their effect."""
+    """Return the rounds, not accepted where a later one left nothing for their effect; of an effect that was found again the last."""
+    last = {s.candidates[0].hypothesis.key: s for s in steps if s.accepted}
     kept = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
-    gone = [s.accepted and s.candidates[0].hypothesis.key not in kept for s in steps]
+    gone = [s.accepted and not (s.candidates[0].hypothesis.key in kept and s is last[s.candidates[0].hypothesis.key]) for s in steps]
     why = "{}: nothing is left for it beside the other effects"
     return [replace(s, accepted=False, reason=why.format(s.candidates[0].hypothesis.title)) if g else s for s, g in zip(steps, gone, strict=True)]
 

@@ -233,6 +233,14 @@ def test_the_search_ends_though_offsets_take_turns(monkeypatch):
     assert len(search(settled(replace(short, settings=replace(Settings(), effects=2))), LIBRARY).steps) == 4
 
 
+def test_an_effect_that_was_dropped_and_found_again_is_named_once(found):
+    step = found.steps[0]
+    again = replace(step)
+    assert [s.accepted for s in forward._kept([step, again], found.end)] == [False, True]
+    assert [s.accepted for s in forward._kept([step], found.end)] == [True]
+    assert [s.accepted for s in forward._kept([step], found.start)] == [False]
+
+
 def test_what_chance_cannot_separate_on_the_beginnings_is_fitted_to_whole_recordings():
     def tried(name, fall):
         return Trial(Hypothesis(name, "machine", "", "force", None, (), (), (), ()), (), (fall,))
