@@ -28,7 +28,7 @@ from benchmarks.support.browser import CHROMIUM, Browser
 browser_needed = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
 
 
-def site_of(port: int, folder: Path, web: str) -> Site:
+def site_of(port: int, folder: Path, web: str, machine: str = "bearing") -> Site:
     text = f"""
 site = "hall-3"
 [transport]
@@ -38,7 +38,7 @@ folder = "{folder}"
 [web]
 listen = "{web}"
 [[machines]]
-id = "bearing"
+id = "{machine}"
 plant = "gas_bearing"
 """
     return parse_site(text, "site.toml")
@@ -282,6 +282,16 @@ def test_the_page_hears_by_itself_and_asks_where_it_cannot(free_port, tmp_path, 
 
 
 @browser_needed
+def test_long_names_wrap_on_a_phone(free_port, tmp_path, browser):
+    machine, fault = "spindle_with_a_rather_long_name_of_hall_7_north", "gain_of_the_horizontal_actuator_beside_the_gearbox"
+    with serve.serving(site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}", machine)) as hub:
+        hub.alarms.take(Finding(Evidence("matched_filter", machine, 0, 5.0, 20.5, 20.2, True, fault=fault), "s", time.time_ns()), "a fault")
+        browser.open(f"http://127.0.0.1:{free_port + 1}/", 400)
+        browser.until("document.body.innerText.includes('not acknowledged')")
+        assert browser.value("document.documentElement.scrollWidth") <= 400
+
+
+@browser_needed
 def test_one_fault_is_one_alarm(free_port, tmp_path, browser):
     base, site = f"http://127.0.0.1:{free_port + 1}", site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")
     with serve.serving(site) as hub:
@@ -290,7 +300,7 @@ def test_one_fault_is_one_alarm(free_port, tmp_path, browser):
         an_alarm(hub)
         hub.alarms.group("bearing", "horizontal_actuator", time.time_ns())
         browser.open(base + "/", 1400)
-        browser.until("document.body.innerText.includes('What follows from it: unnamed')")
+        browser.until("document.body.innerText.includes('What follows from it: a fault, not isolated')")
         assert browser.value("document.querySelectorAll('section > .alarm').length") == 1
         assert browser.value("document.title").startswith("(1) ")
         browser.value("document.querySelector('summary').click()")
