@@ -49,7 +49,7 @@ class RigAgent:
 
     Nothing the control thread does waits for the network. Setting ``emergency`` (from a signal handler, say) silences alpha
     at the next block and refuses every later burst. ``truth`` lists what a simulator injects as (sample, sentence); it is
-    told when it happens. ``patient`` is for a port that is not in real time: it waits rather than lose blocks. ``connect``
+    reported when it happens. ``patient`` is for a port that is not in real time: it waits rather than lose blocks. ``connect``
     waits until the network is there (or the event is set); control goes on meanwhile. Without it the network is there. ``store``
     keeps the blocks that the service does not acknowledge.
     """
@@ -379,7 +379,7 @@ class RigAgent:
         return self._stopped(self._qs, payload, "restored", f"no Q acts on machine '{self.machine}'")
 
     def _on_inject(self, payload: bytes) -> bytes:
-        """Put a fault into a simulated machine; that it is there is told with the next block, as of a fault of the site file."""
+        """Put a fault into a simulated machine; it is reported with the next block, as of a fault of the site file."""
         asked: Command = codec.decode(Command, payload)
         fault, severity = str(asked.arguments.get("fault")), float(asked.arguments.get("severity") or 0.0)
         if not isinstance(self.port, SimulatedPort):

@@ -22,7 +22,7 @@ class IdentifyOptions:
     "indirect" the same through S; "pem" and "output_error" refine a start from PBSIDopt by prediction or simulation errors. "auto" is hansen when
     the controller is known; else method, horizon, feedthrough, order and noise model are chosen by samples left out (`cross_validation`).
     ``feedthrough`` says whether the plant may answer within a sample (None: chosen by "auto", yes for subspace, no for pbsid, pem and
-    output_error: where feedback acts within a sample the two cannot be told apart). ``screening`` False reports what `screen` finds instead of
+    output_error: where feedback acts within a sample the two cannot be distinguished). ``screening`` False reports what `screen` finds instead of
     refusing it (None: refused where a controller is known). ``order`` (of S for hansen) and ``horizon`` are chosen from the data when None; ``reduce_to`` is the order of the
     plant handed back (None: that of the nominal model); ``reduction`` one of the truncations of `reduction`, "best" of
     them for the loop, or "refined": started from that and fitted to the recordings (`refinement`). ``norm`` belongs to

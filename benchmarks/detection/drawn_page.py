@@ -21,7 +21,7 @@ INTRO = """\
 
 Made by `python benchmarks/detection/drawn.py --docs` ({seconds:.0f} CPU seconds); every number is in
 [detection-drawn.csv](detection-drawn.csv). The machine that makes the data is healthy, its uncertain parameters are drawn from
-their stated distribution, a new machine for every burst; what is believed is the nominal model. Wanted: alarms not above the promise.
+their stated distribution, a new machine for every burst; what is believed is the nominal model. Expected: alarms not above the promise.
 
 Rates of 1/10 and 1/100 are counted on played bursts. Rarer ones are found by importance sampling, parameters drawn from a density part
 of which is wider: for the line detectors and the CUSUM only the coordinates of the lines are drawn, with mean and covariance of each

@@ -20,7 +20,7 @@ INTRO = """\
 # Severities: bias and standard error
 
 Made by `python benchmarks/detection/severity.py --docs` ({seconds:.0f} CPU seconds): every setting is a machine with one fault, its
-burst played {runs} times in closed loop; every number is in [detection-severity.csv](detection-severity.csv). Wanted: a bias below a
+burst played {runs} times in closed loop; every number is in [detection-severity.csv](detection-severity.csv). Expected: a bias below a
 tenth of the standard error, and a standard error within 10 % of the Cramer-Rao bound.
 
 *Bias* is the mean error over the standard deviation of the estimates, *spread* that standard deviation over the bound, both with 99 %

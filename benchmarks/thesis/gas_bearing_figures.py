@@ -193,8 +193,8 @@ def horizontal_isolated() -> list[Row]:
     return [
         *(Row(f"phase (34), {name} [deg]", printed, float(np.degrees(np.angle(loop.signature(name, OMEGA)[H, H])) % 360), 0.1, FACTORS, ours)
           for name, printed, ours in ((FAULTS[0], 93, 125.3), (FAULTS[1], 89, 21.1), (FAULTS[2], 94, 125.2))),
-        Row("told from the vertical actuator", True, bool(norm.cdf(d * abs(np.sin((a - v) / 2))) > 0.99)),
-        Row("told from the horizontal sensor", True, bool(norm.cdf(d * abs(np.sin((a - s) / 2))) > 0.99), 0, apart, False),
+        Row("distinguished from the vertical actuator", True, bool(norm.cdf(d * abs(np.sin((a - v) / 2))) > 0.99)),
+        Row("distinguished from the horizontal sensor", True, bool(norm.cdf(d * abs(np.sin((a - s) / 2))) > 0.99), 0, apart, False),
     ]
 
 
@@ -218,7 +218,7 @@ def vertical_isolated() -> list[Row]:
     loop = bearing()
     d = ALPHA * abs(loop.signature(FAULTS[1], OMEGA)[H, H]) * math.sqrt(WINDOW / 2 / loop.problem.covariance[H, H])
     right = float(norm.cdf(d))  # against a wave of opposite phase, the easiest one to tell it from
-    return [Row("told from any other fault", True, right > 0.99, 0, TINY, False), Row("probability of the right decision, at most", None, right, 0.005, "no number is printed; ours, kept", 0.562)]
+    return [Row("distinguished from any other fault", True, right > 0.99, 0, TINY, False), Row("probability of the right decision, at most", None, right, 0.005, "no number is printed; ours, kept", 0.562)]
 
 
 def cross_coupling() -> list[Row]:

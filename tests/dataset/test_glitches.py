@@ -1,4 +1,4 @@
-"""Readings that stand alone, told from what machines do."""
+"""Readings that stand alone, distinguished from what machines do."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Machines that others published as equations, told from a linear model and recordings alone."""
+"""Machines that others published as equations, distinguished from a linear model and recordings alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The oracle reaches the noise floor, and rivals are told from the truth as far as the data allow."""
+"""The oracle reaches the noise floor, and rivals are distinguished from the truth as far as the data allow."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def filtered_slopes(after: StateSpace, slopes: Slopes) -> Slopes:
     return Slopes(A, B, C, after.D @ slopes.D)
 
 
-#: What is left of an impulse response where it is cut off.
+#: Remaining share of an impulse response where it is cut off.
 FORGOTTEN = 1e-3
 #: Longest memory in samples, and largest share of a recording it may take.
 LONGEST, LARGEST_SHARE = 800, 0.2
