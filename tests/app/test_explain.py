@@ -100,6 +100,7 @@ def test_the_page_says_the_verdict_first_and_shows_everything(explained):
     places = [page.index(word) for word in words]
     assert places == sorted(places)
     assert page.count("<svg") == 2 * 3  # wide and for phones
+    assert ("the green one" in page) == ("what does not repeat" in page)
     assert "http" not in page.replace("http://www.w3.org", "").replace("https://matplotlib.org", "").replace("http://purl.org", "").replace(
         "http://creativecommons.org", "")
 

@@ -66,7 +66,7 @@ def _narrow(figure: Figure) -> None:
     for row, (ax, _) in enumerate(own):
         ax.set_subplotspec(grid[row])
         if old := ax.get_legend():
-            ax.legend([h for h in old.legend_handles if h is not None], [t.get_text() for t in old.get_texts()], fontsize=7, frameon=False, loc="upper left")
+            ax.legend([h for h in old.legend_handles if h is not None], [t.get_text() for t in old.get_texts()], fontsize=7, framealpha=0.7)
 
 
 def _axes_data(ax: Axes, series: bool) -> dict[str, Any]:

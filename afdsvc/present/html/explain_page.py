@@ -39,8 +39,8 @@ def course_figure(explanation: Explanation) -> Figure | None:
     for j, name in enumerate(names):
         _compared(axes[2 * j], course, close, j, name)
         _residual(axes[2 * j + 1], course, j, name)
-    axes[0].legend(fontsize=7, frameon=False, ncols=3, loc="upper left")
-    axes[1].legend(fontsize=7, frameon=False, ncols=2, loc="upper left")
+    _legend(axes[0])
+    _legend(axes[1])
     axes[-1].set_xlabel(f"time [s], {course.name}", fontsize=8)
     return figure
 
@@ -67,7 +67,7 @@ def _spectra(explanation: Explanation) -> str:
     for ax, s in zip(axes, explanation.spectra, strict=True):
         unit = next((v.unit for v in explanation.nominal.model.outputs if v.name == s.output), "")
         _density(ax, s, f"{s.output} [({unit})²/Hz]" if unit else f"{s.output} [1/Hz]")
-    axes[0].legend(fontsize=7, frameon=False, ncols=4, loc="upper left")
+    _legend(axes[0])
     axes[-1].set_xlabel("frequency [Hz]", fontsize=8)
     return zoomable(figure)
 
@@ -126,6 +126,11 @@ def _outputs(explanation: Explanation) -> list[str]:
     return [f"{v.name} [{v.unit}]" if v.unit else v.name for v in explanation.nominal.model.outputs]
 
 
+def _legend(ax: Axes) -> None:
+    """Draw a legend above the axes, where it hides no curve."""
+    ax.legend(fontsize=7, frameon=False, ncols=4, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
+
+
 def _labelled(ax: Axes, name: str) -> None:
     ax.set_ylabel(name, fontsize=8)
     ax.tick_params(labelsize=7)
@@ -151,7 +156,7 @@ def explain_page(explanation: Explanation, document: Mapping[str, Any]) -> str:
     """Return the page; ``document`` is what ``explain --json`` says of it."""
     return render(
         "explain_page.html.j2", {"digits": _digits, "percent": _percent, "place": site_words}, e=explanation, document=document, verdict=_verdict_sentence(document), effects=_effects(document),
-        courses=_courses(explanation), spectra=_spectra(explanation),
+        courses=_courses(explanation), spectra=_spectra(explanation), noise_known=any(s.noise is not None for s in explanation.spectra),
         law=_law(explanation),
         softw=", ".join(f"{name} {version(name)}" for name in LIBRARIES), version=__version__,
     )
@@ -159,14 +164,16 @@ def explain_page(explanation: Explanation, document: Mapping[str, Any]) -> str:
 
 def _verdict_sentence(document: Mapping[str, Any]) -> str:
     """Return the verdict as one plain sentence."""
-    first = [named[0] for named in _effects(document).values()]
-    names = " and ".join(f"{n['parameter'] or n['physics'].replace('_', ' ')} ({site_words(n['site'])})" for n in map(_with_parameter, first))
+    names = " and ".join(map(_alternatives, _effects(document).values()))
     return VERDICTS[document["verdict"]].format(names=names or "see below")
 
 
-def _with_parameter(named: Mapping[str, Any]) -> dict[str, Any]:
-    change = named["physics"] == "parameter_change"
-    return {**named, "parameter": ", ".join(named["parameters"]) if change else ""}
+def _alternatives(effect: Sequence[Mapping[str, Any]]) -> str:
+    """Return the names of one effect, which the recordings do not tell apart, by the places where they act."""
+    places: dict[str, list[str]] = {}
+    for n in effect:
+        places.setdefault(site_words(n["site"]), []).append(", ".join(n["parameters"]) if n["physics"] == "parameter_change" else n["physics"].replace("_", " "))
+    return " or ".join(f"{' or '.join(names)} ({place})" for place, names in places.items())
 
 
 def _effects(document: Mapping[str, Any]) -> dict[int, list[dict[str, Any]]]:
@@ -184,4 +191,4 @@ def _digits(value: float | None, count: int = 3) -> str:
 
 def _percent(value: float | None) -> str:
     """Return a share in percent, a dash for none."""
-    return "–" if value is None or not math.isfinite(value) else f"{100 * value:.1f} %" if abs(value) < 10 else f"{value:.3g} times"
+    return "–" if value is None or not math.isfinite(value) else f"{100 * value:z.1f} %" if abs(value) < 10 else f"{value:.3g} times"
