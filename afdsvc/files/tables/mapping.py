@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -154,7 +155,8 @@ OUTPUTS = ("position", "speed", "velocity", "angle", "acceleration", "displaceme
 TIMES = ("t", "time", "timestamp", "datetime", "date", "zeit", "stamp")
 UNITS = {"u": ("V", "A", "N", "N*m"), "y": ("rpm", "m", "m/s", "m/s^2")}  # what machines are driven by, and how they move
 NO_UNITS = ("PV", "MV", "CV", "SP", "OP", "U", "act", "point")  # last words of names that would else be petavolts, megavolts and the like
-SPELT = {"Nm": "N*m", "C": "degC", "degs": "deg/s", "rads": "rad/s", "mps": "m/s", "mms": "mm/s"}
+SPELT = {"Nm": "N*m", "C": "degC", "degs": "deg/s", "rads": "rad/s", "mps": "m/s", "mms": "mm/s", "mpa": "MPa"}
+QUANTITIES = {"voltage": "V", "current": "A", "force": "N", "torque": "N*m", "pressure": "Pa", "temp": "degC", "power": "W", "freq": "Hz"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,10 +188,18 @@ def heading(name: str, inputs: Sequence[str] = (), outputs: Sequence[str] = ()) 
 
 
 def _unit_of(name: str) -> tuple[str, str]:
-    """Return a name without its unit, and the unit: in brackets, or what follows the last underscore if it is one."""
+    """Return a name without its unit, and the unit: in brackets, or what follows the last underscore if it is one.
+
+    The quantity that is named decides between spellings: ``current_a`` is in A and not in years, ``torque_nm`` not in nanometres.
+    """
+    name = re.sub(r"_(rad|deg|[cm]?m)_s$", r"_\1/s", name)
     found = re.fullmatch(r"(.*?)\s*[\[(]([^\])]+)[\])]\s*", name) or re.fullmatch(rf"(.+)_(?!(?:{'|'.join(NO_UNITS)})$)([A-Za-z%][A-Za-z%/0-9]*)", name)
     stated = found.group(2) if found else ""
-    unit = next((u for u in (SPELT.get(stated, stated), stated.lower()) if u and _is_unit(u)), "")  # SPEED_RPM is in rpm
+    quantity = next((unit for word, unit in QUANTITIES.items() if word in name.lower()), "")
+    cases = map("".join, itertools.product(*((c.lower(), c.upper()) for c in stated[:3]))) if quantity and len(stated) <= 3 else ()
+    spelt = [SPELT.get(u, u) for u in (stated, *cases)]
+    unit = next((u for u in spelt if u and _is_unit(u) and _unit(u, name).dimensionality == _unit(quantity, name).dimensionality), "")
+    unit = unit or next((u for u in (spelt[0], stated.lower()) if u and _is_unit(u)), "")  # SPEED_RPM is in rpm
     return (found.group(1), unit) if found and unit else (name, "")
 
 
