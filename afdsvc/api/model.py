@@ -108,7 +108,7 @@ class Model:
         ----------
         system : control.StateSpace, control.TransferFunction, scipy.signal.lti, tuple
             The plant; a tuple is ``(num, den)``, ``(zeros, poles, gain)``, ``(A, B, C)`` or ``(A, B, C, D)`` in continuous time.
-        inputs, outputs, states : list of str, or dict of str to str
+        inputs, outputs, states : str, list of str, or dict of str to str
             Names, or names with their units. Without names they are ``u1``, ``y1``; states that are an output as it stands, or
             the rate of one, are known as that.
         relative_sd : float
@@ -135,7 +135,10 @@ class Model:
         >>> motor.plant.A.tolist(), motor.states[0]
         ([[-12.5]], Variable(name='speed', unit='rad/s', rate_of=None))
         """
-        plant = as_state_space(system) if states else _scaled_as_outputs(as_state_space(system))
+        plant = as_state_space(system)
+        if not all(np.isfinite(part).all() for part in (plant.A, plant.B, plant.C, plant.D)):
+            raise BadInput("the system holds nan or inf; expected finite numbers")
+        plant = plant if states else _scaled_as_outputs(plant)
         ins, outs = (_variables(n, count, role) for n, count, role in ((inputs, plant.inputs, "u"), (outputs, plant.outputs, "y")))
         named = _variables(states, plant.order, "x") if states else default_states(plant, outs)
         share = DEFAULT_RELATIVE_SD if relative_sd is None else relative_sd
@@ -154,11 +157,12 @@ def _scaled_as_outputs(plant: StateSpace) -> StateSpace:
     return StateSpace(plant.A * scale[:, None] / scale, plant.B * scale[:, None], plant.C / scale, plant.D, plant.dt)
 
 
-Names = Sequence[str] | Mapping[str, str]
+Names = str | Sequence[str] | Mapping[str, str]
 
 
 def _variables(names: Names, count: int, role: str) -> tuple[Variable, ...]:
     """Return variables of some names with their units; raises `BadInput` where there are not as many as the system has."""
+    names = [names] if isinstance(names, str) else names
     units = dict(names) if isinstance(names, Mapping) else dict.fromkeys(names or [f"{role}{k + 1}" for k in range(count)], "")
     if len(units) != count:
         what = {"u": "inputs", "y": "outputs", "x": "states"}[role]

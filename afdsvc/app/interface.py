@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
@@ -19,7 +21,7 @@ from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.open import Naming, open_file
 from afdsvc.files.tables.foreign import prepared
-from afdsvc.files.tables.formats import Columns
+from afdsvc.files.tables.formats import Columns, is_stamp, stamps
 from afdsvc.files.tables.tables import own_names, table_trace
 from afdsvc.files.tables.time_base import own_time
 from afdsvc.lti.statespace import Array, StateSpace
@@ -64,7 +66,7 @@ def load(path: str | Path, *, model: Model | None = None, rename: Mapping[str, s
     >>> trace.dt, [c.name for c in trace.channels]
     (0.005, ['u_voltage', 'u_brake'])
     """
-    path = Path(path)
+    path = _path(path, "a recording or model")
     if path.suffix.lower() in MODELS:
         return read_model(path, allow_code)
     return open_file(path, Naming.of(None if mapping is None else Path(mapping), rename)).traces(model)
@@ -254,12 +256,9 @@ def diagnose(*recordings: str | Path, model: str | Path | None = None, calibrate
 
     if not recordings:
         raise BadInput("no recording was given; expected at least one")
-    for one in recordings:
-        if not isinstance(one, (str, Path)):
-            raise BadInput(f"a recording is a {type(one).__name__}; expected the path of one by the service, or of a table with model=")
     naming = Naming.of(None if mapping is None else Path(mapping), rename)
-    given = None if model is None else Path(model)
-    return Diagnosed(diagnose_recordings([Path(r) for r in recordings], given, calibrate, None, detectors, naming, allow_code))
+    given = None if model is None else _path(model, "model")
+    return Diagnosed(diagnose_recordings([_path(r, "a recording") for r in recordings], given, calibrate, None, detectors, naming, allow_code))
 
 
 def design(site: str | Path, machine: str | None = None, *, allow_code: bool = False, frequencies: Sequence[float] = ()) -> Designed:
@@ -300,7 +299,7 @@ def design(site: str | Path, machine: str | None = None, *, allow_code: bool = F
 
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "design.html"
-        document = design_files(Path(site), machine, page, allow_code, frequencies)
+        document = design_files(_path(site, "site"), machine, page, allow_code, frequencies)
         return Designed({k: v for k, v in document.items() if k != "report"}, page.read_text(encoding="utf-8"))
 
 
@@ -308,9 +307,12 @@ def _together(system: Any, recordings: Any) -> tuple[Model, list[Trace]]:
     """Return model and traces; a bare system takes its names from the recordings."""
     if isinstance(system, (str, Path)):
         system = read_model(Path(system))
-    if isinstance(system, Model):
-        return system, _traces(recordings, system)
-    traces = _traces(recordings, None)
+    model = system if isinstance(system, Model) else None
+    traces = _traces(recordings, model)
+    if not traces:
+        raise BadInput("no recording was given; expected at least one")
+    if model:
+        return model, traces
     names = [[c.label for c in traces[0].channels if c.role == role] for role in ("u", "y")]
     return Model.from_system(system, *names), traces
 
@@ -337,13 +339,15 @@ def _frame(frame: Any, model: Model | None) -> Trace:
     if not own_time(columns) and hasattr(frame, "index") and type(frame.index).__name__ != "RangeIndex":
         columns = {"t": _plain(frame.index), **columns}
     dt = model.plant.dt if model and model.plant and model.plant.discrete else None
-    columns = {name: column if column.dtype.kind == "M" else column.astype(np.float64) for name, column in columns.items()}
+    columns = {name: column if column.dtype.kind == "M" else _numbers(column, f"data frame: column '{name}'") for name, column in columns.items()}
     return table_trace(columns, Path("data frame"), allow_nan=True, default_dt=dt)
 
 
 def _plain(column: Any) -> Any:
-    """Return a column as an array; time differences become seconds, times with a zone UTC."""
+    """Return a column as an array; time differences become seconds, times with a zone and texts of them UTC."""
     found = np.asarray(column)
+    if found.dtype.kind in "OU" and len(found) and isinstance(found[0], str) and is_stamp(found[0]):
+        return stamps(Path("data frame"), str(getattr(column, "name", "t")), pa.array([str(text) for text in found]))
     if found.dtype.kind == "m":
         return found.astype("timedelta64[ns]").astype("int64") * 1e-9
     if found.dtype.kind == "O" and len(found) and hasattr(found[0], "timestamp"):
@@ -367,13 +371,29 @@ def _arrays(u: Any, y: Any, dt: float | None) -> list[Trace]:
 
 
 def _columns(name: str, part: Any) -> Array:
-    try:
-        found = np.asarray(part, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise BadInput(f"{name}: {error}; expected an array of numbers") from error
+    found = _numbers(part, name)
     if found.ndim not in (1, 2) or found.shape[-1] > len(found):
         raise BadInput(f"{name} is an array {found.shape}; expected (samples,) or (samples, signals)")
     return np.ascontiguousarray(found[:, None] if found.ndim == 1 else found)
+
+
+def _numbers(part: Any, where: str) -> Array:
+    """Return real numbers; raises `BadInput` for anything else."""
+    found = np.asarray(part)
+    try:
+        if found.dtype.kind != "c":
+            return found.astype(np.float64)
+    except (ValueError, TypeError):
+        pass
+    text = next((value for value in found.ravel().tolist() if isinstance(value, (str, complex))), found.dtype)
+    raise BadInput(f"{where} holds {text!r}; expected real numbers")
+
+
+def _path(given: Any, what: str) -> Path:
+    """Return a path; raises `BadInput` for what is none."""
+    if not isinstance(given, (str, os.PathLike)):
+        raise BadInput(f"{what} is a {type(given).__name__}; expected the path of a file")
+    return Path(given)
 
 
 def _unknown(traces: Sequence[Trace]) -> Model:

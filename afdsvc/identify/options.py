@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from numbers import Integral
 from typing import Any
 
 from afdsvc.errors import BadInput
@@ -54,8 +55,10 @@ class IdentifyOptions:
         ):
             if getattr(self, name) not in known:
                 raise BadInput(f"option {name} = '{getattr(self, name)}'; expected one of {', '.join(known)}")
-        if any(number is not None and number < 1 for number in (self.order, self.horizon)):
-            raise BadInput(f"options order = {self.order}, horizon = {self.horizon}; expected at least 1, or None: chosen from the data")
+        for name in ("order", "horizon", "reduce_to"):
+            value = getattr(self, name)
+            if value is not None and (not isinstance(value, Integral) or value < 1):
+                raise BadInput(f"option {name} = {value!r}; expected a whole number of at least 1")
         if self.norm not in (1, 2):
             raise BadInput(f"option norm = {self.norm}; expected 1 or 2")
         if self.groups != 0 and self.groups < 3:

@@ -156,9 +156,12 @@ def test_identify_in_one_line_each(run):
         ((np.zeros(500), np.zeros(500), "5 ms"), "dt is 5 ms; expected the sample time in seconds"),
         ((np.zeros(500), np.zeros(400), 0.1), "u has 500 samples and y 400"),
         ((np.zeros((1, 500)), np.zeros(500), 0.1), r"u is an array \(1, 500\); expected \(samples,\) or \(samples, signals\)"),
-        ((["on"] * 500, np.zeros(500), 0.1), "u: could not convert string to float: 'on'; expected an array of numbers"),
+        ((["on"] * 500, np.zeros(500), 0.1), "u holds 'on'; expected real numbers"),
+        (("abc", np.zeros(500), 0.1), "u holds 'abc'; expected real numbers"),
+        ((np.zeros(500), np.zeros(500) + 1j, 0.1), "y holds 1j; expected real numbers"),
         (([np.zeros(500)] * 2, [np.zeros(500)] * 3, 0.1), "u has 2 experiments and y 3"),
         ((3,), "recordings are a int"),
+        (([],), "no recording was given"),
     ],
 )
 def test_what_identify_cannot_use_is_named(arguments, words):
@@ -166,15 +169,37 @@ def test_what_identify_cannot_use_is_named(arguments, words):
         afdsvc.identify(*arguments)
 
 
-def test_an_order_below_one_is_refused(run):
-    with pytest.raises(BadInput, match="order = -1, horizon = None; expected at least 1"):
-        afdsvc.identify(*run, dt=5e-3, order=-1)
+@pytest.mark.parametrize("order", ["two", 1.5, 0, -1])
+def test_an_order_is_a_whole_number(run, order):
+    with pytest.raises(BadInput, match=r"option order = .*; expected a whole number of at least 1"):
+        afdsvc.identify(*run, dt=5e-3, order=order)
 
 
-@pytest.mark.parametrize(("recordings", "words"), [((), "no recording was given"), ((pd.DataFrame(),), "a recording is a DataFrame; expected the path")])
-def test_what_diagnose_cannot_use_is_named(recordings, words):
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda model, frame: afdsvc.check(model, []), "no recording was given"),
+        (lambda model, frame: afdsvc.check(SYSTEMS["num, den"], []), "no recording was given"),
+        (lambda model, frame: afdsvc.check(model, frame.assign(operator="Jo")), "column 'operator' holds 'Jo'; expected real numbers"),
+        (lambda model, frame: afdsvc.load(frame), "a recording or model is a DataFrame; expected the path of a file"),
+        (lambda model, frame: afdsvc.diagnose(), "no recording was given"),
+        (lambda model, frame: afdsvc.diagnose(frame), "a recording is a DataFrame; expected the path of a file"),
+        (lambda model, frame: afdsvc.diagnose("a.csv", model=model), "model is a Model; expected the path of a file"),
+        (lambda model, frame: afdsvc.design(3), "site is a int; expected the path of a file"),
+        (lambda model, frame: afdsvc.Model.from_system(([np.nan], [1, 1])), "the system holds nan or inf"),
+    ],
+)
+def test_what_is_no_recording_or_path_is_named(run, call, words):
+    frame = pd.DataFrame({"t": np.arange(len(run[0])) * 5e-3, "voltage": run[0], "speed": run[1]})
     with pytest.raises(BadInput, match=words):
-        afdsvc.diagnose(*recordings)
+        call(afdsvc.Model.from_system(SYSTEMS["num, den"], {"voltage": "V"}, {"speed": "rad/s"}), frame)
+
+
+def test_times_as_pandas_reads_them_from_a_csv_file(run):
+    """`pandas.read_csv` leaves ISO times as text."""
+    times = [(pd.Timestamp("2026-10-25T00:30+02:00") + pd.Timedelta(5 * k, "ms")).isoformat(timespec="milliseconds") for k in range(len(run[0]))]
+    model = afdsvc.Model.from_system(SYSTEMS["num, den"], "voltage", {"speed": "rad/s"})
+    assert afdsvc.check(model, pd.DataFrame({"timestamp": times, "voltage": run[0], "speed": run[1]})).rows()[0]["r2"] > 0.99
 
 
 def test_a_frame_without_time_is_refused(run):
