@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import afdsvc
 
@@ -41,6 +41,15 @@ def test_links_that_leave_the_documentation_lead_to_files_that_the_site_copies()
     ]
     assert len(left) > 3
     assert [t for t in left if not (re.match(r"\.\./\.\./(examples|packaging)/", t) and (ROOT / "docs" / "how-to" / t).is_file())] == []
+
+
+def test_files_that_pages_link_to_are_on_the_site():
+    """What is excluded there is no aim of a link: tables and the notebook are."""
+    excluded = re.search(r"^exclude_docs: \|\n((?:  .*\n)+)", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
+    assert excluded
+    patterns = excluded[1].split()
+    linked = {t for page in PAGES for t in re.findall(r"\]\(([^)#\s:]+)", page.read_text(encoding="utf-8")) if page.is_relative_to(ROOT / "docs")}
+    assert [t for t in sorted(linked) if not t.startswith("../../") and any(PurePath(t).match(pattern) for pattern in patterns)] == []
 
 
 def test_the_menu_of_the_site_names_pages_that_are_there():
