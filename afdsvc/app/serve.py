@@ -185,6 +185,7 @@ class SiteSinks:
         self._recorders: list[tuple[RecorderSink, ThreadedSink]] = []
         self._review: tuple[ReviewSink, ThreadedSink] | None = None
         self._boxes: list[ThreadedSink] = []
+        self._kept: list[PreAlarmBuffer] = []
         self.late: dict[str, tuple[Receipts, ThreadedSink]] = {}  # what rigs kept during an outage
         self._late: list[LateRecorder] = []
         self.posts: list[OutgoingQueue] = []  # what is sent to viewers and must arrive, so that its drops are counted too
@@ -217,6 +218,7 @@ class SiteSinks:
             return []
         box = PreAlarmBuffer(recorder.base.parent / "alarms" / recorder.base.name, recorder.header, seconds)
         self._boxes.append(ThreadedSink(box, f"black box of {id}", _teller("black box"), pause=0.5))
+        self._kept.append(box)
         return self._boxes[-1:]
 
     def history(self) -> History:
@@ -238,7 +240,7 @@ class SiteSinks:
         def forget() -> None:
             history.forget(self._clock.now_ns() - round(1e9 * days))
 
-        return Housekeeper(r.folder, keep, machines, self.files, self._clock, alarms=Keep(seconds=days), chores=[forget])
+        return Housekeeper(r.folder, keep, machines, self.writing, self._clock, alarms=Keep(seconds=days), chores=[forget], torn=self.torn)
 
     def summary(self) -> tuple[str, int, str, int]:
         """Return files, bytes and failure of the recordings, and the messages dropped anywhere on their way out."""
@@ -250,7 +252,17 @@ class SiteSinks:
     def files(self) -> list[Path]:
         """Return every file written so far."""
         reviews = self._review[0].paths if self._review else []
-        return [path for r, _ in self._recorders for path in r.paths] + [path for r in self._late for path in r.paths] + list(reviews)
+        return [path for r, _ in self._recorders for path in r.paths] + [path for r in self._late for path in r.writing] + list(reviews)
+
+    def writing(self) -> list[Path]:
+        """Return every file that is being written."""
+        reviews = self._review[0].paths[-1:] if self._review else []
+        return [path for r, _ in self._recorders for path in r.writing] + [path for r in self._late for path in r.writing] + reviews
+
+    def torn(self) -> list[Path]:
+        """Return, once, the files that could not be written to their end."""
+        left = [r.torn for r, _ in self._recorders] + [r.torn for r in self._late] + [box.torn for box in self._kept]
+        return [torn.pop() for torn in left for _ in range(len(torn))]
 
     def close(self) -> None:
         """Finish every file."""

@@ -1,12 +1,14 @@
-"""Housekeeping of recordings: those of a killed service are closed; the oldest are deleted, never the one being written."""
+"""Housekeeping of recordings: those that a killed service or a full disk left are closed; the oldest are deleted, never the one being written."""
 
 from __future__ import annotations
 
 import logging
 import re
+import shutil
 import threading
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -91,6 +93,7 @@ def _why(keep: Keep, total: int, age: float) -> str:
 
 log = logging.getLogger(__name__)
 TIDY_SECONDS = 60.0
+ROOM = 2  # times the size of an unfinished recording: its copy must not fill the disk
 LEAPT_SECONDS = 3600.0  # by which wall clock and monotonic clock may part while the service runs
 
 
@@ -101,13 +104,17 @@ def unfinished(folder: Path, machines: Collection[str]) -> list[Path]:
     return [p for p in found if not is_finished(p)]
 
 
+def _room(path: Path) -> bool:
+    return shutil.disk_usage(path.parent).free > ROOM * path.stat().st_size
+
+
 def _of_alarm(path: Path) -> Path:
     """Return the recording a file of an alarm (``RECORDING-alarm-001-fault.mcap``) belongs to."""
     return path.with_name(f"{path.name.split('-alarm-')[0]}.mcap")
 
 
 class Housekeeper:
-    """Works in a thread of its own while the service runs; ``files()`` returns what the service itself writes.
+    """Works in a thread of its own while the service runs; ``writing()`` returns the files being written, ``torn()`` those that could not be written to their end.
 
     ``alarms`` is what the files of alarms, in their own folder, are kept for; ``chores`` are done with every round.
     While the clock may have leapt, nothing is deleted because of its age, no chore is done, and this is reported once.
@@ -115,12 +122,13 @@ class Housekeeper:
     """
 
     def __init__(
-        self, folder: Path, keep: Keep, machines: Collection[str], files: Callable[[], list[Path]], clock: Clock,
+        self, folder: Path, keep: Keep, machines: Collection[str], writing: Callable[[], list[Path]], clock: Clock,
         say: Callable[[str], None] = lambda sentence: None, alarms: Keep = Keep(), chores: Sequence[Callable[[], object]] = (),
+        torn: Callable[[], list[Path]] = list,
     ) -> None:  # fmt: skip
-        self._alarms, self._chores = alarms, chores
-        self._folder, self._keep, self._files, self._clock, self._say = folder, keep, files, clock, say
-        self._torn = unfinished(folder, machines)
+        self._alarms, self._chores, self._torn = alarms, chores, torn
+        self._folder, self._keep, self._writing, self._clock, self._say = folder, keep, writing, clock, say
+        self._waiting = unfinished(folder, machines)
         self._offset, self._reported = self._wall_offset(), ""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="housekeeping", daemon=True)
@@ -135,18 +143,27 @@ class Housekeeper:
         self._thread.join(2)
 
     def _work(self) -> None:
-        for path in self._torn:
+        self._round()
+        while not self._stop.wait(TIDY_SECONDS):
+            self._round()
+
+    def _round(self) -> None:
+        waiting, self._waiting = [*self._waiting, *self._torn()], []
+        for path in waiting:
             if self._stop.is_set():
                 return
-            self._guarded(lambda path=path: self._recover(path))  # type: ignore[misc]
-        while True:
-            self._guarded(self._tidy)
-            for work in self._chores if self._since(self._alarms) < float("inf") else ():
-                self._guarded(work)
-            if self._stop.wait(TIDY_SECONDS):
-                return
+            self._guarded(partial(self._recover, path))
+        self._guarded(self._tidy)
+        for work in self._chores if self._since(self._alarms) < float("inf") else ():
+            self._guarded(work)
 
     def _recover(self, path: Path) -> None:
+        """Close and index a recording, later where there is no room for its copy; one that was deleted is gone."""
+        if not path.exists():
+            return
+        if not _room(path):
+            self._waiting.append(path)
+            return
         try:
             done = recover_in_place(path)
         except BadInput as error:
@@ -156,7 +173,7 @@ class Housekeeper:
     def _tidy(self) -> None:
         for folder, keep in ((self._folder, self._keep), (self._folder / "alarms", self._alarms)):
             now, since = self._clock.now_ns() / 1e9, self._since(keep)
-            for removed in tidy(folder, keep, self._files(), now, since):
+            for removed in tidy(folder, keep, self._writing(), now, since):
                 self._tell(f"{removed.path}: deleted: it {removed.why}")
             self._report_kept(folder, keep, now, since)
 
@@ -164,7 +181,7 @@ class Housekeeper:
         """Return from which time on the ages of files are trusted: never, when the clock leapt while the service runs."""
         if abs(self._wall_offset() - self._offset) > LEAPT_SECONDS:
             return float("inf")
-        busy = set(self._files())
+        busy = set(self._writing())
         files = [p for folder in (self._folder, self._folder / "alarms") for p in recordings(folder) if p not in busy]
         times = [p.stat().st_mtime for p in files]
         return trusted_since(times, keep.seconds or 0.0, self._clock.now_ns() / 1e9) if times else float("-inf")

@@ -125,6 +125,16 @@ class RecorderSink:
         return self._recorder.paths if self._recorder else []
 
     @property
+    def writing(self) -> list[Path]:
+        """The file being written, if any."""
+        return self._recorder.writing if self._recorder else []
+
+    @property
+    def torn(self) -> list[Path]:
+        """Files that could not be written to their end."""
+        return self._recorder.torn if self._recorder else []
+
+    @property
     def bytes_written(self) -> int:
         """Bytes in all files."""
         return self._recorder.bytes_written if self._recorder else 0
@@ -194,11 +204,12 @@ class LateRecorder(FanOut):
         self._arguments, self._facts, self._receipts = (settings, machine, site, model), {**facts, "delivered": "later"}, receipts
         self._sink: RecorderSink | None = None
         self._last = 0.0
+        self.torn: list[Path] = []  # by files that are finished
 
     @property
-    def paths(self) -> list[Path]:
-        """The files being written."""
-        return self._sink.paths if self._sink else []
+    def writing(self) -> list[Path]:
+        """The file being written, if any."""
+        return self._sink.writing if self._sink else []
 
     def take(self, message: Message) -> None:
         """Record a block."""
@@ -217,7 +228,10 @@ class LateRecorder(FanOut):
         """Finish the file."""
         sink, self._sink = self._sink, None
         if sink:
-            sink.close()
+            try:
+                sink.close()
+            finally:
+                self.torn += sink.torn
 
 
 def _unused(base: Path) -> Path:
@@ -250,6 +264,7 @@ class PreAlarmBuffer:
         self._retuning: Message | None = None
         self._bytes = self._now = 0
         self.paths: list[Path] = []
+        self.torn: list[Path] = []
 
     def take(self, message: Message) -> None:
         """Keep a message, or write what is kept when an alarm is raised; residuals can be made again from the samples."""
@@ -287,10 +302,13 @@ class PreAlarmBuffer:
         path = self._base.with_name(f"{self._base.name}-alarm-{len(self.paths) + 1:03d}-{name}.mcap")
         path.parent.mkdir(parents=True, exist_ok=True)
         recorder = Recorder(RecordingSettings(path), self._header)
-        for asked in (*filter(None, [self._retuning]), *self._requests):
-            record(recorder, asked)
-        for said in self._said:
-            said.write(recorder)
-        recorder.note(change.t_ns, Level.ERROR, f"alarm {change.alarm.id} raised: {change.why}", change.alarm.machine)
-        recorder.close()
         self.paths.append(path)
+        try:
+            for asked in (*filter(None, [self._retuning]), *self._requests):
+                record(recorder, asked)
+            for said in self._said:
+                said.write(recorder)
+            recorder.note(change.t_ns, Level.ERROR, f"alarm {change.alarm.id} raised: {change.why}", change.alarm.machine)
+            recorder.close()
+        finally:
+            self.torn += recorder.torn

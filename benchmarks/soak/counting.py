@@ -10,7 +10,7 @@ from itertools import chain
 from afdsvc.api.signals import Block
 from afdsvc.files.recording.reader import Recording
 from afdsvc.hal.store import records
-from afdsvc.service.notifications import History
+from afdsvc.service.notifications import History, Judged
 from afdsvc.wire import codec
 from afdsvc.wire.messages import AlarmKind
 from benchmarks.soak.disturbances import Disturbance
@@ -83,15 +83,17 @@ def count_samples(testbed: Testbed, done: Sequence[Disturbance]) -> tuple[int, C
     return samples, accounted, missing, wrong
 
 
-def count_alarms(testbed: Testbed) -> tuple[int, list[str], list[str]]:
-    """Return the machines whose fault was identified rightly, false alarms, and faults missed or misidentified."""
-    raised = [
-        c.alarm
-        for c in History(testbed.folder / "recordings" / "soak-alarms.sqlite").changes(limit=100_000)
-        if c.event == "raised"
-    ]
+def count_alarms(testbed: Testbed) -> tuple[int, list[Judged], list[str], list[str]]:
+    """Return the machines whose fault was identified rightly, bursts judged on healthy machines, false alarms, and faults missed or misidentified.
+
+    Bursts are those that the service's history says were judged: of those asked for, some are cut short, or made for identification, and raise
+    nothing; recordings, which hold them too, are deleted.
+    """
+    history = History(testbed.folder / "recordings" / "soak-alarms.sqlite")
+    raised = [c.alarm for c in history.changes(limit=100_000) if c.event == "raised"]
     faults = [a for a in raised if a.kind is AlarmKind.FAULT]
     named = {a.machine for a in faults if a.fault == testbed.faults.get(a.machine)}
+    healthy = [judged for id in testbed.ids if id not in testbed.faults for judged in history.judged(id)]
     false = [f"{a.id}: {a.sentence}" for a in faults if a.machine not in testbed.faults]
     beside = [
         f"{a.id} beside {testbed.faults[a.machine]}"
@@ -101,6 +103,7 @@ def count_alarms(testbed: Testbed) -> tuple[int, list[str], list[str]]:
     ]
     return (
         len(named),
+        healthy,
         false,
         [*(f"{id}: {fault} was never named" for id, fault in testbed.faults.items() if id not in named), *beside],
     )

@@ -34,7 +34,7 @@ from benchmarks.soak.counting import bursts, count_alarms, count_samples, growth
 from benchmarks.soak.disturbances import Disturbances
 from benchmarks.soak.testbed import SmallDisk, Testbed, busy, cable, resident
 
-DETECTORS = 3  # of bursts, each of which promises one false alarm in 1000 bursts
+DETECTORS = 3  # of bursts, each of which promises one false alarm in 1000 bursts: at most so many bursts in 1000 raise one
 SAMPLE_BYTES = 80  # of eight channels in a recording, with what lies around them
 QUIET_SECONDS = 60.0  # nothing is done at the end
 DELIVERY_SECONDS = 300.0  # nor after it, for so long, while rigs deliver what they kept
@@ -139,7 +139,7 @@ def tell(disturbances: Disturbances, progress: Progress, asked: argparse.Namespa
     """Print what was held; returns 1 when anything was not."""
     testbed, done = disturbances.testbed, disturbances.done
     samples, accounted, missing, wrong = count_samples(testbed, done)
-    named, false, never = count_alarms(testbed)
+    named, healthy, false, never = count_alarms(testbed)
     unfinished = [
         p.name
         for p in (testbed.folder / "recordings").rglob("*.mcap")
@@ -167,21 +167,23 @@ def tell(disturbances: Disturbances, progress: Progress, asked: argparse.Namespa
     for why, n in missing.most_common():
         print(f"  {accounted[why]} gaps, {n} samples: {why}")
     played = bursts(testbed)
-    expected = sum(played[id] for id in testbed.ids if id not in testbed.faults) * DETECTORS / 1000
-    chance = poisson.sf(len(false) - 1, expected)
+    alarmed, expected = sum(bool(judged.fault) for judged in healthy), len(healthy) * DETECTORS / 1000
+    chance = poisson.sf(alarmed - 1, expected)
     memory, percent = growth(progress.memory)
     print(f"faults identified correctly {named} of {len(testbed.faults)}; missed or misidentified {len(never)}")
     print(f"bursts: {sum(played.values())} asked for, {min(played.values())} to {max(played.values())} a machine")
     print(
-        f"false alarms {len(false)}; {expected:.1f} expected in the bursts of healthy machines, chance of as many {chance:.2g}"
+        f"false alarms in {alarmed} of {len(healthy)} bursts judged on healthy machines; at most {expected:.1f} expected, chance of as many {chance:.2g}"
     )
+    for sentence in false:
+        print("  " + sentence)
     print(f"memory of the service: {memory}")
     print(f"processor of the service: {processor(progress.used):.0f} % of a core")
     print(
         f"service stopped in {took:.1f} s; recordings left unfinished {len(unfinished)}; tracebacks in all logs {len(errors)}"
     )
     left = [f"{id}: {n} bursts only" for id, n in played.items() if 2 * n < max(played.values())]
-    beyond = [*(false if chance < 0.01 else []), *([f"memory: {memory}"] if abs(percent) > 5 else [])]
+    beyond = [*([f"{alarmed} false alarms"] if chance < 0.01 else []), *([f"memory: {memory}"] if abs(percent) > 5 else [])]
     bad = [*wrong, *beyond, *left, *never, *unfinished, *errors, *testbed.stuck, *[d.what for d in done if "NOT" in d.what]]
     for sentence in bad[:40]:
         print("  !", sentence)

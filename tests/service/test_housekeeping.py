@@ -10,12 +10,17 @@ import numpy as np
 import pytest
 
 from afdsvc.api.signals import Block, Channel
+from afdsvc.app import commissioning
+from afdsvc.app.serve import SiteSinks
 from afdsvc.files.recording.mcap_records import is_finished
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
+from afdsvc.files.site import parse_site
 from afdsvc.service.clock import RealClock
 from afdsvc.service.housekeeping import Housekeeper, Keep, unfinished
 from afdsvc.wire import codec
+from afdsvc.wire.codec import Message
+from afdsvc.wire.messages import Alarm, AlarmChange
 
 
 def torn(path: Path) -> Path:
@@ -136,3 +141,79 @@ def test_after_a_leap_new_recordings_do_not_make_the_old_ones_go(tmp_path):
     os.utime(tmp_path / "m1-20271201T120000.mcap", 2 * (now - 86400 * 20,))
     Housekeeper(tmp_path, Keep(seconds=35 * 86400.0), {"other"}, list, RealClock())._tidy()
     assert [name for name in ages if not (tmp_path / name).exists()] == ["m1-20271101T120000.mcap"]
+
+
+SITE = """
+site = "t"
+recording = {{folder = "{folder}", {recording}}}
+[[machines]]
+id = "m1"
+plant = "gas_bearing"
+"""
+
+
+def sinks_of(folder: Path, recording: str, plugins) -> tuple[SiteSinks, list]:
+    """Return the sinks of a site, those of its machine begun."""
+    site = parse_site(SITE.format(folder=folder, recording=recording), "t.toml")
+    sinks = SiteSinks(site, RealClock())
+    return sinks, sinks.of(commissioning.commission(site.machines[0], plugins))
+
+
+def send(sinks: list, n: int) -> None:
+    """Send blocks of noise, which no compression makes small, with pauses in which they are flushed."""
+    rng = np.random.default_rng(1)
+    for seq in range(n):
+        block = Block("m1", "s1", seq, 50 * seq, 1e-3, 10**18 + seq, (Channel("u_x"), Channel("y_x")), rng.standard_normal((50, 2)))
+        for sink in sinks:
+            sink.take(Message(block, codec.encode_block(block)))
+        if seq % 200 == 199:
+            time.sleep(1.0)
+
+
+def test_what_a_full_disk_cut_is_closed_once_there_is_room_while_the_service_runs(tmp_path, plugins):
+    """The recording, and the minute before an alarm."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    if os.geteuid() != 0 or os.system(f"mount -t tmpfs -o size=500k none {disk} 2>/dev/null") != 0:
+        pytest.skip("no right to mount a small disk here")
+    try:
+        sinks, (recorder, box) = sinks_of(disk, "preview_hz = 1", plugins)
+        keeper = sinks.housekeeper()
+        send([recorder, box], 1200)
+        assert "No space left" in recorder.failure
+        change = AlarmChange(Alarm("m1/a", "m1", "a", 1, 1), "raised", 1)
+        (disk / "alarms").mkdir(exist_ok=True)
+        os.system(f"mount -o remount,size=580k {disk}")
+        box.take(Message(change))
+        deadline = time.monotonic() + 60
+        while not box.failure and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert "No space left" in box.failure
+        cut = sorted(disk.rglob("*.mcap"))
+        assert [path.parent.name for path in cut] == ["alarms", "disk"]
+        kept = [[b.seq for b in Recording(path).blocks()] for path in cut]
+        keeper._round()
+        assert not any(map(is_finished, cut))
+        os.system(f"mount -o remount,size=20m {disk}")
+        keeper._round()
+        assert all(map(is_finished, cut))
+        assert [[b.seq for b in Recording(path).blocks()] for path in cut] == kept
+        assert len(kept[1]) >= 200
+        box.take(Message(change))
+        sinks.close()
+        assert len(list(Recording(disk / "alarms" / cut[0].name.replace("alarm-001", "alarm-002")).blocks())) == 1200
+    finally:
+        os.system(f"umount -l {disk}")
+
+
+def test_recordings_of_the_service_that_runs_go_too_but_never_the_one_being_written(tmp_path, plugins):
+    """Found by reading: what a service had written itself it never deleted, so that one that runs for months filled its disk."""
+    sinks, (recorder, *_) = sinks_of(tmp_path, "preview_hz = 1, max_megabytes = 0.1, keep_megabytes = 0.15", plugins)
+    send([recorder], 1200)
+    written = sinks.files()
+    assert len(written) > 4
+    sinks.housekeeper()._tidy()
+    left = [path for path in written if path.exists()]
+    assert 1 <= len(left) < 4
+    assert sinks.writing() == left[-1:] == written[-1:]
+    sinks.close()

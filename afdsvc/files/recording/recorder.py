@@ -56,6 +56,7 @@ class Recorder:
         self._opened = self._flushed = self._failed_at = monotonic()
         self._unflushed = self._written = 0
         self.paths: list[Path] = []
+        self.torn: list[Path] = []  # could not be written to their end, so they have no index yet
         self.finished_bytes = 0
         self.failure = ""
         self.dropped = 0
@@ -68,6 +69,11 @@ class Recorder:
     def path(self) -> Path:
         """The file being written, or the last one that was."""
         return self.paths[-1] if self.paths else self._settings.path
+
+    @property
+    def writing(self) -> list[Path]:
+        """The file being written, if any."""
+        return [self._file.path] if self._file else []
 
     @property
     def flushed(self) -> bool:
@@ -154,7 +160,8 @@ class Recorder:
         try:
             action(self._file)
         except OSError as error:
-            self._fail(self._file.path, error)
+            self.torn += self.writing
+            self._fail(self._file.path if self._file else self._next_path(), error)
 
     def _fail(self, path: Path, error: OSError) -> None:
         if self._file:

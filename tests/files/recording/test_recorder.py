@@ -270,6 +270,24 @@ def test_after_a_failure_a_new_file_is_tried_but_not_all_the_time(tmp_path, bloc
     assert recorder.dropped == 5
 
 
+def test_a_file_that_cannot_be_begun_when_it_is_time_for_it_is_tried_again(tmp_path, blocks):
+    """Found by reading: the recorder had closed the last file, failed over its path, and recorded nothing any more."""
+    clock = Clock()
+    recorder = Recorder(RecordingSettings(tmp_path / "r.mcap", max_seconds=5.0), monotonic=clock)
+    first, second, third = blocks(3)
+    recorder.block(encode_block(first), first)
+    (tmp_path / "r.0001.mcap").symlink_to("nowhere/r.mcap")  # a file that does not exist and cannot be made
+    clock.now = 6.0
+    with pytest.raises(RecordingFailed, match=r"r\.0001\.mcap: cannot be written"):
+        recorder.block(encode_block(second), second)
+    (tmp_path / "r.0001.mcap").unlink()
+    clock.now = 17.0
+    recorder.block(encode_block(third), third)
+    recorder.close()
+    assert [[b.seq for b in Recording(p).blocks()] for p in recorder.paths] == [[0], [2]]
+    assert (recorder.dropped, recorder.torn, recorder.writing) == (1, [], [])
+
+
 def test_a_closed_recorder_says_so(tmp_path, blocks):
     recorder = Recorder(RecordingSettings(tmp_path / "r.mcap"))
     recorder.close()
