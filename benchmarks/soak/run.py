@@ -120,7 +120,7 @@ def main() -> int:
         SmallDisk(folder / "recordings", asked.disk or 500 + 300_000 * asked.minutes * asked.rigs * SAMPLE_BYTES / 1e6) as disk,
         cable() as name,
     ):
-        testbed = Testbed(folder, asked.rigs, name)
+        testbed = Testbed(folder, asked.rigs, name, asked.seed)
         disturbances = Disturbances(testbed, disk, Random(asked.seed))
         for group in range(len(testbed.groups)):
             testbed.start_rigs(group)  # first, on purpose: both may be started in any order

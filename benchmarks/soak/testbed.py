@@ -42,7 +42,7 @@ class Testbed:
 
     service: subprocess.Popen[bytes]
 
-    def __init__(self, folder: Path, rigs: int, cable: str = "") -> None:
+    def __init__(self, folder: Path, rigs: int, cable: str = "", seed: int = 0) -> None:
         self.folder, self.rigs, self.cable, self.port, self.began = folder, rigs, cable, free_port(), time.time()
         self.ids = [f"m{i + 1}" for i in range(rigs)]
         self.faults = {id: FAULTS[i // 2 % 4] for i, id in enumerate(self.ids) if i % 2}
@@ -50,7 +50,7 @@ class Testbed:
         self.groups = [group for group in (tuple(self.ids[:half]), tuple(self.ids[half:])) if group]
         ends = ("127.0.0.1", OURS if cable else "127.0.0.1")[: len(self.groups)]
         self.proxies = [Proxy(self.port, host=host) for host in ends]
-        self._starts = 0
+        self._starts = 10_000 * seed  # numbered in all soaks, so that no two have the same noise
         self.service_site = self._site("service.toml", "127.0.0.1", self.port)
         self._ends = [(host, proxy.port) for host, proxy in zip(ends, self.proxies, strict=True)]
         self.rig_sites = [self._site(f"rigs{i}.toml", *end) for i, end in enumerate(self._ends)]
