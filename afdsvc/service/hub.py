@@ -24,6 +24,7 @@ from afdsvc.errors import BadInput, Refused
 from afdsvc.service.audit_log import AuditLog
 from afdsvc.service.burst_requests import BurstRequests
 from afdsvc.service.clock import Watchdog
+from afdsvc.service.housekeeping import machine_of_file
 from afdsvc.service.machine import MachineMonitor
 from afdsvc.service.notifications import History, Judged, NotificationQueue
 from afdsvc.service.recorder_sink import Receipts
@@ -276,7 +277,7 @@ class Hub:
 
     def _sum_up(self, watch: MachineMonitor, t_ns: int) -> None:
         """Group alarms under what the evidence as a whole names; say when the model rather than a part is to be doubted."""
-        watch.doubt_model([path for path in self.files() if path.suffix == ".mcap"])
+        watch.doubt_model([path for path in self.files() if path.suffix == ".mcap" and machine_of_file(path) == watch.machine])
         why = watch.doubt or "the residual is explained by the model or a fault again"
         self.alarms.condition(watch.machine, "model_gap", AlarmKind.NOTICE, bool(watch.doubt), why, t_ns)
         if any(a.active for a in self.alarms.of(watch.machine)):

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block, Channel
 from afdsvc.diagnosis.pipeline import Outcome
 from afdsvc.errors import Refused
 from afdsvc.hal.agent import RigAgent
 from afdsvc.service.clock import FastClock, RealClock
+from afdsvc.service.hub import Hub
 from afdsvc.service.machine import MOST_REPORTED, MachineMonitor
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
@@ -94,3 +97,13 @@ def test_what_publishers_send_again_to_a_new_network_session_is_taken_once_and_l
     for session, seq in (("s", 0), ("s", 2), ("s", 0), ("s", 1), ("s", 2), ("t", 0), ("t", 0)):
         watch.take_block(sent(session, seq))
     assert [(b.session, b.seq) for b in passed] == [("s", 0), ("s", 2), ("s", 1), ("t", 0)]
+
+
+def test_the_notice_that_a_model_is_to_be_doubted_names_a_recording_of_that_machine():
+    """It named that of the last machine of the site."""
+    watches = {id: MachineMonitor(id, None, SimpleNamespace(take=lambda message: None), FastClock()) for id in ("m1", "m2")}
+    files = [Path(f"{id}-20261101T120000{part}") for id in watches for part in (".mcap", ".0001.mcap", ".rrd")]
+    hub = Hub(Keys("t"), "1", watches, {}, None, FastClock(), lambda: ("", 0, "", 0), lambda: files)
+    watches["m1"].evidence.extend(Evidence("d", "m1", n, 0.0, 1.0, 2.0, False, f"b{n}", trustworthy=False, reason="coloured", p_white=1e-6) for n in range(3))
+    hub._sum_up(watches["m1"], 0)
+    assert "'afdsvc explain m1-20261101T120000.0001.mcap'" in watches["m1"].doubt
