@@ -146,6 +146,8 @@ class Regression:
 
     def _changed(self, finding: Finding, sums: RegressionSums, single: Combination) -> Finding:
         """Return the finding with the course of its fault and its severity at the end, where the fault did not stay the same."""
+        if not sums.parts:
+            return finding
         i = single.faults[0]
         products = [products for products, _ in sums.parts]
         b, G = (np.array(v) for v in zip(*(self._own(p, i) for p in products), strict=True))
