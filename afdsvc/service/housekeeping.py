@@ -161,14 +161,16 @@ class Housekeeper:
         """Close and index a recording, later where there is no room for its copy; one that was deleted is gone."""
         if not path.exists():
             return
-        if not _room(path):
-            self._waiting.append(path)
-            return
+        done = None
         try:
-            done = recover_in_place(path)
+            done = recover_in_place(path) if _room(path) else None
         except BadInput as error:
-            return self._tell(f"an unfinished recording could not be closed: {error}")
-        self._tell(f"closed and indexed, {sum(done.messages.values())} messages: {done.loss}")
+            if _room(path):
+                return self._tell(f"an unfinished recording could not be closed: {error}")
+        if done is None:
+            self._waiting.append(path)
+        else:
+            self._tell(f"closed and indexed, {sum(done.messages.values())} messages: {done.loss}")
 
     def _tidy(self) -> None:
         for folder, keep in ((self._folder, self._keep), (self._folder / "alarms", self._alarms)):

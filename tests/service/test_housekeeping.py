@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shutil
+import threading
 import time
 from pathlib import Path
 
@@ -202,6 +204,42 @@ def test_what_a_full_disk_cut_is_closed_once_there_is_room_while_the_service_run
         box.take(Message(change))
         sinks.close()
         assert len(list(Recording(disk / "alarms" / cut[0].name.replace("alarm-001", "alarm-002")).blocks())) == 1200
+    finally:
+        os.system(f"umount -l {disk}")
+
+
+def test_a_recording_whose_copy_fills_the_disk_is_closed_later(tmp_path):
+    """Found by the soak: the disk was filled while a recording was copied, which then waited for the next start."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    if os.geteuid() != 0 or os.system(f"mount -t tmpfs -o size=90m none {disk} 2>/dev/null") != 0:
+        pytest.skip("no right to mount a small disk here")
+    try:
+        path, rng, said = disk / "m1-20261101T120000.mcap", np.random.default_rng(1), list[str]()
+        recorder = Recorder(RecordingSettings(path, preview_hertz=0.0))
+        for seq in range(100):
+            block = Block("m1", "s1", seq, 12500 * seq, 1e-3, 10**18 + seq, (Channel("u_x"), Channel("y_x")), rng.standard_normal((12500, 2)))
+            recorder.block(codec.encode_block(block), block)
+        recorder.flush()
+        recorder._file.abandon()
+        recorder._file = None
+        keeper = Housekeeper(disk, Keep(), {"m1"}, list, RealClock(), said.append)
+
+        def fill() -> None:
+            while not list(disk.glob("*.recovering")):
+                time.sleep(0.001)
+            with (disk / "others").open("wb") as file:
+                os.posix_fallocate(file.fileno(), 0, shutil.disk_usage(disk).free - 1_000_000)
+
+        filler = threading.Thread(target=fill)
+        filler.start()
+        keeper._round()
+        filler.join()
+        assert (said, is_finished(path)) == ([], False)
+        (disk / "others").unlink()
+        keeper._round()
+        assert is_finished(path)
+        assert len(list(Recording(path).blocks())) == 100
     finally:
         os.system(f"umount -l {disk}")
 
