@@ -17,7 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from afdsvc.app.demo import DemoOptions, free_port, rig_process, site_text
+from afdsvc.app.demo import rig_process
+from afdsvc.app.demo_site import DemoOptions, free_port, site_text
 from afdsvc.app.serve import serving
 from afdsvc.files.site import read_site
 from afdsvc.hal import control_sample

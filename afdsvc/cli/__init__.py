@@ -81,13 +81,15 @@ def demo(
     as_json: Json = False,
 ) -> None:
     """Watch a simulated machine from its first burst to a named fault, with --heal to a healed machine, on this computer alone."""
-    from afdsvc.app.demo import DemoOptions, first_fault, free_port, happening, parse_fault, run_demo
-    from afdsvc.present.terminal import demo_table, progress
+    from afdsvc.app.demo_site import DemoOptions, first_fault, free_port, parse_fault
 
     length = seconds or (60.0 if heal else 30.0)
     wanted = [] if healthy else fault or [f"{first_fault(plant, heal)}=-0.5@{min(12.0, 0.4 * length):g}"]
     options = DemoOptions(plant, controller, rpm, tuple(parse_fault(f) for f in wanted), length, seed, out, heal=heal, console=f"127.0.0.1:{free_port()}")
-    print(f"afdsvc: preparing a simulated {plant}: controller, burst and detectors are designed; live on http://{options.console}/ then", file=sys.stderr, flush=True)
+    print(f"afdsvc: preparing a simulated {plant}: controller, burst and detectors are designed; then it is shown live on http://{options.console}/", file=sys.stderr, flush=True)
+    from afdsvc.app.demo import happening, run_demo  # takes seconds to import
+    from afdsvc.present.terminal import demo_table, progress
+
     with progress("running the machine", length) as tell:
         document = run_demo(options, lambda done, hub: tell(done, happening(hub)))
     show(as_json, document, lambda: demo_table(document))

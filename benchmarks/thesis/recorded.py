@@ -15,7 +15,8 @@ import numpy as np
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import of_role
-from afdsvc.app.demo import free_port, rig_process
+from afdsvc.app.demo import rig_process
+from afdsvc.app.demo_site import free_port
 from afdsvc.app.serve import serving
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import write_model

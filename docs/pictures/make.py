@@ -19,7 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from afdsvc.api.evidence import Evidence, Severity
-from afdsvc.app.demo import DemoOptions, free_port, rig_process, run_demo, site_text
+from afdsvc.app.demo import rig_process, run_demo
+from afdsvc.app.demo_site import DemoOptions, free_port, site_text
 from afdsvc.app.review import fault_planes
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.present.rerun import review_history, review_recordings

@@ -51,6 +51,14 @@ def test_demo_names_the_fault(tmp_path: Path):
     assert (tmp_path / "again.rrd").stat().st_size > 1e6
 
 
+def test_demo_says_what_it_prepares_before_it_loads_what_runs_it(monkeypatch, capsys):
+    for name in ("afdsvc.app.demo", "afdsvc.present.terminal"):
+        monkeypatch.setitem(sys.modules, name, None)  # takes seconds to import; here it fails
+    with pytest.raises(ImportError):
+        cli.demo()
+    assert "preparing a simulated gas_bearing" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

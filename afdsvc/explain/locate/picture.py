@@ -1,7 +1,7 @@
 """The picture of a law: fitted without a form at the accepted or suspected site, its band, and the named law beside it.
 
-The heights of the knots are fitted with the other effects, offsets and initial states; the numbers of the model stay where the
-named law (or the nearest one) leaves them, as a part proportional to the signal would be theirs as well. Then a ridge on the
+The heights of the knots are fitted with the other effects and initial states; the numbers of the model and the sensors' offsets stay
+where the named law (or the nearest one) leaves them, as a part proportional to the signal, or a constant one, would be theirs as well. Then a ridge on the
 second differences of the heights is added, as strong as predicts left-out blocks best. The picture chooses nothing.
 """
 
@@ -70,10 +70,10 @@ def _drawn(found: Found, final: Fit, candidate: Candidate, drawn: LawSite, claim
 
 
 def _held(problem: Problem, point: Point) -> tuple[Problem, Point]:
-    """Return the problem with the numbers of the model held at a point, and the point there."""
+    """Return the problem with the numbers of the model and the offsets held at a point, and the point there."""
     nominal, theta = problem.nominal, point.theta
     held = replace(nominal, model=nominal.moved(theta) if nominal.python else nominal.model, plant=nominal.at(theta), entries=())
-    return replace(problem, nominal=held), replace(point, theta=np.zeros(0))
+    return replace(problem, nominal=held, offset_free=False), replace(point, theta=np.zeros(0))
 
 
 def _others(found: Found, h: Hypothesis) -> list[float]:

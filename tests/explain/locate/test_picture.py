@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from afdsvc.api.model import Model, Variable
+from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.locate.free_law import curve
 from afdsvc.explain.locate.picture import picture
@@ -16,6 +18,8 @@ from afdsvc.explain.search.build import build
 from afdsvc.explain.search.forward import search
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.lti.statespace import StateSpace
+from afdsvc.plugins.physics.coulomb_friction import CoulombFriction
 from afdsvc.plugins.physics.cubic_stiffness import CubicStiffness
 from afdsvc.plugins.physics.quadratic_damping import QuadraticDamping
 
@@ -42,6 +46,27 @@ def test_without_a_name_the_picture_is_drawn_at_the_nearest_site(spring, recorde
     assert law.against == "v"
     assert law.named_y is None
     assert "changes sign with the direction" in law.sentence
+
+
+def test_dry_friction_of_a_machine_with_a_speed_alone_is_drawn_even_in_both_directions():
+    """An offset of the sensor acts on a first-order machine as a constant force does: it is not the law's to move."""
+    rng, dt, v = np.random.default_rng(3), 0.01, [0.0]
+    u = np.repeat(rng.uniform(-9, 9, 100), 20)
+    for now in u[:-1]:
+        speed = v[-1]
+        for _ in range(20):
+            speed += dt / 20 * (50 * now - 5 * speed - 25 * np.tanh(speed / 0.05))
+        v.append(speed)
+    measured = np.array(v) + 0.05 * rng.standard_normal(len(u))
+    trace = Trace("log", dt, (Channel("u_voltage"), Channel("y_speed")), np.column_stack([u, measured]))
+    plant = StateSpace(np.array([[-5.5]]), np.array([[48.0]]), np.array([[1.0]]), np.zeros((1, 1)))
+    model = Model("motor", (Variable("voltage", "V"),), (Variable("speed", "rad/s"),), (Variable("speed", "rad/s"),), plant)
+    runs = prepare(model, [trace])
+    answer = search(settled(build(nominal(model, dt), runs, replace(Settings(), effects=1))), [CoulombFriction()])
+    law = picture(answer, list(answer.end.values())[-1], True)
+    fast = np.abs(law.x) > 0.1 * law.x.max()
+    assert law.y[fast] == pytest.approx(-0.5 * np.sign(law.x[fast]), abs=0.06)
+    assert "same size at every value of the speed, changes sign" in law.sentence
 
 
 def test_the_curve_is_straight_between_its_knots_and_continues_outwards():
