@@ -174,13 +174,11 @@ def test_anything_at_any_point_of_a_burst_leaves_the_plant_at_rest_and_within_li
     scene.at[2] = lambda: scene.ask(sine(ramp=ramp, amplitude=amplitude))
     block = min(block, 13) if what == "second" else block  # after the first burst a second one is welcome
     scene.at[block] = misfortunes(scene)[what]
-    started = time.monotonic()
     if what == "hardware":
         with pytest.raises(OSError, match="hardware is gone"):
             scene.agent.run(1.2)
     else:
         scene.agent.run(1.2)
-    assert time.monotonic() - started < 5.0
     begun, ended, fade = 750, 3750, min(max(ramp, 100), 5000)
     cut = (block + 1) * 250
     scene.check(ended if what in HARMLESS or cut > ended else min(cut + fade, ended))
@@ -269,14 +267,14 @@ def test_leases_carry_a_burst_and_those_of_another_do_not(simulated, bearing):
 def test_control_never_waits_for_the_network_or_for_a_check(simulated, bearing):
     """A wire that blocks for ever and a check that takes long: the control thread does not notice."""
     scene, free = Scene(simulated, bearing), threading.Event()
-    scene.wire.publish = lambda *a, **k: free.wait(20)
+    scene.wire.publish = lambda *a, **k: free.wait(60)
     check = scene.port.check
-    scene.port.check = lambda *a: (free.wait(1.0), check(*a))
+    scene.port.check = lambda *a: (free.wait(60), check(*a))
     asker = threading.Thread(target=lambda: scene.ask(sine()))
     scene.at[2] = asker.start
     began = time.monotonic()
     scene.agent.run(4.0)
-    assert time.monotonic() - began < 4.5
+    assert time.monotonic() - began < 30  # either would hold it up for 60 s
     assert len(scene.blocks) == 80
     free.set()
     asker.join()

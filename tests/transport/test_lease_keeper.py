@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 
-from afdsvc.transport.lease_keeper import PERIOD_SECONDS, PRIORITY, TRUST_SECONDS, LeaseKeeper
+from afdsvc.transport.lease_keeper import PRIORITY, TRUST_SECONDS, LeaseKeeper
 from afdsvc.transport.zenoh_session import Transport, configuration
 from tests.transport.test_zenoh_session import Settings, free_port, wait_for
 
@@ -30,7 +30,7 @@ def kept():
         keeper.close()
 
 
-def told(keeper: LeaseKeeper, leases: list[tuple[str, bytes]], seconds: float = 10.0) -> bool:
+def told(keeper: LeaseKeeper, leases: list[tuple[str, bytes]], seconds: float = 30.0) -> bool:
     """Say the leases until the keeper renews them; return whether it does."""
     return wait_for(lambda: keeper.renew(leases), seconds)
 
@@ -40,7 +40,9 @@ def test_leases_are_renewed_while_no_thread_of_the_service_runs(kept):
     keeper, heard = kept
     assert told(keeper, [(KEY, b"one"), (KEY, b"two")])
     assert wait_for(lambda: len(heard) > 4)
-    began, late, before = time.monotonic(), [], len(heard)
+    assert keeper.renew([(KEY, b"one"), (KEY, b"two")])
+    keeper.longest = 0.0
+    began, late = time.monotonic(), []
 
     def tick() -> None:
         last = time.monotonic()
@@ -53,8 +55,9 @@ def test_leases_are_renewed_while_no_thread_of_the_service_runs(kept):
     thread.start()
     hold_the_interpreter(0.5)
     thread.join()
-    assert wait_for(lambda: len(heard) >= before + 2 * 0.5 / PERIOD_SECONDS, 0.5)  # two leases; those of the half second are there already
     assert max(late) > 0.4  # or this shows nothing
+    assert wait_for(lambda: keeper.renew([(KEY, b"one"), (KEY, b"two")]) and keeper.longest > 0)
+    assert keeper.longest < max(late)
     assert {payload for _, payload in heard} == {b"one", b"two"}
 
 
@@ -62,7 +65,7 @@ def test_renewals_of_many_machines_are_not_dropped(kept):
     keeper, heard = kept
     leases = [(KEY, str(i).encode()) for i in range(200)]
     assert told(keeper, leases)
-    assert wait_for(lambda: {payload for _, payload in heard} >= {lease for _, lease in leases}, 2.0)
+    assert wait_for(lambda: keeper.renew(leases) and {payload for _, payload in heard} >= {lease for _, lease in leases})
     before = len(heard)
     keeper.renew(leases)
     time.sleep(0.9 * TRUST_SECONDS)
@@ -96,8 +99,8 @@ def test_a_service_that_hangs_renews_nothing(kept):
     assert told(keeper, [(KEY, b"one")])
     assert wait_for(lambda: heard)
     silent = time.monotonic()
-    time.sleep(TRUST_SECONDS + 1.0)
-    assert heard[-1][0] < silent + TRUST_SECONDS + 0.5
+    time.sleep(TRUST_SECONDS + 2.0)
+    assert heard[-1][0] < silent + TRUST_SECONDS + 1.5
     assert told(keeper, [(KEY, b"one")])
 
 
@@ -106,7 +109,7 @@ def test_what_has_ended_is_not_renewed(kept):
     assert told(keeper, [(KEY, b"one")])
     assert wait_for(lambda: heard)
     keeper.renew([])
-    time.sleep(0.3)
+    time.sleep(1.0)
     ended = len(heard)
     for _ in range(10):
         keeper.renew([])
@@ -118,7 +121,7 @@ def test_a_keeper_that_is_stopped_or_dead_is_said_to_be_so_and_one_with_new_keys
     keeper, heard = kept
     assert told(keeper, [(KEY, b"one")])
     os.kill(keeper._process.pid, signal.SIGSTOP)
-    assert wait_for(lambda: not keeper.renew([(KEY, b"one")]), 5)
+    assert wait_for(lambda: not keeper.renew([(KEY, b"one")]))
     os.kill(keeper._process.pid, signal.SIGCONT)
     assert told(keeper, [(KEY, b"one")])
     before = keeper._process.pid

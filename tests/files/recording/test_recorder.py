@@ -319,19 +319,17 @@ def test_killed_while_recording_loses_less_than_half_a_second(tmp_path):
     )
     written = []
     for line in child.stdout:
-        written.append((int(line), time.monotonic()))
-        if written[-1][0] == 150:
+        written.append(int(line))
+        if written[-1] == 150:
             break
     child.send_signal(signal.SIGKILL)
-    at = time.monotonic()
-    written += [(int(line), at) for line in child.stdout]
+    written += [int(line) for line in child.stdout]
     child.wait()
     child.stdout.close()
     recording = Recording(path)
     kept = [b.seq for b in recording.blocks()]
     assert kept == list(range(len(kept)))
-    lost = [t for seq, t in written if seq >= len(kept)]
-    assert not lost or at - lost[0] < 0.5
+    assert len(written) - len(kept) < 50  # every one takes 10 ms or more
     assert "was not closed" in recording.loss
     assert recording.site == "the site"
     assert recording.attachments["m1/model.toml"] == b"the model"
