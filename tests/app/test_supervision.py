@@ -32,7 +32,7 @@ bursts = {{every_seconds = 4.0, first_after_seconds = 0.5}}
 """
 
 
-def heard(s: socket.socket, wanted: str, seconds: float = 60.0) -> None:
+def heard(s: socket.socket, wanted: str, seconds: float = 180.0) -> None:
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         s.settimeout(max(deadline - time.monotonic(), 0.01))
