@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.api.physics import Hypothesis
-from afdsvc.explain.search.fit import Fit, weighted
+from afdsvc.explain.search.fit import STEP, Fit, weighted
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.lti.statespace import Array
+
+SIZES = (1.0, STEP)  # of an amplitude's scale; over the whole of it the response curves, which hides what the free numbers can nearly imitate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +51,6 @@ class Screen:
         self.scale = np.concatenate([np.tile(1 / (base.sd * np.sqrt(base.tau)), len(e)) for e in base.residuals])
         self.J = base.J * self.scale[:, None]
         self.e = np.concatenate([r.ravel() for r in base.residuals]) * self.scale
-        self.chol = np.linalg.cholesky(base.H)
 
     def __call__(self, hypothesis: Hypothesis) -> Screened:
         """Return the hypothesis with its starts ordered by what they promise."""
@@ -71,12 +72,9 @@ class Screen:
         linear = [j for j, c in enumerate(h.parameters) if c.linear and c.free]
         if not linear:
             return self._along(h, values)
-        columns = []
-        for j in linear:
-            moved = values.copy()
-            moved[j] = values[j] or h.parameters[j].scale
-            columns.append(self.change(PlacedEffect(h, moved)))
-        return self._amplitudes(columns, linear, h, values)
+        units = np.array([values[j] or h.parameters[j].scale for j in linear])
+        tried = SIZES if any(values[j] == 0 for j in linear) else SIZES[:1]
+        return max((self._amplitudes(h, values, linear, units * size) for size in tried), key=lambda start: start.fall)
 
     def _along(self, h: Hypothesis, values: Array) -> Start:
         """Return the start for a change of fixed shape, as if its size were free between none and a little more than it is."""
@@ -98,14 +96,18 @@ class Screen:
         begun = tuple(cells.T @ part for part in a.reshape(len(lengths), h.unsettled))
         return Start(PlacedEffect(h, values, begun), -float(2 * a @ g + a @ G @ a), D @ a + self.J @ (shifts @ a), shifts @ a)
 
-    def _amplitudes(self, columns: Sequence[Array], linear: Sequence[int], h: Hypothesis, values: Array) -> Start:
-        """Return the start with the best amplitudes of the parameters a law is proportional to."""
+    def _amplitudes(self, h: Hypothesis, values: Array, linear: Sequence[int], units: Array) -> Start:
+        """Return the start with the best amplitudes of the parameters a law is proportional to, by a step of one unit in each."""
+        columns = []
+        for j, unit in zip(linear, units, strict=True):
+            moved = values.copy()
+            moved[j] = unit
+            columns.append(self.change(PlacedEffect(h, moved)))
         D, shifts, G, g, a = self._best(columns)
+        limits = [(h.parameters[j].low, h.parameters[j].high) for j in linear]
         found = values.copy()
-        for j, factor in zip(linear, a, strict=True):
-            c = h.parameters[j]
-            found[j] = min(max((values[j] or c.scale) * factor, c.low), c.high)
-        size = np.array([found[j] / (values[j] or h.parameters[j].scale) for j in linear])
+        found[linear] = [min(max(unit * factor, low), high) for unit, factor, (low, high) in zip(units, a, limits, strict=True)]
+        size = found[linear] / units
         return Start(PlacedEffect(h, found), -float(2 * size @ g + size @ G @ size), D @ size + self.J @ (shifts @ size), shifts @ size)
 
     def _best(self, columns: Sequence[Array]) -> tuple[Array, Array, Array, Array, Array]:

@@ -95,8 +95,8 @@ class ParameterChange:
         return {
             "physics": self.name, "family": "gain",
             "notes": {"variant": variant or what, "of": what} | ({"gauge": GAINS} if what.endswith("gain") else {}),
-            "parameters": [Coefficient(what, "", low, 30.0, 0.02, linear=what != "mass"), *constants],
-            "starts": [(0.0 if what != "mass" else s, *fixed) for s in ((0.0,) if what != "mass" else (0.05, -0.05))],
+            "parameters": [Coefficient(what, "", low, 30.0, 0.02, linear=True), *constants],
+            "starts": [(0.0, *fixed)],
             "predicts": "a linear residual in fixed proportion to what the model says at every level",
             "refuted_by": _REFUTED,
         }
