@@ -335,9 +335,11 @@ driver = {{kind = "replay", recording = "{emps / "estimation.csv"}", real_time =
 calibrate_seconds = 12.4
 detectors = [{{kind = "passive_cusum"}}]"""
     site = site_of(free_port, tmp_path, machine=machine)
+    table = np.loadtxt(emps / "estimation.csv", delimiter=",", skiprows=1)
     with serve.serving(site) as hub, rig(site) as thread:
         thread.join(60)
-        hub.drain()
+        eventually(lambda: hub.watches["bearing"].seconds_seen > (len(table) - 0.5) * 1e-3, 60)
+        hub.drain(60)
         evidence = list(hub.watches["bearing"].evidence)
         assert hub.watches["bearing"].lost_samples == 0
         assert hub.alarms.alarms == {}
@@ -346,7 +348,6 @@ detectors = [{{kind = "passive_cusum"}}]"""
     assert any("the model is incomplete" in e.reason for e in evidence)
     recording = Recording(next(tmp_path.glob("*.mcap")))
     (trace,) = recording.traces("bearing")
-    table = np.loadtxt(emps / "estimation.csv", delimiter=",", skiprows=1)
     assert [c.name for c in trace.channels] == ["u_force", "y_position", "ref_position"]
     assert np.array_equal(trace.values, table[:, 1:])
     assert "rate_of" in recording.attachments["bearing/model.toml"].decode()
