@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from afdsvc.api.signals import Trace as Trace
     from afdsvc.errors import BadInput as BadInput
 
+# Compiled loops are kept apart from the package: an uninstall would leave them, and a folder of their own in its place. Read by numba at import.
+os.environ.setdefault("NUMBA_CACHE_DIR", os.path.join(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "afdsvc"))
 # One thread for linear algebra: the matrices are small, processes run side by side. Read by numpy once, when it is imported.
 for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")

@@ -47,7 +47,7 @@ class Answer:
         try:
             import pandas
         except ImportError:
-            raise BadInput("pandas is not installed; expected it, or use .rows()") from None
+            raise BadInput("pandas is not installed; expected it (pip install 'afdsvc[pandas]'), or use .rows()") from None
         return pandas.DataFrame(self.rows())
 
     def to_xarray(self) -> Any:

@@ -15,7 +15,6 @@ from afdsvc.api.model import Model
 from afdsvc.api.physics import Physics
 from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
-from afdsvc.explain import simulate
 from afdsvc.explain.pipeline import explain
 from afdsvc.explain.report.explanation import Explanation
 from afdsvc.files.model.improved import write_improved
@@ -152,7 +151,7 @@ def aux_means(recordings: Sequence[Trace]) -> dict[str, float]:
 
 def announce_compilation(progress: Progress) -> None:
     """Say so where the simulation is not compiled yet: that takes a minute, once on a computer."""
-    kept = Path(os.environ.get("NUMBA_CACHE_DIR") or simulate.__path__[0])
+    kept = Path(os.environ["NUMBA_CACHE_DIR"])
     if not any(kept.rglob("*.nbi")):
         progress("compiling the simulation, once on this computer", 0.0)
 

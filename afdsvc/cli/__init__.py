@@ -44,6 +44,8 @@ def run_cli() -> None:
     except Exception as error:
         if was_interrupted(error):
             leave()
+        if isinstance(error, OSError) and error.filename is not None:
+            sys.exit(_fail(f"{error.filename}: {(error.strerror or str(error)).lower()}; expected a path that can be read or written", 2))
         sys.exit(_fail(f"unexpected failure: {type(error).__name__}: {error}; a report of it needs {_traceback()}", 1))
 
 

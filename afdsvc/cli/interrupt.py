@@ -7,6 +7,7 @@ import signal
 import socket
 import threading
 import time
+from collections.abc import Callable, Mapping
 from typing import NoReturn
 
 from afdsvc.files.unfinished import remove_unfinished
@@ -18,20 +19,25 @@ INTERRUPTED = 130  # exit code, as shells give it
 def end_on_interrupt() -> None:
     """Raise `KeyboardInterrupt` on SIGINT, and end the process where that is not heard within `GRACE`.
 
-    Compiled code hears nothing before it returns. The byte that Python writes for every signal wakes a thread that needs no answer of it.
+    Compiled code hears nothing before it returns.
     """
-    if threading.current_thread() is not threading.main_thread():
-        return
+    if threading.current_thread() is threading.main_thread():
+        call_on_signals({signal.SIGINT: _leave_soon})
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def call_on_signals(called: Mapping[int, Callable[[], object]]) -> None:
+    """Call a function when a signal arrives, from a thread of its own; those of an earlier call hear nothing any more.
+
+    A handler runs between two steps of the main thread, which may hold the very lock that the handler needs to set an event. The byte
+    that Python writes for every signal wakes a thread that needs no answer of the main thread.
+    """
     read, write = socket.socketpair()
     write.setblocking(False)
     signal.set_wakeup_fd(write.fileno(), warn_on_full_buffer=False)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    threading.Thread(target=_wait, args=(read, write), name="interrupt", daemon=True).start()
-
-
-def end_in_order() -> None:
-    """Leave the end to the command: it stops its machines and closes its recordings when it is interrupted."""
-    signal.set_wakeup_fd(-1)
+    for number in called:
+        signal.signal(number, lambda *_: None)
+    threading.Thread(target=_listen, args=(read, write, called), name="signals", daemon=True).start()
 
 
 def was_interrupted(error: BaseException | None) -> bool:
@@ -48,8 +54,11 @@ def leave() -> NoReturn:
     os._exit(INTERRUPTED)
 
 
-def _wait(read: socket.socket, write: socket.socket) -> None:
-    while signal.SIGINT not in read.recv(1):
-        pass
+def _listen(read: socket.socket, write: socket.socket, called: Mapping[int, Callable[[], object]]) -> None:
+    while True:
+        called.get(read.recv(1)[0], lambda: None)()
+
+
+def _leave_soon() -> None:
     time.sleep(GRACE)
     leave()

@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 from afdsvc import __version__
-from afdsvc.cli.interrupt import end_in_order
+from afdsvc.cli.interrupt import call_on_signals
 from afdsvc.cli.options import HERE, Json, MachineOption, SiteFile, SiteOption, show
 from afdsvc.errors import BadInput
 from afdsvc.files.unfinished import remove_unfinished
@@ -29,11 +30,12 @@ app = typer.Typer()
 site = typer.Typer(no_args_is_help=True, help="Site files.")
 
 
-def _stop_on_signals(stop: threading.Event) -> threading.Event:
-    """Let SIGTERM and SIGINT set an event, so that every `with` block is left in order."""
-    end_in_order()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+def _stop_on_signals(stop: threading.Event, emergency: threading.Event | None = None) -> threading.Event:
+    """Let SIGTERM and SIGINT set an event, so that every `with` block is left in order; SIGUSR1 another one, where the system has it."""
+    called: dict[int, Callable[[], object]] = {signal.SIGTERM: stop.set, signal.SIGINT: stop.set}
+    if emergency and hasattr(signal, "SIGUSR1"):
+        called[signal.SIGUSR1] = emergency.set
+    call_on_signals(called)
     return stop
 
 
@@ -109,9 +111,7 @@ def rig(
 
     start_logging("text")
     emergency = threading.Event()
-    if hasattr(signal, "SIGUSR1"):
-        signal.signal(signal.SIGUSR1, lambda *_: emergency.set())
-    run_rig(read_site(site), machine, seconds, _stop_on_signals(threading.Event()), emergency)
+    run_rig(read_site(site), machine, seconds, _stop_on_signals(threading.Event(), emergency), emergency)
     _leave()
 
 

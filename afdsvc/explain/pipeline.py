@@ -107,20 +107,25 @@ def _searched(
     base: Settled, before: Gap, library: Sequence[Physics], mapper: Mapper, progress: Progress, rng: np.random.Generator,
     heldout: Sequence[Run], excluded: Container[tuple[str, ...]],
 ) -> Found:
-    """Return what the search finds; where it finds nothing and noise is not known, also under slow noise, which is divided out."""
+    """Return what the search finds; where it finds no effect and noise is not known, also under slow noise, which is divided out.
+
+    Beside an offset that was found, effects found so have to follow the recordings held out better.
+    """
+
+    def better(without: Path, path: Path) -> float:
+        last = list(path)[-1]
+        return player(base.problem, last).better(heldout, without[last].point, path[last].point)
 
     def searched(base: Settled) -> Found:
-        def better(without: Path, path: Path) -> float:
-            last = list(path)[-1]
-            return player(base.problem, last).better(heldout, without[last].point, path[last].point)
-
         return search(base, library, mapper, progress, lambda path: not tested(base.problem, path, rng).absent, better, excluded)
 
     found = searched(base)
     if not base.problem.weighting.even or not found.steps or found.effects:
         return found
     again = searched(under_slow_noise(base, 1 - np.clip(before.whitened, 0.0, 1.0)))
-    return again if again.effects or not found.steps[0].accepted else found
+    if not found.steps[0].accepted:
+        return again
+    return again if again.effects and better(found.end, again.end) > base.problem.settings.probable else found
 
 
 def _consistent_there(answer: HeldOutVerdict, problem: Problem, horizon: float, heldout: Sequence[Run], rng: np.random.Generator) -> HeldOutVerdict:

@@ -68,3 +68,23 @@ def test_an_error_that_an_interruption_became_is_one():
             raise SystemError("a result with an exception set") from stop
     assert was_interrupted(became.value)
     assert not was_interrupted(SystemError())
+
+
+HELD = """
+    import os, signal, threading
+    from afdsvc.cli.interrupt import call_on_signals
+
+    lock, called = threading.Lock(), threading.Event()
+    call_on_signals({signal.SIGTERM: lambda: lock.acquire() and called.set()})
+    with lock:
+        os.kill(os.getpid(), signal.SIGTERM)
+        [None for _ in range(100_000)]  # handlers run here
+    called.wait()
+    print("called")
+"""
+
+
+def test_what_a_signal_calls_may_need_a_lock_that_the_main_thread_holds():
+    """As `threading.Event.set` does while the main thread waits for the event: a rig that was interrupted twice hung for ever."""
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(HELD)], capture_output=True, text=True, timeout=120)
+    assert done.stdout == "called\n", done.stderr

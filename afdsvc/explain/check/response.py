@@ -12,6 +12,7 @@ from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.sample_checks import Finding
 from afdsvc.dataset.split import Split, still
 from afdsvc.errors import BadInput
+from afdsvc.explain.check.gain import STOP
 from afdsvc.explain.gap.decision import gap_test
 from afdsvc.explain.gap.settings import GapSettings
 from afdsvc.explain.gap.signals import ResidualSignals
@@ -29,14 +30,24 @@ REPEATS = 0.02  # share of the output that repeats with the excitation, from whi
 def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
     """Yield a stop for every output that no flexible model predicts from the inputs better than from time-shifted ones.
 
-    Asked only where the model says that the inputs cause most of the output, where no controller feeds it back, and where
-    the recordings hold enough blocks for the answer.
+    Asked only where the model says that the inputs cause most of the output, and where no controller feeds it back. Recordings that hold
+    too few blocks for the answer are refused where the output, beside that, moves much less than a stable model says.
     """
     model = nominal.model
     if not model.inputs or any(r.W is not None or r.commanded for r in runs):
         return
-    silent = [j for j in range(len(model.outputs)) if _expected(nominal, runs, j) and not _correlated(runs, j)]
-    if not silent or _stretches(runs) < GapSettings().needed_blocks:
+    caused = [_caused(nominal, runs, j) for j in range(len(model.outputs))]
+    silent = [j for j, share in enumerate(caused) if not share < CAUSED and not _correlated(runs, j)]
+    if not silent:
+        return
+    if _stretches(runs) < GapSettings().needed_blocks:
+        for j in silent:
+            if nominal.plant.is_stable() and caused[j] > STOP:
+                yield Finding(
+                    "stop", "response",
+                    f"y_{model.outputs[j].name} is not correlated with the inputs, and the model says that they move it {caused[j]:.3g} times as much as it moves; "
+                    "expected columns recorded together on the machine of the model, in its units",
+                )
         return
     given = [ResidualSignals(r.Y[:, silent], r.U, r.U[:, :0], r.U[:, :0], r.dt, r.period) for r in runs]
     names = [model.outputs[j].name for j in silent]
@@ -52,14 +63,14 @@ def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
             )
 
 
-def _expected(nominal: Nominal, runs: Sequence[Run], j: int) -> bool:
-    """Whether the model says that the inputs cause most of the output."""
+def _caused(nominal: Nominal, runs: Sequence[Run], j: int) -> float:
+    """Return the rms of what the model says the inputs cause in an output, over that of the output; NaN where its simulation fails."""
     n, p = nominal.plant.order, nominal.plant.outputs
     simulator = Simulator(nominal, np.zeros((n, p)))
     caused = [simulator.run(r, np.zeros(len(nominal.entries)), np.zeros(n)).y[:, j] for r in runs]
     size = np.sqrt(np.mean([np.nanvar(r.Y[:, j]) for r in runs]))
     with np.errstate(all="ignore"):
-        return not np.sqrt(np.mean([np.var(c) for c in caused])) < CAUSED * size
+        return float(np.sqrt(np.mean([np.var(c) for c in caused])) / size)
 
 
 def _stretches(runs: Sequence[Run]) -> float:

@@ -64,7 +64,10 @@ def opened(path: Path) -> BinaryIO:
 def head(path: Path) -> tuple[list[str], str, str]:
     """Return the cells of the first line of a CSV file, its second line, and what separates cells."""
     with path.open(encoding="utf-8-sig", newline="") as file:
-        first, second = file.readline(BOUNDS.line + 1), file.readline(BOUNDS.line + 1)
+        try:
+            first, second = file.readline(BOUNDS.line + 1), file.readline(BOUNDS.line + 1)
+        except UnicodeDecodeError:
+            raise BadInput(f"{path}: is not a readable .csv; expected text in UTF-8") from None
     refuse_more(path, len(first), BOUNDS.line, "characters in its first line")
     delimiter = next((d for d in ";\t," if d in first), ",")
     return [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])], second, delimiter

@@ -18,7 +18,7 @@ NONE = "none_of_these"
 def diagnose_page(document: Mapping[str, Any]) -> str:
     """Return the page for the document of ``diagnose --json``."""
     shown = [{**recording, "answer": verdict_words(recording["verdict"]), "severities": _severities(recording)} for recording in document["recordings"]]
-    return render("diagnose_page.html.j2", recordings=shown, percent=_percent, weights=_weights)
+    return render("diagnose_page.html.j2", recordings=shown, percent=_percent, number=_number, weights=_weights)
 
 
 def write_diagnosis(document: Mapping[str, Any], path: Path) -> None:
@@ -40,6 +40,10 @@ def verdict_words(verdict: Mapping[str, Any]) -> str:
 
 def _percent(severity: Mapping[str, float] | None) -> str:
     return "–" if severity is None else f"{100 * severity['value']:.1f} ± {100 * severity['sd']:.1f} %"
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.4g}"
 
 
 def _weights(weights: Mapping[str, float]) -> str:
