@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from afdsvc.files.open import Naming, OpenFile, OwnRecording, TableFile, open_fi
 from afdsvc.files.tables.foreign import prepared
 from afdsvc.files.tables.tables import PREPARED
 from afdsvc.files.unfinished import writing
+from afdsvc.lti.simulate import is_compiled
 from afdsvc.plants.stepped.linearise import linearisation_notes
 from afdsvc.plugins.manager import load
 
@@ -151,8 +151,7 @@ def aux_means(recordings: Sequence[Trace]) -> dict[str, float]:
 
 def announce_compilation(progress: Progress) -> None:
     """Say so where the simulation is not compiled yet: that takes a minute, once on a computer."""
-    kept = Path(os.environ["NUMBA_CACHE_DIR"])
-    if not any(kept.rglob("*.nbi")):
+    if not is_compiled():
         progress("compiling the simulation, once on this computer", 0.0)
 
 

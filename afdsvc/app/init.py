@@ -62,6 +62,8 @@ def init_files(recording: Path, out: Path | None = None, answers: Answers | None
     Raises `BadInput` where there is no input or no output and no terminal to ask on, and where a file is there already.
     """
     answers = answers or Answers()
+    if answers.step is not None:
+        _positive("--step", str(answers.step))
     if recording.suffix.lower() not in TABLES:
         raise BadInput(f"{recording}: is no table; expected one that ends in {', '.join(TABLES)}")
     folder = out or recording.parent

@@ -309,6 +309,8 @@ def batch(
     value = {"table": str(done.table), "rows": done.rows, "failed": done.failed, "kept": done.kept}
     said = f"{done.table}: {done.rows} recordings, {done.failed} failed, {done.kept} done before"
     show(as_json, value, lambda: print(said))
+    if done.failed and done.failed == done.rows:
+        raise typer.Exit(2)
 
 
 @app.command()

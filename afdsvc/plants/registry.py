@@ -27,7 +27,9 @@ def plant(name: str, **options: Any) -> PhysicalPlant:
         raise BadInput(f"there is no plant '{name}'; there are {', '.join(sorted(PLANTS))}")
     make: Callable[..., PhysicalPlant] = getattr(import_module(PLANTS[name]), name)
     known = inspect.signature(make).parameters
-    for option in options:
+    for option, value in options.items():
         if option not in known:
             raise BadInput(f"plant '{name}' has no option '{option}'; it has {', '.join(known) or 'none'}")
+        if isinstance(known[option].default, int | float) and not isinstance(value, int | float):
+            raise BadInput(f"plant '{name}': option '{option}' is {value!r}; expected a number")
     return make(**options)

@@ -110,7 +110,7 @@ def _finding(channel: str, factor: float, explained: float, also: str = "") -> F
     stop = explained > SURER and (turned or not 1 / STOP < size < STOP)
     what = [f"{size:.4g} times what the model says{f', about {known[0]}' if known else ''}"] if scaled else []
     what += [f"of the opposite sign (factor {factor:.3g})"] if turned else []
-    mend = f"expected the model's {'unit' if scaled else 'sign'}" + ("; --trust-units goes on where both are right" if stop else "")
+    mend = f"expected the model's {'unit' if scaled else 'sign'}" + ("; explain --trust-units goes on where both are right" if stop else "")
     return Finding("stop" if stop else "warning", "units", f"{channel} is {' and '.join(what)}{also}; {mend}")
 
 

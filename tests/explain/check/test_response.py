@@ -67,3 +67,13 @@ def test_a_reference_excites_a_loop_whose_controller_is_known():
     loop = Trace("loop", 0.01, (Channel("u_u"), Channel("y_y"), Channel("ref_y")), np.array(rows))
     findings = check(axis, [loop])
     assert [f for f in findings if f.kind == "stop"] == []
+
+
+def test_a_short_recording_in_which_the_output_hardly_moves_is_refused(spring, recorded):
+    """Too few blocks for the test of the response; the stable model says that the output moves a thousand times as much."""
+    trace = recorded(1)
+    values = trace.values[:60].copy()
+    values[:, 1] = 1e-3 * np.random.default_rng(3).standard_normal(60) * trace.values[:, 1].std()
+    (said,) = responding(nominal(spring, trace.dt), prepare(spring, [replace(trace, values=values)]))
+    assert said.kind == "stop"
+    assert "is not correlated with the inputs" in said.sentence
