@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -112,12 +113,12 @@ def _searched(
     Beside an offset that was found, effects found so have to follow the recordings held out better.
     """
 
-    def better(without: Path, path: Path) -> float:
+    def better(problem: Problem, without: Path, path: Path) -> float:
         last = list(path)[-1]
-        return player(base.problem, last).better(heldout, without[last].point, path[last].point)
+        return player(problem, last).better(heldout, without[last].point, path[last].point)
 
     def searched(base: Settled) -> Found:
-        return search(base, library, mapper, progress, lambda path: not tested(base.problem, path, rng).absent, better, excluded)
+        return search(base, library, mapper, progress, lambda path: not tested(base.problem, path, rng).absent, partial(better, base.problem), excluded)
 
     found = searched(base)
     if not base.problem.weighting.even or not found.steps or found.effects:
@@ -125,7 +126,7 @@ def _searched(
     again = searched(under_slow_noise(base, 1 - np.clip(before.whitened, 0.0, 1.0)))
     if not found.steps[0].accepted:
         return again
-    return again if again.effects and better(found.end, again.end) > base.problem.settings.probable else found
+    return again if again.effects and better(base.problem, found.end, again.end) > base.problem.settings.probable else found
 
 
 def _consistent_there(answer: HeldOutVerdict, problem: Problem, horizon: float, heldout: Sequence[Run], rng: np.random.Generator) -> HeldOutVerdict:

@@ -268,7 +268,8 @@ def alarm_table(alarms: list[dict[str, Any]]) -> None:
     by_urgency = sorted(alarms, key=lambda a: (not a["active"], bool(a["cause"]), -a["since_ns"]))
     for a in by_urgency:
         style = "bold red" if a["active"] and not (a["acknowledged"] or a["suppressed"] or a["shelved_until_ns"]) else ""
-        table.add_row(a["id"], _alarm_state(a).partition(",")[0], _moment(a["since_ns"]), _percent(a["severity"]), str(a["count"]), style=style)
+        state, severity = (a["suppressed"], "") if a["suppressed"] else (_alarm_state(a).partition(",")[0], _percent(a["severity"]))
+        table.add_row(a["id"], state, _moment(a["since_ns"]), severity, str(a["count"]), style=style)
     OUT.print(table)
     for a in by_urgency:
         people = ", ".join(f"{what} by {a[by]}" for what, by in PEOPLE if a[by])

@@ -46,9 +46,9 @@ def shaken(seed: int, level: float, bend: float) -> Trace:
     return Trace(f"r{seed}", DT, (Channel("u_force"), Channel("y_position")), np.array(rows)[PERIOD:])
 
 
-@pytest.mark.parametrize("bend", [2.0, 12.0])
+@pytest.mark.parametrize("bend", [3.0, 12.0])
 def test_a_mass_on_a_hardening_spring_is_found_from_its_peak_and_shown_from_the_right_state(bend):
-    """At the second, the motion at rest does not show the way to the state. Between them the simulation is chaotic: every step of 1e-6 finds another optimum."""
+    """From a straight spring at the peak the fit ends 6 % off at the first; at the second rest does not show the way to the state."""
     *recordings, held = [shaken(seed, level, bend) for seed, level in enumerate((1.0, 0.5, 0.8, 0.7))]
     answer = explain(table(), recordings, [held], [FlexibleMode()], experiment=False)
     assert [(n.physics, n.site) for n in answer.named] == [("flexible_mode", "state:v")]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -215,3 +216,20 @@ def test_an_input_of_one_frequency_names_one_effect_at_most(spring, recorded, mo
     with pytest.raises(BadInput, match="enough"):
         explain(spring, [trace, trace], [], [])
     assert asked == [most]
+
+
+@pytest.mark.parametrize(("sure", "chosen"), [(0.4, "offset"), (0.9, "effect")])
+def test_an_effect_under_slow_noise_replaces_an_offset_only_where_held_out_recordings_follow(monkeypatch, sure, chosen):
+    """A body that spins down one way: its friction is a constant force there, and what is left of it under slow noise resembles gravity."""
+    problem = SimpleNamespace(weighting=SimpleNamespace(even=True), settings=Settings())
+    point = SimpleNamespace(point=None)
+    found = {
+        "offset": SimpleNamespace(steps=(SimpleNamespace(accepted=True),), effects=0, end={0.0: point}),
+        "effect": SimpleNamespace(steps=(SimpleNamespace(accepted=True),), effects=1, end={0.0: point}),
+    }
+    answers = iter(found.values())
+    monkeypatch.setattr(module, "search", lambda *_: next(answers))
+    monkeypatch.setattr(module, "under_slow_noise", lambda base, noise: base)
+    monkeypatch.setattr(module, "player", lambda *_: SimpleNamespace(better=lambda *_: sure))
+    base, gap = SimpleNamespace(problem=problem), SimpleNamespace(whitened=np.zeros(1))
+    assert module._searched(base, gap, [], map, lambda *_: None, np.random.default_rng(0), [], []) is found[chosen]

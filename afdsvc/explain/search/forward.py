@@ -39,7 +39,6 @@ from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import (
     Candidate,
     complexity,
-    fits_alike,
     is_constant,
     is_offset,
     is_reason,
@@ -49,7 +48,6 @@ from afdsvc.explain.search.ranking import (
     winner,
 )
 from afdsvc.explain.search.screen import Screen, Screened
-from afdsvc.explain.settings import Settings
 from afdsvc.lti.statespace import Array
 from afdsvc.stats.spectral_peaks import peaks
 from afdsvc.stats.tones import tones
@@ -121,7 +119,7 @@ def search(
         present = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
         offered = [h for h in hypotheses(library, seen, not problem.regular) if h.key not in present and mechanism(h) not in excluded]
         progress(f"round {len(steps) + 1}, fitting {len(offered)} hypotheses", number / problem.settings.effects)
-        step = _told_apart(rounds.next(path, rough, offered, number > 0), better, problem.settings)
+        step = rounds.next(path, rough, offered, number > 0)
         more = rounds.accepted(step.candidates[0]) if step.accepted else (path, rough)
         if step.accepted and (step.reason or number) and not better(path, more[0]) > (problem.settings.sure if step.reason else 0.0):
             why = f"{step.candidates[0].hypothesis.title}: the recordings held out are followed worse with it"
@@ -137,22 +135,6 @@ def search(
             number += 1
     path, steps = _helpful(whole, *whole.exchanged(path, steps), better)
     return Found(problem, start, path, seen, tuple(steps), limited, whole.over(path, start, 0))
-
-
-def _told_apart(step: Round, better: Callable[[Path, Path], float], settings: Settings) -> Round:
-    """Return the round, first what fits as well as the first and surely follows the recordings held out better, the more so the more are tried (Bonferroni).
-
-    Recordings that fit two laws alike may lack what tells them apart: friction and a constant force, while nothing stops or turns.
-    """
-    if not step.accepted:
-        return step
-    first, *others = step.candidates
-    alike = [c for c in others if is_reason(c, step.limited) and fits_alike(c, first, c.evidence.gain, first.evidence.gain, settings, step.limited)]
-    sure = [better(first.path, c.path) for c in alike]
-    if max(sure, default=0.0) <= 1 - (1 - settings.sure) / max(len(sure), 1):
-        return step
-    chosen = alike[int(np.argmax(sure))]
-    return replace(step, candidates=(chosen, *(c for c in step.candidates if c is not chosen)))
 
 
 def _kept(steps: Sequence[Round], path: dict[float, Fit]) -> list[Round]:

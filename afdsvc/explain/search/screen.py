@@ -10,10 +10,9 @@ import numpy as np
 from afdsvc.api.physics import Hypothesis
 from afdsvc.explain.search.fit import STEP, Fit, weighted
 from afdsvc.explain.search.problem import Problem
+from afdsvc.explain.search.ranking import is_constant
 from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.lti.statespace import Array
-
-SIZES = (1.0, STEP)  # of an amplitude's scale; over the whole of it the response curves, which hides what the free numbers can nearly imitate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,9 +71,9 @@ class Screen:
         linear = [j for j, c in enumerate(h.parameters) if c.linear and c.free]
         if not linear:
             return self._along(h, values)
-        units = np.array([values[j] or h.parameters[j].scale for j in linear])
-        tried = SIZES if any(values[j] == 0 for j in linear) else SIZES[:1]
-        return max((self._amplitudes(h, values, linear, units * size) for size in tried), key=lambda start: start.fall)
+        # Constants of the model move as far as its free numbers do in `fit`: over their whole scale the response curves, which hides what those nearly imitate.
+        units = np.array([values[j] or h.parameters[j].scale for j in linear]) * (STEP if is_constant(h) else 1.0)
+        return self._amplitudes(h, values, linear, units)
 
     def _along(self, h: Hypothesis, values: Array) -> Start:
         """Return the start for a change of fixed shape, as if its size were free between none and a little more than it is."""
