@@ -122,7 +122,7 @@ def _headings(recording: Path, names: Sequence[str], answers: Answers, time: str
         if any(h.role == role for h in found):
             continue
         if answers.ask is None:
-            raise BadInput(f"{recording}: no column name says that it is an {word}, as {examples} does; expected --{word} COLUMN, one of {', '.join(names)}")
+            raise BadInput(f"{recording}: no column name says that it is an {word}, as {examples} does; expected --{word} COLUMN, {'one of ' + ', '.join(names) if names else 'but it has no column beside the time'}")
         chosen = answers.ask(f"Which columns are {word}s ({', '.join(h.name for h in found if h.role == 'aux')})?", "", _chooser(found))
         found = [replace(h, role=role) if h.name in chosen else h for h in found]
     if answers.ask:

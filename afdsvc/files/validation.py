@@ -152,7 +152,7 @@ def validated(schema: type[T], data: object, source: str) -> T:
     try:
         return schema.model_validate(data)
     except ValidationError as error:
-        offences = [_sentence(schema, e) for e in error.errors(include_url=False)]
+        offences = dict.fromkeys(_sentence(schema, e) for e in error.errors(include_url=False))
         raise BadInput(f"{source}: {'; and '.join(offences)}") from None
 
 
@@ -176,7 +176,8 @@ def _dotted(location: tuple[int | str, ...]) -> str:
     """Return a place in a file as people write it: ``inputs[0].unit``."""
     text = ""
     for part in location:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+        if isinstance(part, int) or "[" not in part:  # other parts name one of several types that were tried
+            text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
     return text
 
 

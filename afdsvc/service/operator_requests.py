@@ -209,6 +209,8 @@ class Requests:
     def _requests_to(self, a: Arguments) -> BurstRequests:
         watches, burst_requests = self._hub.watches, self._hub.burst_requests
         machine = a.get("machine") or (next(iter(watches)) if len(watches) == 1 else "")
+        if not machine:
+            raise BadInput(f"no machine is named; expected --machine, one of {', '.join(watches)}")
         if machine not in watches:
             raise BadInput(f"machine {machine!r} is unknown; this site has {', '.join(watches)}")
         if machine not in burst_requests:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from afdsvc import cli
 from afdsvc.cli import app
 from afdsvc.errors import AfdsvcError
 
@@ -23,7 +24,8 @@ SITE = '[transport]\nlisten = ["tcp/127.0.0.1:28997"]\npatience_seconds = 0.3\n[
 TIMES = [f"{0.01 * k + (1.0 if k > 50 else 0.0):.2f}" for k in range(100)]
 ROWS = "".join(f"{0.01 * k:.2f},{math.sin(k):.3f},{math.cos(k):.3f}\n" for k in range(100))
 FILES = {
-    "MODEL.toml": MODEL, "typo.toml": MODEL.replace("num =", "nun ="), "site.toml": f'site = "hall"\n{SITE}',
+    "MODEL.toml": MODEL, "typo.toml": MODEL.replace("num =", "nun ="), "site.toml": f'site = "hall"\n{SITE}', "number.toml": MODEL.replace("3.0", '"three"'),
+    "fast.toml": f'site = "hall"\n{SITE}options = {{rpm = "fast"}}\n', "hours.csv": "t\n" + "".join(f"{k}\n" for k in range(100)),
     "log.csv": "Time_ms,Voltage [V],speed_rpm\n" + ROWS, "bare.csv": ROWS, "words.csv": "t,u_voltage,y_speed\n0.00,1,2\n0.01,off,2\n",
     "gap.csv": "t,u_voltage,y_speed\n" + "".join(f"{t},1,2\n" for t in TIMES), "book.xlsx": "PK",
 }  # fmt: skip
@@ -63,6 +65,9 @@ def folder(tmp_path_factory) -> Path:
         ("design MODEL.toml", ["MODEL.toml: is a model (MODEL.toml); expected a site file"]),
         ("diagnose gap.csv", ["gap.csv: a table carries no model; give one with --model MODEL.toml"]),
         ("review log.csv", ["log.csv: is a table; expected a recording, which 'afdsvc import log.csv -o log.mcap' makes of it"]),
+        ("design fast.toml", ["plant 'gas_bearing': option 'rpm' is 'fast'; expected a number"]),
+        ("init hours.csv --step 1 --out new", ["expected --input COLUMN, but it has no column beside the time"]),
+        ("check number.toml gap.csv", ["number.toml: key 'num[0]' is 'three'; expected a valid number"]),
         ("status", ["no service answers at tcp/127.0.0.1:28997; start it with 'afdsvc serve'"]),
         ("alarms site.toml", ["'site.toml' is no alarm; the site file is given as --site site.toml"]),
         ("rig site.toml --machine bering", ["site.toml: no machine 'bering'; it has bearing"]),
@@ -77,3 +82,22 @@ def test_a_mistake_is_named_with_the_way_out(folder, monkeypatch, arguments, wor
     assert isinstance(found, AfdsvcError), found
     assert "\n" not in str(found)
     assert all(word in str(found) for word in words), str(found)
+
+
+def test_a_path_that_cannot_be_used_is_one_sentence(monkeypatch, capsys):
+    """Whatever part of a command meets it."""
+
+    def missing() -> None:
+        Path("/nowhere/at/all").read_text()
+
+    monkeypatch.setattr(cli, "end_on_interrupt", lambda: None)
+    monkeypatch.setattr(cli, "app", missing)
+    with pytest.raises(SystemExit) as end:
+        cli.run_cli()
+    assert end.value.code == 2
+    assert capsys.readouterr().err == "afdsvc: /nowhere/at/all: no such file or directory; expected a path that can be read or written\n"
+
+
+def test_a_batch_in_which_every_recording_fails_fails(folder):
+    done = CliRunner().invoke(app, ["batch", "diagnose", str(folder / "book.xlsx"), "-o", str(folder / "found.parquet")])
+    assert done.exit_code == 2

@@ -146,8 +146,8 @@ def _refuse_unlike(source: str, target: str, where: str) -> None:
 def _unit(text: str, where: str) -> Any:
     try:
         return unit_registry().Unit(text)
-    except Exception as error:  # pint has a class of its own for every way of misspelling a unit
-        raise BadInput(f"{where}: unit '{text}' is not known ({type(error).__name__}); expected one such as 'mm', 'N' or 'rad/s'") from None
+    except Exception:  # pint has a class of its own for every way of misspelling a unit
+        raise BadInput(f"{where}: unit '{text}' is not known; expected one such as 'mm', 'N' or 'rad/s'") from None
 
 
 INPUTS = ("voltage", "force", "torque", "current", "command", "duty", "pwm", "drive", "valve", "input", "effort")

@@ -2,6 +2,8 @@
 
 import pytest
 
+from afdsvc.errors import BadInput
+from afdsvc.files.tables.formats import head
 from afdsvc.files.tables.mapping import Heading, heading
 
 
@@ -42,3 +44,9 @@ def test_names_say_what_they_are(name, expected):
 
 def test_what_is_said_on_the_command_line_wins():
     assert heading("Counter", outputs=["Counter"]) == Heading("Counter", "counter", "", "y")
+
+
+def test_a_first_line_that_is_no_text_is_refused(tmp_path):
+    (tmp_path / "a.csv").write_bytes(b"\xfe\xff\n")
+    with pytest.raises(BadInput, match=r"a\.csv: is not a readable \.csv; expected text in UTF-8"):
+        head(tmp_path / "a.csv")

@@ -51,6 +51,15 @@ def test_every_recording_is_answered_and_every_decision_stands_in_the_table(docu
     assert not page.sources, "nothing comes from outside"
 
 
+def test_a_decision_without_numbers_is_shown_without_them(document):
+    """As one whose burst lies in a damaged part of the recording."""
+    recording = document["recordings"][0]
+    (burst, *_) = recording["bursts"]
+    unread = {**burst["decisions"][0], "statistic": None, "threshold": None, "trustworthy": False, "reason": "samples are missing"}
+    page = diagnose_page({"recordings": [{**recording, "bursts": [{**burst, "decisions": [unread]}]}]})
+    assert "not trustworthy: samples are missing" in page
+
+
 def test_names_cannot_break_out_of_the_page(document):
     evil = {**document["recordings"][0], "recording": "<script>alert(1)</script>"}
     assert "<script>alert" not in diagnose_page({"recordings": [evil]})
