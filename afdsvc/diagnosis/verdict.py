@@ -55,7 +55,7 @@ def conclude(evidence: Sequence[Evidence]) -> FaultVerdict:
     The alarm is the first trustworthy detection. The fault is the one the newest burst names with certainty (its strongest
     decision: the largest margin over its threshold); its severity, the estimate of smallest standard error in each burst, is pooled over the bursts before that named the same fault,
     as long as they agree. Else the newest weights are reported. A passive detection never overrides the result of a
-    burst.
+    burst, and neither does one inside a burst that is not over, or was cut: fewer detectors have judged it than the burst before.
     """
     found = alarm_decisions(evidence)
     if not found:
@@ -63,6 +63,9 @@ def conclude(evidence: Sequence[Evidence]) -> FaultVerdict:
         return FaultVerdict(trustworthy=not reason, reason=reason)
     told = [list(group) for _, group in groupby((e for e in found if e.burst), key=lambda e: e.burst)] or [found]
     best = [strongest(group) for group in told]
+    judged = [{e.detector for e in evidence if e.burst == group[0].burst} for group in told[-2:]]
+    if best[-1] is None and len(judged) > 1 and judged[-1] < judged[-2]:
+        told, best = told[:-1], best[:-1]
     newest = best[-1]
     if newest is None:
         weighted = [e for e in told[-1] if e.weights] or told[-1]

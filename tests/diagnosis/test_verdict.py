@@ -61,6 +61,15 @@ def test_a_passive_detection_never_overrides_a_burst():
     assert conclude([passive]).weights == {"a": 0.5, "b": 0.5}
 
 
+def test_a_burst_that_was_cut_does_not_override_the_one_before():
+    """The sequential detector alone has judged it; it alarms before the burst is over, and names nothing."""
+    whole = [said("cusum", fault=None), said("regression"), said("matched_filter")]
+    cut = said("cusum", burst="b2", seconds=9.0, fault=None)
+    assert conclude([*whole, cut]).fault == "a"
+    rest = [replace(cut, detector=name) for name in ("regression", "matched_filter")]
+    assert conclude([*whole, cut, *rest]).fault is None
+
+
 def test_undecided_evidence_gives_weights_and_no_name():
     verdict = conclude([said(fault=None)])
     assert verdict.fault is None

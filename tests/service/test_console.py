@@ -270,6 +270,7 @@ def test_the_page_hears_by_itself_and_asks_where_it_cannot(free_port, tmp_path, 
         browser.until("document.body.innerText.includes('it is reached on')")  # the trend came by itself too
         assert "nothing is asked" not in browser.value("document.body.innerText")
     browser.until("document.getElementById('about').textContent.includes('does not answer')")
+    browser.open("about:blank", 1400)  # the page would take a place again
     with serve.serving(site):
         streams = [urllib.request.urlopen(base + "/events", timeout=20) for _ in range(STREAMS)]
         browser.open(base + "/", 1400)
