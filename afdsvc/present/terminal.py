@@ -268,7 +268,7 @@ def alarm_table(alarms: list[dict[str, Any]]) -> None:
     by_urgency = sorted(alarms, key=lambda a: (not a["active"], bool(a["cause"]), -a["since_ns"]))
     for a in by_urgency:
         style = "bold red" if a["active"] and not (a["acknowledged"] or a["suppressed"] or a["shelved_until_ns"]) else ""
-        state, severity = (a["suppressed"], "") if a["suppressed"] else (_alarm_state(a).partition(",")[0], _percent(a["severity"]))
+        state, severity = a["suppressed"] or _alarm_state(a).partition(",")[0], "" if a["suppressed"] else _percent(a["severity"])
         table.add_row(a["id"], state, _moment(a["since_ns"]), severity, str(a["count"]), style=style)
     OUT.print(table)
     for a in by_urgency:

@@ -232,6 +232,7 @@ def test_an_alarm_is_handled_by_keyboard_alone(free_port, tmp_path, browser):
         browser.type("on my way")
         browser.press("Enter")
         browser.until("document.body.innerText.includes('acknowledged by kim')")
+        browser.until("document.activeElement.id === 'machine-bearing'")  # the button is gone; the keyboard stays at its machine
         (seen,) = ask_service(site, "alarms", "lee")
         assert (seen["acknowledged"], seen["acknowledged_by"], seen["comment"]) == (True, "kim", "on my way")
         browser.tab_to("Shelve bearing/horizontal_actuator")
