@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -53,13 +53,13 @@ def explain(
     """
     progress("checking", 0.0)
     findings, roles = _checked(model, recordings, holdout, trust_units)
-    base, rng, offered = settled(_problem(model, roles, settings or Settings(), findings)), np.random.default_rng(SEED), list(library)
+    base, remainder, offered = settled(_problem(model, roles, settings or Settings(), findings)), Remainder(np.random.default_rng(SEED)), list(library)
     progress("testing", 0.0)
-    gap = tested(base.problem, base.start, rng)
+    gap = remainder(base.problem, base.start)
     if gap.absent:  # noise limits: the refit may have moved numbers of the model to follow the recordings
         base = replace(base, limited="noise")
-    found, answer = _confirmed(base, gap, offered, mapper, progress, rng, roles.heldout)
-    answer = _consistent_there(answer, found.problem, list(found.end)[-1], roles.heldout, rng)
+    found, answer = _confirmed(base, gap, offered, mapper, progress, remainder, roles.heldout)
+    answer = _consistent_there(answer, found.problem, list(found.end)[-1], roles.heldout, remainder.rng)
     progress("reporting", 0.9)
     explanation = report(found, answer, roles, findings, offered, experiment)
     progress("reporting", 1.0)
@@ -85,15 +85,15 @@ def _problem(model: Model, roles: Split, settings: Settings, findings: Sequence[
 
 
 def _confirmed(
-    base: Settled, gap: Gap, library: Sequence[Physics], mapper: Mapper, progress: Progress, rng: np.random.Generator, heldout: Sequence[Run]
+    base: Settled, gap: Gap, library: Sequence[Physics], mapper: Mapper, progress: Progress, remainder: Remainder, heldout: Sequence[Run]
 ) -> tuple[Found, HeldOutVerdict]:
     """Return what is found and said; where the recordings held out do not confirm the first name, of a search without it."""
     unconfirmed: list[Hypothesis] = []
     answers: list[tuple[Found, HeldOutVerdict]] = []
     while len(answers) < ATTEMPTS and (not answers or answers[-1][1].unconfirmed):
         unconfirmed += [found.steps[0].candidates[0].hypothesis for found, _ in answers[-1:]]
-        found = _searched(base, gap, library, mapper, progress, rng, heldout, [mechanism(h) for h in unconfirmed])
-        after = tested(found.problem, found.end, rng) if found.end is not found.start else None
+        found = _searched(base, gap, library, mapper, progress, remainder, heldout, [mechanism(h) for h in unconfirmed])
+        after = remainder(found.problem, found.end) if found.end is not found.start else None
         answers.append((found, checked_on_holdout(found, verdict(found, gap, after), heldout, len(answers) + 1)))
     found, answer = answers[-1]
     if not answer.verdict.claims:
@@ -105,7 +105,7 @@ def _confirmed(
 
 
 def _searched(
-    base: Settled, before: Gap, library: Sequence[Physics], mapper: Mapper, progress: Progress, rng: np.random.Generator,
+    base: Settled, before: Gap, library: Sequence[Physics], mapper: Mapper, progress: Progress, remainder: Remainder,
     heldout: Sequence[Run], excluded: Container[tuple[str, ...]],
 ) -> Found:
     """Return what the search finds; where it finds no effect and noise is not known, also under slow noise, which is divided out.
@@ -118,7 +118,7 @@ def _searched(
         return player(problem, last).better(heldout, without[last].point, path[last].point)
 
     def searched(base: Settled) -> Found:
-        return search(base, library, mapper, progress, lambda path: not tested(base.problem, path, rng).absent, partial(better, base.problem), excluded)
+        return search(base, library, mapper, progress, partial(remainder, base.problem), partial(better, base.problem), excluded)
 
     found = searched(base)
     if not base.problem.weighting.even or not found.steps or found.effects:
@@ -148,11 +148,20 @@ def _consistent_there(answer: HeldOutVerdict, problem: Problem, horizon: float, 
     return replace(answer, verdict=replace(answer.verdict, verdict="unexplained", sentences=(*answer.verdict.sentences, said)))
 
 
-def tested(problem: Problem, path: dict[float, Fit], rng: np.random.Generator) -> Gap:
-    """Return whether the residual of a path is predictable: that of the simulation where the plant allows one."""
-    horizon, fit = list(path.items())[-1]
-    point = by_innovations(problem, fit, horizon, GapSettings().whitening_order)
-    return gap_test(signals(problem, point, horizon), *signal_names(problem), rng)
+@dataclass(frozen=True, slots=True, eq=False)
+class Remainder:
+    """Tests whether the residual of a path is predictable: that of the simulation where the plant allows one. Each fit is tested once."""
+
+    rng: np.random.Generator
+    known: dict[Fit, Gap] = field(default_factory=dict)
+
+    def __call__(self, problem: Problem, path: Path) -> Gap:
+        """Return the gap that a path leaves."""
+        horizon, fit = list(path.items())[-1]
+        if fit not in self.known:
+            point = by_innovations(problem, fit, horizon, GapSettings().whitening_order)
+            self.known[fit] = gap_test(signals(problem, point, horizon), *signal_names(problem), self.rng)
+        return self.known[fit]
 
 
 def _mean_input(runs: Sequence[Run]) -> np.ndarray | None:

@@ -232,4 +232,4 @@ def test_an_effect_under_slow_noise_replaces_an_offset_only_where_held_out_recor
     monkeypatch.setattr(module, "under_slow_noise", lambda base, noise: base)
     monkeypatch.setattr(module, "player", lambda *_: SimpleNamespace(better=lambda *_: sure))
     base, gap = SimpleNamespace(problem=problem), SimpleNamespace(whitened=np.zeros(1))
-    assert module._searched(base, gap, [], map, lambda *_: None, np.random.default_rng(0), [], []) is found[chosen]
+    assert module._searched(base, gap, [], map, lambda *_: None, module.Remainder(np.random.default_rng(0)), [], []) is found[chosen]

@@ -234,42 +234,72 @@ def fit(
         return value if np.isfinite(value) else np.inf
 
     cost, damping, fresh, renewed = cost_of(q, residuals), 1e-3, known is None, int(known is None)
-    J = jacobian(problem, c, q, horizon, residuals) if known is None else known
+    J = Followed(jacobian(problem, c, q, horizon, residuals) if known is None else known, len(problem.scale))
     for _ in range(iterations):
         _, curvature, slope = _normal(J, residuals, tau, c, q)
         step = _improving(problem, c, q, curvature, slope, cost, damping, horizon, cost_of)
         fall, exact = 0.0 if step is None else cost - step[2], fresh
         if step is not None:
-            J, fresh = _followed(J, step[0] - q, residuals, step[1]), False
+            J.follow(step[0] - q, np.vstack(step[1]) - np.vstack(residuals))
+            fresh = False
             q, residuals, cost, damping = step
         if fall < enough:
             if exact or (renewals is not None and renewed >= renewals):
                 break
-            J, fresh, renewed, damping = jacobian(problem, c, q, horizon, residuals, J, kept), True, renewed + 1, min(damping, 1e-3)
+            J = Followed(jacobian(problem, c, q, horizon, residuals, J.array(), kept), J.outputs)
+            fresh, renewed, damping = True, renewed + 1, min(damping, 1e-3)
     if renewals is None and not fresh:
-        J = jacobian(problem, c, q, horizon, residuals)
+        J = Followed(jacobian(problem, c, q, horizon, residuals), J.outputs)
     H, *_ = _normal(J, residuals, tau, c, q)
-    return Fit(c.unpack(q), tuple(residuals), J, H, tau, cost, rms(residuals), c.penalty(q), c.shared, c.narrowed(H))
+    return Fit(c.unpack(q), tuple(residuals), J.array(), H, tau, cost, rms(residuals), c.penalty(q), c.shared, c.narrowed(H))
 
 
-def _followed(J: Array, step: Array, before: Sequence[Array], after: Sequence[Array]) -> Array:
-    """Return the Jacobian changed least so that it gives the step that was seen (Broyden 1965)."""
-    seen = np.concatenate([(b - a).ravel() for a, b in zip(before, after, strict=True)])
-    return np.asarray(J + np.outer(seen - J @ step, step / max(float(step @ step), TINY)))
+class Followed:
+    """A Jacobian that follows the steps seen by Broyden's rule (1965): ``J + sum r s^T``, with its Gram matrices ``(p, k, k)``, one per output.
+
+    What follows is kept as vectors: a step costs products of vectors with ``J``, not a pass that writes it.
+    """
+
+    def __init__(self, J: Array, outputs: int) -> None:
+        self.J, self.outputs = J, outputs
+        self.changes: list[tuple[Array, Array]] = []
+        self.gram = np.array([part.T @ part for part in map(self._of, range(outputs))])
+
+    def _of(self, j: int) -> Array:
+        """Return the rows of output ``j``."""
+        return self.J[j :: self.outputs]
+
+    def along(self, residuals: Array) -> Array:
+        """Return ``J^T e`` of every output, ``(p, k)``; ``residuals (n, p)``."""
+        along = np.array([self._of(j).T @ residuals[:, j] for j in range(self.outputs)])
+        return np.asarray(along + sum(np.outer((r * residuals).sum(0), s) for r, s in self.changes))
+
+    def follow(self, step: Array, seen: Array) -> None:
+        """Change the Jacobian least so that it gives the change of the residuals ``seen (n, p)`` over a step."""
+        expected = (self.J @ step).reshape(seen.shape) + sum(r * float(s @ step) for r, s in self.changes)
+        r, s = seen - expected, step / max(float(step @ step), TINY)
+        cross = self.along(r)[:, :, None] * s
+        self.gram = self.gram + cross + cross.transpose(0, 2, 1) + (r**2).sum(0)[:, None, None] * np.outer(s, s)
+        self.changes.append((r, s))
+
+    def array(self) -> Array:
+        """Return the Jacobian, ``(rows, k)``."""
+        if not self.changes:
+            return self.J
+        r, s = zip(*self.changes, strict=True)
+        return np.asarray(self.J + np.column_stack([x.ravel() for x in r]) @ np.array(s))
 
 
-def _normal(J: Array, residuals: Sequence[Array], tau: float, c: Coordinates, q: Array) -> tuple[Array, Array, Array]:
+def _normal(J: Followed, residuals: Sequence[Array], tau: float, c: Coordinates, q: Array) -> tuple[Array, Array, Array]:
     """Return the information matrix for noise of the present variances, the cost's curvature with variances that follow, and its slope.
 
     Both are of Gauss and Newton; the second lacks what changes of the residual along itself change, which the variances absorb.
     """
-    e = np.vstack(residuals)
-    scale = 1 / (rms(residuals) * np.sqrt(tau))
-    Js = J * np.tile(scale, len(e))[:, None]
-    slopes = np.einsum("ijk,ij->jk", Js.reshape(*e.shape, -1), e * scale)
-    w = c.prior_weight**2
-    H = Js.T @ Js + np.diag(w)
+    e, w = np.vstack(residuals), c.prior_weight**2
+    precision = 1 / (rms(residuals) ** 2 * tau)
+    H = np.tensordot(precision, J.gram, 1) + np.diag(w)
     H[np.diag_indices_from(H)] += 1e-9 * max(float(np.trace(H)) / max(len(H), 1), TINY)
+    slopes = precision[:, None] * J.along(e)
     return H, H - tau / len(e) * slopes.T @ slopes, slopes.sum(0) + w * (q - c.prior_mean)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from afdsvc.api.physics import Hypothesis, Machine, Physics
+from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.noise.surrogates import chance
 from afdsvc.explain.noise.weighting import differing
 from afdsvc.explain.search.base import Settled
@@ -97,24 +98,26 @@ class Found:
 
 def search(
     settled: Settled, library: Sequence[Physics], mapper: Mapper = map, progress: Progress = lambda what, share: None,
-    predictable: Callable[[Path], bool] = lambda path: True, better: Callable[[Path, Path], float] = lambda before, after: 0.5,
+    remainder: Callable[[Path], Gap | None] = lambda path: None, better: Callable[[Path, Path], float] = lambda before, after: 0.5,
     excluded: Container[tuple[str, ...]] = (),
 ) -> Found:
     """Return what the search finds; every effect accepted is refitted with all numbers of the model. Mechanisms ``excluded`` are not tried.
 
-    ``predictable`` is False where the residual of a path is noise, and the recordings are long enough to show it. ``better``
+    ``remainder`` tests whether the residual of a path is predictable. ``better``
     says how sure it is that the recordings held out are followed better with an effect: it has to be where the effect gains, but in too few resampled
     blocks or closing too little of the gap, and a further effect must not do worse there. In the end an effect without which they are likely followed
     better is dropped.
     Offsets belong to the recordings, not to the machine: they count as no effect, and what comes after them is compared with the model that has them.
     """
     problem, start, limited = settled.problem, settled.start, settled.limited
-    rounds = whole = Rounds(problem, settled.part, settled.taus, start, settled.rough, limited, mapper, predictable, {})
+    rounds = whole = Rounds(problem, settled.part, settled.taus, start, settled.rough, limited, mapper, remainder, {})
     path, rough = start, settled.rough
     steps: list[Round] = []
     seen = _seen(problem, path, limited)
     number = problem.settings.effects if float(list(start.values())[-1].sd.max()) < problem.settings.rounding else 0
     while number < problem.settings.effects and len(steps) < 2 * problem.settings.effects:  # two offsets may take turns
+        if number and rounds.exhausted(path):
+            break
         seen = _seen(problem, path, limited)
         present = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
         offered = [h for h in hypotheses(library, seen, not problem.regular) if h.key not in present and mechanism(h) not in excluded]
@@ -174,7 +177,7 @@ class Rounds(Settled):
     """What the rounds of a search share: the model without effects, the map, the judgement of what remains."""
 
     mapper: Mapper
-    predictable: Callable[[dict[float, Fit]], bool]
+    remainder: Callable[[Path], Gap | None]
     losses: dict[tuple[Fit, int], Losses]
 
     def block_losses(self, path: dict[float, Fit], tau: float) -> Losses:
@@ -191,6 +194,17 @@ class Rounds(Settled):
         base, w = list(self.start.values())[-1], self.problem.weighting
         floor = 0.0 if w.even else float(base.samples * (w.noise / base.sd**2).sum())
         return max(float(self.block_losses(self.start, tau)[0].sum()) - floor, float(np.sqrt(2.0 * base.samples))) / tau + 2 * base.penalty
+
+    def exhausted(self, path: Path) -> bool:
+        """Return whether no effect beside those of a path could be accepted: too small a share of what it leaves repeats with the excitation or
+        is predictable, even if the model's numbers came back to what is stated."""
+        gap, last = self.remainder(path) if self.limited == "model" else None, list(path.values())[-1]
+        if gap is None or gap.repeats is None:
+            return False
+        reach, tau, eased = np.array(gap.within_reach), last.own_tau, 2 * last.penalty + max(last.narrowed, 0.0)
+        closed = 1 - float(np.prod(1 - reach)) ** (1 / len(reach)) * np.exp(-eased * tau / (last.samples * len(reach)))
+        share = (float(reach @ last.sd**2) * last.samples / tau + eased) / self.gap(tau)
+        return bool(max(closed, share) < self.problem.settings.further)
 
     def next(self, path: dict[float, Fit], rough: dict[float, Fit], offered: Sequence[Hypothesis], further: bool) -> Round:
         """Screen all hypotheses, fit the promising ones along the horizons, those that keep their promise to whole recordings, and
@@ -270,7 +284,7 @@ class Rounds(Settled):
             return [], limited
         first = winner(reasons, self.problem.settings, limited)
         contested = reasons[0] is not ordered[0] or vote_shares(reasons, self.problem.settings, limited).max() < 1
-        if limited == "model" and contested and not self.predictable(ordered[0].path):
+        if limited == "model" and contested and (gap := self.remainder(ordered[0].path)) is not None and gap.absent:
             limited = "noise"
             first = winner(ordered, self.problem.settings, limited)
         return [first, *(c for c in ordered if c is not first)], limited

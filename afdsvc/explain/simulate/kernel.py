@@ -159,7 +159,7 @@ def _friction(laws, plan, par, mem, s, work, dt, base, x, new, gx, first, last):
                 new[j] += r * first[q] * gx[j, plan[i, READS + MOST_SIGNALS + q]]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _affine(A, x, B, u, out):  # type: ignore[no-untyped-def]
     """Write ``A x + B u`` into ``out``."""
     for i in range(out.size):
@@ -171,7 +171,7 @@ def _affine(A, x, B, u, out):  # type: ignore[no-untyped-def]
         out[i] = a
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _middle(phih, x, gamh, ue, rows, base, s):  # type: ignore[no-untyped-def]
     """Predict the states ``rows`` half a step ahead, into the signals."""
     for k in range(rows.size):

@@ -9,7 +9,7 @@ from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.search.build import build
-from afdsvc.explain.search.fit import CONVERGED, Coordinates, fit, rms, weighted
+from afdsvc.explain.search.fit import CONVERGED, Coordinates, Followed, fit, rms, weighted
 from afdsvc.explain.search.machine import machine
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.effects import PlacedEffect
@@ -55,3 +55,19 @@ def test_every_start_of_a_lag_reaches_the_optimum_of_another_algorithm(arm):
         q = least_squares(residual, q, x_scale="jac").x
     best = SAMPLES / TAU * float(np.log(rms(weighted(problem, c.unpack(q), 0.0))).sum()) + c.penalty(q)
     assert np.max(costs) == pytest.approx(best, abs=0.5)
+
+
+def test_a_jacobian_that_follows_steps_is_that_of_broydens_rule():
+    """Written out, J + (seen - J s) s^T / s^T s; its products are those of the matrix, output by output."""
+    rng = np.random.default_rng(8)
+    J, e = rng.standard_normal((60, 4)), rng.standard_normal((30, 2))
+    followed, written = Followed(J.copy(), 2), J.copy()
+    for _ in range(5):
+        step, seen = rng.standard_normal(4), rng.standard_normal((30, 2))
+        followed.follow(step, seen)
+        written += np.outer(seen.ravel() - written @ step, step) / (step @ step)
+    np.testing.assert_allclose(followed.array(), written, rtol=1e-10, atol=1e-10)
+    for j in range(2):
+        np.testing.assert_allclose(followed.gram[j], written[j::2].T @ written[j::2], rtol=1e-10, atol=1e-9)
+        np.testing.assert_allclose(followed.along(e)[j], written[j::2].T @ e[:, j], rtol=1e-10, atol=1e-9)
+    np.testing.assert_array_equal(followed.J, J)

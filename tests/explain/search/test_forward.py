@@ -257,3 +257,22 @@ def test_a_further_effect_counts_by_the_gap_where_noise_is_most_of_what_is_left(
     rounds = SimpleNamespace(problem=SimpleNamespace(settings=Settings(), regular=True), limited="model")
     one = Candidate(Hypothesis("a", "machine", "", "force", None, (), (), (), ()), {}, evidence)
     assert forward._decided([one], "model", rounds, {0.0: 1.0}, further=True).accepted is accepted
+
+
+@pytest.mark.parametrize(
+    ("limited", "repeats", "r2", "penalty", "gap", "exhausted"),
+    [
+        ("model", (0.1, 0.0), (0.05, 0.1), 0.0, 1e6, True),
+        ("noise", (0.1, 0.0), (0.05, 0.1), 0.0, 1e6, False),  # constants of the model and small gains count there
+        ("model", None, (0.05, 0.1), 0.0, 1e6, False),  # what does not repeat bounds nothing
+        ("model", (0.5, 0.0), (0.05, 0.1), 0.0, 1e6, False),
+        ("model", (0.1, 0.0), (0.5, 0.1), 0.0, 1e6, False),
+        ("model", (0.1, 0.0), (0.05, 0.1), 100.0, 1e6, False),  # numbers of the model could come back to what is stated
+        ("model", (0.1, 0.0), (0.05, 0.1), 0.0, 500.0, False),  # small as it is, most of the first gap
+    ],
+)
+def test_a_round_in_which_nothing_could_be_accepted_is_left_out(limited, repeats, r2, penalty, gap, exhausted):
+    found = SimpleNamespace(repeats=repeats, within_reach=tuple(np.maximum(r2, repeats or 0.0)))
+    last = SimpleNamespace(own_tau=2.0, penalty=penalty, narrowed=0.0, samples=1000, sd=np.array([1.0, 2.0]))
+    rounds = SimpleNamespace(limited=limited, remainder=lambda path: found, gap=lambda tau: gap, problem=SimpleNamespace(settings=Settings()))
+    assert forward.Rounds.exhausted(rounds, {0.0: last}) is exhausted
