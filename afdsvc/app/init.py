@@ -82,7 +82,7 @@ def init_files(recording: Path, out: Path | None = None, answers: Answers | None
     trace = _longest(read_foreign_columns(recording, DataMapping.model_validate(text), None))
     ins, outs = ([h for h in found if h.role == role] for role in ("u", "y"))
     u = np.column_stack([trace.column(f"u_{h.label}") for h in ins])
-    fits = [first_model(u, trace.column(f"y_{h.label}"), trace.dt, is_velocity(h.unit)) for h in outs]
+    fits = [first_model(u, trace.column(f"y_{h.label}"), trace.dt, is_velocity(h.unit) if h.unit else None) for h in outs]
     machine = _site(recording, trace, ins, outs, fits, answers) if site else ""
     folder.mkdir(parents=True, exist_ok=True)
     with writing(*files):

@@ -1,4 +1,7 @@
-"""A first model from a recording: one lag for each output that is a speed, one resonance for any other, by least output error."""
+"""A first model from a recording: one lag for each output that is a speed, one resonance for any other, by least output error.
+
+Of an output without a unit the recording decides.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,7 @@ MOST = 20_000  # samples that are fitted
 DIGITS = 3
 TRIED = (3.0, 30.0, 300.0)  # first guesses of the time constant, in samples
 DAMPING = (0.05, 0.7)  # first guesses of the relative damping
+LESS = 0.95  # of what one lag leaves: a resonance that leaves no less is a lag with a pole that the recording does not show
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +32,15 @@ class Polynomials:
     r2: float
 
 
-def first_model(u: Array, y: Array, dt: float, lag: bool) -> Polynomials:
-    """Return the best ``num / den`` of first (``lag``) or second order from inputs ``u (n, m)`` to one output ``y (n,)``.
+def first_model(u: Array, y: Array, dt: float, lag: bool | None) -> Polynomials:
+    """Return the best ``num / den`` of first (``lag``) or second order from inputs ``u (n, m)`` to one output ``y (n,)``; None: of the lower
+    order that follows the output as well.
 
     Both about their means; raises `BadInput` when an input or the output does not move.
     """
+    if lag is None:
+        first, second = first_model(u, y, dt, True), first_model(u, y, dt, False)
+        return second if 1 - second.r2 < LESS * (1 - first.r2) else first
     u, y = u[:MOST] - u[:MOST].mean(0), y[:MOST] - y[:MOST].mean()
     if not np.ptp(y) > 0 or not np.ptp(u, axis=0).all():
         raise BadInput("an input or output does not move; expected a recording in which all of them do")

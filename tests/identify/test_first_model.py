@@ -33,6 +33,12 @@ def test_a_resonance():
     np.testing.assert_allclose(found.den, den, rtol=0.05)
 
 
+@pytest.mark.parametrize("den", [[0.3, 1.0], [1 / 30.0**2, 2 * 0.1 / 30.0, 1.0]])
+def test_without_a_unit_the_recording_tells_a_lag_from_a_resonance(den):
+    found = first_model(*_recorded([4.0], den, 1), DT, lag=None)
+    np.testing.assert_allclose(found.den, den, rtol=0.05)
+
+
 def test_an_input_that_does_not_move_is_named():
     with pytest.raises(BadInput, match="does not move"):
         first_model(np.zeros((100, 1)), np.arange(100.0), DT, lag=True)

@@ -13,6 +13,7 @@ from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.periods import aperiodic_part, speeds
 from afdsvc.dataset.sample_checks import Finding
 from afdsvc.dataset.split import still
+from afdsvc.dataset.units import is_velocity
 from afdsvc.explain.check.lines import Caused, weakest_horizon
 from afdsvc.explain.search.fit import Coordinates, jacobian
 from afdsvc.explain.search.machine import bandwidth
@@ -105,10 +106,21 @@ ROTATING = ("speed", "angle")
 
 def ambiguities(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
     """Yield what cannot be separated."""
+    yield from _motion(model)
     yield from _levels(model, runs)
     yield from _timing(runs)
     yield from _rotation(runs)
     yield from _still(runs)
+
+
+def _motion(model: Model) -> Iterator[Finding]:
+    unstated = ", ".join(v.name for v in model.outputs if not v.unit)
+    if unstated and not any(v.rate_of or is_velocity(v.unit) for v in model.states):
+        yield Finding(
+            "warning", "motion",
+            f"no unit is stated of {unstated}, and no state is known as a velocity: friction and other forces of motion are not tried; "
+            "if this is a speed, state its unit (rpm, m/s); if it is a position, state which state is its rate (rate_of)",
+        )
 
 
 def _levels(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:

@@ -155,7 +155,7 @@ OUTPUTS = ("position", "speed", "velocity", "angle", "acceleration", "displaceme
 TIMES = ("t", "time", "timestamp", "datetime", "date", "zeit", "stamp")
 UNITS = {"u": ("V", "A", "N", "N*m"), "y": ("rpm", "m", "m/s", "m/s^2")}  # what machines are driven by, and how they move
 NO_UNITS = ("PV", "MV", "CV", "SP", "OP", "U", "act", "point")  # last words of names that would else be petavolts, megavolts and the like
-SPELT = {"Nm": "N*m", "C": "degC", "degs": "deg/s", "rads": "rad/s", "mps": "m/s", "mms": "mm/s", "mpa": "MPa"}
+SPELT = {"Nm": "N*m", "U/min": "rpm", "r/min": "rpm", "C": "degC", "degs": "deg/s", "rads": "rad/s", "mps": "m/s", "mms": "mm/s", "mpa": "MPa"}
 QUANTITIES = {"voltage": "V", "current": "A", "force": "N", "torque": "N*m", "pressure": "Pa", "temp": "degC", "power": "W", "freq": "Hz"}
 
 

@@ -9,13 +9,13 @@ from tempfile import mkdtemp
 import numpy as np
 import pytest
 
-from afdsvc.api.model import Model
+from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare, repetition
 from afdsvc.dataset.sample_checks import Finding
 from afdsvc.errors import BadInput
 from afdsvc.explain.check.check import check, insufficient_excitation, objection, one_frequency
-from afdsvc.explain.check.information import posterior_sd
+from afdsvc.explain.check.information import ambiguities, posterior_sd
 from afdsvc.explain.experiment.next_experiment import first_experiment
 from afdsvc.explain.pipeline import explain
 from afdsvc.explain.search.build import build
@@ -24,6 +24,7 @@ from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.tables.tables import read_table
 from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import afdsvc_physics
 from afdsvc.trial import Options, generate_trial
 from afdsvc.trial.folder import nominal_model_text
@@ -137,6 +138,20 @@ def test_a_missing_column_stops_by_name():
     (finding,) = check(model, [Trace("cut", traces[0].dt, tuple(names), traces[0].values[:, rest])])
     assert finding.kind == "stop"
     assert "'y_vertical'" in finding.sentence
+
+
+@pytest.mark.parametrize(
+    ("unit", "states", "said"),
+    [("", (Variable("w"),), True), ("rpm", (Variable("w", "rpm"),), False), ("", (Variable("q"), Variable("v", rate_of="q")), False), ("degC", (Variable("T", "degC"),), False)],
+)
+def test_an_output_without_a_unit_that_may_be_a_speed_is_named(unit, states, said):
+    plant = StateSpace(-np.eye(len(states)), np.ones((len(states), 1)), np.eye(1, len(states)), np.zeros((1, 1)))
+    model = Model("motor", (Variable("voltage", "V"),), (Variable("n", unit),), states, plant)
+    rng = np.random.default_rng(1)
+    trace = Trace("log", 0.01, (Channel("u_voltage"), Channel("y_n")), rng.standard_normal((500, 2)))
+    found = [f.sentence for f in ambiguities(model, prepare(model, [trace])) if f.topic == "motion"]
+    assert bool(found) is said
+    assert all("no unit is stated of n" in f for f in found)
 
 
 def test_one_sine_is_said_to_leave_things_open():
