@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from afdsvc.app.commissioning import Commissioned, commission
@@ -15,7 +16,18 @@ def check_site(path: Path, allow_code: bool = False) -> dict[str, Any]:
     """Return what every machine of a site is and what keeps it from starting; raises `BadInput` where the file itself is wrong."""
     site, plugins = read_site(path), load()
     remarks = [] if site.transport.security else [f"whoever reaches {', '.join(site.transport.listen)} may read signals and excite machines (transport.security)"]
-    return {"site": site.site, "machines": [_machine(m, plugins, allow_code) for m in site.machines], "remarks": remarks}
+    machines = [_machine(m, plugins, allow_code) for m in site.machines]
+    return {"site": site.site, "machines": machines, "problem": _kept_nowhere(site.recording.folder), "remarks": remarks}
+
+
+def _kept_nowhere(folder: Path) -> str:
+    """Return why recordings cannot be kept in a folder that is there or would be made, "" where they can."""
+    there = next((f for f in (folder, *folder.absolute().parents) if f.exists()), folder)
+    try:
+        with TemporaryDirectory(dir=there):
+            return ""
+    except OSError as error:
+        return f"recording.folder: recordings cannot be kept in {folder}: {(error.strerror or str(error)).lower()}; expected a folder that can be written"
 
 
 def _machine(config: MachineSection, plugins: Plugins, allow_code: bool) -> dict[str, Any]:

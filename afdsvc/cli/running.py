@@ -153,13 +153,13 @@ def site_check(
     allow_code: Annotated[bool, typer.Option("--allow-code", help="Permit simulators that the file names to run.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Say what a site file makes of every machine, without starting anything; exit 2 where one could not start."""
+    """Say what a site file makes of every machine, without starting anything; exit 2 where one, or the service, could not start."""
     from afdsvc.app.site_check import check_site
     from afdsvc.present.terminal import site_table
 
     document = check_site(file, allow_code)
     show(as_json, document, lambda: site_table(document))
-    if any(m["problem"] for m in document["machines"]):
+    if document["problem"] or any(m["problem"] for m in document["machines"]):
         raise typer.Exit(2)
 
 

@@ -16,6 +16,7 @@ from afdsvc.files.validation import read_text, toml_table, validated
 
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 Positive = Annotated[float, Field(gt=0)]
+LAST_PORT = 65535
 
 
 def _plain_id(value: str) -> str:
@@ -76,6 +77,15 @@ class TransportSection(_Strict):
     cache_blocks: Annotated[int, Field(ge=10)] = 4000
     store: Path | None = None
     store_megabytes: Positive = 1000.0
+
+    @field_validator("listen", "connect", "standby")
+    @classmethod
+    def _ports(cls, value: list[str]) -> list[str]:
+        for endpoint in value:
+            port = re.fullmatch(r"\w+/[^/]+:(\d+)(?:[?#].*)?", endpoint)
+            if port and int(port.group(1)) > LAST_PORT:
+                raise ValueError(f"'{endpoint}' has the port {port.group(1)}; expected at most {LAST_PORT}")
+        return value
 
     @model_validator(mode="after")
     def _known_peers_only(self) -> TransportSection:
@@ -144,8 +154,8 @@ class Web(_Strict):
     @field_validator("listen")
     @classmethod
     def _host_and_port(cls, value: str | None) -> str | None:
-        if value is not None and not re.fullmatch(r"[^:/\s]+:\d{1,5}", value):
-            raise ValueError("expected host:port, like 127.0.0.1:9464")
+        if value is not None and not (re.fullmatch(r"[^:/\s]+:\d{1,5}", value) and int(value.rpartition(":")[2]) <= LAST_PORT):
+            raise ValueError(f"expected host:port, like 127.0.0.1:9464, the port at most {LAST_PORT}")
         return value
 
     @model_validator(mode="after")
@@ -159,7 +169,7 @@ class Review(_Strict):
     """Rerun: off, a file beside each recording, or a live viewer on loopback."""
 
     rerun: Literal["off", "file", "live"] = "off"
-    port: int = 9876
+    port: Annotated[int, Field(ge=1, le=LAST_PORT)] = 9876
 
 
 class FaultInjection(_Strict):

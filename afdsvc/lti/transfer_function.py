@@ -11,6 +11,8 @@ from afdsvc.lti.statespace import Array, StateSpace
 
 Polynomial = Sequence[float] | Array
 
+NEGLIGIBLE = 1e-100  # first coefficient of a denominator over the largest: its pole is beyond anything that can be computed
+
 
 def from_polynomials(num: Sequence[Sequence[Polynomial]], den: Sequence[Sequence[Polynomial]], dt: float = 0.0) -> StateSpace:
     """Return the system whose transfer function from input j to output i is ``num[i][j] / den[i][j]``, highest power first.
@@ -51,7 +53,7 @@ def from_roots(zeros: Sequence[complex], poles: Sequence[complex], gain: float, 
 
 
 def _real(roots: Sequence[complex], name: str) -> Array:
-    found = np.atleast_1d(np.poly(np.asarray(roots, dtype=complex)))
+    found = np.atleast_1d(np.poly(np.atleast_1d(np.asarray(roots, dtype=complex))))
     if np.abs(found.imag).max() > 1e-9 * np.abs(found).max():
         raise BadInput(f"{name}: a complex root has no conjugate beside it; expected pairs")
     return np.asarray(found.real, dtype=np.float64)
@@ -63,6 +65,8 @@ def _row(num: list[Array], den: list[Array]) -> tuple[Array, Array, Array]:
     for n, d in zip(num, den, strict=True):
         if not d.size or not d.any():
             raise BadInput("a denominator is zero; expected its coefficients, highest power first")
+        if abs(d[0]) < NEGLIGIBLE * np.abs(d).max():
+            raise BadInput(f"a denominator begins with {d[0]:g}, negligible beside {np.abs(d).max():g}; expected its coefficients, highest power first, without leading zeros")
         if len(n) > len(d):
             raise BadInput(f"a numerator of degree {len(n) - 1} stands over a denominator of degree {len(d) - 1}; expected at most its degree")
     distinct: list[Polynomial] = list(dict.fromkeys(tuple((d / d[0]).tolist()) for d in den))

@@ -380,6 +380,8 @@ def site_table(document: dict[str, Any]) -> None:
         what = f"{m['plant']}, {m['states']} states, {1 / m['sample_time']:.6g} Hz, {sides}; controller {m['controller']}, driver {m['driver']}, noise {m['noise']}"
         table.add_row(m["id"], what, m["bursts"], Text("yes", "green"))
     OUT.print(table)
+    if document["problem"]:
+        OUT.print(document["problem"], style="bold red", soft_wrap=True)
     for remark in document["remarks"]:
         OUT.print(f"note: {remark}", soft_wrap=True)
 

@@ -136,6 +136,14 @@ def test_a_site_is_checked_machine_by_machine(tmp_path: Path):
     assert "starts" in done.output
 
 
+def test_a_site_that_can_keep_no_recordings_does_not_pass(tmp_path: Path):
+    (tmp_path / "site.toml").write_text('site = "hall"\n[recording]\nfolder = "site.toml"\n[[machines]]\nid = "good"\nplant = "gas_bearing"\n')
+    assert "recordings cannot be kept in" in check_site(tmp_path / "site.toml")["problem"]
+    done = CliRunner().invoke(app, ["site", "check", str(tmp_path / "site.toml")])
+    assert done.exit_code == 2
+    assert "recording.folder" in done.output
+
+
 def test_matrices_u_and_y_of_a_mat_file_with_their_sample_time(tmp_path: Path):
     u, y = LOG_COLUMNS
     savemat(tmp_path / "log.mat", {"u": u[:, None], "y": np.column_stack([y, 2 * y]), "Ts": 0.1})

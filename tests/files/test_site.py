@@ -100,3 +100,9 @@ def test_a_limit_is_finite(key):
 def test_deep_nesting_is_a_sentence():
     with pytest.raises(BadInput, match="not a TOML file"):
         parse_site("x = " + 5000 * "[" + 5000 * "]", "site.toml")
+
+
+@pytest.mark.parametrize("key", ['[web]\nlisten = "127.0.0.1:65536"', '[transport]\nlisten = ["tcp/127.0.0.1:65536"]', "[review]\nport = 65536"])
+def test_a_port_that_no_computer_has_is_refused(key):
+    with pytest.raises(BadInput, match="65535"):
+        parse_site(GOOD.replace("[[machines]]", f"{key}\n[[machines]]"), "site.toml")

@@ -11,6 +11,7 @@ import pytest
 
 import afdsvc.lti as lti
 from afdsvc.errors import BadInput, NotStabilising
+from afdsvc.lti.python_control import as_state_space
 
 FACTORS = ("M", "N", "U", "V", "Mt", "Nt", "Ut", "Vt")
 
@@ -156,6 +157,8 @@ def test_shapes_times_and_types_are_named() -> None:
         lti.coprime("plant", plant)
     with pytest.raises(BadInput, match="the true plant has 2 outputs and 1 inputs; expected 1 and 1"):
         lti.deviation(control.ss([[0.5]], [[1.0]], [[1.0], [1.0]], [[0], [0]], 0.1), plant, 0.1)
+    with pytest.raises(BadInput, match="have 0, 0, 0, 0 dimensions; expected matrices"):
+        as_state_space((1, 2, 3, 4))
     with pytest.raises(BadInput, match="NaN or infinity"):
         lti.coprime(control.ss([[np.nan]], [[1.0]], [[1.0]], 0, 0.1), 0.1)
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from afdsvc.errors import BadInput
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.transfer_function import from_polynomials, from_roots
 
@@ -23,6 +24,15 @@ def test_roots():
     s = 1j * np.array([0.1, 1.0, 7.0])
     found = frequency_response(from_roots(zeros, poles, 2.0), s.imag)[:, 0, 0]
     np.testing.assert_allclose(found, 2 * (s + 3) / np.prod([s - p for p in poles], axis=0), rtol=1e-12)
+
+
+def test_a_single_root_needs_no_list():
+    assert from_roots(1.0, 2.0, 3.0).poles() == [2.0]
+
+
+def test_a_negligible_first_coefficient_is_named():
+    with pytest.raises(BadInput, match="begins with 1e-300"):
+        from_polynomials([[[1.0]]], [[[1e-300, 1.0]]])
 
 
 def test_a_constant_over_a_polynomial_has_derivatives_as_states():
