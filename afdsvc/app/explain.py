@@ -129,12 +129,12 @@ def load_library() -> list[Physics]:
 
 
 def parallel(jobs: int) -> Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]:
-    """Return a map over this many threads (the simulations run outside Python's lock); the plain one for a single job."""
+    """Return a map over this many threads (the simulations run outside Python's lock), in order as they come; the plain one for a single job."""
     if jobs <= 1:
         return map
 
     def mapper(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterable[Any]:
-        done: Iterable[Any] = Parallel(n_jobs=jobs, prefer="threads")(delayed(function)(item) for item in items)
+        done: Iterable[Any] = Parallel(n_jobs=jobs, prefer="threads", return_as="generator")(delayed(function)(item) for item in items)
         return done
 
     return mapper

@@ -121,7 +121,7 @@ def search(
         seen = _seen(problem, path, limited)
         present = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
         offered = [h for h in hypotheses(library, seen, not problem.regular) if h.key not in present and mechanism(h) not in excluded]
-        progress(f"round {len(steps) + 1}, fitting {len(offered)} hypotheses", number / problem.settings.effects)
+        rounds = replace(rounds, progress=partial(_within, progress, f"round {len(steps) + 1}", number / problem.settings.effects, 1 / problem.settings.effects))
         step = rounds.next(path, rough, offered, number > 0)
         more = rounds.accepted(step.candidates[0]) if step.accepted else (path, rough)
         if step.accepted and (step.reason or number) and not better(path, more[0]) > (problem.settings.sure if step.reason else 0.0):
@@ -138,6 +138,11 @@ def search(
             number += 1
     path, steps = _helpful(whole, *whole.exchanged(path, steps), better)
     return Found(problem, start, path, seen, tuple(steps), limited, whole.over(path, start, 0))
+
+
+def _within(progress: Progress, where: str, begin: float, length: float, what: str, share: float) -> None:
+    """Say what is being done in a part of the whole, and how much of that part is done."""
+    progress(f"{where}, {what}", begin + share * length)
 
 
 def _kept(steps: Sequence[Round], path: dict[float, Fit]) -> list[Round]:
@@ -179,6 +184,15 @@ class Rounds(Settled):
     mapper: Mapper
     remainder: Callable[[Path], Gap | None]
     losses: dict[tuple[Fit, int], Losses]
+    progress: Progress = lambda what, share: None
+
+    def mapped(self, what: str, begin: float, end: float, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
+        """Return the function of all items, saying how many are done; ``begin`` and ``end`` are shares of the round."""
+        given, found = list(items), []
+        for result in self.mapper(function, given):
+            found.append(result)
+            self.progress(f"{what} {len(found)} of {len(given)}", begin + (end - begin) * len(found) / len(given))
+        return found
 
     def block_losses(self, path: dict[float, Fit], tau: float) -> Losses:
         """Return the losses of blocks for a correlation time, left out and fitted, at the decision horizon; each fit is asked once."""
@@ -214,16 +228,17 @@ class Rounds(Settled):
         promising hypotheses are fitted, samples count by what the best of them leaves.
         """
         p, s = self.part, self.problem.settings
-        shortlist, by_chance = _shortlist(p, rough, offered, self.mapper, p.effort * s.refined)
+        shortlist, by_chance = _shortlist(p, rough, offered, [partial(self.mapped, "screening", k / 10, (k + 1) / 10) for k in range(2)], p.effort * s.refined)
         begin = bases(p, rough, self.taus)
-        tried = _promising(list(self.mapper(partial(trial, p, begin, self.taus, starts=STARTS), shortlist)), p.effort * s.polished, s.likely)
-        begun = list(self.mapper(partial(added_path, p, rough, self.taus), tried))
+        trials = self.mapped("trying", 0.2, 0.4, partial(trial, p, begin, self.taus, starts=STARTS), shortlist)
+        tried = _promising(trials, p.effort * s.polished, s.likely)
+        begun = self.mapped("fitting", 0.4, 0.6, partial(added_path, p, rough, self.taus), tried)
         taus = noise_times([rough, *begun])
-        rough, *begun = self.mapper(partial(resumed_path, p, taus), [rough, *begun])
+        rough, *begun = self.mapped("fitting again", 0.6, 0.7, partial(resumed_path, p, taus), [rough, *begun])
         begun, path = _kept_promises(rough, begun, s.alike, self.limited), resumed_path(self.problem, taus, path)
-        fitted = list(self.mapper(partial(whole_path, self.problem, taus, base=path), begun))
+        fitted = self.mapped("fitting whole recordings", 0.7, 0.9, partial(whole_path, self.problem, taus, base=path), begun)
         counted = noise_times(fitted) if fitted else {}
-        list(self.mapper(lambda path: self.block_losses(path, list(counted.values())[-1]), fitted))
+        self.mapped("leaving out blocks", 0.9, 1.0, lambda path: self.block_losses(path, list(counted.values())[-1]), fitted)
         found = []
         for r, q in zip(begun, fitted, strict=True):
             h = list(q.values())[-1].point.effects[-1].hypothesis
@@ -323,7 +338,8 @@ def _promising(tried: Sequence[Trial], count: int, likely: float) -> list[Trial]
 
 
 def _kept_promises(base: dict[float, Fit], paths: Sequence[dict[float, Fit]], share: float, limited: str) -> list[dict[float, Fit]]:
-    """Return the paths whose fall of the cost is a share of the largest one, at the strongest or the weakest correction.
+    """Return the paths whose fall of the cost is a share of the largest one, at the strongest or the weakest correction,
+    and the first two in any case: how far behind the second is says how sure the first is.
 
     Where the model limits, constants that are off do not set the measure: with physics left out any fit moves them.
     """
@@ -331,20 +347,21 @@ def _kept_promises(base: dict[float, Fit], paths: Sequence[dict[float, Fit]], sh
     measure = [limited == "noise" or not is_constant(h) for h in last]
     falls = np.array([[base[h].cost - path[h].cost for h in ends(base)] for path in paths]).reshape(len(paths), len(ends(base)))
     best = falls[measure if any(measure) else slice(None)].max(axis=0, initial=0.0)
-    return [path for path, fall in zip(paths, falls, strict=True) if (fall >= share * best).any()]
+    second = np.sort(falls[:, -1])[-2:].min(initial=np.inf)
+    return [path for path, fall in zip(paths, falls, strict=True) if (fall >= share * best).any() or fall[-1] >= second]
 
 
 def _shortlist(
-    problem: Problem, path: dict[float, Fit], offered: Sequence[Hypothesis], mapper: Mapper, count: int
+    problem: Problem, path: dict[float, Fit], offered: Sequence[Hypothesis], mappers: Sequence[Mapper], count: int
 ) -> tuple[list[dict[float, Screened]], dict[float, float]]:
     """Return the ``count`` hypotheses that promise most at the strongest or the weakest correction, and what chance promises there.
 
-    The latter is the largest gain that any hypothesis reaches, to first order, on surrogates of the residual.
+    ``mappers`` are one for each of these ends. What chance promises is the largest gain that any hypothesis reaches, to first order, on surrogates of the residual.
     """
     found: dict[str, dict[float, Screened]] = {}
     chosen: list[str] = []
     by_chance: dict[float, float] = {}
-    for h in ends(path):
+    for h, mapper in zip(ends(path), mappers, strict=False):
         screen = Screen(problem, path[h], h)
         screened = sorted(mapper(screen, offered), key=lambda x: -x.fall)
         for x in screened:

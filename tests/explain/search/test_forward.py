@@ -42,8 +42,23 @@ def problem(friction, seeds=(1, 2), noise=1.0, factor=1.0):
 
 
 @pytest.fixture(scope="module")
-def found():
-    return search(settled(problem(60.0)), LIBRARY)
+def said():
+    return []
+
+
+@pytest.fixture(scope="module")
+def found(said):
+    return search(settled(problem(60.0)), LIBRARY, progress=lambda what, share: said.append((what, share)))
+
+
+def test_progress_moves_with_every_hypothesis_and_never_back(found, said):
+    whats, shares = zip(*said, strict=True)
+    assert all(np.diff(shares) >= 0)
+    assert max(shares) <= 1.0
+    offered = sum(what.startswith("round 1, screening") for what in whats) / 2  # at both ends of the horizons
+    assert f"round 1, screening {offered:.0f} of {offered:.0f}" in whats
+    for what in ("trying 1 of", "fitting 1 of", "fitting whole recordings 1 of", "leaving out blocks 1 of"):
+        assert any(w.startswith(f"round 1, {what}") for w in whats)
 
 
 def test_dry_friction_is_found_where_only_speed_is_measured(found):
