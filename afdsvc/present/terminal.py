@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
@@ -125,7 +126,7 @@ def diagnosis_table(document: dict[str, Any]) -> None:
 def design_table(document: dict[str, Any], candidates: bool = False) -> None:
     """Show what the burst finds and what it cannot, and the ``candidates`` that were asked for."""
     for burst in document["bursts"]:
-        lines = ", ".join(f"{w:.0f} rad/s" for w in burst["frequencies_rad_s"])
+        lines = ", ".join(f"{w / (2 * math.pi):.3g} Hz ({w:.0f} rad/s)" for w in burst["frequencies_rad_s"])
         OUT.print(
             f"burst on {burst['input']}: {lines}, {burst['seconds']:.2f} s, up to {burst['peak_output']:.3g} at the outputs"
         )

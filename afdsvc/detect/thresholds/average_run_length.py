@@ -22,6 +22,7 @@ from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 
 OVERSHOOT = 1.1657  # twice the mean overshoot of a standard normal random walk, 0.58286
+LONGEST = 700.0  # of a run length, its logarithm: a float holds e^709
 _STEP = 0.2
 _FINEST = 150.0  # largest b / mu given to the integral equation
 
@@ -106,8 +107,10 @@ def _under(x: Array, mu: float, drift: float) -> Array:
 
 
 def _diffusion(mu: float, b: float, drift: float) -> float:
-    """Return the run length of the reflected Brownian motion: the small-step limit."""
+    """Return the run length of the reflected Brownian motion: the small-step limit; infinite where no float holds it."""
     k = 2 * drift / mu**2
+    if -k * b > LONGEST:
+        return math.inf
     if abs(k * b) < 1e-6:
         return (b / mu) ** 2
     return 2 / mu**2 * (math.exp(-k * b) + k * b - 1) / k**2

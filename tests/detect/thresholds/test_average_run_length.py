@@ -68,6 +68,14 @@ def test_burst_boundary_keeps_the_rate(rate):
     assert average_run_length.alarm_probability(0.3, b, 3000) == pytest.approx(rate, rel=1e-3)
 
 
+@pytest.mark.parametrize("bias", [-1e-3, -10.0])
+def test_a_run_length_beyond_any_float_is_infinite(bias):
+    """A model that is wrong by much may hold the test at zero: with -1e-3 it is long, with -10 no float holds it."""
+    length = average_run_length.run_length(0.05, 20.0, bias=bias, step=0.05)
+    assert (length == math.inf) is (bias == -10.0)
+    assert length > average_run_length.run_length(0.05, 20.0, step=0.05)
+
+
 def test_nonsense_is_named():
     with pytest.raises(BadInput, match="positive"):
         average_run_length.run_length(-1.0, 3.0)
