@@ -15,6 +15,7 @@ from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 
+BY_CHANCE, PAIRS = 0.01, 4000  # how often a seam drawn at random may be as smooth as one across which signals go on, and how many are drawn
 SAME_RATE = 1e-4  # relative difference of sample times below which they are the same: times are often written with six digits
 
 
@@ -85,7 +86,8 @@ def prepare(model: Model, traces: Sequence[Trace]) -> list[Run]:
 
 
 def joined(traces: Sequence[Trace]) -> list[Trace]:
-    """Return the traces with parts of one recording put together: those with the same columns whose time goes on where the last one ends.
+    """Return the traces with parts of one recording put together: those with the same columns whose time, or whose signals where the clock
+    begins anew, go on where the last one ends.
 
     Traces whose own excitation repeats stay apart: together they may have no period.
     """
@@ -99,9 +101,26 @@ def joined(traces: Sequence[Trace]) -> list[Trace]:
 
 
 def _continues(first: Trace, second: Trace) -> bool:
-    ends = first.t0 + len(first) * first.dt
-    alike = first.channels == second.channels and abs(second.dt / first.dt - 1) < SAME_RATE
-    return alike and abs(second.t0 - ends) < first.dt / 2 and not (_repeats(first) or _repeats(second))
+    if first.channels != second.channels or abs(second.dt / first.dt - 1) >= SAME_RATE or min(len(first), len(second)) < 3:
+        return False
+    later = abs(second.t0 - first.t0 - len(first) * first.dt) < first.dt / 2
+    anew = abs(second.t0 - first.t0) < first.dt / 2
+    return (later or (anew and _go_on(first, second))) and not (_repeats(first) or _repeats(second))
+
+
+def _go_on(first: Trace, second: Trace) -> bool:
+    """Return whether signals go on from one trace to the next, and the outputs do not begin again where they began before.
+
+    How far values bend across the seam is ranked among the bends elsewhere, the largest rank counts. Ends and beginnings drawn at
+    random must seldom have as small a one.
+    """
+    a, b = (np.hstack([t.role("u"), t.role("y")]) for t in (first, second))
+    bends = np.sort(np.abs(np.vstack([np.diff(a, 2, axis=0), np.diff(b, 2, axis=0)])), axis=0)
+    rng, outputs = np.random.default_rng(0), slice(first.role("u").shape[1], None)
+    ends, begins = rng.integers(1, len(a), PAIRS), rng.integers(0, len(b) - 1, PAIRS)
+    across = np.stack([a[[-2, *(ends - 1)]], a[[-1, *ends]], b[[0, *begins]], b[[1, *(begins + 1)]]])
+    ranks = np.array([np.searchsorted(own, d) for own, d in zip(bends.T, np.abs(np.diff(across, 2, axis=0)).T, strict=True)]).max((0, 2))
+    return bool((ranks[1:] <= ranks[0]).mean() < BY_CHANCE and (np.abs(b[0] - a[0]) > bends[-1])[outputs].any())
 
 
 def _repeats(trace: Trace) -> bool:

@@ -95,11 +95,11 @@ def _confirmed(
         found = _searched(base, gap, library, mapper, progress, remainder, heldout, [mechanism(h) for h in unconfirmed])
         after = remainder(found.problem, found.end) if found.end is not found.start else None
         answers.append((found, checked_on_holdout(found, verdict(found, gap, after), heldout, len(answers) + 1)))
-    found, answer = answers[-1]
-    if not answer.verdict.claims:
-        return answers[0]
-    if unconfirmed:
-        why = f"{', '.join(h.title for h in unconfirmed)} fits better, but the recordings held out do not confirm it: no name is certain"
+    named = [k for k, (_, answer) in enumerate(answers) if answer.verdict.claims]
+    chosen = next((k for k in named if not answers[k][1].unconfirmed), named[0] if named else 0)
+    found, answer = answers[chosen]
+    if unconfirmed[:chosen]:
+        why = f"{', '.join(h.title for h in unconfirmed[:chosen])} fits better, but the recordings held out do not confirm it: no name is certain"
         answer = replace(answer, verdict=doubted(answer.verdict, why, base.problem.settings.uncertain))
     return found, answer
 

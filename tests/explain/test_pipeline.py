@@ -17,6 +17,7 @@ from afdsvc.errors import BadInput
 from afdsvc.explain.pipeline import explain
 from afdsvc.explain.report.explanation import Explanation
 from afdsvc.explain.settings import Settings
+from afdsvc.explain.verdict.holdout import HeldOutVerdict
 from afdsvc.files.model.improved import write_improved
 from afdsvc.files.model.model_file import read_model
 from afdsvc.plugins.physics import afdsvc_physics
@@ -197,6 +198,30 @@ def test_what_the_recordings_held_out_refute_gives_way_to_another_name(spring, f
     assert "cubic_stiffness" not in {n.physics for n in again.named}
     assert max(n.weight for n in again.named) <= 0.8
     assert any("cubic stiffness" in s and "held out" in s for s in again.sentences)
+
+
+@pytest.mark.parametrize(
+    ("attempts", "chosen"),
+    [
+        ("c", 0), ("wc", 1), ("dc", 1), ("ddd", 0), ("wdw", 1), ("www", 0), ("ddc", 2),
+    ],
+)
+def test_a_confirmed_name_goes_before_a_doubted_one_and_that_before_none(monkeypatch, attempts, chosen):
+    """Attempts one after another: c is confirmed, d followed better without its name, w withdrawn."""
+    verdicts = [SimpleNamespace(claims=() if a == "w" else (a,)) for a in attempts]
+    answers = iter([HeldOutVerdict(v, k, a != "c") for k, (v, a) in enumerate(zip(verdicts, attempts, strict=True))])
+    candidate = SimpleNamespace(hypothesis=SimpleNamespace(title="a law"))
+    found = SimpleNamespace(end=0, start=0, steps=(SimpleNamespace(candidates=(candidate,)),), problem=None)
+    said = []
+    monkeypatch.setattr(module, "_searched", lambda *_: found)
+    monkeypatch.setattr(module, "mechanism", lambda h: h.title)
+    monkeypatch.setattr(module, "verdict", lambda *_: None)
+    monkeypatch.setattr(module, "checked_on_holdout", lambda *_: next(answers))
+    monkeypatch.setattr(module, "doubted", lambda verdict, why, most: said.append(why) or verdict)
+    base = SimpleNamespace(problem=SimpleNamespace(settings=Settings()))
+    answer = module._confirmed(base, None, [], map, lambda *_: None, None, [])[1]
+    assert answer.final == chosen
+    assert [why.count("a law") for why in said] == ([chosen] if chosen else [])
 
 
 @pytest.mark.parametrize(("lines", "most"), [((12.0,), 1), ((5.0, 12.0, 21.0), Settings().effects)])

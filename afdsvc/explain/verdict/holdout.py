@@ -83,7 +83,8 @@ def player(problem: Problem, last: float) -> Player:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOutVerdict:
-    """A verdict and its final fit after a look at the recordings held out; ``unconfirmed`` where there is a gap, but they do not confirm its first name."""
+    """A verdict and its final fit after a look at the recordings held out; ``unconfirmed`` where there is a gap, but they do not confirm its first
+    name: it is withdrawn, or they are likely followed better without it."""
 
     verdict: Verdict
     final: Fit
@@ -104,7 +105,8 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run], atte
         first = verdict.claims[0].candidate.hypothesis
         final = _with(found, {c.candidate.hypothesis.key for c in verdict.claims})
         error = _error(play, runs, final.point)
-        sure = play.better(runs, _without(found, verdict), final.point) if error < 1.0 else 0.0
+        without = _without(found, verdict)
+        sure = play.better(runs, without, final.point) if error < 1.0 else 0.0
         shown, alone = sure > found.problem.settings.sure, _rests_on_holdout(found, verdict)
         held = (
             f"on the recordings held out the error is {100 * error:.3g} % with {first.title}, {100 * stated:.3g} % with the model as stated "
@@ -114,7 +116,8 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run], atte
         likely = sure > 1 - (1 - found.problem.settings.probable) / attempt
         if not worse and (likely or not alone):
             most = min(most, sure) if alone else most
-            return HeldOutVerdict(verdict if shown and not alone else doubted(verdict, f"{held}: no name is certain", most), final)
+            beaten = not likely and play.better(runs, final.point, without) > found.problem.settings.probable
+            return HeldOutVerdict(verdict if shown and not alone else doubted(verdict, f"{held}: no name is certain", most), final, beaten)
         verdict, unconfirmed = unclaimed(verdict, f"{held}: nothing is claimed", alone), not alone or verdict.gap.total > DOUBT
     if refitted <= WORSE * stated:
         return HeldOutVerdict(verdict, found.start[last], unconfirmed)
