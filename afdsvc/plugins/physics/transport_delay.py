@@ -29,14 +29,33 @@ def delay(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] += (1 - part) * now + part * before - z[0]
 
 
+def delayed_lag(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``tau v' + v = u``, ``u`` the value a delay ago: the mean of v over the step; ``m`` holds v, then a ring as above."""
+    size = len(m) - 2
+    if m[1] == 0.0:
+        for i in range(size):
+            m[2 + i] = z[0]
+    k = int(m[1])
+    m[2 + k % size] = z[0]
+    m[1] = k + 1.0
+    late = min(p[0] / dt, size - 2.0)
+    whole = int(math.floor(late))
+    part = late - whole
+    u = (1 - part) * m[2 + (k - whole) % size] + part * m[2 + (k - whole - 1) % size]
+    decay = math.exp(-dt / p[1])
+    rest = m[0] - u
+    out[0] += u - z[0] + rest * (1 - decay) * p[1] / dt
+    m[0] = u + rest * decay
+
+
 class TransportDelay:
-    """A pure delay at every input and every output."""
+    """A pure delay at every input and every output, at inputs also before a lag, as processes are described that carry heat or matter."""
 
     name = "transport_delay"
     summary = "a pure delay between command and action, or between motion and reading"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per input and per output."""
+        """Return one hypothesis per input, one more with a lag behind the delay, and one per output."""
         longest = max(8 * machine.dt, min(LONGEST * machine.dt, machine.duration / 20))
         parts: dict[str, Any] = {
             "physics": self.name, "family": "timing",
@@ -45,7 +64,15 @@ class TransportDelay:
             "predicts": "phase lag proportional to frequency at an unchanged gain",
             "refuted_by": "a gain that changes with the phase, or a phase lag that levels off",
         }
+        ring, span = int(4 * longest / machine.dt) + 4, 1 / machine.bandwidth
+        lag = Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span)
+        both: dict[str, Any] = {
+            **parts, "parameters": [*parts["parameters"], lag], "starts": [(d, tau) for (d,) in parts["starts"][1::2] for tau in (span, 10 * span)],
+            "notes": {"variant": "with a lag", "of": ""}, "unsettled": 1,
+            "predicts": "an answer to a step that begins late, then approaches its end exponentially", "refuted_by": "an answer that overshoots, or begins at once",
+        }
         for port in machine.inputs:
-            yield at_input(port, delay, memory=int(4 * longest / machine.dt) + 4, substeps=4, **parts)
+            yield at_input(port, delay, memory=ring, substeps=4, **parts)
+            yield at_input(port, delayed_lag, memory=ring + 1, substeps=4, **both)
         for port in machine.outputs:
             yield at_output(port, delay, memory=int(longest / machine.dt) + 4, **parts)

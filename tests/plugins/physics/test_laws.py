@@ -25,6 +25,7 @@ from afdsvc.plugins.physics.sensor_rectification import unsigned
 from afdsvc.plugins.physics.slew_limit import _slew
 from afdsvc.plugins.physics.static_nonlinearity import power_from
 from afdsvc.plugins.physics.stiffness_follows_aux import _spring, springs
+from afdsvc.plugins.physics.transport_delay import delayed_lag
 
 DT = 1e-3
 
@@ -169,6 +170,18 @@ def test_slew_limit_gives_the_mean_of_the_ramp_over_the_step(target, rate):
     for k in (1, 2):
         mean = quad(ramp, (k - 1) * DT, k * DT, points=[min(abs(target) / rate, k * DT)])[0] / DT
         assert target + added[k] == pytest.approx(mean)
+
+
+def test_a_lag_behind_a_delay_answers_a_step_late_and_then_exponentially():
+    """Oracle: the step response in closed form, its mean over each step; a whole delay, and one between two samples by linear interpolation."""
+    tau, u = 12 * DT, np.repeat([0.0, 1.0], [10, 90])
+
+    def answer(samples):
+        begun = np.maximum(np.arange(101) - 10 - samples, 0) * DT
+        return np.diff(begun - tau * (1 - np.exp(-begun / tau))) / DT
+
+    for late, expected in ((7, answer(7)), (7.25, 0.75 * answer(7) + 0.25 * answer(8))):
+        np.testing.assert_allclose(u + changed(delayed_lag, [late * DT, tau], u, 40), expected, atol=1e-12)
 
 
 def test_drift_levels_off():
