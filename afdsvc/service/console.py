@@ -96,7 +96,7 @@ def seen(hub: Hub, who: str = "", folder: Path = Path()) -> dict[str, Any]:
         "status": json_values(hub.status()), "who": who,
         "alarms": [{**json_values(a), "seen": str(a.since_ns)} for a in alarms],  # a browser's numbers hold 53 bits
         "files": {a.id: files_of(a, folder) for a in alarms} if who else {},
-        "decisions": {id: json_values(list(watch.evidence)[-DECISIONS:]) for id, watch in hub.watches.items()},
+        "decisions": {id: [{**json_values(f.evidence), "t_ns": f.t_ns} for f in list(watch.findings)[-DECISIONS:]] for id, watch in hub.watches.items()},
         "residuals": {id: residual(watch) for id, watch in hub.watches.items()},
         "bursts": {id: {"playing": r.playing, "paused": r.scheduler.paused, "may_retune": id in hub.retunings} for id, r in hub.burst_requests.items()},
     }  # fmt: skip

@@ -40,7 +40,7 @@ class MachineMonitor:
     pipeline: ExcitableStream
     sink: Sink
     clock: Clock
-    evidence: deque[Evidence] = field(default_factory=lambda: deque(maxlen=400))
+    findings: deque[Finding] = field(default_factory=lambda: deque(maxlen=400))
 
     def __post_init__(self) -> None:
         self.session = ""
@@ -84,12 +84,17 @@ class MachineMonitor:
             self.trouble = ""
         for e in outcome.evidence:
             stamp = block.t0_ns + round((e.k - block.k0) * block.dt * 1e9)
-            self.evidence.append(e)
+            self.findings.append(Finding(e, block.session, stamp))
             self._decisions += 1
-            self._fresh.append(Finding(e, block.session, stamp))
+            self._fresh.append(self.findings[-1])
             self.sink.take(Message(self._fresh[-1]))
         self._last = self.clock.monotonic()  # only now is the machine watched: the first block may take seconds
         return outcome
+
+    @property
+    def evidence(self) -> list[Evidence]:
+        """The decisions that are kept, oldest first."""
+        return [f.evidence for f in list(self.findings)]
 
     def fresh_findings(self) -> list[Finding]:
         """Return the decisions since the last call."""
@@ -154,7 +159,7 @@ class MachineMonitor:
         previous, verdict = self._concluded
         if previous != self._decisions:
             previous = self._decisions
-            verdict = conclude(list(self.evidence))
+            verdict = conclude(self.evidence)
             self._concluded = previous, verdict
         return verdict
 

@@ -311,6 +311,20 @@ def test_one_fault_is_one_alarm(free_port, tmp_path, browser):
         assert browser.errors == []
 
 
+def test_decisions_bear_the_clocks_time_as_alarms_do(free_port, tmp_path, browser):
+    base, site = f"http://127.0.0.1:{free_port + 1}", site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")
+    with serve.serving(site) as hub:
+        found = Evidence("matched_filter", "bearing", 0, 5.0, 90.0, 4.0, True, burst="b1", fault="horizontal_actuator")
+        hub.watches["bearing"].findings.append(Finding(found, "s", 1_764_000_000 * 10**9))
+        assert json.loads(ask(base + "/now.json")[1])["decisions"]["bearing"][0]["t_ns"] == 1_764_000_000 * 10**9
+        browser.open(base + "/", 1400)
+        browser.until("document.body.innerText.includes('The last decisions on bursts')")
+        row = "[...document.querySelectorAll('tr')].find((r) => r.innerText.includes('matched_filter')).cells[0].innerText"
+        clock = "(() => { const d = new Date(1764000000000); return String(d.getHours()).padStart(2, '0') + ':' + String(d.getMinutes()).padStart(2, '0') + ':00'; })()"
+        assert browser.value(row).endswith(browser.value(clock))
+        assert browser.errors == []
+
+
 @pytest.mark.parametrize(
     ("web", "sentence"),
     [("0.0.0.0:8080", "readable from other computers"), ("8080", "host:port"), ("nowhere", "host:port")],

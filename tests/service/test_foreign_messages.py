@@ -18,7 +18,7 @@ from afdsvc.service.hub import Hub
 from afdsvc.service.machine import MOST_REPORTED, MachineMonitor
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import BurstStop, EventKind, Lease, Notice, RigDescription, RigEvent
+from afdsvc.wire.messages import BurstStop, EventKind, Finding, Lease, Notice, RigDescription, RigEvent
 
 CHANNELS = (Channel("u_x"), Channel("y_x"))
 
@@ -104,6 +104,7 @@ def test_the_notice_that_a_model_is_to_be_doubted_names_a_recording_of_that_mach
     watches = {id: MachineMonitor(id, None, SimpleNamespace(take=lambda message: None), FastClock()) for id in ("m1", "m2")}
     files = [Path(f"{id}-20261101T120000{part}") for id in watches for part in (".mcap", ".0001.mcap", ".rrd")]
     hub = Hub(Keys("t"), "1", watches, {}, None, FastClock(), lambda: ("", 0, "", 0), lambda: files)
-    watches["m1"].evidence.extend(Evidence("d", "m1", n, 0.0, 1.0, 2.0, False, f"b{n}", trustworthy=False, reason="coloured", p_white=1e-6) for n in range(3))
+    doubtful = [Evidence("d", "m1", n, 0.0, 1.0, 2.0, False, f"b{n}", trustworthy=False, reason="coloured", p_white=1e-6) for n in range(3)]
+    watches["m1"].findings.extend(Finding(e, "s", 0) for e in doubtful)
     hub._sum_up(watches["m1"], 0)
     assert "'afdsvc explain m1-20261101T120000.0001.mcap'" in watches["m1"].doubt
