@@ -21,6 +21,7 @@ app = typer.Typer(
     name="afdsvc", no_args_is_help=True, pretty_exceptions_enable=False,
     help="Active fault diagnosis for closed-loop machines, and why a model disagrees with its recordings.",
 )  # fmt: skip
+UsageError: Any = typer.BadParameter.__base__  # whose other kinds typer does not export
 app.add_typer(running.app)
 app.add_typer(plugins.app, name="plugins")
 app.add_typer(running.site, name="site")
@@ -30,15 +31,13 @@ def run_cli() -> None:
     """Run the command line: exit 0 done, 2 bad input or usage (one sentence), 1 unexpected failure."""
     end_on_interrupt()
     try:
-        app()
+        code = app(prog_name="afdsvc", standalone_mode=False)
     except AfdsvcError as error:
         sys.exit(_fail(str(error), 2))
-    except KeyboardInterrupt:
+    except UsageError as error:
+        sys.exit(_wrong_usage(error))
+    except (KeyboardInterrupt, typer.Abort):
         leave()
-    except SystemExit as end:
-        if end.code == INTERRUPTED:  # typer's word for it
-            leave()
-        raise
     except BrokenPipeError:
         sys.exit(1)
     except Exception as error:
@@ -47,6 +46,19 @@ def run_cli() -> None:
         if isinstance(error, OSError) and error.filename is not None:
             sys.exit(_fail(f"{error.filename}: {(error.strerror or str(error)).lower()}; expected a path that can be read or written", 2))
         sys.exit(_fail(f"unexpected failure: {type(error).__name__}: {error}; a report of it needs {_traceback()}", 1))
+    if code == INTERRUPTED:  # typer's word for it
+        leave()
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _wrong_usage(error: Any) -> int:
+    """Say what is wrong with the words of a command, or show the help of one that was given none; return the exit code."""
+    said = error.format_message()
+    if not said or type(error).__name__ == "NoArgsIsHelpError":
+        print(error.ctx.get_help())
+        return 2
+    path = error.ctx.command_path if error.ctx else app.info.name
+    return _fail(f"{said[0].lower()}{said[1:].rstrip('.')}; '{path} --help' says what is expected", 2)
 
 
 def _traceback() -> str:

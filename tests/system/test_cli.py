@@ -164,7 +164,7 @@ def test_an_explanation_shows_on_a_terminal_what_it_does_long_before_it_is_done(
 
 def test_an_unexpected_failure_is_one_sentence_that_names_the_file_of_its_traceback(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(cli, "app", lambda: 1 / 0)
+    monkeypatch.setattr(cli, "app", lambda **_: 1 / 0)
     with pytest.raises(SystemExit) as end:
         cli.run_cli()
     (said,) = capsys.readouterr().err.splitlines()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import sys
 from pathlib import Path
 
 import pytest
@@ -87,7 +88,7 @@ def test_a_mistake_is_named_with_the_way_out(folder, monkeypatch, arguments, wor
 def test_a_path_that_cannot_be_used_is_one_sentence(monkeypatch, capsys):
     """Whatever part of a command meets it."""
 
-    def missing() -> None:
+    def missing(**_: object) -> None:
         Path("/nowhere/at/all").read_text()
 
     monkeypatch.setattr(cli, "end_on_interrupt", lambda: None)
@@ -96,6 +97,35 @@ def test_a_path_that_cannot_be_used_is_one_sentence(monkeypatch, capsys):
         cli.run_cli()
     assert end.value.code == 2
     assert capsys.readouterr().err == "afdsvc: /nowhere/at/all: no such file or directory; expected a path that can be read or written\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("explain --nosuch", "no such option: --nosuch (Possible options: --out); 'afdsvc explain --help' says what is expected"),
+        ("explain", "missing argument 'MODEL.toml'; 'afdsvc explain --help' says what is expected"),
+        ("explian", "no such command 'explian'"),
+        ("status a b", "got unexpected extra argument"),
+        ("explain m.toml --jobs x", "invalid value for '--jobs': "),
+    ],
+)
+def test_wrong_usage_is_one_sentence(monkeypatch, capsys, words, said):
+    monkeypatch.setattr(cli, "end_on_interrupt", lambda: None)
+    monkeypatch.setattr(sys, "argv", ["afdsvc", *words.split()])
+    with pytest.raises(SystemExit) as end:
+        cli.run_cli()
+    assert end.value.code == 2
+    (sentence,) = capsys.readouterr().err.splitlines()
+    assert sentence.startswith(f"afdsvc: {said}")
+
+
+def test_no_words_at_all_show_the_help(monkeypatch, capsys):
+    monkeypatch.setattr(cli, "end_on_interrupt", lambda: None)
+    monkeypatch.setattr(sys, "argv", ["afdsvc"])
+    with pytest.raises(SystemExit) as end:
+        cli.run_cli()
+    assert end.value.code == 2
+    assert "Usage: afdsvc" in capsys.readouterr().out
 
 
 def test_a_batch_in_which_every_recording_fails_fails(folder):
