@@ -97,6 +97,7 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run], atte
     What does worse on the recordings held out than the model as stated is withdrawn. What does not do better there than the model
     refitted without effects, or worse than a constant, is not certain; where that is all that can show a gap, the error has to fall there,
     no name is surer than that, and what is not likely is not claimed, the less so the more names were tried (``attempt`` from 1; Bonferroni).
+    Where the gap test finds no gap and they are likely followed better without a name, it is not claimed either.
     """
     last, most, unconfirmed = list(found.end)[-1], found.problem.settings.uncertain, False
     play = player(found.problem, last)
@@ -114,9 +115,9 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run], atte
         )
         worse = error > (1.0 if alone else WORSE) * min(stated, refitted)
         likely = sure > 1 - (1 - found.problem.settings.probable) / attempt
-        if not worse and (likely or not alone):
+        beaten = not likely and play.better(runs, final.point, without) > found.problem.settings.probable
+        if not worse and (likely or not alone) and not (beaten and not verdict.gap.present):
             most = min(most, sure) if alone else most
-            beaten = not likely and play.better(runs, final.point, without) > found.problem.settings.probable
             return HeldOutVerdict(verdict if shown and not alone else doubted(verdict, f"{held}: no name is certain", most), final, beaten)
         verdict, unconfirmed = unclaimed(verdict, f"{held}: nothing is claimed", alone), not alone or verdict.gap.total > DOUBT
     if refitted <= WORSE * stated:

@@ -17,20 +17,20 @@ from afdsvc.explain.verdict.verdict import Claim, Verdict
 def final(monkeypatch):
     """Return what is judged of one claim of weight 1, with these errors of the three models on the recordings held out.
 
-    ``present``: a flexible model predicts the residual; ``even``: residuals are not weighted; ``sure``: that the weighted error falls.
+    ``present``: a flexible model predicts the residual; ``even``: residuals are not weighted; ``measured``: the noise is known; ``sure``: that the weighted error falls.
     """
-    return lambda *errors, present=True, even=True, sure=None, attempt=1: _judged(monkeypatch, *errors, present, even, sure, attempt)
+    return lambda *errors, present=True, even=True, sure=None, attempt=1, measured=False: _judged(monkeypatch, *errors, present, even, sure, attempt, measured)
 
 
 def _judged(
-    monkeypatch, stated: float, refitted: float, error: float, present: bool, even: bool, sure: float | None, attempt: int
+    monkeypatch, stated: float, refitted: float, error: float, present: bool, even: bool, sure: float | None, attempt: int, measured: bool
 ) -> HeldOutVerdict:
     points = {name: SimpleNamespace(name=name, effects=()) for name in ("stated", "refitted", "final")}
     errors = {"stated": stated, "refitted": refitted, "final": error}
     hypothesis = SimpleNamespace(key="law@input:u", title="law (input u)", family="", physics="law")
     found = SimpleNamespace(
         problem=SimpleNamespace(
-            start=lambda: points["stated"], settings=Settings(), weighting=SimpleNamespace(even=even, measured=False)
+            start=lambda: points["stated"], settings=Settings(), weighting=SimpleNamespace(even=even, measured=measured)
         ),
         start={0.0: SimpleNamespace(point=points["refitted"], tau=1.0)}, end={0.0: SimpleNamespace(point=points["final"])},
     )
@@ -62,6 +62,13 @@ def test_a_name_that_does_worse_than_the_model_without_it_is_refuted(final, stat
     assert answer.verdict.verdict == "unexplained"
     assert not answer.verdict.claims
     assert not final(0.5, 0.4, 0.2).unconfirmed
+
+
+def test_a_name_against_the_gap_test_and_the_recordings_held_out_is_not_claimed(final):
+    """Noise that is known shows a gain; the gap test sees nothing, and the model without the name follows what was held out better."""
+    for error, claimed in ((0.41, False), (0.3, True)):
+        assert bool(final(0.5, 0.4, error, present=False, measured=True).verdict.claims) is claimed
+    assert final(0.5, 0.4, 0.41, measured=True).verdict.claims
 
 
 @pytest.mark.parametrize(("present", "even"), [(False, True), (True, False)])
