@@ -53,10 +53,10 @@ def run_cli() -> None:
 
 def _wrong_usage(error: Any) -> int:
     """Say what is wrong with the words of a command, or show the help of one that was given none; return the exit code."""
-    said = error.format_message()
-    if not said or type(error).__name__ == "NoArgsIsHelpError":
+    if type(error).__name__ == "NoArgsIsHelpError":
         print(error.ctx.get_help())
         return 2
+    said = error.format_message()
     path = error.ctx.command_path if error.ctx else app.info.name
     return _fail(f"{said[0].lower()}{said[1:].rstrip('.')}; '{path} --help' says what is expected", 2)
 

@@ -9,7 +9,7 @@ from datetime import time
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from afdsvc.errors import BadInput
 from afdsvc.files.validation import read_text, toml_table, validated
@@ -17,6 +17,17 @@ from afdsvc.files.validation import read_text, toml_table, validated
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 Positive = Annotated[float, Field(gt=0)]
 LAST_PORT = 65535
+
+
+def _with_port(address: str) -> str:
+    """Return ``host:port`` or ``protocol/host:port``; raises `ValueError` for a port that no computer has."""
+    port = re.fullmatch(r"(?:\w+/)?[^/]+:(\d+)(?:[?#].*)?", address)
+    if port and int(port.group(1)) > LAST_PORT:
+        raise ValueError(f"'{address}' has the port {port.group(1)}; expected at most {LAST_PORT}")
+    return address
+
+
+Address = Annotated[str, AfterValidator(_with_port)]
 
 
 def _plain_id(value: str) -> str:
@@ -67,9 +78,9 @@ class TransportSection(_Strict):
     ``store_megabytes`` for each machine.
     """
 
-    listen: list[str] = ["tcp/127.0.0.1:7447"]
-    connect: list[str] = []
-    standby: list[str] = []
+    listen: list[Address] = ["tcp/127.0.0.1:7447"]
+    connect: list[Address] = []
+    standby: list[Address] = []
     mode: Literal["peer", "router"] = "peer"
     security: Security | None = None
     trusted_network: bool = False
@@ -77,15 +88,6 @@ class TransportSection(_Strict):
     cache_blocks: Annotated[int, Field(ge=10)] = 4000
     store: Path | None = None
     store_megabytes: Positive = 1000.0
-
-    @field_validator("listen", "connect", "standby")
-    @classmethod
-    def _ports(cls, value: list[str]) -> list[str]:
-        for endpoint in value:
-            port = re.fullmatch(r"\w+/[^/]+:(\d+)(?:[?#].*)?", endpoint)
-            if port and int(port.group(1)) > LAST_PORT:
-                raise ValueError(f"'{endpoint}' has the port {port.group(1)}; expected at most {LAST_PORT}")
-        return value
 
     @model_validator(mode="after")
     def _known_peers_only(self) -> TransportSection:
@@ -148,14 +150,14 @@ class Alarms(_Strict):
 class Web(_Strict):
     """Where something is served over HTTP; off by default, and on other computers' request only where that is allowed."""
 
-    listen: str | None = None
+    listen: Address | None = None
     trusted_network: bool = False
 
     @field_validator("listen")
     @classmethod
     def _host_and_port(cls, value: str | None) -> str | None:
-        if value is not None and not (re.fullmatch(r"[^:/\s]+:\d{1,5}", value) and int(value.rpartition(":")[2]) <= LAST_PORT):
-            raise ValueError(f"expected host:port, like 127.0.0.1:9464, the port at most {LAST_PORT}")
+        if value is not None and not re.fullmatch(r"[^:/\s]+:\d{1,5}", value):
+            raise ValueError("expected host:port, like 127.0.0.1:9464")
         return value
 
     @model_validator(mode="after")

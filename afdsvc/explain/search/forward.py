@@ -26,12 +26,13 @@ from afdsvc.explain.search.evidence import (
 from afdsvc.explain.search.fit import CONVERGED, Fit, fit
 from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
 from afdsvc.explain.search.path import (
-    Trial,
     added_path,
     bases,
     ends,
     exchanged_path,
     fewer_path,
+    kept_promises,
+    promising,
     resumed_path,
     trial,
     whole_path,
@@ -39,7 +40,6 @@ from afdsvc.explain.search.path import (
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import (
     Candidate,
-    complexity,
     is_constant,
     is_offset,
     is_reason,
@@ -231,11 +231,11 @@ class Rounds(Settled):
         shortlist, by_chance = _shortlist(p, rough, offered, [partial(self.mapped, "screening", k / 10, (k + 1) / 10) for k in range(2)], p.effort * s.refined)
         begin = bases(p, rough, self.taus)
         trials = self.mapped("trying", 0.2, 0.4, partial(trial, p, begin, self.taus, starts=STARTS), shortlist)
-        tried = _promising(trials, p.effort * s.polished, s.likely)
+        tried = promising(trials, p.effort * s.polished, s.likely)
         begun = self.mapped("fitting", 0.4, 0.6, partial(added_path, p, rough, self.taus), tried)
         taus = noise_times([rough, *begun])
         rough, *begun = self.mapped("fitting again", 0.6, 0.7, partial(resumed_path, p, taus), [rough, *begun])
-        begun, path = _kept_promises(rough, begun, s.alike, self.limited), resumed_path(self.problem, taus, path)
+        begun, path = kept_promises(rough, begun, s.alike, self.limited), resumed_path(self.problem, taus, path)
         fitted = self.mapped("fitting whole recordings", 0.7, 0.9, partial(whole_path, self.problem, taus, base=path), begun)
         counted = noise_times(fitted) if fitted else {}
         self.mapped("leaving out blocks", 0.9, 1.0, lambda path: self.block_losses(path, list(counted.values())[-1]), fitted)
@@ -323,32 +323,6 @@ class Rounds(Settled):
             if self.evidence(path, fewer, path[last].point.effects[k].hypothesis).gain < self.problem.settings.evidence / 2:
                 path = fewer
         return path
-
-
-def _promising(tried: Sequence[Trial], count: int, likely: float) -> list[Trial]:
-    """Return the trials that fell most at the weakest correction and those within chance of the first, half as many more of those that did
-    at the strongest, and of every mechanism among them the simplest shape."""
-    ordered = sorted(tried, key=lambda t: -t.falls[-1])
-    chosen = [t for k, t in enumerate(ordered) if k < count or 2 * (ordered[0].falls[-1] - t.falls[-1]) < likely]
-    chosen += [t for t in sorted(tried, key=lambda t: -t.falls[0])[:count] if t not in chosen][: count // 2]
-    for kind in {mechanism(t.hypothesis): None for t in chosen}:
-        shapes = [t for t in tried if mechanism(t.hypothesis) == kind]
-        chosen.append(min(shapes, key=lambda t: (complexity(t.hypothesis), -t.falls[-1])))
-    return list(dict.fromkeys(chosen))
-
-
-def _kept_promises(base: dict[float, Fit], paths: Sequence[dict[float, Fit]], share: float, limited: str) -> list[dict[float, Fit]]:
-    """Return the paths whose fall of the cost is a share of the largest one, at the strongest or the weakest correction,
-    and the first two in any case: how far behind the second is says how sure the first is.
-
-    Where the model limits, constants that are off do not set the measure: with physics left out any fit moves them.
-    """
-    last = [list(path.values())[-1].point.effects[-1].hypothesis for path in paths]
-    measure = [limited == "noise" or not is_constant(h) for h in last]
-    falls = np.array([[base[h].cost - path[h].cost for h in ends(base)] for path in paths]).reshape(len(paths), len(ends(base)))
-    best = falls[measure if any(measure) else slice(None)].max(axis=0, initial=0.0)
-    second = np.sort(falls[:, -1])[-2:].min(initial=np.inf)
-    return [path for path, fall in zip(paths, falls, strict=True) if (fall >= share * best).any() or fall[-1] >= second]
 
 
 def _shortlist(

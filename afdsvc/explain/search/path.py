@@ -10,6 +10,7 @@ import numpy as np
 from afdsvc.api.physics import Hypothesis
 from afdsvc.explain.search.fit import CONVERGED, ENOUGH, Coordinates, Fit, borrowed, column_counts, fit, rms, weighted
 from afdsvc.explain.search.problem import Point, Problem
+from afdsvc.explain.search.ranking import complexity, is_constant, mechanism
 from afdsvc.explain.search.screen import Screened, Start
 from afdsvc.explain.simulate.effects import PlacedEffect
 
@@ -140,3 +141,29 @@ def exchanged_path(problem: Problem, taus: Taus, fewer: Mapping[float, Fit], pat
         points = [f.point.added(effect), replace(f.point, theta=path[h].point.theta).added(effect)]
         found[h] = fit(problem, _nearer(problem, points, h), h, taus[h], enough=CONVERGED)
     return found
+
+
+def promising(tried: Sequence[Trial], count: int, likely: float) -> list[Trial]:
+    """Return the trials that fell most at the weakest correction and those within chance of the first, half as many more of those that did
+    at the strongest, and of every mechanism among them the simplest shape."""
+    ordered = sorted(tried, key=lambda t: -t.falls[-1])
+    chosen = [t for k, t in enumerate(ordered) if k < count or 2 * (ordered[0].falls[-1] - t.falls[-1]) < likely]
+    chosen += [t for t in sorted(tried, key=lambda t: -t.falls[0])[:count] if t not in chosen][: count // 2]
+    for kind in {mechanism(t.hypothesis): None for t in chosen}:
+        shapes = [t for t in tried if mechanism(t.hypothesis) == kind]
+        chosen.append(min(shapes, key=lambda t: (complexity(t.hypothesis), -t.falls[-1])))
+    return list(dict.fromkeys(chosen))
+
+
+def kept_promises(base: dict[float, Fit], paths: Sequence[dict[float, Fit]], share: float, limited: str) -> list[dict[float, Fit]]:
+    """Return the paths whose fall of the cost is a share of the largest one, at the strongest or the weakest correction,
+    and the first two in any case: how far behind the second is says how sure the first is.
+
+    Where the model limits, constants that are off do not set the measure: with physics left out any fit moves them.
+    """
+    last = [list(path.values())[-1].point.effects[-1].hypothesis for path in paths]
+    measure = [limited == "noise" or not is_constant(h) for h in last]
+    falls = np.array([[base[h].cost - path[h].cost for h in ends(base)] for path in paths]).reshape(len(paths), len(ends(base)))
+    best = falls[measure if any(measure) else slice(None)].max(axis=0, initial=0.0)
+    second = np.sort(falls[:, -1])[-2:].min(initial=np.inf)
+    return [path for path, fall in zip(paths, falls, strict=True) if (fall >= share * best).any() or fall[-1] >= second]

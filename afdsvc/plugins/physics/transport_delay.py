@@ -14,23 +14,10 @@ STARTS = (0.5, 1.5, 5.0, 12.0, 30.0, 75.0, 180.0)  # samples
 
 
 def delay(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """The value ``tau`` ago, interpolated between samples; ``m`` is a ring (first a count) of the last samples."""
-    size = len(m) - 1
-    if m[0] == 0.0:
-        for i in range(size):
-            m[1 + i] = z[0]
-    k = int(m[0])
-    m[1 + k % size] = z[0]
-    m[0] = k + 1.0
-    lag = min(p[0] / dt, size - 2.0)
-    whole = int(math.floor(lag))
-    part = lag - whole
-    now, before = m[1 + (k - whole) % size], m[1 + (k - whole - 1) % size]
-    out[0] += (1 - part) * now + part * before - z[0]
+    """The value ``p[0]`` ago, interpolated between samples, and where there is a ``p[1]`` through a lag of that time constant (its mean over the step).
 
-
-def delayed_lag(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``tau v' + v = u``, ``u`` the value a delay ago: the mean of v over the step; ``m`` holds v, then a ring as above."""
+    ``m`` holds what the lag has reached, a count, and a ring of the last samples.
+    """
     size = len(m) - 2
     if m[1] == 0.0:
         for i in range(size):
@@ -42,10 +29,12 @@ def delayed_lag(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     whole = int(math.floor(late))
     part = late - whole
     u = (1 - part) * m[2 + (k - whole) % size] + part * m[2 + (k - whole - 1) % size]
-    decay = math.exp(-dt / p[1])
-    rest = m[0] - u
-    out[0] += u - z[0] + rest * (1 - decay) * p[1] / dt
-    m[0] = u + rest * decay
+    out[0] += u - z[0]
+    if len(p) > 1:
+        decay = math.exp(-dt / p[1])
+        rest = m[0] - u
+        out[0] += rest * (1 - decay) * p[1] / dt
+        m[0] = u + rest * decay
 
 
 class TransportDelay:
@@ -64,7 +53,7 @@ class TransportDelay:
             "predicts": "phase lag proportional to frequency at an unchanged gain",
             "refuted_by": "a gain that changes with the phase, or a phase lag that levels off",
         }
-        ring, span = int(4 * longest / machine.dt) + 4, 1 / machine.bandwidth
+        ring, span = int(4 * longest / machine.dt) + 5, 1 / machine.bandwidth
         lag = Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span)
         both: dict[str, Any] = {
             **parts, "parameters": [*parts["parameters"], lag], "starts": [(d, tau) for (d,) in parts["starts"][1::2] for tau in (span, 10 * span)],
@@ -73,6 +62,6 @@ class TransportDelay:
         }
         for port in machine.inputs:
             yield at_input(port, delay, memory=ring, substeps=4, **parts)
-            yield at_input(port, delayed_lag, memory=ring + 1, substeps=4, **both)
+            yield at_input(port, delay, memory=ring, substeps=4, **both)
         for port in machine.outputs:
-            yield at_output(port, delay, memory=int(longest / machine.dt) + 4, **parts)
+            yield at_output(port, delay, memory=int(longest / machine.dt) + 5, **parts)

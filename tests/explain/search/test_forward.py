@@ -17,7 +17,7 @@ from afdsvc.explain.search.evidence import HypothesisEvidence, block_spans, refi
 from afdsvc.explain.search.fit import Coordinates, fit, jacobian, weighted
 from afdsvc.explain.search.forward import search
 from afdsvc.explain.search.machine import hypotheses, machine
-from afdsvc.explain.search.path import Trial, bases, trial
+from afdsvc.explain.search.path import Trial, bases, promising, trial
 from afdsvc.explain.search.ranking import Candidate, look_alikes, vote_shares
 from afdsvc.explain.search.screen import Screened, Start
 from afdsvc.explain.settings import Settings
@@ -260,7 +260,7 @@ def test_what_chance_cannot_separate_on_the_beginnings_is_fitted_to_whole_record
     def tried(name, fall):
         return Trial(Hypothesis(name, "machine", "", "force", None, (), (), (), ()), (), (fall,))
 
-    chosen = forward._promising([tried("a", 10.0), tried("b", 8.5), tried("c", 7.9)], 1, 4.0)
+    chosen = promising([tried("a", 10.0), tried("b", 8.5), tried("c", 7.9)], 1, 4.0)
     assert [t.hypothesis.physics for t in chosen] == ["a", "b"]
 
 

@@ -25,7 +25,7 @@ from afdsvc.plugins.physics.sensor_rectification import unsigned
 from afdsvc.plugins.physics.slew_limit import _slew
 from afdsvc.plugins.physics.static_nonlinearity import power_from
 from afdsvc.plugins.physics.stiffness_follows_aux import _spring, springs
-from afdsvc.plugins.physics.transport_delay import delayed_lag
+from afdsvc.plugins.physics.transport_delay import delay
 
 DT = 1e-3
 
@@ -181,7 +181,7 @@ def test_a_lag_behind_a_delay_answers_a_step_late_and_then_exponentially():
         return np.diff(begun - tau * (1 - np.exp(-begun / tau))) / DT
 
     for late, expected in ((7, answer(7)), (7.25, 0.75 * answer(7) + 0.25 * answer(8))):
-        np.testing.assert_allclose(u + changed(delayed_lag, [late * DT, tau], u, 40), expected, atol=1e-12)
+        np.testing.assert_allclose(u + changed(delay, [late * DT, tau], u, 40), expected, atol=1e-12)
 
 
 def test_drift_levels_off():
