@@ -111,3 +111,11 @@ def test_recordings_of_their_own_are_rarely_taken_for_parts():
     assert sum(len(joined([a, b])) == 1 for k, a in enumerate(cut) for b in cut[:k]) <= 6
     halves = [(replace(t, values=t.values[200:k]), replace(t, values=t.values[k:])) for t, k in zip(runs, range(400, 500), strict=True)]
     assert sum(len(joined(pair)) == 1 for pair in halves) >= 60
+
+
+def test_recordings_that_all_begin_and_end_at_rest_stay_apart():
+    """Their signals go on across the seam, but each begins where the first one began."""
+    moves = [replace(t, values=t.values - t.values[0]) for t in (lag(k, noise=1e-4) for k in (1, 2))]
+    shape = np.sin(np.pi * np.linspace(0, 1, 900))[:, None] ** 2
+    rested = [replace(t, values=t.values * shape) for t in moves]
+    assert len(joined(rested)) == 2

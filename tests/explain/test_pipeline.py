@@ -224,6 +224,17 @@ def test_a_confirmed_name_goes_before_a_doubted_one_and_that_before_none(monkeyp
     assert [why.count("a law") for why in said] == ([chosen] if chosen else [])
 
 
+def test_what_a_fit_leaves_is_tested_once(monkeypatch):
+    asked = []
+    monkeypatch.setattr(module, "by_innovations", lambda problem, fit, *_: fit)
+    monkeypatch.setattr(module, "signals", lambda problem, point, horizon: point)
+    monkeypatch.setattr(module, "signal_names", lambda problem: ())
+    monkeypatch.setattr(module, "gap_test", lambda point, rng: asked.append(point) or f"gap of {point}")
+    remainder = module.Remainder(np.random.default_rng(0))
+    assert [remainder(None, {0.1: "rough", 0.0: fit}) for fit in ("one", "other", "one")] == ["gap of one", "gap of other", "gap of one"]
+    assert asked == ["one", "other"]
+
+
 @pytest.mark.parametrize(("lines", "most"), [((12.0,), 1), ((5.0, 12.0, 21.0), Settings().effects)])
 def test_an_input_of_one_frequency_names_one_effect_at_most(spring, recorded, monkeypatch, lines, most):
     """A sine determines one complex gain: further effects were named beside a resonant actuator that was all there was."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import select
 import subprocess
@@ -14,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from afdsvc import cli
+from afdsvc.present import terminal
 
 SHIPPED = Path(__file__).parents[2] / "recordings" / "shipped"
 
@@ -121,6 +123,13 @@ def test_design_says_what_the_burst_finds(tmp_path: Path):
     # three detectors at 1 per 1000 of 60 bursts an hour, and a passive one at 1 in 30 days
     assert abs(sheet["false_alarms_per_hour"] - (3 * 60 / 1000 + 1 / 720)) < 1e-9
     assert Path(sheet["report"]).read_text().startswith("<!")
+
+
+def test_the_design_in_the_terminal_says_frequencies_in_both_units(capsys):
+    loop = {"controller_gain": {"stable_from": None, "stable_to": 2.0, "least_damping": 0.5}, "nu_gap": {"margin": 0.25}, "candidates": []}
+    burst = {"input": "voltage", "frequencies_rad_s": [2 * math.pi * 50.0], "seconds": 1.0, "peak_output": 0.1}
+    terminal.design_table({"machine": "m", "bursts": [burst], "faults": [], "false_alarms_per_hour": 0.1, "loop": loop, "report": "page.html"})
+    assert "burst on voltage: 50 Hz (314 rad/s), 1.00 s" in capsys.readouterr().out
 
 
 def test_plugins_list_and_version(tmp_path: Path):

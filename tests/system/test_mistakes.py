@@ -69,6 +69,7 @@ def folder(tmp_path_factory) -> Path:
         ("design fast.toml", ["plant 'gas_bearing': option 'rpm' is 'fast'; expected a number"]),
         ("init hours.csv --step 1 --out new", ["expected --input COLUMN, but it has no column beside the time"]),
         ("check number.toml gap.csv", ["number.toml: key 'num[0]' is 'three'; expected a valid number"]),
+        ("recover nowhere.mcap", ["nowhere.mcap: cannot be read: No such file or directory; expected a recording"]),
         ("status", ["no service answers at tcp/127.0.0.1:28997; start it with 'afdsvc serve'"]),
         ("alarms site.toml", ["'site.toml' is no alarm; the site file is given as --site site.toml"]),
         ("rig site.toml --machine bering", ["site.toml: no machine 'bering'; it has bearing"]),

@@ -52,8 +52,8 @@ def recover_in_place(path: str | Path) -> Recovered:
         with path.open("rb+") as stream:
             if not claim(stream):
                 raise BadInput(f"{path}: is being written by a running process; it is closed when that ends")
-    except FileNotFoundError:
-        raise BadInput(f"{path}: no such file; expected a recording") from None
+    except FileNotFoundError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror}; expected a recording") from None
     except OSError as error:
         raise BadInput(f"{path}: cannot be opened for writing: {error.strerror}") from None
     beside = path.with_name(path.name + ".recovering")

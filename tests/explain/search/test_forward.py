@@ -17,7 +17,7 @@ from afdsvc.explain.search.evidence import HypothesisEvidence, block_spans, refi
 from afdsvc.explain.search.fit import Coordinates, fit, jacobian, weighted
 from afdsvc.explain.search.forward import search
 from afdsvc.explain.search.machine import hypotheses, machine
-from afdsvc.explain.search.path import Trial, bases, promising, trial
+from afdsvc.explain.search.path import Trial, bases, kept_promises, promising, trial
 from afdsvc.explain.search.ranking import Candidate, look_alikes, vote_shares
 from afdsvc.explain.search.screen import Screened, Start
 from afdsvc.explain.settings import Settings
@@ -291,3 +291,12 @@ def test_a_round_in_which_nothing_could_be_accepted_is_left_out(limited, repeats
     last = SimpleNamespace(own_tau=2.0, penalty=penalty, narrowed=0.0, samples=1000, sd=np.array([1.0, 2.0]))
     rounds = SimpleNamespace(limited=limited, remainder=lambda path: found, gap=lambda tau: gap, problem=SimpleNamespace(settings=Settings()))
     assert forward.Rounds.exhausted(rounds, {0.0: last}) is exhausted
+
+
+def test_the_runner_up_is_fitted_to_whole_recordings_however_far_behind_it_is():
+    def path(key, cost):
+        hypothesis = SimpleNamespace(physics=key)
+        return {0.0: SimpleNamespace(cost=cost, point=SimpleNamespace(effects=(SimpleNamespace(hypothesis=hypothesis),)))}
+
+    paths = [path("first", 0.0), path("second", 90.0), path("third", 99.0)]
+    assert kept_promises({0.0: SimpleNamespace(cost=100.0)}, paths, 0.5, "model") == paths[:2]

@@ -34,6 +34,7 @@ from afdsvc.files.tables.mapping import Heading, heading
         ("oil_temp_c", ("oil_temp", "degC", "aux")),
         ("speed_rad_s", ("speed", "rad/s", "y")),
         ("torque_percent", ("torque", "percent", "u")),
+        ("Drehzahl [U/min]", ("drehzahl", "rpm", "aux")),
         ("bearing_left", ("bearing_left", "", "aux")),
     ],
 )
