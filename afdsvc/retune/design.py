@@ -38,7 +38,7 @@ from afdsvc.retune.sensitivity import Priced, accepted, sensitivities
 from afdsvc.retune.settings import RETUNE, RetuneSettings
 
 TIGHTER = 2.0  # factor on the price of a signal beyond its limit
-INSIDE = 0.98  # of the accepted sensitivity: where its price begins
+INSIDE = 0.98  # of the accepted sensitivity: where its price begins, nearer with every attempt, as a peak may lie between two frequencies
 ATTEMPTS = 8  # of making it fit
 CAUTION = (1.0, 10.0, 100.0, 1000.0)  # factors on input weight and sensor noise: start from controllers of lower gain, which more machines bear
 
@@ -71,25 +71,37 @@ def design_q(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, s
     True
     """
     require_alpha(problem)
-    grid = severity_grid(problem, found, settings.models)
-    weighted, price, peak_price = cost, h2_cost(with_q(damaged_model(problem, cost, {}), _zero(problem))), 0.0
+    designs: list[tuple[StateSpace, Expected]] = []
+    for bound in settings.sensitivity_if_wrong:
+        Q = _within_bounds(problem, found, cost, replace(settings, sensitivity_if_wrong=(bound,)))
+        designs.append((Q, expected(problem, found, cost, Q, settings.models)))
+        if designs[-1][1].reached.mean() >= settings.enough:
+            break
+    Q, costs = max(designs, key=lambda one: one[1].reached.mean() >= settings.enough)  # the first where none is enough
+    gained = 1 - float(np.max(costs.after / costs.before))
+    if gained < settings.worthwhile:
+        raise Refused(
+            f"'{found.fault}': nothing to gain; within limits, sensitivity and stability of the healthy machine Q changes the cost by {-100 * gained:.2g} %"
+        )
+    return Q
+
+
+def _within_bounds(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, settings: RetuneSettings) -> StateSpace:
+    """Return the Q of least cost within the limits of signals and the bounds on sensitivity; each attempt goes on from the last with higher prices."""
+    grid, none = severity_grid(problem, found, settings.models), _zero(problem)
+    weighted, price, peak_price = cost, h2_cost(with_q(damaged_model(problem, cost, {}), none)), 0.0
+    most, full = accepted(problem, found, sensitivities(problem, found, none)[:, 0], settings), None
+    bounds = INSIDE * most
     for _ in range(ATTEMPTS):
-        Q = _designed(problem, found, grid, weighted, peak_price, settings)
-        over, (before, after) = _over_limit(problem, found.fault, grid, cost, Q, settings), sensitivities(problem, found, Q).T
-        sensitive = (after > accepted(problem, found, before, settings)).any()
+        Q, full = _designed(problem, found, grid, weighted, (bounds, peak_price), full, settings)
+        over, sensitive = _over_limit(problem, found.fault, grid, cost, Q, settings), (sensitivities(problem, found, Q)[:, 1] > most).any()
         if not (over or sensitive):
             break
         if over:
             weighted = _tighter(problem, weighted, over, price, settings)
             price *= TIGHTER
         if sensitive:
-            peak_price = max(10 * peak_price, 1.0)
-    costs = [[h2_cost(with_q(damaged_model(problem, cost, {found.fault: s}), q)) for s in grid] for q in (_zero(problem), Q)]
-    gained = 1 - float(np.max(np.divide(costs[1], costs[0])))
-    if gained < settings.worthwhile:
-        raise Refused(
-            f"'{found.fault}': nothing to gain; within limits, sensitivity and stability of the healthy machine Q changes the cost by {-100 * gained:.2g} %"
-        )
+            peak_price, bounds = max(10 * peak_price, 1.0), INSIDE * bounds
     return Q
 
 
@@ -118,8 +130,15 @@ def _costs(problem: DetectionProblem, fault: str, severity: float, cost: LoopCos
 
 
 def _designed(
-    problem: DetectionProblem, found: DiagnosedFault, grid: Array, cost: LoopCost, peak_price: float, settings: RetuneSettings
-) -> StateSpace:
+    problem: DetectionProblem,
+    found: DiagnosedFault,
+    grid: Array,
+    cost: LoopCost,
+    peaks: tuple[Array, float],
+    earlier: StateSpace | None,
+    settings: RetuneSettings,
+) -> tuple[StateSpace, StateSpace]:
+    """Return Q of the lowest order and of full order; ``peaks`` are the bounds on sensitivity and their price, the search goes on from ``earlier``."""
     fault = found.fault
     models = [damaged_model(problem, cost, {fault: s}) for s in grid.tolist()]
     none = _zero(problem)
@@ -140,11 +159,11 @@ def _designed(
     every = [*models, healthy]
     margin = min(with_q(model, none).stability_margin() for model in every)
     costs = model_set(every, weights, problem.plant.inputs, problem.plant.outputs, 1 - settings.margin_kept * margin)
-    bounds = INSIDE * accepted(problem, found, sensitivities(problem, found, none)[:, 0], settings)
-    fit = Priced.of(costs, problem, found, bounds, peak_price)
-    start = _start(problem, fault, grid, controllers, cost, fit)
-    full = descended(fit, start, settings.iterations)
-    return _of_lowest_order(fit, full, models, none, settings)
+    fit = Priced.of(costs, problem, found, *peaks)
+    if earlier is None or not np.isfinite(fit.cost_and_slope(earlier)[0]):
+        earlier = _start(problem, fault, grid, controllers, cost, fit)
+    full = descended(fit, earlier, settings.iterations)
+    return _of_lowest_order(fit, full, models, none, settings), full
 
 
 def _start(

@@ -35,7 +35,6 @@ from afdsvc.retune.settings import RETUNE, RetuneSettings
 ANGLES = 128  # frequencies that choose the scaling and say early that a rectangle is too large
 SCALINGS = np.geomspace(1e-3, 1e3, 25)  # of the severity's channels against the gain's
 AT_BOUND = 0.95  # share of a bound on sensitivity from which it is called binding: the design stops short of it
-SHORT = 0.9  # share of the possible reduction below which the sheet says what limits it
 SETTLED = 1e-3  # of a transient, after which a switch is over
 LONGEST_SWITCH = 200_000  # samples looked at after Q has gone to zero
 
@@ -46,7 +45,7 @@ class Proof:
 
     ``rectangles`` cover severity and gain; ``cost_before``, ``cost_after`` and ``reached`` (share of the reduction that the best controller
     of the damaged plant brings) are the worst of the interval; ``sensitivity`` of the damaged loops, of the healthy one, and the largest of those where the diagnosis is wrong (see `afdsvc.retune.sensitivity.hypotheses`); ``bound`` names the machine whose
-    sensitivity is at its bound, or, where ``reached`` is below `SHORT`, says why the best controller itself would be refused; "" where only the damage limits ``reached``; ``rise_seconds``
+    sensitivity is at its bound, or, where ``reached`` is below ``enough``, says why the best controller itself would be refused; "" where only the damage limits ``reached``; ``rise_seconds``
     and ``fall_seconds`` the shortest times in which the gain may rise and fall (0: one sample), ``bump_in`` and ``bump_out`` the largest
     standard deviations meanwhile, relative to the larger of those before and after; ``room_before`` and ``room`` the smallest share of a limit that noise peaks leave free without and with Q,
     and ``tightest`` the signal with Q.
@@ -92,7 +91,7 @@ def prove(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, Q: S
     times_and_peaks, tightest = _switch(problem, found, cost, Q, settings)
     k = int(np.argmax(costs.after / costs.before))
     reached = float(np.nan_to_num(costs.reached, nan=1.0).min())
-    if not bound and reached < SHORT:
+    if not bound and reached < settings.enough:
         bound = _refusal_of_best(problem, found, cost, settings)
     return Proof(Q.order, rectangles, float(costs.before[k]), float(costs.after[k]), reached, *sensitive, bound, *times_and_peaks, tightest)
 

@@ -62,7 +62,7 @@ def sensitivities(problem: DetectionProblem, found: DiagnosedFault, Q: StateSpac
 
 def accepted(problem: DetectionProblem, found: DiagnosedFault, before: Array, settings: RetuneSettings) -> Array:
     """Return the largest sensitivities ``(k,)`` of the `hypotheses` with Q; a loop that has a larger one without Q, ``before (k,)``, may keep it."""
-    largest = [settings.sensitivity if found.fault in case else settings.sensitivity_if_wrong for case in hypotheses(problem, found)]
+    largest = [settings.sensitivity if found.fault in case else max(settings.sensitivity_if_wrong) for case in hypotheses(problem, found)]
     return np.maximum(largest, before)
 
 

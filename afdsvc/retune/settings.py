@@ -26,8 +26,10 @@ class RetuneSettings:
     margin_kept: float = 0.25
     #: Largest sensitivity ``|(I - G K)^-1|`` of a damaged loop with Q, unless the loop without Q has a larger one.
     sensitivity: float = 6.0
-    #: The same where the diagnosis is wrong: a margin for the time until Q is taken back.
-    sensitivity_if_wrong: float = 12.0
+    #: The same where the diagnosis is wrong, a margin for the time until Q is taken back: the first with which Q reaches ``enough``, else the first.
+    sensitivity_if_wrong: tuple[float, ...] = (12.0, 24.0, 48.0)
+    #: Share of the possible reduction below which a larger sensitivity is accepted where the diagnosis is wrong, and the sheet says what limits Q.
+    enough: float = 0.9
     #: Iterations of the search over the models.
     iterations: int = 300
     #: Times [s] of a change of the gain, the first that is smooth is taken; 0 is one sample.
@@ -55,12 +57,12 @@ def stated(settings: Mapping[str, Any]) -> RetuneSettings:
     known = {f.name: settings[f.name] for f in fields(RETUNE) if f.name in settings}
     for name, value in known.items():
         usual = getattr(RETUNE, name)
-        many = isinstance(usual, tuple)
-        numbers: Any = value if many and isinstance(value, list | tuple) and value else [None if many else value]
+        many = isinstance(usual, tuple) and isinstance(value, list | tuple)
+        numbers: Any = (value or [None]) if many else [value]
         kind, least = ("whole number", 1) if isinstance(usual, int) else ("number", 0)
         if not all(_number(x) and x >= least and (kind == "number" or x == int(x)) for x in numbers):
             raise BadInput(f"retune.settings.{name} is {value!r}; expected {'a list of numbers' if many else f'a {kind}'} of at least {least}")
-        known[name] = tuple(numbers) if many else value
+        known[name] = tuple(numbers) if isinstance(usual, tuple) else value
     return replace(RETUNE, **known)
 
 

@@ -74,7 +74,7 @@ def test_an_unstable_q_is_refused_for_the_healthy_machine():
 def test_a_q_that_another_fault_of_that_size_does_not_bear_is_refused_and_not_designed():
     problem, found, wrong = random_problem(2), DiagnosedFault("sensor_0", -0.53, -0.47), DiagnosedFault("sensor_1", -0.5, -0.5)
     cost = loop_cost(problem, {})
-    free = replace(RETUNE, sensitivity=1e3, sensitivity_if_wrong=1e3)
+    free = replace(RETUNE, sensitivity=1e3, sensitivity_if_wrong=(1e3,))
     careless = design_q(replace(problem, augmented=problem.augmented.reordered(["sensor_0"])), found, cost, free)  # knows of no other fault
     assert largest_pole(problem, wrong, careless) > 1
     with pytest.raises(Refused, match="the sensitivity with 'sensor_1' at -50 % would be inf"):
@@ -100,11 +100,11 @@ def test_a_designed_q_is_proved_and_a_tight_limit_refuses_it():
     assert proof.cost_after < proof.cost_before
     assert max(proof.bump_in, proof.bump_out) <= RETUNE.bump
     assert proof.bound == ""
-    near = replace(RETUNE, sensitivity_if_wrong=1.02 * proof.sensitivity_wrong)
+    near = replace(RETUNE, sensitivity_if_wrong=(1.02 * proof.sensitivity_wrong,))
     wrong = sensitivities(problem, found, Q)[3:, 1]
     assert wrong.max() == proof.sensitivity_wrong
     machine = ["no fault at all", "'actuator_1' at -30 %", "'sensor_0' at -30 %", "'sensor_1' at -30 %"][int(np.argmax(wrong))]
-    assert prove(problem, found, cost, Q, near).bound == f"the sensitivity with {machine} is at its bound of {near.sensitivity_if_wrong:.3g}"
+    assert prove(problem, found, cost, Q, near).bound == f"the sensitivity with {machine} is at its bound of {near.sensitivity_if_wrong[0]:.3g}"
     models = [signal_model(problem, cost, {"actuator_0": s}) for s in (-0.3, 0.0)]
     switch = Switch.of(models, Q, 2, 2)
     larger = switch.after.max(axis=0) > switch.before.max(axis=0)
