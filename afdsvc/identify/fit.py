@@ -114,27 +114,19 @@ class Fit:
         return self.model.system.order
 
 
-Estimator = Callable[[Sequence[InputOutputData]], StateSpace]
-
-
-def jackknife_band(
-    estimate: Estimator,
-    recordings: Sequence[InputOutputData],
-    omega: Array,
-    groups: int = 16,
-    whole: StateSpace | None = None,
-) -> ResponseBand:
-    """Return the response of the estimate on all data (or ``whole``, when already known) with its covariance.
+def jackknife_band(whole: StateSpace, repeated: Sequence[Callable[[], StateSpace]], omega: Array) -> ResponseBand:
+    """Return the response of the estimate from all the data with its covariance; ``repeated`` are estimates without one of as many groups each.
 
     Raises `BadInput` for fewer than three groups, or when more than a tenth of the repetitions fail.
     """
+    groups = len(repeated)
     if groups < 3:
         raise BadInput(f"{groups} groups; expected at least 3")
-    value = frequency_response(estimate(recordings) if whole is None else whole, omega)
-    repeated, failures = [], []
-    for left_out in range(groups):
+    value = frequency_response(whole, omega)
+    responses, failures = [], []
+    for estimate in repeated:
         try:
-            repeated.append(frequency_response(estimate(without_group(recordings, left_out, groups)), omega))
+            responses.append(frequency_response(estimate(), omega))
         except AfdsvcError as error:
             failures.append(str(error))
     if len(failures) > groups // 10:
@@ -142,10 +134,10 @@ def jackknife_band(
             f"{len(failures)} of {groups} repetitions of the fit failed ({failures[0]}); the order is too high "
             "for the data"
         )
-    spread = np.stack(repeated) - np.mean(repeated, axis=0)
+    spread = np.stack(responses) - np.mean(responses, axis=0)
     parts = np.stack([spread.real, spread.imag], axis=-1)
-    covariance = np.einsum("gkpmi,gkpmj->kpmij", parts, parts) * (len(repeated) - 1) / len(repeated)
-    return ResponseBand(omega, value, covariance, freedom=len(repeated) - 1)
+    covariance = np.einsum("gkpmi,gkpmj->kpmij", parts, parts) * (len(responses) - 1) / len(responses)
+    return ResponseBand(omega, value, covariance, freedom=len(responses) - 1)
 
 
 def sandwich_band(
@@ -163,6 +155,17 @@ def sandwich_band(
     split = np.stack([shifts.real, shifts.imag], axis=-1)
     value = response(np.zeros(len(curvature))).astype(np.complex128)
     return ResponseBand(omega, value, np.einsum("gkpmi,gkpmj->kpmij", split, split), freedom=count - 1)
+
+
+def repetitions(
+    estimate: Callable[[Sequence[InputOutputData]], StateSpace], recordings: Sequence[InputOutputData], groups: int
+) -> list[Callable[[], StateSpace]]:
+    """Return the repetitions of an estimate that leave one of ``groups`` equal stretches out each (see `jackknife_band`)."""
+
+    def without(group: int) -> Callable[[], StateSpace]:
+        return lambda: estimate(without_group(recordings, group, groups))
+
+    return [without(g) for g in range(groups)]
 
 
 def without_group(recordings: Sequence[InputOutputData], left_out: int, groups: int) -> list[InputOutputData]:

@@ -22,7 +22,7 @@ from scipy import linalg, stats
 from afdsvc.dataset.arrays import InputOutputData, scale_recordings, scales
 from afdsvc.errors import BadInput
 from afdsvc.identify.methods.pbsid import decompose_predictor_factor
-from afdsvc.identify.numerics.compression import compress_groups, compress_size, join, lags, triangle
+from afdsvc.identify.numerics.compression import compress_groups, compress_size, lags, leave_out, triangle
 from afdsvc.identify.settings import SETTINGS
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, ComplexArray, StateSpace
@@ -57,8 +57,7 @@ def choose_order(recordings: Sequence[InputOutputData], horizon: int, largest: i
         )
     factors = compress_groups(scale_recordings(recordings, *scales(recordings)), length, groups)
     loss_of = _closed_loop(m, p, horizon, largest) if closed_loop else _open_loop(m, p, horizon, largest)
-    others = [join([f for i, f in enumerate(factors) if i != held_out]) for held_out in range(len(factors))]
-    return _one_standard_error(np.stack([loss_of(rest, own) for rest, own in zip(others, factors, strict=True)]))
+    return _one_standard_error(np.stack([loss_of(rest, own) for rest, own in zip(leave_out(factors), factors, strict=True)]))
 
 
 Loss = Callable[[Array, Array], Array]

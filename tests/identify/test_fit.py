@@ -5,7 +5,7 @@ import pytest
 
 from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
-from afdsvc.identify.fit import ResponseBand, jackknife_band, without_group
+from afdsvc.identify.fit import ResponseBand, jackknife_band, repetitions, without_group
 from afdsvc.identify.methods.subspace import decompose, realise
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.simulate import simulate
@@ -26,7 +26,7 @@ def test_band_of_a_subspace_estimate_covers(oscillators):
         u = rng.standard_normal((3000, 2))
         y = simulate(system, u)[0]
         record = [InputOutputData.of(u, y + 0.2 * y.std(axis=0) * rng.standard_normal(y.shape), 1.0)]
-        covered.append(jackknife_band(_estimate, record, OMEGA).covers(truth))
+        covered.append(jackknife_band(_estimate(record), repetitions(_estimate, record, 16), OMEGA).covers(truth))
     assert 0.93 < np.mean(covered) < 0.98
 
 
@@ -41,7 +41,7 @@ def test_gain_of_a_static_system_has_the_textbook_standard_error():
     for _ in range(60):
         u = rng.standard_normal((500, 1))
         record = [InputOutputData.of(u, 2 * u + 0.5 * rng.standard_normal((500, 1)), 1.0)]
-        band = jackknife_band(gain, record, np.array([1.0]), groups=20)
+        band = jackknife_band(gain(record), repetitions(gain, record, 20), np.array([1.0]))
         ratios.append(band.covariance[0, 0, 0, 0, 0] / (0.25 / (u**2).sum()))
     assert 0.9 < np.mean(ratios) < 1.1
 
@@ -69,6 +69,6 @@ def test_too_few_groups_and_failing_repetitions_are_named(oscillators):
     rng = np.random.default_rng(9)
     record = [InputOutputData.of(rng.standard_normal((100, 2)), rng.standard_normal((100, 2)), 1.0)]
     with pytest.raises(BadInput, match="2 groups"):
-        jackknife_band(_estimate, record, OMEGA, groups=2)
+        jackknife_band(oscillators(1, 4), repetitions(_estimate, record, 2), OMEGA)
     with pytest.raises(BadInput, match="3 of 3 repetitions of the fit failed"):
-        jackknife_band(_estimate, record, OMEGA, groups=3, whole=oscillators(1, 4))
+        jackknife_band(oscillators(1, 4), repetitions(_estimate, record, 3), OMEGA)

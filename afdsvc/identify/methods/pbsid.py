@@ -9,15 +9,16 @@ reacts to y without delay, ``feedthrough`` must be off.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy import linalg
 
 from afdsvc.dataset.arrays import InputOutputData, scale_recordings, scales
 from afdsvc.errors import BadInput
-from afdsvc.identify.numerics.compression import Route, compress, lags
+from afdsvc.identify.numerics.compression import Route, compress, compress_groups, compress_size, join, lags, leave_out
 from afdsvc.identify.numerics.innovations_form import InnovationsForm, with_stable_predictor
 from afdsvc.lti.statespace import Array, StateSpace
 
@@ -56,6 +57,17 @@ def decompose_predictor(
     factor = compress(relative, past + 1, route)
     windows = sum(max(0, len(r) - past) for r in relative)
     return decompose_predictor_factor(factor, windows, past, future, feedthrough, (u_scale, y_scale), recordings[0].dt)
+
+
+def decompose_predictor_groups(
+    recordings: Sequence[InputOutputData], past: int, groups: int, feedthrough: bool = False
+) -> tuple[Predictor, list[Callable[[], Predictor]]]:
+    """Return the decomposition, and for each of ``groups`` groups of consecutive windows the way to that of all the others; one pass over the data."""
+    scale, windows = scales(recordings), compress_size(recordings, past + 1)
+    factors = compress_groups(scale_recordings(recordings, *scale), past + 1, groups)
+    known = (past, max(2, past // 3), feedthrough, scale, recordings[0].dt)
+    whole = decompose_predictor_factor(join(factors), windows, *known)
+    return whole, [partial(decompose_predictor_factor, rest, windows - windows // groups, *known) for rest in leave_out(factors)]
 
 
 def decompose_predictor_factor(

@@ -13,11 +13,11 @@ from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.identify.cross_validation import Choice, Feedback, choose_candidate, feedback_of, fitted_candidate
 from afdsvc.identify.excitation import Excitation, require_excitation, supported_order
-from afdsvc.identify.fit import Fit, jackknife_band
+from afdsvc.identify.fit import Fit, jackknife_band, repetitions
 from afdsvc.identify.methods.black_box_pem import black_box_band, black_box_pem
 from afdsvc.identify.methods.greybox import GreyboxOptions, fit_greybox, greybox_band
 from afdsvc.identify.methods.hansen import loop_is_stable, rebuilt_plant, youla_signals
-from afdsvc.identify.methods.pbsid import decompose_predictor, realise_predictor
+from afdsvc.identify.methods.pbsid import Predictor, decompose_predictor, decompose_predictor_groups, realise_predictor
 from afdsvc.identify.methods.repeated_indirect import NoiseCovariances, fit_recentred
 from afdsvc.identify.methods.subspace import Subspace, Weighting, decompose, realise
 from afdsvc.identify.numerics.innovations_form import InnovationsForm, fitted_errors
@@ -80,8 +80,7 @@ def hansen(problem: Prepared, options: IdentifyOptions) -> MethodResult:
     fit = Fit("hansen", _output_error(full), found.singular_values, reason, deviation=S.system, notes=(note,))
     if wanted >= full.order:
         return MethodResult(
-            _banded(fit, _hansen_repeat(fact, found.horizon, order, options, None, wanted), problem.training, options),
-            full,
+            _banded(fit, repetitions(_hansen_repeat(fact, found.horizon, order, options, None, wanted), problem.training, options.groups)), full
         )
     reductions = _reductions(full, fact, wanted, problem.training, options)
     if options.reduction == "refined":
@@ -92,7 +91,7 @@ def hansen(problem: Prepared, options: IdentifyOptions) -> MethodResult:
         notes=(f"{note}, reduced to {wanted} by {reductions[0].method} truncation",),
     )
     repeat = _hansen_repeat(fact, found.horizon, order, options, reductions[0].method, wanted)
-    return MethodResult(_banded(fit, repeat, problem.training, options), full, tuple(reductions))
+    return MethodResult(_banded(fit, repetitions(repeat, problem.training, options.groups)), full, tuple(reductions))
 
 
 def _refined(
@@ -209,7 +208,7 @@ def subspace(problem: Prepared, options: IdentifyOptions) -> MethodResult:
             decompose(recordings, found.horizon, cast(Weighting, options.weighting)), order, stable=True, feedthrough=feedthrough
         ).system
 
-    return MethodResult(_banded(fit, estimate, problem.training, options))
+    return MethodResult(_banded(fit, repetitions(estimate, problem.training, options.groups)))
 
 
 def pbsid(problem: Prepared, options: IdentifyOptions) -> MethodResult:
@@ -219,13 +218,13 @@ def pbsid(problem: Prepared, options: IdentifyOptions) -> MethodResult:
         exciting(problem, problem.played, options.order or problem.nominal.order)
     past, order, reason = _closed_loop_order(problem, options)
     feedthrough = bool(options.feedthrough)
-    found = decompose_predictor(problem.training, past, feedthrough=feedthrough)
+    found, without = decompose_predictor_groups(problem.training, past, max(options.groups, 2), feedthrough)
     fit = Fit("pbsid", realise_predictor(found, order), found.singular_values, reason, notes=(f"past window {past}, {'with' if feedthrough else 'without'} feedthrough",))
 
-    def estimate(recordings: Sequence[InputOutputData]) -> StateSpace:
-        return realise_predictor(decompose_predictor(recordings, past, feedthrough=feedthrough), order).system
+    def realised(rest: Callable[[], Predictor]) -> Callable[[], StateSpace]:
+        return lambda: realise_predictor(rest(), order).system
 
-    return MethodResult(_banded(fit, estimate, problem.training, options))
+    return MethodResult(_banded(fit, [realised(rest) for rest in without[: options.groups]]))
 
 
 def pem(problem: Prepared, options: IdentifyOptions) -> MethodResult:
@@ -285,7 +284,7 @@ def _fitted_choice(recordings: Sequence[InputOutputData], choice: Choice, option
         return fit
     if c.refined:
         return replace(fit, band=black_box_band(model, recordings, omega_grid(model.system.dt), c.refined == "pem", options.groups))
-    return _banded(fit, lambda several: fitted_candidate(c, several).system, recordings, options)
+    return _banded(fit, repetitions(lambda several: fitted_candidate(c, several).system, recordings, options.groups))
 
 
 def _simulates(model: InnovationsForm, recordings: Sequence[InputOutputData]) -> bool:
@@ -414,16 +413,8 @@ def _chosen(reductions: Sequence[ReducedPlant]) -> StateSpace:
     return best.system
 
 
-def _banded(
-    fit: Fit,
-    estimate: Callable[[Sequence[InputOutputData]], StateSpace],
-    recordings: Sequence[InputOutputData],
-    options: IdentifyOptions,
-) -> Fit:
-    if not options.groups:
-        return fit
-    band = jackknife_band(estimate, recordings, omega_grid(fit.system.dt), options.groups, whole=fit.system)
-    return replace(fit, band=band)
+def _banded(fit: Fit, repeated: Sequence[Callable[[], StateSpace]]) -> Fit:
+    return replace(fit, band=jackknife_band(fit.system, repeated, omega_grid(fit.system.dt))) if repeated else fit
 
 
 __all__ = ["MethodResult", "band_hz", "chosen", "exciting", "greybox", "hansen", "indirect", "omega_grid", "output_error", "pbsid", "pem", "subspace"]

@@ -12,7 +12,7 @@ factor R (``R^T R`` = sum of all window products) has the size of a window, what
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Literal, cast
 
 import numpy as np
@@ -50,20 +50,21 @@ def _factor(stacks: Sequence[Array], length: int, route: Route) -> Array:
 
 
 def compress_groups(recordings: Sequence[InputOutputData], length: int, groups: int, route: Route = "auto") -> list[Array]:
-    """Return the factors of consecutive groups of windows (about ``groups`` in all); together they hold all the data.
-
-    A group of few windows gives a factor with fewer rows than columns. Raises `BadInput` as `compress` does.
-    """
+    """Return the factors of ``groups`` equal groups of consecutive windows; together they hold all the data. Raises `BadInput` as `compress` does."""
     total = compress_size(recordings, length)
-    share = -(-total // groups)
-    factors = []
+    return [_factor(_windows(recordings, length, a, b), length, route) for a, b in pairwise(total * g // groups for g in range(groups + 1))]
+
+
+def _windows(recordings: Sequence[InputOutputData], length: int, start: int, stop: int) -> list[Array]:
+    """Return the stretches that hold windows ``start`` to ``stop`` of all the recordings' windows."""
+    stretches, before = [], 0
     for r in recordings:
-        windows = len(r) - length + 1
-        pieces = max(1, round(windows / share))
-        edges = np.linspace(0, windows, pieces + 1).astype(int)
-        spans = [r.span(int(a), int(b) + length - 1) for a, b in pairwise(edges) if windows > 0]
-        factors += [_factor([np.hstack([s.u, s.y])], length, route) for s in spans]
-    return factors
+        windows = max(0, len(r) - length + 1)
+        a, b = max(start - before, 0), min(stop - before, windows)
+        if b > a:
+            stretches.append(np.hstack([r.u, r.y])[a : b + length - 1])
+        before += windows
+    return stretches
 
 
 def compress_size(recordings: Sequence[InputOutputData], length: int) -> int:
@@ -81,6 +82,13 @@ def compress_size(recordings: Sequence[InputOutputData], length: int) -> int:
 def join(factors: Sequence[Array]) -> Array:
     """Return the factor of all the data whose factors are given (R-only update)."""
     return triangle(np.vstack(list(factors)))
+
+
+def leave_out(factors: Sequence[Array]) -> list[Array]:
+    """Return for each of at least two factors that of the data of all the others."""
+    before, after = (list(accumulate(several, lambda a, b: join([a, b]))) for several in (factors, factors[::-1]))
+    middle = [join(pair) for pair in zip(before, after[-3::-1], strict=False)]
+    return [after[-2], *middle, before[-2]]
 
 
 def factor_of(blocks: Callable[[], Iterator[Array]]) -> Array:

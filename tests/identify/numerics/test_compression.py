@@ -7,7 +7,7 @@ import pytest
 
 from afdsvc.dataset.arrays import InputOutputData
 from afdsvc.errors import BadInput
-from afdsvc.identify.numerics.compression import compress, compress_groups, factor_of, join, lags
+from afdsvc.identify.numerics.compression import compress, compress_groups, factor_of, join, lags, leave_out
 
 
 def _recordings(seed=0, lengths=(300, 170), m=2, p=1):
@@ -43,9 +43,13 @@ def test_automatic_route_leaves_the_fast_one_where_the_data_are_nearly_dependent
 def test_groups_together_hold_all_the_data():
     recordings = _recordings(lengths=(500, 333))
     whole, parts = compress(recordings, 6, "qr"), compress_groups(recordings, 6, 7)
-    assert len(parts) in (6, 7, 8)
-    joined = join(parts)
+    assert len(parts) == 7
+    joined, H = join(parts), _windows(recordings, 6)
     assert np.abs(joined.T @ joined - whole.T @ whole).max() < 1e-11 * np.abs(whole.T @ whole).max()
+    for g, rest in enumerate(leave_out(parts)):
+        own = slice(g * len(H) // 7, (g + 1) * len(H) // 7)
+        others = np.delete(H, own, axis=0)
+        assert np.abs(rest.T @ rest - others.T @ others).max() < 1e-11 * np.abs(whole.T @ whole).max()
 
 
 def test_lags_name_the_columns_of_a_window():
