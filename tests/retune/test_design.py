@@ -162,6 +162,22 @@ def test_the_accepted_sensitivity_costs_less_than_a_tenth_of_the_reduction():
     assert after[:3].max() <= RETUNE.sensitivity
 
 
+def test_the_bound_where_the_diagnosis_is_wrong_gives_way_only_where_that_brings_enough():
+    problem, found = random_problem(2), DiagnosedFault("actuator_0", -0.35, -0.25)
+    cost = loop_cost(problem, {})
+
+    def reached_and_wrong(*bounds):
+        Q = design_q(problem, found, cost, replace(RETUNE, sensitivity_if_wrong=bounds))
+        return expected(problem, found, cost, Q).reached.mean(), sensitivities(problem, found, Q)[3:, 1].max()
+
+    reached, wrong = reached_and_wrong(3.0, 12.0)
+    assert reached > RETUNE.enough
+    assert 3.0 < wrong < 12.0
+    reached, wrong = reached_and_wrong(3.0, 3.5)
+    assert reached < RETUNE.enough
+    assert wrong <= 3.0
+
+
 def test_the_slope_of_the_price_of_sensitivity_is_that_of_finite_differences():
     problem, found, rng = bearing_problem("proportional"), DiagnosedFault("vertical_sensor", -0.4, -0.3), np.random.default_rng(2)
     models = [damaged_model(problem, loop_cost(problem, {}), {})]
