@@ -153,9 +153,9 @@ def _error(play: Player, runs: Sequence[Run], point: Point) -> float:
 
 
 def unclaimed(verdict: Verdict, why: str, doubtful: bool) -> Verdict:
-    """Return the verdict without its names; ``why`` in a sentence. Where it is ``doubtful`` that there is a gap, its size decides."""
+    """Return the verdict without its names, and what the gap test says; ``why`` in a sentence. Where it is ``doubtful`` that there is a gap, its size decides."""
     seen = not doubtful or verdict.gap.present or verdict.gap.total > DOUBT
-    return replace(verdict, verdict="unexplained" if seen else "consistent", claims=(), sentences=(why, *verdict.sentences))
+    return replace(verdict, verdict="unexplained" if seen else "consistent", claims=(), sentences=(verdict.gap.sentence, why))
 
 
 def doubted(verdict: Verdict, why: str, most: float) -> Verdict:

@@ -39,7 +39,7 @@ def _judged(
     monkeypatch.setattr(module, "player", lambda problem, last: play)
     monkeypatch.setattr(module, "fit", lambda problem, point, *a, **k: SimpleNamespace(point=point))
     claim = Claim(SimpleNamespace(hypothesis=hypothesis), 1.0, 1, 0.5)
-    verdict = Verdict("omitted_physics", (claim,), (), SimpleNamespace(present=present, total=0.02), None, (0.5, 0.1))
+    verdict = Verdict("omitted_physics", (claim,), ("closes 50 % of the gap",), SimpleNamespace(present=present, total=0.02, sentence="the gap"), None, (0.5, 0.1))
     return module.checked_on_holdout(found, verdict, [], attempt)
 
 
@@ -61,6 +61,9 @@ def test_a_name_that_does_worse_than_the_model_without_it_is_refuted(final, stat
     assert answer.unconfirmed
     assert answer.verdict.verdict == "unexplained"
     assert not answer.verdict.claims
+    gap, why = answer.verdict.sentences  # what a name that is not claimed closes is not said
+    assert gap == "the gap"
+    assert why.endswith("nothing is claimed")
     assert not final(0.5, 0.4, 0.2).unconfirmed
 
 
