@@ -11,6 +11,7 @@ from afdsvc.api.model import Model
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.periods import fold
 from afdsvc.dataset.sample_checks import Finding
+from afdsvc.dataset.units import with_unit
 from afdsvc.lti.statespace import Array
 
 LEVELS_APART = 1.2
@@ -46,7 +47,7 @@ def check_excitation(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
         p = input_source(runs, i)
         if not any(p.rms) and not all(only_noise(r, i) for r in runs):
             levels = ", ".join(f"{r.U[:, i].mean():.3g}" for r in runs)
-            yield Finding("ok", "inputs", f"input {v.name}: constant in every recording ({levels} {v.unit}); its effect shows in how the outputs settle")
+            yield Finding("ok", "inputs", f"input {v.name}: constant in every recording ({with_unit(levels, v.unit)}); its effect shows in how the outputs settle")
         elif not any(p.rms):
             yield Finding("warning", "inputs", f"input {v.name} is not excited: its effect cannot be distinguished from noise")
         elif p.lines <= 2 and p.periods > 1:
@@ -66,7 +67,7 @@ def _described(name: str, unit: str, p: InputSource) -> str:
         f"a non-periodic excitation, mainly from {p.band[0]:.4g} to {p.band[1]:.4g} Hz"
     )
     levels = ", ".join(f"{x:.3g}" for x in p.rms)
-    return f"input {name}: {what}, rms {levels} {unit}"
+    return f"input {name}: {what}, rms {with_unit(levels, unit)}"
 
 
 def input_source(runs: Sequence[Run], i: int) -> InputSource:

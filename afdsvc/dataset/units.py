@@ -16,6 +16,15 @@ def unit_registry() -> Any:
     return UnitRegistry()
 
 
+def with_unit(number: str, unit: str) -> str:
+    """Return a number as text with its unit; without one where it is dimensionless.
+
+    >>> with_unit("0.3", "rad/s"), with_unit("105", "1")
+    ('0.3 rad/s', '105')
+    """
+    return number if unit in ("", "1") else f"{number} {unit}"
+
+
 @lru_cache(maxsize=256)
 def is_velocity(unit: str) -> bool:
     """Return whether a unit is that of a linear or angular velocity ("m/s", "rad/s", "rpm"); False for units not known.

@@ -19,8 +19,8 @@ def loop(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
     if not stable:
         yield Finding(
             "warning", "stability",
-            "the nominal model is not stable by itself (a pole at zero or beyond): it is not simulated freely but corrected by the "
-            "measured outputs, or with the controller closed",
+            "the nominal model is not stable by itself (a pole at zero or beyond): where a simulation from the inputs drifts away, it is "
+            "corrected by the measured outputs, or the controller is closed around it",
         )
     known = nominal.model.controller is not None and any(r.W is not None for r in runs)
     driven = any(r.commanded or np.ptp(r.REF, axis=0).max(initial=0.0) > 0 for r in runs)

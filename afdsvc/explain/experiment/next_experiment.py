@@ -10,6 +10,7 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst
 from afdsvc.dataset.experiment import Run, sampled
+from afdsvc.dataset.units import with_unit
 from afdsvc.explain.check.information import noise_sd
 from afdsvc.explain.check.lines import line_response
 from afdsvc.explain.experiment.plans import PERIODS, Plan, multisine_plan, plans
@@ -80,7 +81,7 @@ def _sentence(found: Found, names: tuple[str, str], plan: Plan, apart: float, re
     doubt = "" if apart >= ENOUGH else "; even that may not separate them"
     return (
         f"to separate {names[0]} from {names[1]}: an odd multisine on input {' and '.join(x.name for x in ports)} from {plan.band[0]:.4g} to "
-        f"{plan.band[1]:.4g} Hz at {level}, peak {plan.peak:.4g} {ports[0].unit}; the two would differ by {apart:.2g} standard deviations, "
+        f"{plan.band[1]:.4g} Hz at {level}, peak {with_unit(f'{plan.peak:.4g}', ports[0].unit)}; the two would differ by {apart:.2g} standard deviations, "
         f"against {repeated:.2g} in the present band at the present level{doubt}"
     )
 
@@ -102,8 +103,8 @@ def first_experiment(nominal: Nominal, runs: Sequence[Run]) -> NextExperiment | 
     burst = replace(shape, name="first_experiment", lines=tuple(replace(x, amplitude=x.amplitude * level) for x in shape.lines))
     names, unit = " and ".join(v.name for v in nominal.model.inputs), nominal.model.inputs[0].unit
     said = (
-        f"to excite the machine: an odd multisine with detection lines on input {names} from {band[0]:.4g} to {band[1]:.4g} Hz, peak {level:.4g} "
-        f"{unit}, {PERIODS} periods of {burst.samples / PERIODS * dt:g} s, and the same at half the level"
+        f"to excite the machine: an odd multisine with detection lines on input {names} from {band[0]:.4g} to {band[1]:.4g} Hz, peak {with_unit(f'{level:.4g}', unit)}, "
+        f"{PERIODS} periods of {burst.samples / PERIODS * dt:g} s, and the same at half the level"
     )
     return NextExperiment(said, burst, 0.0, 0.0, 1.0, band)
 

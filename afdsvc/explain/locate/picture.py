@@ -128,5 +128,5 @@ def _law(drawn: LawSite, heights: Array, sd: Array, named: Array | None, gained:
     y, band = adds + drawn.factor * heights, WIDE * abs(drawn.factor) * sd
     beside = None if named is None else adds + drawn.factor * named
     tested = f"on left-out blocks it removes {100 * gained:.0f} % of the squared error" if gained > 0 else "left-out blocks do not confirm it"
-    said = f"{drawn.words}: {described(x, y, np.abs(band), drawn.adds, drawn.of)}; {tested}"
+    said = f"{drawn.words}: {described(x, y, np.abs(band), drawn.adds, drawn.of, drawn.unit)}; {tested}"
     return LawPicture(drawn.words, drawn.against, drawn.unit, drawn.of.unit, x, y, y - band, y + band, beside, said)

@@ -10,7 +10,7 @@ import numpy as np
 from afdsvc.api.evidence import p_value_text
 from afdsvc.api.physics import Size
 from afdsvc.dataset.experiment import Run
-from afdsvc.dataset.units import is_velocity
+from afdsvc.dataset.units import is_velocity, with_unit
 from afdsvc.explain.gap.decision import flexible_prediction
 from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.locate.residual import signal_names, signals
@@ -82,9 +82,9 @@ UNEVEN = 1.3  # ratio of the sizes in both directions from which it is said
 POOR = 0.35  # error of the best power law, over the curve's rms, from which no form is stated
 
 
-def described(x: Array, y: Array, band: Array, adds: bool, of: Size) -> str:
-    """Return a curve ``y (k,)`` at ``x (k,)`` in words; ``adds`` for an input or a sensor, whose curve is read against ``x``."""
-    return _gains(x, y) if adds else _force(x, y, band, "the speed" if is_velocity(of.unit) else of.name)
+def described(x: Array, y: Array, band: Array, adds: bool, of: Size, unit: str = "") -> str:
+    """Return a curve ``y (k,)`` [unit] at ``x (k,)`` in words; ``adds`` for an input or a sensor, whose curve is read against ``x``."""
+    return _gains(x, y) if adds else _force(x, y, band, "the speed" if is_velocity(of.unit) else of.name, unit)
 
 
 def _gains(x: Array, y: Array) -> str:
@@ -94,14 +94,14 @@ def _gains(x: Array, y: Array) -> str:
     return f"passes small changes {middle:.3g} times, {float(slope[0]):.3g} times at the lower and {float(slope[-1]):.3g} times at the upper end"
 
 
-def _force(x: Array, y: Array, band: Array, what: str) -> str:
+def _force(x: Array, y: Array, band: Array, what: str, unit: str) -> str:
     """Return the power law, with a size for either direction, that fits best."""
     weight = 1 / np.maximum(band, 0.05 * np.abs(y).max() + 1e-300)
     fits = [_power(x, y, weight, n) for n in POWERS]
     n, size, error = POWERS[int(np.argmin([f[1] for f in fits]))], *min(fits, key=lambda f: f[1])
     rms = float(np.sqrt(np.average(y**2, weights=weight**2)))
     if error > POOR * rms:
-        return f"a force of {float(y.min()):.3g} to {float(y.max()):.3g} that no power of {what} describes"
+        return f"a force of {with_unit(f'{float(y.min()):.3g} to {float(y.max()):.3g}', unit)} that no power of {what} describes"
     grows = next((words for limit, words in GROWTH if n < limit), "grows with the third power or more of {0}").format(what)
     up, down = float(size[0]), float(size[1])
     both = x[0] < 0 < x[-1] and up * down != 0

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from afdsvc.api.physics import Coefficient, Hypothesis, site_words
+from afdsvc.dataset.units import with_unit
 from afdsvc.explain.report.explanation import Estimate, Named, Nearest, Rejected
 from afdsvc.explain.search.fit import Coordinates, Fit, fit, logarithmic
 from afdsvc.explain.search.forward import Found, Round
@@ -61,7 +62,7 @@ def _named(claim: Claim, parameters: Mapping[str, Estimate], alike: int, partial
 def value_text(name: str, e: Estimate) -> str:
     """Return a number with its name, standard deviation and unit."""
     spread = "" if e.sd is None else f" +- {e.sd:.2g}"
-    return f"{name} {e.value:.4g}{spread}{' ' + e.unit if e.unit else ''}"
+    return f"{name} {with_unit(f'{e.value:.4g}{spread}', e.unit)}"
 
 
 def estimates(problem: Problem, of: Fit, horizon: float) -> list[dict[str, Estimate]]:
@@ -119,7 +120,7 @@ def _why(c: Candidate, step: Round) -> str:
     closes = f"closes {100 * c.evidence.explained:.0f} % of the gap" if c.evidence.explained > 0 else "closes nothing of the gap"
     if not step.accepted:
         return f"{closes}; {step.reason}" if c is best else f"{closes}, less than {best.hypothesis.title}, which is not accepted either"
-    return f"{closes} on left-out blocks, {best.hypothesis.title} {100 * best.evidence.explained:.0f} %"
+    return f"{closes} on left-out blocks; {best.hypothesis.title} closes {100 * best.evidence.explained:.0f} %"
 
 
 def nearest(found: Found, most: int = 3) -> tuple[Nearest, ...]:

@@ -70,7 +70,7 @@ def _excited(verdict: Verdict, findings: Sequence[Finding]) -> Verdict:
     poor = insufficient_excitation(findings)
     if verdict.verdict == "unexplained":
         poor = poor or one_frequency(findings)
-    if verdict.verdict == "consistent" and not verdict.gap.enough:
+    if verdict.verdict in ("consistent", "unexplained") and not (verdict.gap.present or verdict.gap.enough):
         poor = poor or "the residual changes too slowly for the length of the recordings to tell a gap from noise"
     if not poor or verdict.claims:
         return verdict

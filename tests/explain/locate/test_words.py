@@ -18,11 +18,11 @@ X = np.array([-3, -1.5, -0.6, -0.1, 0, 0.1, 0.6, 1.5, 3.0])
         (lambda v: -2 * v * np.abs(v), ["square of the speed", "changes sign"]), (lambda v: -np.sign(v), ["same size at every value of the speed", "changes sign"]),
         (lambda v: 0.3 * v**2, ["square of the speed", "keeps its sign"]), (lambda v: -0.5 * v, ["in proportion to the speed", "changes sign"]),
         (lambda v: -0.1 * v**3, ["third power", "changes sign"]), (lambda v: np.where(v > 0, -2 * v, -v), ["2 times as large forwards"]),
-        (lambda v: np.sin(4 * v), ["no power of the speed describes"]),
+        (lambda v: np.sin(4 * v), ["N that no power of the speed describes"]),
     ],
 )
 def test_a_force_against_speed(law, words):
-    said = described(X, law(X), 0.01 * np.ones(len(X)), False, SPEED)
+    said = described(X, law(X), 0.01 * np.ones(len(X)), False, SPEED, "N")
     assert all(w in said for w in words), said
 
 
