@@ -62,11 +62,27 @@ def aligned(
     kept = [p for p in pieces if len(p.values) >= SHORTEST]
     if not kept:
         longest = max((len(p.values) for p in pieces), default=0)
-        raise BadInput(f"{where}: the longest stretch without a gap has {longest} samples; expected at least {SHORTEST}")
+        raise BadInput(
+            f"{where}: the longest stretch without a gap has {longest} samples; expected at least {SHORTEST}. Where values are stored when they "
+            "change, state [resample] dt = ... and hold = true in the mapping file; where samples are missing, a larger [resample] gap bridges them"
+        )
     if len(kept) < len(pieces):
         lost = sum(len(p.values) for p in pieces if len(p.values) < SHORTEST)
         remarks.append(f"stretches shorter than {SHORTEST} samples are left out: {len(pieces) - len(kept)}, with {lost} samples in all")
     return kept, remarks
+
+
+def held(groups: Sequence[Group], where: str, dt: float) -> tuple[list[Piece], list[str]]:
+    """Return one piece every ``dt`` [s] of values that hold until the next one, and what was done; raises `BadInput` as `aligned` does."""
+    remarks: list[str] = []
+    known = [_ordered(Group(f"{g.name}, {name}", g.t[ok := np.isfinite(v)], {name: v[ok]}), where, remarks) for g in groups for name, v in g.columns.items()]
+    start, end = max(g.t[0] for g in known), max(g.t[-1] for g in known)
+    count = int((end - start) / dt * (1 + 1e-12)) + 1
+    if count < SHORTEST:
+        raise BadInput(f"{where}: {max(count, 0)} samples of {dt:.6g} s from when every signal has a value; expected at least {SHORTEST}")
+    t = start + dt * np.arange(count)
+    columns = [values[np.searchsorted(g.t, t, side="right") - 1] for g in known for values in g.columns.values()]
+    return [Piece(start, dt, np.column_stack(columns))], [*remarks, f"a value holds until the next one; one sample every {dt:.6g} s"]
 
 
 def _ordered(group: Group, where: str, remarks: list[str]) -> Group:

@@ -14,7 +14,7 @@ from afdsvc.api.model import Model
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.errors import BadInput
 from afdsvc.files.recording.reader import Recording
-from afdsvc.files.tables.alignment import Group, aligned
+from afdsvc.files.tables.alignment import Group, aligned, held
 from afdsvc.files.tables.foreign_mcap import maps, read_topics
 from afdsvc.files.tables.formats import opened, read_columns
 from afdsvc.files.tables.historian import is_export, read_export
@@ -64,7 +64,10 @@ def _mapped(path: Path, groups: Sequence[Group], done: Sequence[str], mapping: D
             channels.append(channel)
             remarks.append(sentence)
         named.append(Group(group.name, group.t, columns))
-    pieces, aligning = aligned(named, str(path), wanted, mapping.resample.gap, mapping.time.regular)
+    if mapping.resample.hold:
+        pieces, aligning = held(named, str(path), mapping.resample.dt or 0.0)
+    else:
+        pieces, aligning = aligned(named, str(path), wanted, mapping.resample.gap, mapping.time.regular)
     notes = {"path": str(path), PREPARED: "\n".join([*remarks, *aligning])}
     order = _order(channels)
     sorted_channels = tuple(channels[i] for i in order)

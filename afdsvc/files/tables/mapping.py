@@ -61,10 +61,20 @@ class Time(Strict):
 
 
 class Resample(Strict):
-    """The sample time [s] (default: the model's, or that of the slowest signal, without), and what counts as a gap, in samples."""
+    """The sample time [s] (default: the model's, or that of the slowest signal, without), and what counts as a gap, in samples.
+
+    ``hold``: a value is stored when it changes, and holds until the next one, as historians do; ``dt`` has to be given then.
+    """
 
     dt: Positive | None = None
     gap: Annotated[float, Field(gt=1.05)] = 1.5
+    hold: bool = False
+
+    @model_validator(mode="after")
+    def _on_a_grid(self) -> Resample:
+        if self.hold and self.dt is None:
+            raise ValueError("'hold' needs 'dt', the sample time in seconds")
+        return self
 
 
 class DataMapping(Strict):

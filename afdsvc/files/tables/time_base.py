@@ -33,7 +33,7 @@ def time_base(t: Array, where: str) -> tuple[float, float]:
         raise BadInput(f"{where} holds {len(t)} rows; expected at least 2 to tell the sample time")
     _refuse(np.isnan(t) | np.isinf(t), where, lambda i: f"holds {t[i]}; expected a time")
     steps = np.diff(t, prepend=np.nan)
-    _refuse(steps <= 0, where, lambda i: f"goes from {t[i - 1]!r} to {t[i]!r}; expected times that increase")
+    _refuse(steps <= 0, where, lambda i: f"goes from {t[i - 1]:.15g} to {t[i]:.15g}; expected times that increase")
     step = float(np.median(steps[1:]))
     _refuse(
         steps > 1.5 * step, where,

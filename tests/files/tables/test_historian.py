@@ -49,3 +49,31 @@ def test_a_tag_that_is_not_there_is_named_with_those_that_are(export: Path, tmp_
     (tmp_path / "m.toml").write_text('[signals]\nu_voltage = "MOTOR.volts"\n')
     with pytest.raises(BadInput, match=r"no tag 'MOTOR\.volts' to be mapped; it has MOTOR\.speed_rpm, MOTOR\.voltage_V"):
         read_foreign_columns(export, read_mapping(tmp_path / "m.toml"))
+
+
+def test_values_stored_when_they_change_hold_until_the_next_one(tmp_path: Path):
+    rng = np.random.default_rng(2)
+    times = {"voltage_V": np.sort(rng.uniform(0, 30, 60)), "speed_rpm": np.sort(rng.uniform(0, 30, 200))}
+    values = {tag: np.round(rng.standard_normal(len(t)), 4) for tag, t in times.items()}
+    rows = [f"2026-11-21T10:00:{s:09.6f}Z,{tag},{v}" for tag, t in times.items() for s, v in zip(t, values[tag], strict=True)]
+    (tmp_path / "export.csv").write_text("Timestamp,TagName,Value\n" + "\n".join(rows) + "\n")
+    signals = '[signals]\nu_voltage = "voltage_V"\ny_speed = "speed_rpm"\n'
+    (tmp_path / "even.toml").write_text(signals)
+    with pytest.raises(BadInput, match=r"state \[resample\] dt = ... and hold = true"):
+        read_foreign_columns(tmp_path / "export.csv", read_mapping(tmp_path / "even.toml"))
+    (tmp_path / "held.toml").write_text(signals + "[resample]\ndt = 0.1\nhold = true\n")
+    (trace,) = read_foreign_columns(tmp_path / "export.csv", read_mapping(tmp_path / "held.toml"))
+    start = max(round(t[0], 6) for t in times.values())
+    grid = start + 0.1 * np.arange(len(trace.values))
+    for channel, tag in zip(trace.channels, ("voltage_V", "speed_rpm"), strict=True):
+        assert channel.name == {"voltage_V": "u_voltage", "speed_rpm": "y_speed"}[tag]
+        last = [max(k for k, s in enumerate(times[tag]) if round(s, 6) <= g + 1e-9) for g in grid]
+        assert trace.values[:, trace.channels.index(channel)].tolist() == values[tag][last].tolist()
+    assert "export.csv: a value holds until the next one; one sample every 0.1 s" in prepared([trace])
+    assert grid[-1] <= max(t[-1] for t in times.values()) < grid[-1] + 0.1
+
+
+def test_holding_needs_a_sample_time(tmp_path: Path):
+    (tmp_path / "held.toml").write_text('[signals]\nu_v = "v"\n[resample]\nhold = true\n')
+    with pytest.raises(BadInput, match="'hold' needs 'dt'"):
+        read_mapping(tmp_path / "held.toml")
