@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 from rich.text import Text
 
+from afdsvc.dataset.units import with_unit
 from afdsvc.present.text_plot import LEGEND, close_up, text_plot
 
 if TYPE_CHECKING:
@@ -164,6 +165,8 @@ def _candidate_table(candidates: list[dict[str, Any]]) -> None:
     OUT.print(table)
 
 
+EPOCH = 1e6  # s; a recording that begins later counts from another day, and times are shown from its start
+APART = 0.1  # distance of the means over the deviation of an output, from which it is shown
 MEASURES = {"r2": "R2 of the thesis (4.38), 1 - NRMSE", "r2_classical": "R2, 1 - ratio of variances"}
 
 
@@ -351,7 +354,10 @@ def show_check(result: CheckResult, document: dict[str, Any]) -> None:
         part = close_up(c.measured, c.simulated)
         late = f", {1e3 * c.delay:.3g} ms later" if c.delay else ""
         unit = f" [{c.unit}]" if c.unit else ""
-        OUT.print(f"\n{c.output}{unit}, {c.t[part][0]:.4g} to {c.t[part][-1]:.4g} s, {c.how}: R2 {c.r2:.3f}, gain {c.gain:.3g}{late}", style="bold", soft_wrap=True)
+        apart = f", means {with_unit(f'{c.offset:.3g}', c.unit)} apart (left out of both)" if abs(c.offset) > APART * c.measured.std() else ""
+        begin, end = c.t[part][[0, -1]] - (c.t[0] if c.t[0] > EPOCH else 0.0)
+        r2 = f"R2 {c.r2:.3f}" if c.r2 > -1e3 else "R2 below -1000"
+        OUT.print(f"\n{c.output}{unit}, {begin:.4g} to {end:.4g} s, {c.how}: {r2}, gain {c.gain:.3g}{late}{apart}", style="bold", soft_wrap=True)
         OUT.print("\n".join([*text_plot(c.measured[part], c.simulated[part]), f"{'':10}{LEGEND}"]), no_wrap=True, overflow="crop")
     OUT.print(f"\nidentify: {document['identify']['sentence']}", soft_wrap=True)
     if result.outputs:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
+import numpy as np
+
 from afdsvc.present import terminal
 
 
@@ -25,3 +29,20 @@ def test_an_alarm_that_follows_from_another_shows_which_in_the_place_of_its_stat
     assert ["active" in row for row in rows] == [True, False]
     assert ["-6.5" in row for row in rows] == [True, False]
     assert "follows from" in rows[1]
+
+
+def test_an_output_is_shown_about_the_means_with_what_lies_between_them_and_times_of_another_day_from_the_start():
+    t = 1.79e9 + 0.01 * np.arange(300)
+    y = np.sin(t)
+    shown = SimpleNamespace(
+        output="speed", unit="rpm", t=t, measured=y, simulated=y, offset=500.0, r2=-4.7e7, gain=1.0, delay=0.0, how="simulated from the inputs"
+    )
+    document = {"data": [], "identify": {"sentence": ""}, "explain": {"axes": [], "tried": [], "not_tried": {}}, "report": "page.html"}
+    with terminal.OUT.capture() as seen:
+        terminal.show_check(SimpleNamespace(findings=(), outputs=(shown,)), document)
+        terminal.show_check(SimpleNamespace(findings=(), outputs=(SimpleNamespace(**{**vars(shown), "offset": 0.0, "r2": 0.5, "t": t - 1.79e9}),)), document)
+    far, near = (line for line in seen.get().splitlines() if line.startswith("speed [rpm]"))
+    assert far.endswith("s, simulated from the inputs: R2 below -1000, gain 1, means 500 rpm apart (left out of both)")
+    assert float(far.split()[2]) < 3
+    assert far.split()[2:5] == near.split()[2:5]
+    assert near.endswith("R2 0.500, gain 1")

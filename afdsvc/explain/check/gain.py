@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,11 +15,13 @@ from afdsvc.lti.statespace import Array
 FACTORS = {  # factors that wrong units make
     1e3: "1000", 1e-3: "1/1000", 1e6: "1e6", 1e-6: "1e-6", 1e2: "100", 1e-2: "1/100", np.pi / 180: "pi/180 (degrees for radians)",
     180 / np.pi: "180/pi (radians for degrees)", 2 * np.pi: "2 pi", 0.5 / np.pi: "1/(2 pi)", 10.0: "10", 0.1: "1/10",
+    np.pi / 30: "pi/30 (rad/s for rpm)", 30 / np.pi: "30/pi (rpm for rad/s)",
 }
 ALIKE = 1.35  # ratio within which a measured factor counts as one of those
 FAR = 3.0  # ratio to the model's gain from which it is reported
 SURE, SURER = 0.5, 0.7  # shares of an output's lines that the scaled model must explain for a factor to be reported, and to stop
 STOP = 20.0  # ratio from which a wrong unit stops: nearer to one, a model may just be a bad one
+TINY = 0.01  # size of an output's lines over what the model says, below which it is another signal if it does not follow the model either
 VISIBLE = 0.1  # share of an output an input must cause for its factor to be reported
 SHIFTS = 40
 
@@ -41,7 +43,7 @@ def gains(nominal: Nominal, lines: ExcitedLines) -> Iterator[Finding]:
         return
     terms = lines.parts
     paths = [p for j in range(terms.shape[1]) for p in _paths(terms[:, j], lines.Y[:, j], j)]
-    wrong = list(_factors(nominal, paths))
+    wrong = [*_factors(nominal, paths), *_others(nominal, lines, {p.output for p in paths})]
     yield from wrong
     if paths and not wrong:
         yield Finding("ok", "units", "the measured gains agree with the model's within a factor of three, signs included")
@@ -95,6 +97,15 @@ def _factors(nominal: Nominal, paths: list[_Path]) -> Iterator[Finding]:
             yield _finding(f"y_{v.name}", own[0].factor, own[0].explained, also)
 
 
+def _others(nominal: Nominal, lines: ExcitedLines, followed: Collection[int]) -> Iterator[Finding]:
+    """Yield a finding per output that hardly moves where the model says it does, and in another way."""
+    measured, simulated = (np.sqrt((np.abs(x) ** 2).sum(0)) for x in (lines.Y, lines.parts.sum(2)))
+    for j, v in enumerate(nominal.model.outputs):
+        if j not in followed and 0 < measured[j] < TINY * simulated[j]:
+            said = f"y_{v.name} moves {measured[j] / simulated[j]:.2g} times as much as the model says and does not follow it"
+            yield Finding("stop", "units", f"{said}; expected the column and the unit of '{v.name}': are columns exchanged? explain --trust-units goes on where they are right")
+
+
 def _off(factor: float) -> bool:
     return factor < 0 or not 1 / FAR < factor < FAR
 
@@ -104,7 +115,8 @@ def _same(a: float, b: float) -> bool:
 
 
 def _finding(channel: str, factor: float, explained: float, also: str = "") -> Finding:
-    known = [text for value, text in FACTORS.items() if abs(np.log(abs(factor) / value)) < np.log(ALIKE)]
+    far = {abs(float(np.log(abs(factor) / value))): text for value, text in FACTORS.items()}
+    known = [far[min(far)]] if min(far) < np.log(ALIKE) else []
     size = abs(factor)
     turned, scaled = factor < 0, not 1 / FAR < size < FAR
     stop = explained > SURER and (turned or not 1 / STOP < size < STOP)

@@ -79,6 +79,7 @@ def band(x: Array, dt: float) -> tuple[float, float]:
 POWERS = np.arange(0.0, 4.05, 0.1)
 GROWTH = ((0.3, "has the same size at every value of {0}"), (0.75, "grows with the root of {0}"), (1.4, "grows in proportion to {0}"), (2.5, "grows with the square of {0}"))
 UNEVEN = 1.3  # ratio of the sizes in both directions from which it is said
+ASIDE = 0.05  # reach to one side of zero, over that to the other, below which nothing is said of that direction
 POOR = 0.35  # error of the best power law, over the curve's rms, from which no form is stated
 
 
@@ -104,7 +105,7 @@ def _force(x: Array, y: Array, band: Array, what: str, unit: str) -> str:
         return f"a force of {with_unit(f'{float(y.min()):.3g} to {float(y.max()):.3g}', unit)} that no power of {what} describes"
     grows = next((words for limit, words in GROWTH if n < limit), "grows with the third power or more of {0}").format(what)
     up, down = float(size[0]), float(size[1])
-    both = x[0] < 0 < x[-1] and up * down != 0
+    both = min(-x[0], x[-1]) > ASIDE * max(-x[0], x[-1]) and up * down != 0
     sign = "" if not both else f", changes sign with {'the direction' if what == 'the speed' else what}" if up * down < 0 else ", keeps its sign"
     ratio = abs(up / down) if both else 1.0
     uneven = f" and is {max(ratio, 1 / ratio):.2g} times as large {'forwards' if ratio > 1 else 'backwards'}" if max(ratio, 1 / ratio) > UNEVEN else ""

@@ -74,6 +74,22 @@ def test_a_wrong_unit_is_named_with_its_factor(column, factor, word):
     assert word in refused
 
 
+def test_a_factor_is_called_by_the_nearest_unit():
+    said = told(check(sound()[0], spoiled("y_horizontal", lambda x: np.pi / 30 * x)), "units")
+    assert "about pi/30 (rad/s for rpm)" in said
+
+
+def test_an_output_that_hardly_moves_and_does_not_follow_the_model_is_another_signal():
+    rng = np.random.default_rng(4)
+    noise = spoiled("y_horizontal", lambda x: 1e-4 * x.std() * rng.standard_normal(len(x)))
+    refused = objection(check(sound()[0], noise))
+    assert "y_horizontal moves" in refused
+    assert "are columns exchanged?" in refused
+    assert "y_vertical" not in refused
+    louder = spoiled("y_horizontal", lambda x: 0.1 * x.std() * rng.standard_normal(len(x)))
+    assert "exchanged" not in objection(check(sound()[0], louder))
+
+
 @pytest.mark.parametrize("share", [0.3, -0.3])
 def test_crosstalk_between_sensors_is_no_wrong_unit(share):
     """The small path of the model may be several times off, with the other sign, when a sensor hears the other axis."""

@@ -26,6 +26,14 @@ def test_a_force_against_speed(law, words):
     assert all(w in said for w in words), said
 
 
+def test_nothing_is_said_of_a_direction_in_which_nothing_moved():
+    x = np.linspace(-0.05, 3.0, 9)
+    said = described(x, -np.abs(x) * x, 0.01 * np.ones(len(x)), False, SPEED)
+    assert "square of the speed" in said
+    assert "sign" not in said
+    assert "forwards" not in said
+
+
 def test_the_error_of_the_words_is_stated():
     rng = np.random.default_rng(0)
     y = -2 * X * np.abs(X) * (1 + 0.3 * rng.standard_normal(len(X)))
