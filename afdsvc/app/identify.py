@@ -15,6 +15,7 @@ from afdsvc.files.model.model_file import read_model, write_model
 from afdsvc.files.model.stepped import LINEARISED
 from afdsvc.files.open import Naming, open_file
 from afdsvc.files.tables.foreign import prepared
+from afdsvc.files.unfinished import writing
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.pipeline import identify
 
@@ -41,12 +42,13 @@ def identify_files(
     target = out or model.with_name(f"{model.stem}.identified.toml")
     if target.resolve() == model.resolve():
         raise BadInput(f"--out {target}: the nominal model would be overwritten; expected another name")
-    write_model(result.model, target)
     page = target.with_suffix(".html")
     from afdsvc.present.html.identify_page import identify_page
 
     data = [*nominal.extra.get(LINEARISED, ()), *prepared([*train, *test])]
-    page.write_text(identify_page(result, data=data), encoding="utf-8")
+    with writing(page, target):
+        page.write_text(identify_page(result, data=data), encoding="utf-8")
+        write_model(result.model, target)  # last: with the model there, all is there
     document = result.json(str(target))
     return {**document, "notes": [*document["notes"], *data], "report": str(page)}
 

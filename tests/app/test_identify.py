@@ -86,3 +86,20 @@ def test_the_slide_of_the_tutorial_is_identified(tmp_path, monkeypatch):
     fit = document["fit"]["per_output"]["position"]
     assert fit["after"]["r2"] > 0.85 > 0.7 > fit["before"]["r2"]
     assert "PBSIDopt finds on these recordings is unstable" in json.dumps(document)
+
+
+def test_an_interruption_while_the_page_is_written_leaves_nothing(tmp_path, monkeypatch):
+    rng = np.random.default_rng(1)
+    (tmp_path / "model.toml").write_text('name = "m"\ntime = "discrete"\nsample_time = 0.1\ninputs = [{name = "u"}]\noutputs = [{name = "y"}]\nA = [[0.9]]\nB = [[1.0]]\nC = [[1.0]]\n')
+    u = rng.standard_normal(600)
+    y = np.convolve(u, 0.8 ** np.arange(60))[:600] + 0.1 * rng.standard_normal(600)
+    np.savetxt(tmp_path / "run.csv", np.column_stack([0.1 * np.arange(600), u, y]), delimiter=",", header="t,u_u,y_y", comments="")
+
+    def interrupted(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("afdsvc.present.html.identify_page.identify_page", interrupted)
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(KeyboardInterrupt):
+        identify_files(tmp_path / "model.toml", [tmp_path / "run.csv"], [], tmp_path / "new.toml", {"groups": 0}, 0)
+    assert sorted(tmp_path.iterdir()) == before
