@@ -102,8 +102,11 @@ def demo(
     options = DemoOptions(plant, controller, rpm, tuple(parse_fault(f) for f in wanted), length, seed, out, heal=heal, console=f"127.0.0.1:{free_port()}")
     print(f"afdsvc: preparing a simulated {plant}: controller, burst and detectors are designed; then it is shown live on http://{options.console}/", file=sys.stderr, flush=True)
     from afdsvc.app.demo import happening, run_demo  # takes seconds to import
+    from afdsvc.lti.simulate import is_compiled
     from afdsvc.present.terminal import demo_table, progress
 
+    if not is_compiled():
+        print("afdsvc: its numerical code is compiled first, once on this computer: about a minute more", file=sys.stderr, flush=True)
     with progress("running the machine", length) as tell:
         document = run_demo(options, lambda done, hub: tell(done, happening(hub)))
     show(as_json, document, lambda: demo_table(document))

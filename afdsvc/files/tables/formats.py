@@ -50,6 +50,9 @@ def read_columns(path: Path) -> Columns:
 
 def opened(path: Path) -> BinaryIO:
     """Return the file, opened; raises `BadInput` when it cannot be, or when Git LFS has left its pointer in the file's place."""
+    if path.is_dir():
+        inside = sorted(p.name for p in path.iterdir() if p.is_file())[:4]
+        raise BadInput(f"{path}: is a folder; expected a file, such as one in it ({', '.join(inside) or 'it is empty'})")
     try:
         file = path.open("rb")
     except OSError as error:
@@ -136,7 +139,14 @@ def _name_bad_cell(path: Path, header: list[str], timed: list[str], delimiter: s
                 raise BadInput(f"{path}: row {row} has {len(cells)} cells; {wanted}")
             for name, cell in zip(header, cells, strict=True):
                 if name not in timed and not _is_number(cell.replace(point, ".")):
-                    raise BadInput(f"{path}: column '{name}', row {row} holds '{cell}'; expected a number")
+                    raise BadInput(f"{path}: column '{name}', row {row} holds '{cell}'; expected {_expected(cell, row)}")
+
+
+def _expected(cell: str, row: int) -> str:
+    """Return what a cell that is no number should be."""
+    if re.search(r"\d[./-]\d+[./-]\d+\D+\d+:\d", cell):
+        return "a number of seconds, or a time such as 2026-11-21T10:00:00.125+01:00 (ISO 8601)"
+    return "a number" + ("; the first line has to hold the names of columns, and no comment or line of units may come before the numbers" if row == 1 else "")
 
 
 def _is_number(cell: str) -> bool:

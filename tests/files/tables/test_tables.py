@@ -17,7 +17,7 @@ from afdsvc.api.signals import Channel
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import parse_model
 from afdsvc.files.open import Naming, open_file
-from afdsvc.files.tables.formats import read_columns
+from afdsvc.files.tables.formats import opened, read_columns
 from afdsvc.files.tables.tables import read_table, with_units
 
 RNG = np.random.default_rng(3)
@@ -358,3 +358,28 @@ def test_topics_of_a_ulog_come_to_one_rate_by_a_mapping(tmp_path):
     other = text(tmp_path / "o.toml", "[signals]\nu_thrust = 'thrust.power'\n")
     with pytest.raises(BadInput, match=r"no 'thrust.power', which is to be u_thrust; .* position \(z\), thrust \(force\)"):
         open_file(path, Naming.of(other)).traces()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("time,u\n25.10.2026 00:59:55.000,1\n25.10.2026 00:59:55.010,2\n", "holds '25.10.2026 00:59:55.000'; expected a number of seconds, or a time such as 2026-11-21"),
+        ("time,u\n10/25/2026 12:59:55.000000 AM,1\n10/25/2026 12:59:55.010000 AM,2\n", "or a time such as 2026-11-21"),
+        ("# logger,\n# 100 Hz,\nt,u\n0,1\n0.1,2\n", "no comment or line of units may come before the numbers"),
+        ("t,u\ns,V\n0,1\n0.1,2\n", "row 1 holds 's'; expected a number; the first line has to hold the names of columns"),
+        ("t,u\n0,1\n0.1,x\n", "row 2 holds 'x'; expected a number$"),
+    ],
+)
+def test_what_is_no_number_says_what_is_expected(tmp_path, text, expected):
+    (tmp_path / "log.csv").write_text(text)
+    with pytest.raises(BadInput, match=expected):
+        read_columns(tmp_path / "log.csv")
+
+
+def test_a_folder_names_the_files_in_it(tmp_path):
+    (tmp_path / "run").mkdir()
+    with pytest.raises(BadInput, match=r"is a folder; expected a file, such as one in it \(it is empty\)"):
+        opened(tmp_path / "run")
+    (tmp_path / "run" / "run.db3").touch()
+    with pytest.raises(BadInput, match=r"such as one in it \(run.db3\)"):
+        opened(tmp_path / "run")
