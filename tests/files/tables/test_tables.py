@@ -146,7 +146,7 @@ def test_columns_are_renamed_and_left_out(tmp_path):
         ("t,u_a\n0,1\n1,\n2,3\n", {}, ["'u_a', row 2", "nan", "1 such"]),
         ("t,u_a\n0,1\n1,inf\n2,inf\n", {}, ["'u_a', row 2", "inf", "2 such"]),
         ("t,u_a\n0,1\n,1\n2,1\n", {}, ["'t', row 2 holds nan"]),
-        ("t,u_a\n0,1\n1,1\n1,1\n3,1\n", {}, ["'t', row 3 goes from", "1.0"]),
+        ("t,u_a\n0,1\n1,1\n1,1\n3,1\n", {}, ["'t', row 3 goes from", "1 to 1"]),
         ("t,u_a\n0,1\n1,1\n0.5,1\n", {}, ["'t', row 3 goes from"]),
         ("t,u_a\n0,1\n1,1\n2,1\n5,1\n6,1\n", {}, ["'t', row 4", "3 s after", "1 s is usual", "gap"]),
         ("t,u_a\n0,1\n1,1\n2.3,1\n3,1\n4,1\n", {}, ["'t', row 3 misses", "0.3 s"]),
