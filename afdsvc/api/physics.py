@@ -113,7 +113,7 @@ class Hypothesis:
 
     @property
     def title(self) -> str:
-        """Name, site and shape in words, such as "gravity (force on w; sine for a line)"."""
+        """Name, site and shape in words, such as "gravity (force on w; sine in place of a line)"."""
         variant = self.notes.get("variant", "")
         return f"{self.physics.replace('_', ' ')} ({site_words(self.site)}{f'; {variant}' if variant else ''})"
 

@@ -15,10 +15,10 @@ def _weight(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] -= p[0] * math.sin(p[2] * z[0]) + p[1] * math.cos(p[2] * z[0])
 
 
-def sine(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``-(a (sin(q) - q) + b (cos(q) - 1))``: what the model has as a straight line, with its slope and value at zero, is a sine."""
+def _in_place(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``-(a sin(q) + b q)``: what the model has as a straight line, of the right slope or of one fitted to a large swing, is a sine."""
     angle = p[2] * z[0]
-    out[0] -= p[0] * (math.sin(angle) - angle) + p[1] * (math.cos(angle) - 1.0)
+    out[0] -= p[0] * math.sin(angle) + p[1] * angle
 
 
 class Gravity:
@@ -31,16 +31,16 @@ class Gravity:
         """Return two hypotheses per axis whose position is an angle."""
         for axis, q in placed(machine):
             if quantity(q.unit) == "angle":
-                yield self._on(axis, q, _weight, {})
-                yield self._on(axis, q, sine, {"variant": "sine for a line", "of": ""})
+                yield self._on(axis, q, _weight, "cosine", {})
+                yield self._on(axis, q, _in_place, "line", {"variant": "sine in place of a line", "of": ""})
 
-    def _on(self, axis: Axis, q: Size, law: Any, notes: dict[str, str]) -> Hypothesis:
+    def _on(self, axis: Axis, q: Size, law: Any, beside: str, notes: dict[str, str]) -> Hypothesis:
         push, radian = axis.push, radians(q.unit)
         most = 100 * push * max(1.0, 1 / (radian * q.rms))
         return at_force(
             axis, law, [state(q)], physics=self.name, family="stiffness", starts=[(0.0, 0.0, radian)], notes=notes,
             parameters=[
-                *(force(axis, f"{part} force", -most, most, 0.1 * push, linear=True) for part in ("sine", "cosine")),
+                *(force(axis, f"{part} force", -most, most, 0.1 * push, linear=True) for part in ("sine", beside)),
                 constant("radian", f"rad/{q.unit}", radian),
             ],
             predicts="a stiffness that falls with the angle from hanging and changes sign at a quarter turn",

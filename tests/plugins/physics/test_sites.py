@@ -32,7 +32,7 @@ def offered(machine: Machine) -> dict:
     (MOTOR, "saturation@state:w saturation@input:voltage#asymmetric dead_zone@input:voltage#asymmetric supply_droop@input:voltage"),
     (MOTOR, "quantisation@input:voltage parameter_change@state:w#mass parameter_change@state:w#damping sensor_drift@output:w"),
     (MOTOR, "sensor_saturation@output:w sensor_saturation@output:w#above sensor_saturation@output:w#asymmetric"),
-    (ARM, "gravity@state:w gravity@state:w#sine for a line cogging@state:w gain_follows_position@input:torque#w"),
+    (ARM, "gravity@state:w gravity@state:w#sine in place of a line cogging@state:w gain_follows_position@input:torque#w"),
     (ARM, "coulomb_friction@state:w#along the way coulomb_friction@state:w#grows with the transmitted force"),
     (MAGNET, "magnetic_force@state:v magnetic_force@state:v#pair"),
     (TANKS, "saturation@state:h1 saturation@state:h2 slow_mode@state:h1 static_nonlinearity@state:h1#outflow"),

@@ -20,7 +20,7 @@ from afdsvc.plugins.physics.constant_load import drifting
 from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, loaded, reaction
 from afdsvc.plugins.physics.cubic_damping import _cubic
 from afdsvc.plugins.physics.gain_follows_position import geared
-from afdsvc.plugins.physics.gravity import _weight, sine
+from afdsvc.plugins.physics.gravity import _in_place, _weight
 from afdsvc.plugins.physics.hysteresis import over_integral
 from afdsvc.plugins.physics.joint import spring
 from afdsvc.plugins.physics.magnetic_force import pair, single
@@ -170,7 +170,7 @@ CASES = [
     Case("asymmetric damping", _damper, (3.0, -1.0), axis(lambda q, v, u: -(3.0 if v > 0 else -1.0) * v), **AXIS),
     Case("cubic damping", _cubic, (0.2,), axis(lambda q, v, u: -0.2 * v**3), **AXIS),
     Case("weight in degrees", _weight, (1500.0, 400.0, np.pi / 180), axis(lambda q, v, u: -1500 * np.sin(np.deg2rad(q)) - 400 * np.cos(np.deg2rad(q))), **AXIS, reads=(("x", 0),), level=60.0),
-    Case("pendulum for a spring", sine, (K, 0.0, 1.0), lambda x, u: [x[1], -K * np.sin(x[0]) - D * x[1] + G * u], **AXIS, reads=(("x", 0),)),
+    Case("pendulum for a spring", _in_place, (K, -K, 1.0), lambda x, u: [x[1], -K * np.sin(x[0]) - D * x[1] + G * u], **AXIS, reads=(("x", 0),)),
     Case("one magnet", single, (2.0, 1.3, G, 1.0), magnet, **BENT),
     Case("two magnets", pair, (2.0, 1.3, G, 1.0), magnets, A=[[0, 1], [-3 * K + G * 2.0 / 1.3, -D]], B=[0, G], reads=(("u", 0), ("x", 0)), level=0.6),
     Case("coil", _coil, (0.03, 0.5, 0.0), motor, A=[[-1.5]], B=[MOTOR_GAIN], reads=(("u", 0), ("x", 0)), writes=(0,), stage="input", memory=1, hidden=(0.0,), level=5.0),
