@@ -48,7 +48,7 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
 
 
-WHOLE = {"fault", "detector", "name", "id", "since"}  # columns of names, folded last
+WHOLE = {"fault", "detector", "name", "id", "alarm", "machine", "state", "event", "severity"}  # columns of names, folded last
 
 
 def _table(title: str, *columns: str) -> Table:
@@ -57,6 +57,14 @@ def _table(title: str, *columns: str) -> Table:
     for column in columns:
         table.add_column(column, overflow="fold", no_wrap=column in WHOLE and OUT.width >= 60)
     return table
+
+
+def _print(table: Table) -> None:
+    """Print a table whose names stay whole where the terminal is wide enough for them, and are folded otherwise."""
+    if OUT.measure(table, options=OUT.options.update(width=10_000)).minimum > OUT.width:
+        for column in table.columns:
+            column.no_wrap = False
+    OUT.print(table)
 
 
 def demo_table(document: dict[str, Any]) -> None:
@@ -207,7 +215,7 @@ def status_table(status: dict[str, Any]) -> None:
         style = "bold red" if any(not a["acknowledged"] for a in calling) else "" if m["state"] == "running" else "yellow"
         row = (m["machine"], m["state"], "\n".join(map(_briefly, calling)) or "none", _burst(m), _samples(m))
         table.add_row(*row, style=style)
-    OUT.print(table)
+    _print(table)
     if waits := status.get("longest_waits"):
         OUT.print("longest waits " + ", ".join(f"{what} {seconds:.2f} s" for what, seconds in sorted(waits.items())), soft_wrap=True)
     for m in status["machines"]:
@@ -267,17 +275,18 @@ def audit_table(audit: dict[str, Any]) -> None:
 
 
 def alarm_table(alarms: list[dict[str, Any]]) -> None:
-    """Show the alarms: those that need attention first, then shelved and ended ones."""
-    table = _table("Alarms", "id", "state", "since", "severity", "count")
-    by_urgency = sorted(alarms, key=lambda a: (not a["active"], bool(a["cause"]), -a["since_ns"]))
+    """Show the alarms: those that need attention first, then acknowledged, shelved and ended ones."""
+    table = _table("Alarms", "id", "state", "since", "severity")
+    by_urgency = sorted(alarms, key=lambda a: (not a["active"], bool(a["shelved_until_ns"]), a["acknowledged"], bool(a["cause"]), -a["since_ns"]))
     for a in by_urgency:
         style = "bold red" if a["active"] and not (a["acknowledged"] or a["suppressed"] or a["shelved_until_ns"]) else ""
-        state, severity = a["suppressed"] or _alarm_state(a).partition(",")[0], "" if a["suppressed"] else _percent(a["severity"])
-        table.add_row(a["id"], state, _moment(a["since_ns"]), severity, str(a["count"]), style=style)
-    OUT.print(table)
+        follows = f"follows from\n{a['cause'].removeprefix(a['machine'] + '/')}" if a["suppressed"] else ""  # of the same machine
+        state = follows or next((word for word in ("shelved", "confirmed", "acknowledged") if a["active"] and _is(a, word)), _alarm_state(a).partition(",")[0])
+        table.add_row(a["id"], state, _moment(a["since_ns"]), "" if follows else _percent(a["severity"]), style=style)
+    _print(table)
     for a in by_urgency:
         people = ", ".join(f"{what} by {a[by]}" for what, by in PEOPLE if a[by])
-        said = (f"{a['suppressed'] or a['sentence']}", a["comment"], people)
+        said = (f"{a['suppressed'] or a['sentence']}", f"{a['count']} decisions" if a["count"] > 1 else "", a["comment"], people)
         OUT.print(f"{a['id']} ({a['kind']}, {_alarm_state(a)}): {'; '.join(filter(None, said))}", soft_wrap=True)
 
 
@@ -288,8 +297,12 @@ def _alarm_state(a: dict[str, Any]) -> str:
     """Return how an alarm stands, in the words of OPC UA Part 9."""
     words = ["active" if a["active"] else "latched" if a["latched"] else "inactive"]
     words += ["acknowledged" if a["acknowledged"] else "unacknowledged"] if a["kind"] != "notice" else []
-    words += [word for word, on in (("shelved", a["shelved_until_ns"]), ("suppressed", a["suppressed"])) if on]
+    words += [word for word in ("confirmed", "shelved", "suppressed") if _is(a, word)]
     return ", ".join(words)
+
+
+def _is(a: dict[str, Any], word: str) -> bool:
+    return bool(a["shelved_until_ns" if word == "shelved" else word])
 
 
 def _moment(t_ns: int) -> str:
@@ -302,7 +315,7 @@ def history_table(changes: list[dict[str, Any]]) -> None:
     table = _table("What happened to alarms", "when", "alarm", "event", "by", "why")
     for c in changes:
         table.add_row(_moment(c["t_ns"]), c["alarm"]["id"], c["event"], c["who"] or "the service", c["why"])
-    OUT.print(table)
+    _print(table)
 
 
 def plugin_table(rows: list[dict[str, str]], broken: dict[str, str]) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+NO_CHROMIUM = "no browser to test in: install chromium (Debian: apt-get install chromium) or google-chrome, so that it is in PATH"
 
 
 class Browser:

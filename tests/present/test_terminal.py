@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from afdsvc.present import terminal
 
@@ -19,13 +20,22 @@ def test_brackets_and_colons_are_printed_as_they_are():
         assert text in words
 
 
-def test_an_alarm_that_follows_from_another_shows_which_in_the_place_of_its_state():
-    alarm = dict.fromkeys(("acknowledged", "latched", "confirmed"), False) | dict.fromkeys(("comment", "acknowledged_by", "confirmed_by", "shelved_by", "cause"), "")
-    alarm |= {"kind": "fault", "active": True, "since_ns": 0, "shelved_until_ns": 0, "count": 1, "sentence": "", "severity": {"value": -0.065, "sd": 0.003}}
-    alarms = [alarm | {"id": "m/sensor", "suppressed": ""}, alarm | {"id": "m/unnamed", "suppressed": "follows from m/sensor"}]
+ALARM = (
+    dict.fromkeys(("acknowledged", "latched", "confirmed"), False)
+    | dict.fromkeys(("comment", "acknowledged_by", "confirmed_by", "shelved_by", "cause", "suppressed", "sentence"), "")
+    | {"machine": "m", "kind": "fault", "active": True, "since_ns": 0, "shelved_until_ns": 0, "count": 1, "severity": {"value": -0.065, "sd": 0.003}}
+)
+
+
+def table_of(alarms: list) -> str:
     with terminal.OUT.capture() as seen:
         terminal.alarm_table(alarms)
-    rows = [line for line in seen.get().splitlines() if line.startswith(" m/")]
+    return seen.get()
+
+
+def test_an_alarm_that_follows_from_another_shows_which_in_the_place_of_its_state():
+    rows = table_of([ALARM | {"id": "m/sensor"}, ALARM | {"id": "m/unnamed", "suppressed": "follows from m/sensor", "cause": "m/sensor"}]).splitlines()
+    rows = [line for line in rows if line.startswith(" m/")]
     assert ["active" in row for row in rows] == [True, False]
     assert ["-6.5" in row for row in rows] == [True, False]
     assert "follows from" in rows[1]
@@ -46,3 +56,24 @@ def test_an_output_is_shown_about_the_means_with_what_lies_between_them_and_time
     assert float(far.split()[2]) < 3
     assert far.split()[2:5] == near.split()[2:5]
     assert near.endswith("R2 0.500, gain 1")
+
+
+@pytest.mark.parametrize("width", [40, 80, 120])
+def test_the_state_of_an_alarm_says_what_people_did_and_names_are_not_broken_or_cut_off(width, monkeypatch):
+    monkeypatch.setattr(terminal.OUT, "width", width)
+    machine = ALARM | {"machine": "bearing"}
+    cause = {"suppressed": "follows from bearing/horizontal_actuator", "cause": "bearing/horizontal_actuator"}
+    done = ({"acknowledged": True, "shelved_until_ns": 5}, {"acknowledged": True}, {"acknowledged": True, "confirmed": True}, {}, cause)
+    names = ("shelved", "horizontal_actuator", "confirmed", "vertical_sensor", "unnamed")
+    said = table_of([machine | {"id": f"bearing/{name}"} | what for name, what in zip(names, done, strict=True)])
+    table = said.partition("\nbearing/")[0]
+    if width >= 80:
+        rows = [line.split() for line in table.splitlines() if line.startswith(" bearing/")]
+        assert [row[:2] for row in rows] == [
+            ["bearing/vertical_sensor", "active"], ["bearing/unnamed", "follows"], ["bearing/horizontal_actuator", "acknowledged"],
+            ["bearing/confirmed", "confirmed"], ["bearing/shelved", "shelved"],
+        ]  # fmt: skip
+        assert table.split().count("horizontal_actuator") == 1  # what 'unnamed' follows from
+        assert {"1970-01-01", "-6.5"} <= set(table.split())
+    else:  # a name that fits nowhere is folded
+        assert "".join(row[1:].split("  ")[0].strip() for row in table.splitlines()[4:]).count("bearing/horizontal_actuator") == 1

@@ -23,12 +23,12 @@ from afdsvc.service.console import STREAMS
 from afdsvc.service.http_server import CONNECTIONS
 from afdsvc.service.notifications import Judged
 from afdsvc.wire.messages import Finding
-from benchmarks.support.browser import CHROMIUM, Browser
+from benchmarks.support.browser import CHROMIUM, NO_CHROMIUM, Browser
 
-browser_needed = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+browser_needed = pytest.mark.skipif(CHROMIUM is None, reason=NO_CHROMIUM)
 
 
-def site_of(port: int, folder: Path, web: str, machine: str = "bearing") -> Site:
+def site_of(port: int, folder: Path, web: str, *machines: str) -> Site:
     text = f"""
 site = "hall-3"
 [transport]
@@ -37,10 +37,8 @@ listen = ["tcp/127.0.0.1:{port}"]
 folder = "{folder}"
 [web]
 listen = "{web}"
-[[machines]]
-id = "{machine}"
-plant = "gas_bearing"
 """
+    text += "".join(f'[[machines]]\nid = "{machine}"\nplant = "gas_bearing"\n' for machine in machines or ("bearing",))
     return parse_site(text, "site.toml")
 
 
@@ -284,6 +282,28 @@ def test_the_page_hears_by_itself_and_asks_where_it_cannot(free_port, tmp_path, 
 
 
 @browser_needed
+def test_a_fault_somebody_has_seen_stays_in_sight_and_the_worst_comes_first(free_port, tmp_path, browser):
+    names = ("healthy", "gone", "shelved", "small", "seen", "open")
+    site = site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}", *names)
+    with serve.serving(site) as hub:
+        for name, severity in (("shelved", -0.9), ("small", -0.1), ("seen", -0.505), ("open", -0.05)):
+            found = Evidence("matched_filter", name, 0, 5.0, 90.0, 4.0, True, burst="b1", fault="vertical_sensor", severity=Severity(severity, 0.01))
+            hub.alarms.take(Finding(found, "s", time.time_ns()), "a fault")
+        hub.alarms.shelve("shelved/vertical_sensor", "kim", 10, "why", time.time_ns())
+        hub.alarms.acknowledge("small/vertical_sensor", "kim")
+        hub.alarms.confirm("small/vertical_sensor", "kim", "", time.time_ns())
+        hub.alarms.acknowledge("seen/vertical_sensor", "kim")
+        browser.open(f"http://127.0.0.1:{free_port + 1}/", 1400)
+        browser.until("document.querySelectorAll('nav li').length === 6")
+        browser.value("if (stream) stream.close(); pushed = Infinity; now.status.machines.find((m) => m.machine === 'healthy').state = 'running'; show()")
+        assert browser.value("[...document.querySelectorAll('nav li')].map((e) => e.innerText.replace(/\\s+/g, ' '))") == [
+            "open vertical_sensor -5.0 ± 1.0 % absent", "seen vertical_sensor -50.5 ± 1.0 %, acknowledged absent",
+            "small vertical_sensor -10.0 ± 1.0 %, confirmed absent", "shelved vertical_sensor -90.0 ± 1.0 %, shelved absent", "gone absent", "healthy running",
+        ]  # fmt: skip
+        assert "No burst has been judged yet" in browser.value("document.getElementById('machine-healthy').innerText")
+
+
+@browser_needed
 def test_long_names_wrap_on_a_phone(free_port, tmp_path, browser):
     machine, fault = "spindle_with_a_rather_long_name_of_hall_7_north", "gain_of_the_horizontal_actuator_beside_the_gearbox"
     with serve.serving(site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}", machine)) as hub:
@@ -311,6 +331,7 @@ def test_one_fault_is_one_alarm(free_port, tmp_path, browser):
         assert browser.errors == []
 
 
+@browser_needed
 def test_decisions_bear_the_clocks_time_as_alarms_do(free_port, tmp_path, browser):
     base, site = f"http://127.0.0.1:{free_port + 1}", site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")
     with serve.serving(site) as hub:

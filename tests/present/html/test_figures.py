@@ -12,9 +12,9 @@ import pytest
 from matplotlib.figure import Figure
 
 from afdsvc.present.html import render, zoomable
-from benchmarks.support.browser import CHROMIUM, Browser
+from benchmarks.support.browser import CHROMIUM, NO_CHROMIUM, Browser
 
-browser_needed = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+browser_needed = pytest.mark.skipif(CHROMIUM is None, reason=NO_CHROMIUM)
 T = np.linspace(0.0, 10.0, 201)
 WIDE = f"<table><tr>{'<th>a long name of a column</th>' * 6}</tr><tr>{'<td>a value of some words</td>' * 6}</tr></table>"
 
