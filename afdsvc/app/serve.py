@@ -95,7 +95,8 @@ def serving(site: Site, clock: Clock | None = None, turn: Callable[[History], ob
                 rehearsed.append((stream, diagnosis(stream.problem)))
             if machine.limits is not None:
                 scheduler = Scheduler(machine.config.bursts, np.random.default_rng(len(burst_requests)), 0.0)
-                burst_requests[id] = BurstRequests(id, burst_design(machine, stream, diagnosis), scheduler, stream, sink, keys, transport, clock)
+                design = burst_design(machine, stream, diagnosis)
+                burst_requests[id] = BurstRequests(id, design, scheduler, stream, sink, keys, transport, clock, machine.channels)
                 retunings[id] = Retuning(burst_requests[id], tuning_design(machine, plugins), diagnosis)
         outboxes = open_outboxes(site, history, plugins)
         for outbox in outboxes:

@@ -16,6 +16,7 @@ import numpy as np
 from afdsvc.api.bursts import Burst
 from afdsvc.api.clock import Clock
 from afdsvc.api.evidence import Evidence
+from afdsvc.api.signals import Channel
 from afdsvc.diagnosis.pipeline import ExcitableStream
 from afdsvc.diagnosis.verdict import open_question
 from afdsvc.errors import AfdsvcError, Refused
@@ -51,6 +52,7 @@ class BurstRequests:
     keys: Keys
     transport: Transport
     clock: Clock
+    channels: Sequence[Channel] = ()  # with the units of what is shown
 
     def __post_init__(self) -> None:
         self._count = itertools.count(1)
@@ -114,14 +116,19 @@ class BurstRequests:
         p, m = G.outputs, G.inputs
         seen = StateSpace(G.A, G.B, np.vstack([G.C, np.zeros((m, G.order)), G.C]), np.vstack([G.D, np.eye(m), G.D]), G.dt)
         answer = simulate(star(seen, problem.interconnection, p, m), alpha)[0]
-        limits = problem.limits
-        sides = [(name, "output", answer[:, i], limits and limits.output[i]) for i, name in enumerate(problem.output_names)]
+        limits, unit = problem.limits, {c.name: c.unit for c in self.channels}
+        sides = [(name, "excitation", alpha[:, j], limits and limits.alpha[j]) for j, name in enumerate(problem.excitation_names)]
+        sides += [(name, "output", answer[:, i], limits and limits.output[i]) for i, name in enumerate(problem.output_names)]
         sides += [(name, "input", answer[:, p + j], limits and limits.input[j]) for j, name in enumerate(problem.input_names)]
+        role = {"output": "y", "input": "u", "excitation": "alpha" if problem.through == "alpha" else "ref"}
         hertz = [{"input": problem.excitation_names[line.input], "hertz": line.omega / (2 * np.pi), "amplitude": line.amplitude} for line in burst.lines]
         part = slice(None, None, max(1, len(alpha) // SHOWN))
         return {
-            "machine": self.machine, "purpose": wanted.purpose, "seconds": burst.samples * self.pipeline.dt, "lines": hertz,
-            "peaks": [{"name": name, "side": side, "peak": float(np.abs(x).max()), "limit": limit and float(limit)} for name, side, x, limit in sides],
+            "machine": self.machine, "purpose": wanted.purpose, "seconds": burst.samples * self.pipeline.dt, "lines": hertz, "through": problem.through,
+            "peaks": [
+                {"name": name, "side": side, "peak": float(np.abs(x).max()), "limit": limit and float(limit), "unit": unit.get(f"{role[side]}_{name}", "")}
+                for name, side, x, limit in sides
+            ],
             "alpha": {name: alpha[part, j].tolist() for j, name in enumerate(problem.excitation_names)},
         }  # fmt: skip
 

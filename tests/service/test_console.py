@@ -242,6 +242,16 @@ def test_an_alarm_is_handled_by_keyboard_alone(free_port, tmp_path, browser):
         browser.press("Enter")
         browser.until("document.getElementById('ask').innerText.includes('Expected peaks')")
         assert browser.value("[...document.querySelectorAll('#ask td')].some((e) => e.textContent === 'output horizontal')")
+        assert "Excitation signal alpha, added inside the controller (not the actuator command)" in browser.value("document.getElementById('ask').innerText")
+        limit = hub.burst_requests["bearing"].pipeline.problem.limits.alpha
+        panels = browser.value("[...document.querySelectorAll('#ask figure')].map((e) => [e.querySelector('figcaption').innerText, ...[...e.querySelectorAll('text')].map((t) => t.textContent)])")
+        assert [panel[0].split(":")[0] for panel in panels] == ["horizontal", "vertical"]  # none hides the other
+        for panel, bound in zip(panels, limit, strict=True):
+            assert f"limit of this signal {bound:.3g} V" in panel[0]
+            assert {"0", "time [s]", "alpha [V]"} <= set(panel)
+            assert all(len(word) <= 6 for word in panel[1:-2]), panel  # multiples of a round step
+        inside = "(e) => { const box = e.getBoundingClientRect(); return [...e.querySelectorAll('text')].map((t) => t.getBoundingClientRect()).every((t) => t.left >= box.left && t.right <= box.right && t.top >= box.top && t.bottom <= box.bottom); }"
+        assert browser.value(f"[...document.querySelectorAll('#ask svg')].every({inside})")
         assert browser.unnamed() == []
         browser.tab_to("Play")
         browser.press("Enter")
