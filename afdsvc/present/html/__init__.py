@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, select_autoescape
+from matplotlib.transforms import ScaledTranslation
 
 from afdsvc.api.evidence import p_value_text
 
@@ -58,15 +59,22 @@ def _plot(figure: Figure, kind: str, series: bool = True) -> str:
 
 
 def _narrow(figure: Figure) -> None:
-    """Make a figure as wide as a phone: its axes one below the other, its legends one entry a line."""
+    """Make a figure as wide as a phone: its axes one below the other, its legends below them, where they hide no curve."""
     own = [(ax, place) for ax in figure.axes if (place := ax.get_subplotspec()) is not None]
     rows = max((place.get_gridspec().nrows for _, place in own), default=1)
-    figure.set_size_inches(PHONE, figure.get_size_inches()[1] / rows * max(len(own), 1))
+    legends = {ax: [(h, t.get_text()) for h, t in zip(old.legend_handles, old.get_texts(), strict=True) if h is not None] for ax, _ in own if (old := ax.get_legend())}
+    columns = {ax: 2 if all(len(words) < 28 for _, words in entries) else 1 for ax, entries in legends.items()}
+    high = sum(0.15 * -(-len(entries) // columns[ax]) + 0.1 for ax, entries in legends.items())
+    figure.set_size_inches(PHONE, figure.get_size_inches()[1] / rows * max(len(own), 1) + high)
     grid = figure.add_gridspec(max(len(own), 1), 1)
     for row, (ax, _) in enumerate(own):
         ax.set_subplotspec(grid[row])
-        if old := ax.get_legend():
-            ax.legend([h for h in old.legend_handles if h is not None], [t.get_text() for t in old.get_texts()], fontsize=7, framealpha=0.7)
+        if legends.get(ax):
+            below = ScaledTranslation(0, -(0.44 if ax.get_xlabel() else 0.25), figure.dpi_scale_trans)  # inches: the numbers and the name of the axis
+            ax.legend(
+                *zip(*legends[ax], strict=True), fontsize=7, frameon=False, ncols=columns[ax], loc="upper left",
+                bbox_to_anchor=(0, 0), bbox_transform=ax.transAxes + below, borderaxespad=0,
+            )  # fmt: skip
 
 
 def _axes_data(ax: Axes, series: bool) -> dict[str, Any]:

@@ -30,6 +30,45 @@ def drawn() -> str:
     return zoomable(figure)
 
 
+def stacked() -> str:
+    """Return a figure of three panels: a close-up, and two over one time axis, whose name stands below the lowest."""
+    figure = Figure(figsize=(8, 5), layout="constrained")
+    axes = figure.subplots(3, 1)
+    axes[0].plot(T[:50], T[:50], label="close-up")
+    for ax in axes[1:]:
+        ax.plot(T, np.sin(T), label="measured")
+        ax.plot(T, np.cos(T), label="a name that is too long for two columns")
+        ax.legend()
+    axes[2].set_xlabel("time [s]")
+    return zoomable(figure)
+
+
+@browser_needed
+@pytest.mark.parametrize(("width", "kind"), [(1000, "wide"), (400, "phone")])
+def test_panels_of_one_time_axis_zoom_together_and_a_legend_on_a_phone_hides_no_curve(tmp_path, width, kind):
+    page, browser = tmp_path / "page.html", Browser(tmp_path / "browser")
+    page.write_text(render("page.html.j2").replace("<script>", f"<h2>Courses</h2>{stacked()}<script>", 1), encoding="utf-8")
+    try:
+        browser.open(page.as_uri(), width)
+        browser.until("document.querySelectorAll('.tools button').length === 14")
+        part = f"document.querySelector('figure.{kind} [id=\"axes-%d\"] %s')"
+        x, y, w, h = browser.value(f"(({{x, y, width, height}}) => [x, y, width, height])({part % (1, 'path')}.getBoundingClientRect())")
+        for event, share in (("mousePressed", 0.2), ("mouseMoved", 0.3), ("mouseReleased", 0.4)):
+            browser.call("Input.dispatchMouseEvent", type=event, x=x + share * w, y=y + 0.5 * h, button="left", clickCount=1)
+        shown = f"(() => {{ const found = {part}; return found ? [...found.parentElement.querySelectorAll(':scope > text[text-anchor=middle]')].map((e) => e.textContent) : []; }})()"
+        first, middle, last = (browser.value(shown % (k, "> g:last-child > text")) for k in range(3))
+        assert first == []
+        assert len(middle) > 2
+        assert middle == last
+        if kind == "phone":
+            bottom, top = (browser.value(f"{part % (1, what)}.getBoundingClientRect().{edge}") for what, edge in (("path", "bottom"), ("[id^=legend]", "top")))
+            end, next_one = browser.value(f"{part % (1, '[id^=legend]')}.getBoundingClientRect().bottom"), browser.value(f"{part % (2, 'path')}.getBoundingClientRect().top")
+            assert bottom < top < end < next_one
+        browser.picture(tmp_path / f"stacked-{kind}.png")
+    finally:
+        browser.close()
+
+
 def test_the_numbers_of_every_curve_are_in_the_page():
     found = json.loads(re.search(r'<script type="application/json">(.*?)</script>', drawn()).group(1))
     assert [[s["name"] for s in ax["series"]] for ax in found] == [["measured, first"], ["spectrum", "band"]]
