@@ -1,6 +1,18 @@
 """afdsvc: active fault diagnosis for closed-loop machines, and why a model disagrees with its recordings.
 
-The rooms, from mathematics to the command line; each imports only from those above it:
+From arrays, data frames and files::
+
+    motor = afdsvc.Model.from_system(([12.0], [0.08, 1]), {"voltage": "V"}, {"speed": "rad/s"})  # or afdsvc.load("MODEL.toml")
+    afdsvc.check(motor, frame)                 # do model and recording fit together? seconds
+    afdsvc.explain(motor, frame)               # why simulation and recording differ
+    afdsvc.identify(voltage, speed, dt=0.005)  # a plant from data
+    afdsvc.diagnose("run.mcap")                # faults in a recording with bursts
+    afdsvc.design("site.toml")                 # burst, thresholds and smallest faults of a machine
+
+Each answer has ``sentences``, ``rows()``, ``to_pandas()`` and ``plot()``; what cannot be used raises `BadInput`. ``help(afdsvc.explain)``
+and so on have examples that run; docs/reference/python.md leads through them.
+
+The packages below, from mathematics to the command line; each imports only from those above it:
 
 - `errors`: every deliberate error
 - `lti`: state-space algebra: coprime factors, YJBK, LFT, whitening, reduction, frequency response
@@ -25,8 +37,6 @@ The rooms, from mathematics to the command line; each imports only from those ab
 - `app`: the use cases, one file per command
 - `testing`: for plugin authors: conformance suites, and new plugins as packages
 - `cli`: arguments, nothing else
-
-In Python: `load`, `Model`, `check`, `identify`, `explain`, `diagnose` and `design`; see docs/reference/python.md.
 """
 
 from __future__ import annotations

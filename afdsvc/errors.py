@@ -12,7 +12,17 @@ class AfdsvcError(Exception):
 
 
 class BadInput(AfdsvcError):
-    """Something handed in cannot be used; the message names file or argument, value found and value expected."""
+    """Something handed in cannot be used; the message names file or argument, value found and value expected.
+
+    Examples
+    --------
+    >>> import afdsvc
+    >>> try:
+    ...     afdsvc.load("missing.csv")
+    ... except afdsvc.BadInput as error:
+    ...     print(error)
+    missing.csv: cannot be read: No such file or directory
+    """
 
 
 class Refused(AfdsvcError):

@@ -70,13 +70,45 @@ class SteppedPlant(Protocol):
 class Model:
     """A nominal model: linear matrices or a Python simulator, with names, uncertainty, noise and controller.
 
-    ``plant`` is the linear system (``dt`` 0 when continuous); for a model with ``dynamics`` it is None.
-    ``entry_sd`` holds absolute standard deviations of the entries of A, B, C, D (same shapes); ``sd_stated`` is False where they are the
-    default share of the entries: detection takes such a model as certain.
-    ``output_sd`` is the standard deviation of the output noise, shape ``(p,)``, or None when not stated.
-    ``controller`` closes the loop in positive feedback ``u = K (y - ref)``; None when unknown.
-    ``origin`` is the path the model came from ("" when made in memory) and ``raw`` the text it was read from.
-    ``opened`` opens the simulator behind a model that only steps; ``plant`` is then what was found of it by small pushes.
+    `load` reads one from a MODEL.toml, `Model.from_system` takes one from a linear system.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    inputs, outputs, states : tuple of Variable
+        Names and units.
+    plant : StateSpace or None
+        The linear system (``dt`` 0 when continuous); None for a model with ``dynamics``.
+    dynamics : Dynamics, optional
+        The Python simulator.
+    sample_time : float
+        Of simulator and controller, in seconds; 0 when continuous.
+    parameters : dict of str to Quantity
+        Physical parameters.
+    entry_sd : dict of str to array
+        Standard deviations of the entries of A, B, C, D, in the units of the entries, same shapes.
+    output_sd : array (p,), optional
+        Standard deviation of the noise of each output.
+    process_cov : array (n, n), optional
+        Covariance of the noise that drives the states.
+    controller : StateSpace, optional
+        Closes the loop in positive feedback ``u = K (y - ref)``.
+    origin, raw : str
+        The path the model came from ("" when made in memory), and the text it was read from.
+    extra : dict
+        Further content of the file.
+    opened : callable, optional
+        Opens the simulator behind a model that only steps; ``plant`` is then what was found of it by small pushes.
+    sd_stated : bool
+        False where ``entry_sd`` is the default share of the entries: detection takes such a model as certain.
+
+    Examples
+    --------
+    >>> import afdsvc
+    >>> motor = afdsvc.Model.from_system(([12.0], [0.08, 1]), {"voltage": "V"}, {"speed": "rad/s"})
+    >>> motor.outputs[0].name, motor.plant.A.tolist(), motor.controller
+    ('speed', [[-12.5]], None)
     """
 
     name: str

@@ -95,9 +95,30 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """A recording in memory: uniformly sampled, without gaps.
+    """A recording in memory: uniformly sampled, without gaps. `load` makes them from files.
 
-    ``values`` has shape ``(n, channels)``, ``dt`` is the sample time in seconds, ``name`` says where it came from.
+    Parameters
+    ----------
+    name : str
+        Where it came from.
+    dt : float
+        Sample time in seconds.
+    channels : tuple of Channel
+        Names with roles (``u_voltage``, ``y_speed``) and units, a channel for each column.
+    values : array (n, channels)
+        The samples.
+    t0 : float
+        Time of the first sample in seconds.
+    notes : dict of str to str
+        What was done to the recording when it was read.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from afdsvc.api.signals import Channel, Trace
+    >>> run = Trace("run", 0.1, (Channel("u_voltage", "V"), Channel("y_speed", "rad/s")), np.ones((50, 2)))
+    >>> len(run), float(run.t[-1]), run.column("y_speed").shape, run.role("u").shape
+    (50, 4.9, (50,), (50, 1))
     """
 
     name: str

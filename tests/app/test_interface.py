@@ -23,7 +23,7 @@ from afdsvc.errors import BadInput
 
 ROOT = Path(__file__).parents[2]
 RECORDING = str(next(iter(sorted((ROOT / "recordings" / "shipped").glob("*.mcap")))))
-WITH_EXAMPLES = ("afdsvc.app.interface", "afdsvc.api.model", "afdsvc.lti.transfer_function", "afdsvc.present.text_plot")
+WITH_EXAMPLES = ("afdsvc.app.interface", "afdsvc.api.model", "afdsvc.api.signals", "afdsvc.errors", "afdsvc.lti.transfer_function", "afdsvc.present.text_plot")
 
 
 @pytest.mark.parametrize("module", WITH_EXAMPLES)
@@ -36,13 +36,22 @@ def test_examples_of_docstrings_run(module, tmp_path, monkeypatch):
     assert done.failed == 0, said.getvalue()
 
 
-@pytest.mark.parametrize("name", [n for n in afdsvc.__all__ if inspect.isfunction(getattr(afdsvc, n))])
-def test_every_function_is_documented_the_numpy_way(name):
-    said = inspect.getdoc(getattr(afdsvc, name)) or ""
-    for section in ("Parameters", "Returns", "Examples"):
+@pytest.mark.parametrize("name", afdsvc.__all__)
+def test_every_name_is_documented_the_numpy_way(name):
+    thing = getattr(afdsvc, name)
+    said = inspect.getdoc(thing) or ""
+    error = inspect.isclass(thing) and issubclass(thing, Exception)  # made from a message
+    for section in ("Examples",) if error else ("Parameters", "Examples") if inspect.isclass(thing) else ("Parameters", "Returns", "Examples"):
         assert re.search(rf"^{section}\n-+$", said, re.MULTILINE), f"{name} lacks {section}"
-    for parameter in inspect.signature(getattr(afdsvc, name)).parameters:
+    for parameter in () if error else inspect.signature(thing).parameters:
         assert re.search(rf"^(\*\*?)?(\w+, )*{parameter}\b", said, re.MULTILINE), f"{name}: {parameter}"
+
+
+def test_help_of_the_package_begins_with_its_use():
+    use, _, packages = (inspect.getdoc(afdsvc) or "").partition("The packages below")
+    assert set(re.findall(r"^    (?:\w+ = )?afdsvc\.(\w+)", use, re.MULTILINE)) == set(afdsvc.__all__) - {"BadInput", "Trace", "load"}
+    assert "- `lti`" in packages
+    assert "`lti`" not in use
 
 
 def test_the_page_runs_as_it_is_printed(tmp_path, monkeypatch):
