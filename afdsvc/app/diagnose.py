@@ -27,7 +27,7 @@ from afdsvc.files.recording.mcap_file import BLOCK, REQUEST, RETUNING
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Bursts, DetectorSection, DriverSection, MachineSection
 from afdsvc.files.tables.foreign import prepared
-from afdsvc.files.tables.tables import import_traces
+from afdsvc.files.tables.tables import import_traces, with_units
 from afdsvc.hal.replay import blocks_of
 from afdsvc.lti.lft import star
 from afdsvc.lti.statespace import Array, StateSpace
@@ -42,17 +42,21 @@ CALIBRATED = 2 / 3  # of the quiet samples before the first burst
 
 
 def diagnose_recordings(
-    paths: Sequence[Path], model: Path | None = None, calibrate: float | None = None, calibrate_on: Path | None = None,
+    recordings: Sequence[Path | Trace], model: Path | Model | None = None, calibrate: float | None = None, calibrate_on: Path | None = None,
     detectors: Sequence[str] = (), naming: Naming = Naming(), allow_code: bool = False,
 ) -> dict[str, Any]:
-    """Return the document of ``diagnose --json`` for recordings (MCAP) and tables; raises `BadInput` naming the file.
+    """Return the document of ``diagnose --json`` for recordings (MCAP), tables and traces; raises `BadInput` naming the file.
 
     ``detectors`` are used instead of those the recording's own site names. ``model`` may be a simulator only with ``allow_code``; then
     its linear part is used. A simulator inside a recording never runs.
     """
-    plugins, given = load(), None if model is None else read_model(model, allow_code)
+    plugins, given = load(), read_model(model, allow_code) if isinstance(model, Path) else model
     found: list[dict[str, Any]] = []
-    for path in paths:
+    for path in recordings:
+        if isinstance(path, Trace):
+            assert given is not None  # noqa: S101 - the Python interface asks for one
+            found += _diagnose_traces(path.name, "table", [with_units(path, given)], given, calibrate, calibrate_on, plugins, detectors)
+            continue
         file = open_file(path, naming)
         if isinstance(file, OwnRecording):
             found += _diagnose_own(file, given, calibrate, plugins, detectors)
@@ -233,23 +237,29 @@ def _machine_of(
 def _diagnose_foreign(
     path: Path, file: TableFile | MappedTopics, model: Model | None, calibrate: float | None, on: Path | None, plugins: Plugins, detectors: Sequence[str]
 ) -> list[dict[str, Any]]:
-    """Diagnose a table, or a recording of others: every stretch without a gap by itself."""
+    """Diagnose a table, or a recording of others."""
     if model is None:
         if isinstance(file, MappedTopics):
             file.mapping()  # without it, that is what is missing first
         raise BadInput(f"{path}: a table carries no model; give one with --model MODEL.toml")
-    traces = file.traces(model)
+    return _diagnose_traces(str(path), path.stem.replace(" ", "_"), file.traces(model), model, calibrate, on, plugins, detectors)
+
+
+def _diagnose_traces(
+    source: str, id: str, traces: Sequence[Trace], model: Model, calibrate: float | None, on: Path | None, plugins: Plugins, detectors: Sequence[str]
+) -> list[dict[str, Any]]:
+    """Diagnose every stretch without a gap by itself."""
     found = []
     for number, trace in enumerate(traces, 1):
         through = _entered(trace, model)
         trace = trace if through == "alpha" else _from_rest(trace, trace.values[0])
-        config = _bare(path.stem.replace(" ", "_"), calibrate or len(trace) * trace.dt / 2, on, through)
+        config = _bare(id, calibrate or len(trace) * trace.dt / 2, on, through)
         watched = RecordedMachine(model, trace.dt, trace.channels)
         machine = _watched_by(detectors, commissioning.commission(config, plugins, watched))
         machine, played = _excited(machine, [trace], calibrate)
         bursts = {burst.name: burst for _, burst in played}
         replayed = evidence_of(machine, marked(blocks_of(trace, config.id, "table", 0), played), bursts.values(), plugins)
-        name = str(path) if len(traces) == 1 else f"{path} ({number})"
+        name = source if len(traces) == 1 else f"{source} ({number})"
         found.append(document(name, config.id, replayed, bursts, machine, replayed.remarks, prepared([trace])))
     return found
 

@@ -216,16 +216,17 @@ def explain(system: Any, recordings: Any, *, holdout: Any = (), jobs: int = 2, t
     return Explained(result.json(None, None), result)
 
 
-def diagnose(*recordings: str | Path, model: str | Path | None = None, calibrate: float | None = None, detectors: Sequence[str] = (),
+def diagnose(*recordings: Any, model: Any = None, calibrate: float | None = None, detectors: Sequence[str] = (),
              mapping: str | Path | None = None, rename: Mapping[str, str] | None = None, allow_code: bool = False) -> Diagnosed:  # fmt: skip
     """Run the detectors over recordings: the same code and the same evidence as live.
 
     Parameters
     ----------
-    *recordings : str or Path
-        MCAP recordings, or tables with ``model``.
-    model : str or Path, optional
-        MODEL.toml for recordings that carry none.
+    *recordings : path, DataFrame, dict of arrays, Trace, or list of these
+        MCAP recordings; or, with ``model``, tables and data in memory with columns as in `check`. The bursts that were played are the
+        columns ``alpha_<input>``, or move the set points ``ref_<output>``; without bursts the detectors that need none judge.
+    model : Model, path, or system of python-control or scipy.signal, optional
+        For recordings that carry none, with the controller that ran: without it only detectors that need no loop judge.
     calibrate : float, optional
         Seconds without bursts from which the noise is estimated.
     detectors : sequence of str
@@ -251,14 +252,37 @@ def diagnose(*recordings: str | Path, model: str | Path | None = None, calibrate
     >>> found = afdsvc.diagnose(RECORDING)  # a recording of `afdsvc demo`
     >>> found.document["recordings"][0]["machine"]
     'bearing'
+
+    A motor under speed control, whose actuator has lost 30 % while two sines are added to its input:
+
+    >>> import numpy as np
+    >>> t, rng = 0.005 * np.arange(8000), np.random.default_rng(0)
+    >>> k = np.arange(8000) % 4000 - 2000  # two bursts of 10 s
+    >>> alpha = np.where(k > 0, 0.4 * (np.sin(0.005 * 4 * np.pi * k) + np.sin(0.005 * 12 * np.pi * k)), 0)
+    >>> u, x, y = np.zeros(8000), 0.0, 0.05 * rng.standard_normal(8000)
+    >>> for k in range(8000):
+    ...     y[k] += x
+    ...     u[k] = -0.2 * y[k] + alpha[k]
+    ...     x += 0.005 * (-12.5 * x + 150 * 0.7 * u[k])
+    >>> motor = afdsvc.Model.from_system(([12.0], [0.08, 1]), {"voltage": "V"}, {"speed": "rad/s"}, controller=([-0.2], [1]))
+    >>> found = afdsvc.diagnose({"t": t, "voltage": u, "speed": y, "alpha_voltage": alpha}, model=motor)
+    >>> found.document["recordings"][0]["verdict"]["fault"]
+    'voltage_actuator'
     """
     from afdsvc.app.diagnose import diagnose_recordings
 
-    if not recordings:
+    if model is not None and not isinstance(model, Model):
+        model = read_model(Path(model), allow_code) if isinstance(model, (str, Path)) else _together(model, list(recordings))[0]
+    listed = [one for r in recordings for one in (r if isinstance(r, (list, tuple)) else [r])]
+    memory = next((r for r in listed if not isinstance(r, (str, Path))), None)
+    if model is None and memory is not None:
+        raise BadInput(f"a {type(memory).__name__} carries no model; give one with model=, such as the path of a MODEL.toml")
+    found = [one for r in listed for one in ([Path(r)] if isinstance(r, (str, Path)) else _traces(r, model))]
+    if not found:
         raise BadInput("no recording was given; expected at least one")
+    model = model and replace(model, origin=model.origin or f"model '{model.name}'")  # errors begin with it
     naming = Naming.of(None if mapping is None else Path(mapping), rename)
-    given = None if model is None else _path(model, "model")
-    return Diagnosed(diagnose_recordings([_path(r, "a recording") for r in recordings], given, calibrate, None, detectors, naming, allow_code))
+    return Diagnosed(diagnose_recordings(found, model, calibrate, None, detectors, naming, allow_code))
 
 
 def design(site: str | Path, machine: str | None = None, *, allow_code: bool = False, frequencies: Sequence[float] = ()) -> Designed:

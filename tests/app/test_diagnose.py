@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+import afdsvc
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.app import commissioning
 from afdsvc.app.diagnose import diagnose_recordings, import_recording
@@ -74,6 +75,17 @@ def test_an_imported_table_is_judged_like_the_table(tables, tmp_path):
     import_recording(tables / "run.npz", tmp_path / "run.mcap", tables / "stated.toml", {})
     first, second = (diagnose_recordings([p], m) for p, m in ((tables / "run.npz", tables / "stated.toml"), (tmp_path / "run.mcap", None)))
     assert decisions(first) == decisions(second)
+
+
+def test_data_in_memory_are_judged_like_the_table(tables):
+    """A dict of arrays and traces, with the model as an object or as a path."""
+    wanted, model = decisions(diagnose_recordings([tables / "run.npz"], tables / "stated.toml")), tables / "stated.toml"
+    with np.load(tables / "run.npz") as file:
+        columns = dict(file)
+    for data, given in ((columns, afdsvc.load(model)), (afdsvc.load(tables / "run.npz"), model)):
+        found = afdsvc.diagnose(data, model=given)
+        assert decisions(found.document) == wanted
+    assert decisions(afdsvc.diagnose(tables / "run.npz", model=afdsvc.load(model)).document) == wanted
 
 
 def test_without_the_controller_lines_are_refused_in_words_and_regression_judges(tables):
