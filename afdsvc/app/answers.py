@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -28,6 +28,7 @@ class Answer:
     """
 
     document: Mapping[str, Any]
+    COLUMNS: ClassVar[tuple[str, ...]] = ()  # of a table that may be without rows
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -48,7 +49,7 @@ class Answer:
             import pandas
         except ImportError:
             raise BadInput("pandas is not installed; expected it (pip install 'afdsvc[pandas]'), or use .rows()") from None
-        return pandas.DataFrame(self.rows())
+        return pandas.DataFrame(self.rows(), columns=list(self.COLUMNS) or None)
 
     def to_xarray(self) -> Any:
         """Return the answer as an ``xarray.Dataset``: its curves where it has some, else its table. Raises `BadInput` without the extra ``xarray``."""
@@ -61,7 +62,7 @@ class Answer:
     def _curves(self) -> tuple[dict[str, tuple[Any, Any]], dict[str, Any]]:
         """Return variables as (dimensions, values), and coordinates."""
         rows = self.rows()
-        return {name: ("row", [row[name] for row in rows]) for name in (rows[0] if rows else ())}, {}
+        return {name: ("row", [row[name] for row in rows]) for name in self.COLUMNS or (rows[0] if rows else ())}, {}
 
     def __repr__(self) -> str:
         return "\n".join([*self.sentences, *(f"  {_line(row)}" for row in self.rows())])
@@ -81,6 +82,7 @@ class Checked(Answer):
     """What `check` found: ``verdict`` is "ready", "limited" or "refused"."""
 
     result: CheckResult
+    COLUMNS: ClassVar = ("output", "r2", "gain", "delay_s", "offset", "how")
 
     @property
     def verdict(self) -> str:
@@ -157,6 +159,7 @@ class Explained(Answer):
     """What `explain` found: ``verdict``, the named effects, and the improved model in ``result``."""
 
     result: Explanation
+    COLUMNS: ClassVar = ("physics", "site", "weight", "parameter", "value", "sd", "unit")
 
     @property
     def verdict(self) -> str:
@@ -194,6 +197,8 @@ class Explained(Answer):
 @dataclass(frozen=True, slots=True, repr=False)
 class Diagnosed(Answer):
     """What `diagnose` found, one verdict for each recording of a machine."""
+
+    COLUMNS: ClassVar = ("recording", "machine", "start_s", "detector", "detected", "statistic", "threshold", "fault", "severity", "sd")
 
     @property
     def sentences(self) -> tuple[str, ...]:

@@ -128,6 +128,8 @@ def as_state_space(system: Any) -> StateSpace:
     """
     if isinstance(system, StateSpace):
         return system
+    if getattr(system, "dt", None) is True:
+        raise BadInput("the system has its sample time unspecified (dt=True); give dt in seconds")
     if isinstance(system, tuple) and 2 <= len(system) <= 4:
         return _of_parts(system, 0.0)
     if all(hasattr(system, part) for part in "ABCD"):

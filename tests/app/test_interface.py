@@ -11,6 +11,7 @@ import subprocess
 import sys
 from contextlib import redirect_stdout
 from pathlib import Path
+from types import SimpleNamespace
 
 import control
 import numpy as np
@@ -19,6 +20,7 @@ import pytest
 import scipy.signal
 
 import afdsvc
+from afdsvc.app.answers import Checked, Diagnosed, Explained
 from afdsvc.errors import BadInput
 
 ROOT = Path(__file__).parents[2]
@@ -106,7 +108,8 @@ def test_a_discrete_system_keeps_its_sample_time():
     assert afdsvc.Model.from_system(scipy.signal.dlti([12.0], [1, -0.5], dt=0.1)).plant.dt == 0.1
 
 
-@pytest.mark.parametrize(("system", "words"), [("motor", "is a str"), (([1.0, 2, 3], [1.0]), "degree 2")])
+@pytest.mark.parametrize(("system", "words"), [
+    (control.tf([1.0], [1, -0.5], True), "sample time unspecified \\(dt=True\\); give dt in seconds"), (scipy.signal.dlti([1.0], [1, -0.5]), "dt=True"), ("motor", "is a str"), (([1.0, 2, 3], [1.0]), "degree 2")])
 def test_what_is_no_system_is_named(system, words):
     with pytest.raises(BadInput, match=words):
         afdsvc.Model.from_system(system)
@@ -139,6 +142,15 @@ def test_frames_of_every_kind_of_time(run, index):
     assert found.rows()[0]["r2"] > 0.99
     assert "<svg" in found._repr_html_()
     assert list(found.to_pandas()["output"]) == ["speed"]
+
+
+def test_a_table_without_rows_has_its_columns():
+    """Explained and consistent, diagnosed without bursts; the columns are those of rows."""
+    for kind in (Explained, Diagnosed, Checked):
+        empty = kind({"recordings": []}, *[SimpleNamespace(named=(), outputs=(), courses=())][: kind is not Diagnosed])
+        assert tuple(empty.to_pandas().columns) == kind.COLUMNS
+        assert len(empty.to_pandas()) == 0
+    assert tuple(afdsvc.diagnose(RECORDING).rows()[0]) == Diagnosed.COLUMNS
 
 
 def test_a_bare_system_takes_the_names_of_the_columns(run):
