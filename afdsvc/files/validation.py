@@ -152,8 +152,10 @@ def validated(schema: type[T], data: object, source: str) -> T:
     try:
         return schema.model_validate(data)
     except ValidationError as error:
-        offences = dict.fromkeys(_sentence(schema, e) for e in error.errors(include_url=False))
-        raise BadInput(f"{source}: {'; and '.join(offences)}") from None
+        offences: dict[str, str] = {}
+        for e in error.errors(include_url=False):
+            offences.setdefault(_dotted(e["loc"]) or e["msg"], _sentence(schema, e))  # where several types were tried, the first speaks
+        raise BadInput(f"{source}: {'; and '.join(offences.values())}") from None
 
 
 def _sentence(schema: type[BaseModel], error: Any) -> str:
@@ -169,14 +171,38 @@ def _sentence(schema: type[BaseModel], error: Any) -> str:
         detail = message.removeprefix("Value error, ")
         given = f" is {found};" if isinstance(error["input"], str | int | float) else ":"
         return f"key '{key}'{given} {detail}" if key else detail
-    return f"key '{key}' is {found}; {message[0].lower()}{message[1:]}".replace("input should be", "expected")
+    return f"key '{key}' is {found}; expected {_expected(schema, error)}"
+
+
+TYPES = {"float_type": "a number", "int_type": "a whole number", "int_from_float": "a whole number", "string_type": "text", "bool_type": "true or false",
+         "dict_type": "a table", "finite_number": "a finite number"}  # fmt: skip
+
+
+def _expected(schema: type[BaseModel], error: Any) -> str:
+    """Return what belongs in the place of an error: a type, an example where field or table have one, or a limit."""
+    kind, context, field, table = error["type"], error.get("ctx", {}), None, schema
+    for part in error["loc"]:
+        if part in getattr(table, "model_fields", {}):
+            field = table.model_fields[part]
+            table = _inner(field.annotation)
+    example = getattr(table, "EXPECTED", "") or f"a table with the keys {', '.join(getattr(table, 'model_fields', {}))}"
+    if kind == "model_type":
+        return example
+    if kind == "list_type":
+        entries = f"a list, each entry {example}" if hasattr(table, "model_fields") else "a list"
+        return field.description if field and field.description and not _dotted(error["loc"]).endswith("]") else entries
+    words = str(error["msg"]).removeprefix("Input should be ")
+    limits = {"greater_than": "a number above {gt:g}", "greater_than_equal": "a number of at least {ge:g}", "less_than": "a number below {lt:g}",
+              "less_than_equal": "a number of at most {le:g}", "too_short": "at least {min_length} entries, not {actual_length}",
+              "string_too_short": "text that is not empty"}  # fmt: skip
+    return TYPES.get(kind) or (limits[kind].format(**context) if kind in limits else words[0].lower() + words[1:])
 
 
 def _dotted(location: tuple[int | str, ...]) -> str:
     """Return a place in a file as people write it: ``inputs[0].unit``."""
     text = ""
     for part in location:
-        if isinstance(part, int) or "[" not in part:  # other parts name one of several types that were tried
+        if isinstance(part, int) or not ("[" in part or part in ("float", "int", "str")):  # other parts name one of several types that were tried
             text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
     return text
 

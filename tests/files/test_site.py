@@ -29,7 +29,7 @@ def test_defaults_are_safe():
     ("text", "words"),
     [
         ("site = \n", ["site.toml", "not a TOML file", "line 1"]),
-        (GOOD + "block = 5\n", ["machines[0].block", "is 5", "greater than or equal to 10"]),
+        (GOOD + "block = 5\n", ["machines[0].block", "is 5", "a number of at least 10"]),
         (GOOD + "blok = 500\n", ["machines[0].blok", "is not known"]),
         (GOOD.replace('id = "bearing-1"\n', ""), ["machines[0].id", "missing"]),
         (GOOD.replace("bearing-1", "a/b"), ["machines[0].id", "'a/b'", "letters, digits"]),
@@ -43,7 +43,7 @@ def test_defaults_are_safe():
         (GOOD + 'driver = {faults = [{name = "x", severity = -3}]}\n', ["severity", "is -3", "-1"]),
         ('site = "lab"\nmachines = []\n', ["machines", "at least 1"]),
         ('site = "lab"\ntext = "x"\n', ["unknown"]),
-        ("site = 3\n" + GOOD.replace('site = "lab"', ""), ["'site'", "is 3", "string"]),
+        ("site = 3\n" + GOOD.replace('site = "lab"', ""), ["'site'", "is 3", "expected text"]),
     ],
 )
 def test_wrong_files_are_named(text, words):

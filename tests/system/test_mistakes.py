@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from afdsvc import cli
 from afdsvc.cli import app
 from afdsvc.errors import AfdsvcError
+from afdsvc.files.model.model_file import parse_model
 
 MODEL = """name = "motor"
 time = "continuous"
@@ -68,7 +69,7 @@ def folder(tmp_path_factory) -> Path:
         ("review log.csv", ["log.csv: is a table; expected a recording, which 'afdsvc import log.csv -o log.mcap' makes of it"]),
         ("design fast.toml", ["plant 'gas_bearing': option 'rpm' is 'fast'; expected a number"]),
         ("init hours.csv --step 1 --out new", ["expected --input COLUMN, but it has no column beside the time"]),
-        ("check number.toml gap.csv", ["number.toml: key 'num[0]' is 'three'; expected a valid number"]),
+        ("check number.toml gap.csv", ["number.toml: key 'num[0]' is 'three'; expected a number"]),
         ("recover nowhere.mcap", ["nowhere.mcap: cannot be read: No such file or directory; expected a recording"]),
         ("status", ["no service answers at tcp/127.0.0.1:28997; start it with 'afdsvc serve'"]),
         ("alarms site.toml", ["'site.toml' is no alarm; the site file is given as --site site.toml"]),
@@ -84,6 +85,30 @@ def test_a_mistake_is_named_with_the_way_out(folder, monkeypatch, arguments, wor
     assert isinstance(found, AfdsvcError), found
     assert "\n" not in str(found)
     assert all(word in str(found) for word in words), str(found)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (('[{name = "voltage", unit = "V"}]', '["voltage"]'), "key 'inputs[0]' is 'voltage'; expected a table such as {name = \"voltage\", unit = \"V\"}"),
+        (('[{name = "voltage", unit = "V"}]', '"voltage"'), "key 'inputs' is 'voltage'; expected a list, each entry a table such as {name = "),
+        (("[3.0]", "100"), "key 'num' is 100; expected a list of coefficients, highest power first, such as [0.08, 1]"),
+        (("[3.0]", '["a"]'), "key 'num[0]' is 'a'; expected a number"),
+        (("[0.2, 1.0]\n", '[0.2, 1.0]\n[parameters]\nm = "heavy"\n'), "key 'parameters.m' is 'heavy'; expected a number, text such as \"1.2 kg +- 5 %\", or a table such as {value = 1.2, unit = \"kg\"}"),
+        (("[0.2, 1.0]\n", "[0.2, 1.0]\n[noise]\noutput_sd = 0.1\n"), "key 'noise.output_sd' is 0.1; expected a list of numbers, one for each output"),
+        (("[0.2, 1.0]\n", "[0.2, 1.0]\n[noise]\noutput_sd = [0]\n"), "key 'noise.output_sd[0]' is 0; expected a number above 0"),
+        (("[0.2, 1.0]\n", "[0.2, 1.0]\n[perturbation]\nsamples = 3.5\n"), "key 'perturbation.samples' is 3.5; expected a whole number"),
+        (("[0.2, 1.0]\n", "[0.2, 1.0]\nnoise = 3\n"), "key 'noise' is 3; expected a table with the keys output_sd, process_cov"),
+        (('"motor"', "3"), "key 'name' is 3; expected text"),
+        (("num = [3.0]\nden = [0.2, 1.0]", "A = 3\nB = [[1]]\nC = [[1]]"), "key 'A' is 3; expected a list of rows, such as [[0, 1], [-4, -2]]"),
+        (("num = [3.0]\nden = [0.2, 1.0]", "A = [[1]]\nB = [1250]\nC = [[1]]"), "expected rows: [[1250]] is one row and one column, [[1250, 0]] is one row, [[1250], [0]] one column"),
+        (("num = [3.0]\nden = [0.2, 1.0]", "poles = [[1]]\ngain = 1"), "key 'poles[0]' is [1]; expected a number"),
+    ],
+)  # fmt: skip
+def test_a_wrong_kind_of_value_is_named_without_the_words_of_the_parser(change, words):
+    with pytest.raises(AfdsvcError) as error:
+        parse_model(MODEL.replace(*change), "MODEL.toml")
+    assert f"MODEL.toml: {words}" in str(error.value) or (words.startswith("expected") and words in str(error.value)), str(error.value)
 
 
 def test_a_path_that_cannot_be_used_is_one_sentence(monkeypatch, capsys):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -16,6 +16,9 @@ Polynomials = list[float] | list[list[list[float]]]
 Roots = list[float | Annotated[list[float], Field(min_length=2, max_length=2)]]
 FORMS = (("num", "den"), ("zeros", "poles", "gain"), ("A", "B", "C", "D"))
 QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(.*?)\s*(?:(?:\+-|±)\s*([\d.]+)\s*%)?\s*")
+COEFFICIENTS = Field(default=None, description="a list of coefficients, highest power first, such as [0.08, 1]")
+ROWS = Field(default=None, description="a list of rows, such as [[0, 1], [-4, -2]]")
+ROOTS = Field(default=None, description="a list of roots, such as [-12.5], or [[-1, 2], [-1, -2]] where they are complex")
 Name = Annotated[str, Field(min_length=1, pattern=r"^\S(.*\S)?$")]
 Positive = Annotated[float, Field(gt=0)]
 
@@ -23,6 +26,7 @@ Positive = Annotated[float, Field(gt=0)]
 class VariableTable(Strict):
     """An input or output."""
 
+    EXPECTED: ClassVar[str] = 'a table such as {name = "voltage", unit = "V"}'
     name: Name
     unit: str = ""
 
@@ -36,6 +40,7 @@ class StateTable(VariableTable):
 class ParameterTable(Strict):
     """A physical parameter and how well it is known; on one line: a number, or ``"95.1 kg +- 2 %"``."""
 
+    EXPECTED: ClassVar[str] = 'a number, text such as "1.2 kg +- 5 %", or a table such as {value = 1.2, unit = "kg"}'
     value: float
     unit: str = ""
     relative_sd: Annotated[float, Field(ge=0)] = 0.05
@@ -65,7 +70,7 @@ class UncertaintyTable(Strict):
 class NoiseTable(Strict):
     """Standard deviation of each output's noise; covariance of the noise that drives the states."""
 
-    output_sd: list[Positive] | None = None
+    output_sd: list[Positive] | None = Field(default=None, description="a list of numbers, one for each output")
     process_cov: Matrix | None = None
 
 
@@ -76,22 +81,23 @@ class LinearTable(Strict):
 
     time: Literal["continuous", "discrete"]
     sample_time: Positive | None = None
-    A: Matrix | None = None
-    B: Matrix | None = None
-    C: Matrix | None = None
-    D: Matrix | None = None
-    num: Polynomials | None = None
-    den: Polynomials | None = None
-    zeros: Roots | None = None
-    poles: Roots | None = None
+    A: Matrix | None = ROWS
+    B: Matrix | None = ROWS
+    C: Matrix | None = ROWS
+    D: Matrix | None = ROWS
+    num: Polynomials | None = COEFFICIENTS
+    den: Polynomials | None = COEFFICIENTS
+    zeros: Roots | None = ROOTS
+    poles: Roots | None = ROOTS
     gain: float | None = None
 
     @field_validator("A", "B", "C", "D", mode="before")
     @classmethod
     def _rows(cls, value: Any, info: Any) -> Any:
         if isinstance(value, list) and value and not any(isinstance(row, list) for row in value):
-            column = "".join(f"[{v}], " for v in value)[:-2]
-            raise ValueError(f"{value} is a flat list; expected rows: [{value}] is one row, [{column}] one column")
+            row = value if len(value) > 1 else [*value, 0]
+            alone = "" if len(value) > 1 else f"[{value}] is one row and one column, "
+            raise ValueError(f"{value} is a flat list; expected rows: {alone}[{row}] is one row, [{', '.join(f'[{v}]' for v in row)}] one column")
         return value
 
     @model_validator(mode="after")
@@ -146,7 +152,7 @@ class ControllerTable(LinearTable):
 class PerturbationTable(Strict):
     """How the linear part of a simulator that only steps is looked for: pushes (in the inputs' units), samples, order."""
 
-    amplitude: list[Positive] | None = None
+    amplitude: list[Positive] | None = Field(default=None, description="a list of numbers, one for each input")
     samples: Annotated[int, Field(ge=50, le=20000)] = 400
     order: Annotated[int, Field(ge=1, le=30)] | None = None
 
