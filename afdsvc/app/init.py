@@ -19,7 +19,7 @@ from afdsvc.files.tables.alignment import SHORTEST
 from afdsvc.files.tables.foreign import read_foreign_columns
 from afdsvc.files.tables.formats import read_columns
 from afdsvc.files.tables.historian import is_export, read_export
-from afdsvc.files.tables.mapping import DataMapping, Heading, heading, role_of_unit, same_unit
+from afdsvc.files.tables.mapping import REFERENCES, DataMapping, Heading, heading, role_of_unit, same_dimension, same_unit
 from afdsvc.files.tables.time_base import is_stamped, own_step, own_time
 from afdsvc.files.unfinished import writing
 from afdsvc.identify.first_model import MOST, Polynomials, first_model
@@ -93,6 +93,7 @@ def init_files(recording: Path, out: Path | None = None, answers: Answers | None
     return {
         "model": str(model), "mapping": str(mapping), **({"site": str(files[2])} if site else {}), "sample_time": trace.dt, "time": time,
         "columns": [{"column": h.name, "signal": f"{h.role}_{h.label}", "unit": h.unit} for h in found],
+        "left_out": {n: f"its {'cells are time stamps' if is_stamped(columns[n]) else 'name says that it is a time'}" for n in columns if n not in (time, *(h.name for h in found))},
         "fits": {h.label: {"r2": f.r2, "num": f.num, "den": f.den} for h, f in zip(outs, fits, strict=True)},
         "next": NEXT.format(model=model, recording=recording, mapping=mapping).splitlines() + [f"afdsvc site check {f}" for f in files[2:]],
     }  # fmt: skip
@@ -127,8 +128,19 @@ def _headings(recording: Path, names: Sequence[str], answers: Answers, time: str
         found = [replace(h, role=role) if h.name in chosen else h for h in found]
     if answers.ask:
         found = [_with_unit(h, answers) for h in found]
+    found = [_reference(h, [o for o in found if o.role == "y"]) for h in found]
     labels = [f"{h.role}_{h.label}" for h in found]
     return [replace(h, label=f"{h.label}_{k}") if labels.count(f"{h.role}_{h.label}") > 1 else h for k, h in enumerate(found, 1)]
+
+
+def _reference(h: Heading, outputs: Sequence[Heading]) -> Heading:
+    """Return a set point under the name of the output it is for: that of its name without "reference", or the only one of its unit."""
+    if h.role != "ref" or h.name.startswith("ref_"):
+        return h
+    rest = "_".join(word for word in h.label.split("_") if word not in REFERENCES)
+    fits = [o for o in outputs if same_dimension(h.unit or o.unit, o.unit)]
+    of = [o for o in fits if o.label == rest] or (fits if len(fits) == 1 else [])
+    return replace(h, label=of[0].label) if of else h
 
 
 def _chooser(found: Sequence[Heading]) -> Callable[[str], list[str]]:

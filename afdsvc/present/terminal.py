@@ -412,6 +412,8 @@ def init_table(document: dict[str, Any]) -> None:
     for c in document["columns"]:
         table.add_row(c["column"], c["signal"], c["unit"] or "not stated")
     OUT.print(table)
+    for name, why in document["left_out"].items():
+        OUT.print(f"{name} is left out: {why}", soft_wrap=True, markup=False)
     site = f"\nsite    {document['site']}" if "site" in document else ""
     for name, fit in document["fits"].items():
         OUT.print(f"{name}: {list(fit['num'])} / {list(fit['den'])} explains {100 * fit['r2']:.1f} % of its variance", soft_wrap=True)

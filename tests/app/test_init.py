@@ -69,6 +69,16 @@ def test_units_say_the_role_where_names_do_not(tmp_path: Path):
     assert [c["signal"] for c in found] == ["u_u", "y_n", "aux_winding", "aux_gap"]
 
 
+def test_set_points_and_temperatures_are_kept_and_what_is_left_out_is_said(tmp_path: Path):
+    rows = "".join(f"{k / 10},{(k // 9) % 2},{(k // 9) % 2 + k % 3 / 10},20,{k % 7},{k % 5},{k}\n" for k in range(300))
+    (tmp_path / "log.csv").write_text("t,U_V,angle_deg,T_motor [°C],reference_deg,target speed [rpm],time_of_day\n" + rows)
+    found = init_files(tmp_path / "log.csv")
+    assert [c["signal"] for c in found["columns"]] == ["u_u", "y_angle", "aux_t_motor", "ref_angle", "ref_target_speed"]
+    assert found["left_out"] == {"time_of_day": "its name says that it is a time"}
+    said = CliRunner().invoke(app, ["init", str(tmp_path / "log.csv"), "--overwrite"]).output
+    assert "time_of_day is left out: its name says that it is a time" in said
+
+
 LOG_COLUMNS = (np.arange(300) // 9 % 2.0, np.convolve(np.arange(300) // 9 % 2.0, 0.5 * 0.5 ** np.arange(20))[:300])
 LOG = "t,a,b\n" + "".join(f"{k / 10},{(k // 9) % 2},{(k // 9) % 2 + k % 3 / 10}\n" for k in range(300))
 

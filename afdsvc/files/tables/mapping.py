@@ -162,6 +162,7 @@ def _unit(text: str, where: str) -> Any:
 
 INPUTS = ("voltage", "force", "torque", "current", "command", "duty", "pwm", "drive", "valve", "input", "effort")
 OUTPUTS = ("position", "speed", "velocity", "angle", "acceleration", "displacement", "pressure", "level", "rate", "output", "rpm", "deflection")
+REFERENCES = ("reference", "ref", "setpoint", "target", "desired")
 TIMES = ("t", "time", "timestamp", "datetime", "date", "zeit", "stamp")
 UNITS = {"u": ("V", "A", "N", "N*m"), "y": ("rpm", "m", "m/s", "m/s^2")}  # what machines are driven by, and how they move
 NO_UNITS = ("PV", "MV", "CV", "SP", "OP", "U", "act", "point")  # last words of names that would else be petavolts, megavolts and the like
@@ -194,6 +195,8 @@ def heading(name: str, inputs: Sequence[str] = (), outputs: Sequence[str] = ()) 
     if name in inputs or name in outputs:
         return Heading(name, label, unit, "u" if name in inputs else "y")
     role = own or (name if name in ("u", "y") else _role(label))  # matrices u and y: inputs and outputs
+    if role == "t" and unit and not same_dimension(unit, "s"):
+        role = "aux"  # T_motor [°C]
     return Heading(name, rest if own and not unit else label, unit, role)
 
 
@@ -220,9 +223,14 @@ def _is_unit(text: str) -> bool:
         return False
 
 
+def same_dimension(a: str, b: str) -> bool:
+    """Whether two units measure the same quantity; texts without a unit do."""
+    return a == b or bool(a and b and _unit(a, "").dimensionality == _unit(b, "").dimensionality)
+
+
 def _role(label: str) -> str:
     words = label.split("_")
-    for role, known in (("t", TIMES), ("u", INPUTS), ("y", OUTPUTS)):
+    for role, known in (("t", TIMES), ("u", INPUTS), ("ref", REFERENCES), ("y", OUTPUTS)):
         if any(word in known for word in words):
             return role
     return "aux"
