@@ -210,7 +210,7 @@ def browser(tmp_path):
 
 
 @browser_needed
-def test_an_alarm_is_handled_by_keyboard_alone(free_port, tmp_path, browser):
+def test_an_alarm_is_handled_by_keyboard_alone(free_port, tmp_path, browser):  # noqa: PLR0915 - one walk through the page
     base, site = f"http://127.0.0.1:{free_port + 1}", site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")
     with serve.serving(site) as hub:
         browser.open(base + "/", 1400)
