@@ -209,6 +209,21 @@ def browser(tmp_path):
     opened.close()
 
 
+def a_burst_is_shown(browser: Browser, hub) -> None:
+    """Check the dialog of a planned burst: a panel each for its channels, the limit of the signal that is shown, nothing clipped."""
+    assert browser.value("[...document.querySelectorAll('#ask td')].some((e) => e.textContent === 'output horizontal')")
+    assert "Excitation signal alpha, added inside the controller (not the actuator command)" in browser.value("document.getElementById('ask').innerText")
+    limit = hub.burst_requests["bearing"].pipeline.problem.limits.alpha
+    panels = browser.value("[...document.querySelectorAll('#ask figure')].map((e) => [e.querySelector('figcaption').innerText, ...[...e.querySelectorAll('text')].map((t) => t.textContent)])")
+    assert [panel[0].split(":")[0] for panel in panels] == ["horizontal", "vertical"]  # none hides the other
+    for panel, bound in zip(panels, limit, strict=True):
+        assert f"limit of this signal {bound:.3g} V" in panel[0]
+        assert {"0", "time [s]", "alpha [V]"} <= set(panel)
+        assert all(len(word) <= 6 for word in panel[1:-2]), panel  # multiples of a round step
+    inside = "(e) => { const box = e.getBoundingClientRect(); return [...e.querySelectorAll('text')].map((t) => t.getBoundingClientRect()).every((t) => t.left >= box.left && t.right <= box.right && t.top >= box.top && t.bottom <= box.bottom); }"
+    assert browser.value(f"[...document.querySelectorAll('#ask svg')].every({inside})")
+
+
 @browser_needed
 def test_an_alarm_is_handled_by_keyboard_alone(free_port, tmp_path, browser):  # noqa: PLR0915 - one walk through the page
     base, site = f"http://127.0.0.1:{free_port + 1}", site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")
@@ -241,23 +256,15 @@ def test_an_alarm_is_handled_by_keyboard_alone(free_port, tmp_path, browser):  #
         browser.tab_to("Show and play a burst on bearing")
         browser.press("Enter")
         browser.until("document.getElementById('ask').innerText.includes('Expected peaks')")
-        assert browser.value("[...document.querySelectorAll('#ask td')].some((e) => e.textContent === 'output horizontal')")
-        assert "Excitation signal alpha, added inside the controller (not the actuator command)" in browser.value("document.getElementById('ask').innerText")
-        limit = hub.burst_requests["bearing"].pipeline.problem.limits.alpha
-        panels = browser.value("[...document.querySelectorAll('#ask figure')].map((e) => [e.querySelector('figcaption').innerText, ...[...e.querySelectorAll('text')].map((t) => t.textContent)])")
-        assert [panel[0].split(":")[0] for panel in panels] == ["horizontal", "vertical"]  # none hides the other
-        for panel, bound in zip(panels, limit, strict=True):
-            assert f"limit of this signal {bound:.3g} V" in panel[0]
-            assert {"0", "time [s]", "alpha [V]"} <= set(panel)
-            assert all(len(word) <= 6 for word in panel[1:-2]), panel  # multiples of a round step
-        inside = "(e) => { const box = e.getBoundingClientRect(); return [...e.querySelectorAll('text')].map((t) => t.getBoundingClientRect()).every((t) => t.left >= box.left && t.right <= box.right && t.top >= box.top && t.bottom <= box.bottom); }"
-        assert browser.value(f"[...document.querySelectorAll('#ask svg')].every({inside})")
+        a_burst_is_shown(browser, hub)
         assert browser.unnamed() == []
         browser.tab_to("Play")
         browser.press("Enter")
         browser.until("document.getElementById('ask-error').textContent.includes(\"'bearing' is not connected\")")
         browser.press("Escape")
         browser.until("document.body.innerText.includes('it is reached on')")  # the forecast
+        shown = browser.value("document.body.innerText")  # of a machine that is absent, with estimates by earlier bursts
+        assert [words for words in ("No burst has been judged", "next burst", "no burst planned") if words in shown] == []
         for width in (400, 1400):
             browser.open(base + "/", width)
             browser.until("document.body.innerText.includes('it is reached on')")
@@ -305,12 +312,14 @@ def test_a_fault_somebody_has_seen_stays_in_sight_and_the_worst_comes_first(free
         hub.alarms.acknowledge("seen/vertical_sensor", "kim")
         browser.open(f"http://127.0.0.1:{free_port + 1}/", 1400)
         browser.until("document.querySelectorAll('nav li').length === 6")
-        browser.value("if (stream) stream.close(); pushed = Infinity; now.status.machines.find((m) => m.machine === 'healthy').state = 'running'; show()")
+        browser.value("if (stream) stream.close(); pushed = Infinity; now.status.machines.find((m) => m.machine === 'healthy').state = 'running'; now.residuals.healthy = { t: [1, 2, 3], level: [0.5, 2, 0.5], burst: [0, 1, 0] }; show()")
         assert browser.value("[...document.querySelectorAll('nav li')].map((e) => e.innerText.replace(/\\s+/g, ' '))") == [
             "open vertical_sensor -5.0 ± 1.0 % absent", "seen vertical_sensor -50.5 ± 1.0 %, acknowledged absent",
             "small vertical_sensor -10.0 ± 1.0 %, confirmed absent", "shelved vertical_sensor -90.0 ± 1.0 %, shelved absent", "gone absent", "healthy running",
         ]  # fmt: skip
-        assert "No burst has been judged yet" in browser.value("document.getElementById('machine-healthy').innerText")
+        shown = browser.value("document.getElementById('machine-healthy').innerText")
+        assert "divided by its alarm threshold (dashed line: the threshold, crossed by noise about once a day). Brown dots: during bursts." in shown
+        assert "No burst has been judged yet" in shown
 
 
 @browser_needed

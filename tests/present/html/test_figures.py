@@ -93,6 +93,16 @@ def opened(tmp_path):
     browser.close()
 
 
+@browser_needed
+def test_in_print_a_heading_stays_with_its_figure(opened):
+    browser = opened(1000)
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    browser.value("document.querySelector('figure').insertAdjacentHTML('beforebegin', '<h3>Part</h3><p>What is shown.</p>')")
+    for element in ("h2", "h3", "h3 + p"):
+        assert browser.value(f"getComputedStyle(document.querySelector('{element}')).breakAfter") == "avoid"
+    assert browser.value("getComputedStyle(document.querySelector('figure')).breakInside") == "avoid"
+
+
 def measured(browser: Browser, folder: Path) -> list[float]:
     """Return the curve 'measured, first' as the page saves it."""
     saved = folder / "the-motor.csv"
