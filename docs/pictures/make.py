@@ -133,13 +133,14 @@ def web(folder: Path) -> None:
     service = subprocess.Popen([sys.executable, "-m", "afdsvc", "serve", str(site)], stderr=subprocess.DEVNULL)
     browser = Browser(folder / "browser")
     try:
-        with rig_process(site, "bearing", 60.0):
-            time.sleep(25)
-            link = subprocess.run([sys.executable, "-m", "afdsvc", "console", "--site", str(site)], check=True, capture_output=True, text=True).stdout.strip()
+        with rig_process(site, "bearing", 180.0):
+            while not (link := subprocess.run([sys.executable, "-m", "afdsvc", "console", "--site", str(site)], capture_output=True, text=True).stdout.strip()):
+                if service.poll() is not None:
+                    raise SystemExit("the service did not start")
             for name, width in (("web.png", 1000), ("web-phone.png", 400)):
                 browser.open(link if width == 1000 else f"http://127.0.0.1:{page}/", width)
-                browser.until("document.body.innerText.includes('signed in')")
-                time.sleep(1)
+                browser.until("document.body.innerText.includes('signed in') && document.body.innerText.includes('The last decisions')", 90.0)
+                time.sleep(10 if width == 1000 else 1)  # for some decisions more
                 browser.picture(HERE / name)
                 print(HERE / name)
     finally:
