@@ -131,3 +131,15 @@ def free_port() -> int:
                 one.bind(("127.0.0.1", port))
                 other.bind(("127.0.0.1", port + 1))
                 return port
+
+
+@pytest.fixture
+def browser(tmp_path):
+    """Return a browser without a screen; without one on this computer the test is skipped."""
+    from benchmarks.support.browser import CHROMIUM, NO_CHROMIUM, Browser
+
+    if CHROMIUM is None:
+        pytest.skip(NO_CHROMIUM)
+    opened = Browser(tmp_path / "browser")
+    yield opened
+    opened.close()

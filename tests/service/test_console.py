@@ -23,9 +23,7 @@ from afdsvc.service.console import STREAMS
 from afdsvc.service.http_server import CONNECTIONS
 from afdsvc.service.notifications import Judged
 from afdsvc.wire.messages import Finding
-from benchmarks.support.browser import CHROMIUM, NO_CHROMIUM, Browser
-
-browser_needed = pytest.mark.skipif(CHROMIUM is None, reason=NO_CHROMIUM)
+from benchmarks.support.browser import Browser
 
 
 def site_of(port: int, folder: Path, web: str, *machines: str) -> Site:
@@ -202,13 +200,6 @@ def test_streams_are_bounded_and_a_place_is_given_back(free_port, tmp_path):
             raise AssertionError("no place was given back")
 
 
-@pytest.fixture
-def browser(tmp_path):
-    opened = Browser(tmp_path / "browser")
-    yield opened
-    opened.close()
-
-
 def a_burst_is_shown(browser: Browser, hub) -> None:
     """Check the dialog of a planned burst: a panel each for its channels, the limit of the signal that is shown, nothing clipped."""
     assert browser.value("[...document.querySelectorAll('#ask td')].some((e) => e.textContent === 'output horizontal')")
@@ -224,7 +215,6 @@ def a_burst_is_shown(browser: Browser, hub) -> None:
     assert browser.value(f"[...document.querySelectorAll('#ask svg')].every({inside})")
 
 
-@browser_needed
 def test_an_alarm_is_handled_by_keyboard_alone(free_port, tmp_path, browser):  # noqa: PLR0915 - one walk through the page
     base, site = f"http://127.0.0.1:{free_port + 1}", site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")
     with serve.serving(site) as hub:
@@ -274,7 +264,6 @@ def test_an_alarm_is_handled_by_keyboard_alone(free_port, tmp_path, browser):  #
         assert browser.errors == []
 
 
-@browser_needed
 def test_the_page_hears_by_itself_and_asks_where_it_cannot(free_port, tmp_path, browser):
     base, site = f"http://127.0.0.1:{free_port + 1}", site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")
     with serve.serving(site) as hub:
@@ -298,7 +287,6 @@ def test_the_page_hears_by_itself_and_asks_where_it_cannot(free_port, tmp_path, 
         browser.until("pushed > 0")  # a place is taken as soon as one is free
 
 
-@browser_needed
 def test_a_fault_somebody_has_seen_stays_in_sight_and_the_worst_comes_first(free_port, tmp_path, browser):
     names = ("healthy", "gone", "shelved", "small", "seen", "open")
     site = site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}", *names)
@@ -322,7 +310,6 @@ def test_a_fault_somebody_has_seen_stays_in_sight_and_the_worst_comes_first(free
         assert "No burst has been judged yet" in shown
 
 
-@browser_needed
 def test_long_names_wrap_on_a_phone(free_port, tmp_path, browser):
     machine, fault = "spindle_with_a_rather_long_name_of_hall_7_north", "gain_of_the_horizontal_actuator_beside_the_gearbox"
     with serve.serving(site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}", machine)) as hub:
@@ -332,7 +319,6 @@ def test_long_names_wrap_on_a_phone(free_port, tmp_path, browser):
         assert browser.value("document.documentElement.scrollWidth") <= 400
 
 
-@browser_needed
 def test_one_fault_is_one_alarm(free_port, tmp_path, browser):
     base, site = f"http://127.0.0.1:{free_port + 1}", site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")
     with serve.serving(site) as hub:
@@ -350,7 +336,6 @@ def test_one_fault_is_one_alarm(free_port, tmp_path, browser):
         assert browser.errors == []
 
 
-@browser_needed
 def test_decisions_bear_the_clocks_time_as_alarms_do(free_port, tmp_path, browser):
     base, site = f"http://127.0.0.1:{free_port + 1}", site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")
     with serve.serving(site) as hub:
