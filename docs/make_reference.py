@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 from pathlib import Path
 from typing import Any
 
 import typer.main
 
+import afdsvc
 from afdsvc.cli import app
 from afdsvc.files.model import schema
 from afdsvc.plugins.manager import FAMILIES, load
@@ -113,7 +116,41 @@ def _key_row(key: str, field: Any) -> str:
     return f"| `{key}` | {_cell(MODEL_KEYS[key])} | {default} |\n"
 
 
-PAGES = {"commands.md": commands_page, "plugins.md": plugins_page, "model-file.md": model_page}
+def api_page() -> str:
+    """Return the page of every name of the Python interface, from its docstring."""
+    parts = [GENERATED + "# Python, every name\n\n[Python](python.md) leads through these functions; the examples here run in the tests.\n"]
+    for name in afdsvc.__all__:
+        thing = getattr(afdsvc, name)
+        parts.append(_entry(f"afdsvc.{name}", thing))
+        methods = [m for m, f in vars(thing).items() if isinstance(f, classmethod)] if inspect.isclass(thing) else []
+        parts += [_entry(f"afdsvc.{name}.{m}", getattr(thing, m)) for m in methods]
+    return "".join(parts)
+
+
+def _entry(name: str, thing: Any) -> str:
+    title = f"\n## {name}\n\n"
+    if not inspect.isclass(thing):  # without types, which the list of parameters states
+        signature = inspect.signature(thing)
+        bare = [p.replace(annotation=p.empty) for p in signature.parameters.values()]
+        title += f"`{name}{signature.replace(parameters=bare, return_annotation=signature.empty)}`\n\n"
+    opening, *sections = re.split(r"^(\w+)\n-+\n", inspect.getdoc(thing) or "", flags=re.MULTILINE)
+    return title + opening.strip() + "\n" + "".join(_section(*pair) for pair in zip(sections[::2], sections[1::2], strict=True))
+
+
+def _section(title: str, text: str) -> str:
+    if title == "Examples":
+        blocks = re.split(r"\n\n(?=\S)", text.strip())
+        return "\n**Examples**\n" + "".join(f"\n```pycon\n{b}\n```\n" if b.startswith(">>>") else f"\n{b}\n" for b in blocks)
+    items = re.findall(r"^(\S.*)\n?((?:    .*\n?)*)", text.strip(), re.MULTILINE)
+    return f"\n**{title}**\n\n" + "".join(_item(head, " ".join(body.split())) for head, body in items)
+
+
+def _item(head: str, body: str) -> str:
+    name, _, kind = head.partition(" : ")
+    return f"- `{name}`" + (f" ({kind})" if kind else "") + (f": {body}" if body else "") + "\n"
+
+
+PAGES = {"api.md": api_page, "commands.md": commands_page, "plugins.md": plugins_page, "model-file.md": model_page}
 
 if __name__ == "__main__":
     for name, page in PAGES.items():
