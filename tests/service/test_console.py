@@ -215,7 +215,7 @@ def a_burst_is_shown(browser: Browser, hub) -> None:
     assert browser.value(f"[...document.querySelectorAll('#ask svg')].every({inside})")
 
 
-def test_an_alarm_is_handled_by_keyboard_alone(free_port, tmp_path, browser):  # noqa: PLR0915 - one walk through the page
+def test_an_alarm_is_handled_by_keyboard_alone(free_port, tmp_path, browser):
     base, site = f"http://127.0.0.1:{free_port + 1}", site_of(free_port, tmp_path, f"127.0.0.1:{free_port + 1}")
     with serve.serving(site) as hub:
         browser.open(base + "/", 1400)
