@@ -205,11 +205,15 @@ def choose_candidate(
     _refinements(folds, feedback, closed_loop, True in direct and feedthrough is None)
     found, best = folds.chosen(feedback), folds.best()
     loss, least = (float(folds.losses[c].mean()) for c in (found, best))
+    rest = (
+        f"the least of {len(folds.losses)} candidates"
+        if found == best
+        else f"the least of {len(folds.losses)} candidates is {100 * least:.3g} % (order {best.order} by {best.sentence}), which does not pay for its parameters"
+        f"{' or is biased by feedback' if feedback or closed_loop else ''}"
+    )
     sentence = (
-        f"order {found.order} by {found.sentence}: {100 * loss:.3g} % of the outputs' power is missed by "
-        f"{'simulations' if simulated else 'one-step predictions'} of {FOLDS} stretches left out in turn; that of the best of {len(folds.losses)} candidates is "
-        f"{100 * least:.3g} % (order {best.order} by {best.sentence}), and this one is the best for its number of parameters"
-        f"{', methods without bias by feedback preferred' if feedback or closed_loop else ''}"
+        f"order {found.order} by {found.sentence} leaves {100 * loss:.3g} % of the outputs' power unexplained in "
+        f"{'simulations' if simulated else 'one-step predictions'} of {FOLDS} stretches left out in turn; {'that is ' if found == best else ''}{rest}"
     )
     others = sorted((c for c in folds.losses if c != found), key=folds.criterion)
     return Choice(found, loss, sentence, tuple(others))

@@ -47,7 +47,7 @@ def information(problem: Problem, response: Caused) -> Iterator[Finding]:
         listed = f"; there is almost no information about {_names(nominal, blind)}" if blind else ""
         yield Finding(
             "ok", "information",
-            f"the recordings determine {len(known)} of {len(nominal.entries)} uncertain numbers of the model to less than half the stated uncertainty{listed}",
+            f"the recordings fix {len(known)} of {len(nominal.entries)} uncertain numbers of the model: their uncertainty falls below half of what the model states{listed}",
         )
 
 

@@ -50,6 +50,7 @@ def _axis(axis: Axis, machine: Machine) -> str:
 def _lacks(physics: Physics, machine: Machine) -> str:
     """Return what this law lacks: the first addition with which it would find a place."""
     axes, tone = _with_axis(machine), (machine.bandwidth,)
+    placed = replace(axes, axes=tuple(replace(a, position=a.position or machine.states[0]) for a in axes.axes))
     needs = {
         "a state that is a velocity (rate_of, or a unit such as rad/s)": axes,
         f"recorded signals such as {', '.join(f'aux_{name}' for name in RECORDED)}": _with_aux(machine),
@@ -57,6 +58,9 @@ def _lacks(physics: Physics, machine: Machine) -> str:
         "a second axis of motion": replace(axes, axes=axes.axes[:1] * 2),
         "a second output": replace(machine, outputs=machine.outputs[:1] * 2, residual=np.repeat(machine.residual[:1], 2)),
         "an axis of motion and a recorded aux_speed": _with_aux(replace(axes, axes=axes.axes[:1] * 2)),
+        "a state that is a position, and its velocity (rate_of)": placed,
+        "two axes of motion, each with a position": replace(placed, axes=placed.axes[:1] * 2),
+        "a state that is a position, and recorded signals such as aux_speed": _with_aux(placed),
     }
     for words, richer in needs.items():
         if any(True for _ in physics.hypotheses(richer)):

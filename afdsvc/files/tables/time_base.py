@@ -71,7 +71,7 @@ def seconds(column: Array, name: str) -> tuple[Array, str]:
     if is_stamped(column):
         first = np.datetime_as_string(column[0], unit="us") if len(column) else ""
         t = np.where(np.isnat(column), np.nan, (column - column[:1]).astype("int64") * 1e-9)
-        return np.asarray(t, dtype=np.float64), f"t is the time stamps of {name} in seconds from {first} (UTC where the stamps name a zone)"
+        return np.asarray(t, dtype=np.float64), f"column {name} holds time stamps; t = 0 is {first} (UTC where the stamps name a zone)"
     unit = UNITS.get(name, 1.0)
     return (column, "") if unit == 1.0 else (np.asarray(column * unit), f"t is {name}, converted to s")
 

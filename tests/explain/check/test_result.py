@@ -50,6 +50,8 @@ def test_a_model_that_fits_is_ready(model):
     assert found.offers.axes == ("velocity speed [rad/s], its position is not in the model, driven by voltage",)
     assert found.offers.tried["coulomb_friction"] == ("state:speed",)
     assert "aux_speed" in found.offers.absent["unbalance"]
+    assert found.offers.absent["clearance"] == "a state that is a position, and its velocity (rate_of)"
+    assert any(f.sentence.startswith("the recordings fix 2 of 2 uncertain numbers of the model: their") for f in found.findings)
     assert found.plan.method == "auto"
     assert set(found.parameters) == {"A[1,1]", "B[1,1]"}
     assert max(found.parameters.values()) < 0.1

@@ -111,7 +111,7 @@ def test_time_stamps_become_seconds(tmp_path, kind, start):
     path.write_text("Zeit;u_force;y_position\n" + "".join(f"{stamp};1;{k}\n" for k, stamp in enumerate(STAMPS[kind])))
     trace = read_table(path)
     assert (trace.t0, trace.dt, [c.name for c in trace.channels]) == (0.0, 0.005, ["u_force", "y_position"])
-    assert f"the time stamps of Zeit in seconds from {start}" in trace.notes["prepared"]
+    assert f"column Zeit holds time stamps; t = 0 is {start}" in trace.notes["prepared"]
 
 
 def test_dates_in_parquet_become_seconds(tmp_path):
