@@ -51,8 +51,8 @@ RETUNE = RetuneSettings()
 def stated(settings: Mapping[str, Any]) -> RetuneSettings:
     """Return the settings with those that are stated by name; others are not for it. Raises `BadInput` for a value of another kind.
 
-    >>> stated({"models": 3}).models
-    3
+    >>> stated({"models": 3, "sensitivity_if_wrong": 12}).sensitivity_if_wrong
+    (12,)
     """
     known = {f.name: settings[f.name] for f in fields(RETUNE) if f.name in settings}
     for name, value in known.items():
@@ -61,7 +61,7 @@ def stated(settings: Mapping[str, Any]) -> RetuneSettings:
         numbers: Any = (value or [None]) if many else [value]
         kind, least = ("whole number", 1) if isinstance(usual, int) else ("number", 0)
         if not all(_number(x) and x >= least and (kind == "number" or x == int(x)) for x in numbers):
-            raise BadInput(f"retune.settings.{name} is {value!r}; expected {'a list of numbers' if many else f'a {kind}'} of at least {least}")
+            raise BadInput(f"retune.settings.{name} is {value!r}; expected {'a number or a list of numbers' if isinstance(usual, tuple) else f'a {kind}'} of at least {least}")
         known[name] = tuple(numbers) if isinstance(usual, tuple) else value
     return replace(RETUNE, **known)
 

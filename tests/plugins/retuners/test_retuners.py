@@ -78,7 +78,7 @@ def test_a_careless_retuner_fails_where_it_is_careless():
 
 @pytest.mark.parametrize(
     ("settings", "why"),
-    [({"models": "five"}, "models is 'five'; expected a whole number of at least 1"), ({"doubt": -1.0}, "doubt is -1.0"), ({"switch_seconds": 0.1}, "expected a list of numbers")],
+    [({"models": "five"}, "models is 'five'; expected a whole number of at least 1"), ({"doubt": -1.0}, "doubt is -1.0"), ({"switch_seconds": "soon"}, "expected a number or a list of numbers"), ({"switch_seconds": []}, "or a list of numbers"), ({"doubt": [0.1]}, "expected a number of at least 0")],
 )
 def test_a_setting_of_another_kind_is_refused(settings, why):
     problem = bearing_problem("proportional")
