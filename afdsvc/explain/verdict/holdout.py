@@ -95,7 +95,7 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run], atte
     """Return the verdict and the final fit: with the claimed effects, else the numbers refitted, else the model as stated.
 
     What does worse on the recordings held out than the model as stated is withdrawn. What does not do better there than the model
-    refitted without effects, or worse than a constant, is not certain; where that is all that can show a gap, the error has to fall there,
+    as stated and refitted without effects, or worse than a constant, is not certain; where that is all that can show a gap, the error has to fall there,
     no name is surer than that, and what is not likely is not claimed, the less so the more names were tried (``attempt`` from 1; Bonferroni).
     Where the gap test finds no gap and they are likely followed better without a name, it is not claimed either.
     """
@@ -106,7 +106,7 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run], atte
         first = verdict.claims[0].candidate.hypothesis
         final = _with(found, {c.candidate.hypothesis.key for c in verdict.claims})
         error = _error(play, runs, final.point)
-        without = _without(found, verdict)
+        without = _without(found, verdict, refitted < stated)
         sure = play.better(runs, without, final.point) if error < 1.0 else 0.0
         shown, alone = sure > found.problem.settings.sure, _rests_on_holdout(found, verdict)
         held = (
@@ -139,13 +139,14 @@ def _with(found: Found, keys: set[str]) -> Fit:
     return end if len(kept) == len(end.point.effects) else fit(found.problem, replace(end.point, effects=kept), last, end.tau)
 
 
-def _without(found: Found, verdict: Verdict) -> Point:
-    """Return what the names are compared with: the model with its offsets only, or refitted, or as stated where a constant is claimed."""
+def _without(found: Found, verdict: Verdict, eased: bool) -> Point:
+    """Return what the names are compared with: the model with its offsets only, or refitted where that follows the recordings held out better
+    (``eased``), or as stated: what is only better than a refit that went astray is not better."""
     first, *others = [c.candidate.hypothesis for c in verdict.claims]
-    if is_constant(first):
-        return found.problem.start()
-    offsets = {h.key for h in others if is_offset(h) and not is_offset(first)}
-    return _with(found, offsets).point if offsets else list(found.start.values())[-1].point
+    offsets = {h.key for h in others if is_offset(h) and not (is_offset(first) or is_constant(first))}
+    if offsets:
+        return _with(found, offsets).point
+    return found.problem.start() if is_constant(first) or not eased else list(found.start.values())[-1].point
 
 
 def _error(play: Player, runs: Sequence[Run], point: Point) -> float:
