@@ -88,7 +88,7 @@ def test_the_slide_of_the_tutorial_is_identified(tmp_path, monkeypatch):
     assert "PBSIDopt finds on these recordings is unstable" in json.dumps(document)
 
 
-def test_an_interruption_while_the_page_is_written_leaves_nothing(tmp_path, monkeypatch):
+def test_an_interruption_between_the_page_and_the_model_leaves_neither(tmp_path, monkeypatch):
     rng = np.random.default_rng(1)
     (tmp_path / "model.toml").write_text('name = "m"\ntime = "discrete"\nsample_time = 0.1\ninputs = [{name = "u"}]\noutputs = [{name = "y"}]\nA = [[0.9]]\nB = [[1.0]]\nC = [[1.0]]\n')
     u = rng.standard_normal(600)
@@ -98,7 +98,7 @@ def test_an_interruption_while_the_page_is_written_leaves_nothing(tmp_path, monk
     def interrupted(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("afdsvc.present.html.identify_page.identify_page", interrupted)
+    monkeypatch.setattr("afdsvc.app.identify.write_model", interrupted)
     before = sorted(tmp_path.iterdir())
     with pytest.raises(KeyboardInterrupt):
         identify_files(tmp_path / "model.toml", [tmp_path / "run.csv"], [], tmp_path / "new.toml", {"groups": 0}, 0)
