@@ -34,7 +34,7 @@ from afdsvc.retune.cost import (
     signal_model,
     with_q,
 )
-from afdsvc.retune.sensitivity import Priced, accepted, sensitivities
+from afdsvc.retune.sensitivity import AT_BOUND, Priced, accepted, hypotheses, sensitivities
 from afdsvc.retune.settings import RETUNE, RetuneSettings
 
 TIGHTER = 2.0  # factor on the price of a signal beyond its limit
@@ -73,9 +73,9 @@ def design_q(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, s
     require_alpha(problem)
     designs: list[tuple[StateSpace, Expected]] = []
     for bound in settings.sensitivity_if_wrong:
-        Q = _within_bounds(problem, found, cost, replace(settings, sensitivity_if_wrong=(bound,)))
+        Q, at_bound = _within_bounds(problem, found, cost, replace(settings, sensitivity_if_wrong=(bound,)))
         designs.append((Q, expected(problem, found, cost, Q, settings.models)))
-        if designs[-1][1].reached.mean() >= settings.enough:
+        if designs[-1][1].reached.mean() >= settings.enough or not at_bound:
             break
     Q, costs = max(designs, key=lambda one: one[1].reached.mean() >= settings.enough)  # the first where none is enough
     gained = 1 - float(np.max(costs.after / costs.before))
@@ -86,15 +86,19 @@ def design_q(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, s
     return Q
 
 
-def _within_bounds(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, settings: RetuneSettings) -> StateSpace:
-    """Return the Q of least cost within the limits of signals and the bounds on sensitivity; each attempt goes on from the last with higher prices."""
+def _within_bounds(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, settings: RetuneSettings) -> tuple[StateSpace, bool]:
+    """Return the Q of least cost within the limits of signals and the bounds on sensitivity, and whether the bound where the diagnosis is wrong keeps it.
+
+    Each attempt goes on from the last with higher prices.
+    """
     grid, none = severity_grid(problem, found, settings.models), _zero(problem)
     weighted, price, peak_price = cost, h2_cost(with_q(damaged_model(problem, cost, {}), none)), 0.0
     most, full = accepted(problem, found, sensitivities(problem, found, none)[:, 0], settings), None
-    bounds = INSIDE * most
+    bounds, wrong = INSIDE * most, np.array([found.fault not in case for case in hypotheses(problem, found)])
     for _ in range(ATTEMPTS):
         Q, full = _designed(problem, found, grid, weighted, (bounds, peak_price), full, settings)
-        over, sensitive = _over_limit(problem, found.fault, grid, cost, Q, settings), (sensitivities(problem, found, Q)[:, 1] > most).any()
+        over, peaks = _over_limit(problem, found.fault, grid, cost, Q, settings), sensitivities(problem, found, Q)[:, 1]
+        at_bound, sensitive = bool((peaks > AT_BOUND * bounds)[wrong].any()), (peaks > most).any()
         if not (over or sensitive):
             break
         if over:
@@ -102,7 +106,7 @@ def _within_bounds(problem: DetectionProblem, found: DiagnosedFault, cost: LoopC
             price *= TIGHTER
         if sensitive:
             peak_price, bounds = max(10 * peak_price, 1.0), INSIDE * bounds
-    return Q
+    return Q, at_bound
 
 
 def severity_grid(problem: DetectionProblem, found: DiagnosedFault, count: int) -> Array:

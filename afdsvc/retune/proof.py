@@ -29,12 +29,11 @@ from afdsvc.lti.statespace import Array, StateSpace, solve_loop
 from afdsvc.lti.yjbk import youla_parameter
 from afdsvc.retune.cost import best_controller, signal_model, with_q
 from afdsvc.retune.design import deviations, expected, severity_grid
-from afdsvc.retune.sensitivity import accepted, hypotheses, sensitivities
+from afdsvc.retune.sensitivity import AT_BOUND, accepted, hypotheses, sensitivities
 from afdsvc.retune.settings import RETUNE, RetuneSettings
 
 ANGLES = 128  # frequencies that choose the scaling and say early that a rectangle is too large
 SCALINGS = np.geomspace(1e-3, 1e3, 25)  # of the severity's channels against the gain's
-AT_BOUND = 0.95  # share of a bound on sensitivity from which it is called binding: the design stops short of it
 SETTLED = 1e-3  # of a transient, after which a switch is over
 LONGEST_SWITCH = 200_000  # samples looked at after Q has gone to zero
 

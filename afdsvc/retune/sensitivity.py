@@ -23,6 +23,7 @@ from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.retune.cost import ModelSet, model_set, with_q
 from afdsvc.retune.settings import RetuneSettings
 
+AT_BOUND = 0.95  # share of a bound from which it is called binding: the design stops short of it
 FREQUENCIES = np.geomspace(1e-3, np.pi, 150)  # rad per sample; the angles of the loop's poles come on top
 
 

@@ -6,7 +6,8 @@ For every machine, controller, fault and severity (interval +- 0.03): Q is desig
 noise, sample by sample, beside the same machine without Q and beside an LQG controller made with scipy's Riccati solver for the
 true damaged plant (same noise, plain numpy; nothing of `afdsvc.retune` simulates). Printed is the share of the oracle's reduction, or the
 sentence of the refusal. Weights: "outputs" counts outputs and inputs alike, "published" are those the LQG of the thesis was designed with;
-disturbances are 0.1 V (0.1 A) of white noise on every input, the sensor noise is the machine's own.
+disturbances are 0.1 V (0.1 A) of white noise on every input, the sensor noise is the machine's own. "fictitious" is the process noise on every
+state that the thesis' LQG was designed with, with its weights.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from afdsvc.retune.cost import best_controller, controlled_cost, damaged_model, 
 from afdsvc.retune.design import descended, design_q
 from afdsvc.retune.proof import prove
 from afdsvc.retune.sensitivity import Priced, accepted, sensitivities
-from afdsvc.retune.settings import RETUNE
+from afdsvc.retune.settings import RETUNE, RetuneSettings
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem
 
 WIDE = 0.03
@@ -42,12 +43,14 @@ ENSEMBLE = 200
 def machines(drawn: int) -> Iterator[tuple[str, DetectionProblem, dict[str, Any]]]:
     """Yield name, problem and weights of every machine."""
     published = {k: gas_bearing().recommended["lqg"][k] for k in ("state_weight", "input_weight")}
+    fictitious = {"process_weight": gas_bearing().recommended["lqg"]["process_weight"]}
     for rpm in (0, 1100):
         for kind in ("lqg", "proportional"):
             problem = bearing_problem(kind, rpm)
             disturbed = {"process_weight": 0.01 * problem.plant.B @ problem.plant.B.T}
             yield f"bearing {rpm} {kind} outputs", problem, disturbed
             yield f"bearing {rpm} {kind} published", problem, {**published, **disturbed}
+            yield f"bearing {rpm} {kind} fictitious", problem, {**published, **fictitious}
     yield "P4", unstable_problem(), {"state_weight": 1.0, "input_weight": 0.1, "process_weight": 1.0}
     for seed in range(drawn):
         yield f"drawn {seed}", random_problem(seed), {}
@@ -102,7 +105,7 @@ def oracle(problem: DetectionProblem, cost: LoopCost, severities: dict[str, floa
     return StateSpace((A + B @ F) @ (np.eye(len(A)) - newest @ C), (A + B @ F) @ newest, inner, F @ newest, G.dt)
 
 
-def bounded(problem: DetectionProblem, cost: LoopCost, case: dict[str, float]) -> list[float]:
+def bounded(problem: DetectionProblem, cost: LoopCost, case: dict[str, float], settings: RetuneSettings) -> list[float]:
     """Return the shares that searches from many starts reach with nothing to mind but this damaged machine and the bounds on sensitivity.
 
     They minimise the cost and a price on sensitivities beyond their bounds (exterior penalty): the least of it is at most the cost of any Q within
@@ -112,7 +115,7 @@ def bounded(problem: DetectionProblem, cost: LoopCost, case: dict[str, float]) -
     found, m, p = DiagnosedFault(fault, severity, severity), problem.plant.inputs, problem.plant.outputs
     none, model = StateSpace.gain(np.zeros((m, p)), problem.plant.dt), damaged_model(problem, cost, case)
     before, best = h2_cost(with_q(model, none)), controlled_cost(problem, cost, case, oracle(problem, cost, case))
-    bounds = accepted(problem, found, sensitivities(problem, found, none)[:, 0], RETUNE)
+    bounds = accepted(problem, found, sensitivities(problem, found, none)[:, 0], settings)
     fit = Priced.of(model_set([model], [1 / (before - best)], m, p, 1.0), problem, found, bounds, 1.0)
     cautious = [replace(cost, input=c * cost.input, noise=c * cost.noise) for c in (3, 30)]
     starts = [youla_parameter(problem.interconnection, best_controller(problem, c, at)) for c in cautious for at in (case, {})]
@@ -128,10 +131,11 @@ def main() -> None:
     parser.add_argument("--only", default="")
     parser.add_argument("--severities", type=float, nargs="+", default=[-0.25, -0.5])
     parser.add_argument("--sensitivity", type=float, default=RETUNE.sensitivity, help="largest sensitivity of a loop with Q")
+    parser.add_argument("--if-wrong", type=float, nargs="+", default=RETUNE.sensitivity_if_wrong, help="the same where the diagnosis is wrong, tried in turn")
     parser.add_argument("--faults", nargs="+", default=[], help="only these")
     parser.add_argument("--bounded", action="store_true", help="say what the bounds on sensitivity allow where 90 %% are not reached")
     options = parser.parse_args()
-    settings = replace(RETUNE, sensitivity=options.sensitivity)
+    settings = replace(RETUNE, sensitivity=options.sensitivity, sensitivity_if_wrong=tuple(options.if_wrong))
     shares: list[float] = []
     refused = 0
     for name, problem, weights in machines(options.drawn):
@@ -161,7 +165,7 @@ def main() -> None:
                     flush=True,
                 )
                 if options.bounded and share < 0.9:
-                    allowed = bounded(problem, cost, case)
+                    allowed = bounded(problem, cost, case, settings)
                     print(f"{proof.bound}; {len(allowed)} searches within the bounds reach {100 * min(allowed):.1f} to {100 * max(allowed):.1f} %", flush=True)
     print(f"{sum(s >= 0.9 for s in shares)} of {len(shares)} reach 90 %; median {100 * np.median(shares):.1f} %, smallest {100 * min(shares):.1f} %; {refused} refused")
 

@@ -13,6 +13,7 @@ from afdsvc.api.retuning import DiagnosedFault
 from afdsvc.errors import BadInput, Refused
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plants.gas_bearing import gas_bearing
+from afdsvc.retune import design
 from afdsvc.retune.cost import best_controller, controlled_cost, damaged_model, loop_cost, model_set
 from afdsvc.retune.design import design_q, expected
 from afdsvc.retune.sensitivity import Priced, accepted, sensitivities, sensitivity
@@ -162,7 +163,7 @@ def test_the_accepted_sensitivity_costs_less_than_a_tenth_of_the_reduction():
     assert after[:3].max() <= RETUNE.sensitivity
 
 
-def test_the_bound_where_the_diagnosis_is_wrong_gives_way_only_where_that_brings_enough():
+def test_the_bound_where_the_diagnosis_is_wrong_gives_way_only_where_that_brings_enough(monkeypatch):
     problem, found = random_problem(2), DiagnosedFault("actuator_0", -0.35, -0.25)
     cost = loop_cost(problem, {})
 
@@ -173,6 +174,10 @@ def test_the_bound_where_the_diagnosis_is_wrong_gives_way_only_where_that_brings
     reached, wrong = reached_and_wrong(3.0, 12.0)
     assert reached > RETUNE.enough
     assert 3.0 < wrong < 12.0
+    begun, within = [], design._within_bounds
+    monkeypatch.setattr(design, "_within_bounds", lambda *a: begun.append(a[3].sensitivity_if_wrong) or within(*a))
+    assert reached_and_wrong(12.0, 24.0)[0] > RETUNE.enough
+    assert begun == [(12.0,)]  # what is enough is not tried further
     reached, wrong = reached_and_wrong(3.0, 3.5)
     assert reached < RETUNE.enough
     assert wrong <= 3.0

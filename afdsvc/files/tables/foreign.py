@@ -64,8 +64,8 @@ def _mapped(path: Path, groups: Sequence[Group], done: Sequence[str], mapping: D
             channels.append(channel)
             remarks.append(sentence)
         named.append(Group(group.name, group.t, columns))
-    if mapping.resample.hold:
-        pieces, aligning = held(named, str(path), mapping.resample.dt or 0.0)
+    if mapping.resample.hold and wanted:
+        pieces, aligning = held(named, str(path), wanted)
     else:
         pieces, aligning = aligned(named, str(path), wanted, mapping.resample.gap, mapping.time.regular)
     notes = {"path": str(path), PREPARED: "\n".join([*remarks, *aligning])}
