@@ -59,14 +59,6 @@ def _table(title: str, *columns: str) -> Table:
     return table
 
 
-def _print(table: Table) -> None:
-    """Print a table whose names stay whole where the terminal is wide enough for them, and are folded otherwise."""
-    if OUT.measure(table, options=OUT.options.update(width=10_000)).minimum > OUT.width:
-        for column in table.columns:
-            column.no_wrap = False
-    OUT.print(table)
-
-
 def demo_table(document: dict[str, Any]) -> None:
     """Show truth beside verdict, and the files to open."""
     verdict = document["recordings"][0]["verdict"]
@@ -215,7 +207,7 @@ def status_table(status: dict[str, Any]) -> None:
         style = "bold red" if any(not a["acknowledged"] for a in calling) else "" if m["state"] == "running" else "yellow"
         row = (m["machine"], m["state"], "\n".join(map(_briefly, calling)) or "none", _burst(m), _samples(m))
         table.add_row(*row, style=style)
-    _print(table)
+    OUT.print(table)
     if waits := status.get("longest_waits"):
         OUT.print("longest waits " + ", ".join(f"{what} {seconds:.2f} s" for what, seconds in sorted(waits.items())), soft_wrap=True)
     for m in status["machines"]:
@@ -283,7 +275,7 @@ def alarm_table(alarms: list[dict[str, Any]]) -> None:
         follows = f"follows from\n{a['cause'].removeprefix(a['machine'] + '/')}" if a["suppressed"] else ""  # of the same machine
         state = follows or next((word for word in ("shelved", "confirmed", "acknowledged") if a["active"] and _is(a, word)), _alarm_state(a).partition(",")[0])
         table.add_row(a["id"], state, _moment(a["since_ns"]), "" if follows else _percent(a["severity"]), style=style)
-    _print(table)
+    OUT.print(table)
     for a in by_urgency:
         people = ", ".join(f"{what} by {a[by]}" for what, by in PEOPLE if a[by])
         said = (f"{a['suppressed'] or a['sentence']}", f"{a['count']} decisions" if a["count"] > 1 else "", a["comment"], people)
@@ -315,7 +307,7 @@ def history_table(changes: list[dict[str, Any]]) -> None:
     table = _table("What happened to alarms", "when", "alarm", "event", "by", "why")
     for c in changes:
         table.add_row(_moment(c["t_ns"]), c["alarm"]["id"], c["event"], c["who"] or "the service", c["why"])
-    _print(table)
+    OUT.print(table)
 
 
 def plugin_table(rows: list[dict[str, str]], broken: dict[str, str]) -> None:

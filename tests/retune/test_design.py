@@ -167,8 +167,8 @@ def test_the_bound_where_the_diagnosis_is_wrong_gives_way_only_where_that_brings
     problem, found = random_problem(2), DiagnosedFault("actuator_0", -0.35, -0.25)
     cost = loop_cost(problem, {})
 
-    def reached_and_wrong(*bounds):
-        Q = design_q(problem, found, cost, replace(RETUNE, sensitivity_if_wrong=bounds))
+    def reached_and_wrong(*bounds, enough=RETUNE.enough):
+        Q = design_q(problem, found, cost, replace(RETUNE, sensitivity_if_wrong=bounds, enough=enough))
         return expected(problem, found, cost, Q).reached.mean(), sensitivities(problem, found, Q)[3:, 1].max()
 
     reached, wrong = reached_and_wrong(3.0, 12.0)
@@ -176,8 +176,9 @@ def test_the_bound_where_the_diagnosis_is_wrong_gives_way_only_where_that_brings
     assert 3.0 < wrong < 12.0
     begun, within = [], design._within_bounds
     monkeypatch.setattr(design, "_within_bounds", lambda *a: begun.append(a[3].sensitivity_if_wrong) or within(*a))
-    assert reached_and_wrong(12.0, 24.0)[0] > RETUNE.enough
-    assert begun == [(12.0,)]  # what is enough is not tried further
+    assert reached_and_wrong(8.0, 24.0)[0] > RETUNE.enough  # at its bound, and enough
+    reached_and_wrong(12.0, 24.0, enough=1.1)  # not enough, and not at its bound
+    assert begun == [(8.0,), (12.0,)]
     reached, wrong = reached_and_wrong(3.0, 3.5)
     assert reached < RETUNE.enough
     assert wrong <= 3.0
