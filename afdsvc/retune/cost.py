@@ -7,7 +7,7 @@ so all closed matrices are affine in ``Theta = [Dq Cq; Bq Aq]`` and the slope fo
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -150,18 +150,25 @@ class ModelSet:
     largest_pole: float
 
     def cost_and_slope(self, Q: StateSpace) -> tuple[float, Array]:
-        """Return the weighted cost with Q and its slope in ``[Dq Cq; Bq Aq]``; (inf, 0) where a pole is beyond ``largest_pole``.
+        """Return the weighted cost with Q and its slope in ``[Dq Cq; Bq Aq]``; see `priced`."""
+        return self.priced(Q, lambda variances: (float(self.weights @ variances.sum(axis=1)), np.broadcast_to(self.weights[:, None], variances.shape)))
 
-        Costs are those of ``A / largest_pole``: they rise without bound as a pole approaches that modulus, and bound the true ones.
+    def priced(self, Q: StateSpace, price: Callable[[Array], tuple[float, Array]]) -> tuple[float, Array]:
+        """Return a price on the variances ``(k, z)`` of the outputs with Q and its slope in ``[Dq Cq; Bq Aq]``; (inf, 0) where a pole is beyond ``largest_pole``.
+
+        ``price`` returns its value and its derivatives ``(k, z)``. Variances are those of ``A / largest_pole``: they rise without bound as a pole
+        approaches that modulus, and bound the true ones.
         """
         A, B, C, D, into, out, Dzu, Dyw = self.closed(Q)
         A = A / self.largest_pole
         if max(float(np.abs(np.linalg.eigvals(a)).max()) for a in A) >= 1:
             return float("inf"), np.zeros((into.shape[2], out.shape[1]))
-        P, X = _lyapunov_pair(A, B @ _t(B), _t(C) @ C)
-        costs = np.trace(C @ P @ _t(C) + D @ _t(D), axis1=1, axis2=2)
-        slopes = _t(into) @ X @ (A @ P @ _t(out) / self.largest_pole + B @ _t(Dyw)) + _t(Dzu) @ (C @ P @ _t(out) + D @ _t(Dyw))
-        return float(self.weights @ costs), 2 * np.tensordot(self.weights, slopes, axes=1)
+        P = _lyapunov(A, B @ _t(B))
+        value, each = price(np.einsum("kzi,kij,kzj->kz", C, P, C, optimize=True) + (D**2).sum(axis=2))
+        due = each[:, :, None]
+        X = _lyapunov(_t(A), _t(C) @ (due * C))
+        slopes = _t(into) @ X @ (A @ P @ _t(out) / self.largest_pole + B @ _t(Dyw)) + _t(Dzu) @ (due * (C @ P @ _t(out) + D @ _t(Dyw)))
+        return value, 2 * slopes.sum(axis=0)
 
     def closed(self, Q: StateSpace) -> tuple[Array, ...]:
         """Return A, B, C, D of the loops with Q, and the factors of their slopes: ``dA = into dTheta out``, ``dB = into dTheta Dyw``,
@@ -197,15 +204,15 @@ def model_set(models: Sequence[StateSpace], weights: ArrayLike, inputs: int, out
     )  # fmt: skip
 
 
-def _lyapunov_pair(A: Array, V: Array, W: Array) -> tuple[Array, Array]:
-    """Return P and X of ``P = A P A' + V`` and ``X = A' X A + W`` for stable stacked A, by doubling the number of summands."""
-    P, X = V, W
+def _lyapunov(A: Array, V: Array) -> Array:
+    """Return P of ``P = A P A' + V`` for stable stacked A, by doubling the number of summands."""
+    P = V
     for _ in range(DOUBLINGS):
-        P, X = P + A @ P @ _t(A), X + _t(A) @ X @ A
+        P = P + A @ P @ _t(A)
         A = A @ A
         if np.abs(A).max() < 1e-9:
             break
-    return P, X
+    return P
 
 
 def _t(M: Array) -> Array:

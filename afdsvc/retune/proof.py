@@ -28,7 +28,7 @@ from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace, solve_loop
 from afdsvc.lti.yjbk import youla_parameter
 from afdsvc.retune.cost import best_controller, signal_model, with_q
-from afdsvc.retune.design import deviations, expected, severity_grid
+from afdsvc.retune.design import expected, severity_grid
 from afdsvc.retune.sensitivity import AT_BOUND, accepted, hypotheses, sensitivities
 from afdsvc.retune.settings import RETUNE, RetuneSettings
 
@@ -282,7 +282,7 @@ class Switch:
     @classmethod
     def of(cls, models: Sequence[StateSpace], Q: StateSpace, m: int, p: int) -> Switch:
         """Return the switch of Q in ``models`` (see `afdsvc.retune.cost.signal_model`)."""
-        before, after = (np.array([deviations(with_q(model, Q, g), m, p) for model in models]) for g in (0.0, 1.0))
+        before, after = (np.array([_deviations(with_q(model, Q, g), m, p) for model in models]) for g in (0.0, 1.0))
         return cls(models, Q, m, p, before, after)
 
     @property
@@ -327,6 +327,12 @@ class Switch:
     def _stacked(self, gain: float) -> tuple[Array, Array, Array, Array]:
         loops = [with_q(model, self.Q, gain) for model in self.models]
         return np.stack([s.A for s in loops]), np.stack([s.B for s in loops]), np.stack([s.C for s in loops]), np.stack([s.D for s in loops])
+
+
+def _deviations(signals: StateSpace, m: int, p: int) -> Array:
+    """Return standard deviations of inputs and outputs ``(m + p,)``: of outputs the larger of what sensors report and what is."""
+    sd = np.sqrt(np.diag(output_covariance(signals)))
+    return np.concatenate([sd[:m], np.maximum(sd[m : m + p], sd[m + p : m + 2 * p])])
 
 
 def gain_ramp(samples: int) -> Array:

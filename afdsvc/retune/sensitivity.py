@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.api.retuning import DiagnosedFault
+from afdsvc.api.retuning import DiagnosedFault, LoopCost
 from afdsvc.errors import BadInput
 from afdsvc.lti.frequency import transfer
 from afdsvc.lti.lft import star
-from afdsvc.lti.norms import largest_gain
+from afdsvc.lti.norms import largest_gain, output_covariance
 from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, StateSpace
-from afdsvc.retune.cost import ModelSet, model_set, with_q
+from afdsvc.retune.cost import ModelSet, model_set, signal_model, with_q
 from afdsvc.retune.settings import RetuneSettings
 
 AT_BOUND = 0.95  # share of a bound from which it is called binding: the design stops short of it
@@ -77,38 +77,79 @@ def _model(problem: DetectionProblem, severities: Mapping[str, float]) -> StateS
     return star(StateSpace(g.A, B, C, D, g.dt), problem.interconnection, p, m)
 
 
+def deviations(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, Q: StateSpace) -> Array:
+    """Return standard deviations of inputs, reported and true outputs with Q in all `hypotheses`, ``(k, m + 2 p)``."""
+    return np.array([np.sqrt(np.diag(output_covariance(with_q(signal_model(problem, cost, case), Q)))) for case in hypotheses(problem, found)])
+
+
+def accepted_deviations(problem: DetectionProblem, before: Array, settings: RetuneSettings) -> Array:
+    """Return the largest standard deviations ``(k, m + 2 p)`` with Q: noise peaks keep the limits; a signal that has a larger one without Q, ``before``, may keep it."""
+    if problem.limits is None:
+        return np.full_like(before, np.inf)
+    m, p = problem.plant.inputs, problem.plant.outputs
+    u, y = np.broadcast_to(problem.limits.input, m), np.broadcast_to(problem.limits.output, p)
+    return np.maximum(np.concatenate([u, y, y]) / settings.noise_peak, before)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Priced:
-    """A cost over models, and ``price`` times the sum of squares of ``sensitivity / bound - 1`` where a loop's sensitivity is beyond its bound."""
+    """A cost over models, and a price on what is beyond its bound in the loops of all `hypotheses` (exterior penalty).
+
+    Due are ``price`` times the integral over log frequency of ``(gain / bound - 1)^2`` for every sensitivity, and times the square of
+    ``deviation / bound - 1`` for every signal.
+    """
 
     cost: ModelSet
     loops: ModelSet
-    bounds: Array
+    signals: ModelSet
+    sensitivity: Array
+    deviation: Array
     price: float
 
     @classmethod
-    def of(cls, cost: ModelSet, problem: DetectionProblem, found: DiagnosedFault, bounds: Array, price: float) -> Priced:
-        """Return the cost with the price on the sensitivities of all `hypotheses`, with ``bounds (k,)``."""
-        models = [_model(problem, case) for case in hypotheses(problem, found)]
-        return cls(cost, model_set(models, np.ones(len(models)), problem.plant.inputs, problem.plant.outputs, 1.0), bounds, price)
+    def of(cls, costs: ModelSet, problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, bounds: tuple[Array, Array], price: float) -> Priced:
+        """Return ``costs`` with the price on what is beyond ``bounds``: of sensitivities ``(k,)`` and of standard deviations ``(k, m + 2 p)``."""
+        cases, m, p = hypotheses(problem, found), problem.plant.inputs, problem.plant.outputs
+        loops = model_set([_model(problem, case) for case in cases], np.ones(len(cases)), m, p, 1.0)
+        signals = model_set([signal_model(problem, cost, case) for case in cases], np.ones(len(cases)), m, p, 1.0)
+        return cls(costs, loops, signals, *bounds, price)
 
     def cost_and_slope(self, Q: StateSpace) -> tuple[float, Array]:
         """Return the sum and its slope in ``[Dq Cq; Bq Aq]``; (inf, 0) where a pole is beyond its bound."""
         value, slope = self.cost.cost_and_slope(Q)
-        if self.price == 0 or not np.isfinite(value):
-            return value, slope
-        for bound, A, B, C, D, into, out, Dzu, Dyw in zip(self.bounds, *self.loops.closed(Q), strict=True):
+        for part in (self._sensitive, self._loud):
+            if not np.isfinite(value):
+                break
+            more, steeper = part(Q)
+            value, slope = value + self.price * more, slope + self.price * steeper
+        return (value, slope) if np.isfinite(value) else (value, np.zeros_like(slope))
+
+    def _loud(self, Q: StateSpace) -> tuple[float, Array]:
+        """Return the squares of the excess of standard deviations and their slope."""
+
+        def excess(variances: Array) -> tuple[float, Array]:
+            sd = np.sqrt(variances)
+            beyond = np.maximum(sd / self.deviation - 1, 0.0)
+            return float((beyond**2).sum()), np.where(beyond > 0, beyond / np.maximum(sd, 1e-300) / self.deviation, 0.0)
+
+        return self.signals.priced(Q, excess) if np.isfinite(self.deviation).any() else (0.0, np.zeros(1))
+
+    def _sensitive(self, Q: StateSpace) -> tuple[float, Array]:
+        """Return the integrals of the squared excess of sensitivities and their slope."""
+        value, slope = 0.0, np.zeros((Q.outputs + Q.order, Q.inputs + Q.order))
+        for bound, A, B, C, D, into, out, Dzu, Dyw in zip(self.sensitivity, *self.loops.closed(Q), strict=True):
             poles = np.linalg.eigvals(A)
             if np.abs(poles).max(initial=0.0) >= 1:
-                return float("inf"), np.zeros_like(slope)
-            points = np.exp(1j * np.unique(np.concatenate([FREQUENCIES, np.abs(np.angle(poles))])))
+                return float("inf"), slope
+            omega = np.unique(np.clip(np.concatenate([FREQUENCIES, np.abs(np.angle(poles))]), FREQUENCIES[0], FREQUENCIES[-1]))
+            widths, points = np.gradient(np.log(omega)), np.exp(1j * omega)
             response = transfer(StateSpace(A, B, C, D, Q.dt), points)
             suspect = np.linalg.norm(response, axis=(1, 2)) > bound  # the Frobenius norm is never below the largest singular value
-            points, (u, s, vh) = points[suspect], np.linalg.svd(response[suspect])
+            widths, points, (u, s, vh) = widths[suspect], points[suspect], np.linalg.svd(response[suspect])
             over = s[:, 0] > bound
-            beyond = s[over, 0] / bound - 1
+            beyond, widths = s[over, 0] / bound - 1, widths[over]
             left = u[over, :, :1].conj().swapaxes(1, 2) @ transfer(StateSpace(A, into, C, Dzu, Q.dt), points[over])
             right = transfer(StateSpace(A, B, out, Dyw, Q.dt), points[over]) @ vh[over, :1].conj().swapaxes(1, 2)
-            value += self.price * float(np.sum(beyond**2))
-            slope = slope + 2 * self.price / bound * np.einsum("k,kai,kja->ij", beyond, left, right).real
+            value += float(widths @ beyond**2)
+            slope = slope + 2 / bound * np.einsum("k,kai,kja->ij", widths * beyond, left, right).real
         return value, slope

@@ -188,7 +188,7 @@ def test_the_slope_of_the_price_of_sensitivity_is_that_of_finite_differences():
     problem, found, rng = bearing_problem("proportional"), DiagnosedFault("vertical_sensor", -0.4, -0.3), np.random.default_rng(2)
     models = [damaged_model(problem, loop_cost(problem, {}), {})]
     nothing = model_set(models, np.zeros(1), 2, 2, 0.9999)
-    fit = Priced.of(nothing, problem, found, bounds=np.full(7, 1.3), price=1.0)
+    fit = Priced.of(nothing, problem, found, loop_cost(problem, {}), (np.full(7, 1.3), np.full((7, 6), 0.01)), price=1.0)
     theta = np.block([[0.01 * rng.standard_normal((2, 2)), 0.01 * rng.standard_normal((2, 3))], [rng.standard_normal((3, 2)), np.diag([0.5, 0.2, -0.4])]])
 
     def cost_at(t):
