@@ -26,8 +26,7 @@ from afdsvc.files.tables.tables import read_table
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.plugins.manager import Plugins
-from afdsvc.retune.cost import WEIGHTS, loop_cost, signal_model, with_q
-from afdsvc.retune.design import deviations
+from afdsvc.retune.cost import WEIGHTS, deviations, loop_cost, signal_model, with_q
 from afdsvc.retune.proof import Proof, proved_tuning
 from afdsvc.retune.settings import stated
 from afdsvc.service.retuning import Design as TuningDesign

@@ -83,6 +83,12 @@ def signal_model(problem: DetectionProblem, cost: LoopCost, severities: Mapping[
     return star(StateSpace(g.A, np.hstack([Bw, g.B]), C, D, g.dt), problem.interconnection, p, m)
 
 
+def deviations(signals: StateSpace, m: int, p: int) -> Array:
+    """Return standard deviations of inputs and outputs ``(m + p,)``: of outputs the larger of what sensors report and what is."""
+    sd = np.sqrt(np.diag(output_covariance(signals)))
+    return np.concatenate([sd[:m], np.maximum(sd[m : m + p], sd[m + p : m + 2 * p])])
+
+
 def with_q(model: StateSpace, Q: StateSpace, gain: float = 1.0) -> StateSpace:
     """Return a model closed by ``alpha = gain Q beta``, from w to its other outputs."""
     scaled = StateSpace(Q.A, Q.B, gain * Q.C, gain * Q.D, model.dt)

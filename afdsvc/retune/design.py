@@ -1,8 +1,8 @@
 """Q for a damaged machine: as good as the damage allows over the interval of the severity, stable also where there is no damage.
 
 Start: the LQG controllers of several severities, each realised exactly as a Q. The best of them that every model survives is improved by
-descent on the cost over all models, the healthy machine among them with the weight of the doubt. Its order is then lowered as
-far as the reduction of the cost allows.
+descent on the cost over all models, the healthy machine among them with the weight of the doubt, and on a rising price of sensitivities and signals
+beyond their bounds. Its order is then lowered as far as the reduction of the cost allows.
 
 Sources: D. C. Youla, H. A. Jabr and J. J. Bongiorno, "Modern Wiener-Hopf design of optimal controllers", IEEE Trans. AC 21, 1976;
 H. Niemann and J. Stoustrup, "Reliable control using the primary and dual Youla parameterizations", CDC 2002.
@@ -25,11 +25,20 @@ from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.yjbk import retuned_interconnection, youla_parameter
 from afdsvc.retune.cost import ModelSet, best_controller, controlled_cost, damaged_model, h2_cost, model_set, with_q
-from afdsvc.retune.sensitivity import AT_BOUND, Priced, accepted, accepted_deviations, deviations, hypotheses, sensitivities
+from afdsvc.retune.sensitivity import (
+    AT_BOUND,
+    Priced,
+    accepted,
+    accepted_deviations,
+    hypotheses,
+    hypothetical_deviations,
+    sensitivities,
+)
 from afdsvc.retune.settings import RETUNE, RetuneSettings
 
 INSIDE = 0.98  # of a bound: where its price begins, nearer with every attempt, as a peak may lie between two frequencies
 PRICE = 0.02  # of a squared excess, in possible reductions of the cost; without it the first search ends where no later price leads back
+ROUNDING = 1e-9  # of a signal that Q does not reach
 ATTEMPTS = 8  # of keeping the bounds, at ten times the price each
 CAUTION = (1.0, 10.0, 100.0, 1000.0)  # factors on input weight and sensor noise: start from controllers of lower gain, which more machines bear
 
@@ -161,11 +170,11 @@ class _Search:
         problem, found, settings = self.problem, self.found, replace(self.settings, sensitivity_if_wrong=(bound,))
         none, price, Q = _zero(problem), PRICE, None
         most = accepted(problem, found, sensitivities(problem, found, none)[:, 0], settings)
-        loudest = accepted_deviations(problem, deviations(problem, found, self.cost, none), settings)
+        loudest = accepted_deviations(problem, hypothetical_deviations(problem, found, self.cost, none), settings)
         wrong = np.array([found.fault not in case for case in hypotheses(problem, found)])
 
         def beyond(Q: StateSpace) -> bool:
-            return bool((sensitivities(problem, found, Q)[:, 1] > most).any() or (deviations(problem, found, self.cost, Q) > loudest).any())
+            return bool((sensitivities(problem, found, Q)[:, 1] > most).any() or (hypothetical_deviations(problem, found, self.cost, Q) > (1 + ROUNDING) * loudest).any())
 
         for inside in INSIDE ** np.arange(1, ATTEMPTS + 1):
             fit = Priced.of(self.costs, problem, found, self.cost, (inside * most, inside * loudest), price)

@@ -27,7 +27,7 @@ from afdsvc.lti.norms import largest_gain, output_covariance
 from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace, solve_loop
 from afdsvc.lti.yjbk import youla_parameter
-from afdsvc.retune.cost import best_controller, signal_model, with_q
+from afdsvc.retune.cost import best_controller, deviations, signal_model, with_q
 from afdsvc.retune.design import expected, severity_grid
 from afdsvc.retune.sensitivity import AT_BOUND, accepted, hypotheses, sensitivities
 from afdsvc.retune.settings import RETUNE, RetuneSettings
@@ -35,6 +35,7 @@ from afdsvc.retune.settings import RETUNE, RetuneSettings
 ANGLES = 128  # frequencies that choose the scaling and say early that a rectangle is too large
 SCALINGS = np.geomspace(1e-3, 1e3, 25)  # of the severity's channels against the gain's
 SETTLED = 1e-3  # of a transient, after which a switch is over
+TRANSIENT = 0.01  # of a standard deviation whose peaks pass the limit without Q: what a switch may add to it
 LONGEST_SWITCH = 200_000  # samples looked at after Q has gone to zero
 
 
@@ -261,8 +262,10 @@ def _room(problem: DetectionProblem, switch: Switch, peaks: Array, settings: Ret
     limits, m, p = problem.limits, problem.plant.inputs, problem.plant.outputs
     if limits is None:
         return 1.0, "none stated"
-    bound = np.maximum(np.concatenate([limits.input, limits.output])[None, :], settings.noise_peak * switch.before)
+    limit = np.concatenate([limits.input, limits.output])
+    bound = np.maximum(limit, settings.noise_peak * switch.before)
     free = 1 - settings.noise_peak * peaks / bound
+    free = np.where((bound > limit) & (np.abs(free) < TRANSIENT), 0.0, free)
     k = int(np.argmin(free.min(axis=0)))
     names = [*(problem.input_names or range(m)), *(problem.output_names or range(p))]
     return float(free.min()), f"{'input' if k < m else 'output'} '{names[k]}'"
@@ -282,7 +285,7 @@ class Switch:
     @classmethod
     def of(cls, models: Sequence[StateSpace], Q: StateSpace, m: int, p: int) -> Switch:
         """Return the switch of Q in ``models`` (see `afdsvc.retune.cost.signal_model`)."""
-        before, after = (np.array([_deviations(with_q(model, Q, g), m, p) for model in models]) for g in (0.0, 1.0))
+        before, after = (np.array([deviations(with_q(model, Q, g), m, p) for model in models]) for g in (0.0, 1.0))
         return cls(models, Q, m, p, before, after)
 
     @property
@@ -327,12 +330,6 @@ class Switch:
     def _stacked(self, gain: float) -> tuple[Array, Array, Array, Array]:
         loops = [with_q(model, self.Q, gain) for model in self.models]
         return np.stack([s.A for s in loops]), np.stack([s.B for s in loops]), np.stack([s.C for s in loops]), np.stack([s.D for s in loops])
-
-
-def _deviations(signals: StateSpace, m: int, p: int) -> Array:
-    """Return standard deviations of inputs and outputs ``(m + p,)``: of outputs the larger of what sensors report and what is."""
-    sd = np.sqrt(np.diag(output_covariance(signals)))
-    return np.concatenate([sd[:m], np.maximum(sd[m : m + p], sd[m + p : m + 2 * p])])
 
 
 def gain_ramp(samples: int) -> Array:

@@ -24,6 +24,7 @@ from afdsvc.retune.cost import ModelSet, model_set, signal_model, with_q
 from afdsvc.retune.settings import RetuneSettings
 
 AT_BOUND = 0.95  # share of a bound from which it is called binding: the design stops short of it
+FILLED = 0.95  # share of a limit that noise peaks may fill with Q: the rest is for the switch
 FREQUENCIES = np.geomspace(1e-3, np.pi, 150)  # rad per sample; the angles of the loop's poles come on top
 
 
@@ -77,7 +78,7 @@ def _model(problem: DetectionProblem, severities: Mapping[str, float]) -> StateS
     return star(StateSpace(g.A, B, C, D, g.dt), problem.interconnection, p, m)
 
 
-def deviations(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, Q: StateSpace) -> Array:
+def hypothetical_deviations(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, Q: StateSpace) -> Array:
     """Return standard deviations of inputs, reported and true outputs with Q in all `hypotheses`, ``(k, m + 2 p)``."""
     return np.array([np.sqrt(np.diag(output_covariance(with_q(signal_model(problem, cost, case), Q)))) for case in hypotheses(problem, found)])
 
@@ -88,7 +89,7 @@ def accepted_deviations(problem: DetectionProblem, before: Array, settings: Retu
         return np.full_like(before, np.inf)
     m, p = problem.plant.inputs, problem.plant.outputs
     u, y = np.broadcast_to(problem.limits.input, m), np.broadcast_to(problem.limits.output, p)
-    return np.maximum(np.concatenate([u, y, y]) / settings.noise_peak, before)
+    return np.maximum(FILLED * np.concatenate([u, y, y]) / settings.noise_peak, before)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,7 +32,7 @@ from afdsvc.plugins.controllers.pid import Pid
 from afdsvc.retune.cost import best_controller, controlled_cost, damaged_model, h2_cost, loop_cost, model_set, with_q
 from afdsvc.retune.design import descended, design_q
 from afdsvc.retune.proof import prove
-from afdsvc.retune.sensitivity import Priced, accepted, accepted_deviations, deviations, sensitivities
+from afdsvc.retune.sensitivity import Priced, accepted, accepted_deviations, hypothetical_deviations, sensitivities
 from afdsvc.retune.settings import RETUNE, RetuneSettings
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem
 
@@ -116,7 +116,7 @@ def bounded(problem: DetectionProblem, cost: LoopCost, case: dict[str, float], s
     none, model = StateSpace.gain(np.zeros((m, p)), problem.plant.dt), damaged_model(problem, cost, case)
     before, best = h2_cost(with_q(model, none)), controlled_cost(problem, cost, case, oracle(problem, cost, case))
     bounds = accepted(problem, found, sensitivities(problem, found, none)[:, 0], settings)
-    loudest = accepted_deviations(problem, deviations(problem, found, cost, none), settings)
+    loudest = accepted_deviations(problem, hypothetical_deviations(problem, found, cost, none), settings)
     fit = Priced.of(model_set([model], [1 / (before - best)], m, p, 1.0), problem, found, cost, (bounds, loudest), 20.0)
     cautious = [replace(cost, input=c * cost.input, noise=c * cost.noise) for c in (3, 30)]
     starts = [youla_parameter(problem.interconnection, best_controller(problem, c, at)) for c in cautious for at in (case, {})]

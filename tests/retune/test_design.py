@@ -174,11 +174,11 @@ def test_the_bound_where_the_diagnosis_is_wrong_gives_way_only_where_that_brings
     reached, wrong = reached_and_wrong(3.0, 12.0)
     assert reached > RETUNE.enough
     assert 3.0 < wrong < 12.0
-    begun, within = [], design._within_bounds
-    monkeypatch.setattr(design, "_within_bounds", lambda *a: begun.append(a[3].sensitivity_if_wrong) or within(*a))
+    begun, within = [], design._Search.within
+    monkeypatch.setattr(design._Search, "within", lambda search, bound: begun.append(bound) or within(search, bound))
     assert reached_and_wrong(8.0, 24.0)[0] > RETUNE.enough  # at its bound, and enough
     reached_and_wrong(12.0, 24.0, enough=1.1)  # not enough, and not at its bound
-    assert begun == [(8.0,), (12.0,)]
+    assert begun == [8.0, 12.0]
     reached, wrong = reached_and_wrong(3.0, 3.5)
     assert reached < RETUNE.enough
     assert wrong <= 3.0
