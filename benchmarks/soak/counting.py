@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import datetime
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 
+from afdsvc.api.intervals import Intervals
 from afdsvc.api.signals import Block
 from afdsvc.files.recording.reader import Recording
 from afdsvc.hal.store import records
@@ -16,6 +18,7 @@ from afdsvc.wire.messages import AlarmKind
 from benchmarks.soak.disturbances import Disturbance
 from benchmarks.soak.testbed import Testbed
 
+NOT_KEPT = re.compile(r"samples (.+) of session (\S+) could not be kept: the store was full or failed")
 MARGIN = 15.0  # seconds after a disturbance in which its gap may still begin: a reconnection takes some
 LOSING = (
     "recording deleted",
@@ -26,8 +29,9 @@ LOSING = (
 )  # all others must lose nothing
 
 
-def gaps(testbed: Testbed, blocks: Iterable[Block]) -> Iterator[tuple[float, float, int]]:
-    """Yield the gaps in one machine's samples: Unix time they begin and end at, samples missing; and at last (0, 0, samples)."""
+def gaps(testbed: Testbed, blocks: Iterable[Block], stated: Mapping[str, Intervals]) -> Iterator[tuple[float, float, int, bool]]:
+    """Yield the gaps in one machine's samples: Unix time they begin and end at, samples missing, and whether its rig ``stated`` that it could not keep
+    them; and at last (0, 0, samples, False)."""
     spans: dict[str, list[tuple[int, int, float, float]]] = {}
     for block in blocks:
         ends = block.k0 + len(block)
@@ -35,14 +39,14 @@ def gaps(testbed: Testbed, blocks: Iterable[Block]) -> Iterator[tuple[float, flo
             (block.k0, ends, block.t0_ns / 1e9, block.t0_ns / 1e9 + len(block) * block.dt)
         )
     total = 0
-    for rows in spans.values():
+    for session, rows in spans.items():
         reached, until = 0, 0.0
         for k0, ends, since, till in sorted(rows):
             if until and k0 > reached:
-                yield testbed.true_time(until), testbed.true_time(since), k0 - reached
+                yield testbed.true_time(until), testbed.true_time(since), k0 - reached, stated[session].covers(reached, k0)
             total += max(ends - max(k0, reached), 0)
             reached, until = max(reached, ends), max(until, till)
-    yield 0.0, 0.0, total
+    yield 0.0, 0.0, total, False
 
 
 def explained(done: Sequence[Disturbance], id: str, start: float, end: float) -> str:
@@ -66,13 +70,27 @@ def recorded(testbed: Testbed, id: str) -> Iterator[Block]:
         yield from Recording(path).blocks()
 
 
+def stated_losses(testbed: Testbed, id: str) -> dict[str, Intervals]:
+    """Return the samples of every session that the rig said it could not keep, in the events of its recordings."""
+    found: dict[str, Intervals] = defaultdict(Intervals)
+    for path in (testbed.folder / "recordings").glob(f"{id}-2*.mcap"):
+        for event in Recording(path).events():
+            if said := NOT_KEPT.fullmatch(event.cause):
+                for start, last in re.findall(r"(\d+) to (\d+)", said[1]):
+                    found[said[2]].add(int(start), int(last) + 1)
+    return found
+
+
 def count_samples(testbed: Testbed, done: Sequence[Disturbance]) -> tuple[int, Counter[str], Counter[str], list[str]]:
     """Return samples, gaps and samples missing by what was done then, and sentences about gaps nothing explains."""
     samples, accounted, missing, wrong = 0, Counter[str](), Counter[str](), []
     for id in testbed.ids:
-        for start, end, n in gaps(testbed, chain(recorded(testbed, id), stored(testbed, id))):
+        for start, end, n, full in gaps(testbed, chain(recorded(testbed, id), stored(testbed, id)), stated_losses(testbed, id)):
             if not start:
                 samples += n
+            elif full:
+                accounted["store of the rig full, as it stated"] += 1
+                missing["store of the rig full, as it stated"] += n
             elif why := explained(done, id, start, end):
                 accounted[why] += 1
                 missing[why] += n

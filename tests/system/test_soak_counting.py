@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
+
+from afdsvc.api.signals import Block, Channel
 from afdsvc.diagnosis.alarm_book import raised
 from afdsvc.service.notifications import History, Judged
-from afdsvc.wire.messages import AlarmChange, AlarmKind
+from afdsvc.wire.messages import AlarmChange, AlarmKind, EventKind, RigEvent
+from benchmarks.soak import counting
 from benchmarks.soak.counting import count_alarms
 
 
@@ -21,3 +25,15 @@ def test_false_alarms_are_held_against_the_bursts_that_were_judged_whatever_beca
     assert (named, len(healthy), sum(bool(j.fault) for j in healthy)) == (1, 8, 1)
     assert false == ["m1/unnamed: cusum"]
     assert missed == []
+
+
+def test_samples_that_a_rig_says_its_store_could_not_keep_explain_their_gap_and_no_other(tmp_path, monkeypatch):
+    event = RigEvent("m1", "s", 0, EventKind.NOTE, cause="samples 10 to 19, 35 to 37 of session s could not be kept: the store was full or failed")
+    kept = [Block("m1", "s", 0, k, 0.1, int(1e8 * k), (Channel("y_a"),), np.zeros((n, 1))) for k, n in ((0, 10), (20, 15), (40, 5))]
+    monkeypatch.setattr(counting, "Recording", lambda path: SimpleNamespace(events=lambda: [event], blocks=lambda: kept))
+    (tmp_path / "recordings").mkdir()
+    (tmp_path / "recordings" / "m1-20261127.mcap").touch()
+    testbed = SimpleNamespace(folder=tmp_path, ids=["m1"], true_time=lambda t: t + 1)
+    samples, accounted, missing, unexplained = counting.count_samples(testbed, [])
+    assert (samples, accounted.total(), missing.total()) == (30, 1, 10)
+    assert unexplained == ["m1: 5 samples missing from 00:00:04, unexplained"]
