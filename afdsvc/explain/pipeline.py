@@ -27,10 +27,10 @@ from afdsvc.explain.report.report import report
 from afdsvc.explain.search.base import Settled, settled, under_slow_noise
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.fit import Fit, rms
-from afdsvc.explain.search.forward import Found, Mapper, Path, Progress, search
-from afdsvc.explain.search.problem import Problem
+from afdsvc.explain.search.forward import Found, Path, Progress, search
+from afdsvc.explain.search.problem import Point, Problem
 from afdsvc.explain.search.ranking import mechanism
-from afdsvc.explain.settings import Settings
+from afdsvc.explain.settings import Mapper, Settings
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.verdict.holdout import HeldOutVerdict, checked_on_holdout, doubted, player
 from afdsvc.explain.verdict.verdict import DOUBT, verdict
@@ -53,13 +53,13 @@ def explain(
     """
     progress("checking", 0.0)
     findings, roles = _checked(model, recordings, holdout, trust_units)
-    base, remainder, offered = settled(_problem(model, roles, settings or Settings(), findings)), Remainder(np.random.default_rng(SEED)), list(library)
+    base, remainder, offered = settled(_problem(model, roles, settings or Settings(), findings)), Remainder(np.random.default_rng(SEED), mapper), list(library)
     progress("testing", 0.0)
     gap = remainder(base.problem, base.start)
     if gap.absent:  # noise limits: the refit may have moved numbers of the model to follow the recordings
         base = replace(base, limited="noise")
     found, answer = _confirmed(base, gap, offered, mapper, progress, remainder, roles.heldout)
-    answer = _consistent_there(answer, found.problem, list(found.end)[-1], roles.heldout, remainder.rng)
+    answer = _consistent_there(answer, found.problem, list(found.end)[-1], roles.heldout, remainder)
     progress("reporting", 0.9)
     explanation = report(found, answer, roles, findings, offered, experiment)
     progress("reporting", 1.0)
@@ -129,7 +129,7 @@ def _searched(
     return again if again.effects and better(base.problem, found.end, again.end) > base.problem.settings.probable else found
 
 
-def _consistent_there(answer: HeldOutVerdict, problem: Problem, horizon: float, heldout: Sequence[Run], rng: np.random.Generator) -> HeldOutVerdict:
+def _consistent_there(answer: HeldOutVerdict, problem: Problem, horizon: float, heldout: Sequence[Run], remainder: Remainder) -> HeldOutVerdict:
     """Return the answer, not consistent where a flexible model predicts what is missed of the recordings held out; short ones are not tested."""
     if answer.verdict.verdict != "consistent":
         return answer
@@ -141,7 +141,7 @@ def _consistent_there(answer: HeldOutVerdict, problem: Problem, horizon: float, 
     there, point, _ = play.begun(heldout, answer.final.point)
     if rms(there.residuals(point, play.horizon)).max() < problem.settings.rounding:
         return answer
-    gap = gap_test(signals(there, point, play.horizon), *signal_names(there), rng)
+    gap = remainder.of(there, point, play.horizon)
     if not gap.present or gap.total < DOUBT:
         return answer
     said = f"on the recordings held out a flexible model predicts {100 * gap.total:.0f} % of the residual's power ({p_value_text(gap.p_value)}): they show what those fitted do not"
@@ -153,6 +153,7 @@ class Remainder:
     """Tests whether the residual of a path is predictable: that of the simulation where the plant allows one. Each fit is tested once."""
 
     rng: np.random.Generator
+    mapper: Mapper = map
     known: dict[Fit, Gap] = field(default_factory=dict)
 
     def __call__(self, problem: Problem, path: Path) -> Gap:
@@ -160,8 +161,12 @@ class Remainder:
         horizon, fit = list(path.items())[-1]
         if fit not in self.known:
             point = by_innovations(problem, fit, horizon, GapSettings().whitening_order)
-            self.known[fit] = gap_test(signals(problem, point, horizon), *signal_names(problem), self.rng)
+            self.known[fit] = self.of(problem, point, horizon)
         return self.known[fit]
+
+    def of(self, problem: Problem, point: Point, horizon: float) -> Gap:
+        """Return the gap at a point."""
+        return gap_test(signals(problem, point, horizon), *signal_names(problem), self.rng, mapper=self.mapper)
 
 
 def _mean_input(runs: Sequence[Run]) -> np.ndarray | None:

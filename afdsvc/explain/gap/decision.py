@@ -16,12 +16,13 @@ from afdsvc.explain.gap.ridge import CrossProducts, Scores
 from afdsvc.explain.gap.settings import GapSettings
 from afdsvc.explain.gap.signals import ResidualSignals, check_signals
 from afdsvc.explain.gap.significance import significance
+from afdsvc.explain.settings import Mapper
 from afdsvc.lti.statespace import Array
 
 
 def gap_test(
     recordings: Sequence[ResidualSignals], state_names: Sequence[str], input_names: Sequence[str], output_names: Sequence[str],
-    aux_names: Sequence[str], rng: Generator, surrogates: int = 99, settings: GapSettings | None = None,
+    aux_names: Sequence[str], rng: Generator, surrogates: int = 99, settings: GapSettings | None = None, mapper: Mapper = map,
 ) -> Gap:
     """Return whether the residual depends on inputs, simulated states, aux or time, or repeats with them, and what share of it.
 
@@ -35,6 +36,8 @@ def gap_test(
         Draws the random features and the surrogates.
     surrogates : int
         Surrogates of each kind; the smallest p-value is ``1 / (surrogates + 1)``.
+    mapper : callable
+        `map`, or what does the same in several threads.
 
     Raises
     ------
@@ -45,7 +48,7 @@ def gap_test(
     names = (output_names, input_names, state_names, aux_names)
     check_signals(recordings, names)
     reg = pose(projected(recordings, rng, settings), names, rng, settings)
-    sure = significance(reg, surrogates, rng, settings)
+    sure = significance(reg, surrogates, rng, settings, mapper)
     again = repeating_share(recordings, reg.centred.pieces, settings)
     p_value = sure.p_value if again is None else min(1.0, 2 * min(sure.p_value, again.p_value))
     r2 = sure.scores.best()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.random import Generator
@@ -11,6 +12,7 @@ from afdsvc.explain.gap.regression import FeatureRegression, clipped
 from afdsvc.explain.gap.ridge import Scores
 from afdsvc.explain.gap.settings import GapSettings
 from afdsvc.explain.noise.surrogates import autoregressive, surrogates, whiten
+from afdsvc.explain.settings import Mapper
 from afdsvc.lti.statespace import Array
 
 
@@ -27,7 +29,7 @@ class Significance:
     whitened: Array
 
 
-def significance(reg: FeatureRegression, count: int, rng: Generator, settings: GapSettings) -> Significance:
+def significance(reg: FeatureRegression, count: int, rng: Generator, settings: GapSettings, mapper: Mapper = map) -> Significance:
     """Return how significant the prediction is.
 
     Two shares of power are compared with those of the surrogates: of the residual (a slow gap under fast noise) and of its
@@ -38,14 +40,20 @@ def significance(reg: FeatureRegression, count: int, rng: Generator, settings: G
     outputs = range(reg.pieces[0].shape[1])
     models = [autoregressive([e[:, j] for e in reg.pieces], settings.whitening_order) for j in outputs]
     made = surrogates(reg.pieces, models, count, rng)
-    plain = reg.ridge.scores(reg.ridge.products(np.concatenate([m.reshape(len(m), -1) for m in made]) * reg.known[:, None]))
-    white = np.array([_whitened(reg, [m[:, j] for m in made], models[j], settings) for j in outputs])
+    as_it_is = partial(_scores, reg, made)
+    whitened = [partial(_whitened, reg, [m[:, j] for m in made], models[j], settings) for j in outputs]
+    plain, *shares = mapper(lambda regression: regression(), [as_it_is, *whitened])
+    white = np.array(shares)
     raw = plain.best().reshape(len(models), -1)
     kinds = [np.r_[0, 1 + k * count : 1 + (k + 1) * count] for k in (0, 1)]
     p_value = max(_rank(np.concatenate([raw[:, k], white[:, k]])) for k in kinds)
     threshold = np.max([np.quantile(raw[:, k[1:]], 1 - settings.level, axis=1) for k in kinds], axis=0)
     own = slice(None, None, 1 + 2 * count)
     return Significance(p_value, Scores(plain.errors[..., own], plain.power[:, own]), threshold, white[:, 0])
+
+
+def _scores(reg: FeatureRegression, made: list[Array]) -> Scores:
+    return reg.ridge.scores(reg.ridge.products(np.concatenate([m.reshape(len(m), -1) for m in made]) * reg.known[:, None]))
 
 
 def _whitened(reg: FeatureRegression, made: list[Array], a: Array, settings: GapSettings) -> Array:

@@ -49,11 +49,11 @@ from afdsvc.explain.search.ranking import (
     winner,
 )
 from afdsvc.explain.search.screen import Screen, Screened
+from afdsvc.explain.settings import Mapper
 from afdsvc.lti.statespace import Array
 from afdsvc.stats.spectral_peaks import peaks
 from afdsvc.stats.tones import tones
 
-Mapper = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 Path = dict[float, Fit]
 Progress = Callable[[str, float], None]
 
