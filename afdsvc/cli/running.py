@@ -19,7 +19,7 @@ import typer
 
 from afdsvc import __version__
 from afdsvc.cli.interrupt import call_on_signals
-from afdsvc.cli.options import HERE, Json, MachineOption, SiteFile, SiteOption, show
+from afdsvc.cli.options import HERE, Json, MachineOption, SiteFile, SiteOption, machine_ids, show
 from afdsvc.errors import BadInput
 from afdsvc.files.unfinished import remove_unfinished
 
@@ -98,7 +98,7 @@ def _one_of(option: str, value: str, allowed: tuple[str, ...]) -> str:
 @app.command()
 def rig(
     site: SiteFile,
-    machine: Annotated[str, typer.Option("--machine", help="Id of the machine in the site file.")],
+    machine: Annotated[str, typer.Option("--machine", autocompletion=machine_ids, help="Id of the machine in the site file.")],
     seconds: Annotated[float | None, typer.Option(help="Stop after so long.")] = None,
 ) -> None:
     """Run the rig agent of one machine: its control loop, its blocks, its bursts within its limits.
@@ -286,12 +286,12 @@ def burst(
     show(as_json, found, lambda: print(f"burst {found['burst']} accepted"))
 
 
-Machine = Annotated[str | None, typer.Argument(metavar="MACHINE", help="Id of the machine; not needed where there is one only.")]
+Machine = Annotated[str | None, typer.Argument(metavar="MACHINE", autocompletion=machine_ids, help="Id of the machine; not needed where there is one only.")]
 
 
 @app.command()
 def inject(
-    machine: Annotated[str, typer.Argument(metavar="MACHINE", help="Id of a simulated machine that runs.")],
+    machine: Annotated[str, typer.Argument(metavar="MACHINE", autocompletion=machine_ids, help="Id of a simulated machine that runs.")],
     fault: Annotated[str, typer.Argument(metavar="FAULT=SEVERITY", help="For example horizontal_actuator=-0.3; 0 repairs it.")],
     site: SiteOption = HERE,
     as_json: Json = False,

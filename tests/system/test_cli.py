@@ -180,3 +180,12 @@ def test_an_unexpected_failure_is_one_sentence_that_names_the_file_of_its_traceb
     assert end.value.code == 1
     assert said.startswith("afdsvc: unexpected failure: ZeroDivisionError: division by zero; a report of it needs ")
     assert "1 / 0" in Path(said.rsplit(" ", 1)[1]).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("words", "completed"), [("afdsvc retune b", "bearing"), ("afdsvc pause --machine p", "pump"), ("afdsvc retune --site other.toml t", "turbine"), ("afdsvc retune --site none.toml t", "")])
+def test_shells_complete_the_ids_of_machines_from_the_site_file(words, completed, tmp_path):
+    (tmp_path / "site.toml").write_text('[[machines]]\nid = "bearing"\n[[machines]]\nid = "pump"\n')
+    (tmp_path / "other.toml").write_text('[[machines]]\nid = "turbine"\n')
+    asked = {"_AFDSVC_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
+    done = subprocess.run([sys.executable, "-m", "afdsvc"], cwd=tmp_path, env=os.environ | asked, capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == completed
