@@ -22,6 +22,7 @@ FAR = 3.0  # ratio to the model's gain from which it is reported
 SURE, SURER = 0.5, 0.7  # shares of an output's lines that the scaled model must explain for a factor to be reported, and to stop
 STOP = 20.0  # ratio from which a wrong unit stops: nearer to one, a model may just be a bad one
 TINY = 0.01  # size of an output's lines over what the model says, below which it is another signal if it does not follow the model either
+STILL = 1e-9  # the same of a sensor that always reads the same: rounding
 VISIBLE = 0.1  # share of an output an input must cause for its factor to be reported
 SHIFTS = 40
 
@@ -101,7 +102,7 @@ def _others(nominal: Nominal, lines: ExcitedLines, followed: Collection[int]) ->
     """Yield a finding per output that hardly moves where the model says it does, and in another way."""
     measured, simulated = (np.sqrt((np.abs(x) ** 2).sum(0)) for x in (lines.Y, lines.parts.sum(2)))
     for j, v in enumerate(nominal.model.outputs):
-        if j not in followed and 0 < measured[j] < TINY * simulated[j]:
+        if j not in followed and STILL < measured[j] / max(simulated[j], 1e-300) < TINY:
             said = f"y_{v.name} moves {measured[j] / simulated[j]:.2g} times as much as the model says and does not follow it"
             yield Finding("stop", "units", f"{said}; expected the column and the unit of '{v.name}': are columns exchanged? explain --trust-units goes on where they are right")
 

@@ -86,6 +86,9 @@ def test_an_output_that_hardly_moves_and_does_not_follow_the_model_is_another_si
     assert "y_horizontal moves" in refused
     assert "are columns exchanged?" in refused
     assert "y_vertical" not in refused
+    dead = objection(check(sound()[0], spoiled("y_horizontal", lambda x: np.full_like(x, 0.1))))
+    assert "dead" in dead
+    assert "exchanged" not in dead
     louder = spoiled("y_horizontal", lambda x: 0.1 * x.std() * rng.standard_normal(len(x)))
     assert "exchanged" not in objection(check(sound()[0], louder))
 
