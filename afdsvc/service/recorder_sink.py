@@ -7,7 +7,8 @@ import re
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -141,29 +142,30 @@ class RecorderSink:
 
     def take(self, message: Message) -> None:
         """Record a message, bytes that came over the wire as they came."""
-        if not isinstance(message.value, Block):
-            return record(self._open(), message)
-        block = message.value
-        self._unkept.append((block.session, block.k0, block.k0 + len(block)))
-        try:
+        if isinstance(block := message.value, Block):
+            self._unkept.append((block.session, block.k0, block.k0 + len(block)))
+        with self._noting():
             record(self._open(), message)
-        except RecordingFailed:
-            self._unkept.clear()
-            raise
-        self._note_kept()
 
     def tick(self) -> None:
         """Flush when it is due."""
         if self._recorder:
-            self._recorder.tick()
-            self._note_kept()
+            with self._noting():
+                self._recorder.tick()
 
     def close(self) -> None:
         """Finish the file."""
         if self._recorder:
             self._recorder.close()
 
-    def _note_kept(self) -> None:
+    @contextmanager
+    def _noting(self) -> Iterator[None]:
+        """Note the samples that are on the disk after what is done here; a failure, at any write, loses all that are not on it yet."""
+        try:
+            yield
+        except RecordingFailed:
+            self._unkept.clear()
+            raise
         if self._recorder and self._recorder.flushed and not self._recorder.failure:
             for samples in self._unkept:
                 self._receipts.add(*samples)

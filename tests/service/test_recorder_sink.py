@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import threading
 import time
 
@@ -11,18 +12,20 @@ import pytest
 from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block, Channel
 from afdsvc.app.serve import SiteSinks
+from afdsvc.files.recording.mcap_file import McapFile
 from afdsvc.files.recording.reader import Recording
+from afdsvc.files.recording.recorder import RecordingFailed
 from afdsvc.files.site import RecordingSection as Settings
 from afdsvc.files.site import parse_site
 from afdsvc.service import recorder_sink
 from afdsvc.service.clock import FastClock
-from afdsvc.service.recorder_sink import PreAlarmBuffer, RecorderSink
+from afdsvc.service.recorder_sink import PreAlarmBuffer, Receipts, RecorderSink
 from afdsvc.service.sinks import FanOut, Publisher, ThreadedSink
 from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.wire import codec
 from afdsvc.wire.codec import Message
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import Finding
+from afdsvc.wire.messages import EventKind, Finding, RigEvent
 
 
 def block(seq: int = 0) -> Block:
@@ -93,6 +96,32 @@ def test_a_first_file_that_cannot_be_made_is_tried_as_rarely_as_any(tmp_path, mo
     sink.take(Message(block(500), codec.encode_block(block(500))))
     sink.close()
     assert len(list(Recording(sink.paths[0]).blocks())) == 1
+
+
+@pytest.mark.parametrize("failing", ["tick", "event"])
+def test_samples_lost_by_whatever_write_fails_are_not_acknowledged_when_the_next_file_begins(failing, tmp_path, monkeypatch):
+    """A full disk is met by the flush of a tick, or of a message without samples, after which no block comes until a new file can be begun."""
+
+    def full(file):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    receipts = Receipts()
+    sink = RecorderSink(Settings(folder=tmp_path), "m1", "", "", 0, {}, receipts)
+    sink.take(Message(block(0)))
+    sink._recorder._flushed = float("-inf")  # a flush is due
+    with monkeypatch.context() as disk:
+        disk.setattr(McapFile, "flush", full)
+        with pytest.raises(RecordingFailed, match="No space left"):
+            sink.tick() if failing == "tick" else sink.take(Message(RigEvent("m1", "s", 0, EventKind.NOTE, cause="a sentence")))
+    sink._recorder._failed_at = float("-inf")  # it is time for a new file
+    sink.take(Message(block(1)))
+    sink._recorder._flushed = float("-inf")
+    sink.tick()
+    lost, kept = block(0), block(1)
+    assert receipts.covers(kept.session, kept.k0, kept.k0 + len(kept))
+    assert not receipts.covers(lost.session, lost.k0, lost.k0 + len(lost))
+    sink.close()
+    assert [b.k0 for path in sink.paths for b in Recording(path).blocks()] == [kept.k0]
 
 
 def test_two_starts_in_one_second_do_not_fight_over_a_name(tmp_path):
