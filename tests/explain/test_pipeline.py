@@ -229,7 +229,7 @@ def test_what_a_fit_leaves_is_tested_once(monkeypatch):
     monkeypatch.setattr(module, "by_innovations", lambda problem, fit, *_: fit)
     monkeypatch.setattr(module, "signals", lambda problem, point, horizon: point)
     monkeypatch.setattr(module, "signal_names", lambda problem: ())
-    monkeypatch.setattr(module, "gap_test", lambda point, rng: asked.append(point) or f"gap of {point}")
+    monkeypatch.setattr(module, "gap_test", lambda point, rng, mapper: asked.append(point) or f"gap of {point}")
     remainder = module.Remainder(np.random.default_rng(0))
     assert [remainder(None, {0.1: "rough", 0.0: fit}) for fit in ("one", "other", "one")] == ["gap of one", "gap of other", "gap of one"]
     assert asked == ["one", "other"]
