@@ -24,8 +24,7 @@ from afdsvc.lti.reduce import balanced_truncation, weighted_truncation
 from afdsvc.lti.stability import is_stable
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.yjbk import retuned_interconnection, youla_parameter
-from afdsvc.retune.cost import ModelSet, best_controller, controlled_cost, damaged_model, h2_cost, model_set, with_q
-from afdsvc.retune.sensitivity import (
+from afdsvc.retune.bounds import (
     AT_BOUND,
     Priced,
     accepted,
@@ -34,6 +33,7 @@ from afdsvc.retune.sensitivity import (
     hypothetical_deviations,
     sensitivities,
 )
+from afdsvc.retune.cost import ModelSet, best_controller, controlled_cost, damaged_model, h2_cost, model_set, with_q
 from afdsvc.retune.settings import RETUNE, RetuneSettings
 
 INSIDE = 0.98  # of a bound: where its price begins, nearer with every attempt, as a peak may lie between two frequencies
@@ -170,14 +170,14 @@ class _Search:
         problem, found, settings = self.problem, self.found, replace(self.settings, sensitivity_if_wrong=(bound,))
         none, price, Q = _zero(problem), PRICE, None
         most = accepted(problem, found, sensitivities(problem, found, none)[:, 0], settings)
-        loudest = accepted_deviations(problem, hypothetical_deviations(problem, found, self.cost, none), settings)
+        largest = accepted_deviations(problem, hypothetical_deviations(problem, found, self.cost, none), settings)
         wrong = np.array([found.fault not in case for case in hypotheses(problem, found)])
 
         def beyond(Q: StateSpace) -> bool:
-            return bool((sensitivities(problem, found, Q)[:, 1] > most).any() or (hypothetical_deviations(problem, found, self.cost, Q) > (1 + ROUNDING) * loudest).any())
+            return bool((sensitivities(problem, found, Q)[:, 1] > most).any() or (hypothetical_deviations(problem, found, self.cost, Q) > (1 + ROUNDING) * largest).any())
 
         for inside in INSIDE ** np.arange(1, ATTEMPTS + 1):
-            fit = Priced.of(self.costs, problem, found, self.cost, (inside * most, inside * loudest), price)
+            fit = Priced.of(self.costs, problem, found, self.cost, (inside * most, inside * largest), price)
             Q = descended(fit, self._start(fit) if Q is None else Q, settings.iterations)
             if not beyond(Q) and not beyond(lower := self._of_lowest_order(fit, Q)):
                 return lower, bool((sensitivities(problem, found, Q)[:, 1] > AT_BOUND * inside * most)[wrong].any())

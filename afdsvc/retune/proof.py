@@ -27,9 +27,9 @@ from afdsvc.lti.norms import largest_gain, output_covariance
 from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace, solve_loop
 from afdsvc.lti.yjbk import youla_parameter
+from afdsvc.retune.bounds import AT_BOUND, accepted, hypotheses, sensitivities
 from afdsvc.retune.cost import best_controller, deviations, signal_model, with_q
 from afdsvc.retune.design import expected, severity_grid
-from afdsvc.retune.sensitivity import AT_BOUND, accepted, hypotheses, sensitivities
 from afdsvc.retune.settings import RETUNE, RetuneSettings
 
 ANGLES = 128  # frequencies that choose the scaling and say early that a rectangle is too large
@@ -44,7 +44,7 @@ class Proof:
     """What was proved: see `prove`.
 
     ``rectangles`` cover severity and gain; ``cost_before``, ``cost_after`` and ``reached`` (share of the reduction that the best controller
-    of the damaged plant brings) are the worst of the interval; ``sensitivity`` of the damaged loops, of the healthy one, and the largest of those where the diagnosis is wrong (see `afdsvc.retune.sensitivity.hypotheses`); ``bound`` names the machine whose
+    of the damaged plant brings) are the worst of the interval; ``sensitivity`` of the damaged loops, of the healthy one, and the largest of those where the diagnosis is wrong (see `afdsvc.retune.bounds.hypotheses`); ``bound`` names the machine whose
     sensitivity is at its bound, or, where ``reached`` is below ``enough``, says why the best controller itself would be refused; "" where only the damage limits ``reached``; ``rise_seconds``
     and ``fall_seconds`` the shortest times in which the gain may rise and fall (0: one sample), ``bump_in`` and ``bump_out`` the largest
     standard deviations meanwhile, relative to the larger of those before and after; ``room_before`` and ``room`` the smallest share of a limit that noise peaks leave free without and with Q,

@@ -29,10 +29,10 @@ from afdsvc.plants.amb_turboexpander import amb_turboexpander
 from afdsvc.plants.gas_bearing import gas_bearing
 from afdsvc.plugins.controllers.lqg import Lqg
 from afdsvc.plugins.controllers.pid import Pid
+from afdsvc.retune.bounds import Priced, accepted, accepted_deviations, hypothetical_deviations, sensitivities
 from afdsvc.retune.cost import best_controller, controlled_cost, damaged_model, h2_cost, loop_cost, model_set, with_q
 from afdsvc.retune.design import descended, design_q
 from afdsvc.retune.proof import prove
-from afdsvc.retune.sensitivity import Priced, accepted, accepted_deviations, hypothetical_deviations, sensitivities
 from afdsvc.retune.settings import RETUNE, RetuneSettings
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem
 

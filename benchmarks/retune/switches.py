@@ -31,10 +31,10 @@ from afdsvc.lti.lft import star
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.yjbk import retuned_interconnection
 from afdsvc.plants.gas_bearing import FASTEST_RPM, gas_bearing
+from afdsvc.retune.bounds import hypotheses
 from afdsvc.retune.cost import loop_cost
 from afdsvc.retune.design import design_q
 from afdsvc.retune.proof import Proof, Switch, judged_models, proved_tuning
-from afdsvc.retune.sensitivity import hypotheses
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem
 
 STAGE = 500  # samples before the switch in, between both, and after the switch out

@@ -15,9 +15,9 @@ from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.yjbk import youla_parameter
 from afdsvc.plants.gas_bearing import gas_bearing
 from afdsvc.retune import design
+from afdsvc.retune.bounds import Priced, accepted, accepted_deviations, hypothetical_deviations, sensitivities, sensitivity
 from afdsvc.retune.cost import best_controller, controlled_cost, damaged_model, loop_cost, model_set
 from afdsvc.retune.design import design_q, expected
-from afdsvc.retune.sensitivity import Priced, accepted, accepted_deviations, hypothetical_deviations, sensitivities, sensitivity
 from afdsvc.retune.settings import RETUNE
 from afdsvc.testing.machines import bearing_problem, random_problem, unstable_problem
 
@@ -170,17 +170,17 @@ def test_where_bounds_limit_what_is_gained_another_search_that_minds_nothing_els
     cost, fault = loop_cost(problem, {k: recommended[k] for k in ("state_weight", "input_weight", "process_weight")}), "horizontal_sensor"
     found, none = DiagnosedFault(fault, -0.5, -0.5), StateSpace.gain(np.zeros((2, 2)), problem.plant.dt)
     Q = design_q(problem, found, cost, replace(RETUNE, models=1, order_loss=0.005, sensitivity_if_wrong=(12.0,)))
-    told = expected(problem, found, cost, Q, 1)
+    costs = expected(problem, found, cost, Q, 1)
     bounds = accepted(problem, found, sensitivities(problem, found, none)[:, 0], replace(RETUNE, sensitivity_if_wrong=(12.0,)))
     limits = accepted_deviations(problem, hypothetical_deviations(problem, found, cost, none), RETUNE)
     assert (sensitivities(problem, found, Q)[:, 1] <= bounds).all()
     assert (hypothetical_deviations(problem, found, cost, Q) <= limits * (1 + 1e-9)).all()
-    weight = 1 / float(told.before[0] - told.best[0])
+    weight = 1 / float(costs.before[0] - costs.best[0])
     fit = Priced.of(model_set([damaged_model(problem, cost, {fault: -0.5})], [weight], 2, 2, 1.0), problem, found, cost, (bounds, limits), 20.0)
     start = youla_parameter(problem.interconnection, best_controller(problem, replace(cost, input=30 * cost.input, noise=30 * cost.noise), {}))
     other = design.descended(fit, start, 600)
-    assert 0.86 < told.reached[0] < 0.9
-    assert told.reached[0] > told.before[0] * weight - fit.cost_and_slope(other)[0] - 0.01
+    assert 0.86 < costs.reached[0] < 0.9
+    assert costs.reached[0] > costs.before[0] * weight - fit.cost_and_slope(other)[0] - 0.01
 
 
 def test_the_bound_where_the_diagnosis_is_wrong_gives_way_only_where_that_brings_enough(monkeypatch):

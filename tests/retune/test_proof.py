@@ -14,10 +14,10 @@ from afdsvc.lti.lft import star
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.yjbk import retuned_interconnection
 from afdsvc.plants.gas_bearing import FASTEST_RPM, gas_bearing
+from afdsvc.retune.bounds import sensitivities
 from afdsvc.retune.cost import best_controller, loop_cost, signal_model
 from afdsvc.retune.design import design_q, expected
 from afdsvc.retune.proof import Switch, covered, gain_ramp, prove, proved_tuning
-from afdsvc.retune.sensitivity import sensitivities
 from afdsvc.retune.settings import RETUNE
 from afdsvc.testing.machines import bearing_problem, random_problem
 

@@ -1,4 +1,6 @@
-"""The sensitivity of loops, ``max |(I - G K)^-1|`` over all frequencies: the inverse is the distance to instability. And its price in a design.
+"""Bounds that loops with Q keep, and their price in a design: standard deviations within limits, and sensitivity.
+
+The sensitivity is ``max |(I - G K)^-1|`` over all frequencies: its inverse is the distance to instability.
 
 H2 design alone knows no stability margin. A price on the peak alone buys one for little cost; more weight on inputs or noise buys it dearly.
 
@@ -118,14 +120,14 @@ class Priced:
     def cost_and_slope(self, Q: StateSpace) -> tuple[float, Array]:
         """Return the sum and its slope in ``[Dq Cq; Bq Aq]``; (inf, 0) where a pole is beyond its bound."""
         value, slope = self.cost.cost_and_slope(Q)
-        for part in (self._sensitive, self._loud):
+        for part in (self._sensitive, self._beyond_limits):
             if not np.isfinite(value):
                 break
             more, steeper = part(Q)
             value, slope = value + self.price * more, slope + self.price * steeper
         return (value, slope) if np.isfinite(value) else (value, np.zeros_like(slope))
 
-    def _loud(self, Q: StateSpace) -> tuple[float, Array]:
+    def _beyond_limits(self, Q: StateSpace) -> tuple[float, Array]:
         """Return the squares of the excess of standard deviations and their slope."""
 
         def excess(variances: Array) -> tuple[float, Array]:
