@@ -35,9 +35,10 @@ class JsonLines(logging.Formatter):
 
 
 def start_logging(form: str) -> None:
-    """Send what the service logs to stderr, as ``text`` or as ``json`` lines."""
+    """Send what the service logs to stderr, as ``text`` or as ``json`` lines; the journal of systemd has times of its own."""
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(JsonLines() if form == "json" else logging.Formatter("afdsvc: %(levelname)s: %(message)s"))
+    when = "" if "JOURNAL_STREAM" in os.environ else "%(asctime)s "
+    handler.setFormatter(JsonLines() if form == "json" else logging.Formatter(f"{when}afdsvc: %(levelname)s: %(message)s", "%Y-%m-%d %H:%M:%S"))
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     if not is_compiled():
         logging.getLogger("afdsvc").info("compiling, once on this computer: up to a minute")

@@ -14,7 +14,7 @@ import typer
 from afdsvc import __version__
 from afdsvc.cli import plugins, running
 from afdsvc.cli.interrupt import INTERRUPTED, end_on_interrupt, leave, was_interrupted
-from afdsvc.cli.options import Json, MachineOption, MappingOption, SiteFile, show
+from afdsvc.cli.options import Json, MachineOption, MappingOption, SiteFile, among, show
 from afdsvc.errors import AfdsvcError, BadInput
 
 app = typer.Typer(
@@ -86,7 +86,7 @@ def demo(
     plant: Annotated[str, typer.Option(help="The plant that is simulated.")] = "gas_bearing",
     fault: Annotated[list[str] | None, typer.Option(metavar="NAME=SEVERITY@SECONDS", help="May be repeated.")] = None,
     healthy: Annotated[bool, typer.Option("--healthy", help="Inject no fault.")] = False,
-    controller: Annotated[str, typer.Option(help="lqg or proportional")] = "lqg",
+    controller: Annotated[str, typer.Option(autocompletion=among("lqg", "proportional"), help="lqg or proportional")] = "lqg",
     rpm: Annotated[int | None, typer.Option(help="Rotor speed; the plant's own otherwise.")] = None,
     seconds: Annotated[float | None, typer.Option(help="Length of the run; 30, with --heal 60.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 1,
@@ -223,10 +223,10 @@ def identify_command(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="MCAP recordings or tables.")],
     holdout: Annotated[list[Path] | None, typer.Option(help="Recordings never used in fitting; may be repeated.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="MODEL.toml", help="File of the identified model.")] = None,
-    method: Annotated[str, typer.Option(help="auto, hansen, subspace, pbsid, pem, output_error, greybox or indirect")] = "auto",
+    method: Annotated[str, typer.Option(autocompletion=among("auto", "hansen", "subspace", "pbsid", "pem", "output_error", "greybox", "indirect"), help="auto, hansen, subspace, pbsid, pem, output_error, greybox or indirect")] = "auto",
     order: Annotated[int | None, typer.Option(help="Order to identify (default: chosen from the data).")] = None,
     reduce_to: Annotated[int | None, typer.Option(help="Order of the plant (default: that of the nominal model).")] = None,
-    weighting: Annotated[str | None, typer.Option(help="po-moesp, pi-moesp, n4sid or cva (subspace)")] = None,
+    weighting: Annotated[str | None, typer.Option(autocompletion=among("po-moesp", "pi-moesp", "n4sid", "cva"), help="po-moesp, pi-moesp, n4sid or cva (subspace)")] = None,
     horizon: Annotated[int | None, typer.Option(help="Horizon of the subspace method (default: chosen from the data).")] = None,
     reduction: Annotated[str | None, typer.Option(help="Method of order reduction (default: the best of all, refined on the data).")] = None,
     norm: Annotated[int | None, typer.Option(help="1 or 2: the cost of the indirect method")] = None,
@@ -304,7 +304,7 @@ def trial_command(
 
 @app.command()
 def batch(
-    task: Annotated[str, typer.Argument(help="diagnose, identify or explain")],
+    task: Annotated[str, typer.Argument(autocompletion=among("diagnose", "identify", "explain"), help="diagnose, identify or explain")],
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Recordings or tables.")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="TABLE.parquet", help="Where the table goes.")],
     model: Annotated[Path | None, typer.Option(metavar="MODEL.toml", help="The model, for recordings that carry none.")] = None,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import logging
 import math
 import os
@@ -19,7 +18,7 @@ import typer
 
 from afdsvc import __version__
 from afdsvc.cli.interrupt import call_on_signals
-from afdsvc.cli.options import HERE, Json, MachineOption, SiteFile, SiteOption, machine_ids, show
+from afdsvc.cli.options import HERE, Json, MachineOption, SiteFile, SiteOption, alarm_ids, among, machine_ids, show, user
 from afdsvc.errors import BadInput
 from afdsvc.files.unfinished import remove_unfinished
 
@@ -49,7 +48,7 @@ def _end(*_: object) -> NoReturn:
 def serve(
     site: SiteFile,
     seconds: Annotated[float | None, typer.Option(help="Stop after so long.")] = None,
-    logs: Annotated[str, typer.Option("--log", metavar="text|json", help="How log lines are written on stderr.")] = "text",
+    logs: Annotated[str, typer.Option("--log", metavar="text|json", autocompletion=among("text", "json"), help="How log lines are written on stderr.")] = "text",
     standby: Annotated[bool, typer.Option("--standby", help="Be the second service of the site: listen at transport.standby once the first is gone.")] = False,
 ) -> None:
     """Run the service of one site until SIGTERM or Ctrl-C."""
@@ -182,7 +181,7 @@ def _ask(site: Path, name: str, **arguments: Any) -> Any:
     from afdsvc.app.ask import ask_service
     from afdsvc.files.site import read_site
 
-    return ask_service(read_site(site), name, os.environ.get("AFDSVC_USER") or getpass.getuser(), **arguments)
+    return ask_service(read_site(site), name, user(), **arguments)
 
 
 @app.command()
@@ -204,7 +203,7 @@ def console(site: SiteOption = HERE, as_json: Json = False) -> None:
 @app.command()
 def alarms(
     history: Annotated[bool, typer.Option("--history", help="Show the history of changes instead of the present states.")] = False,
-    alarm: Annotated[str, typer.Argument(help="Only this one.")] = "",
+    alarm: Annotated[str, typer.Argument(autocompletion=alarm_ids, help="Only this one.")] = "",
     site: SiteOption = HERE,
     as_json: Json = False,
 ) -> None:
@@ -223,7 +222,7 @@ def _no_alarm(alarm: str, found: list[dict[str, Any]]) -> NoReturn:
     raise BadInput(f"there is no alarm '{alarm}'; there are {', '.join(a['id'] for a in found) or 'none'}")
 
 
-AlarmId = Annotated[str, typer.Argument(help="Id of the alarm as shown by `afdsvc alarms`.")]
+AlarmId = Annotated[str, typer.Argument(autocompletion=alarm_ids, help="Id of the alarm as shown by `afdsvc alarms`.")]
 Comment = Annotated[str, typer.Option(help="Why, for the history.")]
 
 
@@ -276,7 +275,7 @@ def unshelve(alarm: AlarmId, site: SiteOption = HERE, as_json: Json = False) -> 
 
 @app.command()
 def burst(
-    purpose: Annotated[str, typer.Option(help="diagnose, identify, identify_binary or identify_sweep")] = "diagnose",
+    purpose: Annotated[str, typer.Option(autocompletion=among("diagnose", "identify", "identify_binary", "identify_sweep"), help="diagnose, identify, identify_binary or identify_sweep")] = "diagnose",
     machine: MachineOption = None,
     site: SiteOption = HERE,
     as_json: Json = False,
@@ -315,10 +314,11 @@ def retune(
 
     Refused with one sentence where nothing can be gained, or where a limit, stability or sensitivity would suffer.
     """
-    from afdsvc.present.terminal import retune_table
+    from afdsvc.present.terminal import progress, retune_table
 
     said = "afdsvc: Q is being designed and proved; Ctrl-C does not stop that, 'afdsvc restore' does"
-    found = _ask(site, "retune", waiting=partial(typer.echo, said, err=True), machine=machine, **({"fault": fault} if fault else {}))
+    with progress("designing Q"):
+        found = _ask(site, "retune", waiting=partial(typer.echo, said, err=True), machine=machine, **({"fault": fault} if fault else {}))
     show(as_json, found, lambda: retune_table(found))
 
 

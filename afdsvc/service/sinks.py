@@ -16,7 +16,7 @@ from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.wire.codec import Message
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import AlarmChange, BurstRequest, Finding, Notice, Residual, RetuneRequest, RigEvent
+from afdsvc.wire.messages import AlarmChange, BurstRequest, EventKind, Finding, Notice, Residual, RetuneRequest, RigEvent
 
 log = logging.getLogger(__name__)
 
@@ -177,23 +177,28 @@ LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERR
 
 
 class LogSink:
-    """A sink that writes lines; samples pass it by. Of the decisions on one burst that find nothing, the first is written."""
+    """A sink that writes lines; samples pass it by.
+
+    A burst has one line when it starts and, of the decisions that find nothing, one for the first; that it ended has none.
+    """
 
     def __init__(self, machine: str) -> None:
         self._machine = machine
         self._quiet = ""  # the burst on which nothing was found, already said
-        self._said: deque[str] = deque(maxlen=32)  # what alarms say of decisions whose lines are there
+        self._said: deque[str] = deque(maxlen=32)  # sentences on decisions that have been written
+        self._asked_by: dict[str, str] = {}  # of the burst that was requested last, by its name
 
     def take(self, message: Message) -> None:
         """Write the line of a message, if it has one."""
         match message.value:
             case Finding() as finding:
                 self._decided(finding)
-            case RigEvent() as event:
-                said = f" {event.burst}" * bool(event.burst) + f": {event.cause}" * bool(event.cause)
-                log.info("%s: %s%s", self._machine, event.kind.replace("_", " "), said)
-            case BurstRequest() as request:
-                log.info("%s: burst %s asked for by %s", self._machine, request.burst.name, request.asked_by)
+            case RigEvent(kind=kind) as event if kind != EventKind.BURST_ENDED:
+                who = self._asked_by.pop(event.burst, "")
+                said = f" {event.burst}" * bool(event.burst) + f", asked for by {who}" * bool(who) + f": {event.cause}" * bool(event.cause)
+                log.info("%s: %s%s", self._machine, kind.replace("_", " "), said)
+            case BurstRequest(burst=burst, asked_by=who):
+                self._asked_by = {burst.name: who}
             case RetuneRequest() as request:
                 log.info("%s: Q %s for %s asked for by %s", self._machine, request.name, request.found.fault, request.asked_by)
             case Notice(machine, level, sentence) if sentence not in self._said:
@@ -213,6 +218,7 @@ class LogSink:
     def _alarm(self, change: AlarmChange) -> None:
         a, by = change.alarm, f" by {change.who}" if change.who else ""
         why = f": {change.why}" if change.why and change.why not in self._said else ""
+        self._said.append(change.why)
         what = f"{a.fault} {size(a.severity)}".rstrip()
         log.warning("%s: alarm %s (%s) %s%s%s", self._machine, a.id, what, change.event, by, why)
 

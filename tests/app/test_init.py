@@ -125,11 +125,16 @@ def test_roles_from_the_command_line(tmp_path: Path):
     assert [c["signal"] for c in json.loads(done.stdout)["columns"]] == ["u_a", "y_b"]
 
 
-def test_the_shell_completes_commands():
-    words = {"COMP_WORDS": "afdsvc dia", "COMP_CWORD": "1", "_AFDSVC_COMPLETE": "complete_bash"}
+@pytest.mark.parametrize(
+    ("line", "completed"),
+    [("dia", ["diagnose"]), ("identify m.toml --method p", ["pbsid", "pem"]), ("batch ex", ["explain"]), ("ack nowhere", [])],
+)
+def test_the_shell_completes_commands_and_choices(line: str, completed: list[str], tmp_path: Path):
+    words = {"COMP_WORDS": f"afdsvc {line}", "COMP_CWORD": str(len(line.split())), "_AFDSVC_COMPLETE": "complete_bash"}
     code = "from afdsvc.cli import app; app(prog_name='afdsvc')"
-    done = subprocess.run([sys.executable, "-c", code], env={**os.environ, **words}, capture_output=True, text=True)
-    assert done.stdout.split() == ["diagnose"]
+    done = subprocess.run([sys.executable, "-c", code], env={**os.environ, **words}, capture_output=True, text=True, cwd=tmp_path)
+    assert done.stdout.split() == completed
+    assert done.stderr == ""
 
 
 def test_a_site_is_checked_machine_by_machine(tmp_path: Path):

@@ -308,6 +308,21 @@ def test_a_fault_somebody_has_seen_stays_in_sight_and_the_worst_comes_first(free
         shown = browser.value("document.getElementById('machine-healthy').innerText")
         assert "divided by its alarm threshold (dashed line: the threshold, crossed by noise about once a day). Brown dots: during bursts." in shown
         assert "No burst has been judged yet" in shown
+        rows = "[...document.querySelectorAll('#alarms tr')].slice(1).map((r) => [...r.cells].slice(1).map((c) => c.innerText))"
+        assert browser.value(rows) == [  # who is not signed in may do nothing
+            ["open", "vertical_sensor -5.0 ± 1.0 %", "active", ""], ["seen", "vertical_sensor -50.5 ± 1.0 %", "active, acknowledged", ""],
+            ["small", "vertical_sensor -10.0 ± 1.0 %", "active, confirmed", ""], ["shelved", "vertical_sensor -90.0 ± 1.0 %", "active, shelved", ""],
+        ]  # fmt: skip
+        browser.open(ask_service(site, "console", "kim")["url"], 400)
+        browser.until("document.querySelectorAll('#alarms button').length === 2")
+        assert browser.value("document.querySelector('#alarms').scrollWidth") <= 400
+        browser.value("document.querySelector('#alarms button').click()")
+        browser.until("document.getElementById('ask').open")
+        browser.press("Enter")
+        browser.until("document.querySelectorAll('#alarms button').length === 1")
+        assert hub.alarms.alarms["open/vertical_sensor"].acknowledged_by == "kim"
+        assert browser.unnamed() == []
+        assert browser.errors == []
 
 
 def test_long_names_wrap_on_a_phone(free_port, tmp_path, browser):
@@ -347,6 +362,9 @@ def test_decisions_bear_the_clocks_time_as_alarms_do(free_port, tmp_path, browse
         row = "[...document.querySelectorAll('tr')].find((r) => r.innerText.includes('matched_filter')).cells[0].innerText"
         clock = "(() => { const d = new Date(1764000000000); return String(d.getHours()).padStart(2, '0') + ':' + String(d.getMinutes()).padStart(2, '0') + ':00'; })()"
         assert browser.value(row).endswith(browser.value(clock))
+        browser.open(base + "/", 400)
+        browser.until("document.querySelectorAll('.wide').length === 1")
+        assert browser.value("(() => { const e = document.querySelector('.wide'); return e.scrollWidth - e.clientWidth; })()") == 0  # nothing to be scrolled to
         assert browser.errors == []
 
 

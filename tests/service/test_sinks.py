@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import logging
 
+from afdsvc.api.bursts import Burst
 from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.service.sinks import LogSink
 from afdsvc.wire.codec import Message
-from afdsvc.wire.messages import Alarm, AlarmChange, EventKind, Finding, RigEvent
+from afdsvc.wire.messages import Alarm, AlarmChange, BurstRequest, EventKind, Finding, Notice, RigEvent
 
 
 def evidence(burst: str, detector: str, **more: object) -> Finding:
@@ -17,7 +18,9 @@ def evidence(burst: str, detector: str, **more: object) -> Finding:
 def test_bursts_decisions_alarms_and_people(caplog):
     caplog.set_level(logging.INFO)
     sink, severity = LogSink("bearing"), Severity(-0.5, 0.01)
+    sink.take(Message(BurstRequest("bearing", Burst("b1", 1, 10, 1), 2.0, "ann", 0), b""))
     sink.take(Message(RigEvent("bearing", "s", 0, EventKind.BURST_STARTED, burst="b1"), b""))
+    sink.take(Message(RigEvent("bearing", "s", 0, EventKind.BURST_ENDED, burst="b1"), b""))  # not written
     sink.take(Message(evidence("b1", "chi_square")))
     sink.take(Message(evidence("b1", "cusum")))  # the same again: not written
     sink.take(Message(evidence("b2", "chi_square", detected=True, fault="horizontal_actuator", severity=severity)))
@@ -27,12 +30,15 @@ def test_bursts_decisions_alarms_and_people(caplog):
     alarm = Alarm("a1", "bearing", "horizontal_actuator", 0, 0, severity=severity)
     sink.take(Message(AlarmChange(alarm, "raised", 0)))
     sink.take(Message(AlarmChange(alarm, "acknowledged", 0, "ann", "on my way")))
+    sink.take(Message(AlarmChange(alarm, "raised", 0, "", "a fault; limit_check")))
+    sink.take(Message(Notice("bearing", "error", "a fault; limit_check", 0)))  # the alarm has said it
     assert [r.getMessage() for r in caplog.records] == [
-        "bearing: burst started b1",
+        "bearing: burst started b1, asked for by ann",
         "bearing: chi_square: no fault (statistic 12.3, threshold 40)",
         "bearing: chi_square: horizontal_actuator -50.0 ± 1.0 % (statistic 12.3, threshold 40)",
         "bearing: chi_square: the actuator saturated (statistic 12.3, threshold 40)",
         "bearing: chi_square: Q came",
         "bearing: alarm a1 (horizontal_actuator -50.0 ± 1.0 %) raised",
         "bearing: alarm a1 (horizontal_actuator -50.0 ± 1.0 %) acknowledged by ann: on my way",
+        "bearing: alarm a1 (horizontal_actuator -50.0 ± 1.0 %) raised: a fault; limit_check",
     ]
