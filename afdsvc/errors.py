@@ -26,7 +26,7 @@ class BadInput(AfdsvcError):
 
 
 class Refused(AfdsvcError):
-    """A request that would break a limit or a rule; the message is the reason, told to whoever asked."""
+    """A request that would break a limit or a rule; the message is the reason, which whoever asked is given."""
 
 
 class NotStabilising(BadInput):

@@ -78,7 +78,7 @@ def _rig(seconds: float) -> None:
             file, size, failure, dropped = hub.recording()
             samples = round(watch.seconds_seen * 5000)
             print(f"rig: {samples} samples in {watch.blocks} blocks, {watch.late} late ({100 * watch.late / samples:.3f} %)")
-            print(f"rig: head-room {100 * watch.head_room:.1f} % of the sample period, last value told")
+            print(f"rig: head-room {100 * watch.head_room:.1f} % of the sample period, last value reported")
             print(f"service: {watch.lost_samples} samples lost, {hub.dropped + dropped} messages dropped, {size / 1e6:.1f} MB")
             print(
                 f"service: {len(watch.evidence)} decisions kept, alarms {[a.id for a in hub.alarms.alarms.values()]} {failure}"

@@ -82,7 +82,7 @@ class DetectionProblem:
     def once(self, make: Callable[[], T], *key: object) -> T:
         """Return ``make()``, made once for all problems of this machine that differ in their false alarms only.
 
-        ``key`` tells it from everything else that is made for the machine; a promised rate that matters belongs to it.
+        ``key`` distinguishes it from everything else that is made for the machine; a promised rate that matters belongs to it.
         """
         return self.memo(make, *key, *(getattr(self, f.name) for f in fields(self) if f.name not in ("false_alarms", "memo")))
 

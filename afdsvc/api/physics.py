@@ -68,7 +68,7 @@ class Coefficient:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
-    """One physics at one site: a law, its parameters, and how to tell it from others.
+    """One physics at one site: a law, its parameters, and how to distinguish it from others.
 
     ``site`` is ``input:NAME``, ``state:NAME``, ``output:NAME`` or ``machine``; a law of stage "force" may have the site of the
     input it concerns. ``family`` groups laws that resemble each other in data; friction that sticks is of family "friction",
@@ -107,7 +107,7 @@ class Hypothesis:
 
     @property
     def key(self) -> str:
-        """Name and site in one word, unique within a library unless ``notes["variant"]`` tells two apart."""
+        """Name and site in one word, unique within a library unless ``notes["variant"]`` distinguishes two."""
         variant = self.notes.get("variant", "")
         return f"{self.physics}@{self.site}" + (f"#{variant}" if variant else "")
 

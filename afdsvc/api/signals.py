@@ -23,8 +23,8 @@ class Channel:
 
     def __post_init__(self) -> None:
         if self.name.split("_", 1)[0] not in ROLES or "_" not in self.name:
-            wanted = ", ".join(f"{r}_<name>" for r in ROLES)
-            raise BadInput(f"column '{self.name}' has no role; expected a name like {wanted}")
+            expected = ", ".join(f"{r}_<name>" for r in ROLES)
+            raise BadInput(f"column '{self.name}' has no role; expected a name like {expected}")
 
     @property
     def role(self) -> str:

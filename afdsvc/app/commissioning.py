@@ -212,9 +212,9 @@ def excitation_limit(config: site_file.MachineSection, output: Array, input: Arr
 
 def checked_limits(limits: Limits, inputs: int, outputs: int) -> Limits:
     """Return the limits where there is one per channel; raises `BadInput` otherwise."""
-    for name, found, wanted in (("output", limits.output, outputs), ("input", limits.input, inputs), ("alpha", limits.alpha, inputs)):
-        if len(found) != wanted:
-            raise BadInput(f"key 'limits.{name}' has {len(found)} values; expected {wanted}")
+    for name, found, expected in (("output", limits.output, outputs), ("input", limits.input, inputs), ("alpha", limits.alpha, inputs)):
+        if len(found) != expected:
+            raise BadInput(f"key 'limits.{name}' has {len(found)} values; expected {expected}")
     return limits
 
 

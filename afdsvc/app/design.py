@@ -23,7 +23,7 @@ def design_files(
     """Return the design sheet of a machine (``design --json``) and write its page beside the site file.
 
     A model that is a simulator (an FMI unit, a Python function) is opened only with ``allow_code``. ``frequencies`` [rad/s] are the
-    candidates that ``loop`` tells of (see `afdsvc.excite.loop_sheet`), in place of the burst's and some between.
+    candidates of which ``loop`` reports (see `afdsvc.excite.loop_sheet`), in place of the burst's and some between.
     """
     site, plugins = read_site(site_file), load()
     config = site.machine(machine) if machine else site.machines[0]

@@ -297,7 +297,7 @@ def design(site: str | Path, machine: str | None = None, *, allow_code: bool = F
     allow_code : bool
         Permit the model's simulator to run.
     frequencies : sequence of float
-        Candidates [rad/s] that ``document["loop"]`` tells of: what they disturb, amplitude and phase of every fault.
+        Candidates [rad/s] of which ``document["loop"]`` reports what they disturb, amplitude and phase of every fault.
 
     Returns
     -------

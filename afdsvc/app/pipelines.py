@@ -77,10 +77,10 @@ def expectation(machine: Commissioned, frozen_after: int = 50) -> Expectation:
 def detectors(machine: Commissioned, base: DetectionProblem, plugins: Plugins) -> list[Detector]:
     """Return the designed detectors of the machine, each with its own share of the false alarms."""
     made = []
-    for wanted in machine.config.detectors:
-        alarms = FalseAlarms(wanted.false_alarms_per_1000_bursts / 1000, wanted.false_alarms_per_day / 24)
-        design = plugins.get("detectors", wanted.kind)
-        made.append(design.design(replace(base, false_alarms=alarms), wanted.settings))
+    for chosen in machine.config.detectors:
+        alarms = FalseAlarms(chosen.false_alarms_per_1000_bursts / 1000, chosen.false_alarms_per_day / 24)
+        design = plugins.get("detectors", chosen.kind)
+        made.append(design.design(replace(base, false_alarms=alarms), chosen.settings))
     return made
 
 
@@ -140,13 +140,13 @@ def burst_design(
         diagnosis(stream.problem)  # what is wrong with it shows before anything moves
     rng = np.random.default_rng(0)
 
-    def design(wanted: BurstOrder) -> Burst:
+    def design(order: BurstOrder) -> Burst:
         problem = stream.problem
-        if wanted.purpose == "diagnose":
+        if order.purpose == "diagnose":
             return diagnosis(problem)
-        if wanted.question:
-            return second_burst(problem, limits, wanted.question.weights, wanted.question.severity, settings.seconds)
-        return identification_burst(machine, wanted.purpose, rng)
+        if order.question:
+            return second_burst(problem, limits, order.question.weights, order.question.severity, settings.seconds)
+        return identification_burst(machine, order.purpose, rng)
 
     return design
 
@@ -185,12 +185,12 @@ def tuning_design(machine: Commissioned, plugins: Plugins) -> TuningDesign:
 
     The cost has the weights of the running controller where it was designed with any, and those of key ``retune.cost`` before all.
     """
-    wanted = machine.config.retune
-    settings = stated(wanted.settings)  # bounds hold for design and proof alike
+    chosen = machine.config.retune
+    settings = stated(chosen.settings)  # bounds hold for design and proof alike
 
     def design(problem: DetectionProblem, found: DiagnosedFault) -> tuple[Tuning, str, Mapping[str, Any]]:
-        cost = loop_cost(problem, {**_own_weights(machine, problem), **wanted.cost})
-        Q = plugins.get("retuners", wanted.kind).design(problem, found, cost, wanted.settings)
+        cost = loop_cost(problem, {**_own_weights(machine, problem), **chosen.cost})
+        Q = plugins.get("retuners", chosen.kind).design(problem, found, cost, chosen.settings)
         tuning, proof = proved_tuning(problem, found, cost, Q, settings)
         return tuning, proof_sentence(proof), {**asdict(proof), "signals": _signals(problem, found, cost, Q)}
 

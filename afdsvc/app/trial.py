@@ -55,21 +55,21 @@ def study_requests(count: int, seed: int, rho: float | None, kinds: Sequence[str
     for part in parts:
         if part not in (*MIX, FIELD):
             raise BadInput(f"--parts {part}: expected one of {', '.join((*MIX, FIELD))}")
-    wanted = field_plan(count, seed) if set(parts) == {FIELD} else plan(count, seed)
+    requests = field_plan(count, seed) if set(parts) == {FIELD} else plan(count, seed)
     if kinds or set(parts) - {FIELD}:
         large = plan(max(LARGE, count), seed)
         if FIELD in parts:
             large += [replace(r, number=len(large) + r.number) for r in field_plan(max(LARGE, count), seed)]
         _check_kinds(kinds, large)
         fitting = [r for r in large if (not parts or r.part in parts) and (not kinds or set(_names(r)) & set(kinds))]
-        wanted = [fitting[k * len(fitting) // count] for k in range(count)] if count < len(fitting) else fitting
-    if not wanted:
+        requests = [fitting[k * len(fitting) // count] for k in range(count)] if count < len(fitting) else fitting
+    if not requests:
         raise BadInput("no trial of these --parts hides one of these --kinds; expected others")
     if rho is None:
-        return wanted
+        return requests
     if not rho > 0:
         raise BadInput(f"--rho {rho:g}: expected a number above 0")
-    return [replace(r, wishes=tuple(replace(w, rho=rho) for w in r.wishes)) for r in wanted]
+    return [replace(r, wishes=tuple(replace(w, rho=rho) for w in r.wishes)) for r in requests]
 
 
 def _check_kinds(kinds: Sequence[str], requests: Sequence[Request]) -> None:

@@ -98,8 +98,8 @@ def demo(
     from afdsvc.app.demo_site import DemoOptions, first_fault, free_port, parse_fault
 
     length = seconds or (60.0 if heal else 30.0)
-    wanted = [] if healthy else fault or [f"{first_fault(plant, heal)}=-0.5@{min(12.0, 0.4 * length):g}"]
-    options = DemoOptions(plant, controller, rpm, tuple(parse_fault(f) for f in wanted), length, seed, out, heal=heal, console=f"127.0.0.1:{free_port()}")
+    faults = [] if healthy else fault or [f"{first_fault(plant, heal)}=-0.5@{min(12.0, 0.4 * length):g}"]
+    options = DemoOptions(plant, controller, rpm, tuple(parse_fault(f) for f in faults), length, seed, out, heal=heal, console=f"127.0.0.1:{free_port()}")
     print(f"afdsvc: preparing a simulated {plant}: controller, burst and detectors are designed; then it is shown live on http://{options.console}/", file=sys.stderr, flush=True)
     from afdsvc.app.demo import happening, run_demo  # takes seconds to import
     from afdsvc.lti.simulate import is_compiled

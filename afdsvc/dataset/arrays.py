@@ -30,7 +30,7 @@ class InputOutputData:
 
     @classmethod
     def of(cls, u: ArrayLike, y: ArrayLike, dt: float, name: str = "recording") -> InputOutputData:
-        """Return a checked recording; raises `BadInput` naming the signal, the value found and the value wanted."""
+        """Return a checked recording; raises `BadInput` naming the signal, the value found and the value expected."""
         inputs, outputs = _columns(u, "input", name), _columns(y, "output", name)
         if inputs.shape[0] != outputs.shape[0]:
             raise BadInput(
@@ -127,10 +127,10 @@ def _unused(model: Model, traces: Sequence[Trace]) -> Iterator[Finding]:
 
 
 def _units(model: Model, traces: Sequence[Trace]) -> Iterator[Finding]:
-    wanted = {f"u_{v.name}": v.unit for v in model.inputs} | {f"y_{v.name}": v.unit for v in model.outputs}
+    units = {f"u_{v.name}": v.unit for v in model.inputs} | {f"y_{v.name}": v.unit for v in model.outputs}
     for trace in traces:
         for channel in trace.channels:
-            unit = wanted.get(channel.name, "")
+            unit = units.get(channel.name, "")
             if unit and channel.unit and unit != channel.unit:
                 yield Finding(
                     "warning", "units", f"{trace.name}: {channel.name} is recorded in {channel.unit}; the model has it in {unit}"

@@ -2,7 +2,7 @@
 
 With score b and information G a combination of faults explains ``max (theta' b - theta' G theta / 2)``, severities within their bounds.
 Combinations of one and two faults compete by that less half the logarithm of the samples for each severity (G. Schwarz, *Ann. Statist.*
-6, 1978). Those that no data of this burst can tell apart have the same gain, and none of them gets a weight that names it. Where one fault
+6, 1978). Those that no data of this burst can distinguish have the same gain, and none of them gets a weight that names it. Where one fault
 suffices, the loss that each other one may have besides is bounded by the profile likelihood (W. Q. Meeker and L. A. Escobar, *Am. Statist.*
 49, 1995).
 """
@@ -30,7 +30,7 @@ UNEXPLAINED = 1e-3  # p-value of what a pair leaves of the lines below which it 
 REFINED = 8  # pairs, the likeliest by linearisation, that are fitted on the lines
 STEPS = 8  # Gauss-Newton steps of such a fit
 NUDGE = 1e-4  # severity by which derivatives are taken
-SINGULAR = 1e-9  # share of the information of one fault that another must leave for the two to be told apart
+SINGULAR = 1e-9  # share of the information of one fault that another must leave for the two to be distinguished
 EXCLUDED = 0.5 * 1.959964**2  # log likelihood that a loss must fall short by: bounds hold with 97.5 %
 GRID, COARSE = 2001, 21  # severities of a second fault that are tried, and on the curves of the lines
 HALVINGS, NEWTON = 8, 3  # steps to the bound between two of them, and to the nearest point

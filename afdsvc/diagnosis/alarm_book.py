@@ -96,8 +96,8 @@ class AlarmBook:
                 cause = (lead or a.cause) if a.kind is AlarmKind.FAULT and a.id != lead else ""
                 cause = cause if cause in holding else ""
                 if a.cause != cause:
-                    told = f"follows from {cause}" if cause else "stands for itself"
-                    self._set(consequence(a, cause), "grouped", t_ns, why=told)
+                    why = f"follows from {cause}" if cause else "stands for itself"
+                    self._set(consequence(a, cause), "grouped", t_ns, why=why)
 
     def acknowledge(self, id: str, who: str, comment: str = "", t_ns: int = 0, seen_ns: int | None = None) -> Alarm:
         """Note who has seen an alarm.

@@ -69,8 +69,8 @@ def judge(expected: Expectation, state: IntakeState, block: Block) -> tuple[Inta
 
 def _wrong_kind(expected: Expectation, block: Block) -> str:
     if block.channels != expected.channels:
-        found, wanted = (", ".join(c.name for c in cs) for cs in (block.channels, expected.channels))
-        return f"block {block.seq} of '{block.machine}' has channels {found}; expected {wanted}"
+        found, stated = (", ".join(c.name for c in cs) for cs in (block.channels, expected.channels))
+        return f"block {block.seq} of '{block.machine}' has channels {found}; expected {stated}"
     if abs(block.dt - expected.dt) > 1e-9 * expected.dt:
         return f"block {block.seq} of '{block.machine}' is sampled at {block.dt:g} s; expected {expected.dt:g} s"
     return "" if len(block) else f"block {block.seq} of '{block.machine}' holds no samples"

@@ -11,7 +11,7 @@ from scipy.special import chdtri
 from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.detect.isolation import NONE
 
-TYPICAL = -0.5  # severity a second burst is made for when the first could not tell any
+TYPICAL = -0.5  # severity a second burst is made for when the first gave none
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,16 +61,16 @@ def conclude(evidence: Sequence[Evidence]) -> FaultVerdict:
     if not found:
         reason = "" if any(e.trustworthy for e in _newest(evidence)) else evidence[-1].reason if evidence else ""
         return FaultVerdict(trustworthy=not reason, reason=reason)
-    told = [list(group) for _, group in groupby((e for e in found if e.burst), key=lambda e: e.burst)] or [found]
-    best = [strongest(group) for group in told]
-    judged = [{e.detector for e in evidence if e.burst == group[0].burst} for group in told[-2:]]
+    bursts = [list(group) for _, group in groupby((e for e in found if e.burst), key=lambda e: e.burst)] or [found]
+    best = [strongest(group) for group in bursts]
+    judged = [{e.detector for e in evidence if e.burst == group[0].burst} for group in bursts[-2:]]
     if best[-1] is None and len(judged) > 1 and judged[-1] < judged[-2]:
-        told, best = told[:-1], best[:-1]
+        bursts, best = bursts[:-1], best[:-1]
     newest = best[-1]
     if newest is None:
-        weighted = [e for e in told[-1] if e.weights] or told[-1]
+        weighted = [e for e in bursts[-1] if e.weights] or bursts[-1]
         return FaultVerdict(None, None, found[0].seconds, weighted[-1].weights, True)
-    both = zip(reversed(best), reversed(told), strict=True)
+    both = zip(reversed(best), reversed(bursts), strict=True)
     same = [group for e, group in takewhile(lambda b: b[0] is not None and b[0].fault == newest.fault, both)]
     estimates = [s for s in (_most_precise(group, newest.fault) for group in same) if s is not None]
     return FaultVerdict(newest.fault, _pooled(estimates) if estimates else None, found[0].seconds, newest.weights, True)
@@ -85,16 +85,16 @@ def _newest(evidence: Sequence[Evidence]) -> Sequence[Evidence]:
 def strongest(decisions: Sequence[Evidence]) -> Evidence | None:
     """Return the decision that names a fault with the largest margin over its threshold, None when none does.
 
-    One that tells a severity comes before one that only bounds it.
+    One that gives a severity comes before one that only bounds it.
     """
     named = [e for e in decisions if e.fault]
     return max(named, key=lambda e: (e.severity is not None, e.statistic - e.threshold), default=None)
 
 
 def _most_precise(decisions: Sequence[Evidence], fault: str | None) -> Severity | None:
-    """Return the severity with the smallest standard error among the decisions that name this fault, None when none tells any."""
-    told = [e.severity for e in decisions if e.fault == fault and e.severity is not None]
-    return min(told, key=lambda s: s.sd, default=None)
+    """Return the severity with the smallest standard error among the decisions that name this fault, None when none gives any."""
+    severities = [e.severity for e in decisions if e.fault == fault and e.severity is not None]
+    return min(severities, key=lambda s: s.sd, default=None)
 
 
 def open_question(decisions: Sequence[Evidence]) -> Question | None:

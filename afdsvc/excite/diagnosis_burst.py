@@ -101,19 +101,19 @@ def stated_burst(problem: DetectionProblem, limits: Limits, seconds: float, line
 def second_burst(
     problem: DetectionProblem, limits: Limits, weights: Mapping[str, float], severity: float, seconds: float = 2.5
 ) -> Burst:
-    """Return the burst that tells the two likeliest faults apart, given the weights a first burst left (thesis 5.5: a
+    """Return the burst that distinguishes the two likeliest faults, given the weights a first burst left (thesis 5.5: a
     second test at a frequency chosen for the difference of the two). ``severity`` is the one estimated.
 
     Two faults at once are distinguished from all other faults that are in doubt. Raises `Refused` where no burst can: the same wave on every line.
     """
     suspects = sorted((n for n in weights if n != NONE), key=lambda n: -weights[n])[:2]
     if len(suspects) < 2:
-        raise BadInput(f"weights of {', '.join(weights) or 'no fault'}; expected two faults to tell apart by a second burst")
+        raise BadInput(f"weights of {', '.join(weights) or 'no fault'}; expected two faults to distinguish by a second burst")
     first, second = (name.split(JOINED) for name in suspects)
     aim = Aim(severity=severity, suspects=tuple(dict.fromkeys([*first, *second])))
     made = replace(default_burst(problem, limits, seconds, None, aim, "isolation"), purpose="isolate")
     if JOINED in "".join(suspects) and _alike(burst_detection(problem, made), first, second):
-        raise Refused(f"no burst tells {suspects[0]} from {suspects[1]}: they do the same to the loop")
+        raise Refused(f"no burst distinguishes {suspects[0]} from {suspects[1]}: they do the same to the loop")
     return made
 
 
@@ -253,8 +253,8 @@ def _rows(problem: DetectionProblem, pairs: tuple[tuple[int, int], ...], aim: Ai
     """Return the positions of the pairs the aim is about."""
     for name in aim.suspects:
         problem.augmented.channels_of(name)  # names an unknown fault
-    wanted = [problem.fault_names.index(name) for name in aim.suspects] or list(range(len(problem.fault_names)))
-    return [i for i, (a, b) in enumerate(pairs) if a in wanted and b in wanted]
+    suspects = [problem.fault_names.index(name) for name in aim.suspects] or list(range(len(problem.fault_names)))
+    return [i for i, (a, b) in enumerate(pairs) if a in suspects and b in suspects]
 
 
 def _unit_lines(omega: Array, spent: Costs, inputs: Sequence[int], chosen: tuple[int, ...]) -> tuple[Line, ...]:

@@ -3,7 +3,7 @@
 - random binary: flat up to its switching rate, crest factor one, the most power an amplitude limit allows;
 - multisine: exactly the chosen lines; with odd lines only, and some of those left out, what comes back at the even and
   at the left-out lines is the machine's nonlinearity, separated from noise (Pintelon and Schoukens, System
-  Identification, 2012, chapter 4); several inputs get lines of their own (zippered), so one burst tells their effects
+  Identification, 2012, chapter 4); several inputs get lines of their own (zippered), so one burst separates their effects
   apart;
 - sweep: one frequency at a time, for people who want to listen.
 """

@@ -35,20 +35,20 @@ def _pair(
     first = separation(seen, pair, severity)
     entry: dict[str, Any] = {"faults": list(pair), "severity": severity, "second_burst": None}
     if sure(first):
-        return {**entry, **_told(first, burst.name)}
+        return {**entry, **_entry(first, burst.name)}
     try:
         second = _second(problem, burst, pair, severity)
         reached = separation(burst_detection(problem, second), pair, severity)
     except AfdsvcError as error:
-        return {**entry, **_told(first, NOT_ISOLABLE), "why": str(error)}
+        return {**entry, **_entry(first, NOT_ISOLABLE), "why": str(error)}
     described = {
         "burst": second.name, "separation": reached, "seconds": second.samples * problem.plant.dt,
         "lines": [{"input": line.input, "rad_s": line.omega, "amplitude": line.amplitude} for line in second.lines],
     }  # fmt: skip
     if not sure(reached):
         why = f"{reached:.3g} standard deviations apart with the largest second burst the limits allow"
-        return {**entry, **_told(max(first, reached), NOT_ISOLABLE), "second_burst": described, "why": why}
-    return {**entry, **_told(reached, f"{burst.name}, then {second.name}"), "second_burst": described}
+        return {**entry, **_entry(max(first, reached), NOT_ISOLABLE), "second_burst": described, "why": why}
+    return {**entry, **_entry(reached, f"{burst.name}, then {second.name}"), "second_burst": described}
 
 
 def separation(seen: ExpectedDetection, pair: tuple[str, str], severity: float) -> float:
@@ -72,7 +72,7 @@ def _second(problem: DetectionProblem, burst: Burst, pair: tuple[str, str], seve
     return second_burst(problem, problem.limits, dict.fromkeys(pair, 0.5), severity, seconds)
 
 
-def _told(apart: float, isolated_by: str) -> dict[str, Any]:
+def _entry(apart: float, isolated_by: str) -> dict[str, Any]:
     finite = apart if math.isfinite(apart) else None
     return {"separation": finite, "probability": weight_reached(apart, BURST.isolating_weight), "isolated_by": isolated_by}
 

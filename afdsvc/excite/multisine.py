@@ -32,7 +32,7 @@ FREQUENCIES = 200
 @dataclass(frozen=True, slots=True)
 class Wish:
     """What the burst shall do: detect faults of ``severity`` with probability ``detection`` at ``false_alarm`` per
-    burst and, when ``tell_apart``, single out the right one with ``weight`` and probability ``certainty``.
+    burst and, when ``distinguish``, single out the right one with ``weight`` and probability ``certainty``.
 
     ``output_amplitude`` [output unit] is that of the sine with the same mean square as all outputs together.
     """
@@ -41,7 +41,7 @@ class Wish:
     output_amplitude: float
     detection: float = 0.99
     false_alarm: float = 1e-3
-    tell_apart: bool = False
+    distinguish: bool = False
     weight: float = 0.99
     certainty: float = 0.999
 
@@ -90,12 +90,12 @@ def shortest(problem: DetectionProblem, wish: Wish, band: tuple[float, float] | 
     nyquist = math.pi / problem.plant.dt
     low, high = band or (nyquist / 100, nyquist / 2)
     found = candidates(problem, np.linspace(low, high, FREQUENCIES), wish.severity)
-    return allocate(found, _wanted(found, wish), [(found.output.sum(axis=0), wish.output_amplitude**2 / 2)])
+    return allocate(found, _required(found, wish), [(found.output.sum(axis=0), wish.output_amplitude**2 / 2)])
 
 
-def _wanted(found: Candidates, wish: Wish) -> Array:
+def _required(found: Candidates, wish: Wish) -> Array:
     faults = np.full(len(found.deflection), required_deflection(wish.false_alarm, wish.detection))
-    apart = required_separation(wish.weight, wish.certainty) if wish.tell_apart else 0.0
+    apart = required_separation(wish.weight, wish.certainty) if wish.distinguish else 0.0
     return np.concatenate([faults, np.full(len(found.pairs), apart)])
 
 
@@ -104,9 +104,9 @@ def _whole_periods(lines: tuple[Line, ...], seconds: float) -> tuple[Line, ...]:
     taken: set[int] = set()
     moved = []
     for line in sorted(lines, key=lambda line: -line.amplitude):
-        wanted = max(round(line.omega * seconds / (2 * math.pi)), 1)
+        nearest = max(round(line.omega * seconds / (2 * math.pi)), 1)
         periods = next(
-            k for step in range(len(lines) + 1) for k in (wanted + step, wanted - step) if k > 0 and k not in taken
+            k for step in range(len(lines) + 1) for k in (nearest + step, nearest - step) if k > 0 and k not in taken
         )
         taken.add(periods)
         moved.append(replace(line, omega=2 * math.pi * periods / seconds))

@@ -79,7 +79,7 @@ def _checked(model: Model, recordings: Sequence[Trace], holdout: Sequence[Trace]
 
 
 def _problem(model: Model, roles: Split, settings: Settings, findings: Sequence[Finding]) -> Problem:
-    if one_frequency(findings):  # a complex gain for every input and output tells no effects apart
+    if one_frequency(findings):  # a complex gain for every input and output distinguishes no effects
         settings = replace(settings, effects=1)
     return build(nominal(model, roles.train[0].dt, _mean_input(roles.train)), roles.train, settings, roles.heldout)
 

@@ -161,11 +161,11 @@ def validated(schema: type[T], data: object, source: str) -> T:
 def _sentence(schema: type[BaseModel], error: Any) -> str:
     key, kind, message = _dotted(error["loc"]), error["type"], str(error["msg"])
     if kind == "missing":
-        return f"key '{key}' is missing; {_wanted_keys(schema, error['loc'])}"
+        return f"key '{key}' is missing; {_expected_keys(schema, error['loc'])}"
     if kind == "extra_forbidden":
-        wanted = _wanted_keys(schema, error["loc"])
-        near = difflib.get_close_matches(str(error["loc"][-1]), wanted.replace(",", "").split(), 1, 0.6)
-        return f"key '{key}' is not known; " + (f"is '{near[0]}' meant? " if near else "") + wanted
+        expected = _expected_keys(schema, error["loc"])
+        near = difflib.get_close_matches(str(error["loc"][-1]), expected.replace(",", "").split(), 1, 0.6)
+        return f"key '{key}' is not known; " + (f"is '{near[0]}' meant? " if near else "") + expected
     found = _shortened(error["input"])
     if kind == "value_error":
         detail = message.removeprefix("Value error, ")
@@ -213,7 +213,7 @@ def _shortened(value: object, longest: int = 60) -> str:
     return text if len(text) <= longest else f"{text[: longest - 3]}..."
 
 
-def _wanted_keys(schema: type[BaseModel], location: tuple[int | str, ...]) -> str:
+def _expected_keys(schema: type[BaseModel], location: tuple[int | str, ...]) -> str:
     known = _fields_at(schema, location[:-1])
     return f"known here are {', '.join(known)}" if known else "no key is expected here"
 

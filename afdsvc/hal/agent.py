@@ -72,13 +72,13 @@ class RigAgent:
         ready, publish = (self._joined, self.transport.publish) if self.store is None else (None, self._send)
         self._post = OutgoingQueue(publish, f"post of {self.description.machine}", patient=self.patient, ready=ready)
         self._over = threading.Event()
-        self._emergency_told = False
+        self._emergency_reported = False
         self._twin: Refused | None = None
         self.truth = sorted(self.truth)
         self._bursts = Grant[BurstRequest](self.clock, "a burst", "burst '{}' is playing; only one burst is played at a time")
         self._qs = Grant[RetuneRequest](self.clock, "Q", "another Q acts; restore the machine first")
         self._freshness, self._tuned = Freshness(self.clock), ""
-        self._told_late = self._told_dropped = 0
+        self._reported_late = self._reported_dropped = 0
         self._next_beat = float("-inf")
         self._k = 0
 
@@ -175,7 +175,7 @@ class RigAgent:
             self.stopping.set()
 
     def _rest(self) -> None:
-        """Close the port and tell it, also when that fails."""
+        """Close the port and report it, also when that fails."""
         try:
             self.port.close()
         except Exception as error:
@@ -248,8 +248,8 @@ class RigAgent:
             self._event(EventKind.FAULT_INJECTED, self.truth.pop(0)[1])
         encode = codec.encode_block if self.store is None else self.store.encode
         self._post.send(self.keys.block(self.machine), encode, block)
-        if self.emergency.is_set() and not self._emergency_told:
-            self._emergency_told = True
+        if self.emergency.is_set() and not self._emergency_reported:
+            self._emergency_reported = True
             self._event(EventKind.NOTE, EMERGENCY)
         if self.clock.monotonic() >= self._next_beat:
             self._next_beat = self.clock.monotonic() + HEARTBEAT_SECONDS
@@ -259,13 +259,13 @@ class RigAgent:
         status = self.port.status()
         now = replace(self.description, samples=status.samples, late=status.late, head_room=status.head_room)
         self._post.send(self.keys.description(self.machine), codec.encode, now)
-        if status.late > self._told_late:
-            self._event(EventKind.NOTE, f"{status.late - self._told_late} control samples missed their deadline")
-            self._told_late = status.late
+        if status.late > self._reported_late:
+            self._event(EventKind.NOTE, f"{status.late - self._reported_late} control samples missed their deadline")
+            self._reported_late = status.late
         dropped = self._post.dropped
-        if dropped > self._told_dropped:
-            self._event(EventKind.NOTE, f"{dropped - self._told_dropped} messages could not be sent: the network stalled")
-            self._told_dropped = dropped
+        if dropped > self._reported_dropped:
+            self._event(EventKind.NOTE, f"{dropped - self._reported_dropped} messages could not be sent: the network stalled")
+            self._reported_dropped = dropped
 
     def _play(self, request: BurstRequest) -> None:
         """Play one burst; the port is always disarmed afterwards and the end reported."""

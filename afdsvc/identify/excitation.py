@@ -79,12 +79,12 @@ def require_excitation(
     for j, name in enumerate(names):
         if not any(np.ptp(r.u[:, j]) > least[j] for r in recordings):
             raise BadInput(f"input '{name}' never moves; {_advice(order, outputs, band_hz)}")
-    found, wanted = excitation(recordings), needed_order(order, outputs)
+    found, needed = excitation(recordings), needed_order(order, outputs)
     for name, lines in zip(names, found.lines, strict=True):
-        if 2 * lines < wanted:
+        if 2 * lines < needed:
             raise BadInput(
                 f"input '{name}' holds {lines} spectral line{'s' if lines != 1 else ''}: persistent excitation of order "
-                f"{2 * lines}, expected {wanted} for a model of order {order}; "
+                f"{2 * lines}, expected {needed} for a model of order {order}; "
                 f"{_advice(order, outputs, band_hz)}"
             )
     for name, share in zip(names, found.dependence, strict=True):

@@ -5,7 +5,7 @@ further state lowers (or raises) the error of the outputs to come, weighted by t
 smallest whose mean loss is within one standard error of the best (the one-standard-error rule of cross-validation).
 Nothing is assumed about the noise; disturbance modes count, as they must (they are part of the predictor).
 
-Leaving windows out weighs what the past tells of future outputs once the future inputs are known. A deviation that
+Leaving windows out weighs what the past predicts of future outputs once the future inputs are known. A deviation that
 answers a broad input at once and is buried in noise then goes unseen. The regression of the outputs on the inputs of
 the last samples sees it: an F test says whether there is an answer at all, and the orders compete by the error of their
 simulation with the Bayesian information criterion (G. Schwarz, Annals of Statistics 6, 1978).

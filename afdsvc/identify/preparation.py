@@ -191,5 +191,5 @@ def _recording(model: Model, trace: Trace) -> InputOutputData:
 
 def _columns(trace: Trace, role: str, names: Sequence[str], optional: bool = False) -> Array:
     """Return one role in the model's order; a missing optional column is zero, any other `BadInput`."""
-    wanted = [f"{role}_{name}" for name in names]
-    return np.column_stack([np.zeros(len(trace)) if optional and not trace.has(name) else trace.column(name) for name in wanted])
+    columns = [f"{role}_{name}" for name in names]
+    return np.column_stack([np.zeros(len(trace)) if optional and not trace.has(name) else trace.column(name) for name in columns])

@@ -36,10 +36,10 @@ def transfer(system: StateSpace, points: ComplexArray) -> ComplexArray:
     scaled, _ = balanced(system)
     T, Z = (np.asarray(x, dtype=np.complex128) for x in schur(scaled.A, output="complex"))
     n, m, k = system.order, system.inputs, points.size
-    wanted = np.broadcast_to(scaled.B[:, :, None], (n, m, k)).reshape(n, m * k)
+    B = np.broadcast_to(scaled.B[:, :, None], (n, m, k)).reshape(n, m * k)
     repeated = np.tile(points, m)
-    X = Z @ _solve_triangular(T, Z.conj().T @ wanted, repeated)
-    X += Z @ _solve_triangular(T, Z.conj().T @ (wanted - repeated * X + scaled.A @ X), repeated)
+    X = Z @ _solve_triangular(T, Z.conj().T @ B, repeated)
+    X += Z @ _solve_triangular(T, Z.conj().T @ (B - repeated * X + scaled.A @ X), repeated)
     return D + np.moveaxis((scaled.C @ X).reshape(-1, m, k), 2, 0)
 
 

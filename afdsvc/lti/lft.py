@@ -249,14 +249,14 @@ def _unique(directions: Sequence[FaultDirection]) -> None:
 
 def _fits(plant: StateSpace, d: FaultDirection) -> None:
     r = d.width
-    wanted = {
+    shapes = {
         "Bw": (plant.order, r),
         "Dyw": (plant.outputs, r),
         "Cz": (r, plant.order),
         "Dzu": (r, plant.inputs),
         "Dzw": (r, r),
     }
-    for field, shape in wanted.items():
+    for field, shape in shapes.items():
         if getattr(d, field).shape != shape:
             raise BadInput(f"fault '{d.name}': {field} has shape {getattr(d, field).shape}; expected {shape} for this plant")
 

@@ -200,9 +200,9 @@ def _verify(family: _Family, augmented: AugmentedPlant) -> None:
     base = np.abs(family({}))
     for k in range(3 if family.names else 0):
         theta = 0.45 * np.sin(1.0 + k + 2.3 * np.arange(len(family.names)))
-        found, wanted = augmented.close(theta), family(dict(enumerate(theta)))
-        difference = np.abs(np.block([[found.A, found.B], [found.C, found.D]]) - wanted)
-        size = np.maximum(np.abs(wanted), base)
+        found, exact = augmented.close(theta), family(dict(enumerate(theta)))
+        difference = np.abs(np.block([[found.A, found.B], [found.C, found.D]]) - exact)
+        size = np.maximum(np.abs(exact), base)
         noise = np.minimum(size.max(axis=1, keepdims=True), size.max(axis=0, keepdims=True))
         if (difference > 1e-9 * size + 1e-12 * noise).any():
             raise BadInput(

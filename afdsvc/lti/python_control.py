@@ -30,12 +30,12 @@ def factorise(plant: StateSpace, controller: StateSpace) -> Factorisation:
 
     Raises `NotStabilising` with the offending pole, `BadInput` when the widths do not fit.
     """
-    wanted = (plant.inputs, plant.outputs)
-    if (controller.outputs, controller.inputs) != wanted:
+    expected = (plant.inputs, plant.outputs)
+    if (controller.outputs, controller.inputs) != expected:
         raise BadInput(
             f"the controller has {controller.outputs} outputs and {controller.inputs} inputs; a plant with "
             f"{plant.inputs} "
-            f"inputs and {plant.outputs} outputs needs {wanted[0]} and {wanted[1]}"
+            f"inputs and {plant.outputs} outputs needs {expected[0]} and {expected[1]}"
         )
     if not controller.order:
         return proportional_factorisation(plant, controller.D)

@@ -27,11 +27,11 @@ class FaultSet:
 
     def augmented(self, physical: PhysicalPlant) -> AugmentedPlant:
         """Return the discrete plant with all faults pulled out; raises `BadInput` for two faults of one parameter."""
-        G, wanted = physical.discrete(), list(self.parameters.values())
-        twice = sorted({p for p in wanted if wanted.count(p) > 1})
+        G, parameters = physical.discrete(), list(self.parameters.values())
+        twice = sorted({p for p in parameters if parameters.count(p) > 1})
         if twice:
             raise BadInput(f"two faults change the parameter '{twice[0]}'; every parameter may appear once")
-        inner = physical.faults(wanted) if wanted else augment(G, [])
+        inner = physical.faults(parameters) if parameters else augment(G, [])
         renamed = AugmentedPlant(inner.system, tuple(self.parameters), inner.widths)
         return renamed.with_directions([make(G) for make in self.directions.values()], self.names)
 
@@ -54,15 +54,15 @@ def usual_faults(physical: PhysicalPlant) -> FaultSet:
     return FaultSet(names, {n: n for n in names if n not in gains}, gains)
 
 
-def chosen_faults(wanted: Sequence[tuple[str, FaultKind, Mapping[str, Any]]]) -> FaultSet:
+def chosen_faults(chosen: Sequence[tuple[str, FaultKind, Mapping[str, Any]]]) -> FaultSet:
     """Return the faults of a site file as (name, kind, settings); raises what a kind says about its settings."""
     parameters, directions = {}, {}
-    for name, kind, settings in wanted:
+    for name, kind, settings in chosen:
         if isinstance(kind, ParameterFaultKind):
             parameters[name] = kind.parameter(name, settings)
         else:
             directions[name] = _of_kind(name, kind, settings)
-    return FaultSet(tuple(name for name, _, _ in wanted), parameters, directions)
+    return FaultSet(tuple(name for name, _, _ in chosen), parameters, directions)
 
 
 def _gain(name: str, side: str, index: int) -> Make:

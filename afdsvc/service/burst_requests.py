@@ -82,36 +82,36 @@ class BurstRequests:
         if self.playing or (self._asking and self._asking.is_alive()):
             return
         ready = bool(self.session) and self._wait() <= LONGEST_WAIT
-        wanted = self.scheduler.due(self.seconds, datetime.now()) if ready else None
-        if wanted is not None:
-            self._asking = threading.Thread(target=self._try, args=(wanted,), name=f"burst of {self.machine}", daemon=True)
+        order = self.scheduler.due(self.seconds, datetime.now()) if ready else None
+        if order is not None:
+            self._asking = threading.Thread(target=self._try, args=(order,), name=f"burst of {self.machine}", daemon=True)
             self._asking.start()
 
-    def _try(self, wanted: BurstOrder) -> None:
+    def _try(self, order: BurstOrder) -> None:
         try:
-            self.play(wanted)
+            self.play(order)
         except AfdsvcError as refusal:
             self._say("warning", f"burst not played: {refusal}")
         except Exception as error:
             log.exception("machine '%s': a burst request failed", self.machine)
             self._say("error", f"burst not played: {type(error).__name__}: {error}")
 
-    def ask(self, wanted: BurstOrder) -> str:
+    def ask(self, order: BurstOrder) -> str:
         """Play a burst a person asked for, at once; returns its name, raises `Refused` with the reason."""
         if not self.session:
             raise Refused(f"machine '{self.machine}' is not connected")
-        self.scheduler.request(wanted, self.seconds, datetime.now())
+        self.scheduler.request(order, self.seconds, datetime.now())
         due = self.scheduler.due(self.seconds, datetime.now())
         if due is None:
             raise Refused("the machine is not ready for a burst")
         return self.play(due)
 
-    def plan(self, wanted: BurstOrder) -> dict[str, Any]:
+    def plan(self, order: BurstOrder) -> dict[str, Any]:
         """Return what a burst would play and what the nominal loop would answer, as JSON values; raises `Refused` where there is none yet.
 
         A burst for identification is drawn anew when it is played, within the same limits.
         """
-        burst, problem = self.design(wanted), self.pipeline.problem
+        burst, problem = self.design(order), self.pipeline.problem
         alpha, G = burst.play(self.pipeline.dt), problem.plant
         p, m = G.outputs, G.inputs
         seen = StateSpace(G.A, G.B, np.vstack([G.C, np.zeros((m, G.order)), G.C]), np.vstack([G.D, np.eye(m), G.D]), G.dt)
@@ -124,7 +124,7 @@ class BurstRequests:
         hertz = [{"input": problem.excitation_names[line.input], "hertz": line.omega / (2 * np.pi), "amplitude": line.amplitude} for line in burst.lines]
         part = slice(None, None, max(1, len(alpha) // SHOWN))
         return {
-            "machine": self.machine, "purpose": wanted.purpose, "seconds": burst.samples * self.pipeline.dt, "lines": hertz, "through": problem.through,
+            "machine": self.machine, "purpose": order.purpose, "seconds": burst.samples * self.pipeline.dt, "lines": hertz, "through": problem.through,
             "peaks": [
                 {"name": name, "side": side, "peak": float(np.abs(x).max()), "limit": limit and float(limit), "unit": unit.get(f"{role[side]}_{name}", "")}
                 for name, side, x, limit in sides
@@ -132,19 +132,19 @@ class BurstRequests:
             "alpha": {name: alpha[part, j].tolist() for j, name in enumerate(problem.excitation_names)},
         }  # fmt: skip
 
-    def play(self, wanted: BurstOrder) -> str:
+    def play(self, order: BurstOrder) -> str:
         """Ask the rig for the burst; returns its name, raises `Refused` with the rig's reason."""
         if not self._lock.acquire(blocking=False):
             raise Refused("a burst is being prepared; only one burst is played at a time")
         try:
             if self.playing:
                 raise Refused(f"burst '{self.playing}' is playing; only one burst is played at a time")
-            made = self.design(wanted)
-            burst = replace(made, name=self._name(), notes={**made.notes, "reason": wanted.reason})
-            start = self._first_sample(wanted)
+            made = self.design(order)
+            burst = replace(made, name=self._name(), notes={**made.notes, "reason": order.reason})
+            start = self._first_sample(order)
             newest = round(self.seconds / self.pipeline.dt)
             request = BurstRequest(
-                self.machine, burst, LEASE_SECONDS, wanted.reason, self.clock.now_ns(), start, self.session, newest
+                self.machine, burst, LEASE_SECONDS, order.reason, self.clock.now_ns(), start, self.session, newest
             )
             message = Message(request)
             self.pipeline.announce(burst)
@@ -205,14 +205,14 @@ class BurstRequests:
         ready = self.pipeline.ready_at
         return float("inf") if ready is None else max(ready * self.pipeline.dt - self.seconds, 0.0)
 
-    def _first_sample(self, wanted: BurstOrder) -> int:
+    def _first_sample(self, order: BurstOrder) -> int:
         """Return the sample a burst starts at (0: at once): not before what comes back can be judged."""
         ready, wait = self.pipeline.ready_at, self._wait()
         if ready is None:
             raise Refused(f"machine '{self.machine}' has sent no usable samples yet; ask again once it runs")
         if wait > LONGEST_WAIT:
             raise Refused(f"machine '{self.machine}' has not been watched long enough to judge a burst; ask again in {wait:.0f} s")
-        planned = 0 if wanted.at is None else round((wanted.at + LEAD_SECONDS) / self.pipeline.dt)
+        planned = 0 if order.at is None else round((order.at + LEAD_SECONDS) / self.pipeline.dt)
         return max(planned, ready if wait else 0)
 
     def _begin(self, burst: Burst, start: int) -> None:

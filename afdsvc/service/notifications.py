@@ -179,8 +179,8 @@ class History:
 
     def handover(self, limit: int = 1000) -> list[AlarmChange]:
         """Return the newest changes and the last one of every alarm, oldest first."""
-        wanted = "number IN (SELECT max(number) FROM change GROUP BY alarm) OR number > (SELECT max(number) FROM change) - ?"
-        return self._changes(f"SELECT message FROM change WHERE {wanted} ORDER BY number", (limit,))
+        kept = "number IN (SELECT max(number) FROM change GROUP BY alarm) OR number > (SELECT max(number) FROM change) - ?"
+        return self._changes(f"SELECT message FROM change WHERE {kept} ORDER BY number", (limit,))
 
     def last(self) -> list[Alarm]:
         """Return every alarm as it stood after its last change."""

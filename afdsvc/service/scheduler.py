@@ -45,7 +45,7 @@ class Scheduler:
         if self._next is not None:
             self._next = now + self._settings.first_after_seconds
 
-    def request(self, wanted: BurstOrder, now: float, wall: datetime) -> None:
+    def request(self, order: BurstOrder, now: float, wall: datetime) -> None:
         """Queue a burst asked for by a person; raises `Refused` with the reason when it cannot be played now."""
         if self.paused:
             raise Refused(f"bursts are paused: {self.paused}")
@@ -56,7 +56,7 @@ class Scheduler:
         rest = self._last_end + self._settings.rest_seconds - now
         if rest > 0:
             raise Refused(f"the pause after the last burst lasts another {rest:.1f} s")
-        self._queue.append(wanted)
+        self._queue.append(order)
 
     def after_event(self, reason: str) -> None:
         """Queue a burst because of an event, when the site wants that; it waits for rest and quiet hours."""

@@ -1,8 +1,8 @@
 """The lease keeper: a process that does nothing but renew leases, on behalf of the service and only while the service is well.
 
 In a process of Python no thread runs while another holds the interpreter, and on a computer that is overloaded the holder may itself be waiting
-for a core. The keeper therefore shares neither interpreter nor session with the service. It is told several times a second which leases there
-are; when it is told nothing for `TRUST_SECONDS` it renews nothing, and when the service ends, so does it. This file is run as a script: what the keeper needs is zenoh alone.
+for a core. The keeper therefore shares neither interpreter nor session with the service. Several times a second it is sent the leases there
+are; when nothing comes for `TRUST_SECONDS` it renews nothing, and when the service ends, so does it. This file is run as a script: what the keeper needs is zenoh alone.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class LeaseKeeper:
     """
 
     def __init__(self, config: str) -> None:
-        self._config, self._told = config, b""
+        self._config, self._sent = config, b""
         self._process: subprocess.Popen[bytes] | None = None
         self._stale = False
         self._rest = self._line = b""
@@ -49,7 +49,7 @@ class LeaseKeeper:
         if process is None or process.stdin is None or process.stdout is None:
             return False
         said = json.dumps([(key, base64.b64encode(lease).decode()) for key, lease in leases]).encode()
-        news, self._told = (b"" if said == self._told else said), said
+        news, self._sent = (b"" if said == self._sent else said), said
         if len(self._rest) < 1 << 20:
             self._rest += news + b"\n"
         with contextlib.suppress(OSError):
@@ -79,7 +79,7 @@ class LeaseKeeper:
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
                 os.set_blocking(pipe.fileno(), False)
-        self._began, self._told, self._line = time.monotonic(), b"", b""
+        self._began, self._sent, self._line = time.monotonic(), b"", b""
         self._rest = json.dumps(self._config).encode() + b"\n"
 
     def _hear(self, report: bytes) -> None:
@@ -91,25 +91,25 @@ class LeaseKeeper:
 
 
 class Renewals:
-    """The keeper's own side: what it was told last, and when."""
+    """The keeper's own side: what it was sent last, and when."""
 
     def __init__(self, publisher: Callable[[str], Any]) -> None:
         self._publisher, self._publishers = publisher, dict[str, Any]()
         self._leases: list[tuple[str, bytes]] = []
-        self._told = float("-inf")
+        self._updated = float("-inf")
         self._rest = b""
 
     def hear(self, data: bytes) -> None:
         """Take what the service says."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         if lines:
-            self._told = time.monotonic()
+            self._updated = time.monotonic()
         for line in filter(None, lines):
             self._leases = [(key, base64.b64decode(lease)) for key, lease in json.loads(line)]
 
     def renew(self) -> None:
         """Publish every lease, unless the service has been silent."""
-        if time.monotonic() - self._told < TRUST_SECONDS:
+        if time.monotonic() - self._updated < TRUST_SECONDS:
             for key, lease in self._leases:
                 if key not in self._publishers:
                     self._publishers[key] = self._publisher(key)

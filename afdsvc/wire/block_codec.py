@@ -53,8 +53,8 @@ def _values_of(message: pb.Block) -> np.ndarray:
     for i, signal in enumerate(message.signals):
         if len(signal.values) != samples or not samples:
             found = f"channel '{signal.name}' holds {len(signal.values)} samples"
-            wanted = f"{samples}, as many as '{message.signals[0].name}'" if samples else "at least one"
-            raise BadInput(f"block {message.seq} of machine '{message.machine}': {found}; expected {wanted}")
+            expected = f"{samples}, as many as '{message.signals[0].name}'" if samples else "at least one"
+            raise BadInput(f"block {message.seq} of machine '{message.machine}': {found}; expected {expected}")
         values[:, i] = signal.values
     return values
 

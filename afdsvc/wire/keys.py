@@ -27,8 +27,8 @@ def checked_id(what: str, value: str) -> str:
         raise BadInput(f"{what} id '{value[:_LONGEST]}...' has {len(value)} characters; expected at most {_LONGEST}")
     found = _FORBIDDEN.search(value)
     if found:
-        wanted = "expected letters, digits and the signs - _ ."
-        raise BadInput(f"{what} id {value!r} contains {found.group()!r}; {wanted}")
+        expected = "expected letters, digits and the signs - _ ."
+        raise BadInput(f"{what} id {value!r} contains {found.group()!r}; {expected}")
     if value[0] in ".-":
         raise BadInput(f"{what} id {value!r} begins with '{value[0]}'; expected a letter, a digit or _ first")
     return value

@@ -135,7 +135,7 @@ def main() -> int:
         killed = batch(names, folder / "two.parquet", 2, kill_at=asked.recordings // 2)
         resumed = batch(names, folder / "two.parquet", 2)
         halves.append(batch(names[asked.alone // 2 : asked.alone], folder / "one-b.parquet", 1))
-        told = verdicts(folder / "two.parquet")
+        reported = verdicts(folder / "two.parquet")
     alone = sum(h.done - 1 for h in halves) / sum(h.seconds for h in halves)
     both = (killed.done + resumed.done - 2) / (killed.seconds + resumed.seconds)
     cpu = sum(h.cpu for h in halves) / sum(h.done for h in halves)
@@ -144,7 +144,7 @@ def main() -> int:
     print(f"two workers: {both:.2f} recordings/s ({killed.done} until killed, {resumed.done} after), {cpu2:.2f} s of processor each")
     print(f"ratio {both / alone:.2f}; workers start in {halves[0].starting:.1f} s (one), {resumed.starting:.1f} s (two); load {os.getloadavg()[0]:.1f}")
     again = killed.done + resumed.done - asked.recordings
-    print(f"killed in the middle and resumed: {again} recordings done twice; {told}")
+    print(f"killed in the middle and resumed: {again} recordings done twice; {reported}")
     return 0 if both / alone >= 1.8 and not again else 1
 
 

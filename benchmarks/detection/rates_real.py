@@ -1,7 +1,7 @@
 """The shipped detectors themselves, fed sample by sample, against the short routes of the other files on the same noise.
 
 One long record holds many bursts with quiet stretches between them. Every detector is built as a site would build it, gate and
-all, and shown the record in blocks; the short routes are told the noise that was drawn. Their decisions must be the same.
+all, and shown the record in blocks; the short routes are given the noise that was drawn. Their decisions must be the same.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Change detectors from the shelf: `ruptures` and `river`, given every chance.
 
-Each sees a healthy reference as long as the burst, then the burst, and where it needs to be told what to look at, both the
+Each sees a healthy reference as long as the burst, then the burst, and where it needs to know what to look at, both the
 raw residual (a fault makes it wilder) and the residual times sine and cosine of the excited lines (a fault moves its mean).
 Their own alarm settings are replaced by a threshold on their statistic, calibrated on healthy data like everybody's.
 """

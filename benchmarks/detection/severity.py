@@ -60,7 +60,7 @@ class Found:
         return float(self.error.std() / self.bound)
 
     @property
-    def told(self) -> float:
+    def reported(self) -> float:
         """Mean stated standard error over the bound."""
         return float(self.stated.mean() / self.bound)
 
@@ -150,7 +150,7 @@ def main() -> None:
         for one in study(setting, wanted.runs):
             found.append(one)
             print(
-                f"{setting.title:45s} {one.estimator:30s} bias {one.bias:+.3f} sd/bound {one.spread:.3f} stated/bound {one.told:.3f}"
+                f"{setting.title:45s} {one.estimator:30s} bias {one.bias:+.3f} sd/bound {one.spread:.3f} stated/bound {one.reported:.3f}"
             )
         print(f"  {time.process_time() - at:.0f} CPU seconds", flush=True)
     if wanted.docs:

@@ -41,7 +41,7 @@ def verdict(found: Found) -> str:
     if not found.meant:
         return "first order"
     bias, sd = abs(found.bias), abs(found.spread - 1)
-    return "yes" if bias < BIAS and sd < BOUND and abs(found.told - 1) < BOUND else "**no**"
+    return "yes" if bias < BIAS and sd < BOUND and abs(found.reported - 1) < BOUND else "**no**"
 
 
 def write(found: Sequence[Found], seconds: float, runs: int, folder: Path) -> None:
@@ -50,7 +50,7 @@ def write(found: Sequence[Found], seconds: float, runs: int, folder: Path) -> No
         out = csv.writer(file, lineterminator="\n")
         out.writerow(["setting", "estimator", "runs", "bias", "spread", "stated", "bound", "deviation", "mean", "held"])
         for one in found:
-            numbers = (one.bias, one.spread, one.told, one.bound, one.error.std(), one.setting.severity + one.error.mean())
+            numbers = (one.bias, one.spread, one.reported, one.bound, one.error.std(), one.setting.severity + one.error.mean())
             out.writerow([one.setting.title, one.estimator, runs, *(f"{x:.4g}" for x in numbers), verdict(one).strip("*")])
     held = sum(verdict(one) == "yes" for one in found)
     meant = sum(one.meant for one in found)
@@ -64,6 +64,6 @@ def write(found: Sequence[Found], seconds: float, runs: int, folder: Path) -> No
     for one in found:
         text.append(
             f"| {one.setting.title} | `{one.estimator.replace(', ', '`, `')}` | {one.bound:.4f} | {one.bias:+.3f} | {one.spread:.3f} | "
-            f"{one.told:.3f} | {verdict(one)} |"
+            f"{one.reported:.3f} | {verdict(one)} |"
         )
     (folder / "detection-severity.md").write_text(INTRO.format(seconds=seconds, runs=runs) + "\n".join(text) + "\n")

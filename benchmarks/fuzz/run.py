@@ -49,7 +49,7 @@ def work(name: str, seed: int, first: int, count: int, progress: Path) -> None:
     warnings.simplefilter("ignore")
     scratch = "/dev/shm" if Path("/dev/shm").is_dir() else None
     signal.signal(signal.SIGALRM, late)
-    with tempfile.TemporaryDirectory(dir=scratch) as folder, progress.open("r+b", buffering=0) as told:
+    with tempfile.TemporaryDirectory(dir=scratch) as folder, progress.open("r+b", buffering=0) as reported:
         target = TARGETS[name](Path(folder))
         for i in range(10):
             swallow(target, name, seed, -1 - i)  # warm up: compiled code and lazy imports are not the input's memory
@@ -57,8 +57,8 @@ def work(name: str, seed: int, first: int, count: int, progress: Path) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (mapped + MEMORY, mapped + MEMORY))
         accepted = 0
         for i in range(first, first + count):
-            told.seek(0)
-            told.write(i.to_bytes(8, "little"))
+            reported.seek(0)
+            reported.write(i.to_bytes(8, "little"))
             accepted += swallow(target, name, seed, i)
         print(json.dumps({"accepted": accepted}), flush=True)
 

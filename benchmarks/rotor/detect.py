@@ -31,12 +31,12 @@ def faults(controller: str, severity: float, driver: dict) -> None:
         parts = machine(installed, {name: (severity, 0.0)}, seed, **settings)
         found = run(parts, installed, [0.7, "burst"], burst)
         burst = found.bursts[0]
-        told = [
+        reported = [
             f"{e.detector} {e.statistic:.1f}/{e.threshold:.2f}{'' if e.detected else ' NOT DETECTED ' + e.reason}, {e.fault}, "
             f"{'-' if e.severity is None else f'{e.severity.value:.3f} +- {e.severity.sd:.3f}'}"
             for e in found.evidence
         ]
-        print(f"{name}: {'; '.join(told)}; {found.peak:.1f} um", flush=True)
+        print(f"{name}: {'; '.join(reported)}; {found.peak:.1f} um", flush=True)
 
 
 def quiet(bursts: int, seed: int, driver: dict) -> None:

@@ -31,9 +31,9 @@ def one(physics: str, rho: float, seed: int) -> tuple[bool, str]:
     found = explain(model, trial.recordings, [trial.holdout], [o.thing for o in load().family("physics")])
     first = found.named[0] if found.named else None
     right = found.verdict == "consistent" if physics == "nothing" else first is not None and first.physics == physics
-    told = "-" if first is None else f"{first.physics} at {first.site}, weight {first.weight:.2f}"
+    reported = "-" if first is None else f"{first.physics} at {first.site}, weight {first.weight:.2f}"
     site = trial.answer.hidden[0].site if trial.answer.hidden else ""
-    return right, f"{physics} {site} rho {rho:g}: {found.verdict}; {told}; {time.process_time() - began:.0f} s"
+    return right, f"{physics} {site} rho {rho:g}: {found.verdict}; {reported}; {time.process_time() - began:.0f} s"
 
 
 if __name__ == "__main__":

@@ -71,7 +71,7 @@ def unstable(system: StateSpace) -> np.ndarray:
     return np.sort(s.real[s.real > 10])
 
 
-def told(result: IdentifyResult, model: Model, true: StateSpace) -> str:
+def reported(result: IdentifyResult, model: Model, true: StateSpace) -> str:
     """Return the figures in words."""
     found = result.fit.system
     before, after = ([round(float(m[v.name].r2), 3) for v in model.outputs] for m in (result.before, result.after))
@@ -89,4 +89,4 @@ if __name__ == "__main__":
     for full, noise in ((False, 0.0), (True, NOISE_SD)):
         model, traces, true = setting(wanted.seconds, 1, full, noise)
         result = identify(model, traces[:1], traces[1:], IdentifyOptions(method="hansen", cross_check=False))
-        print(f"{'320' if full else '8'} states, noise {noise} um: {told(result, model, true)}", flush=True)
+        print(f"{'320' if full else '8'} states, noise {noise} um: {reported(result, model, true)}", flush=True)

@@ -69,13 +69,13 @@ def coverage(runs: int, full: bool, project: bool = True, states: int = 8, first
         errors.append([found[name][2] for name in FOUR])
         print("  run", seed, "errors in standard errors:", np.round(errors[-1], 2), flush=True)
     e = np.array(errors)
-    told = []
+    reported = []
     for sds, level in ((1.96, 0.95), (3.0, 0.9973)):
         inside = int((np.abs(e) <= sds).sum())
         low, high = (beta.ppf(q, a, b) for q, a, b in ((0.005, inside, e.size - inside + 1), (0.995, inside + 1, e.size - inside)))
-        told.append(f"{inside}/{e.size} within {sds} standard errors (promised {level:.2%}, 99 % interval of the share {low:.3f} to {high:.3f})")
+        reported.append(f"{inside}/{e.size} within {sds} standard errors (promised {level:.2%}, 99 % interval of the share {low:.3f} to {high:.3f})")
     size = np.sqrt(np.mean(e**2))
-    return f"{'; '.join(told)}; errors over standard errors: mean {e.mean():.2f}, rms {size:.2f}, largest {np.abs(e).max():.2f}"
+    return f"{'; '.join(reported)}; errors over standard errors: mean {e.mean():.2f}, rms {size:.2f}, largest {np.abs(e).max():.2f}"
 
 
 if __name__ == "__main__":

@@ -139,7 +139,7 @@ def judged(
     return found
 
 
-def told(evidence: list[tuple[Evidence, float]], direct: bool) -> str:
+def reported(evidence: list[tuple[Evidence, float]], direct: bool) -> str:
     """Return the rate of alarms with its 99 % interval, in words."""
     alarms = np.array([counts if e.statistic > e.threshold else 0.0 for e, counts in evidence])
     refused, n = sum(not e.trustworthy for e, _ in evidence), len(evidence)
@@ -169,4 +169,4 @@ if __name__ == "__main__":
         severities = () if wanted.direct else tuple(wanted.severities)
         options = (wanted.detectors, wanted.bursts, wanted.rate, severities, wanted.seed, wanted.seconds)
         for kind, evidence in judged(controller, *options).items():
-            print(f"{controller} | {kind} | {told(evidence, wanted.direct)}", flush=True)
+            print(f"{controller} | {kind} | {reported(evidence, wanted.direct)}", flush=True)

@@ -256,8 +256,8 @@ def lqg_isolated(found: Detected | None = None) -> list[Row]:
     loop, phases_apart = bearing("lqg"), "their phases differ by 0.03 degree in the model; only the size of the wave would tell"
     found = found or detect(loop, FAULTS[3], OMEGA, ALPHA, V, V, WINDOW, seconds=1.0, begins=1.0)
     a, s = (np.angle(loop.signature(name, OMEGA)[V, V]) for name in (FAULTS[1], FAULTS[3]))
-    told = bool(norm.cdf(found.deflection * abs(np.sin((a - s) / 2))) > 0.99)
-    return [Row("a vertical fault is decided", True, found.decided.startswith("vertical")), Row("sensor and actuator are distinguished", True, told, 0, phases_apart, False), reached(found)]
+    reported = bool(norm.cdf(found.deflection * abs(np.sin((a - s) / 2))) > 0.99)
+    return [Row("a vertical fault is decided", True, found.decided.startswith("vertical")), Row("sensor and actuator are distinguished", True, reported, 0, phases_apart, False), reached(found)]
 
 
 def detector_signal(found: Detected | None = None) -> list[Row]:

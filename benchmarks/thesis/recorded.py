@@ -165,10 +165,10 @@ class Measured:
         begun = next((e.k for e in recording.events() if e.kind is EventKind.BURST_STARTED), None)
         if request is None or begun is None:
             raise BadInput(f"{path}: no burst of stated lines was played; expected bursts.lines in the site file")
-        told = next((e.k for e in recording.events() if e.kind is EventKind.FAULT_INJECTED), None)
-        if told is None and fault_at is None and EXPERIMENTS[name].fault:
+        reported = next((e.k for e in recording.events() if e.kind is EventKind.FAULT_INJECTED), None)
+        if reported is None and fault_at is None and EXPERIMENTS[name].fault:
             raise BadInput(f"{path}: no event tells when the fault began; expected the second of the fault as a third argument")
-        fault = told - first if told is not None else round((fault_at or 0.0) / blocks[0].dt)
+        fault = reported - first if reported is not None else round((fault_at or 0.0) / blocks[0].dt)
         burst, begin = request.burst, begun - first
         return cls(EXPERIMENTS[name], **parts, begin=begin, end=begin + burst.samples - burst.ramp, steady=burst.ramp + burst.settle, fault=fault)
 

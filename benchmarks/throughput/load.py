@@ -105,8 +105,8 @@ class Load:
     def describe(self) -> None:
         """Tell what each machine is, as a rig does."""
         for id, line in self.lines.items():
-            told = RigDescription(id, f"s{id}", time.time_ns(), self.signals.dt, self.machine.channels, self.machine.limits)
-            line.publish(self.keys.description(id), codec.encode(told))
+            reported = RigDescription(id, f"s{id}", time.time_ns(), self.signals.dt, self.machine.channels, self.machine.limits)
+            line.publish(self.keys.description(id), codec.encode(reported))
 
 
 def main() -> None:
@@ -118,8 +118,8 @@ def main() -> None:
     load.run(seconds)
     print("sent", flush=True)
     sys.stdin.readline()  # the service's counters are read before the machines vanish
-    told = {"sent": load.sent, "worst_late_s": load.worst, "bursts": load.bursts, "latencies_s": sorted(load.latencies)}
-    print(json.dumps(told), flush=True)
+    reported = {"sent": load.sent, "worst_late_s": load.worst, "bursts": load.bursts, "latencies_s": sorted(load.latencies)}
+    print(json.dumps(reported), flush=True)
     closing = [threading.Thread(target=session.close) for session in load.sessions]
     for thread in closing:
         thread.start()

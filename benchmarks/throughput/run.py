@@ -107,23 +107,23 @@ def hold(machines: int, seconds: float) -> dict[str, Any]:
         deadline = time.monotonic() + 10
         load.stdin.write(b"\n")
         load.stdin.flush()
-        told = json.loads(load.stdout.readline())
-        waiting = told["sent"] - seen
-        while seen < told["sent"] and time.monotonic() < deadline:
+        reported = json.loads(load.stdout.readline())
+        waiting = reported["sent"] - seen
+        while seen < reported["sent"] and time.monotonic() < deadline:
             time.sleep(0.2)
             seen, lost, dropped = blocks(site)
         load.wait(20)
         service.send_signal(signal.SIGTERM)
         service.wait(30)
         size = sum(p.stat().st_size for p in (Path(folder) / "recordings").glob("*.mcap")) / 1e6
-        delays = told.pop("latencies_s")
+        delays = reported.pop("latencies_s")
         return {
-            "machines": machines, "seconds": seconds, "answers_s": answers, "idle_s": idle, "load": os.getloadavg()[0], **told, "judged": seen, "lost_samples": lost,
+            "machines": machines, "seconds": seconds, "answers_s": answers, "idle_s": idle, "load": os.getloadavg()[0], **reported, "judged": seen, "lost_samples": lost,
             "dropped": dropped, "waiting_at_end": waiting, "blocks_per_s": (judged1 - judged0) / (t1 - t0),
             "cpu": (cpu1 - cpu0) / (t1 - t0), "per_core": (judged1 - judged0) / (cpu1 - cpu0), "memory_mb": memory, "recorded_mb": size, "decisions": len(delays),
             "latency_median_s": delays[len(delays) // 2] if delays else None,
             "latency_worst_s": delays[-1] if delays else None,
-            "held": waiting <= machines * RATE and not lost and not dropped and seen == told["sent"],
+            "held": waiting <= machines * RATE and not lost and not dropped and seen == reported["sent"],
         }  # fmt: skip
 
 

@@ -49,7 +49,7 @@ def ended(process: subprocess.Popen) -> str:
 
 
 @pytest.mark.skipif(not hasattr(socket, "AF_UNIX"), reason="needs Unix sockets")
-def test_a_supervisor_is_told_and_sigterm_ends_everything_in_time_even_in_a_burst(free_port, tmp_path):
+def test_a_supervisor_is_notified_and_sigterm_ends_everything_in_time_even_in_a_burst(free_port, tmp_path):
     site, address = tmp_path / "site.toml", tmp_path / "notify"
     site.write_text(SITE.format(port=free_port))
     ear = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)

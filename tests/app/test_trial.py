@@ -67,10 +67,10 @@ def test_trials_are_made_sealed_explained_scored_and_reported(tmp_path: Path, mo
         return {"verdict": "consistent", "named": [], "located": []}
 
     monkeypatch.setattr(trial, "from_files", silent)
-    told: list[tuple[int, int]] = []
-    made = trial_files(tmp_path, 1, 2, kinds=("nothing",), progress=lambda done, of: told.append((done, of)))
+    reported: list[tuple[int, int]] = []
+    made = trial_files(tmp_path, 1, 2, kinds=("nothing",), progress=lambda done, of: reported.append((done, of)))
     assert made["trials"] == len(seen) == 1
-    assert told == [(1, 1)]
+    assert reported == [(1, 1)]
     assert "1 with nothing hidden, of which 0 were given a name" in made["summary"]
     assert Path(made["markdown"]).read_text().startswith("# Blind trials")
     assert "<table" in Path(made["html"]).read_text()

@@ -114,9 +114,9 @@ def test_they_count_for_nothing_and_it_is_said():
     runs = prepare(MODEL, traces)
     assert [np.flatnonzero(np.isnan(r.Y[:, 0])).tolist() for r in runs] == [[1207], [400, 1333]]
     assert np.isfinite(traces[0].values).all()  # the recording itself is not touched
-    told = [f for f in check(MODEL, traces) if f.topic in ("glitches", "gaps")]
-    assert [f.topic for f in told] == ["glitches", "glitches"]
-    assert "r0: 1 of 2000 samples of y_position are isolated outliers, the largest at 1.207 s 4.93 mm" in told[0].sentence
+    reported = [f for f in check(MODEL, traces) if f.topic in ("glitches", "gaps")]
+    assert [f.topic for f in reported] == ["glitches", "glitches"]
+    assert "r0: 1 of 2000 samples of y_position are isolated outliers, the largest at 1.207 s 4.93 mm" in reported[0].sentence
 
 
 def test_what_recurs_is_kept_in_what_is_prepared():
@@ -132,7 +132,7 @@ def test_the_noise_is_that_of_the_other_samples():
     assert answer.noise_floor == pytest.approx((NOISE,), rel=0.05)
 
 
-def test_periods_with_few_missing_samples_are_told_by_the_others():
+def test_periods_with_few_missing_samples_are_filled_by_the_others():
     (run,) = prepare(MODEL, [recording(2, (1207,))])
     folded = fold(run, run.Y)
     assert folded is not None

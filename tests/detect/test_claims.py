@@ -29,7 +29,7 @@ def test_what_the_page_calls_long_has_long_settings():
 
 
 @pytest.mark.parametrize("scale", [0.8, 1.25])
-def test_between_bursts_noise_of_another_size_is_told_and_not_alarmed(scale):
+def test_between_bursts_noise_of_another_size_is_reported_and_not_alarmed(scale):
     problem = bearing_problem("lqg")
     v = np.random.default_rng(6).normal(size=(12_000, 2)) @ np.linalg.cholesky(problem.covariance).T
     record = simulate_burst(problem, np.zeros((len(v), 2)), v * np.array([scale, 1.0]))

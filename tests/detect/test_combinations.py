@@ -51,7 +51,7 @@ def test_pairs_that_do_the_same_share_the_weight(kind):
 
 
 @pytest.mark.parametrize("kind", ["regression", "matched_filter"])
-def test_two_sensors_that_do_what_one_actuator_does_are_told(kind):
+def test_two_sensors_that_do_what_one_actuator_does_are_reported(kind):
     machine = next(m for m in machines() if m.name == "integrating")
     problem = problem_of(machine, FalseAlarms(1e-2))
     detector = load().get("detectors", kind).design(problem, {})
@@ -131,11 +131,11 @@ def test_the_course_of_a_fault_follows_what_it_did(kind):
     t = np.arange(BURST.samples) / BURST.samples
     share = t if kind == "growing" else (t * 4 % 2 < 1).astype(float)
     for e in found(share[:, None] * loss_of(PROBLEM, {"a0": -0.4}), 6):
-        told = np.array([e.parts[f"course.{k}"] for k in range(8)])
+        reported = np.array([e.parts[f"course.{k}"] for k in range(8)])
         true = -0.4 * share.reshape(8, -1).mean(axis=1)
         assert e.fault in ("a0", None)
         assert e.parts["course_p"] < 1e-3
-        assert np.corrcoef(told, true)[0, 1] > 0.9
+        assert np.corrcoef(reported, true)[0, 1] > 0.9
 
 
 def test_energy_that_nothing_explains_withholds_the_name():
@@ -145,7 +145,7 @@ def test_energy_that_nothing_explains_withholds_the_name():
     assert all(e.detected and e.fault is None and e.weights == {"none_of_these": 1.0} for e in evidence)
 
 
-def test_faults_that_cannot_be_told_apart_are_not_combined():
+def test_faults_that_cannot_be_distinguished_are_not_combined():
     G = np.array([[100.0, 100.0, 0.0], [100.0, 100.0, 0.0], [0.0, 0.0, 50.0]])
     all_of = combined(np.array([-30.0, -30.0, -20.0]), G, [0, 1, 2], (-1.0, 0.0))
     assert [c.faults for c in all_of] == [(0,), (1,), (2,), (0, 2), (1, 2)]

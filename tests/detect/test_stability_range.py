@@ -65,5 +65,5 @@ def test_the_bound_of_an_early_decision_covers_the_truth(severity):
             kept.append((fit.severity, fit.severity - BOUND * fit.sd))
     found, bound = np.array(kept).T
     assert len(kept) >= 36
-    assert found.mean() < severity  # too severe on average, which is why only the bound is told
+    assert found.mean() < severity  # too severe on average, which is why only the bound is reported
     assert np.mean(bound < severity) >= 0.977 - 2.58 * np.sqrt(0.977 * 0.023 / len(kept))

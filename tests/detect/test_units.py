@@ -58,11 +58,11 @@ def test_alarms_and_doubts_between_bursts(name, units):
         detector = load().get("detectors", "passive_cusum").design(problem, {"silence_seconds": 1.0})
         boundary = detector.boundary  # found by simulation: the same to a few per mille; decisions are compared at the very same one
         detector = replace(detector, test=replace(detector.test, boundary=found[0][1] if found else boundary))
-        state, told = detector.start(), []
+        state, reported = detector.start(), []
         for k in range(0, len(u), 1000):
             state, evidence = detector.step(state, ResidualBlock(k, one.dt, *(x[k : k + 1000] for x in (r, beta, u, y, 0 * u))))
-            told += evidence
-        found.append((told, boundary))
+            reported += evidence
+        found.append((reported, boundary))
     (before, low), (after, high) = found
     assert len(before) > 2
     assert high == pytest.approx(low, rel=0.01)

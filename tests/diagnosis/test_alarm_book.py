@@ -21,40 +21,40 @@ def said(fault: str | None = "a", t: int = 0, detected: bool = True, detector: s
 
 
 def book(**policy) -> tuple[AlarmBook, list[tuple[str, str]]]:
-    told: list[tuple[str, str]] = []
-    return AlarmBook(Policy(**policy), lambda change: told.append((change.alarm.id, change.event))), told
+    reported: list[tuple[str, str]] = []
+    return AlarmBook(Policy(**policy), lambda change: reported.append((change.alarm.id, change.event))), reported
 
 
 def test_a_decision_raises_an_alarm_once_and_later_ones_support_it():
-    b, told = book()
+    b, reported = book()
     assert b.take(said(t=1)).count == 1
     assert b.take(said(t=2)).count == 2
     assert b.take(said(t=3, detector="cusum")).raised_by == ("regression", "cusum")
-    assert told == [("m/a", "raised"), ("m/a", "supported")]
+    assert reported == [("m/a", "raised"), ("m/a", "supported")]
     alarm = b.alarms["m/a"]
     assert (alarm.since_ns, alarm.last_ns, alarm.active, alarm.kind) == (SECOND, 3 * SECOND, True, AlarmKind.FAULT)
 
 
 def test_what_is_not_trustworthy_neither_raises_nor_ends():
-    b, told = book()
+    b, reported = book()
     assert b.take(said(trust=False)) is None
     b.take(said())
     for t in range(5):
         b.take(said(t=t, detected=False, fault=None, trust=False))
     assert b.alarms["m/a"].active
-    assert told == [("m/a", "raised")]
+    assert reported == [("m/a", "raised")]
 
 
 def test_debounce_asks_for_decisions_in_a_row():
-    b, told = book(raise_after=3)
+    b, reported = book(raise_after=3)
     for detected in (True, True, False, True, True):
         assert b.take(said(detected=detected, fault="a" if detected else None)) is None
     assert b.take(said()) is not None
-    assert told == [("m/a", "raised")]
+    assert reported == [("m/a", "raised")]
 
 
 def test_hysteresis_asks_every_detector_that_raised_it():
-    b, told = book(clear_after=2)
+    b, reported = book(clear_after=2)
     b.take(said(detector="x"))
     b.take(said(detector="y"))
     for detector in ("x", "x", "y"):
@@ -65,7 +65,7 @@ def test_hysteresis_asks_every_detector_that_raised_it():
     b.take(said(detected=False, fault=None, detector="y", t=9))
     assert not b.alarms["m/a"].active
     assert b.alarms["m/a"].ended_ns == 9 * SECOND
-    assert told[-1] == ("m/a", "ended")
+    assert reported[-1] == ("m/a", "ended")
 
 
 def test_a_detector_that_now_names_another_fault_speaks_against_the_first():
@@ -114,7 +114,7 @@ def test_a_latched_alarm_stays_until_somebody_who_saw_it_resets_it():
 
 
 def test_a_shelved_alarm_is_not_announced_until_its_time_is_over():
-    b, told = book()
+    b, reported = book()
     b.take(said())
     b.shelve("m/a", "kim", 10, "sensor is being changed", 0)
     assert not b.alarms["m/a"].announced
@@ -122,7 +122,7 @@ def test_a_shelved_alarm_is_not_announced_until_its_time_is_over():
     assert b.alarms["m/a"].shelved_by == "kim"
     b.tick(600 * SECOND)
     assert b.alarms["m/a"].announced
-    assert told[-1] == ("m/a", "unshelved")
+    assert reported[-1] == ("m/a", "unshelved")
     with pytest.raises(BadInput, match="without a reason"):
         b.shelve("m/a", "kim", 10, " ", 0)
     for minutes in (0, -1, 1e9, float("nan")):
@@ -157,10 +157,10 @@ def test_consequences_are_grouped_under_their_cause():
 
 
 def test_a_notice_needs_nobody_and_ends_by_itself():
-    b, told = book()
+    b, reported = book()
     for holds in (True, True, False, False):
         b.condition("m", "model_gap", AlarmKind.NOTICE, holds, "why", 1)
-    assert told == [("m/model_gap", "raised"), ("m/model_gap", "ended")]
+    assert reported == [("m/model_gap", "raised"), ("m/model_gap", "ended")]
     assert b.of("m") == ()
 
 
@@ -176,11 +176,11 @@ DECISIONS = st.lists(st.tuples(st.sampled_from("ab"), st.booleans(), st.sampled_
 
 @given(decisions=DECISIONS, up=st.integers(1, 4), down=st.integers(1, 4))
 def test_raised_and_ended_alternate_whatever_is_decided(decisions, up, down):
-    b, told = book(raise_after=up, clear_after=down)
+    b, reported = book(raise_after=up, clear_after=down)
     for t, (fault, detected, detector, trust) in enumerate(decisions):
         b.take(said(fault if detected else None, t, detected, detector, trust))
     for id in b.alarms:
-        events = [e for i, e in told if i == id and e in ("raised", "ended")]
+        events = [e for i, e in reported if i == id and e in ("raised", "ended")]
         assert events == (["raised", "ended"] * len(events))[: len(events)]
         assert b.alarms[id].active == (events[-1] == "raised")
         assert bool(b.alarms[id].raised_by) == b.alarms[id].active

@@ -86,9 +86,9 @@ def test_a_frozen_sensor_is_found_wherever_blocks_are_cut(start, length, cut):
     y[start : start + length, 1] = y[start, 1]
     edges = list(range(0, 260, cut))
     out = run([block(e, i, values=y[e : e + cut]) for i, e in enumerate(edges)])
-    told = [f for j in out for f in j.findings if f.kind == "frozen_sensor"]
-    assert bool(told) == (length - 1 >= 20)
-    assert len(told) <= 1
+    reported = [f for j in out for f in j.findings if f.kind == "frozen_sensor"]
+    assert bool(reported) == (length - 1 >= 20)
+    assert len(reported) <= 1
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=40))

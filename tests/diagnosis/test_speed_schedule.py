@@ -102,7 +102,7 @@ def test_a_speed_that_is_no_number_is_no_speed() -> None:
 
 
 class Beside:
-    """Takes what is to be made later, and makes it when told."""
+    """Takes what is to be made later, and makes it when asked."""
 
     def __init__(self) -> None:
         self.asked: list[tuple] = []
@@ -126,16 +126,16 @@ def test_parts_made_beside_the_worker_see_the_same_blocks_and_say_the_same() -> 
     at_once, beside = Machine(), Beside()
     said = at_once.run(*COURSE)
     m = Machine(later=beside)
-    told = m.run(*COURSE[:12])
+    reported = m.run(*COURSE[:12])
     assert len(m.made) == 1  # nothing made yet: blocks wait
     with pytest.raises(Refused):
         _ = m.pipeline.problem
     beside.finish()
-    told += m.run(*COURSE[12:60])
+    reported += m.run(*COURSE[12:60])
     assert not beside.asked[1:]
     beside.finish()
-    told += m.run(*COURSE[60:])
-    assert told == said
+    reported += m.run(*COURSE[60:])
+    assert reported == said
     assert [p.seen for p in m.made] == [p.seen for p in at_once.made]
     assert m.residuals[-1]
 

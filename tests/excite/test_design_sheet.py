@@ -87,10 +87,10 @@ def test_a_fault_nothing_reaches_and_one_nothing_shows_are_explained():
     seen = FaultDirection("seen", g.B[:, :1], zero((p, 1)), zero((1, n)), np.eye(m)[:1], zero((1, 1)))
     odd = replace(problem, augmented=augment(g, [seen, idle, mute]))
     burst = Burst("b", 2, 5000, 250, (Line(0, 800.0, 5.0), Line(1, 900.0, 5.0)))
-    told = {u["fault"]: u["why"] for u in design_sheet(odd, [burst], {}, 1.0, [-0.5])["unseen"]}
-    assert set(told) == {"idle", "mute"}
-    assert "reaches the signal" in told["idle"]
-    assert "reaches no output" in told["mute"]
+    reported = {u["fault"]: u["why"] for u in design_sheet(odd, [burst], {}, 1.0, [-0.5])["unseen"]}
+    assert set(reported) == {"idle", "mute"}
+    assert "reaches the signal" in reported["idle"]
+    assert "reaches no output" in reported["mute"]
 
 
 def test_what_the_burst_cannot_separate_is_said_beforehand(small):

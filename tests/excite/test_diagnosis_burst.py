@@ -24,7 +24,7 @@ CASES = [("proportional", 0), ("proportional", 1100), ("lqg", 0), ("lqg", 1100)]
 
 
 @pytest.mark.parametrize(("controller", "rpm"), CASES)
-def test_all_four_faults_can_be_told_apart_inside_the_limits(controller, rpm):
+def test_all_four_faults_can_be_distinguished_inside_the_limits(controller, rpm):
     problem = bearing_problem(controller, rpm)
     burst = default_burst(problem, problem.limits)
     assert burst.samples * problem.plant.dt == pytest.approx(2.5)

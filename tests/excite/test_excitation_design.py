@@ -122,7 +122,7 @@ def test_shortest_burst_for_ten_per_cent_below_a_micrometre():
 
 def test_telling_apart_costs_more_than_detecting():
     problem = bearing_problem("lqg")
-    detect, apart = (shortest(problem, Wish(-0.5, 2.0, tell_apart=t)).samples for t in (False, True))
+    detect, apart = (shortest(problem, Wish(-0.5, 2.0, distinguish=t)).samples for t in (False, True))
     assert apart > 5 * detect
 
 
@@ -147,7 +147,7 @@ def test_second_burst_separates_the_two_suspects_better_than_the_first():
     assert per_um(burst_detection(problem, burst), float(burst.notes["output_amplitude"])) > 2 * per_um(first, 2.9)
     reached = burst_detection(problem, burst).separation("horizontal_actuator", -0.3, "horizontal_sensor")
     assert reached > 0.99 * required_separation(0.99, 0.99999)
-    with pytest.raises(BadInput, match="two faults to tell apart"):
+    with pytest.raises(BadInput, match="two faults to distinguish"):
         second_burst(problem, limits, {"horizontal_actuator": 1.0}, -0.3)
 
 

@@ -1,4 +1,4 @@
-"""The design says with which burst, or pair of bursts, two faults are told apart; simulation agrees."""
+"""The design says with which burst, or pair of bursts, two faults are distinguished; simulation agrees."""
 
 from dataclasses import replace
 
@@ -37,19 +37,19 @@ def test_a_large_burst_isolates_every_pair_by_itself():
 def test_a_small_burst_needs_a_second_one_for_actuator_and_sensor_of_one_axis():
     problem = bearing_problem("proportional")
     pairs = isolable_pairs(problem, default_burst(problem, problem.limits, output_amplitude=0.3), -0.5)
-    told = entry(pairs, *PAIR)
-    assert told["isolated_by"] == "diagnosis, then isolation"
-    assert told["second_burst"]["lines"]
+    reported = entry(pairs, *PAIR)
+    assert reported["isolated_by"] == "diagnosis, then isolation"
+    assert reported["second_burst"]["lines"]
     assert entry(pairs, "horizontal_actuator", "vertical_sensor")["isolated_by"] == "diagnosis"
 
 
 def test_what_no_burst_within_the_limits_separates_is_said_beforehand():
     problem = bearing_problem("proportional")
     tight = replace(problem, limits=replace(problem.limits, output=problem.limits.output * 0.29))
-    told = entry(isolable_pairs(tight, default_burst(tight, tight.limits, output_amplitude=0.2), -0.5), *PAIR)
-    assert told["isolated_by"] == NOT_ISOLABLE
-    assert told["probability"] < 0.99
-    assert "largest second burst the limits allow" in told["why"]
+    reported = entry(isolable_pairs(tight, default_burst(tight, tight.limits, output_amplitude=0.2), -0.5), *PAIR)
+    assert reported["isolated_by"] == NOT_ISOLABLE
+    assert reported["probability"] < 0.99
+    assert "largest second burst the limits allow" in reported["why"]
     nobody = entry(isolable_pairs(replace(problem, limits=None), default_burst(tight, tight.limits, 2.5, 0.2), -0.5), *PAIR)
     assert nobody["isolated_by"] == NOT_ISOLABLE
     assert "states no limits" in nobody["why"]
@@ -92,12 +92,12 @@ def test_simulation_agrees_with_the_isolation_stated_for_one_burst(controller, a
 def test_simulation_agrees_with_the_isolation_stated_for_a_second_burst(controller, runs):
     problem = bearing_problem(controller)
     first = default_burst(problem, problem.limits, 1.0, 0.3)
-    told = entry(isolable_pairs(problem, first, -0.5), *PAIR)
-    assert told["isolated_by"] == "diagnosis, then isolation"
+    reported = entry(isolable_pairs(problem, first, -0.5), *PAIR)
+    assert reported["isolated_by"] == "diagnosis, then isolation"
     second = second_burst(problem, problem.limits, dict.fromkeys(PAIR, 0.5), -0.5, 1.0)
-    assert [(line.input, line.omega) for line in second.lines] == [(x["input"], x["rad_s"]) for x in told["second_burst"]["lines"]]
-    assert told["separation"] == pytest.approx(separation(burst_detection(problem, second), PAIR, -0.5))
-    assert agrees(isolated(problem, second, PAIR[0], -0.5, runs), told["probability"], runs)
+    assert [(line.input, line.omega) for line in second.lines] == [(x["input"], x["rad_s"]) for x in reported["second_burst"]["lines"]]
+    assert reported["separation"] == pytest.approx(separation(burst_detection(problem, second), PAIR, -0.5))
+    assert agrees(isolated(problem, second, PAIR[0], -0.5, runs), reported["probability"], runs)
 
 
 def test_the_second_burst_for_a_pair_is_made_for_all_faults_in_doubt():

@@ -121,7 +121,7 @@ def beside_rest(trace: Trace, seed: int, dead: bool) -> Trace:
     return Trace(trace.name, trace.dt, tuple(names), np.column_stack(columns))
 
 
-def test_an_input_on_which_nothing_is_played_is_told_and_no_obstacle():
+def test_an_input_on_which_nothing_is_played_is_reported_and_no_obstacle():
     both, (*given, held) = pair()
     answer = explain(both, given, [held], afdsvc_physics(), experiment=False)
     assert any("is not excited" in s for s in answer.check)
@@ -159,7 +159,7 @@ def test_an_infinite_reading_is_refused_with_its_place():
         explain(model(), [trace, recording(1)], [recording(2)], afdsvc_physics(), experiment=False)
 
 
-def test_gaps_in_another_signal_are_bridged_and_told():
+def test_gaps_in_another_signal_are_bridged_and_reported():
     traces = [with_speed(recording(k), gap=slice(100, 140) if k == 0 else slice(0)) for k in range(3)]
     run = prepare(model(), traces)[0]
     assert run.AUX[100:140, 0] == pytest.approx(np.arange(100, 140) / 10)

@@ -59,7 +59,7 @@ def linear(stiffness: float, known: float) -> Model:
 
 
 @pytest.mark.long
-def test_the_hysteretic_benchmark_is_told_and_fitted_to_the_noise():
+def test_the_hysteretic_benchmark_is_reported_and_fitted_to_the_noise():
     """From the model linearised at rest, known to 30 %: one loop, and on the held-out recording nearly the noise floor."""
     model = linear(STIFFNESS + ALPHA, 0.3)
     answer = explain(model, [recording(1, 50.0), recording(2, 25.0), recording(4, 37.0)], [recording(3, 50.0)], afdsvc_physics(), experiment=False)

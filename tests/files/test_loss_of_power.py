@@ -116,7 +116,7 @@ def test_what_is_no_recording_is_not_touched(tmp_path, content):
     assert (tmp_path / "a.mcap").read_bytes() == content
 
 
-def test_a_small_disk_that_is_full_is_told_and_what_was_written_opens(tmp_path, blocks):
+def test_a_small_disk_that_is_full_is_reported_and_what_was_written_opens(tmp_path, blocks):
     """A file system of 100 kB where this may be mounted, a limit on the size of files otherwise."""
     place = tmp_path / "disk"
     place.mkdir()

@@ -81,7 +81,7 @@ def sine(seconds: float, amplitude: float = 0.5) -> Burst:
     return Burst("b1", 2, round(seconds * 5000), 250, (Line(0, 390.0, amplitude),))
 
 
-def test_a_burst_is_played_and_told(settings, bearing, plugins):
+def test_a_burst_is_played_and_reported(settings, bearing, plugins):
     with Transport(settings, hub=True) as hub:
         ear = Ear(hub)
         with rig(settings, bearing(), plugins):
@@ -247,7 +247,7 @@ def test_a_renewed_lease_carries_q(settings, bearing, plugins):
             assert ear.wait(EventKind.RESTORED, 5.0).cause == "the lease expired: no renewal from the service"
 
 
-def test_what_is_wrong_with_a_q_is_told_and_nothing_moves(settings, bearing, plugins):
+def test_what_is_wrong_with_a_q_is_reported_and_nothing_moves(settings, bearing, plugins):
     unstable = StateSpace(1.01 * np.eye(1), np.ones((1, 2)), 0.01 * np.ones((2, 1)), np.zeros((2, 2)), 2e-4)
     with Transport(settings, hub=True) as hub:
         ear = Ear(hub)

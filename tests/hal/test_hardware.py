@@ -16,7 +16,7 @@ from afdsvc.service.clock import FastClock
 
 
 class PlantDriver:
-    """Hardware that is a linear plant with the simulator's own noise; it can be told to fail at a sample."""
+    """Hardware that is a linear plant with the simulator's own noise; it can be ordered to fail at a sample."""
 
     def __init__(self, machine, seed: int = 1, fail_at: int = -1, nan_at: int = -1) -> None:
         self.G, self.x, self.u, self.k = machine.plant, np.zeros(machine.plant.order), np.zeros(2), 0

@@ -1,4 +1,4 @@
-"""Machines simulated by what only steps: the same loop as the linear simulator, limits, faults, and ends that are told."""
+"""Machines simulated by what only steps: the same loop as the linear simulator, limits, faults, and ends that are reported."""
 
 import numpy as np
 import pytest

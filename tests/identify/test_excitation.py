@@ -68,9 +68,9 @@ def test_the_count_is_the_rank_of_the_windows():
 
 
 def test_one_sine_cannot_carry_order_six_and_the_refusal_says_what_can():
-    with pytest.raises(BadInput) as told:
+    with pytest.raises(BadInput) as reported:
         require_excitation(_record(_sines([62.0])), 6, ["valve"], 2, (5.0, 400.0))
-    text = str(told.value)
+    text = str(reported.value)
     assert "input 'valve' holds 1 spectral line: persistent excitation of order 2, expected 10 for a model of order 6" in text
     assert "multisine with at least 20 lines between 5 and 400 Hz" in text
     assert needed_order(6, 2) == 10

@@ -236,9 +236,9 @@ def diagnosis_burst(model, fact, bearing, run_loop):
 
 def test_not_exciting(model, diagnosis_burst):
     """One sentence: the order of persistent excitation found, the one wanted, and the burst to play instead."""
-    with pytest.raises(BadInput) as told:
+    with pytest.raises(BadInput) as reported:
         identify(model, [diagnosis_burst])
-    text = str(told.value)
+    text = str(reported.value)
     assert "input 'horizontal' holds 1 spectral line: persistent excitation of order 2, expected" in text
     assert ", expected 10 for a model of order 6" in text
     assert "afdsvc burst --purpose identify" in text

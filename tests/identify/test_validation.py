@@ -1,4 +1,4 @@
-"""An undamped mode that the nominal model does not have is told; one that it has is not."""
+"""An undamped mode that the nominal model does not have is reported; one that it has is not."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def _oscillator(hz, damping):
     return sample_zoh(StateSpace.of([[0, 1], [-w * w, -2 * damping * w]], [[0], [1]], [[1, 0]], [[0]], 0.0), 1e-3)
 
 
-def test_only_new_undamped_modes_are_told():
+def test_only_new_undamped_modes_are_reported():
     found = _oscillator(50.0, 0.002)
     assert undamped_modes(found, _oscillator(20.0, 0.3)) == [pytest.approx(50.0, rel=1e-3)]
     assert undamped_modes(found, _oscillator(52.0, 0.005)) == []
@@ -45,15 +45,15 @@ def test_the_orbit_of_a_rotor_is_not_taken_for_the_plant_silently(bearing, obser
     roles = (("u", plant.inputs), ("y", plant.outputs), ("alpha", plant.inputs))
     channels = tuple(Channel(f"{role}_{v.name}", v.unit) for role, side in roles for v in side)
     angle = 2 * np.pi * 30 * np.arange(4000) * bearing.dt
-    told = []
+    reported = []
     for size in (0.0, 4.0):
         d = 0.1 * rng.standard_normal((4000, 2)) + size * np.column_stack([np.cos(angle), np.sin(angle)])
         record, alpha, _ = run_loop(fact, bearing, 0.5 * binary(rng, 4000), d)
         trace = Trace("run", bearing.dt, channels, np.hstack([record.u, record.y, alpha]))
-        told.append([w for w in identify(model, [trace], options=IdentifyOptions(groups=0)).warnings if "undamped" in w])
-    assert told[0] == []
-    assert len(told[1]) == 1
-    assert "periodic disturbance" in told[1][0]
+        reported.append([w for w in identify(model, [trace], options=IdentifyOptions(groups=0)).warnings if "undamped" in w])
+    assert reported[0] == []
+    assert len(reported[1]) == 1
+    assert "periodic disturbance" in reported[1][0]
 
 
 def _bands(difference, sd):

@@ -138,7 +138,7 @@ def test_a_controller_that_does_not_stabilise_is_named_with_its_pole() -> None:
         lti.coprime(plant, control.ss([], [], [], [[1.0]], 0.1))
 
 
-def test_hidden_unstable_modes_are_told_apart() -> None:
+def test_hidden_unstable_modes_are_distinguished() -> None:
     hidden = control.ss(np.diag([1.2, 0.5]), [[1.0], [1.0]], [[0.0, 1.0]], 0, 0.1)
     with pytest.raises(NotStabilising, match=r"pole 1\.2 .*plant is unobservable \(rank 1 of 2\)"):
         lti.coprime(hidden, control.ss([], [], [], [[-0.1]], 0.1))

@@ -77,9 +77,9 @@ def test_q_reaches_nine_tenths_of_the_oracle(seed, fault):
         before, after, best = (hand_cost(problem, cost, fault, severity, none), hand_cost(problem, cost, fault, severity, Q), hand_best(problem, cost, fault, severity))
         assert (before - after) > 0.9 * (before - best)
         assert best < after  # nothing is better than the oracle
-    told = expected(problem, found, cost, Q, 3)
-    assert told.after[0] == pytest.approx(hand_cost(problem, cost, fault, -0.35, Q), rel=1e-9)
-    assert told.best[2] == pytest.approx(hand_best(problem, cost, fault, -0.25), rel=1e-8)
+    reported = expected(problem, found, cost, Q, 3)
+    assert reported.after[0] == pytest.approx(hand_cost(problem, cost, fault, -0.35, Q), rel=1e-9)
+    assert reported.best[2] == pytest.approx(hand_best(problem, cost, fault, -0.25), rel=1e-8)
 
 
 def test_the_slope_of_the_cost_is_that_of_finite_differences():
@@ -118,8 +118,8 @@ def test_an_unstable_plant_with_a_weak_input_is_retuned():
     problem = unstable_problem()
     cost = loop_cost(problem, {"state_weight": 1.0, "input_weight": 0.1, "process_weight": 1.0})
     found = DiagnosedFault("b2", -0.35, -0.25)
-    told = expected(problem, found, cost, design_q(problem, found, cost))
-    assert told.reached.min() > 0.9
+    reported = expected(problem, found, cost, design_q(problem, found, cost))
+    assert reported.reached.min() > 0.9
 
 
 def test_a_tight_limit_is_kept_where_the_cost_alone_would_break_it():

@@ -1,4 +1,4 @@
-"""Alarms over restarts, the minute before them in a file, and those who are told: none may hold up or take down the rest."""
+"""Alarms over restarts, the minute before them in a file, and those who are notified: none may hold up or take down the rest."""
 
 from __future__ import annotations
 
@@ -220,9 +220,9 @@ def test_a_webhook_posts_the_change_and_takes_its_secret_from_the_environment(mo
     Webhook().open({**settings, "events": ["ended"]})(json_values(CHANGE))
     server.shutdown()
     server.server_close()
-    ((token, told),) = Ear.heard
+    ((token, reported),) = Ear.heard
     assert token == "Bearer s3cret"
-    assert (told["event"], told["why"], told["alarm"]["id"]) == ("raised", "because", "m/a")
+    assert (reported["event"], reported["why"], reported["alarm"]["id"]) == ("raised", "because", "m/a")
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ def test_a_backlog_larger_than_the_queue_is_worked_off_without_loss():
     keys, watch = Keys("t"), SlowWatch()
     with Transport(settings, hub=True) as line, Transport(settings, hub=False) as rig:
         hub = Hub(keys, "0", {"m1": watch}, {}, line, RealClock(), lambda: ("", 0, "", 0), queue_size=20)
-        line.publish = lambda *_, **__: None  # the status of this machine cannot be told
+        line.publish = lambda *_, **__: None  # the status of this machine cannot be reported
         hub.start()
         sender = threading.Thread(target=lambda: [rig.publish(keys.block("m1"), bytes([i % 256]) * 20_000) for i in range(300)])
         sender.start()

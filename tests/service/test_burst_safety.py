@@ -1,4 +1,4 @@
-"""Whatever happens at whatever moment of a burst: limits hold, alpha ends, nominal control goes on, the cause is told."""
+"""Whatever happens at whatever moment of a burst: limits hold, alpha ends, nominal control goes on, the cause is reported."""
 
 from __future__ import annotations
 
@@ -183,9 +183,9 @@ def test_anything_at_any_point_of_a_burst_leaves_the_plant_at_rest_and_within_li
     cut = (block + 1) * 250
     scene.check(ended if what in HARMLESS or cut > ended else min(cut + fade, ended))
     assert scene.port._closed
-    told = [e for e in scene.wire.events() if e.kind in ENDS and e.burst == "b1"]
+    reported = [e for e in scene.wire.events() if e.kind in ENDS and e.burst == "b1"]
     if what in WORDS and begun <= block * 250 < ended - 500:
-        (end,) = told
+        (end,) = reported
         assert end.kind is EventKind.BURST_ABORTED
         assert WORDS[what] in end.cause
     if what in HARMLESS:
@@ -229,7 +229,7 @@ def test_after_an_emergency_stop_every_burst_is_refused(simulated, bearing):
         ({"burst": sine(amplitude=500.0)}, "at most 100 is allowed"),
     ],
 )
-def test_what_is_refused_is_told_with_its_reason(simulated, bearing, changes, words):
+def test_what_is_refused_is_reported_with_its_reason(simulated, bearing, changes, words):
     scene, replies = Scene(simulated, bearing), []
     scene.at[2] = lambda: replies.append(scene.ask(**{"burst": sine(), **changes}))
     scene.agent.run(0.5)
@@ -281,7 +281,7 @@ def test_control_never_waits_for_the_network_or_for_a_check(simulated, bearing):
 
 
 class Bench:
-    """A driver around a simulated plant that fails at one call; the amplifier remembers what it was last told."""
+    """A driver around a simulated plant that fails at one call; the amplifier remembers what it was last sent."""
 
     def __init__(self, machine, fails_at: int, where: str) -> None:
         self.G, self.x, self.u = machine.plant, np.zeros(machine.plant.order), np.zeros(2)

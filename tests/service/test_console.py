@@ -223,7 +223,7 @@ def test_an_alarm_is_handled_by_keyboard_alone(free_port, tmp_path, browser):
         browser.until("document.body.innerText.includes('read only')")
         an_alarm(hub)
         browser.until("document.body.innerText.includes('not acknowledged')")
-        browser.until("document.getElementById('news').textContent.includes('bearing/horizontal_actuator')")  # told to who cannot see
+        browser.until("document.getElementById('news').textContent.includes('bearing/horizontal_actuator')")  # announced to screen readers
         assert browser.value("document.title").startswith("(1) ")
         assert browser.value("document.querySelectorAll('button:not(dialog button)').length") == 0
         browser.open(ask_service(site, "console", "kim")["url"], 400)

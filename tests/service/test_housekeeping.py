@@ -37,7 +37,7 @@ def torn(path: Path) -> Path:
     return path
 
 
-def test_what_was_left_open_is_closed_and_told(tmp_path):
+def test_what_was_left_open_is_closed_and_reported(tmp_path):
     mine = [torn(tmp_path / "m1-20261101T120000.0001.mcap"), torn(tmp_path / "alarms" / "m1-20261101T120000-alarm-001-pump.mcap")]
     others = [torn(tmp_path / "m2-20261101T120000.mcap"), torn(tmp_path / "measured.mcap")]
     assert unfinished(tmp_path, {"m1"}) == mine
@@ -79,7 +79,7 @@ def test_files_of_alarms_go_by_their_own_age_and_chores_are_done_though_one_fail
     assert [p.exists() for p in (old, new, foreign)] == [False, True, True]
 
 
-def test_old_recordings_go_while_it_runs_and_it_is_told(tmp_path):
+def test_old_recordings_go_while_it_runs_and_it_is_reported(tmp_path):
     old, busy, new = (tmp_path / f"m1-2026110{day}T120000.mcap" for day in (1, 2, 3))
     for path in (old, busy, new):
         path.write_bytes(bytes(10))

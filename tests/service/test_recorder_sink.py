@@ -1,4 +1,4 @@
-"""Slow, failing and full sinks: detection never waits for them, and what they miss is counted and told."""
+"""Slow, failing and full sinks: detection never waits for them, and what they miss is counted and reported."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ class Slow:
         self.closed = True
 
 
-def test_a_slow_sink_holds_nobody_up_and_its_drops_are_counted_and_told_once():
-    told: list[str] = []
-    sink = ThreadedSink(Slow(0.2), "slow", told.append, size=10)
+def test_a_slow_sink_holds_nobody_up_and_its_drops_are_counted_and_reported_once():
+    reported: list[str] = []
+    sink = ThreadedSink(Slow(0.2), "slow", reported.append, size=10)
     began = time.monotonic()
     for _ in range(500):
         sink.take(Message(block(), b""))
     assert time.monotonic() - began < 50  # waiting for it would take 98 s
-    assert told == ["10 messages wait; further ones are dropped until the queue has room"]
+    assert reported == ["10 messages wait; further ones are dropped until the queue has room"]
     sink.close(10)
     assert sink._sink.closed
     assert sink.dropped + sink._sink.taken == 500

@@ -33,7 +33,7 @@ def test_the_pipeline_is_not_touched_and_the_design_is_there(monkeypatch):
     assert detector.statistic.start(burst, pipeline.dt).plan is first.plan
 
 
-def test_what_fails_is_told_and_the_others_are_rehearsed(caplog):
+def test_what_fails_is_reported_and_the_others_are_rehearsed(caplog):
     pipeline, burst = machine()
     broken = replace(burst, waveform=np.zeros((burst.samples, burst.inputs)), lines=(), samples=burst.samples)
     rehearsals = WarmUp([(replace_expected(pipeline), broken), (pipeline, burst)])

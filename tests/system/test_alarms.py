@@ -54,7 +54,7 @@ def run_rig(site: Site, seconds: float) -> None:
     assert not thread.is_alive()
 
 
-def test_an_alarm_is_told_counted_kept_and_remembered(free_port, tmp_path):
+def test_an_alarm_is_reported_counted_kept_and_remembered(free_port, tmp_path):
     site = site_of(free_port, tmp_path, free_port + 1, FAULTY.replace("real_time = false, ", ""))
     heard: list[AlarmChange] = []
     with serve.serving(site) as hub:
@@ -76,10 +76,10 @@ def test_an_alarm_is_told_counted_kept_and_remembered(free_port, tmp_path):
 
     with serve.serving(site) as hub:
         (again,) = ask_service(site, "alarms", "lee")
-        told = ask_service(site, "history", "lee", alarm=again["id"])
+        reported = ask_service(site, "history", "lee", alarm=again["id"])
     assert again["active"]
     assert (again["acknowledged_by"], again["comment"]) == ("kim", "on my way")
-    assert [(c["event"], c["who"]) for c in told] == [("raised", ""), ("acknowledged", "kim")]
+    assert [(c["event"], c["who"]) for c in reported] == [("raised", ""), ("acknowledged", "kim")]
 
 
 def test_an_address_for_metrics_that_is_taken_stops_the_start_with_one_sentence(free_port, tmp_path):

@@ -84,7 +84,7 @@ class Everything:
 
 
 class Says:
-    """A stream that says of every block what it is told to say."""
+    """A stream that says of every block what it is given to say."""
 
     def __init__(self) -> None:
         self.outcome, self.dt, self.bursts, self.ready_at = Outcome((), (), np.zeros((50, 1))), 1e-3, {}, 0
@@ -160,12 +160,12 @@ def test_medkit_105_consequences_stand_under_their_cause():
 @pytest.mark.parametrize("thread", ["medkit_120", "mowglinext_718", "rosbag2_1409", "rosbag2_837"])
 def test_what_came_before_the_trigger_is_in_a_file_of_its_own(tmp_path, thread):
     """All four ask for the time before the event: a ring buffer in memory, written when something happens."""
-    box, told = PreAlarmBuffer(tmp_path / thread, Header(), seconds=2.0), []
+    box, reported = PreAlarmBuffer(tmp_path / thread, Header(), seconds=2.0), []
     for seq in range(100):
         box.take(Message(block(seq)))
-    book = AlarmBook(tell=told.append)
+    book = AlarmBook(tell=reported.append)
     book.take(decision(True))
-    box.take(Message(told[0]))
+    box.take(Message(reported[0]))
     kept = [b.seq for b in Recording(box.paths[0]).blocks()]
     assert kept[-1] == 99
     assert 39 <= len(kept) <= 42
@@ -185,7 +185,7 @@ def test_diagnostics_506_593_stale_is_not_an_error_and_the_reason_is_named():
     assert hub.alarms.alarms == {}
 
 
-def test_diagnostics_167_168_two_things_in_one_moment_are_both_told():
+def test_diagnostics_167_168_two_things_in_one_moment_are_both_reported():
     """A queue of one overlooked the error between two good reports."""
     hub, watch, stream = service()
     stream.outcome = Outcome((), (Trouble("bad_samples", "'y_x' is NaN"), Trouble("frozen_sensor", "'y_x' stands still")), None)

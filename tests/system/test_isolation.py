@@ -82,7 +82,7 @@ def test_twenty_of_twenty(bearing, plugins, controller, rpm, fault):
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize(("controller", "rpm"), LOOPS)
 def test_a_small_burst_is_never_falsely_sure(bearing, plugins, controller, rpm):
-    """At 0.3 um actuator and sensor of one axis cannot be told apart: both are reported, the wrong one never alone."""
+    """At 0.3 um actuator and sensor of one axis cannot be distinguished: both are reported, the wrong one never alone."""
     undecided = 0
     for fault in FAULTS:
         for seed in range(5):

@@ -1,4 +1,4 @@
-"""What people bring, through the commands: their recordings with a mapping, their simulators, and every change told in the answers."""
+"""What people bring, through the commands: their recordings with a mapping, their simulators, and every change reported in the answers."""
 
 import json
 import subprocess
@@ -155,7 +155,7 @@ def test_explain_and_identify_say_what_stands_for_a_simulator(folder):
     assert any("lag.py:lag only steps" in note for note in found["notes"])
 
 
-def test_where_a_simulator_rests_is_taken_off_the_recordings_and_told(folder):
+def test_where_a_simulator_rests_is_taken_off_the_recordings_and_reported(folder):
     (folder / "lag.py").write_text("def lag(x, u, dt):\n    x = 0.0 if x is None else 0.9 * x + 0.1 * u[0]\n    return [x], [x + 7.0]\n".replace("0.9 * x", "0.9 * x[0]"))
     text = MODEL.replace("A = [[0.9]]\nB = [[0.1]]\nC = [[1.0]]\nD = [[0.0]]", 'dynamics = "lag.py:lag"')
     (folder / "lag.toml").write_text(text)
@@ -172,7 +172,7 @@ def write_model_of_matrices(folder: Path) -> Path:
     return folder / "matrices.toml"
 
 
-def test_a_recording_in_other_units_than_the_model_is_converted_and_told(folder):
+def test_a_recording_in_other_units_than_the_model_is_converted_and_reported(folder):
     import_recording(folder / "log.csv", folder / "log.mcap", folder / "lag.toml", {}, folder / "mapping.toml")
     (folder / "metres.toml").write_text(MODEL.replace('"mm"', '"m"').replace("B = [[0.1]]", "B = [[0.0001]]").replace("0.02", "0.00002"))
     options = {"method": "subspace", "order": 1}

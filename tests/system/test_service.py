@@ -148,7 +148,7 @@ bursts = {every_seconds = 30.0, first_after_seconds = 0.5, seconds = 2.0}"""
     assert any(e.fault == "vertical_actuator" and e.trustworthy for e in found)
 
 
-def test_people_can_ask_and_are_told_why_not(free_port, tmp_path):
+def test_people_can_ask_and_hear_why_not(free_port, tmp_path):
     site = site_of(free_port, tmp_path)
     with serve.serving(site) as hub:
         with pytest.raises(AfdsvcError, match="machine 'bearing' is not connected"):

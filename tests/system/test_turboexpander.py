@@ -117,8 +117,8 @@ def test_parts_follow_a_change_of_speed_and_a_fault_during_rotation_is_named(plu
     verdict = conclude(bench.evidence[2:])
     assert verdict.fault == "soft_bearing"
     # on an unstable plant the regression is exact for small severities only; the matched filter follows the curve
-    told = next(e.severity for e in bench.evidence[2:] if e.detector == "matched_filter")
-    assert abs(told.value + 0.3) < 4 * told.sd
+    reported = next(e.severity for e in bench.evidence[2:] if e.detector == "matched_filter")
+    assert abs(reported.value + 0.3) < 4 * reported.sd
     assert len(bench.evidence) == 4
     assert bench.peak < 6.0
     sink.close()
@@ -193,7 +193,7 @@ bursts = {{every_seconds = 6.0, first_after_seconds = 1.0, seconds = 2.0, severi
 
 
 def test_the_design_says_what_cannot_be_isolated(plugins) -> None:
-    """A weak magnet and a weak amplifier of one axis do the very same to the rotor: no burst tells them apart."""
+    """A weak magnet and a weak amplifier of one axis do the very same to the rotor: no burst distinguishes them."""
     twins = [{"name": "weak_magnet", "kind": "parameter", "settings": {"parameter": "current_gain_a_x"}},
              {"name": "amplifier", "kind": "actuator_gain", "settings": {"input": 0}}, FAULTS[0]]
     machine = turboexpander(plugins, faults=twins)

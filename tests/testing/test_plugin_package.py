@@ -27,7 +27,7 @@ def test_a_new_plugin_conforms(kind, tmp_path, monkeypatch):
     sys.modules.pop(name)
 
 
-def test_a_plugin_that_fails_is_told_check_by_check(tmp_path, monkeypatch):
+def test_a_plugin_that_fails_is_reported_check_by_check(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", list(sys.path))
     write_plugin("detector", "breaks", tmp_path)
     path = tmp_path / "breaks" / "breaks.py"

@@ -30,7 +30,7 @@ def kept():
         keeper.close()
 
 
-def told(keeper: LeaseKeeper, leases: list[tuple[str, bytes]], seconds: float = 30.0) -> bool:
+def reported(keeper: LeaseKeeper, leases: list[tuple[str, bytes]], seconds: float = 30.0) -> bool:
     """Say the leases until the keeper renews them; return whether it does."""
     return wait_for(lambda: keeper.renew(leases), seconds)
 
@@ -38,7 +38,7 @@ def told(keeper: LeaseKeeper, leases: list[tuple[str, bytes]], seconds: float = 
 def test_leases_are_renewed_while_no_thread_of_the_service_runs(kept):
     """One thread holds the interpreter for half a second: threads of the service wait, the keeper's renewals come all the same."""
     keeper, heard = kept
-    assert told(keeper, [(KEY, b"one"), (KEY, b"two")])
+    assert reported(keeper, [(KEY, b"one"), (KEY, b"two")])
     assert wait_for(lambda: len(heard) > 4)
     assert keeper.renew([(KEY, b"one"), (KEY, b"two")])
     keeper.longest = 0.0
@@ -64,7 +64,7 @@ def test_leases_are_renewed_while_no_thread_of_the_service_runs(kept):
 def test_renewals_of_many_machines_are_not_dropped(kept):
     keeper, heard = kept
     leases = [(KEY, str(i).encode()) for i in range(200)]
-    assert told(keeper, leases)
+    assert reported(keeper, leases)
     assert wait_for(lambda: keeper.renew(leases) and {payload for _, payload in heard} >= {lease for _, lease in leases})
     before = len(heard)
     keeper.renew(leases)
@@ -75,7 +75,7 @@ def test_renewals_of_many_machines_are_not_dropped(kept):
 
 def test_renewals_go_before_other_processes_where_that_is_permitted(kept):
     keeper, _ = kept
-    assert told(keeper, [(KEY, b"one")])
+    assert reported(keeper, [(KEY, b"one")])
     tried = subprocess.run([sys.executable, "-c", f"import os; os.setpriority(os.PRIO_PROCESS, 0, {PRIORITY})"], capture_output=True, check=False)
     assert keeper._process is not None
     assert os.getpriority(os.PRIO_PROCESS, keeper._process.pid) == (PRIORITY if tried.returncode == 0 else os.getpriority(os.PRIO_PROCESS, 0))
@@ -96,17 +96,17 @@ def hold_the_interpreter(seconds: float) -> None:
 
 def test_a_service_that_hangs_renews_nothing(kept):
     keeper, heard = kept
-    assert told(keeper, [(KEY, b"one")])
+    assert reported(keeper, [(KEY, b"one")])
     assert wait_for(lambda: heard)
     silent = time.monotonic()
     time.sleep(TRUST_SECONDS + 2.0)
     assert heard[-1][0] < silent + TRUST_SECONDS + 1.5
-    assert told(keeper, [(KEY, b"one")])
+    assert reported(keeper, [(KEY, b"one")])
 
 
 def test_what_has_ended_is_not_renewed(kept):
     keeper, heard = kept
-    assert told(keeper, [(KEY, b"one")])
+    assert reported(keeper, [(KEY, b"one")])
     assert wait_for(lambda: heard)
     keeper.renew([])
     time.sleep(1.0)
@@ -119,19 +119,19 @@ def test_what_has_ended_is_not_renewed(kept):
 
 def test_a_keeper_that_is_stopped_or_dead_is_said_to_be_so_and_one_with_new_keys_begins(kept):
     keeper, heard = kept
-    assert told(keeper, [(KEY, b"one")])
+    assert reported(keeper, [(KEY, b"one")])
     os.kill(keeper._process.pid, signal.SIGSTOP)
     assert wait_for(lambda: not keeper.renew([(KEY, b"one")]))
     os.kill(keeper._process.pid, signal.SIGCONT)
-    assert told(keeper, [(KEY, b"one")])
+    assert reported(keeper, [(KEY, b"one")])
     before = keeper._process.pid
     keeper.restart()
-    assert told(keeper, [(KEY, b"one")])
+    assert reported(keeper, [(KEY, b"one")])
     assert keeper._process.pid != before
 
 
 def test_the_longest_wait_is_reported(kept):
     keeper, _ = kept
-    assert told(keeper, [])
+    assert reported(keeper, [])
     assert wait_for(lambda: keeper.renew([]) and keeper.longest > 0)
     assert np.isfinite(keeper.longest)

@@ -78,7 +78,7 @@ def test_rival_of_another_family_is_far_apart(friction) -> None:
 
 
 @pytest.mark.long
-def test_load_and_offset_cannot_be_told_apart_at_rest() -> None:
+def test_load_and_offset_cannot_be_distinguished_at_rest() -> None:
     """Both shift one output; only the weak static coupling between the axes (half a per cent) differs."""
     trial = generate_trial("sensor_offset", "output:horizontal", 0.3, np.random.default_rng(2), SHORT)
     assert rival_distance(trial, {"physics": "constant_load", "site": "state:horizontal_rate"}) < UNDECIDABLE

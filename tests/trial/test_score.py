@@ -53,7 +53,7 @@ def test_confident_false_name_needs_weight_and_no_truth_beside_it() -> None:
     assert not score(said({**WRONG, "weight": 0.89}), answer(FRICTION)).confident_false
 
 
-def test_a_further_effect_that_is_not_there_is_told_from_a_look_alike() -> None:
+def test_a_further_effect_that_is_not_there_is_distinguished_from_a_look_alike() -> None:
     further = {**WRONG, "effect": 2}
     noise = entry("coloured_noise", "output:vertical", 1.0)
     assert score(said(RIGHT, further), answer(FRICTION)).extra_false

@@ -8,7 +8,7 @@ A fault of severity theta feeds ``w = theta z`` into the plant. With the predict
 For gain faults of a stable plant with output noise only, Kp is 0, z is what truly enters the fault, and the
 regression holds exactly for every severity, total loss included; least squares on psi is then maximum likelihood and
 also uses what the loop's own noise reveals. Otherwise psi is minus the derivative of the prediction error at theta =
-0: correct to first order. ``exact`` tells the two apart. (The observation is this project's; the setting is the
+0: correct to first order. ``exact`` distinguishes the two. (The observation is this project's; the setting is the
 thesis', chapter 5.)
 """
 

@@ -56,10 +56,10 @@ def threshold(waves: Array, false_alarm: float) -> float:
     """Return c with ``P(max_k (<z, t_k> - |t_k|^2 / 2) > c) = false_alarm`` for waves t_k of shape ``(K, D)``."""
     t = np.ascontiguousarray(waves, dtype=float)
     e, length = reduced(t), np.linalg.norm(t, axis=1)
-    u, wanted = points(e.shape[1]), math.log(false_alarm)
+    u, target = points(e.shape[1]), math.log(false_alarm)
 
     def excess(c: float) -> float:
-        return math.log(max(_union(e, heights(length, c), u), 1e-300)) - wanted
+        return math.log(max(_union(e, heights(length, c), u), 1e-300)) - target
 
     low, high = 1e-6, math.log(1 / false_alarm) + math.log(len(t)) + 1.0  # P <= K e^-c
     return low if excess(low) <= 0 else float(brentq(excess, low, high, xtol=1e-5))

@@ -77,7 +77,7 @@ class LikelihoodRatio:
     """``sqrt(2 max log likelihood ratio)`` along the curves: with one fault on a straight curve, its matched filter."""
 
     def waves(self, curves: FaultCurves, data: LineData, reach: Reach) -> Array:
-        """Return waves on every curve, as close as the noise can tell apart."""
+        """Return waves on every curve, as close as the noise can distinguish."""
         found = [likelihood_ratio.waves_along(curves, name, data, _outer(bounds)) for name, bounds in reach.items()]
         return _visible(np.concatenate(found))
 

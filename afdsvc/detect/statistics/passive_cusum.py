@@ -207,7 +207,7 @@ def passive_detector(
     name: str, problem: DetectionProblem, gate: Gate, severity: float, silence_seconds: float, sure: float, frozen: int,
     nuisances: Nuisances = NONE,
 ) -> PassiveDetector:
-    """Return the passive CUSUM; raises `BadInput` when the loop's noise tells nothing about any fault."""
+    """Return the passive CUSUM; raises `BadInput` when the loop's noise holds no information on any fault."""
     noise, filters = noise_driven(problem), shared_regressors(problem)
     passive = noise.passive[: filters.faults]
     which = np.flatnonzero(passive > 1e-12 * max(passive.max(initial=0.0), 1e-300))

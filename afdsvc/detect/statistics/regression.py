@@ -59,7 +59,7 @@ class Regression:
     """Statistic of the regression detector. ``false_alarm`` is per burst, ``bounds`` those of the severities, ``sd``
     the standard deviations of the model's uncertain parameters, which are averaged out, ``nuisances`` what is projected
     out of residual and regressors, ``theta (K, p, F)`` makes the regressors from the features in the series. Severities of the faults of
-    ``first_order`` are biased; ``loop`` tells by how much, None where the controller is not known: then standard errors include twice the
+    ``first_order`` are biased; ``loop`` gives by how much, None where the controller is not known: then standard errors include twice the
     square of the severity. ``estimated`` counts the samples that
     the noise was estimated from (0: stated); faults of ``feedthrough`` do not change the signal they multiply, but for the loop.
     """

@@ -50,10 +50,10 @@ def maximum_threshold(directions: Array, false_alarm: float) -> float:
     e = np.ascontiguousarray(reduced(directions))
     u = points(e.shape[1])
     low, high = max(tail_point(false_alarm), 0.0), max(tail_point(false_alarm / (2 * len(e))), 0.1)
-    wanted = math.log(false_alarm)
-    if math.log(_exceedance(e, u, low)) <= wanted:  # the estimator's own rounding
+    target = math.log(false_alarm)
+    if math.log(_exceedance(e, u, low)) <= target:  # the estimator's own rounding
         return low
-    return float(brentq(lambda h: math.log(_exceedance(e, u, h)) - wanted, low, high, xtol=1e-6))
+    return float(brentq(lambda h: math.log(_exceedance(e, u, h)) - target, low, high, xtol=1e-6))
 
 
 def tests_counted(directions: Array, h: float) -> float:

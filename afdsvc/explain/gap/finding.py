@@ -76,7 +76,7 @@ class Gap:
 
 def sentence(found: Gap, outputs: Sequence[str], held: float, needed: float) -> str:
     """Return the finding in words; ``held`` blocks of four correlation times where ``needed`` are expected."""
-    kind = "Gap" if found.present else "No gap found" if found.enough else "Too short to tell a gap from noise"
+    kind = "Gap" if found.present else "No gap found" if found.enough else "Too short to distinguish a gap from noise"
     words = f"{kind}: a flexible model predicts {_shares(found.r2, outputs)} of the residual's power on data it was not fitted to"
     words += f" ({100 * found.blocks_won:.0f} % of {found.blocks} blocks improve, {p_value_text(found.p_value)})"
     if found.present:

@@ -71,7 +71,7 @@ def _excited(verdict: Verdict, findings: Sequence[Finding]) -> Verdict:
     if verdict.verdict == "unexplained":
         poor = poor or one_frequency(findings)
     if verdict.verdict in ("consistent", "unexplained") and not (verdict.gap.present or verdict.gap.enough):
-        poor = poor or "the residual changes too slowly for the length of the recordings to tell a gap from noise"
+        poor = poor or "the residual changes too slowly for the length of the recordings to distinguish a gap from noise"
     if not poor or verdict.claims:
         return verdict
     return replace(verdict, verdict="insufficient_excitation", sentences=(poor, *verdict.sentences))

@@ -106,8 +106,8 @@ def _states(table: ModelTable, plant: StateSpace | None, source: str) -> tuple[V
     if plant is not None and not table.states:
         return default_states(plant, [Variable(v.name, v.unit) for v in table.outputs])
     if plant is not None and len(table.states) != plant.order:
-        found, wanted = len(table.states), plant.order
-        raise BadInput(f"{source}: key 'states' names {found} states; expected {wanted}, as many as A has")
+        found, expected = len(table.states), plant.order
+        raise BadInput(f"{source}: key 'states' names {found} states; expected {expected}, as many as A has")
     return tuple(Variable(s.name, s.unit, s.rate_of) for s in table.states)
 
 
@@ -119,17 +119,17 @@ def _entry_sd(table: ModelTable, plant: StateSpace | None, source: str) -> dict[
     if plant is not None:
         return _entry_deviations(plant, table.uncertainty, source)
     if table.uncertainty is not None:
-        wanted = "expected relative_sd of each parameter where the model states dynamics"
-        raise BadInput(f"{source}: key 'uncertainty' is about matrices; {wanted}")
+        expected = "expected relative_sd of each parameter where the model states dynamics"
+        raise BadInput(f"{source}: key 'uncertainty' is about matrices; {expected}")
     return {}
 
 
 def _output_sd(table: ModelTable, source: str) -> Array | None:
     if table.noise is None or table.noise.output_sd is None:
         return None
-    found, wanted = len(table.noise.output_sd), len(table.outputs)
-    if found != wanted:
-        raise BadInput(f"{source}: key 'noise.output_sd' holds {found} values; expected {wanted}, one per output")
+    found, expected = len(table.noise.output_sd), len(table.outputs)
+    if found != expected:
+        raise BadInput(f"{source}: key 'noise.output_sd' holds {found} values; expected {expected}, one per output")
     return np.array(table.noise.output_sd)
 
 

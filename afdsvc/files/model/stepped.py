@@ -33,7 +33,7 @@ LINEARISED, REST = "linearised", "rest"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SteppedModel:
-    """The linear part (continuous where there is a continuous one), how to open the simulator, and what to tell."""
+    """The linear part (continuous where there is a continuous one), how to open the simulator, and what to report."""
 
     plant: StateSpace
     opened: Callable[[], SteppedPlant]
@@ -44,8 +44,8 @@ def unit_text(path: Path) -> str:
     """Return the MODEL.toml text an FMI unit stands for; raises `BadInput` when it does not say enough."""
     unit = describe(path)
     if unit.step is None:
-        wanted = f'expected a MODEL.toml with dynamics = "{path.name}" and sample_time'
-        raise BadInput(f"{path}: states no step size in its default experiment; {wanted}")
+        expected = f'expected a MODEL.toml with dynamics = "{path.name}" and sample_time'
+        raise BadInput(f"{path}: states no step size in its default experiment; {expected}")
     sides = {"inputs": unit.inputs, "outputs": unit.outputs}
     for side, names in sides.items():
         if not names:
@@ -164,8 +164,8 @@ def load_dynamics(reference: str, source: str, allow_code: bool) -> Dynamics:
     found = load_code(reference, Path(source).parent, f"{source}: key 'dynamics'")
     missing = [method for method in "fh" if not callable(getattr(found, method, None))]
     if missing:
-        wanted = "expected f(t, x, u, p) and h(t, x, u, p)"
-        raise BadInput(f"{source}: key 'dynamics' names {Path(source).parent / file}, where '{name}' has no {' and no '.join(missing)}; {wanted}")
+        expected = "expected f(t, x, u, p) and h(t, x, u, p)"
+        raise BadInput(f"{source}: key 'dynamics' names {Path(source).parent / file}, where '{name}' has no {' and no '.join(missing)}; {expected}")
     return cast(Dynamics, found)
 
 

@@ -95,11 +95,11 @@ class Recorder:
         self._write(lambda file: file.wire(name, "Block", block.t0_ns, data, block.seq))
 
     def finding(self, data: bytes, finding: Finding) -> None:
-        """Record a decision, and tell it in the log when it is news."""
+        """Record a decision, and write it to the log when it is new."""
         self._write(lambda file: self._finding(file, data, finding))
 
     def event(self, data: bytes, event: RigEvent) -> None:
-        """Record an event of the rig, and tell it in the log."""
+        """Record an event of the rig, and write it to the log."""
         self._write(lambda file: self._event(file, data, event))
 
     def request(self, data: bytes, request: BurstRequest) -> None:

@@ -16,7 +16,7 @@ from afdsvc.files.tables.time_base import FLAT, JITTER, STOP, reach, resampled, 
 from afdsvc.lti.statespace import Array
 
 SAME_STEP, SAME_PHASE = 1e-4, 1e-3  # relative differences of sample times, and of phases in samples, taken for rounding
-SHORTEST = 50  # samples; what is shorter tells nothing of a machine
+SHORTEST = 50  # samples; what is shorter says nothing of a machine
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,11 +54,11 @@ def aligned(
     remarks: list[str] = []
     evened = [_evened(_ordered(group, where, remarks), where, gap, regular, remarks) for group in groups]
     slowest = max(found[0].dt for found in evened)
-    wanted = dt or slowest
-    if all(_same_grid(found, evened[0], wanted) for found in evened):
+    step = dt or slowest
+    if all(_same_grid(found, evened[0], step) for found in evened):
         pieces = _side_by_side(evened)
     else:
-        pieces = _resampled(groups, evened, wanted, remarks)
+        pieces = _resampled(groups, evened, step, remarks)
     kept = [p for p in pieces if len(p.values) >= SHORTEST]
     if not kept:
         longest = max((len(p.values) for p in pieces), default=0)
@@ -154,11 +154,11 @@ def _on_grid(t: Array, values: Array, step: float, regular: bool) -> tuple[Piece
     return Piece(start, step, moved), float(np.abs(phase - np.round(phase)).max())
 
 
-def _same_grid(found: list[Piece], first: list[Piece], wanted: float) -> bool:
+def _same_grid(found: list[Piece], first: list[Piece], step: float) -> bool:
     """Whether a group lies on the requested grid already, and on the same one as the first group."""
-    if abs(found[0].dt - wanted) > SAME_STEP * wanted:
+    if abs(found[0].dt - step) > SAME_STEP * step:
         return False
-    phases = [(p.start - first[0].start) / wanted for p in (*found, *first)] if found is not first else [0.0]
+    phases = [(p.start - first[0].start) / step for p in (*found, *first)] if found is not first else [0.0]
     return bool(np.abs(np.array(phases) - np.round(phases)).max() < SAME_PHASE)
 
 

@@ -54,20 +54,20 @@ def _places(mapping: DataMapping) -> dict[str, str]:
 
 def _mapped(path: Path, groups: Sequence[Group], done: Sequence[str], mapping: DataMapping, model: Model | None) -> list[Trace]:
     remarks = list(done)
-    wanted = mapping.resample.dt or (model.plant.dt if model and model.plant and model.plant.discrete else None)
+    dt = mapping.resample.dt or (model.plant.dt if model and model.plant and model.plant.discrete else None)
     units = _model_units(model)
     named, channels = [], []
     for group in groups:
         columns = {}
         for signal, values in group.columns.items():
-            columns[signal], channel, sentence = _as_wanted(signal, values, mapping.signals[signal], units.get(signal, ""), path)
+            columns[signal], channel, sentence = _converted(signal, values, mapping.signals[signal], units.get(signal, ""), path)
             channels.append(channel)
             remarks.append(sentence)
         named.append(Group(group.name, group.t, columns))
-    if mapping.resample.hold and wanted:
-        pieces, aligning = held(named, str(path), wanted)
+    if mapping.resample.hold and dt:
+        pieces, aligning = held(named, str(path), dt)
     else:
-        pieces, aligning = aligned(named, str(path), wanted, mapping.resample.gap, mapping.time.regular)
+        pieces, aligning = aligned(named, str(path), dt, mapping.resample.gap, mapping.time.regular)
     notes = {"path": str(path), PREPARED: "\n".join([*remarks, *aligning])}
     order = _order(channels)
     sorted_channels = tuple(channels[i] for i in order)
@@ -96,23 +96,23 @@ def in_model_units(trace: Trace, model: Model) -> Trace:
     units, remarks = _model_units(model), []
     values, channels = trace.values, []
     for i, channel in enumerate(trace.channels):
-        wanted = units.get(channel.name, "")
-        if channel.unit and wanted and channel.unit != wanted:
+        expected = units.get(channel.name, "")
+        if channel.unit and expected and channel.unit != expected:
             where = f"{trace.name}: {channel.name}"
-            if not same_unit(channel.unit, wanted, where):
+            if not same_unit(channel.unit, expected, where):
                 values = values.copy() if values is trace.values else values
-                values[:, i] = converted(values[:, i], channel.unit, wanted, where)
-                remarks.append(f"{channel.name} is recorded in {channel.unit} and converted to {wanted}")
-            channel = Channel(channel.name, wanted)
-        channels.append(Channel(channel.name, channel.unit or wanted))
+                values[:, i] = converted(values[:, i], channel.unit, expected, where)
+                remarks.append(f"{channel.name} is recorded in {channel.unit} and converted to {expected}")
+            channel = Channel(channel.name, expected)
+        channels.append(Channel(channel.name, channel.unit or expected))
     before = trace.notes.get(PREPARED, "")
     notes = {**trace.notes, PREPARED: "\n".join([*before.splitlines(), *remarks])} if remarks else trace.notes
     return Trace(trace.name, trace.dt, tuple(channels), values, trace.t0, notes)
 
 
-def _as_wanted(signal: str, stored: Array, source: Source, unit: str, path: Path) -> tuple[Array, Channel, str]:
+def _converted(signal: str, stored: Array, source: Source, unit: str, path: Path) -> tuple[Array, Channel, str]:
     """Return a signal in the requested unit, its channel, and the sentence on what was done to it."""
-    where, wanted = f"{path}: {signal} from '{source.place}'", source.to or unit
+    where, expected = f"{path}: {signal} from '{source.place}'", source.to or unit
     values = stored if source.offset == 0 else stored + source.offset
     said = f"{signal} is {source.place}" + (f" [{source.unit}]" if source.unit else "")
     if source.offset:
@@ -123,10 +123,10 @@ def _as_wanted(signal: str, stored: Array, source: Source, unit: str, path: Path
         said += f", times {source.factor:g}" + (f" {source.factor_unit}" if source.factor_unit else "")
         given = product(source.unit, source.factor_unit, where) if source.factor_unit else source.unit
     if not given:
-        return values, Channel(signal, wanted), f"{said}, taken to be in {wanted}" if wanted else f"{said}, its unit unknown"
-    if not wanted or same_unit(given, wanted, where):
-        return values, Channel(signal, wanted or given), said if not wanted or given == source.unit else f"{said}, in {wanted}"
-    return converted(values, given, wanted, where), Channel(signal, wanted), f"{said}, converted to {wanted}"
+        return values, Channel(signal, expected), f"{said}, taken to be in {expected}" if expected else f"{said}, its unit unknown"
+    if not expected or same_unit(given, expected, where):
+        return values, Channel(signal, expected or given), said if not expected or given == source.unit else f"{said}, in {expected}"
+    return converted(values, given, expected, where), Channel(signal, expected), f"{said}, converted to {expected}"
 
 
 def _table(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group], list[str]]:

@@ -68,7 +68,7 @@ def _read(path: Path, items: Iterable[Item], places: Mapping[str, str], time: Ti
     for item in items:
         file.take(item, places)
         refuse_more(path, file.kept, most, "bytes in mapped messages")
-    topics = _wanted(places, {c.topic: file.kind(c) for c in file.channels.values()}, path)
+    topics = _topics(places, {c.topic: file.kind(c) for c in file.channels.values()}, path)
     for id, messages in file.stored.items():
         channel = file.channels[id]
         if channel.topic in topics:
@@ -122,7 +122,7 @@ def _take(topic: _Topic, decode: Decode, message: Message, time: Time, path: Pat
         raise BadInput(f"{path}: {error}") from None
 
 
-def _wanted(places: Mapping[str, str], there: Mapping[str, str], path: Path) -> dict[str, _Topic]:
+def _topics(places: Mapping[str, str], there: Mapping[str, str], path: Path) -> dict[str, _Topic]:
     """Return the topics that are mapped; the longest topic that begins a place is meant."""
     topics: dict[str, _Topic] = {}
     for signal, place in places.items():

@@ -135,8 +135,8 @@ def _name_bad_cell(path: Path, header: list[str], timed: list[str], delimiter: s
             if row == 0 or not cells:
                 continue
             if len(cells) != len(header):
-                wanted = f"expected {len(header)}, as many as the header"
-                raise BadInput(f"{path}: row {row} has {len(cells)} cells; {wanted}")
+                expected = f"expected {len(header)}, as many as the header"
+                raise BadInput(f"{path}: row {row} has {len(cells)} cells; {expected}")
             for name, cell in zip(header, cells, strict=True):
                 if name not in timed and not _is_number(cell.replace(point, ".")):
                     raise BadInput(f"{path}: column '{name}', row {row} holds '{cell}'; expected {_expected(cell, row)}")

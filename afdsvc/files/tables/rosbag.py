@@ -22,11 +22,11 @@ BAGS = (".bag", ".db3")
 FIELDS = 65_536  # elements of arrays of fixed length in all types together: the library writes code for each
 
 
-def read_bag(path: Path, wanted: Callable[[str], bool]) -> Iterator[Item]:
-    """Yield schema and channel of every topic, and the messages of the topics ``wanted``; raises `BadInput` for what is no bag."""
+def read_bag(path: Path, is_mapped: Callable[[str], bool]) -> Iterator[Item]:
+    """Yield schema and channel of every topic, and the messages of the topics for which ``is_mapped(topic)``; raises `BadInput` for what is no bag."""
     opened(path).close()
     try:
-        yield from (_ros1 if path.suffix.lower() == ".bag" else _ros2)(path, wanted)
+        yield from (_ros1 if path.suffix.lower() == ".bag" else _ros2)(path, is_mapped)
     except BadInput:
         raise
     except Exception as error:  # a bag that is none fails in many ways
@@ -42,7 +42,7 @@ def _library(path: Path) -> Any:
     return rosbags
 
 
-def _ros1(path: Path, wanted: Callable[[str], bool]) -> Iterator[Item]:
+def _ros1(path: Path, is_mapped: Callable[[str], bool]) -> Iterator[Item]:
     size = file_size(path, BOUNDS.table)
 
     library = _library(path).rosbag1.reader
@@ -61,7 +61,7 @@ def _ros1(path: Path, wanted: Callable[[str], bool]) -> Iterator[Item]:
         for c in bag.connections:
             yield Schema(c.id + 1, c.msgdef.data.encode(), "ros1msg", c.msgtype)
             yield Channel(c.id, c.topic, "ros1", {}, c.id + 1)
-        if mapped := [c for c in bag.connections if wanted(c.topic)]:
+        if mapped := [c for c in bag.connections if is_mapped(c.topic)]:
             for c, t_ns, data in bag.messages(mapped):
                 yield Message(c.id, t_ns, data, t_ns, 0)
 
@@ -76,7 +76,7 @@ def _inflated(compression: str, data: bytes) -> bytes:
     return found
 
 
-def _ros2(path: Path, wanted: Callable[[str], bool]) -> Iterator[Item]:
+def _ros2(path: Path, is_mapped: Callable[[str], bool]) -> Iterator[Item]:
     size = file_size(path, BOUNDS.table)
     with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as base:
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(size, 1_000_000))  # columns that are computed may be longer
@@ -88,7 +88,7 @@ def _ros2(path: Path, wanted: Callable[[str], bool]) -> Iterator[Item]:
         for id, name, kind in topics:
             yield _schema(path, base, tables, id, kind)
             yield Channel(id, name, "cdr", {}, id + 1)
-        mapped = [id for id, name, _ in topics if wanted(name)]
+        mapped = [id for id, name, _ in topics if is_mapped(name)]
         held = ",".join("?" for _ in mapped)
         for id, t_ns, data in base.execute(f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({held})", mapped):
             yield Message(id, int(t_ns), bytes(data), int(t_ns), 0)

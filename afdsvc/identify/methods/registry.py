@@ -75,22 +75,22 @@ def hansen(problem: Prepared, options: IdentifyOptions) -> MethodResult:
         return MethodResult(_nominal_stands(problem, reason))
     S = realise(found, order, stable=True)
     full = rebuilt_plant(fact, S.system)
-    wanted = options.reduce_to if options.reduce_to is not None else problem.nominal.order
+    reduced = options.reduce_to if options.reduce_to is not None else problem.nominal.order
     note = f"S of order {order} with horizon {found.horizon}, plant of order {full.order}"
     fit = Fit("hansen", _output_error(full), found.singular_values, reason, deviation=S.system, notes=(note,))
-    if wanted >= full.order:
+    if reduced >= full.order:
         return MethodResult(
-            _banded(fit, repetitions(_hansen_repeat(fact, found.horizon, order, options, None, wanted), problem.training, options.groups)), full
+            _banded(fit, repetitions(_hansen_repeat(fact, found.horizon, order, options, None, reduced), problem.training, options.groups)), full
         )
-    reductions = _reductions(full, fact, wanted, problem.training, options)
+    reductions = _reductions(full, fact, reduced, problem.training, options)
     if options.reduction == "refined":
         return _refined(problem, signals, fit, full, reductions, options)
     fit = replace(
         fit,
         model=_output_error(_chosen(reductions)),
-        notes=(f"{note}, reduced to {wanted} by {reductions[0].method} truncation",),
+        notes=(f"{note}, reduced to {reduced} by {reductions[0].method} truncation",),
     )
-    repeat = _hansen_repeat(fact, found.horizon, order, options, reductions[0].method, wanted)
+    repeat = _hansen_repeat(fact, found.horizon, order, options, reductions[0].method, reduced)
     return MethodResult(_banded(fit, repetitions(repeat, problem.training, options.groups)), full, tuple(reductions))
 
 
@@ -104,8 +104,8 @@ def _refined(
 ) -> MethodResult:
     """Fit the reduced plant to the recordings, from the truncation that disturbs the loop least, from the nominal plant and from PBSIDopt."""
     fact = _known_controller(problem, "hansen")
-    truncated, wanted = [r.system for r in reductions[:1] if r.loop_stable and r.system is not None], reductions[0].system
-    order = problem.nominal.order if wanted is None else wanted.order
+    truncated, first = [r.system for r in reductions[:1] if r.loop_stable and r.system is not None], reductions[0].system
+    order = problem.nominal.order if first is None else first.order
     others = (_answering_at_once(g, problem.nominal) for g in (problem.nominal, *_by_predictor(problem, order)))
     stable = [*truncated, *(g for g in others if g.order == order and loop_is_stable(g, fact.controller))]
     starts = stable or [_chosen(reductions)]
@@ -148,7 +148,7 @@ def _whitener(problem: Prepared, fact: Factorisation) -> StateSpace | None:
 
 
 def _hansen_repeat(
-    fact: Factorisation, horizon: int, order: int, options: IdentifyOptions, reduction: str | None, wanted: int
+    fact: Factorisation, horizon: int, order: int, options: IdentifyOptions, reduction: str | None, reduced: int
 ) -> Callable[[Sequence[InputOutputData]], StateSpace]:
     """Return the whole way from recordings of u and y to the plant, every choice fixed."""
 
@@ -157,7 +157,7 @@ def _hansen_repeat(
         full = rebuilt_plant(
             fact, realise(decompose(signals, horizon, cast(Weighting, options.weighting)), order, stable=True).system
         )
-        return full if reduction is None else _chosen(compare_reductions(full, fact, wanted, recordings, [reduction]))
+        return full if reduction is None else _chosen(compare_reductions(full, fact, reduced, recordings, [reduction]))
 
     return estimate
 
@@ -396,9 +396,9 @@ def _output_error(system: StateSpace) -> InnovationsForm:
 
 
 def _reductions(
-    full: StateSpace, fact: Factorisation, wanted: int, recordings: Sequence[InputOutputData], options: IdentifyOptions
+    full: StateSpace, fact: Factorisation, reduced: int, recordings: Sequence[InputOutputData], options: IdentifyOptions
 ) -> list[ReducedPlant]:
-    found = compare_reductions(full, fact, wanted, recordings)
+    found = compare_reductions(full, fact, reduced, recordings)
     return (
         found
         if options.reduction in ("best", "refined")

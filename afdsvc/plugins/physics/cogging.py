@@ -28,7 +28,7 @@ class Cogging:
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per axis, with periods from the way travelled to a tenth of it, or whole ones per turn.
 
-        A wave of which no whole period was travelled cannot be told from a smooth curve, and is not offered.
+        A wave of which no whole period was travelled cannot be distinguished from a smooth curve, and is not offered.
         """
         for axis, q in placed(machine):
             yield from self._on(axis, state(q), q, quantity(q.unit) == "angle")

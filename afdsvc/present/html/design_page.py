@@ -150,7 +150,7 @@ def _loop_figures(problem: DetectionProblem, burst: Burst, loop: Mapping[str, An
     low, high = ("no limit tried" if gain[key] is None else f"{gain[key]:.3g}" for key in ("stable_from", "stable_to"))
     return [
         ("Amplitude and phase against severity", "Whitened residual per unit of alpha at candidate frequencies, in the output that shows the fault "
-         "most. Faults with the same phase at a frequency are told apart there by amplitude only.", _phase_figure(problem, burst, loop["candidates"])),
+         "most. Faults with the same phase at a frequency are distinguished there by amplitude only.", _phase_figure(problem, burst, loop["candidates"])),
         ("Disturbance gain", "Largest gain from a disturbance at the inputs to the outputs, without and with the controller, and from alpha; "
          "dashed lines mark the burst's frequencies.", _disturbance_figure(problem, burst, controller)),
         ("Distance between healthy and faulty plant (nu-gap)", f"Signals counted in their limits. Below the margin of this loop, {gap['margin']:.3g} (dashed), "

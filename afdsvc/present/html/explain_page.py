@@ -169,7 +169,7 @@ def _verdict_sentence(document: Mapping[str, Any]) -> str:
 
 
 def _alternatives(effect: Sequence[Mapping[str, Any]]) -> str:
-    """Return the names of one effect, which the recordings do not tell apart, by the places where they act."""
+    """Return the names of one effect, which the recordings do not distinguish, by the places where they act."""
     places: dict[str, list[str]] = {}
     for n in effect:
         places.setdefault(site_words(n["site"]), []).append(", ".join(n["parameters"]) if n["physics"] == "parameter_change" else n["physics"].replace("_", " "))

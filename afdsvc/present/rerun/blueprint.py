@@ -31,7 +31,7 @@ class MachineLayout:
     groups: Mapping[str, GroupLayout]
     detectors: Mapping[str, int]
     lanes: int
-    told: bool
+    reported: bool
     severity: bool = False
     planes: Sequence[tuple[str, float]] = ()
 
@@ -116,7 +116,7 @@ def _did(id: str, layout: MachineLayout) -> rrb.Container:
     if plots:
         tabs.append(rrb.Grid(*plots, grid_columns=min(2, len(plots)), name="statistics"))
     sides: list[rrb.Container | rrb.View] = [rrb.Tabs(*tabs)] if tabs else []
-    if layout.told:
+    if layout.reported:
         sides.append(rrb.TextLogView(origin=paths.path(id, "log"), name="events", columns=_columns()))
     return rrb.Horizontal(*sides, column_shares=[1.5, 1.0][: len(sides)])
 

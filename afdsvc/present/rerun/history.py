@@ -20,10 +20,10 @@ from afdsvc.present.rerun.paths import Columns
 from afdsvc.wire import codec
 from afdsvc.wire.messages import Finding
 
-Told = tuple[int, str, float, float]  # Unix time [ns], fault, severity, its standard error
+Row = tuple[int, str, float, float]  # Unix time [ns], fault, severity, its standard error
 
 
-def severities(recordings: Iterable[Path]) -> dict[str, list[Told]]:
+def severities(recordings: Iterable[Path]) -> dict[str, list[Row]]:
     """Return the decision on each burst of every machine, in order of time; an unreadable recording is named in `BadInput`.
 
     Only the chunks that hold decisions are read, found by the recordings' index. A burst without a detected fault has an empty name
@@ -35,15 +35,15 @@ def severities(recordings: Iterable[Path]) -> dict[str, list[Told]]:
             finding = codec.decode(Finding, data)
             if finding.evidence.burst:
                 bursts.setdefault((finding.evidence.machine, finding.session + finding.evidence.burst), []).append(finding)
-    found: dict[str, list[Told]] = {}
+    found: dict[str, list[Row]] = {}
     for (machine, _), findings in bursts.items():
-        told = _told(findings)
-        if told is not None:
-            found.setdefault(machine, []).append(told)
+        reported = _reported(findings)
+        if reported is not None:
+            found.setdefault(machine, []).append(reported)
     return {machine: sorted(rows) for machine, rows in sorted(found.items())}
 
 
-def _told(findings: Sequence[Finding]) -> Told | None:
+def _reported(findings: Sequence[Finding]) -> Row | None:
     """Return what the decisions on one burst amount to; None when none of them could be trusted."""
     evidence: list[Evidence] = [f.evidence for f in findings]
     if not any(e.trustworthy for e in evidence):
@@ -76,7 +76,7 @@ def review_history(recordings: Sequence[Path], save: Path) -> Path:
     return save
 
 
-def _machine(recording: rr.RecordingStream, machine: str, rows: Sequence[Told], start: int) -> None:
+def _machine(recording: rr.RecordingStream, machine: str, rows: Sequence[Row], start: int) -> None:
     """Log a line with points for every fault, two standard errors around it, and one at 0 for bursts that found nothing."""
     names = sorted({fault for _, fault, *_ in rows})
     for fault in names:

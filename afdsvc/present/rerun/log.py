@@ -83,7 +83,7 @@ class ReviewLog:
     def note(self, t_ns: int, level: Level, text: str, machine: str) -> None:
         """Take a sentence for the event log."""
         start = self._start(t_ns)
-        self._machine(machine).told = True
+        self._machine(machine).reported = True
         at(self._recording, t_ns, start)
         self._recording.log(paths.path(self._machine(machine).id, "log"), rr.TextLog(text, level=_LEVELS[level]))
 

@@ -40,7 +40,7 @@ class MachineAnswers:
     def say_nothing_yet(self, recording: rr.RecordingStream, t_ns: int, start_ns: int) -> None:
         """Answer before the first decision."""
         if not self._words:
-            self._tell(recording, "## No decision yet\n\nNo detector has made a decision so far.", t_ns, start_ns)
+            self._show(recording, "## No decision yet\n\nNo detector has made a decision so far.", t_ns, start_ns)
 
     def take(self, recording: rr.RecordingStream, finding: Finding, start_ns: int) -> None:
         """Take a decision; a changed answer is shown again."""
@@ -53,16 +53,16 @@ class MachineAnswers:
             s = verdict.severity
             for kind, value in (("", s.value), ("_low", s.value - 2 * s.sd), ("_high", s.value + 2 * s.sd)):
                 self._line(recording, "severity", verdict.fault + kind).add_row(finding.t_ns, 100 * value)
-        for fault in () if self._said and not finding.evidence.severity else self._told() | {name for name, weight in verdict.weights.items() if weight >= 0.01}:
+        for fault in () if self._said and not finding.evidence.severity else self._reported() | {name for name, weight in verdict.weights.items() if weight >= 0.01}:
             self._line(recording, "sure", fault).add_row(finding.t_ns, 100 * verdict.weights.get(fault, 0.0))
-        self._tell(recording, _words(verdict, list(self._evidence), self._begun_ns, start_ns), finding.t_ns, start_ns)
+        self._show(recording, _words(verdict, list(self._evidence), self._begun_ns, start_ns), finding.t_ns, start_ns)
 
     def send(self, recording: rr.RecordingStream, start_ns: int) -> None:
         """Send what was collected."""
         for columns in self._lines.values():
             columns.send(recording, start_ns)
 
-    def _told(self) -> set[str]:
+    def _reported(self) -> set[str]:
         return {name for kind, name in self._lines if kind == "sure"}
 
     def _line(self, recording: rr.RecordingStream, kind: str, name: str) -> Columns:
@@ -80,12 +80,12 @@ class MachineAnswers:
             self._lines[key] = Columns(entity, 1)
         return self._lines[key]
 
-    def _tell(self, recording: rr.RecordingStream, told: str, t_ns: int, start_ns: int) -> None:
-        if told == self._words:
+    def _show(self, recording: rr.RecordingStream, words: str, t_ns: int, start_ns: int) -> None:
+        if words == self._words:
             return
-        self._words = told
+        self._words = words
         at(recording, t_ns, start_ns)
-        recording.log(paths.path(self._machine, "answer"), rr.TextDocument(told, media_type=rr.MediaType.MARKDOWN))
+        recording.log(paths.path(self._machine, "answer"), rr.TextDocument(words, media_type=rr.MediaType.MARKDOWN))
 
 
 def _words(verdict: FaultVerdict, evidence: list[Evidence], begun_ns: int | None, start_ns: int) -> str:
@@ -141,7 +141,7 @@ class MachineReview:
         self._burst: tuple[str, int] = ("", 0)
         self._end = ("", 0)
         self._end_ns = 0
-        self.told = False
+        self.reported = False
         self.answers = MachineAnswers(id)
         self.planes: tuple[tuple[str, float], ...] = ()
 
@@ -211,7 +211,7 @@ class MachineReview:
         groups = {name: self.groups[name].layout for name in paths.GROUPS if name in self.groups}
         detectors = Counter(detector for detector, _ in self._tracks)
         lanes = len(self._lanes) + len(self._tracks)
-        return MachineLayout(groups, detectors, lanes, self.told, self.answers.severities, self.planes)
+        return MachineLayout(groups, detectors, lanes, self.reported, self.answers.severities, self.planes)
 
 
 

@@ -49,8 +49,8 @@ def review_recordings(
             raise BadInput(f"{recording.path}: holds no samples of any machine; {', '.join(recording.counts) or 'nothing'} is in it")
     name = opened[0].path.stem + (f"-and-{len(opened) - 1}" if len(opened) > 1 else "")
     target = Path(save) if save else Path(tempfile.mkdtemp(prefix="afdsvc-review-")) / f"{name}.rrd"
-    told = all(any(mcap_file.parts(name)[1] == mcap_file.LOG for name in recording.counts) for recording in opened)
-    log = ReviewLog(target, batch_seconds=5.0, quiet_hertz=0.0 if every_sample else QUIET_HERTZ, tell=not told)
+    reported = all(any(mcap_file.parts(name)[1] == mcap_file.LOG for name in recording.counts) for recording in opened)
+    log = ReviewLog(target, batch_seconds=5.0, quiet_hertz=0.0 if every_sample else QUIET_HERTZ, tell=not reported)
     for recording, label in zip(opened, _labels(opened), strict=True):
         if len(opened) > 1:
             log.begin(label)

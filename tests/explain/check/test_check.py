@@ -48,7 +48,7 @@ def spoiled(column: str, change, traces: tuple[Trace, ...] | None = None) -> lis
     return out
 
 
-def told(findings: tuple[Finding, ...], topic: str) -> str:
+def reported(findings: tuple[Finding, ...], topic: str) -> str:
     return " ".join(f.sentence for f in findings if f.topic == topic and f.kind != "ok")
 
 
@@ -58,7 +58,7 @@ def test_sound_recordings_raise_no_objection(machine):
     assert objection(findings) == ""
     assert insufficient_excitation(findings) == ""
     for topic in ("units", "synchronisation", "saturation", "quantisation", "gaps", "drift", "inputs"):
-        assert told(findings, topic) == ""
+        assert reported(findings, topic) == ""
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_a_wrong_unit_is_named_with_its_factor(column, factor, word):
 
 
 def test_a_factor_is_called_by_the_nearest_unit():
-    said = told(check(sound()[0], spoiled("y_horizontal", lambda x: np.pi / 30 * x)), "units")
+    said = reported(check(sound()[0], spoiled("y_horizontal", lambda x: np.pi / 30 * x)), "units")
     assert "about pi/30 (rad/s for rpm)" in said
 
 
@@ -116,22 +116,22 @@ def test_a_change_of_thirty_per_cent_is_no_wrong_unit():
 
 @pytest.mark.parametrize(("shift", "words"), [(4, "4 samples late"), (-3, "3 samples early")])
 def test_clocks_out_of_step_are_counted_in_samples(shift, words):
-    sentence = told(check(sound()[0], spoiled("y_horizontal", lambda x: np.roll(x, shift))), "synchronisation")
+    sentence = reported(check(sound()[0], spoiled("y_horizontal", lambda x: np.roll(x, shift))), "synchronisation")
     assert words in sentence
     assert "y_horizontal" in sentence
     assert "y_vertical" not in sentence
 
 
 def test_clipping_is_seen_with_its_level():
-    sentence = told(check(sound()[0], spoiled("y_vertical", lambda x: np.clip(x, -np.inf, 1.5))), "saturation")
+    sentence = reported(check(sound()[0], spoiled("y_vertical", lambda x: np.clip(x, -np.inf, 1.5))), "saturation")
     assert "largest value 1.5 um" in sentence
     assert "smallest" not in sentence
 
 
 def test_quantisation_is_seen_with_its_step_and_is_no_clipping():
     findings = check(sound()[0], spoiled("y_vertical", lambda x: np.round(x / 2.5) * 2.5))
-    assert "steps of 2.5 um" in told(findings, "quantisation")
-    assert told(findings, "saturation") == ""
+    assert "steps of 2.5 um" in reported(findings, "quantisation")
+    assert reported(findings, "saturation") == ""
 
 
 def test_gaps_are_counted():
@@ -140,12 +140,12 @@ def test_gaps_are_counted():
         x[100:140] = np.nan
         return x
 
-    assert "lacks 40 of 12500 samples" in told(check(sound()[0], spoiled("y_horizontal", gap)), "gaps")
+    assert "lacks 40 of 12500 samples" in reported(check(sound()[0], spoiled("y_horizontal", gap)), "gaps")
 
 
 def test_drift_is_measured():
     findings = check(sound()[0], spoiled("y_horizontal", lambda x: x + np.linspace(0, 2, len(x))))
-    sentence = told(findings, "drift")
+    sentence = reported(findings, "drift")
     assert "y_horizontal drifts by" in sentence
     assert float(sentence.split("drifts by ")[1].split()[0]) == pytest.approx(2.0, rel=0.25)
 

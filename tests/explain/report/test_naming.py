@@ -38,17 +38,17 @@ def test_standard_deviations_are_those_of_a_regression_in_the_unit_of_the_input(
     problem = replace(build(nominal(exact, runs[0].dt), runs, Settings()), offset_free=False)
     start = problem.start()
     found = fit(problem, start.added(PlacedEffect(law(low, linear), np.array([500.0]))), 0.0, 1.0)
-    (told,) = estimates(problem, found, 0.0)
+    (reported,) = estimates(problem, found, 0.0)
     value = found.point.effects[0].values[0]
     derivative = []
     for h in (1.0, -1.0):
         moved = replace(found.point, effects=(PlacedEffect(law(low, linear), np.array([value + h])),))
         derivative.append(np.vstack([s.y for s in problem.simulated(moved, 0.0)]))
     expected = NOISE / np.linalg.norm((derivative[0] - derivative[1]) / 2)
-    assert told["stiffness"].unit == "N/mm^3"
-    assert told["stiffness"].value == pytest.approx(value / 1e4)
-    assert told["stiffness"].value == pytest.approx(0.06, abs=4 * told["stiffness"].sd)
-    assert told["stiffness"].sd == pytest.approx(expected / 1e4, rel=0.15)
+    assert reported["stiffness"].unit == "N/mm^3"
+    assert reported["stiffness"].value == pytest.approx(value / 1e4)
+    assert reported["stiffness"].value == pytest.approx(0.06, abs=4 * reported["stiffness"].sd)
+    assert reported["stiffness"].sd == pytest.approx(expected / 1e4, rel=0.15)
 
 
 def test_what_the_recordings_say_nothing_about_has_no_deviation(spring, recorded):
@@ -56,6 +56,6 @@ def test_what_the_recordings_say_nothing_about_has_no_deviation(spring, recorded
     problem = build(nominal(spring, runs[0].dt), runs, Settings())
     h = law(-1e6, True)
     blind = replace(h, parameters=(*h.parameters, Coefficient("nothing", "", -1.0, 1.0, 0.1)), starts=((0.0, 0.0),))
-    (told,) = estimates(problem, fit(problem, problem.start().added(PlacedEffect(blind, np.zeros(2))), 0.0, 1.0), 0.0)
-    assert told["nothing"].sd is None
-    assert told["stiffness"].sd is not None
+    (reported,) = estimates(problem, fit(problem, problem.start().added(PlacedEffect(blind, np.zeros(2))), 0.0, 1.0), 0.0)
+    assert reported["nothing"].sd is None
+    assert reported["stiffness"].sd is not None

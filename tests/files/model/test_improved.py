@@ -175,7 +175,7 @@ def test_a_linear_law_becomes_matrices_and_needs_no_code(key, tmp_path):
     assert m.output_sd == pytest.approx([0.01, 0.02])
 
 
-def test_parameters_are_told_in_the_units_of_people_with_their_deviation(tmp_path):
+def test_parameters_are_reported_in_the_units_of_people_with_their_deviation(tmp_path):
     h = LIBRARY["coulomb_friction@state:v"]
     found = Named("coulomb_friction", "state:v", 1.0, {"force": Estimate(0.2, 0.01, "N")}, "")
     gain = explanation().nominal.at(0.3 * np.ones(len(explanation().nominal.entries))).B[2, 0]

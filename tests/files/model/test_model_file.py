@@ -253,7 +253,7 @@ def test_transfer_functions_that_are_none_are_named(lines, words):
     assert all(word in str(error.value) for word in ["motor.toml", *words]), str(error.value)
 
 
-def test_several_offences_are_all_told():
+def test_several_offences_are_all_reported():
     text = AXIS.replace('unit = "N"', "unit = 1").replace("relative = 0.02", 'relative = "much"')
     with pytest.raises(BadInput, match=r"inputs\[0\].unit.*uncertainty.relative"):
         parse_model(text, "bad.toml")

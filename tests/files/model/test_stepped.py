@@ -55,10 +55,10 @@ def test_a_functions_linear_part_has_its_physical_matrices(tmp_path):
     np.testing.assert_allclose(model.plant.B, TRUE.B, atol=1)
     assert [s.rate_of for s in model.states] == [None, "position"]
     assert (model.plant.dt, model.sample_time, model.dynamics) == (0.0, 0.002, None)
-    told = model.extra["linearised"]
-    assert "axis.py:axis only steps" in told[0]
-    assert "force by 1 N" in told[0]
-    assert "its states position, velocity looked at for 400 steps" in told[0]
+    reported = model.extra["linearised"]
+    assert "axis.py:axis only steps" in reported[0]
+    assert "force by 1 N" in reported[0]
+    assert "its states position, velocity looked at for 400 steps" in reported[0]
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
@@ -86,11 +86,11 @@ def test_a_unit_alone_stands_for_a_model_in_its_modes(tmp_path):
 
 
 def test_a_unit_alone_must_say_enough(tmp_path, monkeypatch):
-    told = {"step": None, "inputs": {"force": "N"}}
-    monkeypatch.setattr(stepped, "describe", lambda path: UnitDescription("slide", told["inputs"], {"position": "mm"}, told["step"]))
+    reported = {"step": None, "inputs": {"force": "N"}}
+    monkeypatch.setattr(stepped, "describe", lambda path: UnitDescription("slide", reported["inputs"], {"position": "mm"}, reported["step"]))
     with pytest.raises(BadInput, match=r"states no step size in its default experiment; expected a MODEL\.toml with dynamics = \"Slide3\.fmu\""):
         read_model(tmp_path / "Slide3.fmu", allow_code=True)
-    told.update(step=0.002, inputs={})
+    reported.update(step=0.002, inputs={})
     with pytest.raises(BadInput, match=r"Slide3\.fmu: has no real inputs; expected at least one"):
         read_model(tmp_path / "Slide3.fmu", allow_code=True)
 
@@ -104,8 +104,8 @@ def test_what_is_written_is_the_linear_part_which_needs_no_simulator(tmp_path):
 
 def test_friction_is_said_to_be_left_out(tmp_path):
     text = MODEL + "friction = {value = 0.4}\n[perturbation]\namplitude = [2.0]\nsamples = 200\n"
-    told = read_model(write(tmp_path, text), allow_code=True).extra["linearised"]
-    assert "the simulator is not linear, and what it does beyond is not in the nominal model" in told[1]
+    reported = read_model(write(tmp_path, text), allow_code=True).extra["linearised"]
+    assert "the simulator is not linear, and what it does beyond is not in the nominal model" in reported[1]
 
 
 def test_the_simulator_itself_is_compared_with_recordings(tmp_path):
@@ -122,7 +122,7 @@ def test_the_simulator_itself_is_compared_with_recordings(tmp_path):
     assert linearisation_notes(parse_model(model_text(model), "x.toml"), []) == []
 
 
-def test_a_simulator_that_fails_on_a_recording_is_told(tmp_path):
+def test_a_simulator_that_fails_on_a_recording_is_reported(tmp_path):
     code = CODE.replace("q, v = ", "assert abs(u[0]) < 50, 'too hard'\n    q, v = ")
     model = read_model(write(tmp_path, code=code), allow_code=True)
     trace = Trace("run.csv", 0.002, (Channel("u_force"), Channel("y_position")), np.full((60, 2), 99.0))

@@ -54,9 +54,9 @@ def test_the_library_reads_what_was_written(k0: int, t0_ns: int, row: list[float
     for file in FileDescriptorSet.FromString(preview.schema).file:
         pool.Add(file)
     message = GetMessageClass(pool.FindMessageTypeByName(preview.schema_name))
-    told = list(preview.messages(block, 1000.0))
-    assert len(told) == 3
-    for i, (t_ns, data) in enumerate(told):
+    reported = list(preview.messages(block, 1000.0))
+    assert len(reported) == 3
+    for i, (t_ns, data) in enumerate(reported):
         read = message.FromString(data)
         assert read.timestamp.seconds * 10**9 + read.timestamp.nanos == t_ns == t0_ns + i * 10**6
         assert read.k == block.k0 + i

@@ -1,4 +1,4 @@
-"""Reading recordings whole, unfinished, cut at any byte, damaged, foreign: what is complete comes, losses are told."""
+"""Reading recordings whole, unfinished, cut at any byte, damaged, foreign: what is complete comes, losses are reported."""
 
 import hashlib
 
@@ -97,7 +97,7 @@ def test_a_damaged_chunk_costs_itself_and_nothing_else(record, chunk):
     assert recording.contents.losses[0].start_ns > 0
 
 
-def test_a_damaged_attachment_is_told_and_left_out(record):
+def test_a_damaged_attachment_is_reported_and_left_out(record):
     path = record(count=2)
     raw = path.read_bytes()
     path.write_bytes(raw.replace(b"model text", b"modeL text"))
@@ -193,7 +193,7 @@ def test_a_foreign_recording_is_named_with_what_it_holds(tmp_path):
         recording.traces()
 
 
-def test_a_block_nobody_can_decode_is_told_and_passed_over(tmp_path, blocks):
+def test_a_block_nobody_can_decode_is_reported_and_passed_over(tmp_path, blocks):
     from afdsvc.files.recording.mcap_file import Header, McapFile
 
     file = McapFile(tmp_path / "r.mcap", Header())

@@ -23,7 +23,7 @@ from afdsvc.wire.messages import BurstRequest, RigDescription
 
 
 class Clock:
-    """Seconds that pass when told to."""
+    """Seconds that pass when ordered to."""
 
     now = 0.0
 
@@ -76,8 +76,8 @@ def test_plain_viewers_decode_everything_without_our_code(record):
 def test_the_log_tells_bursts_and_what_is_found(record):
     with record(count=12).open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        told = [(m.level, m.message, m.name) for _, c, _, m in reader.iter_decoded_messages(topics=["/m1/log"])]
-    assert told == [
+        reported = [(m.level, m.message, m.name) for _, c, _, m in reader.iter_decoded_messages(topics=["/m1/log"])]
+    assert reported == [
         (Level.INFO, "burst 'b1' started: asked for by the scheduler", "m1"),
         (
             Level.ERROR,
@@ -87,7 +87,7 @@ def test_the_log_tells_bursts_and_what_is_found(record):
     ]
 
 
-def test_the_same_verdict_is_told_once(tmp_path, a_finding):
+def test_the_same_verdict_is_reported_once(tmp_path, a_finding):
     recorder = Recorder(RecordingSettings(tmp_path / "r.mcap"))
     for k, detected in enumerate([False, False, True, True, False, True]):
         finding = a_finding(100 + k, detected)
@@ -195,7 +195,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path, place):
     assert str(tmp_path / place) in str(error.value)
 
 
-def test_a_full_disk_is_told_at_once(tmp_path):
+def test_a_full_disk_is_reported_at_once(tmp_path):
     if not Path("/dev/full").exists():
         pytest.skip("no /dev/full here")
     (tmp_path / "run.mcap").symlink_to("/dev/full")
@@ -243,7 +243,7 @@ print("went on")
 """
 
 
-def test_a_disk_that_fills_up_is_told_counted_and_survived(tmp_path):
+def test_a_disk_that_fills_up_is_reported_counted_and_survived(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", FULL, str(Path(__file__).parents[1]), str(tmp_path)], capture_output=True, text=True
     )

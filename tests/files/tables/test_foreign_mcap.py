@@ -116,8 +116,8 @@ def write_ros2(path):
 
 def test_a_protobuf_topic_by_its_fields(tmp_path):
     path = write_protobuf(tmp_path / "drive.mcap")
-    told = {"from": "/drive/state.state.current[1]", "unit": "A"}
-    (trace,) = read_foreign(path, mapping(u_current=told, aux_ticks="/drive/state.ticks"))
+    reported = {"from": "/drive/state.state.current[1]", "unit": "A"}
+    (trace,) = read_foreign(path, mapping(u_current=reported, aux_ticks="/drive/state.ticks"))
     assert trace.column("u_current").tobytes() == U.astype(np.float32).astype(float).tobytes()
     np.testing.assert_array_equal(trace.column("aux_ticks"), np.arange(N))
     assert (trace.dt, trace.t0) == (1e-3, 0.0)
@@ -128,7 +128,7 @@ def test_a_protobuf_topic_by_its_fields(tmp_path):
     ]
 
 
-def test_without_stamps_the_time_is_the_logs_and_that_is_told(tmp_path):
+def test_without_stamps_the_time_is_the_logs_and_that_is_reported(tmp_path):
     path = write_protobuf(tmp_path / "drive.mcap", stamped=False)
     wanted = {"u_current": "/drive/state.state.current[1]"}
     (trace,) = read_foreign(path, mapping(**wanted))

@@ -1,4 +1,4 @@
-"""Mapping files: what may stand in them, and tables read through them with every change told."""
+"""Mapping files: what may stand in them, and tables read through them with every change reported."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def test_pairs_of_the_command_line_go_before_the_file(mapping, tmp_path):
     np.testing.assert_array_equal(trace.column("aux_counter"), np.arange(N))
 
 
-def test_pairs_without_a_file_rename_and_are_told(tmp_path):
+def test_pairs_without_a_file_rename_and_are_reported(tmp_path):
     t = np.arange(100) * 1e-3
     write_csv(tmp_path / "a.csv", {"t": t, "I": t, "y_x": t, "note": t})
     (trace,) = open_file(tmp_path / "a.csv", Naming(None, {"I": "u_x", "note": ""})).traces()

@@ -146,9 +146,9 @@ def test_parameter_without_influence_and_parameters_that_act_alike_are_named():
         [("pole", 0.7), ("gain", 0.5), ("sensor", 1.0)],
         lambda th: StateSpace.of([[th[0]]], [[th[1]]], [[th[2]]], [[0.0]], 1.0),
     )
-    with pytest.raises(BadInput, match="cannot be separated by these recordings") as told:
+    with pytest.raises(BadInput, match="cannot be separated by these recordings") as reported:
         fit_greybox(structure, recordings)
-    assert {"gain", "sensor"} <= set(str(told.value).replace(",", "").split())
+    assert {"gain", "sensor"} <= set(str(reported.value).replace(",", "").split())
 
 
 def test_prior_separates_what_the_data_cannot():

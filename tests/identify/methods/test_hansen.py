@@ -126,7 +126,7 @@ def test_excited_loop_is_the_answer_of_plant_and_controller_to_alpha(bearing, ob
     assert np.abs(out - np.hstack([record.u, record.y])).max() < 1e-10
 
 
-def test_stability_of_the_loop_is_told(bearing):
+def test_stability_of_the_loop_is_reported(bearing):
     """P5's gain of the right sign stabilises the bearing, the printed one (-0.2) does not (max |z| = 1.0094)."""
     assert loop_is_stable(bearing, StateSpace.gain(0.2 * np.eye(2), bearing.dt))
     assert not loop_is_stable(bearing, StateSpace.gain(-0.2 * np.eye(2), bearing.dt))

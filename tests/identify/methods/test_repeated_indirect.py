@@ -141,7 +141,7 @@ def test_the_public_job_finds_half_the_stiffness_as_in_the_paper() -> None:
 
 
 def test_the_public_job_takes_unbalance_out_by_the_rotor_angle() -> None:
-    """0.5 um of noise and a whirl of 3 um at 525 Hz: within 3.5 standard errors of 0.1 %, and the loop told stable."""
+    """0.5 um of noise and a whirl of 3 um at 525 Hz: within 3.5 standard errors of 0.1 %, and the loop reported stable."""
     data, alpha, values, plant, fact = recording(9000)
     angle = 2 * np.pi * 525.0 * 1e-4 * np.arange(9000)
     force = np.real(np.exp(1j * angle)[:, None] * np.array([1, -1j, 1, -1j]))

@@ -1,4 +1,4 @@
-"""A Python function as a plant: the state is a value, and what a function does wrong is told in its name."""
+"""A Python function as a plant: the state is a value, and what a function does wrong is reported in its name."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_it_steps_as_its_formula_and_begins_anew():
         (lambda x, u, dt: (None, ["a"]), "simulator mine fails: ValueError"),
     ],
 )
-def test_what_it_does_wrong_is_told_in_its_name(function, said):
+def test_what_it_does_wrong_is_reported_in_its_name(function, said):
     with pytest.raises(BadInput, match=said):
         FunctionPlant(function, "mine", 1, 1).begin()
 

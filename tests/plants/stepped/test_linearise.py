@@ -57,7 +57,7 @@ def test_an_unstable_plant_is_found_too():
         assert np.abs(found.plant.poles()).max() == pytest.approx(1.02, rel=1e-5)
 
 
-def test_where_it_rests_is_told_and_taken_off():
+def test_where_it_rests_is_reported_and_taken_off():
     found = linear_part(stepping(plant(1, 2, 1, 1), True, rest=7.0), np.ones(1), DT, 200, np.random.default_rng(1))
     assert found.rest == pytest.approx([7.0])
     assert found.missed < 1e-4

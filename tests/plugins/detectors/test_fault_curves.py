@@ -23,7 +23,7 @@ def disturbed(record, problem, burst, amplitude=0.6):
 
 
 @pytest.fixture
-def told(run, shown):
+def reported(run, shown):
     def make(problem, burst, severities, settings, seed=1):
         record, angle = disturbed(run(problem, burst, severities, seed), problem, burst)
         detector = FaultCurvesDesign().design(problem, settings)
@@ -37,15 +37,15 @@ def told(run, shown):
 CLEAN = {"drift": 1, "mains_hz": 50.0, "mains_harmonics": 2, "rotor_orders": 2}
 
 
-def test_nuisances_do_not_alarm_once_they_are_projected_out(bursts, told):
+def test_nuisances_do_not_alarm_once_they_are_projected_out(bursts, reported):
     problem, burst = bursts("proportional", amplitude=0.2)
-    assert not told(problem, burst, {}, CLEAN).detected
+    assert not reported(problem, burst, {}, CLEAN).detected
 
 
-def test_small_faults_keep_their_severity_among_nuisances(bursts, told):
+def test_small_faults_keep_their_severity_among_nuisances(bursts, reported):
     problem, burst = bursts("proportional", amplitude=0.6)
     for fault in ("horizontal_sensor", "vertical_actuator"):
-        found = told(problem, burst, {fault: -0.2}, CLEAN)
+        found = reported(problem, burst, {fault: -0.2}, CLEAN)
         assert found.detected
         fitted, sd = found.parts[f"severity.{fault}"], found.parts[f"sd.{fault}"]
         assert abs(fitted + 0.2) < 3 * sd

@@ -35,7 +35,7 @@ def test_loop_noise_alone_gives_half_a_loss_away_within_seconds():
     assert first.trustworthy
     assert first.k * DT < 1.0
     assert first.weights["horizontal_actuator"] + first.weights["horizontal_sensor"] > 0.99
-    assert first.severity is None  # an estimate at the moment of the alarm is too severe on average: only a bound is told
+    assert first.severity is None  # an estimate at the moment of the alarm is too severe on average: only a bound is reported
     assert -1 <= first.parts["bound.horizontal_actuator"] < -0.5
     assert len(found) == 1  # silent for ten seconds after an alarm
 
@@ -63,7 +63,7 @@ def test_boundary_for_one_fault_is_that_of_the_run_length():
     assert 1.9 < alone / (720 * 3600 / DT) < 4.0
 
 
-def test_coloured_noise_is_told_once_and_not_alarmed():
+def test_coloured_noise_is_reported_once_and_not_alarmed():
     problem = bearing_problem("lqg")
     record = quiet(problem, 20_000, 3)
     slow = record.r + 0.5 * np.vstack([np.zeros((1, 2)), record.r[:-1]])

@@ -28,7 +28,7 @@ def white(problem, n, seed=1):
     return np.random.default_rng(seed).normal(size=(n, 2)) @ np.linalg.cholesky(problem.covariance).T
 
 
-def told(name, problem, record, burst, alpha=None):
+def reported(name, problem, record, burst, alpha=None):
     """What the detector says of the whole run; ``alpha`` is recorded instead of what was played."""
     detector = DESIGNS[name].design(problem, {"deflection": 100.0} if name == "cusum" else {})
     state, found = detector.start(), []
@@ -57,7 +57,7 @@ def test_one_sensor_noisier_than_stated(name, bearing):
     problem, burst = bearing
     alpha = played(burst, 2e-4, QUIET, 20)
     record = simulate_burst(problem, alpha, white(problem, len(alpha)) * np.array([1.0, 1.3]))
-    silent(told(name, problem, record, burst), "times the stated standard deviation")
+    silent(reported(name, problem, record, burst), "times the stated standard deviation")
 
 
 @pytest.mark.parametrize("name", BURST)
@@ -66,7 +66,7 @@ def test_noise_of_another_colour_than_stated(name, bearing):
     alpha = played(burst, 2e-4, QUIET, 20)
     v = white(problem, len(alpha) + 1)
     record = simulate_burst(problem, alpha, (v[1:] + 0.4 * v[:-1]) / np.sqrt(1.16))
-    silent(told(name, problem, record, burst), "quiet residual")
+    silent(reported(name, problem, record, burst), "quiet residual")
 
 
 @pytest.mark.parametrize("name", BURST)
@@ -75,7 +75,7 @@ def test_a_burst_that_was_recorded_as_played_but_never_reached_the_machine(name,
     problem, burst = bearing
     alpha = played(burst, 2e-4, QUIET, 20)
     record = simulate_burst(problem, np.zeros_like(alpha), white(problem, len(alpha)), {fault: -0.5} if fault else {})
-    silent(told(name, problem, record, burst, alpha), "excitation is absent from the data")
+    silent(reported(name, problem, record, burst, alpha), "excitation is absent from the data")
 
 
 @pytest.mark.parametrize("name", BURST)
@@ -83,7 +83,7 @@ def test_one_of_two_inputs_was_not_played(name, bearing):
     problem, burst = bearing
     alpha = played(burst, 2e-4, QUIET, 20)
     record = simulate_burst(problem, alpha * np.array([1.0, 0.0]), white(problem, len(alpha)))
-    silent(told(name, problem, record, burst, alpha), "excitation is absent from the data")
+    silent(reported(name, problem, record, burst, alpha), "excitation is absent from the data")
 
 
 @pytest.mark.parametrize("fault", ["horizontal_actuator", "vertical_actuator", "horizontal_sensor", "vertical_sensor"])
@@ -91,7 +91,7 @@ def test_total_loss_of_a_part_is_no_absent_excitation(fault, bearing):
     problem, burst = bearing
     alpha = played(burst, 2e-4, QUIET, 20)
     record = simulate_burst(problem, alpha, white(problem, len(alpha)), {fault: -1.0})
-    (found,) = told("regression", problem, record, burst)
+    (found,) = reported("regression", problem, record, burst)
     assert found.trustworthy, found.reason
     assert found.detected
 
@@ -132,7 +132,7 @@ def clipped(problem, alpha, v, limit):
 def test_an_actuator_that_saturates_during_the_burst(name, stated, saturated):
     problem, burst, record, limit = saturated
     limits = replace(problem.limits, input=limit) if stated else None
-    silent(told(name, replace(problem, limits=limits), record, burst), "was saturated for")
+    silent(reported(name, replace(problem, limits=limits), record, burst), "was saturated for")
 
 
 @pytest.fixture(scope="module")

@@ -47,7 +47,7 @@ def turning(problem, burst, force, speed, severities, seed, runout=0.0):
         yield replace(block, aux={"angle": angle[block.k0 : block.k0 + len(block)][:, None]})
 
 
-def told(detector, blocks):
+def reported(detector, blocks):
     state, found = detector.start(), []
     for block in blocks:
         state, evidence = detector.step(state, block)
@@ -67,7 +67,7 @@ def bearing():
 @pytest.mark.parametrize("name", AWARE)
 def test_unbalance_is_no_reason_for_distrust_nor_for_an_alarm(name, bearing):
     problem, burst, force = bearing
-    (found,) = told(DESIGNS[name].design(problem, {}), turning(problem, burst, force, SPEED, {}, 1, runout=2.0))
+    (found,) = reported(DESIGNS[name].design(problem, {}), turning(problem, burst, force, SPEED, {}, 1, runout=2.0))
     assert found.trustworthy, found.reason
     assert not found.detected
 
@@ -75,7 +75,7 @@ def test_unbalance_is_no_reason_for_distrust_nor_for_an_alarm(name, bearing):
 def test_without_a_rotor_angle_unbalance_is_distrusted(bearing):
     problem, burst, force = bearing
     blocks = (replace(b, aux={}) for b in turning(problem, burst, force, SPEED, {}, 1))
-    (found,) = told(DESIGNS["regression"].design(problem, {}), blocks)
+    (found,) = reported(DESIGNS["regression"].design(problem, {}), blocks)
     assert not found.trustworthy
     assert "during the burst the residual beside its lines" in found.reason
 
@@ -84,7 +84,7 @@ def test_without_a_rotor_angle_unbalance_is_distrusted(bearing):
 @pytest.mark.parametrize("fault", ["horizontal_actuator", "vertical_sensor"])
 def test_faults_are_found_beside_unbalance(name, fault, bearing):
     problem, burst, force = bearing
-    (found,) = told(DESIGNS[name].design(problem, {}), turning(problem, burst, force, SPEED, {fault: -0.5}, 2))
+    (found,) = reported(DESIGNS[name].design(problem, {}), turning(problem, burst, force, SPEED, {fault: -0.5}, 2))
     assert found.trustworthy, found.reason
     assert found.detected
     if name == "cusum":
@@ -95,7 +95,7 @@ def test_faults_are_found_beside_unbalance(name, fault, bearing):
 
 def rate(problem, burst, force, speed, name, runs, per_burst):
     detector = DESIGNS[name].design(with_rate(problem, per_burst=per_burst), {"gate_level": 1e-9})
-    found = [told(detector, turning(problem, burst, force, speed, {}, seed))[0] for seed in range(runs)]
+    found = [reported(detector, turning(problem, burst, force, speed, {}, seed))[0] for seed in range(runs)]
     assert all(e.trustworthy for e in found)
     return np.mean([e.detected for e in found])
 
@@ -111,9 +111,9 @@ def test_the_passive_detector_does_not_alarm_on_unbalance(bearing):
     detector = DESIGNS["passive_cusum"].design(problem, {})
     silent = replace(burst, lines=())
     healthy = [replace(b, burst=None) for b in turning(problem, silent, force, SPEED, {}, 3)]
-    assert told(detector, healthy) == []
+    assert reported(detector, healthy) == []
     faulty = [replace(b, burst=None) for b in turning(problem, silent, force, SPEED, {"horizontal_sensor": -0.6}, 4)]
-    first = told(detector, faulty)[0]
+    first = reported(detector, faulty)[0]
     assert first.trustworthy
     assert first.detected
 
@@ -140,18 +140,18 @@ def test_the_turboexpander_with_unbalance(name, turboexpander):
     problem, burst, force, speed = turboexpander
     assert np.abs(force).max() > 0
     detector = DESIGNS[name].design(problem, {})
-    (healthy,) = told(detector, turning(problem, burst, force, speed, {}, 5))
+    (healthy,) = reported(detector, turning(problem, burst, force, speed, {}, 5))
     assert healthy.trustworthy, healthy.reason
     assert not healthy.detected
     fault = problem.fault_names[0]
-    (faulty,) = told(detector, turning(problem, burst, force, speed, {fault: -0.2}, 6))
+    (faulty,) = reported(detector, turning(problem, burst, force, speed, {fault: -0.2}, 6))
     assert faulty.detected, faulty.reason
 
 
 @pytest.mark.parametrize("name", ["chi_square", "limit_check", "published_a0", "model_bank", "iterated_regression"])
 def test_detectors_to_compare_with_trust_a_machine_out_of_balance_and_stay_quiet(name, bearing):
     problem, burst, force = bearing
-    found = told(DESIGNS[name].design(problem, {}), turning(problem, burst, force, SPEED, {}, 5, runout=1.0))
+    found = reported(DESIGNS[name].design(problem, {}), turning(problem, burst, force, SPEED, {}, 5, runout=1.0))
     assert all(e.trustworthy for e in found), found[0].reason
     assert not any(e.detected for e in found)
 
@@ -159,6 +159,6 @@ def test_detectors_to_compare_with_trust_a_machine_out_of_balance_and_stay_quiet
 def test_a_fault_is_found_beside_unbalance_by_iterated_regression(bearing):
     problem, burst, force = bearing
     severities = {"horizontal_actuator": -0.3}
-    found, *_ = told(DESIGNS["iterated_regression"].design(problem, {}), turning(problem, burst, force, SPEED, severities, 6, runout=1.0))
+    found, *_ = reported(DESIGNS["iterated_regression"].design(problem, {}), turning(problem, burst, force, SPEED, severities, 6, runout=1.0))
     assert found.detected
     assert found.weights["horizontal_actuator"] + found.weights["horizontal_sensor"] > 0.95

@@ -37,7 +37,7 @@ def test_the_page_is_self_contained_and_says_what_the_sheet_says():
     assert not page.outside
     assert "Stable from -0.66 to 2.04 times" in " ".join(" ".join(page.words).split())
     text = " ".join(" ".join(page.words).split())
-    assert "This burst does not tell apart" in text
+    assert "This burst does not distinguish" in text
     smallest = {f["fault"]: f["smallest_detectable"] for f in sheet["faults"]}
     for fault in problem.fault_names:
         assert f"{fault} from {100 * abs(smallest[fault]):.2g} %" in text

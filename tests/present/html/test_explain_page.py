@@ -5,7 +5,7 @@ from __future__ import annotations
 from afdsvc.present.html.explain_page import _axes, _legend, _percent, _verdict_sentence
 
 
-def test_the_answer_names_what_the_recordings_do_not_tell_apart():
+def test_the_answer_names_what_the_recordings_do_not_distinguish():
     names = (("coulomb_friction", "state:speed", 1), ("transport_delay", "input:voltage", 2), ("actuator_lag", "input:voltage", 2), ("sensor_lag", "output:speed", 2))
     named = [{"physics": physics, "site": site, "effect": effect, "parameters": {}} for physics, site, effect in names]
     assert _verdict_sentence({"verdict": "omitted_physics", "named": named}) == (

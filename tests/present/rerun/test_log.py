@@ -122,7 +122,7 @@ def test_statistic_threshold_and_verdict(tmp_path, blocks, finding, rrd):
     assert len(file.static("/m1/states/matched_filter_h", "StateConfiguration:colors")) == 4
 
 
-def test_events_and_news_are_told_once(tmp_path, blocks, finding, rrd):
+def test_events_and_news_are_reported_once(tmp_path, blocks, finding, rrd):
     log = ReviewLog(tmp_path / "a.rrd")
     log.block(blocks(1)[0])
     log.event(RigEvent("m1", "s1", blocks(1)[0].t0_ns, EventKind.BURST_REFUSED, 0, "b1", "already playing"))
@@ -132,8 +132,8 @@ def test_events_and_news_are_told_once(tmp_path, blocks, finding, rrd):
     log.note(blocks(1)[0].t0_ns + 4 * 10**9, Level.WARNING, "quiet hours", "m1")
     log.close()
     file = rrd(tmp_path / "a.rrd")
-    told = [(t // 10**9, v) for t, v in file.rows("/m1/log", "TextLog:text")]
-    assert told == [
+    reported = [(t // 10**9, v) for t, v in file.rows("/m1/log", "TextLog:text")]
+    assert reported == [
         (0, "burst 'b1' refused: already playing"), (1, "simulated fault set in: sensor -0.5"),
         (2, "matched_filter detects sensor, severity -0.5 +- 0.1 (statistic 41, threshold 9)"), (4, "quiet hours"),
     ]  # fmt: skip

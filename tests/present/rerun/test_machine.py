@@ -29,11 +29,11 @@ def test_before_any_decision_that_is_said(answers):
     assert words.startswith("## No decision yet")
 
 
-def test_a_named_fault_is_told_with_since_part_severity_and_certainty(answers, finding):
+def test_a_named_fault_is_reported_with_since_part_severity_and_certainty(answers, finding):
     file = answers(finding(2.0, 3.0, burst="b1"), finding(7.0, 41.0, burst="b2", weights={"sensor": 0.999, "pump": 0.001}))
-    told = [v for _, v in file.rows("/m1/answer", "TextDocument:text")]
-    assert told[1].startswith("## Nothing is wrong")
-    assert "1 burst judged" in told[1]
+    reported = [v for _, v in file.rows("/m1/answer", "TextDocument:text")]
+    assert reported[1].startswith("## Nothing is wrong")
+    assert "1 burst judged" in reported[1]
     for words in (
         "## Fault: sensor",
         "**Since** 7.0 s",
@@ -43,7 +43,7 @@ def test_a_named_fault_is_told_with_since_part_severity_and_certainty(answers, f
         "1 of 1 decisions",
         "2 bursts",
     ):
-        assert words in told[2]
+        assert words in reported[2]
     assert [(t // 10**9, v) for t, v in file.rows("/m1/severity/sensor")] == [(7, -50.0)]
     assert [v for _, v in file.rows("/m1/severity/sensor_low")] == [-70.0]
     assert [v for _, v in file.rows("/m1/sure/sensor")] == [pytest.approx(99.9)]
@@ -52,16 +52,16 @@ def test_a_named_fault_is_told_with_since_part_severity_and_certainty(answers, f
 def test_a_cause_left_open_names_the_suspects(answers, finding):
     weights = {"pump": 0.3, "sensor": 0.6, "none_of_these": 0.1}
     file = answers(finding(2.0, 41.0, burst="b1", fault=None, weights=weights))
-    told = [v for _, v in file.rows("/m1/answer", "TextDocument:text")][-1]
-    assert "## A fault, cause open" in told
-    assert "**Which part** sensor or pump" in told
-    assert "none of these 10 %" in told
+    reported = [v for _, v in file.rows("/m1/answer", "TextDocument:text")][-1]
+    assert "## A fault, cause open" in reported
+    assert "**Which part** sensor or pump" in reported
+    assert "none of these 10 %" in reported
 
 
 def test_what_cannot_be_trusted_is_not_called_healthy(answers, finding):
     file = answers(finding(2.0, 3.0, burst="b1", trustworthy=False, reason="the quiet residual is not white"))
-    told = [v for _, v in file.rows("/m1/answer", "TextDocument:text")][-1]
-    assert told == "## No answer\n\nthe quiet residual is not white"
+    reported = [v for _, v in file.rows("/m1/answer", "TextDocument:text")][-1]
+    assert reported == "## No answer\n\nthe quiet residual is not white"
 
 
 def test_an_early_decision_without_a_name_does_not_shake_the_certainty(answers, finding):

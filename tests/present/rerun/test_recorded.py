@@ -89,7 +89,7 @@ def test_an_imported_table_is_shown_without_empty_views(tmp_path, rrd, monkeypat
         "/table/answer", "/table/signals/inputs/u_a", "/table/signals/outputs/y_b",
     }  # fmt: skip
     [layout] = layouts[-1].values()
-    assert (layout.lanes, layout.told, dict(layout.detectors)) == (0, False, {})
+    assert (layout.lanes, layout.reported, dict(layout.detectors)) == (0, False, {})
 
 
 def test_a_recording_without_samples_is_named(tmp_path):
