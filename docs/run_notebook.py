@@ -31,7 +31,7 @@ def run(notebook: Any) -> list[str]:
     client.execute()
     notebook.metadata.language_info = {"name": "python"}  # without the version it ran with
     for cell in notebook.cells:
-        if cell.cell_type == "code":  # what is gone at the end, and how many runs there were, are no results
+        if cell.cell_type == "code":  # what is gone at the end, and how many runs there were, are not results
             cell.execution_count = None
             cell.outputs = [kept for kept in cell.outputs if kept.get("data", {}).get("text/plain", "-")]
     return client.pictures

@@ -46,7 +46,7 @@ class Coefficient:
 
     ``scale`` is a change that matters, used as the first step of a fit. A parameter with ``low >= 0`` is searched on a
     logarithmic scale. ``linear`` says that the law is proportional to it (together with the other linear ones).
-    ``nuisance`` marks a shape parameter that sharpens the fit but is no finding of its own, such as a rounding width.
+    ``nuisance`` marks a shape parameter that sharpens the fit but is not a finding of its own, such as a rounding width.
     ``through = (state, input)`` says that people want the value divided by that entry of B, in the ``unit`` given: a force
     where the law works with the acceleration it causes.
     """

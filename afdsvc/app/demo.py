@@ -41,7 +41,7 @@ def run_demo(options: DemoOptions, tell: Callable[[float, Hub], None]) -> dict[s
     """Run the demonstration; ``tell(done seconds, hub)`` is called several times a second. Returns the JSON document."""
     with tempfile.TemporaryDirectory(prefix="afdsvc-demo-") as folder:
         path = Path(folder) / "site.toml"
-        history = f'[alarms]\nhistory = "{(Path(folder) / "alarms.sqlite").as_posix()}"\n'  # alarms of earlier demonstrations are no part of this one
+        history = f'[alarms]\nhistory = "{(Path(folder) / "alarms.sqlite").as_posix()}"\n'  # alarms of earlier demonstrations are not part of this one
         console = f'[web]\nlisten = "{options.console}"\n' if options.console else ""
         path.write_text(site_text(options, free_port()) + history + console, encoding="utf-8")
         site = read_site(path)

@@ -49,7 +49,7 @@ def parse_fault(text: str) -> tuple[str, float, float]:
     try:
         severity, at = float(match["severity"]), float(match["at"] or 0)
     except ValueError:
-        raise BadInput(f"--fault '{text}': '{match['severity']}' is no number; expected a severity like -0.5") from None
+        raise BadInput(f"--fault '{text}': '{match['severity']}' is not a number; expected a severity like -0.5") from None
     if not -1 <= severity <= 0:
         raise BadInput(f"--fault '{text}': severity {severity:g}; expected a number from 0 (healthy) to -1 (total loss)")
     return match["name"], severity, at

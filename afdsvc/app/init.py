@@ -65,7 +65,7 @@ def init_files(recording: Path, out: Path | None = None, answers: Answers | None
     if answers.step is not None:
         _positive("--step", str(answers.step))
     if recording.suffix.lower() not in TABLES:
-        raise BadInput(f"{recording}: is no table; expected one that ends in {', '.join(TABLES)}")
+        raise BadInput(f"{recording}: is not a table; expected one that ends in {', '.join(TABLES)}")
     folder = out or recording.parent
     files = [folder / name for name in (MODEL, MAPPING, *([SITE] if site else []))]
     model, mapping = files[:2]

@@ -72,7 +72,7 @@ def stepped_plant(
     folder, reference = (Path(place).parent, f"{Path(place).name}{unit[len(place):]}") if place.endswith(".py") else (Path(), unit)
     function = load_code(reference, folder, "key 'driver.unit'")
     if not callable(function):
-        raise BadInput(f"key 'driver.unit' names {unit}, which is no function; expected function(x, u, dt) -> (x, y)")
+        raise BadInput(f"key 'driver.unit' names {unit}, which is not a function; expected function(x, u, dt) -> (x, y)")
     return FunctionPlant(function, unit, len(inputs), len(outputs), driver.options)
 
 

@@ -211,7 +211,7 @@ def alarms(
     from afdsvc.present.terminal import alarm_table, history_table
 
     if alarm.endswith(".toml"):
-        raise BadInput(f"'{alarm}' is no alarm; the site file is given as --site {alarm}")
+        raise BadInput(f"'{alarm}' is not an alarm; the site file is given as --site {alarm}")
     found = _ask(site, "history", alarm=alarm) if history else _ask(site, "alarms")
     if alarm and not history:
         found = [a for a in found if a["id"] == alarm] or _no_alarm(alarm, found)

@@ -33,7 +33,7 @@ AROUND = 25  # samples to either side whose deviations are the surroundings
 REACH = 4  # samples to either side that a spike, kinks and a step are fitted to
 PLAIN = 0.25  # mean square that a spike may leave of what the best kinks or step leave
 ANSWERED = 3  # samples within which a reading may follow a pulse of the excitation
-RARE = 0.005  # share of the samples beyond which they are no accident
+RARE = 0.005  # share of the samples beyond which they are not an accident
 NORMAL = 1.4826  # standard deviation of normal noise over its median magnitude
 
 

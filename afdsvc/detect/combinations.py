@@ -26,7 +26,7 @@ JOINED = "+"  # between the names of faults that are present together
 TOGETHER = 0.05  # how often a machine with a fault has a second one
 OPEN = 0.05  # odds of the likeliest pair against the likeliest single fault from which pairs are weighed with them
 NEGLIGIBLE = 1e-6  # weight of a combination that is not listed
-UNEXPLAINED = 1e-3  # p-value of what a pair leaves of the lines below which it is no explanation
+UNEXPLAINED = 1e-3  # p-value of what a pair leaves of the lines below which it is not an explanation
 REFINED = 8  # pairs, the likeliest by linearisation, that are fitted on the lines
 STEPS = 8  # Gauss-Newton steps of such a fit
 NUDGE = 1e-4  # severity by which derivatives are taken
@@ -216,7 +216,7 @@ def _pairs_on_lines(curves: FaultCurves, data: LineData, reach: Mapping[str, tup
 
 
 def _refined(curves: FaultCurves, data: LineData, reach: Mapping[str, tuple[float, float]], start: Combination) -> Combination | None:
-    """Return the likeliest severities of two faults on their curves together; None where one of them is no loss."""
+    """Return the likeliest severities of two faults on their curves together; None where one of them is not a loss."""
     names = [curves.names[i] for i in start.faults]
     low = np.array([0.999 * reach[n][0] for n in names])
     theta = np.clip(start.severity, low, 0.0)

@@ -113,7 +113,7 @@ def gaps(problem: DetectionProblem, controller: StateSpace) -> dict[str, Any]:
     """Return the margin of the loop, and for every fault the nu-gap to the healthy plant at every severity.
 
     Signals are counted in the machine's limits where it states them. A fault whose gap is below the margin leaves the loop stable. A gap
-    is no probability of detection: it knows neither noise nor how long a burst is.
+    is not a probability of detection: it knows neither noise nor how long a burst is.
     """
     scale = _scaling(problem)
     G, K = _scaled(problem.plant, *scale), _scaled(controller, *scale[::-1])

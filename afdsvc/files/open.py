@@ -128,7 +128,7 @@ def open_file(path: Path, naming: Naming = Naming()) -> OpenFile:
     if path.suffix.lower() in SPREADSHEETS:
         raise BadInput(f"{path}: is a spreadsheet; expected the sheet saved as CSV")
     if path.suffix.lower() == ".toml":
-        raise BadInput(f"{path}: is no recording; expected one of {', '.join(TABLES)} or an MCAP file; a model goes before the recordings, or after --model")
+        raise BadInput(f"{path}: is not a recording; expected one of {', '.join(TABLES)} or an MCAP file; a model goes before the recordings, or after --model")
     recording = Recording(path)
     if METADATA in recording.front.metadata or (naming.mapping is None and recording.machines):
         return OwnRecording(recording)

@@ -239,7 +239,7 @@ class SteppedSimulator(ControlLoop):
     """A `DrivablePort` around a `SteppedPlant`: J_K and its limits act in every sample, as around hardware.
 
     ``output_cov (p, p)`` is that of white noise added to what the simulator answers, drawn from ``seed``. A simulator that fails, or
-    answers with what is no number, ends the machine with a sentence that names it. ``sites`` names the gains that faults can be put
+    answers with what is not a number, ends the machine with a sentence that names it. ``sites`` names the gains that faults can be put
     into while it runs, as (side, index).
     """
 
@@ -264,7 +264,7 @@ class SteppedSimulator(ControlLoop):
         self._answer = unit.begin()
 
     def inject(self, fault: str, severity: float) -> None:
-        """Give a gain this severity from the next sample on; raises `BadInput` for a fault that is no gain."""
+        """Give a gain this severity from the next sample on; raises `BadInput` for a fault that is not a gain."""
         if fault not in self._sites:
             raise BadInput(f"fault '{fault}' cannot be injected into a stepped simulator; gain faults can: {', '.join(self._sites) or 'none'}")
         side, index = self._sites[fault]

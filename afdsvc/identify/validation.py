@@ -1,7 +1,7 @@
 """Validation on held-out recordings: fit measures, agreement of two independent estimates, undamped modes.
 
 The orbit of an unbalanced rotor, or interference at mains frequency, is predictable without any input. An order chosen from the data then
-makes room for an undamped mode, which draws the disturbance from its initial state and is no property of the plant.
+makes room for an undamped mode, which draws the disturbance from its initial state and is not a property of the plant.
 """
 
 from __future__ import annotations

@@ -121,11 +121,11 @@ def _read(path: Path) -> Iterator[dict[str, Any]]:
             if json.dumps(entry).encode() != line:
                 raise BadInput(f"{path}: line {number} is not as it was written")
             if torn and (entry.get("what"), entry.get("arguments")) != (TORN, {"sha256": torn}):
-                raise BadInput(f"{path}: line {number - 1} is no entry: it was damaged after it was written")
+                raise BadInput(f"{path}: line {number - 1} is not an entry: it was damaged after it was written")
             torn = ""
             yield entry
     if torn:
-        raise BadInput(f"{path}: line {len(lines) - 1} is no entry: it was damaged after it was written")
+        raise BadInput(f"{path}: line {len(lines) - 1} is not an entry: it was damaged after it was written")
 
 
 def _end(file: int) -> tuple[int, str, bytes]:

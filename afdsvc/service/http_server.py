@@ -56,7 +56,7 @@ class BoundedServer(ThreadingHTTPServer):
                     request.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Note a connection that failed; a peer that hangs up is no event of the service."""
+        """Note a connection that failed; a peer that hangs up is not an event of the service."""
         log.debug("a connection from %s failed", client_address, exc_info=True)
 
 

@@ -156,7 +156,7 @@ def _together(heights: Sequence[Array]) -> Array:
 
 
 def _quiet(run: Run, n: int, window: Array) -> NDArray[np.bool_]:
-    """Return the bins that are no line of a repeating excitation, or where a non-repeating one has no power."""
+    """Return the bins that are not lines of a repeating excitation, or where a non-repeating one has no power."""
     bins = np.arange(n // 2 + 1)
     if run.period:  # what repeats is taken out where three periods or more tell what it is
         orders = bins * run.period / n

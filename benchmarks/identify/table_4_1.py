@@ -129,7 +129,7 @@ READING = """## Why the figures differ from the published ones
   between the directions is the real rotor's, which equal shaking in both does not have.
 - **Unbalance is a trap for R2.** The refined estimate "explains" 77 / 76 % there, more than the truth: one of its six states has become an undamped
   mode near the speed of rotation (measured in one run: 111 rad/s, damping below 0.001; the speed is 115 rad/s), and since a prediction may choose
-  its initial state, that mode draws the orbit of the recording to be judged as well. It is no property of the plant; `identify` warns of it. Take the
+  its initial state, that mode draws the orbit of the recording to be judged as well. It is not a property of the plant; `identify` warns of it. Take the
   harmonics of the speed out of u and y, or identify at rest.
 """
 

@@ -142,5 +142,5 @@ def test_periods_with_few_missing_samples_are_filled_by_the_others():
     holed[600:700] = np.nan
     assert fold(run, holed) is None
     left = run.Y.copy()
-    left[-1] = np.inf  # a simulation that left is no gap
+    left[-1] = np.inf  # a simulation that left is not a gap
     assert fold(run, left) is None

@@ -29,7 +29,7 @@ def test_healthy_recordings_pass(healthy):
     screen(healthy, 1000)
     binary = np.sign(np.random.default_rng(2).standard_normal(5000))
     screen(_changed(healthy, 0, binary), 1000)  # a switched input lives at its ends
-    screen(_changed(healthy, 2, np.round(healthy.values[:, 2], 1)), 1000)  # a coarse sensor is no gap
+    screen(_changed(healthy, 2, np.round(healthy.values[:, 2], 1)), 1000)  # a coarse sensor is not a gap
 
 
 def test_too_short(healthy):

@@ -167,7 +167,7 @@ def test_a_column_of_the_model_that_is_missing_is_named(spring, recorded):
 def test_a_gain_that_is_off_is_a_constant_and_not_physics(spring):
     """A staircase drives the stated model with 4 % more gain and slow noise: curves, lags and hysteresis fit, too, and are not named."""
     rng = np.random.default_rng(5)
-    accelerated = replace(spring, plant=replace(spring.plant, B=np.array([[0.0], [1.0]])))  # the input is an acceleration: its gain is no free number
+    accelerated = replace(spring, plant=replace(spring.plant, B=np.array([[0.0], [1.0]])))  # the input is an acceleration: its gain is not a free number
     A, B, *_ = cont2discrete((spring.plant.A, np.array([[0.0], [1.04]]), spring.plant.C, spring.plant.D), 2e-3)
     recordings = []
     for name in "abcd":

@@ -150,7 +150,7 @@ def test_a_simulator_that_answers_nan_ends_with_its_name(folder):
     [
         ([('unit = "axis.py:axis"\n', "")], "a driver of kind 'function' needs 'unit', a function as file.py:name"),
         ([("axis.py:axis", "axis.py:nothing")], "key 'driver.unit' names .*axis.py, which defines no 'nothing'"),
-        ([("axis.py:axis", "axis.py:three")], "names .*axis.py:three, which is no function"),
+        ([("axis.py:axis", "axis.py:three")], "names .*axis.py:three, which is not a function"),
         ([("axis.py:axis", "no.such.module:f")], "names the module no.such.module, which cannot be imported: ModuleNotFoundError"),
         ([("axis.py:axis", "axis")], "key 'driver.unit' is 'axis'; expected file.py:name or package.module:name"),
         ([("limits = {output = [6.0], ", "limits = {")], "key 'limits.output' is missing; a driven machine with 'model' needs"),

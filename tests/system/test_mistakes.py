@@ -72,7 +72,7 @@ def folder(tmp_path_factory) -> Path:
         ("check number.toml gap.csv", ["number.toml: key 'num[0]' is 'three'; expected a number"]),
         ("recover nowhere.mcap", ["nowhere.mcap: cannot be read: No such file or directory; expected a recording"]),
         ("status", ["no service answers at tcp/127.0.0.1:28997; start it with 'afdsvc serve'"]),
-        ("alarms site.toml", ["'site.toml' is no alarm; the site file is given as --site site.toml"]),
+        ("alarms site.toml", ["'site.toml' is not an alarm; the site file is given as --site site.toml"]),
         ("rig site.toml --machine bering", ["site.toml: no machine 'bering'; it has bearing"]),
         ("demo --plant gasbearing", ["there is no plant 'gasbearing'; there are amb_turboexpander, gas_bearing"]),
         ("demo --fault actuator=50%", ["--fault 'actuator=50%': expected NAME=SEVERITY@SECONDS, for example horizontal_actuator=-0.5@12"]),

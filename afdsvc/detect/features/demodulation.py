@@ -101,7 +101,7 @@ def project(sums: BasisSums, basis: Basis) -> Lines:
 
 
 def line_frequencies(burst: Burst) -> tuple[float, ...]:
-    """Return the frequencies [rad/s] of a burst's lines in order; raises `BadInput` for a burst that is no sum of sines."""
+    """Return the frequencies [rad/s] of a burst's lines in order; raises `BadInput` for a burst that is not a sum of sines."""
     if not burst.lines or burst.waveform is not None:
         raise BadInput(f"burst '{burst.name}' is not a sum of sines; this detector needs one")
     omega = tuple(sorted({line.omega for line in burst.lines}))

@@ -224,7 +224,7 @@ def whitener(covariance: Array) -> Array:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(Xi)))
     except np.linalg.LinAlgError:
         raise BadInput(
-            f"residual covariance {Xi.tolist()} is no covariance; expected a symmetric, positive definite matrix "
+            f"residual covariance {Xi.tolist()} is not a covariance; expected a symmetric, positive definite matrix "
             "(state the noise of every output)"
         ) from None
 

@@ -87,7 +87,7 @@ class ActiveCusum:
     def plan(self, burst: Burst, dt: float) -> CusumPlan:
         """Return hypotheses and boundary for a burst, computed anew.
 
-        Raises `BadInput` for a burst that is no sum of sines.
+        Raises `BadInput` for a burst that is not a sum of sines.
         """
         line_frequencies(burst)
         ordered = tuple(sorted(burst.lines, key=lambda line: line.omega))

@@ -1,6 +1,6 @@
 """Binding function of a regression: the severity it finds in the mean, as a function of the true one.
 
-A regressor psi is minus the derivative of the prediction error e at severity 0. Where the error is no straight line in the severity, the
+A regressor psi is minus the derivative of the prediction error e at severity 0. Where the error is not a straight line in the severity, the
 regression converges to ``m(theta) = E psi'e / E psi'psi``, expectations in the loop with the fault: noise by its stationary covariance,
 excited lines by their responses. The inverse of m takes the bias out.
 

@@ -80,7 +80,7 @@ def given_detection(fit: Fit, bounds: tuple[float, float]) -> Severity:
     """Return a detected fault's severity: median-unbiased and with a 95 % interval, both given the detection.
 
     Far from the limit of detection these are the plain estimate, its standard error and 1.96 of them to both sides. No interval is given
-    where the error of a linearisation counts: it is no random number.
+    where the error of a linearisation counts: it is not a random number.
     """
     found = _given_detection(fit, bounds)
     return found if fit.bias < BIASED * fit.sd else replace(found, low=None, high=None)

@@ -60,7 +60,7 @@ class MatchedFilter:
     def basis(self, burst: Burst, turning: bool = True) -> Basis:
         """Return what a burst is regressed on, rotor-synchronous waves only of a machine that is ``turning``.
 
-        Raises `BadInput` for a burst that is no sum of sines.
+        Raises `BadInput` for a burst that is not a sum of sines.
         """
         return self.nuisances.basis(line_frequencies(burst), turning)
 

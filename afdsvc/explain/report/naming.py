@@ -70,7 +70,7 @@ def estimates(problem: Problem, of: Fit, horizon: float) -> list[dict[str, Estim
 
     Standard deviations come from the inverse of the information matrix, all numbers of the model and initial states fitted
     beside them and samples counted by the correlation time of the residual; those of logarithmic coordinates by the delta
-    rule. Shape parameters that are no finding of their own are left out, unless nothing else was fitted.
+    rule. Shape parameters that are not findings of their own are left out, unless nothing else was fitted.
     """
     here = fit(problem, of.point, horizon, of.own_tau, iterations=0)
     c = Coordinates(problem, of.point)

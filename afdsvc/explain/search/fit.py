@@ -131,7 +131,7 @@ class Coordinates:
 
 
 def logarithmic(c: Coefficient) -> bool:
-    """Whether a parameter is searched on a logarithmic scale: a positive one whose range is no narrow band."""
+    """Whether a parameter is searched on a logarithmic scale: a positive one whose range is not a narrow band."""
     return c.low >= 0 and not c.linear and c.high > 2 * c.low
 
 

@@ -70,7 +70,7 @@ def _deflections(axes: Sequence[Axis], plant: StateSpace | None, x: Array) -> di
 
 
 def _axes(variables: Sequence[Variable], states: Sequence[Size], inputs: Sequence[Size], plant: StateSpace | None, x: Array) -> list[Axis]:
-    """Return the axes: states that are the rate of another one, and measured speeds whose position is no state."""
+    """Return the axes: states that are the rate of another one, and measured speeds whose position is not a state."""
     names = [v.name for v in variables]
     located = [names.index(v.rate_of) for v in variables if v.rate_of in names]
     found = []

@@ -177,7 +177,7 @@ def refuse_code(reference: str, source: str, allow_code: bool, key: str = "") ->
     if allow_code or _trusted(Path(source)):
         return
     code = Path(source).parent / (reference if reference.endswith(".fmu") else reference.rpartition(":")[0])
-    if Path(source).is_file() and allowed(code):  # a model inside a recording is no file of its own and never permitted by that
+    if Path(source).is_file() and allowed(code):  # a model inside a recording is not a file of its own and never permitted by that
         return
     kind = "compiled code" if reference.endswith(".fmu") else "Python code"
     where = key or f"{source}: key 'dynamics'"
@@ -218,7 +218,7 @@ def _imported(place: str, where: str) -> ModuleType:
 def _trusted(path: Path) -> bool:
     """Return whether a file lies in one of the folders of the environment variable `TRUSTED` (separated as in PATH).
 
-    A model inside a recording is no file of its own and never trusted.
+    A model inside a recording is not a file of its own and never trusted.
     """
     folders = [Path(f).resolve() for f in os.environ.get(TRUSTED, "").split(os.pathsep) if f]
     return path.is_file() and any(folder in path.resolve().parents for folder in folders)

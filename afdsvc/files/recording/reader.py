@@ -255,7 +255,7 @@ class Recording:
 def messages_on(path: Path, what: str) -> Iterator[bytes]:
     """Yield the messages of a kind of topic, of every machine, in the order of their time.
 
-    A recording without an index (its writer died) is read through. Raises `BadInput` when it is no recording.
+    A recording without an index (its writer died) is read through. Raises `BadInput` when it is not a recording.
     """
     try:
         with path.open("rb") as stream:

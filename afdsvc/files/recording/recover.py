@@ -45,7 +45,7 @@ def recover_in_place(path: str | Path) -> Recovered:
     """Close and index a recording whose writer died, under its own name.
 
     Where bytes in the middle are damaged the original is kept beside it as ``NAME.damaged``; a torn end holds nothing anybody
-    could use. Raises `BadInput` when a running process is writing the file, or it is no recording at all.
+    could use. Raises `BadInput` when a running process is writing the file, or it is not a recording at all.
     """
     path = Path(path)
     try:

@@ -143,7 +143,7 @@ def _name_bad_cell(path: Path, header: list[str], timed: list[str], delimiter: s
 
 
 def _expected(cell: str, row: int) -> str:
-    """Return what a cell that is no number should be."""
+    """Return what a cell that is not a number should be."""
     if re.search(r"\d[./-]\d+[./-]\d+\D+\d+:\d", cell):
         return "a number of seconds, or a time such as 2026-11-21T10:00:00.125+01:00 (ISO 8601)"
     return "a number" + ("; the first line has to hold the names of columns, and no comment or line of units may come before the numbers" if row == 1 else "")

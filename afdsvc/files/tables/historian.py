@@ -58,7 +58,7 @@ def _read_export(path: Path) -> tuple[Tags, list[str]]:
         if own.size:
             found[name] = ((at[own] - at.min()) * 1e-9, values[own])
     left = int(np.sum(~good))
-    return found, [f"the time of a value is column {time}, its tag column {tag}", *([f"{left} of {len(good)} values are no numbers and are left out"] if left else [])]
+    return found, [f"the time of a value is column {time}, its tag column {tag}", *([f"{left} of {len(good)} values are not numbers and are left out"] if left else [])]
 
 
 def _number(text: str) -> float:

@@ -120,7 +120,7 @@ def converted(values: Array, source: str, target: str, where: str) -> Array:
     """Return the values in the unit ``target``; the same array where the two are one unit.
 
     Raises `BadInput`, beginning with ``where``, for an unknown unit, for two units of different dimension, and for Hz on
-    one side and an angle on the other: a frequency is no angular speed, and which of the two was meant is not in the numbers.
+    one side and an angle on the other: a frequency is not an angular speed, and which of the two was meant is not in the numbers.
     """
     if same_unit(source, target, where):
         return values

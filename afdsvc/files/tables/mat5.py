@@ -29,7 +29,7 @@ class _Element:
     content: bytes
 
     def numbers(self, order: str) -> np.ndarray:
-        """Return the content as stored; raises `ValueError` for what are no numbers."""
+        """Return the content as stored; raises `ValueError` for what are not numbers."""
         code = _STORED.get(self.kind)
         if code is None or len(self.content) % int(code[1]):
             raise ValueError(f"an element of type {self.kind} with {len(self.content)} bytes; expected numbers")

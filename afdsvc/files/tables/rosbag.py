@@ -23,7 +23,7 @@ FIELDS = 65_536  # elements of arrays of fixed length in all types together: the
 
 
 def read_bag(path: Path, is_mapped: Callable[[str], bool]) -> Iterator[Item]:
-    """Yield schema and channel of every topic, and the messages of the topics for which ``is_mapped(topic)``; raises `BadInput` for what is no bag."""
+    """Yield schema and channel of every topic, and the messages of the topics for which ``is_mapped(topic)``; raises `BadInput` for what is not a bag."""
     opened(path).close()
     try:
         yield from (_ros1 if path.suffix.lower() == ".bag" else _ros2)(path, is_mapped)

@@ -33,7 +33,7 @@ class UnitDescription:
 
 
 def describe(path: Path) -> UnitDescription:
-    """Return what a unit says of itself; raises `BadInput` for what is no co-simulation unit of FMI 2 or 3."""
+    """Return what a unit says of itself; raises `BadInput` for what is not a co-simulation unit of FMI 2 or 3."""
     described = _description(path)
     step = described.defaultExperiment.stepSize if described.defaultExperiment else None
     sides = [

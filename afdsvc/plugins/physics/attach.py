@@ -42,7 +42,7 @@ def at_output(port: Size, law: Law, reads: Sequence[Signal] = (), **rest: Any) -
 
 
 def at_state(where: Size, law: Law, reads: Sequence[Signal], writes: Sequence[Signal] = (), **rest: Any) -> Hypothesis:
-    """Return a law that adds to the rate of change of a state that is no velocity, or of those in ``writes``."""
+    """Return a law that adds to the rate of change of a state that is not a velocity, or of those in ``writes``."""
     return _hypothesis(f"state:{where.name}", "force", law, tuple(reads), tuple(writes) or (state(where),), rest)
 
 

@@ -36,7 +36,7 @@ class ConstantLoad:
     summary = "a constant force, such as weight, preload or an amplifier offset"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return two hypotheses per axis, and two per input whose offset is no force on an axis."""
+        """Return two hypotheses per axis, and two per input whose offset is not a force on an axis."""
         words: dict[str, Any] = {"physics": self.name, "family": "offset"}
         for axis in machine.axes:
             f = 0.05 * axis.push

@@ -16,7 +16,7 @@ def _scaled(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 def varying(machine: Machine) -> list[Size]:
-    """Return the auxiliary signals that vary and are no angle."""
+    """Return the auxiliary signals that vary and are not angles."""
     return [a for name, a in machine.aux.items() if name != "angle" and a.rms > 1e-6 * max(abs(a.mean), 1e-300) and a.rms > 0]
 
 

@@ -154,7 +154,7 @@ def _loop_figures(problem: DetectionProblem, burst: Burst, loop: Mapping[str, An
         ("Disturbance gain", "Largest gain from a disturbance at the inputs to the outputs, without and with the controller, and from alpha; "
          "dashed lines mark the burst's frequencies.", _disturbance_figure(problem, burst, controller)),
         ("Distance between healthy and faulty plant (nu-gap)", f"Signals counted in their limits. Below the margin of this loop, {gap['margin']:.3g} (dashed), "
-         "it stays stable whatever the fault. The gap knows neither noise nor the length of a burst: it is no probability of detection.", _gap_figure(gap)),
+         "it stays stable whatever the fault. The gap knows neither noise nor the length of a burst: it is not a probability of detection.", _gap_figure(gap)),
         ("Poles against the gain of the controller", f"Poles of the loop, as ln(z) / dt, for 0 to 2 times the controller (dark: small); crosses: as it is. "
          f"Stable from {low} to {high} times; least damping {gain['least_damping']:.3g}, at most {gain['best_damping']:.3g} with {gain['best_factor']:.3g} times.",
          _locus_figure(problem, controller)),

@@ -48,7 +48,7 @@ class MachineAnswers:
         verdict = conclude(list(self._evidence))
         if verdict.detected and self._begun_ns is None:
             self._begun_ns = finding.t_ns
-        self._said = self._said or verdict.fault is not None  # an early decision, which names nothing yet, is no step back
+        self._said = self._said or verdict.fault is not None  # an early decision, which names nothing yet, is not a step back
         if verdict.fault and verdict.severity:
             s = verdict.severity
             for kind, value in (("", s.value), ("_low", s.value - 2 * s.sd), ("_high", s.value + 2 * s.sd)):

@@ -37,7 +37,7 @@ def test_init_writes_a_mapping_by_which_tags_become_signals(export: Path):
     assert found["fits"]["motor_speed"]["num"][0] == pytest.approx(100, rel=0.1)
     said = prepared([trace])
     assert "export.csv: the time of a value is column Timestamp, its tag column TagName" in said
-    assert "export.csv: 1 of 801 values are no numbers and are left out" in said
+    assert "export.csv: 1 of 801 values are not numbers and are left out" in said
 
 
 def test_without_a_mapping_the_way_out_is_named(export: Path):

@@ -200,7 +200,7 @@ def test_missing_noise_is_refused_at_design(name):
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_severity_of_first_order_is_unbiased_or_says_how_wrong_it_may_be(bursts, run, shown, known):
-    """Stiffness is no gain: one regression is right to first order only. Where the loop is not known its error covers what the second order does."""
+    """Stiffness is not a gain: one regression is right to first order only. Where the loop is not known its error covers what the second order does."""
     problem = bearing_problem("proportional")
     names = ("stiffness_hh", "damping_vv")
     problem = replace(problem, augmented=gas_bearing().faults(list(names)), severity_range=(-0.5, 0.0), loop_known=known)

@@ -24,7 +24,7 @@ QUIET, SPEED = 3000, 2 * np.pi * 1100 / 60
 
 
 def shaken_loop(problem, severities):
-    """The loop from ``[v, force, alpha]`` to ``[u, y]``; the force enters where the input does but is no part of u."""
+    """The loop from ``[v, force, alpha]`` to ``[u, y]``; the force enters where the input does but is not part of u."""
     g = problem.augmented.close(severities)
     n, m, p = g.order, g.inputs, g.outputs
     B = np.hstack([np.zeros((n, p)), g.B, g.B])
