@@ -52,7 +52,7 @@ def explain(
     for recordings that do not fit the model.
     """
     progress("checking", 0.0)
-    findings, roles = _checked(model, recordings, holdout, trust_units)
+    findings, roles = _checked(model, recordings, holdout, trust_units, mapper)
     base, remainder, offered = settled(_problem(model, roles, settings or Settings(), findings)), Remainder(np.random.default_rng(SEED), mapper), list(library)
     progress("testing", 0.0)
     gap = remainder(base.problem, base.start)
@@ -61,15 +61,17 @@ def explain(
     found, answer = _confirmed(base, gap, offered, mapper, progress, remainder, roles.heldout)
     answer = _consistent_there(answer, found.problem, list(found.end)[-1], roles.heldout, remainder)
     progress("reporting", 0.9)
-    explanation = report(found, answer, roles, findings, offered, experiment)
+    explanation = report(found, answer, roles, findings, offered, experiment, mapper)
     progress("reporting", 1.0)
     return explanation
 
 
-def _checked(model: Model, recordings: Sequence[Trace], holdout: Sequence[Trace], trust_units: bool) -> tuple[tuple[Finding, ...], Split]:
+def _checked(
+    model: Model, recordings: Sequence[Trace], holdout: Sequence[Trace], trust_units: bool, mapper: Mapper
+) -> tuple[tuple[Finding, ...], Split]:
     """Return what the check says, and what is fitted and held out."""
     given, recordings = len(recordings), joined(recordings)
-    findings = checked(model, recordings, trust_units)
+    findings = checked(model, recordings, trust_units, mapper)
     if len(recordings) < given:
         findings = (*findings, Finding("ok", "recordings", f"{given - len(recordings)} files go on where others end, and are taken as parts of them"))
     runs = prepare(model, [*recordings, *holdout])

@@ -22,6 +22,7 @@ from afdsvc.explain.report.naming import estimates, names, nearest, rejections, 
 from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.forward import Found
 from afdsvc.explain.search.problem import NUISANCE, Problem
+from afdsvc.explain.settings import Mapper
 from afdsvc.explain.simulate.simulator import Simulator
 from afdsvc.explain.verdict.holdout import HeldOutVerdict, player
 from afdsvc.explain.verdict.verdict import Verdict
@@ -30,8 +31,14 @@ SEED = 1  # of the flexible model's features
 CLEAR = 3.0  # standard deviations from which a load is reported
 
 
-def report(found: Found, answer: HeldOutVerdict, roles: Split, findings: Sequence[Finding], library: Iterable[Physics], experiment: bool = True) -> Explanation:
-    """Return the explanation: names, courses and fits on what was held out; ``experiment`` False leaves out the next experiment."""
+def report(
+    found: Found, answer: HeldOutVerdict, roles: Split, findings: Sequence[Finding], library: Iterable[Physics], experiment: bool = True,
+    mapper: Mapper = map,
+) -> Explanation:
+    """Return the explanation: names, courses and fits on what was held out; ``experiment`` False leaves out the next experiment.
+
+    ``mapper`` may work on its parts in parallel.
+    """
     play, model = player(found.problem, list(found.end)[-1]), found.problem.nominal.model
     before, verdict, final = found.problem.start(), _excited(answer.verdict, findings), answer.final
     held = courses(play, roles.heldout, "heldout", before, final.point)
@@ -39,11 +46,18 @@ def report(found: Found, answer: HeldOutVerdict, roles: Split, findings: Sequenc
     outputs = [v.name for v in model.outputs]
     claimed = [c.candidate.hypothesis for c in verdict.claims]
     unexplained = verdict.verdict == "unexplained"
+    where, named, law, next_experiment, rejected = mapper(lambda part: part(), (
+        lambda: located(found.problem, found.start[list(found.start)[-1]], list(found.start)[-1], verdict.gap, np.random.default_rng(SEED)),
+        lambda: names(found, verdict, final, {p.name: p.summary for p in library}),
+        lambda: picture(found, final, bool(claimed)) if claimed or unexplained else None,
+        lambda: _next(found, verdict) if experiment else None,
+        lambda: rejections(found, claimed, lambda point: float(np.mean(play.nrmse(roles.heldout, point)))),
+    ))
     return Explanation(
         verdict=verdict.verdict,
-        located=located(found.problem, found.start[list(found.start)[-1]], list(found.start)[-1], verdict.gap, np.random.default_rng(SEED)),
-        named=names(found, verdict, final, {p.name: p.summary for p in library}),
-        rejected=rejections(found, claimed, lambda point: float(np.mean(play.nrmse(roles.heldout, point)))),
+        located=where,
+        named=named,
+        rejected=rejected,
         fit=fits(held, outputs, floor),
         heldout=roles.heldout_names,
         whiteness_p=white(found.problem, held),
@@ -52,10 +66,10 @@ def report(found: Found, answer: HeldOutVerdict, roles: Split, findings: Sequenc
         gap=verdict.gap,
         remainder=verdict.remainder if claimed else None,
         candidates=nearest(found) if unexplained else (),
-        law=picture(found, final, bool(claimed)) if claimed or unexplained else None,
+        law=law,
         check=tuple(f.sentence for f in findings),
         sentences=(*verdict.sentences, *_loads(found.problem, final, list(found.end)[-1])),
-        next_experiment=_next(found, verdict) if experiment else None,
+        next_experiment=next_experiment,
         noise_floor=floor,
         courses=(*courses(play, roles.train, "train", before, final.point), *held),
         spectra=spectra(roles.heldout, held, outputs),

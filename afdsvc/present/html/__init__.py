@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, select_autoescape
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.ticker import FuncFormatter, NullFormatter
 from matplotlib.transforms import ScaledTranslation
 
 from afdsvc.api.evidence import p_value_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 PHONE = 4.1  # inches; a wider figure is drawn once more for phones
@@ -33,9 +36,21 @@ def svg(figure: Figure) -> str:
         legend = ax.get_legend()
         for text in (ax.title, ax.xaxis.label, ax.yaxis.label, *ax.texts, *(legend.get_texts() if legend else ())):
             text.set_parse_math(False)
-    out = io.StringIO()
-    figure.savefig(out, format="svg", metadata={"Date": None})
+        for axis in (ax.xaxis, ax.yaxis):
+            if axis.get_scale() == "log":
+                _plain_numbers(axis)
+    out, dpi = io.StringIO(), figure.dpi
+    FigureCanvasSVG(figure).print_svg(out, metadata={"Date": None})  # `savefig` would draw it twice
+    figure.dpi = dpi
     return out.getvalue()[out.getvalue().index("<svg") :]
+
+
+def _plain_numbers(axis: Axis) -> None:
+    """Write the numbers of a logarithmic axis as text: formulas take most of the time of a page. Less than a decade has numbers between."""
+    low, high = sorted(axis.get_view_interval())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    if high > 10 * low:
+        axis.set_minor_formatter(NullFormatter())
 
 
 def zoomable(figure: Figure) -> str:
