@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from afdsvc.api.model import Model
 from afdsvc.api.physics import Physics
@@ -129,13 +130,20 @@ def load_library() -> list[Physics]:
 
 
 def parallel(jobs: int) -> Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]:
-    """Return a map over this many threads (the simulations run outside Python's lock), in order as they come; the plain one for a single job."""
+    """Return a map over this many threads (the simulations run outside Python's lock), in order as they come; the plain one for a single job.
+
+    A map within a map runs in the thread it is in.
+    """
     if jobs <= 1:
         return map
+    pool, here = ThreadPoolExecutor(jobs, "explain"), threading.local()
 
     def mapper(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterable[Any]:
-        done: Iterable[Any] = Parallel(n_jobs=jobs, prefer="threads", return_as="generator")(delayed(function)(item) for item in items)
-        return done
+        def within(item: Any) -> Any:
+            here.within = True
+            return function(item)
+
+        return map(function, items) if getattr(here, "within", False) else pool.map(within, items)
 
     return mapper
 

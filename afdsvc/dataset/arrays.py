@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from afdsvc.api.model import Model
+from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Trace
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.sample_checks import Finding
+from afdsvc.dataset.units import unit_in_words
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 
@@ -115,8 +116,8 @@ def check_columns(model: Model, traces: Sequence[Trace], runs: Sequence[Run]) ->
     yield from _sampling(model, runs[0].dt)
 
 
-def _names(variables: Sequence[object]) -> str:
-    return ", ".join(getattr(v, "name", "") for v in variables)
+def _names(variables: Sequence[Variable]) -> str:
+    return ", ".join(f"{v.name} [{unit_in_words(v.unit)}]" if v.unit else v.name for v in variables)
 
 
 def _unused(model: Model, traces: Sequence[Trace]) -> Iterator[Finding]:

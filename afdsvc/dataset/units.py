@@ -26,6 +26,21 @@ def with_unit(number: str, unit: str) -> str:
 
 
 @lru_cache(maxsize=256)
+def unit_in_words(unit: str) -> str:
+    """Return what a unit is read as, or that it is not known.
+
+    >>> unit_in_words("rpm"), unit_in_words("N m"), unit_in_words("revs/m")
+    ('revolution / minute', 'meter * newton', 'revs/m, a unit that is not known')
+    """
+    from pint.errors import PintError
+
+    try:
+        return str(unit_registry().Unit(unit.replace("^", "**"))).replace("revolutions_per_minute", "revolution / minute")
+    except (PintError, ValueError, TypeError, AttributeError):
+        return f"{unit}, a unit that is not known"
+
+
+@lru_cache(maxsize=256)
 def is_velocity(unit: str) -> bool:
     """Return whether a unit is that of a linear or angular velocity ("m/s", "rad/s", "rpm"); False for units not known.
 

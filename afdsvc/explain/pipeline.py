@@ -53,7 +53,7 @@ def explain(
     """
     progress("checking", 0.0)
     findings, roles = _checked(model, recordings, holdout, trust_units, mapper)
-    base, remainder, offered = settled(_problem(model, roles, settings or Settings(), findings)), Remainder(np.random.default_rng(SEED), mapper), list(library)
+    base, remainder, offered = settled(replace(_problem(model, roles, settings or Settings(), findings), mapper=mapper)), Remainder(np.random.default_rng(SEED), mapper), list(library)
     progress("testing", 0.0)
     gap = remainder(base.problem, base.start)
     if gap.absent:  # noise limits: the refit may have moved numbers of the model to follow the recordings

@@ -6,11 +6,16 @@ of |G - G0| / |G0|. Coverage: share of 95 % ellipses that hold the true response
 recordings, since the errors of neighbouring frequencies go together.
 
     python benchmarks/identify/random_loops.py --loops 24 --share 0.3 --recordings 1
+
+With ``--keep FOLDER`` recordings and true plants are written there, and PARSIM-K of sippy runs on them (see `peers`):
+
+    peers/bin/python benchmarks/identify/random_loops_peers.py FOLDER
 """
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 import numpy as np
 from drawn_plants import modes
@@ -64,11 +69,14 @@ def recorded(rng: np.random.Generator, true: StateSpace, fact: Factorisation, sh
     return Trace("loop", 1.0, tuple(channels), np.hstack(list(parts.values())))
 
 
-def compared(seed: int, share: float, recordings: int) -> dict[str, float]:
+def compared(seed: int, share: float, recordings: int, keep: Path | None = None) -> dict[str, float]:
     """Return the errors of one loop in the first recording, and the coverage of Hansen's bands over all of them."""
     rng = np.random.default_rng(seed)
     true, nominal, fact = drawn(rng, seed % 3 == 0)
     traces = [recorded(rng, true, fact, share) for _ in range(recordings)]
+    if keep:
+        parts = {role: np.column_stack([traces[0].column(c.name) for c in traces[0].channels if c.role == role]) for role in "uy"}
+        np.savez(keep / f"{seed}.npz", **parts, A=true.A, B=true.B, C=true.C, D=true.D)
     names = [tuple(Variable(f"{c}{k}") for k in range(n)) for c, n in (("w", true.inputs), ("v", true.outputs), ("x", true.order))]
     model = Model("drawn", *names, nominal, sample_time=1.0, controller=fact.controller)
     fits = [identify(model, [trace], options=IdentifyOptions(cross_check=False)).fit for trace in traces]
@@ -93,11 +101,14 @@ if __name__ == "__main__":
     parser.add_argument("--loops", type=int, default=24)
     parser.add_argument("--share", type=float, default=0.3)
     parser.add_argument("--recordings", type=int, default=1)
+    parser.add_argument("--keep", type=Path)
     args = parser.parse_args()
+    if args.keep:
+        args.keep.mkdir(parents=True, exist_ok=True)
     rows = []
     for seed in range(args.loops):
         try:
-            rows.append(compared(seed, args.share, args.recordings))
+            rows.append(compared(seed, args.share, args.recordings, args.keep))
         except (AfdsvcError, np.linalg.LinAlgError) as failure:
             print(f"{seed:3d} failed: {failure}", flush=True)
             continue

@@ -110,5 +110,5 @@ def test_the_second_burst_for_a_pair_is_made_for_all_faults_in_doubt():
 
 def test_pairs_that_do_the_same_to_the_loop_are_refused_a_second_burst():
     problem = problem_of(next(m for m in machines() if m.name == "order 8, process noise small"))
-    with pytest.raises(Refused, match=r"no burst tells a0\+a1 from s0\+s1"):
+    with pytest.raises(Refused, match=r"no burst distinguishes a0\+a1 from s0\+s1"):
         second_burst(problem, problem.limits, {"a0+a1": 0.6, "s0+s1": 0.4}, -0.2)

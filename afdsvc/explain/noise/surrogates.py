@@ -39,11 +39,8 @@ def chance(
     ``directions (k, rows)`` are what hypotheses change in the scaled residual, ``scale (rows,)`` what residuals are multiplied by.
     """
     norm = directions / np.maximum(np.linalg.norm(directions, axis=1), 1e-300)[:, None]
-    found = np.empty(count)
-    for i in range(count):
-        e = np.concatenate([r.ravel() for r in drawn(colours, lengths, rng)]) * scale
-        found[i] = 0.5 * float(np.max((norm @ e) ** 2, initial=0.0))
-    return found
+    made = np.array([np.concatenate([r.ravel() for r in drawn(colours, lengths, rng)]) * scale for _ in range(count)])
+    return np.asarray(0.5 * np.max((norm @ made.T) ** 2, axis=0, initial=0.0))
 
 
 def autoregressive(pieces: Sequence[Array], order: int) -> Array:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -166,20 +167,18 @@ def jacobian(
     Of a ``known`` one the first ``kept`` columns, shared and of every run, are left as they are.
     """
     J = np.zeros((sum(e.size for e in residuals), c.size)) if known is None else known.copy()
-    for k in range(kept[0], c.shared):
-        J[:, k] = _column(problem, c, q, [k], horizon, residuals)
-    _begin_columns(J, problem, c, q, range(kept[1], c.n), horizon, residuals)
+    shared = [[k] for k in range(kept[0], c.shared)]
+    begun = [[c.shared + c.n * r + s for r in range(len(residuals))] for s in range(kept[1], c.n)]  # those of all recordings are found together
+    rows = np.concatenate([[0], np.cumsum([e.size for e in residuals])])
+    columns = problem.mapper(partial(_column, problem, c, q, horizon=horizon, residuals=residuals), [*shared, *begun])
+    for at, column in zip([*shared, *begun], columns, strict=True):
+        if at[0] < c.shared:
+            J[:, at[0]] = column
+        else:
+            for r, k in enumerate(at):
+                J[rows[r] : rows[r + 1], k] = column[rows[r] : rows[r + 1]]
     J[~np.isfinite(J)] = 0.0
     return J
-
-
-def _begin_columns(J: Array, problem: Problem, c: Coordinates, q: Array, which: Iterable[int], horizon: float, residuals: Sequence[Array]) -> None:
-    """Write the columns of what recordings begin with; those of all recordings are found together."""
-    rows = np.concatenate([[0], np.cumsum([e.size for e in residuals])])
-    for s in which:
-        column = _column(problem, c, q, [c.shared + c.n * r + s for r in range(len(residuals))], horizon, residuals)
-        for r in range(len(residuals)):
-            J[rows[r] : rows[r + 1], c.shared + c.n * r + s] = column[rows[r] : rows[r + 1]]
 
 
 def borrowed(problem: Problem, base: Fit, point: Point, horizon: float) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from afdsvc.api.physics import Coefficient, Hypothesis, Signal
 from afdsvc.dataset.experiment import Run
 from afdsvc.explain.noise.weighting import Weighting
-from afdsvc.explain.settings import Settings
+from afdsvc.explain.settings import Mapper, Settings
 from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.explain.simulate.predictor import driven
@@ -50,7 +50,8 @@ class Problem:
     ``scale (p,)`` is the rms of the outputs about their mean, ``state_scale (n,)`` that of the simulated states; ``x0`` the
     initial states guessed from the recordings; ``gains`` the predictor gain ``(n, p)`` of every horizon (zero: simulation).
     ``loads`` are the unknown loads every fit has, ``offset_free`` whether sensor offsets are free,
-    ``regular`` whether the simulation forgets its start. ``closed`` simulates the loop with the stated controller.
+    ``regular`` whether the simulation forgets its start. ``closed`` simulates the loop with the stated controller. ``mapper`` works out
+    the columns of a Jacobian.
     """
 
     nominal: Nominal
@@ -66,6 +67,7 @@ class Problem:
     regular: bool = True
     closed: bool = False
     ramped: bool = False
+    mapper: Mapper = map
 
     def start(self) -> Point:
         """Return the model as stated, with the initial states guessed from the recordings."""

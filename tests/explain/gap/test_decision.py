@@ -30,7 +30,7 @@ def test_noise_of_any_colour_is_seldom_a_gap(time):
     rng = np.random.default_rng(2)
     found = [answer([motor(rng, noise=1.0, time=time)], seed) for seed in range(12)]
     assert sum(f.present for f in found) <= 1
-    assert all(f.sentence.startswith("No gap found" if f.enough else "Too short to tell") for f in found if not f.present)
+    assert all(f.sentence.startswith("No gap found" if f.enough else "Too short to distinguish") for f in found if not f.present)
 
 
 def test_process_noise_under_a_repeating_excitation_is_no_gap():
