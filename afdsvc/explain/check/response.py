@@ -37,8 +37,9 @@ def responding(nominal: Nominal, runs: Sequence[Run], mapper: Mapper = map) -> I
     model = nominal.model
     if not model.inputs or any(r.W is not None or r.commanded for r in runs):
         return
-    caused = [_caused(nominal, runs, j) for j in range(len(model.outputs))]
-    silent = [j for j, share in enumerate(caused) if not share < CAUSED and not _correlated(runs, j)]
+    simulated = _simulated(nominal, runs)
+    caused = [_caused(runs, simulated, j) for j in range(len(model.outputs))]
+    silent = [j for j, share in enumerate(caused) if not share < CAUSED and not _correlated(runs, simulated, j)]
     if not silent:
         return
     if _stretches(runs) < GapSettings().needed_blocks:
@@ -64,14 +65,18 @@ def responding(nominal: Nominal, runs: Sequence[Run], mapper: Mapper = map) -> I
             )
 
 
-def _caused(nominal: Nominal, runs: Sequence[Run], j: int) -> float:
-    """Return the rms of what the model says the inputs cause in an output, over that of the output; NaN where its simulation fails."""
+def _simulated(nominal: Nominal, runs: Sequence[Run]) -> list[Array]:
+    """Return what the model says the inputs cause, ``(n, p)`` for each run."""
     n, p = nominal.plant.order, nominal.plant.outputs
     simulator = Simulator(nominal, np.zeros((n, p)))
-    caused = [simulator.run(r, np.zeros(len(nominal.entries)), np.zeros(n)).y[:, j] for r in runs]
+    return [simulator.run(r, np.zeros(len(nominal.entries)), np.zeros(n), outputs_only=True).y for r in runs]
+
+
+def _caused(runs: Sequence[Run], simulated: Sequence[Array], j: int) -> float:
+    """Return the rms of what the model says the inputs cause in an output, over that of the output; NaN where its simulation fails."""
     size = np.sqrt(np.mean([np.nanvar(r.Y[:, j]) for r in runs]))
     with np.errstate(all="ignore"):
-        return float(np.sqrt(np.mean([np.var(c) for c in caused])) / size)
+        return float(np.sqrt(np.mean([np.var(y[:, j]) for y in simulated])) / size)
 
 
 def _stretches(runs: Sequence[Run]) -> float:
@@ -80,11 +85,14 @@ def _stretches(runs: Sequence[Run]) -> float:
     return sum(map(len, moved)) / (GapSettings().block_times * correlation_time(moved)) if moved else 0.0
 
 
-def _correlated(runs: Sequence[Run], j: int) -> bool:
-    """Whether an output is clearly correlated with an input or its size at some lag, in any recording."""
-    return any(
-        _clear(np.nan_to_num(r.Y[:, j] - np.nanmean(r.Y[:, j])), x) for r in runs for u in (r.U - r.U.mean(0)).T for x in (u, np.abs(u) - np.abs(u).mean())
-    )
+def _correlated(runs: Sequence[Run], simulated: Sequence[Array], j: int) -> bool:
+    """Whether an output is clearly correlated with what the model makes of the inputs, with an input or its size, at some lag in any recording."""
+    for r, made in zip(runs, simulated, strict=True):
+        y, own = np.nan_to_num(r.Y[:, j] - np.nanmean(r.Y[:, j])), made[:, j] - made[:, j].mean()
+        inputs = [x for u in (r.U - r.U.mean(0)).T for x in (u, np.abs(u) - np.abs(u).mean())]
+        if any(_clear(y, x) for x in (own, *inputs) if np.isfinite(x).all()):
+            return True
+    return False
 
 
 def _clear(y: Array, u: Array) -> bool:

@@ -46,7 +46,7 @@ class Weighting:
     def __call__(self, residual: Array) -> Array:
         """Return the weighted residual, ``(n, p)``."""
         if self.even:
-            return np.asarray(residual / self.density[0])
+            return residual if (self.density == 1).all() else np.asarray(residual / self.density[0])
         n = len(residual)
         frequency = (np.arange(n) + 0.5) / n
         divisor = np.column_stack([np.interp(frequency, self.at, d) for d in self.density.T])

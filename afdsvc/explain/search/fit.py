@@ -155,8 +155,8 @@ def weighted(problem: Problem, point: Point, horizon: float) -> tuple[Array, ...
 
 def rms(residuals: Sequence[Array]) -> Array:
     """Return the rms per output over all runs, with a floor that keeps a perfect fit finite."""
-    stacked = np.vstack(residuals)
-    return np.asarray(np.sqrt(np.mean(stacked**2, axis=0) + TINY))
+    power = sum(np.array([column @ column for column in e.T]) for e in residuals)
+    return np.asarray(np.sqrt(power / sum(map(len, residuals)) + TINY))
 
 
 def jacobian(

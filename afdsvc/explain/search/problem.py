@@ -12,6 +12,7 @@ from afdsvc.api.physics import Coefficient, Hypothesis, Signal
 from afdsvc.dataset.experiment import Run
 from afdsvc.explain.noise.weighting import Weighting
 from afdsvc.explain.settings import Mapper, Settings
+from afdsvc.explain.simulate import kernel
 from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.explain.simulate.predictor import driven
@@ -75,24 +76,24 @@ class Problem:
 
     def simulated(self, point: Point, horizon: float) -> list[Simulated]:
         """Return the simulation of every run; the offset is in the outputs."""
+        return [Simulated(s.y + point.offset, s.u, s.x) for s in self._simulated(point, horizon)]
+
+    def _simulated(self, point: Point, horizon: float, outputs_only: bool = False) -> list[Simulated]:
         simulator, found = Simulator(self.nominal, self.gains[horizon], self.ramped), []
         read = self.closed or bool(self.gains[horizon].any())  # else the simulation reads neither outputs nor references
         for k, (run, x0) in enumerate(zip(self.runs, point.x0, strict=True)):
             there = replace(run, Y=run.Y - point.offset, REF=run.REF - point.offset) if read else run
-            s = simulator.run(there, point.theta, x0, point.effects, closed=self.closed, begun=point.begun(k))
-            found.append(Simulated(s.y + point.offset, s.u, s.x))
+            s = simulator.run(there, point.theta, x0, point.effects, closed=self.closed, begun=point.begun(k), outputs_only=outputs_only)
+            found.append(s)
         return found
 
     def residuals(self, point: Point, horizon: float) -> list[Array]:
         """Return ``(y - yhat) / scale`` of every run, ``(n, p)``; 0 where a reading is missing, `LOST` where the simulation left."""
-        return [self._residual(run, s.y) for run, s in zip(self.runs, self.simulated(point, horizon), strict=True)]
-
-    def _residual(self, run: Run, y: Array) -> Array:
-        e = (run.Y - y) / self.scale
-        if np.abs(e).max(initial=0.0) < LOST:  # false where one is not a number
-            return np.asarray(e)
-        left = np.isfinite(run.Y) & ~(np.abs(e) < LOST)
-        return np.asarray(np.where(left, LOST, np.nan_to_num(e)))
+        found = []
+        for run, s in zip(self.runs, self._simulated(point, horizon, outputs_only=True), strict=True):
+            found.append(np.empty_like(s.y))
+            kernel.residual_of(run.Y, s.y, point.offset, self.scale, LOST, found[-1])
+        return found
 
     def size(self, signal: Signal) -> float:
         """Return the size of a signal: the largest value of an input or an auxiliary signal, the rms of a state or an output."""

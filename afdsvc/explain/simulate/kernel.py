@@ -263,9 +263,10 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
     Open: ``U (n, m)`` is the measured input. Closed: ``u = K (yhat - R) + U`` with ``U`` what was added to the controller's
     output. ``laws`` holds the addresses of the compiled laws. Samples where Y is not finite correct nothing. ``ramped`` (open only)
     takes the input to run smoothly from sample to sample instead of being held, ``gam`` and ``gamh`` its coefficients; input laws
-    then see no states. ``direct``: the input reaches the output at once.
+    then see no states. ``direct``: the input reaches the output at once. Where ``xhat`` has no rows only outputs are kept.
     """
     N, p = Y.shape
+    kept = xhat.shape[0] > 0
     n, m, na, nk = x0.size, U.shape[1], AUX.shape[1], KA.shape[0]
     h = dt / nsub
     x, new, f = x0.copy(), np.zeros(n), np.zeros(n)
@@ -336,11 +337,13 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
         for j in range(p):
             yhat[k, j] = y[j]
         for j in range(m):
-            uhat[k, j] = u[j] if closed else U[k, j]
             mean[j] = ue[j]
             s[j] = ue[j]
-        for i in range(n):
-            xhat[k, i] = x[i]
+        if kept:
+            for j in range(m):
+                uhat[k, j] = u[j] if closed else U[k, j]
+            for i in range(n):
+                xhat[k, i] = x[i]
         for sub in range(nsub):
             if ramped:
                 _between(smooth, k, sub / nsub, 1 / nsub, drive, mean)
@@ -393,3 +396,12 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
             if not (-LIMIT < x[i] < LIMIT):
                 yhat[k:, :] = np.nan
                 return
+
+
+@njit(types.void(_M, _M, _V, _V, types.float64, _M), cache=True, nogil=True, error_model="numpy")
+def residual_of(Y, y, offset, scale, lost, e):  # type: ignore[no-untyped-def]
+    """Write ``(Y - y - offset) / scale`` into ``e (n, p)``: 0 where a reading is missing, ``lost`` where the simulation left."""
+    for k in range(Y.shape[0]):
+        for j in range(Y.shape[1]):
+            v = (Y[k, j] - (y[k, j] + offset[j])) / scale[j]
+            e[k, j] = v if abs(v) < lost else (lost if np.isfinite(Y[k, j]) else 0.0)

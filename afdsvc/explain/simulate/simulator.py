@@ -45,40 +45,43 @@ class Simulator:
 
     def run(
         self, run: Run, theta: Array, x0: Array, effects: Sequence[PlacedEffect] = (), closed: bool = False, free: bool = False,
-        begun: Sequence[Array] = (),
+        begun: Sequence[Array] = (), outputs_only: bool = False,
     ) -> Simulated:
         """Simulate one recording from the state ``x0``, and effects from the memory ``begun``, one array per effect.
 
         ``closed`` feeds the simulated output back through the model's controller; ``free`` leaves out the correction of
         the states, for a simulation from the measured input alone. A simulation that diverges is nan from there on.
+        With ``outputs_only`` inputs and states are not kept, which takes less time.
         """
         least = max([_fineness(run.U) if self.ramped and self.nominal.python else 1, *(e.hypothesis.substeps for e in effects)])
         theta = np.asarray(theta, dtype=np.float64)
         steps = self.nominal.steps(theta, least, kernel.DEGREE if self.ramped and not closed and not self.nominal.python else 0)
-        simulated = self._play(run, theta, steps, x0, effects, closed, free, begun)
+        rows = 0 if outputs_only and not self.nominal.program else len(run)
+        simulated = self._play(run, theta, steps, x0, effects, closed, free, begun, rows)
         finer = self._needed(simulated, theta, steps.nsub)
         if finer > steps.nsub:
-            simulated = self._play(run, theta, self.nominal.steps(theta, finer), x0, effects, closed, free, begun)
+            simulated = self._play(run, theta, self.nominal.steps(theta, finer), x0, effects, closed, free, begun, rows)
         return simulated
 
     def _play(
         self, run: Run, theta: Array, steps: Steps, x0: Array, effects: Sequence[PlacedEffect], closed: bool, free: bool,
-        begun: Sequence[Array],
+        begun: Sequence[Array], rows: int,
     ) -> Simulated:
         placed = table(effects, run.U.shape[1], self.nominal.plant.order, run.Y.shape[1], run.AUX.shape[1])
         memory = placed.memory(begun)
         if run.steady and len(memory) and len(run) > run.period:  # effects remember what drove the machine before the recording
-            self._record(run.span(0, run.period), theta, steps, x0, placed, memory, closed, free)
-        return self._record(run, theta, steps, x0, placed, memory, closed, free)
+            self._record(run.span(0, run.period), theta, steps, x0, placed, memory, closed, free, 0)
+        return self._record(run, theta, steps, x0, placed, memory, closed, free, rows)
 
     def _record(
-        self, run: Run, theta: Array, steps: Steps, x0: Array, placed: Table, memory: Array, closed: bool, free: bool
+        self, run: Run, theta: Array, steps: Steps, x0: Array, placed: Table, memory: Array, closed: bool, free: bool, rows: int
     ) -> Simulated:
-        """Simulate one recording, effects beginning with ``memory`` and leaving there what they remember at its end."""
+        """Simulate one recording, effects beginning with ``memory`` and leaving there what they remember at its end; inputs and states are
+        kept for ``rows`` samples, all or none."""
         plant = self.nominal.plant if self.nominal.python else self.nominal.at(theta)
         n, p, m = len(run), plant.outputs, plant.inputs
         K, U = self._loop(run, closed)
-        y, u, x = np.empty((n, p)), np.empty((n, m)), np.empty((n, plant.order))
+        y, u, x = np.empty((n, p)), np.empty((rows, m)), np.empty((rows, plant.order))
         gain = np.zeros_like(self.gain) if free or closed else self.gain
         kernel.simulate_compiled(
             closed, self.ramped and not closed, self._direct(plant), steps.nsub, run.dt, run.t0 if run.clock is None else run.clock,
