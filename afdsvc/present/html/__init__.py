@@ -40,7 +40,7 @@ def svg(figure: Figure) -> str:
             if axis.get_scale() == "log":
                 _plain_numbers(axis)
     out, dpi = io.StringIO(), figure.dpi
-    FigureCanvasSVG(figure).print_svg(out, metadata={"Date": None})  # `savefig` would draw it twice
+    FigureCanvasSVG(figure).print_svg(out, metadata={"Date": None})  # type: ignore[no-untyped-call]  # `savefig` would draw it twice
     figure.dpi = dpi
     return out.getvalue()[out.getvalue().index("<svg") :]
 
