@@ -224,15 +224,27 @@ def test_a_confirmed_name_goes_before_a_doubted_one_and_that_before_none(monkeyp
     assert [why.count("a law") for why in said] == ([chosen] if chosen else [])
 
 
-def test_what_a_fit_leaves_is_tested_once(monkeypatch):
+class Left:
+    """What a fit leaves."""
+
+    def __init__(self, name: str, residual: np.ndarray) -> None:
+        self.name, self.residuals = name, (residual,)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def test_what_a_fit_leaves_is_tested_once_also_where_it_is_nearly_the_same(monkeypatch):
     asked = []
     monkeypatch.setattr(module, "by_innovations", lambda problem, fit, *_: fit)
     monkeypatch.setattr(module, "signals", lambda problem, point, horizon: point)
     monkeypatch.setattr(module, "signal_names", lambda problem: ())
     monkeypatch.setattr(module, "gap_test", lambda point, rng, mapper: asked.append(point) or f"gap of {point}")
-    remainder = module.Remainder(np.random.default_rng(0))
-    assert [remainder(None, {0.1: "rough", 0.0: fit}) for fit in ("one", "other", "one")] == ["gap of one", "gap of other", "gap of one"]
-    assert asked == ["one", "other"]
+    remainder, e = module.Remainder(np.random.default_rng(0)), np.random.default_rng(1).normal(size=(500, 2))
+    one, nearly, other, shorter = (Left(name, r) for name, r in (("one", e), ("nearly", 1.005 * e), ("other", e * [1.0, 1.02]), ("shorter", e[:400])))
+    found = [remainder(None, {0.1: one, 0.0: fit}) for fit in (one, other, one, nearly, shorter)]
+    assert found == [f"gap of {name}" for name in ("one", "other", "one", "one", "shorter")]
+    assert asked == [one, other, shorter]
 
 
 @pytest.mark.parametrize(("lines", "most"), [((12.0,), 1), ((5.0, 12.0, 21.0), Settings().effects)])
