@@ -35,7 +35,7 @@ from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.verdict.holdout import HeldOutVerdict, checked_on_holdout, doubted, player
 from afdsvc.explain.verdict.verdict import DOUBT, verdict
 
-SAME = 1e-4  # share of a residual's power: 1 % of its size
+SAME = 1e-4  # power of the difference of two residuals, over that of one: 1 % of its rms
 ATTEMPTS = 3  # searches, each without the first names that the recordings held out have not confirmed
 SEED = 20261122  # of the surrogates and of the resampled blocks: the same recordings give the same answer
 
@@ -53,7 +53,7 @@ def explain(
     for recordings that do not fit the model.
     """
     progress("checking", 0.0)
-    findings, roles = _checked(model, recordings, holdout, trust_units, mapper)
+    findings, roles = _checked(model, recordings, holdout, trust_units)
     base, remainder, offered = settled(replace(_problem(model, roles, settings or Settings(), findings), mapper=mapper)), Remainder(np.random.default_rng(SEED), mapper), list(library)
     progress("testing", 0.0)
     gap = remainder(base.problem, base.start)
@@ -67,12 +67,10 @@ def explain(
     return explanation
 
 
-def _checked(
-    model: Model, recordings: Sequence[Trace], holdout: Sequence[Trace], trust_units: bool, mapper: Mapper
-) -> tuple[tuple[Finding, ...], Split]:
+def _checked(model: Model, recordings: Sequence[Trace], holdout: Sequence[Trace], trust_units: bool) -> tuple[tuple[Finding, ...], Split]:
     """Return what the check says, and what is fitted and held out."""
     given, recordings = len(recordings), joined(recordings)
-    findings = checked(model, recordings, trust_units, mapper)
+    findings = checked(model, recordings, trust_units)
     if len(recordings) < given:
         findings = (*findings, Finding("ok", "recordings", f"{given - len(recordings)} files go on where others end, and are taken as parts of them"))
     runs = prepare(model, [*recordings, *holdout])
@@ -155,7 +153,7 @@ def _consistent_there(answer: HeldOutVerdict, problem: Problem, horizon: float, 
 class Remainder:
     """Tests whether the residual of a path is predictable: that of the simulation where the plant allows one.
 
-    Each fit is tested once, and one that leaves the same but for `SAME` of the power of what is left is not tested again.
+    Each fit is tested once. A fit whose residual differs from that of a tested one by less than `SAME` gets its answer.
     """
 
     rng: np.random.Generator
@@ -178,11 +176,11 @@ class Remainder:
 
 
 def _same(a: Fit, b: Fit) -> bool:
-    """Whether two fits leave the same, but for `SAME`."""
-    if a is b or [e.shape for e in a.residuals] != [e.shape for e in b.residuals]:
-        return a is b
-    apart, left = (sum(np.einsum("ij,ij->j", e, e) for e in of) for of in ([p - q for p, q in zip(a.residuals, b.residuals, strict=True)], a.residuals))
-    return bool((apart <= SAME * left).all())
+    """Whether the residuals of two fits differ by less than `SAME`, in every output."""
+    if [e.shape for e in a.residuals] != [e.shape for e in b.residuals]:
+        return False
+    first, second = np.vstack(a.residuals), np.vstack(b.residuals)
+    return bool((((first - second) ** 2).sum(0) <= SAME * (first**2).sum(0)).all())
 
 
 def _mean_input(runs: Sequence[Run]) -> np.ndarray | None:

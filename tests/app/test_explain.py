@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from afdsvc.api.model import Model, Variable
-from afdsvc.app.explain import ExplainOptions, aux_means, explain_files, load_library, traces
+from afdsvc.app.explain import ExplainOptions, aux_means, explain_files, load_library, parallel, traces
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model, write_model
 from afdsvc.files.open import open_model
@@ -74,6 +75,18 @@ def explained(files) -> tuple[dict, Path]:
     out = model.parent / "out"
     options = ExplainOptions(out, {"current": "u_force"}, rerun=out / "why.rrd")
     return explain_files(model, tables[:1], tables[3:], options), out
+
+
+def test_a_map_within_a_map_runs_in_its_thread():
+    """Both threads are busy with the outer one: waiting for a third would never end."""
+    mapper = parallel(2)
+
+    def inner(_: int) -> list[bool]:
+        here = threading.current_thread().name
+        return [name == here for name in mapper(lambda _: threading.current_thread().name, range(3))]
+
+    assert list(mapper(inner, range(4))) == [[True] * 3] * 4
+    assert threading.current_thread().name not in set(mapper(lambda _: threading.current_thread().name, range(4)))
 
 
 def test_document_page_model_and_rerun_file_are_there(explained):

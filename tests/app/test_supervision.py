@@ -78,6 +78,14 @@ def test_a_supervisor_is_notified_and_sigterm_ends_everything_in_time_even_in_a_
     assert {"time", "level", "logger", "thread", "message"} <= set(lines[0])
 
 
+@pytest.mark.parametrize("journal", [False, True])
+def test_lines_of_the_log_begin_with_the_time_unless_the_journal_adds_it(journal):
+    environment = {k: v for k, v in os.environ.items() if k != "JOURNAL_STREAM"} | ({"JOURNAL_STREAM": "8:1"} if journal else {})
+    code = "import logging; from afdsvc.app.supervision import start_logging; start_logging('text'); logging.getLogger('afdsvc').warning('all is well')"
+    said = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stderr.splitlines()[-1]
+    assert re.fullmatch(("" if journal else r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d ") + "afdsvc: WARNING: all is well", said)
+
+
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="looks at /proc")
 def test_sigterm_ends_the_preparation_too(free_port, tmp_path):
     site = tmp_path / "site.toml"

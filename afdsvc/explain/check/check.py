@@ -18,12 +18,12 @@ from afdsvc.explain.check.lines import caused, lines
 from afdsvc.explain.check.loop import clock, loop
 from afdsvc.explain.check.response import responding
 from afdsvc.explain.search.build import build
-from afdsvc.explain.settings import Mapper, Settings
+from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
 
 
-def check(model: Model, traces: Sequence[Trace], mapper: Mapper = map) -> tuple[Finding, ...]:
-    """Return what was found, one sentence each; those of kind "stop" forbid naming any physics. ``mapper`` may work in parallel.
+def check(model: Model, traces: Sequence[Trace]) -> tuple[Finding, ...]:
+    """Return what was found, one sentence each; those of kind "stop" forbid naming any physics.
 
     Raises nothing for data that do not fit: the refusal is a finding.
     """
@@ -39,7 +39,7 @@ def check(model: Model, traces: Sequence[Trace], mapper: Mapper = map) -> tuple[
         *loop(nom, runs),
         *clock(nom, runs),
         *samples(model, runs),
-        *responding(nom, runs, mapper),
+        *responding(nom, runs),
         *gains(nom, lines(problem, response)),
         *check_excitation(model, runs),
         *information(problem, response),
@@ -47,12 +47,12 @@ def check(model: Model, traces: Sequence[Trace], mapper: Mapper = map) -> tuple[
     )
 
 
-def checked(model: Model, traces: Sequence[Trace], trust_units: bool = False, mapper: Mapper = map) -> tuple[Finding, ...]:
+def checked(model: Model, traces: Sequence[Trace], trust_units: bool = False) -> tuple[Finding, ...]:
     """Return what `check` found; raises `BadInput` where it forbids naming any physics (excitation apart).
 
     ``trust_units`` makes warnings of what looks like wrong units or signs.
     """
-    findings = check(model, traces, mapper)
+    findings = check(model, traces)
     if trust_units:
         findings = tuple(replace(f, kind="warning") if f.topic == "units" and f.kind == "stop" else f for f in findings)
     if objection(findings):

@@ -17,7 +17,6 @@ from afdsvc.explain.gap.decision import gap_test
 from afdsvc.explain.gap.settings import GapSettings
 from afdsvc.explain.gap.signals import ResidualSignals
 from afdsvc.explain.noise.weighting import correlation_time
-from afdsvc.explain.settings import Mapper
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.explain.simulate.simulator import Simulator
 from afdsvc.lti.statespace import Array
@@ -28,7 +27,7 @@ CAUSED = 0.5  # rms of what the model says the inputs cause, over that of the ou
 REPEATS = 0.02  # share of the output that repeats with the excitation, from which it responds
 
 
-def responding(nominal: Nominal, runs: Sequence[Run], mapper: Mapper = map) -> Iterator[Finding]:
+def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
     """Yield a stop for every output that no flexible model predicts from the inputs better than from time-shifted ones.
 
     Asked only where the model says that the inputs cause most of the output, and where no controller feeds it back. Recordings that hold
@@ -53,7 +52,7 @@ def responding(nominal: Nominal, runs: Sequence[Run], mapper: Mapper = map) -> I
         return
     given = [ResidualSignals(r.Y[:, silent], r.U, r.U[:, :0], r.U[:, :0], r.dt, r.period) for r in runs]
     names = [model.outputs[j].name for j in silent]
-    found = gap_test(given, [], [v.name for v in model.inputs], names, [], np.random.default_rng(0), mapper=mapper)
+    found = gap_test(given, [], [v.name for v in model.inputs], names, [], np.random.default_rng(0))
     inputs = ", ".join(f"u_{v.name}" for v in model.inputs)
     for i, name in enumerate(names):
         repeats = 0.0 if found.repeats is None else found.repeats[i]

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numba import njit, types
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Signal
 from afdsvc.dataset.experiment import Run
 from afdsvc.explain.noise.weighting import Weighting
 from afdsvc.explain.settings import Mapper, Settings
-from afdsvc.explain.simulate import kernel
 from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.explain.simulate.predictor import driven
@@ -20,6 +20,16 @@ from afdsvc.explain.simulate.simulator import Simulated, Simulator
 from afdsvc.lti.statespace import Array
 
 LOST = 1e3  # residual, in rms of the output, where a simulation has left
+_V, _M = types.float64[::1], types.float64[:, ::1]
+
+
+@njit(types.void(_M, _M, _V, _V, _M), cache=True, nogil=True, error_model="numpy")
+def _residual(Y, y, offset, scale, e):  # type: ignore[no-untyped-def]
+    """Write ``(Y - y - offset) / scale`` into ``e (n, p)``: 0 where a reading is missing, `LOST` where the simulation left."""
+    for k in range(Y.shape[0]):
+        for j in range(Y.shape[1]):
+            v = (Y[k, j] - (y[k, j] + offset[j])) / scale[j]
+            e[k, j] = v if abs(v) < LOST else (LOST if np.isfinite(Y[k, j]) else 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +102,7 @@ class Problem:
         found = []
         for run, s in zip(self.runs, self._simulated(point, horizon, outputs_only=True), strict=True):
             found.append(np.empty_like(s.y))
-            kernel.residual_of(run.Y, s.y, point.offset, self.scale, LOST, found[-1])
+            _residual(run.Y, s.y, point.offset, self.scale, found[-1])
         return found
 
     def size(self, signal: Signal) -> float:

@@ -396,12 +396,3 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
             if not (-LIMIT < x[i] < LIMIT):
                 yhat[k:, :] = np.nan
                 return
-
-
-@njit(types.void(_M, _M, _V, _V, types.float64, _M), cache=True, nogil=True, error_model="numpy")
-def residual_of(Y, y, offset, scale, lost, e):  # type: ignore[no-untyped-def]
-    """Write ``(Y - y - offset) / scale`` into ``e (n, p)``: 0 where a reading is missing, ``lost`` where the simulation left."""
-    for k in range(Y.shape[0]):
-        for j in range(Y.shape[1]):
-            v = (Y[k, j] - (y[k, j] + offset[j])) / scale[j]
-            e[k, j] = v if abs(v) < lost else (lost if np.isfinite(Y[k, j]) else 0.0)

@@ -48,9 +48,9 @@ def svg(figure: Figure) -> str:
 def _plain_numbers(axis: Axis) -> None:
     """Write the numbers of a logarithmic axis as text: formulas take most of the time of a page. Less than a decade has numbers between."""
     low, high = sorted(axis.get_view_interval())
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    if high > 10 * low:
-        axis.set_minor_formatter(NullFormatter())
+    text = FuncFormatter(lambda value, _: f"{value:g}")
+    axis.set_major_formatter(text)
+    axis.set_minor_formatter(NullFormatter() if high > 10 * low else text)
 
 
 def zoomable(figure: Figure) -> str:

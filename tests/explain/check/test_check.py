@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -102,6 +103,13 @@ def test_crosstalk_between_sensors_is_no_wrong_unit(share):
         values[:, names.index("y_horizontal")] += share * values[:, names.index("y_vertical")]
         crossed.append(Trace(t.name, t.dt, t.channels, values, t.t0))
     assert objection(check(sound()[0], crossed)) == ""
+
+
+def test_units_are_said_in_words():
+    model, traces = sound()
+    strange = replace(model, outputs=(replace(model.outputs[0], unit="revs/m"), *model.outputs[1:]))
+    assert f"inputs {model.inputs[0].name} [volt]" in check(model, traces)[0].sentence
+    assert f"outputs {model.outputs[0].name} [revs/m, a unit that is not known]" in check(strange, traces)[0].sentence
 
 
 def test_a_wrong_unit_of_an_input_is_seen():

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
@@ -36,6 +38,18 @@ def test_two_unrelated_signals_are_refused_by_name(spring, recorded, seed):
 def test_an_output_that_responds_raises_no_objection(spring, recorded):
     runs = prepare(spring, [recorded(k, noise=0.5) for k in (1, 2)])
     assert list(responding(nominal(spring, runs[0].dt), runs)) == []
+
+
+def test_an_output_that_follows_the_models_simulation_needs_no_further_test(spring, recorded, monkeypatch):
+    """A mode that rings under white noise is hardly correlated with its input at any one lag."""
+    ringing = replace(spring, plant=replace(spring.plant, A=np.array([[0.0, 1.0], [-400.0, -8.0]])))
+    rng = np.random.default_rng(3)
+    u, t = rng.standard_normal(8000), recorded(1)
+    dt = t.dt
+    y = lsim((ringing.plant.A, ringing.plant.B, ringing.plant.C, ringing.plant.D), u, dt * np.arange(8000), interp=False)[1]
+    runs = prepare(ringing, [replace(t, values=np.column_stack([u, y + 0.1 * y.std() * rng.standard_normal(8000)]))])
+    monkeypatch.setattr(sys.modules[responding.__module__], "gap_test", lambda *_, **__: pytest.fail("the gap test was asked"))
+    assert list(responding(nominal(ringing, dt), runs)) == []
 
 
 def test_an_output_that_follows_the_size_of_the_input_responds(spring, recorded):

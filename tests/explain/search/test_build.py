@@ -13,6 +13,7 @@ from afdsvc.api.model import Model, Quantity, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.search.build import build
+from afdsvc.explain.search.problem import LOST, _residual
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.verdict.holdout import on
@@ -29,6 +30,12 @@ def test_the_loop_is_closed_where_all_recordings_allow_it(known, open_heldout, c
     problem = build(nominal(model, odd.DT), [fitted], Settings(), [replace(held, W=None) if open_heldout else held])
     assert problem.closed == closed
     assert problem.settings.horizons == ((0.0,) if closed else Settings().horizons)
+
+
+def test_missing_readings_count_for_nothing_and_a_simulation_that_left_for_as_much_as_is_lost():
+    Y, y, e = np.array([[1.0, np.nan], [3.0, 4.0], [5.0, 6.0]]), np.array([[0.0, 1.0], [np.nan, 1e9], [-np.inf, 5.0]]), np.empty((3, 2))
+    _residual(Y, y, np.array([0.5, 0.0]), np.array([2.0, 1.0]), e)
+    assert e.tolist() == [[0.25, 0.0], [LOST, LOST], [LOST, 1.0]]
 
 
 STEP = 1 / 150

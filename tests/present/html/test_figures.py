@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from afdsvc.present.html import render, zoomable
+from afdsvc.present.html import render, svg, zoomable
 from benchmarks.support.browser import CHROMIUM, NO_CHROMIUM, Browser
 
 browser_needed = pytest.mark.skipif(CHROMIUM is None, reason=NO_CHROMIUM)
@@ -28,6 +28,17 @@ def drawn() -> str:
     bottom.loglog(T[1:], T[1:] ** 2, "o-", label="spectrum")
     bottom.fill_between(T[1:], T[1:], T[1:] ** 3, label="band")
     return zoomable(figure)
+
+
+def test_numbers_of_logarithmic_axes_are_text_and_less_than_a_decade_has_some():
+    figure = Figure(figsize=(4, 4), layout="constrained")
+    wide, narrow = figure.subplots(2, 1)
+    wide.loglog([1, 1000], [1e-5, 1e2])
+    narrow.semilogy([0, 1], [2.1, 7.9])
+    text = svg(figure)
+    assert all(f"<!-- {n} -->" in text for n in ("0.0001", "10", "1000", "3", "7"))
+    assert "mathdefault" not in text
+    assert figure.dpi == Figure().dpi
 
 
 def stacked() -> str:
