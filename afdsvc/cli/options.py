@@ -50,6 +50,20 @@ def alarm_ids(ctx: typer.Context, incomplete: str) -> list[str]:
         return []
 
 
+def fault_names(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the faults of the command's machine that begin like this, each with "=" for its severity, for the completion of shells."""
+    from afdsvc.app.commissioning import commission
+    from afdsvc.files.site import read_site
+    from afdsvc.plugins.manager import load
+
+    try:
+        site = read_site(ctx.params.get("site") or HERE)
+        machine = site.machine(ctx.params.get("machine") or ", ".join(m.id for m in site.machines))
+        return [f"{name}=" for name in commission(machine, load()).augmented.fault_names if name.startswith(incomplete)]
+    except AfdsvcError:
+        return []
+
+
 MachineOption = Annotated[
     str | None, typer.Option("--machine", autocompletion=machine_ids, help="Id of the machine; needed when there are several.")
 ]

@@ -18,7 +18,19 @@ import typer
 
 from afdsvc import __version__
 from afdsvc.cli.interrupt import call_on_signals
-from afdsvc.cli.options import HERE, Json, MachineOption, SiteFile, SiteOption, alarm_ids, among, machine_ids, show, user
+from afdsvc.cli.options import (
+    HERE,
+    Json,
+    MachineOption,
+    SiteFile,
+    SiteOption,
+    alarm_ids,
+    among,
+    fault_names,
+    machine_ids,
+    show,
+    user,
+)
 from afdsvc.errors import BadInput
 from afdsvc.files.unfinished import remove_unfinished
 
@@ -291,7 +303,7 @@ Machine = Annotated[str | None, typer.Argument(metavar="MACHINE", autocompletion
 @app.command()
 def inject(
     machine: Annotated[str, typer.Argument(metavar="MACHINE", autocompletion=machine_ids, help="Id of a simulated machine that runs.")],
-    fault: Annotated[str, typer.Argument(metavar="FAULT=SEVERITY", help="For example horizontal_actuator=-0.3; 0 repairs it.")],
+    fault: Annotated[str, typer.Argument(metavar="FAULT=SEVERITY", autocompletion=fault_names, help="For example horizontal_actuator=-0.3; 0 repairs it.")],
     site: SiteOption = HERE,
     as_json: Json = False,
 ) -> None:
@@ -306,7 +318,7 @@ def inject(
 @app.command()
 def retune(
     machine: Machine = None,
-    fault: Annotated[str | None, typer.Option(metavar="NAME=LOW..HIGH", help="The fault and its severities as you know them, in place of what was diagnosed: horizontal_actuator=-0.55..-0.45.")] = None,
+    fault: Annotated[str | None, typer.Option(metavar="NAME=LOW..HIGH", autocompletion=fault_names, help="The fault and its severities as you know them, in place of what was diagnosed: horizontal_actuator=-0.55..-0.45.")] = None,
     site: SiteOption = HERE,
     as_json: Json = False,
 ) -> None:

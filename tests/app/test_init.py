@@ -127,9 +127,13 @@ def test_roles_from_the_command_line(tmp_path: Path):
 
 @pytest.mark.parametrize(
     ("line", "completed"),
-    [("dia", ["diagnose"]), ("identify m.toml --method p", ["pbsid", "pem"]), ("batch ex", ["explain"]), ("ack nowhere", [])],
-)
+    [
+        ("dia", ["diagnose"]), ("identify m.toml --method p", ["pbsid", "pem"]), ("batch ex", ["explain"]), ("ack nowhere", []),
+        ("inject rotor hor", ["horizontal_actuator=", "horizontal_sensor="]), ("inject stator hor", []), ("retune --fault v", ["vertical_actuator=", "vertical_sensor="]),
+    ],
+)  # fmt: skip
 def test_the_shell_completes_commands_and_choices(line: str, completed: list[str], tmp_path: Path):
+    (tmp_path / "site.toml").write_text('site = "hall"\n[[machines]]\nid = "rotor"\nplant = "gas_bearing"\n')
     words = {"COMP_WORDS": f"afdsvc {line}", "COMP_CWORD": str(len(line.split())), "_AFDSVC_COMPLETE": "complete_bash"}
     code = "from afdsvc.cli import app; app(prog_name='afdsvc')"
     done = subprocess.run([sys.executable, "-c", code], env={**os.environ, **words}, capture_output=True, text=True, cwd=tmp_path)
