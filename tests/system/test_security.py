@@ -242,7 +242,7 @@ def said(site: Site, words: str, times: int = 1) -> bool:
     return sum(words in e["what"] for e in verify_chain(audit_file(site)).entries) >= times
 
 
-def until(condition, seconds: float = 30.0) -> None:
+def until(condition, seconds: float = 60.0) -> None:
     deadline = time.monotonic() + seconds
     while True:
         with suppress(AfdsvcError):
