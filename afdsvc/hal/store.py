@@ -9,6 +9,7 @@ import threading
 import zlib
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -16,7 +17,7 @@ from typing import BinaryIO
 from afdsvc.api.clock import Clock
 from afdsvc.api.intervals import Intervals
 from afdsvc.api.signals import Block
-from afdsvc.errors import Refused
+from afdsvc.errors import BadInput, Refused
 from afdsvc.files.recording.mcap_file import claim
 from afdsvc.wire import codec
 from afdsvc.wire.messages import Receipt
@@ -29,15 +30,17 @@ WINDOW = 4  # segments delivered and not yet acknowledged, at most
 SEGMENT_BYTES = 8_000_000
 MOST_FRESH = 4000  # blocks in memory
 HEAD = struct.Struct("<II")  # length and CRC-32 of a record
+Samples = tuple[str, int, int]
 
 
 @dataclass
 class _Segment:
-    """A file of records, and the samples in it as (session, first, end)."""
+    """A file of records, and the samples in it as (session, first, end); it is ``open`` to further ones until a write fails."""
 
     path: Path
-    held: list[tuple[str, int, int]] = field(default_factory=list)
+    held: list[Samples] = field(default_factory=list)
     bytes: int = 0
+    open: bool = False
     written: float = float("-inf")
     delivered: float = float("-inf")
 
@@ -132,11 +135,8 @@ class Store:
         return self._segments
 
     def _found(self, path: Path) -> _Segment:
-        held = []
-        for data in records(path):
-            block = codec.decode_block(data)
-            held.append((block.session, block.k0, block.k0 + len(block)))
-        return _Segment(path, held, path.stat().st_size)
+        """Return what an earlier start left: nothing is appended to it, its last record may be cut."""
+        return _Segment(path, [samples for samples, _ in blocks(path)], path.stat().st_size)
 
     def _spill(self, before: float) -> None:
         with self._lock:
@@ -160,12 +160,14 @@ class Store:
 
     def _append(self, session: str, start: int, end: int, data: bytes) -> None:
         segments = self._held()
-        if not segments or segments[-1].bytes + len(data) > SEGMENT_BYTES:
+        if not segments or not segments[-1].open or segments[-1].bytes + len(data) > SEGMENT_BYTES:
             number = int(segments[-1].path.name.split(".")[-2]) + 1 if segments else 0
             segments.append(_Segment(self._folder / f"{self._machine}.{number:010d}.blocks"))
         record, last = HEAD.pack(len(data), zlib.crc32(data)) + data, segments[-1]
+        last.open = False  # what follows a cut record could not be read
         with last.path.open("ab") as file:
             file.write(record)
+        last.open = True
         last.held.append((session, start, end))
         last.bytes += len(record)
         last.written = self._clock.monotonic()
@@ -187,11 +189,12 @@ class Store:
                 segment.path.unlink(missing_ok=True)
 
     def _deliver(self, segment: _Segment, deliver: Callable[[bytes], object]) -> None:
-        readable = self._found(segment.path).held
-        for session, start, end in set(segment.held) - set(readable):  # the disk damaged them
+        readable = list(blocks(segment.path))
+        held = [samples for samples, _ in readable]
+        for session, start, end in set(segment.held) - set(held):  # the disk damaged them
             self.lost[session].add(start, end)
-        segment.held = readable
-        for samples, data in zip(readable, records(segment.path), strict=False):
+        segment.held = held
+        for samples, data in readable:
             if not self._recorded(*samples):
                 deliver(data)
         segment.delivered = self._clock.monotonic()
@@ -211,10 +214,18 @@ class Store:
         return {session: ranges.pairs() for session, ranges in lost.items()}
 
 
+def blocks(path: Path) -> Iterator[tuple[Samples, bytes]]:
+    """Yield the blocks of a file, their samples and bytes; what cannot be decoded is left out."""
+    for data in records(path):
+        with suppress(BadInput):
+            block = codec.decode_block(data)
+            yield (block.session, block.k0, block.k0 + len(block)), data
+
+
 def records(path: Path) -> Iterator[bytes]:
-    """Yield the whole records of a file: a power failure may have cut the last, and a damaged one is left out."""
+    """Yield the whole records of a file: a power failure may have cut the last or left zeros in its place, and a damaged one is left out."""
     with path.open("rb") as file:
-        while len(head := file.read(HEAD.size)) == HEAD.size:
+        while len(head := file.read(HEAD.size)) == HEAD.size and any(head):
             size, sum = HEAD.unpack(head)
             data = file.read(min(size, SEGMENT_BYTES + 1))
             if len(data) < size:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import os
+import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -129,6 +132,56 @@ def test_a_record_that_a_power_failure_cut_costs_itself_only(tmp_path, cut):
     (path,) = tmp_path.iterdir()
     os.truncate(path, path.stat().st_size - cut)
     assert [b.seq for b in after(Store(tmp_path, "m1", MANY, clock), clock).taken] == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("tail", [b"\x00" * 1521, module.HEAD.pack(5, zlib.crc32(b"block")) + b"block"], ids=["zeros", "no block"])
+def test_what_is_no_block_costs_nothing_else(tmp_path, tail):
+    clock = FastClock()
+    store = outage(tmp_path, clock, 3)
+    (path,) = tmp_path.iterdir()
+    with path.open("ab") as file:
+        file.write(tail)
+    assert [b.seq for b in after(store, clock).taken] == [0, 1, 2]
+    again = Store(tmp_path, "m1", MANY, clock)
+    assert [b.seq for b in after(again, clock).taken] == [0, 1, 2]
+    again.close()
+
+
+def test_nothing_is_appended_behind_a_record_that_was_cut(tmp_path):
+    """A process that is killed in the middle of a write leaves half a record; what its next start keeps goes to another file."""
+    clock = FastClock()
+    outage(tmp_path, clock, 3)
+    (path,) = tmp_path.iterdir()
+    os.truncate(path, path.stat().st_size - 500)
+    second = Store(tmp_path, "m1", MANY, clock)
+    second.encode(block(0, "s2"))
+    second.close()
+    assert [(b.session, b.seq) for b in after(Store(tmp_path, "m1", MANY, clock), clock).taken] == [("s1", 0), ("s1", 1)]
+    assert [(b.session, b.seq) for b in after(Store(tmp_path, "m1", MANY, clock), clock, ("s1", 0, 200)).taken] == [("s2", 0)]
+
+
+def test_nothing_is_appended_behind_a_write_that_failed(tmp_path, monkeypatch):
+    clock = FastClock()
+    store = outage(tmp_path, clock, 2)
+    (path,) = tmp_path.iterdir()
+
+    class Full(io.BytesIO):
+        def write(self, data):
+            with open(path, "ab") as file:
+                file.write(data[:700])
+            raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", lambda *_: Full())
+        store.encode(block(2))
+        passing(clock, SPILL_SECONDS + 1)
+        patch.setattr(store, "_sync", lambda path: None)
+        store.tick(pytest.fail)
+    assert store.statement() == {"s1": [(200, 300)]}
+    store.encode(block(3))
+    store.close()
+    assert [b.seq for b in after(Store(tmp_path, "m1", MANY, clock), clock).taken] == [0, 1]
+    assert [b.seq for b in after(Store(tmp_path, "m1", MANY, clock), clock, ("s1", 0, 200)).taken] == [3]
 
 
 def test_every_bit_of_a_record_counts(tmp_path):
