@@ -189,14 +189,14 @@ class Store:
                 segment.path.unlink(missing_ok=True)
 
     def _deliver(self, segment: _Segment, deliver: Callable[[bytes], object]) -> None:
-        readable = list(blocks(segment.path))
-        held = [samples for samples, _ in readable]
+        held = []
+        for samples, data in blocks(segment.path):  # one by one: a service that is behind refuses the first
+            held.append(samples)
+            if not self._recorded(*samples):
+                deliver(data)
         for session, start, end in set(segment.held) - set(held):  # the disk damaged them
             self.lost[session].add(start, end)
         segment.held = held
-        for samples, data in readable:
-            if not self._recorded(*samples):
-                deliver(data)
         segment.delivered = self._clock.monotonic()
 
     def _recorded(self, session: str, start: int, end: int) -> bool:
