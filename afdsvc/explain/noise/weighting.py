@@ -60,7 +60,7 @@ def even(p: int) -> Weighting:
 
 def weighting(runs: Sequence[Run], residuals: Sequence[Array]) -> Weighting:
     """Return the weighting of residuals at a fit: noise from what differs between periods, plus the rest spread evenly."""
-    noise = [d for d in (differing(r, e) for r, e in zip(runs, residuals, strict=True)) if d is not None]
+    noise = noises(runs, residuals)
     power = np.mean(np.vstack(residuals) ** 2, axis=0)
     if not noise:
         return even(residuals[0].shape[1])
@@ -78,6 +78,17 @@ def own(residuals: Sequence[Array], noise: Array) -> Weighting:
     at, _, variance = _bands(residuals)
     power = np.mean(np.vstack(residuals) ** 2, axis=0)
     return Weighting(at, np.sqrt(variance + LEAST * power), np.full(len(power), np.nan), noise)
+
+
+def noises(runs: Sequence[Run], residuals: Sequence[Array]) -> list[Array]:
+    """Return the noise of every run that repeats: what differs between the periods of its residual."""
+    return [d for d in (differing(r, e) for r, e in zip(runs, residuals, strict=True)) if d is not None]
+
+
+def noise_share(runs: Sequence[Run], residuals: Sequence[Array]) -> float:
+    """Return the share of residuals that is noise, the mean over outputs; 0 where nothing repeats."""
+    noise = noises(runs, residuals)
+    return float(np.mean(np.mean(np.vstack(noise) ** 2, axis=0) / np.mean(np.vstack(residuals) ** 2, axis=0))) if noise else 0.0
 
 
 def differing(run: Run, residual: Array) -> Array | None:

@@ -12,7 +12,7 @@ import numpy as np
 from afdsvc.api.physics import Hypothesis, Machine, Physics
 from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.noise.surrogates import chance
-from afdsvc.explain.noise.weighting import differing
+from afdsvc.explain.noise.weighting import differing, noise_share
 from afdsvc.explain.search.base import Settled
 from afdsvc.explain.search.evidence import (
     HypothesisEvidence,
@@ -313,7 +313,8 @@ class Rounds(Settled):
         blocks are independent by it: what a law explains is correlated for longer than what it leaves."""
         taus = taus or noise_times([path])
         tau = list(taus.values())[-1]
-        return hypothesis_evidence(path, base, self.block_losses(path, tau), self.block_losses(base, tau), self.gap(tau), count, taus)
+        noise = noise_share(self.problem.runs, list(path.values())[-1].residuals)
+        return hypothesis_evidence(path, base, self.block_losses(path, tau), self.block_losses(base, tau), self.gap(tau), count, taus, noise)
 
     def without_idle(self, path: dict[float, Fit]) -> dict[float, Fit]:
         """Return the path without effects that do not pay beside the others."""

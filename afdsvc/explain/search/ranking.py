@@ -70,11 +70,14 @@ def fits_alike(one: Candidate, best: Candidate, gain: float, highest: float, set
     """Whether a gain is as good as the highest: within chance, or, where the model limits, close to it in what it closes.
 
     What is not simpler has to be close in what it leaves, too; what is simpler may leave more, since a fit that bends further closes more.
+    Where the noise is known, any has to be close in what it leaves above it.
     """
     if gain >= highest - settings.likely:
         return True
     closed, most = float(one.evidence.closing(np.array(gain))), float(best.evidence.closing(np.array(highest)))
-    near = complexity(one.hypothesis) < complexity(best.hypothesis) or settings.alike * (1 - closed) <= 1 - most
+    noise = (1 - settings.tie) * best.evidence.noise * (1 - most)
+    simpler = not noise and complexity(one.hypothesis) < complexity(best.hypothesis)
+    near = simpler or settings.alike * (1 - closed - noise) <= 1 - most - noise
     return limited == "model" and closed >= (1 - settings.tie) * most and near
 
 

@@ -63,6 +63,17 @@ def test_what_leaves_more_than_twice_as_much_and_is_not_simpler_does_not_fit_ali
     assert winner([mode, friction], S, "model") is friction
 
 
+def test_what_is_left_counts_above_the_noise_where_that_is_known():
+    """Two laws leave 0.2 and 0.6 % of the loss, the simpler one more: with 0.15 % of noise that is nine times as much above it."""
+    mode, friction = candidate("mode", 0.998, 3), candidate("friction", 0.994, 1)
+    assert winner([mode, friction], S, "model") is friction
+    noisy = replace(mode, evidence=replace(mode.evidence, noise=0.75))
+    assert winner([noisy, friction], S, "model") is noisy
+    assert vote_shares([noisy, friction], S, "model") == pytest.approx([1.0, 0.0])
+    quiet = replace(mode, evidence=replace(mode.evidence, noise=1e-6))
+    assert vote_shares([quiet, candidate("friction", 0.9965)], S, "model") == pytest.approx([0.5, 0.5])
+
+
 def test_where_noise_limits_only_the_likelihood_counts():
     """The shares differ by less than a twentieth, the gains by 18."""
     one, two = candidate("curve", 0.900, 3), candidate("friction", 0.895, 1)
