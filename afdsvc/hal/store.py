@@ -189,11 +189,12 @@ class Store:
                 segment.path.unlink(missing_ok=True)
 
     def _deliver(self, segment: _Segment, deliver: Callable[[bytes], object]) -> None:
-        held = []
+        held, segment.open = [], False
         for samples, data in blocks(segment.path):  # one by one: a service that is behind refuses the first
             held.append(samples)
             if not self._recorded(*samples):
                 deliver(data)
+                self._spill(self._clock.monotonic() - SPILL_SECONDS)  # a busy service takes a file in a minute
         for session, start, end in set(segment.held) - set(held):  # the disk damaged them
             self.lost[session].add(start, end)
         segment.held = held

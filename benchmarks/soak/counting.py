@@ -11,7 +11,7 @@ from itertools import chain
 from afdsvc.api.intervals import Intervals
 from afdsvc.api.signals import Block
 from afdsvc.files.recording.reader import Recording
-from afdsvc.hal.store import records
+from afdsvc.hal.store import SPILL_SECONDS, records
 from afdsvc.service.notifications import History, Judged
 from afdsvc.wire import codec
 from afdsvc.wire.messages import AlarmKind
@@ -50,10 +50,13 @@ def gaps(testbed: Testbed, blocks: Iterable[Block], stated: Mapping[str, Interva
 
 
 def explained(done: Sequence[Disturbance], id: str, start: float, end: float) -> str:
-    """Return what was done to the machine around a gap and may lose samples, "" when nothing was."""
+    """Return what was done to the machine around a gap and may lose samples, "" when nothing was.
+
+    A rig that is killed loses what was not acknowledged and not on its disk yet: of the `SPILL_SECONDS` before, too.
+    """
     return " and ".join(
         sorted(
-            {d.what for d in done if d.what in LOSING and id in d.machines and start <= d.end + MARGIN and end >= d.start - 1.0}
+            {d.what for d in done if d.what in LOSING and id in d.machines and start <= d.end + MARGIN and end >= d.start - SPILL_SECONDS - 1.0}
         )
     )
 

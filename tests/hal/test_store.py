@@ -107,6 +107,25 @@ def test_what_was_delivered_and_not_acknowledged_is_delivered_again(tmp_path):
     assert [b.seq for b in service.taken] == [19]
 
 
+def test_what_is_measured_during_a_long_delivery_goes_to_the_disk(tmp_path):
+    """A process that is killed meanwhile loses the last seconds only."""
+    clock = FastClock()
+    store = outage(tmp_path, clock, 3)
+    passing(clock, DELIVER_SECONDS + 1)
+    store.receive(Receipt("m1", ()))
+    taken = []
+
+    def slowly(data: bytes) -> None:
+        taken.append(codec.decode_block(data).seq)
+        store.encode(block(10 + len(taken)))
+        passing(clock, SPILL_SECONDS + 1)
+
+    store.tick(slowly)
+    assert taken == [0, 1, 2]
+    assert {p.name for p in tmp_path.iterdir()} == {"m1.0000000000.blocks", "m1.0000000001.blocks"}
+    assert [s[1] for s, _ in module.blocks(tmp_path / "m1.0000000001.blocks")] == [1100, 1200, 1300]
+
+
 def test_without_a_service_that_acknowledges_nothing_is_delivered(tmp_path):
     clock = FastClock()
     store = outage(tmp_path, clock)
