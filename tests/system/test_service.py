@@ -143,7 +143,7 @@ bursts = {every_seconds = 30.0, first_after_seconds = 0.5, seconds = 2.0}"""
         with pytest.raises(AfdsvcError, match=r"no usable samples yet|not connected"):
             ask_service(site, "burst", "Ada")
         thread.join(40)
-        hub.drain()
+        hub.drain(60.0)
         found = list(hub.watches["bearing"].evidence)
     assert any(e.fault == "vertical_actuator" and e.trustworthy for e in found)
 
