@@ -98,8 +98,7 @@ def collect_rarely() -> None:
 def hand_over_soon() -> None:
     """Let a thread that wants the interpreter have it after 0.5 ms, a tenth of Python's own interval.
 
-    Judging releases it in every array operation; each time it waited for 5 ms where other threads had work. On a computer that just held 14 machines,
-    the decision on a burst came after 0.07 s in place of 1.5 s, for the same processor time.
+    Judging releases it in many array operations, and waited up to 5 ms each time where other threads had work (docs/reference/throughput.md).
     """
     sys.setswitchinterval(5e-4)
 

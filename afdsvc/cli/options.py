@@ -58,8 +58,9 @@ def fault_names(ctx: typer.Context, incomplete: str) -> list[str]:
 
     try:
         site = read_site(ctx.params.get("site") or HERE)
-        machine = site.machine(ctx.params.get("machine") or ", ".join(m.id for m in site.machines))
-        return [f"{name}=" for name in commission(machine, load()).augmented.fault_names if name.startswith(incomplete)]
+        chosen = [m for m in site.machines if m.id == (ctx.params.get("machine") or m.id)]
+        names = commission(chosen[0], load()).augmented.fault_names if len(chosen) == 1 else ()
+        return [f"{name}=" for name in names if name.startswith(incomplete)]
     except AfdsvcError:
         return []
 

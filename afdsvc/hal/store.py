@@ -35,7 +35,7 @@ Samples = tuple[str, int, int]
 
 @dataclass
 class _Segment:
-    """A file of records, and the samples in it as (session, first, end); it is ``open`` to further ones until a write fails."""
+    """A file of records, and the samples in it as (session, first, end); it is ``open`` to further ones until a write fails or it is delivered."""
 
     path: Path
     held: list[Samples] = field(default_factory=list)

@@ -112,11 +112,11 @@ class Hub:
 
         Refused while judgement is behind: what waits for it is recorded then, and would be delivered a second time.
         """
-        block, (receipts, sink) = codec.decode_block(payload), self.late[machine]
         if self._stop.is_set():
             raise Refused("the service is about to end")
         if (behind := self.behind()) > BEHIND_SECONDS:
             raise Refused(f"judgement is {behind:.0f} s behind; what a rig keeps is taken when it has caught up")
+        block, (receipts, sink) = codec.decode_block(payload), self.late[machine]
         if block.machine != machine:
             raise Refused(f"a block of machine '{block.machine[:64]}' delivered by the rig agent of '{machine}'")
         if receipts.covers(block.session, block.k0, block.k0 + len(block)):

@@ -95,8 +95,8 @@ class HypothesisEvidence:
     horizon. ``share`` is the part of the gap closed at the decision horizon: of the loss on left-out blocks in independent samples,
     and of the distance of the model's numbers from what is stated. ``before`` and ``after`` are the losses of the left-out blocks;
     ``count`` the independent samples of all outputs, ``fixed`` the part of the gain that does not depend on the blocks. ``fitted``
-    are the losses of the same blocks, before and after, where they are not left out. ``noise`` is the share of what is left that is
-    known to be noise, since it does not repeat with the excitation; 0 where nothing repeats.
+    are the losses of the same blocks, before and after, where they are not left out. ``noise`` is the share of the remaining
+    residual power that is known to be noise, since it does not repeat with the excitation; 0 where nothing repeats.
     """
 
     gains: Mapping[float, float]
@@ -146,12 +146,12 @@ Losses = tuple[Array, Array]
 
 
 def hypothesis_evidence(
-    path: Path, base: Path, mine: Losses, theirs: Losses, gap: float, parameters: int, taus: Mapping[float, float], noise: float = 0.0
+    path: Path, base: Path, mine: Losses, theirs: Losses, gap: float, parameters: int, taus: Mapping[float, float], noise: float
 ) -> HypothesisEvidence:
     """Return the evidence of a path over the base path; ``gap`` is what could be closed at the decision horizon.
 
     ``mine`` and ``theirs`` are the losses of their blocks, left out and fitted; ``taus`` the correlation times that samples are counted by,
-    the same for all hypotheses that are compared; ``noise`` the share of what the path leaves that is known to be noise.
+    the same for all hypotheses that are compared; ``noise`` the share of the path's residual power that is known to be noise.
     """
     last = list(path)[-1]
     taken = float(theirs[0].sum() - mine[0].sum()) / taus[last]

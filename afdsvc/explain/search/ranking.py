@@ -70,7 +70,7 @@ def fits_alike(one: Candidate, best: Candidate, gain: float, highest: float, set
     """Whether a gain is as good as the highest: within chance, or, where the model limits, close to it in what it closes.
 
     What is not simpler has to be close in what it leaves, too; what is simpler may leave more, since a fit that bends further closes more.
-    Where the noise is known, any has to be close in what it leaves above it.
+    Where the noise is known, every hypothesis has to be close in the residual power that it leaves above the noise.
     """
     if gain >= highest - settings.likely:
         return True

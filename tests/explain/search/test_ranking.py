@@ -63,7 +63,7 @@ def test_what_leaves_more_than_twice_as_much_and_is_not_simpler_does_not_fit_ali
     assert winner([mode, friction], S, "model") is friction
 
 
-def test_what_is_left_counts_above_the_noise_where_that_is_known():
+def test_residual_power_is_compared_above_the_noise_where_that_is_known():
     """Two laws leave 0.2 and 0.6 % of the loss, the simpler one more: with 0.15 % of noise that is nine times as much above it."""
     mode, friction = candidate("mode", 0.998, 3), candidate("friction", 0.994, 1)
     assert winner([mode, friction], S, "model") is friction
