@@ -95,14 +95,6 @@ def collect_rarely() -> None:
     gc.set_threshold(50_000, 20, 100)
 
 
-def hand_over_soon() -> None:
-    """Let a thread that wants the interpreter have it after 0.5 ms, a tenth of Python's own interval.
-
-    Judging releases it in many array operations, and waited up to 5 ms each time where other threads had work (docs/reference/throughput.md).
-    """
-    sys.setswitchinterval(5e-4)
-
-
 def return_memory(every: float = 60.0) -> None:
     """Give memory that is free back to the system once in ``every`` seconds, in a thread of its own, where the C library is glibc's.
 

@@ -65,7 +65,7 @@ def serve(
 ) -> None:
     """Run the service of one site until SIGTERM or Ctrl-C."""
     from afdsvc.app.serve import as_one_of_two, serving
-    from afdsvc.app.supervision import collect_rarely, hand_over_soon, notify, return_memory, start_logging, supervised
+    from afdsvc.app.supervision import collect_rarely, notify, return_memory, start_logging, supervised
     from afdsvc.files.site import read_site
 
     start_logging(_one_of("--log", logs, ("text", "json")))
@@ -84,7 +84,6 @@ def serve(
     with serving(found, turn=turn) as hub, supervised(hub.healthy):
         _stop_on_signals(stop)  # Ctrl-C ends the preparation before at once, what follows in order
         collect_rarely()
-        hand_over_soon()
         return_memory()
         log.info("%s: serving '%s' with %d machine(s)", __version__, hub.keys.site, len(hub.watches))
         if found.transport.security is None:

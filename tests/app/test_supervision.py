@@ -18,7 +18,6 @@ from pathlib import Path
 import pytest
 
 from afdsvc.app.ask import ask_service
-from afdsvc.app.supervision import hand_over_soon
 from afdsvc.files.site import read_site
 from afdsvc.service.audit_log import verify_chain
 
@@ -232,15 +231,6 @@ print(resident() - began)
 def test_what_the_queues_of_outages_took_is_given_back():
     left = subprocess.run([sys.executable, "-c", OUTAGES, "2"], capture_output=True, text=True, check=True)
     assert float(left.stdout) < 40.0  # MB; 8000 blocks of 20 kB were queued three times
-
-
-def test_threads_hand_the_interpreter_over_after_half_a_millisecond():
-    before = sys.getswitchinterval()
-    try:
-        hand_over_soon()
-        assert sys.getswitchinterval() == pytest.approx(5e-4)
-    finally:
-        sys.setswitchinterval(before)
 
 
 CYCLES = """
