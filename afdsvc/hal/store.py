@@ -216,7 +216,7 @@ class Store:
 
 
 def blocks(path: Path) -> Iterator[tuple[Samples, bytes]]:
-    """Yield the blocks of a file, their samples and bytes; what cannot be decoded is left out."""
+    """Yield the blocks of a file, their samples and bytes; what cannot be decoded, such as zeros in place of a record, is left out."""
     for data in records(path):
         with suppress(BadInput):
             block = codec.decode_block(data)
@@ -224,9 +224,9 @@ def blocks(path: Path) -> Iterator[tuple[Samples, bytes]]:
 
 
 def records(path: Path) -> Iterator[bytes]:
-    """Yield the whole records of a file: a power failure may have cut the last or left zeros in its place, and a damaged one is left out."""
+    """Yield the whole records of a file: a power failure may have cut the last, and a damaged one is left out."""
     with path.open("rb") as file:
-        while len(head := file.read(HEAD.size)) == HEAD.size and any(head):
+        while len(head := file.read(HEAD.size)) == HEAD.size:
             size, sum = HEAD.unpack(head)
             data = file.read(min(size, SEGMENT_BYTES + 1))
             if len(data) < size:

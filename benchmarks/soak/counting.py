@@ -11,7 +11,7 @@ from itertools import chain
 from afdsvc.api.intervals import Intervals
 from afdsvc.api.signals import Block
 from afdsvc.files.recording.reader import Recording
-from afdsvc.hal.store import SPILL_SECONDS, records
+from afdsvc.hal.store import SPILL_SECONDS, blocks
 from afdsvc.service.notifications import History, Judged
 from afdsvc.wire import codec
 from afdsvc.wire.messages import AlarmKind
@@ -64,7 +64,7 @@ def explained(done: Sequence[Disturbance], id: str, start: float, end: float) ->
 def stored(testbed: Testbed, id: str) -> Iterator[Block]:
     """Yield what a rig keeps on its disk, to be delivered when it is started again."""
     for path in testbed.folder.glob(f"store/{id}.*.blocks"):
-        yield from map(codec.decode_block, records(path))
+        yield from (codec.decode_block(data) for _, data in blocks(path))
 
 
 def recorded(testbed: Testbed, id: str) -> Iterator[Block]:

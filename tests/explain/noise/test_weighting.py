@@ -1,11 +1,13 @@
 """Correlation times, surrogates and the weighting against closed forms."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from afdsvc.explain.noise.surrogates import chance, rephased
-from afdsvc.explain.noise.weighting import correlation_time, even
+from afdsvc.explain.noise.weighting import correlation_time, even, noise_share
 
 
 @pytest.mark.parametrize("a", [0.0, 0.5, 0.9])
@@ -41,6 +43,15 @@ def test_chance_takes_the_noise_not_the_lines_beside_it():
     of_noise = chance([noise], [2000], directions, np.ones(2000), 100, rng)
     of_residual = chance([line + rng.normal(size=(2000, 1))], [2000], directions, np.ones(2000), 100, rng)
     assert of_noise.max() < 0.02 * of_residual.max()
+
+
+def test_the_share_of_noise_is_what_does_not_repeat_the_mean_over_outputs():
+    """Of one output noise is a fifth of the power, of the other all."""
+    rng = np.random.default_rng(8)
+    repeats = np.column_stack([np.tile(2.0 * rng.normal(size=500), 20), np.zeros(10_000)])
+    e = repeats + rng.normal(size=(10_000, 2))
+    assert noise_share([SimpleNamespace(period=500, settled=0)], [e]) == pytest.approx(0.6, rel=0.03)
+    assert noise_share([SimpleNamespace(period=0, settled=0)], [e]) == 0.0
 
 
 def test_the_even_weighting_changes_nothing():

@@ -13,7 +13,7 @@ from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.search import forward
 from afdsvc.explain.search.base import settled
 from afdsvc.explain.search.build import build
-from afdsvc.explain.search.evidence import HypothesisEvidence, block_spans, refitted
+from afdsvc.explain.search.evidence import HypothesisEvidence, block_spans, noise_times, refitted
 from afdsvc.explain.search.fit import Coordinates, fit, jacobian, weighted
 from afdsvc.explain.search.forward import search
 from afdsvc.explain.search.machine import hypotheses, machine
@@ -224,6 +224,14 @@ def test_blocks_are_as_long_as_what_the_best_law_leaves_asks(found):
     lengths = [len(e) for e in base.residuals]
     blocks = {f.own_tau: len(block_spans(lengths, f.own_tau, Settings())) for f in (base, first.fit)}
     assert len(first.evidence.before) == blocks[first.fit.own_tau] > blocks[base.own_tau]
+
+
+def test_the_evidence_knows_the_share_of_noise_where_the_excitation_repeats(found):
+    """Of a residual of white noise, all that differs between periods is noise: its power but for that of the mean."""
+    runs = tuple(replace(r, period=500) for r in found.problem.runs)
+    for noisy, share in ((found.problem, 0.0), (replace(found.problem, runs=runs), 1.0)):
+        rounds = forward.Rounds(noisy, noisy, noise_times([found.end]), found.start, found.start, "model", map, lambda path: None, {})
+        assert rounds.over(found.end, found.start, 1).noise == pytest.approx(share, abs=0.1)
 
 
 @pytest.mark.parametrize(("samples", "factor"), [(1500, 2), (200, 7)])

@@ -70,6 +70,7 @@ def test_residual_power_is_compared_above_the_noise_where_that_is_known():
     noisy = replace(mode, evidence=replace(mode.evidence, noise=0.75))
     assert winner([noisy, friction], S, "model") is noisy
     assert vote_shares([noisy, friction], S, "model") == pytest.approx([1.0, 0.0])
+    assert vote_shares([noisy, candidate("friction", 0.9965, 3)], S, "model") == pytest.approx([1.0, 0.0])
     quiet = replace(mode, evidence=replace(mode.evidence, noise=1e-6))
     assert vote_shares([quiet, candidate("friction", 0.9965)], S, "model") == pytest.approx([0.5, 0.5])
 
