@@ -34,10 +34,14 @@ class Signal:
     Kinds to read: ``u`` input as it acts (after earlier effects), ``x`` state, ``y`` output, ``aux`` auxiliary signal,
     ``t`` time in s. Kinds to write: ``u`` (stage "input"), ``x`` meaning the rate of change of that state ("force"), ``y``
     ("output"). At stage "output" the input read is the one held during the sample before.
+
+    ``ahead`` reads an input as many samples later (7 at most), as recorded: for errors of the recording, such as a clock that is late. A law that
+    does so comes before the other laws at inputs, is no part of the machine, and does nothing in a loop that is closed in simulation.
     """
 
     kind: Literal["u", "x", "y", "aux", "t"]
     index: int = 0
+    ahead: int = 0
 
 
 @dataclass(frozen=True, slots=True)

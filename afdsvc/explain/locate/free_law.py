@@ -52,7 +52,7 @@ def site(like: Hypothesis, machine: Machine, values: Array) -> LawSite | None:
 
     ``values (n,)`` are those of the signal it reads first.
     """
-    if like.memory or len(like.writes) != 1 or like.reads[0].kind not in ("u", "x", "y") or not np.ptp(values) > 0:
+    if like.memory or any(s.ahead for s in like.reads) or len(like.writes) != 1 or like.reads[0].kind not in ("u", "x", "y") or not np.ptp(values) > 0:
         return None
     read = like.reads[0]
     of = {"u": machine.inputs, "x": machine.states, "y": machine.outputs}[read.kind][read.index]

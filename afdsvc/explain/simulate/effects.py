@@ -78,7 +78,9 @@ def table(effects: Sequence[PlacedEffect], m: int, n: int, p: int, a: int) -> Ta
 
 
 def _stage(h: Hypothesis) -> int:
-    """Return when the kernel evaluates a law: friction without memory is implicit in the state it acts on."""
+    """Return when the kernel evaluates a law: friction without memory is implicit in the state it acts on, inputs to come are as measured."""
+    if any(s.ahead for s in h.reads):
+        return kernel.RECORDED
     read = {s.index for s in h.reads if s.kind == "x"}
     rubs = h.stage == "force" and h.family == "friction" and not h.memory and any(s.index in read for s in h.writes)
     return kernel.FRICTION if rubs else _STAGE[h.stage]
@@ -86,6 +88,8 @@ def _stage(h: Hypothesis) -> int:
 
 def _address(signal: Signal, m: int, n: int, p: int, a: int) -> int:
     start = {"u": 0, "x": m, "y": m + n, "aux": m + n + p, "t": m + n + p + a}[signal.kind]
+    if signal.ahead:
+        start = m + n + p + a + 1 + (signal.ahead - 1) * m
     return start + signal.index
 
 

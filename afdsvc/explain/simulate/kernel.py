@@ -31,7 +31,8 @@ LAW = types.void(  # parameters, signals, memory, time step, what it adds: addre
 )
 MOST_SIGNALS = 16
 READS = 7  # columns of a plan: stage, reads, writes, parameters, memory from, memory to, bent, then addresses
-INPUT, FORCE, OUTPUT, FRICTION = 0, 1, 2, 3
+INPUT, FORCE, OUTPUT, FRICTION, RECORDED = 0, 1, 2, 3, 4  # RECORDED: changes of the measured input that come before all others
+AHEAD = 7  # samples of the measured input that such a law may read from the future
 IMPLICIT = 0.75  # point of the sub-step where friction is evaluated: 0.5 would chatter at rest, 1 switches late at reversals
 SHARP = 0.001  # share of the sub-step that an implicit law gets as dt: it need not be smooth over the whole
 CLOSE = 1e-8  # error of an implicit force, over the force
@@ -96,6 +97,16 @@ def _apply(stage, laws, plan, par, mem, s, work, dt, target, base):  # type: ign
             target[j] += work[MOST_SIGNALS + k]
             if base >= 0:
                 s[base + j] = target[j]
+
+
+@njit(cache=True, nogil=True)
+def _recorded(laws, plan, par, mem, s, work, dt, k, U, u, it):  # type: ignore[no-untyped-def]
+    """Apply what changes the measured input of sample ``k``, held in ``u`` and at the start of ``s``; the samples that follow are behind the time."""
+    N, m = U.shape
+    for a in range(AHEAD):
+        for j in range(m):
+            s[it + 1 + a * m + j] = U[min(k + 1 + a, N - 1), j]
+    _apply(RECORDED, laws, plan, par, mem, s, work, dt, u, 0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -275,23 +286,26 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
     u, ue, held, y = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(p)
     mean = np.zeros(m)
     drive = np.zeros((DEGREE + 1) * m) if ramped else mean
-    s, work, first = np.zeros(m + n + p + na + 1), np.zeros(2 * MOST_SIGNALS), np.zeros(MOST_SIGNALS)
+    s, work, first = np.zeros(m + n + p + na + 1 + AHEAD * m), np.zeros(2 * MOST_SIGNALS), np.zeros(MOST_SIGNALS)
     last = np.zeros(plan.shape[0])
     it = m + n + p + na
     corrected = 0 if closed or not np.any(Kp) else p
-    shaped, observed, rubbed = False, False, False
+    shaped, observed, rubbed, led = False, False, False, False
     for i in range(plan.shape[0]):
         shaped = shaped or plan[i, 0] == INPUT
         observed = observed or plan[i, 0] == OUTPUT
         rubbed = rubbed or plan[i, 0] == FRICTION
+        led = led or (plan[i, 0] == RECORDED and not closed)
     smooth = U.copy() if ramped else U
-    if ramped and shaped:
+    if ramped and (shaped or led):
         for k in range(N):
             s[it] = t0 + k * dt
             for j in range(na):
                 s[m + n + p + j] = AUX[k, j]
             for j in range(m):
                 s[j] = smooth[k, j]
+            if led:
+                _recorded(laws, plan, par, mem, s, work, dt, k, U, smooth[k], it)
             _apply(INPUT, laws, plan, par, mem, s, work, dt, smooth[k], 0)
     for k in range(N):
         s[it] = t0 + k * dt
@@ -305,8 +319,11 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
         elif direct and not closed:
             for j in range(m):
                 u[j] = U[k, j]
-                ue[j] = u[j]
                 s[j] = u[j]
+            if led:
+                _recorded(laws, plan, par, mem, s, work, dt, k, U, u, it)
+            for j in range(m):
+                ue[j] = u[j]
             if shaped:
                 _apply(INPUT, laws, plan, par, mem, s, work, h, ue, 0)
         if kind == LINEAR:
@@ -330,8 +347,11 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
         if not ramped and (closed or not direct):
             for j in range(m):
                 u[j] = U[k, j] + (u[j] if closed else 0.0)
-                ue[j] = u[j]
                 s[j] = u[j]
+            if led:
+                _recorded(laws, plan, par, mem, s, work, dt, k, U, u, it)
+            for j in range(m):
+                ue[j] = u[j]
             if shaped:
                 _apply(INPUT, laws, plan, par, mem, s, work, h, ue, 0)
         for j in range(p):

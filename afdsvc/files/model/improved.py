@@ -25,10 +25,10 @@ def write_improved(explanation: Explanation, path: Path, aux: Mapping[str, float
     """Write the improved model as ``path`` (and ``path`` with the suffix .py when it is not linear); return what was written.
 
     A Python simulator stays the code it is: its parameters move, and laws are added to it in a file that names it. Offsets,
-    unknown loads and tones from outside belong to the recordings and are not written. ``aux`` holds the mean of every auxiliary signal of the
+    unknown loads, tones from outside and clocks out of step belong to the recordings and are not written. ``aux`` holds the mean of every auxiliary signal of the
     recordings, sorted by name as the laws count them.
     """
-    effects = tuple(e for e in explanation.point.effects if e.hypothesis.family != NUISANCE and not e.hypothesis.lasting)
+    effects = tuple(e for e in explanation.point.effects if not _of_recordings(e.hypothesis))
     explanation = replace(explanation, point=replace(explanation.point, effects=effects))
     nominal, point = explanation.nominal, explanation.point
     if nominal.python and not point.effects:
@@ -43,6 +43,10 @@ def write_improved(explanation: Explanation, path: Path, aux: Mapping[str, float
     file.write_text(text, encoding="utf-8")
     write_model(replace(model, origin=str(path)), path)
     return [path, file]
+
+
+def _of_recordings(h: Hypothesis) -> bool:
+    return h.family == NUISANCE or h.lasting or any(s.ahead for s in h.reads)
 
 
 def linear_plant(nominal: Nominal, point: Point) -> StateSpace | None:

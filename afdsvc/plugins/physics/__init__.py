@@ -11,6 +11,7 @@ from afdsvc.plugins.physics.asymmetric_damping import AsymmetricDamping
 from afdsvc.plugins.physics.back_emf import BackEmf
 from afdsvc.plugins.physics.backlash import Backlash
 from afdsvc.plugins.physics.clearance import Clearance
+from afdsvc.plugins.physics.clock_offset import ClockOffset
 from afdsvc.plugins.physics.cogging import Cogging
 from afdsvc.plugins.physics.coloured_noise import ColouredNoise
 from afdsvc.plugins.physics.constant_load import ConstantLoad
@@ -53,7 +54,7 @@ from afdsvc.plugins.physics.transport_delay import TransportDelay
 from afdsvc.plugins.physics.unbalance import Unbalance
 
 BUILT_IN = (
-    ActuatorLag, AsymmetricDamping, BackEmf, Backlash, Clearance, Cogging, ColouredNoise, ConstantLoad,
+    ActuatorLag, AsymmetricDamping, BackEmf, Backlash, Clearance, ClockOffset, Cogging, ColouredNoise, ConstantLoad,
     CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, FlexibleMode,
     GainFollowsAux, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, MagneticForce,
     ParameterChange, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,

@@ -44,14 +44,14 @@ def model() -> Callable[..., Model]:
 
 @pytest.fixture
 def effect() -> Callable[..., PlacedEffect]:
-    """Make an effect of a law at a stage; signals as pairs of kind and number."""
+    """Make an effect of a law at a stage; signals as kind, number and, where they are to come, samples ahead."""
 
     def make(
-        law: Any, stage: str, reads: Sequence[tuple[str, int]], writes: Sequence[tuple[str, int]], values: Sequence[float], family: str = "",
+        law: Any, stage: str, reads: Sequence[tuple[Any, ...]], writes: Sequence[tuple[str, int]], values: Sequence[float], family: str = "",
         memory: int = 0, substeps: int = 1,
     ) -> PlacedEffect:
-        def signals(pairs: Sequence[tuple[str, int]]) -> tuple[Signal, ...]:
-            return tuple(Signal(kind, index) for kind, index in pairs)  # type: ignore[arg-type]
+        def signals(pairs: Sequence[tuple[Any, ...]]) -> tuple[Signal, ...]:
+            return tuple(Signal(*pair) for pair in pairs)
 
         parameters = tuple(Coefficient(f"p{k}", "", -1e9, 1e9, 1.0) for k in range(len(values)))
         hypothesis = Hypothesis(

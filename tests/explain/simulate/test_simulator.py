@@ -291,6 +291,31 @@ def test_parameters_move_with_theta(model, recording, excitation):
     assert np.allclose(a.y, play(model(code=Pendulum, parameters=moved), run, [0, 0]).y, atol=1e-12)
 
 
+def early(p, z, m, dt, out):
+    out[0] += (1 - p[0]) * z[1] + p[0] * z[2] - z[0]
+
+
+@pytest.mark.parametrize("ramped", [False, True])
+@pytest.mark.parametrize("direct", [0.0, 0.3])
+def test_an_input_recorded_late_acts_before_all_that_changes_it(model, recording, excitation, effect, direct, ramped):
+    """The same as the recording moved by hand, whichever effect was found first; at the end the last sample stays."""
+    plant = StateSpace(AXIS.A, AXIS.B, AXIS.C, np.full((1, 1), direct))
+    moved = 0.25 * np.vstack([excitation[1:], excitation[-1:]]) + 0.75 * np.vstack([excitation[2:], excitation[-1:], excitation[-1:]])
+    offset = effect(early, "input", [("u", 0), ("u", 0, 1), ("u", 0, 2)], [("u", 0)], [0.75])
+    zone = effect(dead_zone, "input", [("u", 0)], [("u", 0)], [0.2], substeps=3)
+    found = nominal(model(plant), 0.01)
+    simulator, rest = Simulator(found, np.zeros((2, 1)), ramped), (np.zeros(len(found.entries)), np.zeros(2))
+    expected = simulator.run(recording(moved), *rest, [zone])
+    for effects in ([zone, offset], [offset, zone]):
+        assert simulator.run(recording(excitation), *rest, effects).y == pytest.approx(expected.y, abs=1e-12)
+
+
+def test_a_closed_loop_has_no_input_to_come(model, recording, excitation, effect):
+    offset = effect(early, "input", [("u", 0), ("u", 0, 1), ("u", 0, 2)], [("u", 0)], [0.75])
+    made, run = model(AXIS, controller=StateSpace.gain([[-0.5]])), recording(excitation, W=excitation)
+    assert np.array_equal(play(made, run, [0, 0], [offset], closed=True).y, play(made, run, [0, 0], closed=True).y)
+
+
 def slow(p, z, m, dt, out):
     m[0] += dt / p[0] * (z[0] - m[0])
     out[0] += m[0]

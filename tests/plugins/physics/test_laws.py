@@ -12,6 +12,7 @@ from scipy.stats import norm
 
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.backlash import _play
+from afdsvc.plugins.physics.clock_offset import clock
 from afdsvc.plugins.physics.flexible_mode import _attach, bent_spring, masses
 from afdsvc.plugins.physics.gain_follows_aux import _scaled
 from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
@@ -182,6 +183,21 @@ def test_a_lag_behind_a_delay_answers_a_step_late_and_then_exponentially():
 
     for late, expected in ((7, answer(7)), (7.25, 0.75 * answer(7) + 0.25 * answer(8))):
         np.testing.assert_allclose(u + changed(delay, [late * DT, tau], u, 40), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [0.3, 1.0, 2.6, 7.0, 9.0])
+def test_a_late_clock_moves_all_inputs_alike(samples):
+    """Oracle: linear interpolation by numpy; what is later than the samples at hand stays the last of them."""
+    t, u = np.arange(40), np.random.default_rng(3).standard_normal((40, 2))
+    held = np.vstack([u, np.repeat(u[-1:], 7, axis=0)])
+    z = np.column_stack([held[k : k + 40] for k in range(8)])
+    for count, signals in ((2, z), (1, z[:, ::2])):
+        m, added = np.zeros(0), np.zeros((40, count))
+        for row, out in zip(signals, added, strict=True):
+            clock(np.array([samples * DT]), row, m, DT, out)
+        late = np.minimum(t + min(samples, 7.0), 39.0)
+        expected = np.column_stack([np.interp(late, t, u[:, j]) for j in range(count)])
+        np.testing.assert_allclose(u[:, :count] + added, expected, atol=1e-12)
 
 
 def test_drift_levels_off():

@@ -41,6 +41,8 @@ def offered(machine: Machine) -> dict:
     (STRUCTURE, "clearance@machine#between v1,v2 clearance@machine#between v1,v2,v3 coulomb_friction@machine#between v1,v3"),
     (STRUCTURE, "coulomb_friction@machine#slip between v2,v3 cubic_stiffness@machine#between v1,v2 quadratic_stiffness@machine#between v1,v2,v3"),
     (ARM, "clearance@state:w#play in the spring"),
+    (MOTOR, "clock_offset@input:voltage"),
+    (ROTOR, "clock_offset@machine clock_offset@input:horizontal clock_offset@input:vertical"),
     (SHAFT, "clearance@machine#play in the spring between w1,w2 clearance@machine#between w1,w2 cubic_stiffness@machine#between w1,w2"),
     (DAMPER, "hysteresis@input:speed hysteresis@output:force#speed coulomb_friction@output:force#speed saturation@state:force"),
 ])
