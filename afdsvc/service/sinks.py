@@ -16,7 +16,7 @@ from afdsvc.api.evidence import Evidence, Severity
 from afdsvc.transport.outgoing_queue import OutgoingQueue
 from afdsvc.wire.codec import Message
 from afdsvc.wire.keys import Keys
-from afdsvc.wire.messages import AlarmChange, BurstRequest, EventKind, Finding, Notice, Residual, RetuneRequest, RigEvent
+from afdsvc.wire.messages import AlarmChange, EventKind, Finding, Notice, Residual, RetuneRequest, RigEvent
 
 log = logging.getLogger(__name__)
 
@@ -186,7 +186,6 @@ class LogSink:
         self._machine = machine
         self._quiet = ""  # the burst on which nothing was found, already said
         self._said: deque[str] = deque(maxlen=32)  # sentences on decisions that have been written
-        self._asked_by: dict[str, str] = {}  # of the burst that was requested last, by its name
 
     def take(self, message: Message) -> None:
         """Write the line of a message, if it has one."""
@@ -194,11 +193,8 @@ class LogSink:
             case Finding() as finding:
                 self._decided(finding)
             case RigEvent(kind=kind) as event if kind != EventKind.BURST_ENDED:
-                who = self._asked_by.pop(event.burst, "")
-                said = f" {event.burst}" * bool(event.burst) + f", asked for by {who}" * bool(who) + f": {event.cause}" * bool(event.cause)
+                said = f" {event.burst}" * bool(event.burst) + f": {event.cause}" * bool(event.cause)
                 log.info("%s: %s%s", self._machine, kind.replace("_", " "), said)
-            case BurstRequest(burst=burst, asked_by=who):
-                self._asked_by = {burst.name: who}
             case RetuneRequest() as request:
                 log.info("%s: Q %s for %s asked for by %s", self._machine, request.name, request.found.fault, request.asked_by)
             case Notice(machine, level, sentence) if sentence not in self._said:
@@ -231,7 +227,8 @@ class LogSink:
 
 def _decision(e: Evidence) -> str:
     """Return a decision in words, with its statistic and threshold where there are any."""
-    said = e.reason or "not trustworthy" if not e.trustworthy else f"{e.fault or 'a fault, not isolated'} {size(e.severity)}".rstrip() if e.detected else "no fault"
+    found = f"{e.fault or 'a fault, not isolated' + ',' * bool(e.severity)} {size(e.severity)}".rstrip() if e.detected else "no fault"
+    said = found if e.trustworthy else e.reason or "not trustworthy"
     return f"{said} (statistic {e.statistic:.3g}, threshold {e.threshold:.3g})" if math.isfinite(e.statistic) else said
 
 
