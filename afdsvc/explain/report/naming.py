@@ -91,7 +91,7 @@ def _of_effect(effect: PlacedEffect, spreads: Mapping[int, float], B: Array) -> 
     found = {c.name: _estimate(float(effect.values[j]), c, spreads[j], B) for j, c in [x for x in free if not x[1].nuisance] or free}
     if h.lasting and effect.begun:
         size = float(np.sqrt(np.mean([b @ b for b in effect.begun])))
-        found |= {c.name: _estimate(size * float(v), c, np.inf, B) for c, v in zip(h.parameters, effect.values, strict=True) if not c.free}
+        found |= {c.name: _estimate(size * float(v), c, np.inf, B) for c, v in zip(h.parameters, effect.values, strict=True) if not c.free and not c.nuisance}
     return found
 
 

@@ -21,6 +21,7 @@ from afdsvc.plugins.physics.cross_coupled_stiffness import CrossCoupledStiffness
 from afdsvc.plugins.physics.cubic_damping import CubicDamping
 from afdsvc.plugins.physics.cubic_stiffness import CubicStiffness
 from afdsvc.plugins.physics.dead_zone import DeadZone
+from afdsvc.plugins.physics.encoder_error import EncoderError
 from afdsvc.plugins.physics.flexible_mode import FlexibleMode
 from afdsvc.plugins.physics.gain_follows_aux import GainFollowsAux
 from afdsvc.plugins.physics.gain_follows_position import GainFollowsPosition
@@ -55,7 +56,7 @@ from afdsvc.plugins.physics.unbalance import Unbalance
 
 BUILT_IN = (
     ActuatorLag, AsymmetricDamping, BackEmf, Backlash, Clearance, ClockOffset, Cogging, ColouredNoise, ConstantLoad,
-    CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, FlexibleMode,
+    CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, EncoderError, FlexibleMode,
     GainFollowsAux, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, MagneticForce,
     ParameterChange, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
     ResonantActuator, Runout, Saturation, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import product
@@ -13,6 +14,7 @@ from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Law, Machine, Sign
 from afdsvc.dataset.units import unit_registry
 from afdsvc.lti.statespace import StateSpace
 
+MOST = 100  # periods per turn of what repeats along a way
 MOST_TERMS = 14  # of a force balance read by one law; the simulation carries 16 signals per law
 _QUANTITIES = (
     ("length", "m"), ("angle", "radian"), ("velocity", "m/s"), ("velocity", "radian/s"), ("force", "N"), ("force", "N*m"), ("current", "A"), ("voltage", "V"),
@@ -148,6 +150,22 @@ def quantity(unit: str) -> str:
 def radians(unit: str) -> float:
     """Return how many radians one unit of an angle is."""
     return float(unit_registry().Quantity(1.0, unit).to("radian").magnitude)
+
+
+def radians_per_second(unit: str) -> float:
+    """Return how many rad/s one unit of an angular velocity is, 0 for anything else."""
+    turns = quantity(unit) == "velocity" and quantity(f"({unit}) * s") == "angle"
+    return float(unit_registry().Quantity(1.0, unit).to("radian/second").magnitude) if turns else 0.0
+
+
+def orders(speed: float, dt: float) -> list[float]:
+    """Return the whole numbers of periods per turn that samples every ``dt`` s resolve at a speed [rad/s], `MOST` at most."""
+    return [float(n) for n in range(1, 1 + min(MOST, int(math.pi / (speed * dt))))]
+
+
+def periods(unit: float) -> tuple[Coefficient, Coefficient]:
+    """Return the parameters of what repeats along a way: its periods per turn, and the constant ``unit``, radians (per second) in one unit."""
+    return Coefficient("periods per turn", "", 0.5, 2.0 * MOST, 1e-3), Coefficient("radians", "", unit, unit, unit, nuisance=True)
 
 
 def force(axis: Axis, name: str, low: float, high: float, scale: float, per: str = "", **rest: Any) -> Coefficient:

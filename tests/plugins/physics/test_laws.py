@@ -13,6 +13,8 @@ from scipy.stats import norm
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.backlash import _play
 from afdsvc.plugins.physics.clock_offset import clock
+from afdsvc.plugins.physics.cogging import _turning
+from afdsvc.plugins.physics.encoder_error import at_angle, at_speed
 from afdsvc.plugins.physics.flexible_mode import _attach, bent_spring, masses
 from afdsvc.plugins.physics.gain_follows_aux import _scaled
 from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
@@ -198,6 +200,40 @@ def test_a_late_clock_moves_all_inputs_alike(samples):
         late = np.minimum(t + min(samples, 7.0), 39.0)
         expected = np.column_stack([np.interp(late, t, u[:, j]) for j in range(count)])
         np.testing.assert_allclose(u[:, :count] + added, expected, atol=1e-12)
+
+
+def test_a_ripple_turns_with_the_shaft():
+    """Oracle: the angle in closed form, of a speed that rises in proportion to time; 30 rpm are pi rad/s."""
+    periods, unit, amplitude, phase, slope = 12.0, np.pi / 30, 0.4, 0.7, 5e4
+    t = DT * np.arange(400)
+
+    def wave(at):
+        return amplitude * np.cos(periods * unit * slope * at**2 / 2 + phase)
+
+    begun = np.array([np.cos(phase), np.sin(phase)])
+    p, m, q, torque, error = np.array([periods, unit, amplitude]), begun.copy(), np.append(begun, 0.0), [], []
+    for at in t:
+        out = np.zeros(2)
+        _turning(p, np.array([slope * (at + DT / 2)]), m, DT, out[:1])
+        at_speed(p, np.array([slope * at]), q, DT, out[1:])
+        torque.append(out[0])
+        error.append(out[1])
+    assert torque == pytest.approx(wave(t + DT / 2), abs=1e-2)
+    assert error == pytest.approx(slope * t * wave(t), abs=1e-6)
+
+
+def test_an_uneven_encoder_is_read_at_its_angle_and_its_speed_is_the_rate_of_that():
+    q, speed = np.linspace(-400, 400, 50), np.linspace(30, 90, 50)
+
+    def error(q):
+        return 0.2 * np.cos(3 * np.radians(q)) - 0.1 * np.sin(3 * np.radians(q))
+
+    p = [3.0, np.pi / 180, 0.2, -0.1]
+    assert changed(at_angle, p, q) == pytest.approx(error(q))
+    for angle, rate in zip(q, speed, strict=True):
+        out = np.zeros(2)
+        at_angle(np.array(p), np.array([angle, rate]), np.zeros(0), DT, out)
+        assert out == pytest.approx([error(angle), (error(angle + 1e-5 * rate) - error(angle - 1e-5 * rate)) / 2e-5], abs=1e-7)
 
 
 def test_drift_levels_off():

@@ -41,7 +41,8 @@ def offered(machine: Machine) -> dict:
     (STRUCTURE, "clearance@machine#between v1,v2 clearance@machine#between v1,v2,v3 coulomb_friction@machine#between v1,v3"),
     (STRUCTURE, "coulomb_friction@machine#slip between v2,v3 cubic_stiffness@machine#between v1,v2 quadratic_stiffness@machine#between v1,v2,v3"),
     (ARM, "clearance@state:w#play in the spring"),
-    (MOTOR, "clock_offset@input:voltage"),
+    (MOTOR, "clock_offset@input:voltage cogging@state:w encoder_error@output:w"),
+    (SHAFT, "encoder_error@output:motor encoder_error@output:load"),
     (ROTOR, "clock_offset@machine clock_offset@input:horizontal clock_offset@input:vertical"),
     (SHAFT, "clearance@machine#play in the spring between w1,w2 clearance@machine#between w1,w2 cubic_stiffness@machine#between w1,w2"),
     (DAMPER, "hysteresis@input:speed hysteresis@output:force#speed coulomb_friction@output:force#speed saturation@state:force"),
@@ -62,6 +63,19 @@ def _split(text: str) -> list[list[str]]:
     return words
 
 
+def test_what_repeats_along_the_way_needs_a_whole_period_or_a_speed_that_the_samples_resolve():
+    arm, motor = machines()[ARM], machines()[MOTOR]
+    swing = 2 * (arm.outputs[0].peak - abs(arm.outputs[0].mean))
+    assert min(s[0] for s in offered(arm)["encoder_error@output:q"].starts) == np.ceil(2 * np.pi / swing)
+    assert "encoder_error@output:q" not in offered(replace(arm, outputs=(replace(arm.outputs[0], peak=0.06),)))
+    both = replace(arm, outputs=arm.states, plant=StateSpace(arm.plant.A, arm.plant.B, np.eye(2), np.zeros((2, 1))), residual=np.array([0.04, 0.3]))
+    assert "encoder_error@machine#q and w" in offered(both)
+    starts = offered(motor)["encoder_error@output:w"].starts
+    assert [s[0] for s in starts] == list(range(1, 1 + int(np.pi / (20.0 * motor.dt))))
+    fast = replace(motor, outputs=(replace(motor.outputs[0], rms=400.0),))
+    assert "encoder_error@output:w" not in offered(fast)
+
+
 def test_a_joint_of_two_masses_is_sized_by_their_difference():
     machine = machines()[SHAFT]
     gap = offered(machine)["clearance@machine#play in the spring between w1,w2"].parameters[1]
@@ -77,7 +91,7 @@ def test_play_needs_a_spring_of_the_model():
 
 
 def test_a_speed_alone_has_no_law_of_the_position():
-    positions = {"clearance", "cubic_stiffness", "quadratic_stiffness", "gravity", "cogging", "magnetic_force", "gain_follows_position", "cross_coupled_stiffness"}
+    positions = {"clearance", "cubic_stiffness", "quadratic_stiffness", "gravity", "magnetic_force", "gain_follows_position", "cross_coupled_stiffness"}
     assert not positions & {h.physics for h in offered(machines()[MOTOR]).values()}
 
 
@@ -104,9 +118,9 @@ def test_gains_share_a_gauge():
 
 @pytest.mark.parametrize("number", [ROTOR, BLACK_BOX, MOTOR, MAGNET, TANKS, STRUCTURE, DAMPER])
 def test_ranges_follow_the_sizes_in_the_data(number):
-    """In other units of input, states and output every parameter is the same multiple of its scale."""
+    """In other units of input, states and output every parameter is the same multiple of its scale; ripples count turns, whose unit is fixed."""
     machine = machines()[number]
-    plain, scaled = offered(machine), offered(in_other_units(machine, 7.0, 1e-3, 300.0))
+    plain, scaled = ({k: h for k, h in offered(m).items() if h.family != "ripple"} for m in (machine, in_other_units(machine, 7.0, 1e-3, 300.0)))
     assert plain.keys() == scaled.keys()
     for key, h in plain.items():
         for j, (a, b) in enumerate(zip(h.parameters, scaled[key].parameters, strict=True)):

@@ -1,0 +1,41 @@
+"""What repeats with every turn of a shaft of which only the speed is measured: a torque of the motor, or an error of the sensor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from afdsvc.api.model import Model, Variable
+from afdsvc.api.signals import Channel, Trace
+from afdsvc.explain.pipeline import explain
+from afdsvc.lti.statespace import StateSpace
+from afdsvc.plugins.physics import afdsvc_physics
+
+DT = 0.01
+PLANT = StateSpace(np.array([[-8.0]]), np.array([[400.0]]), np.eye(1), np.zeros((1, 1)))
+MODEL = Model("motor", (Variable("voltage", "V"),), (Variable("speed", "rpm"),), (Variable("speed", "rpm"),), PLANT)
+LIBRARY = [p for p in afdsvc_physics() if p.name in ("cogging", "encoder_error", "coulomb_friction", "flexible_mode", "transport_delay", "sensor_nonlinearity", "quantisation")]
+
+
+def recording(seed: int, torque: float, error: float, periods: int) -> Trace:
+    """Return a motor under random levels, begun at a random angle: a torque ripple [rpm/s] and an error of the reading (a share of the speed)."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(1, 4, 10), 150)
+    w, angle, y = 50.0, rng.uniform(0, 2 * np.pi), []
+    for command in u:
+        y.append(w * (1 + error * np.cos(periods * angle)))
+        for _ in range(20):
+            w += DT / 20 * (-8 * w + 400 * command + torque * np.cos(periods * angle))
+            angle += DT / 20 * w * np.pi / 30
+    return Trace(f"r{seed}", DT, (Channel("u_voltage", "V"), Channel("y_speed", "rpm")), np.column_stack([u, y + 0.3 * rng.standard_normal(len(u))]))
+
+
+@pytest.mark.parametrize(("torque", "error", "periods", "name", "size"), [
+    (100.0, 0.0, 12, "cogging", ("amplitude", 0.25)), (0.0, 0.02, 3, "encoder_error", ("share", 0.02)),
+])
+def test_a_ripple_is_named_with_its_periods_per_turn(torque, error, periods, name, size):
+    *given, held = (recording(seed, torque, error, periods) for seed in (1, 2, 3))
+    (found,) = explain(MODEL, given, [held], LIBRARY, experiment=False).named
+    assert found.physics == name
+    assert found.parameters["periods per turn"].value == pytest.approx(periods, abs=0.01)
+    assert found.parameters[size[0]].value == pytest.approx(size[1], rel=0.05)
