@@ -44,6 +44,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +60,13 @@ for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 __version__ = "0.1.0"
+
+
+
+def is_compiled() -> bool:
+    """Whether compiled loops of an earlier run are kept on this computer; compiling all of them takes up to a minute."""
+    return any(Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nbi"))
+
 
 _PLACES = {"Model": "api.model", "Trace": "api.signals", "BadInput": "errors"}  # every other name comes from `app.interface`
 __all__ = ["BadInput", "Model", "Trace", "check", "design", "diagnose", "explain", "identify", "load"]

@@ -132,7 +132,8 @@ def site_words(site: str) -> str:
 class Size:
     """A signal of the machine as the recordings show it: name, unit, mean, rms about the mean, largest absolute value.
 
-    ``step`` is the grid its values lie on, 0 when they lie on none, ``origin`` a value on it.
+    ``step`` is the grid its values lie on, 0 when they lie on none, ``origin`` a value on it. ``reverses`` says whether it takes both
+    signs: a law of two directions needs that.
     """
 
     index: int
@@ -143,6 +144,12 @@ class Size:
     peak: float
     step: float = 0.0
     origin: float = 0.0
+    reverses: bool = True
+
+    @property
+    def reach(self) -> float:
+        """The largest distance from the mean, as far as the peak tells, at least three times the rms."""
+        return max(self.peak - abs(self.mean), 3 * self.rms)
 
 
 @dataclass(frozen=True, slots=True)

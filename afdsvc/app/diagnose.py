@@ -315,7 +315,7 @@ def document(
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return one recording's part of ``diagnose --json``; ``notes`` say what was done to its data."""
-    verdict = conclude(replayed.evidence)
+    verdict, tested = conclude(replayed.evidence), bool(replayed.evidence)
     return {
         "recording": name,
         "machine": machine,
@@ -330,8 +330,8 @@ def document(
             "severity": json_values(verdict.severity),
             "first_detected_s": verdict.first_detected_s,
             "weights": dict(verdict.weights),
-            "trustworthy": verdict.trustworthy,
-            "reason": verdict.reason,
+            "trustworthy": verdict.trustworthy and tested,
+            "reason": verdict.reason if tested else "nothing was tested: there is no burst, and no quiet data that a passive detector watched",
         },
     }
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from afdsvc import is_compiled
 from afdsvc.api.model import Model
 from afdsvc.api.physics import Physics
 from afdsvc.api.signals import Trace
@@ -23,7 +24,6 @@ from afdsvc.files.open import Naming, OpenFile, OwnRecording, TableFile, open_fi
 from afdsvc.files.tables.foreign import prepared
 from afdsvc.files.tables.tables import PREPARED
 from afdsvc.files.unfinished import writing
-from afdsvc.lti.simulate import is_compiled
 from afdsvc.plants.stepped.linearise import linearisation_notes
 from afdsvc.plugins.manager import load
 

@@ -383,7 +383,7 @@ def _arrays(u: Any, y: Any, dt: float | None) -> list[Trace]:
     """Return arrays, or lists of them (an experiment each), as traces."""
     if not isinstance(dt, Real) or not dt > 0:
         raise BadInput(f"dt is {dt}; expected the sample time in seconds with arrays of u and y")
-    if isinstance(u, (list, tuple)) and isinstance(y, (list, tuple)) and np.ndim(u[0]) > 0:
+    if isinstance(u, (list, tuple)) and isinstance(y, (list, tuple)) and u and np.ndim(u[0]) > 0:
         if len(u) != len(y):
             raise BadInput(f"u has {len(u)} experiments and y {len(y)}; expected as many")
         return [replace(_arrays(a, b, dt)[0], name=f"experiment {k}") for k, (a, b) in enumerate(zip(u, y, strict=True), 1)]
@@ -396,6 +396,8 @@ def _arrays(u: Any, y: Any, dt: float | None) -> list[Trace]:
 
 def _columns(name: str, part: Any) -> Array:
     found = _numbers(part, name)
+    if not found.size:
+        raise BadInput(f"{name} is empty; expected (samples,) or (samples, signals)")
     if found.ndim not in (1, 2) or found.shape[-1] > len(found):
         raise BadInput(f"{name} is an array {found.shape}; expected (samples,) or (samples, signals)")
     return np.ascontiguousarray(found[:, None] if found.ndim == 1 else found)

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from afdsvc import __version__
+from afdsvc import __version__, is_compiled
 from afdsvc.cli import plugins, running
 from afdsvc.cli.interrupt import INTERRUPTED, end_on_interrupt, leave, was_interrupted
 from afdsvc.cli.options import Json, MachineOption, MappingOption, SiteFile, among, show
@@ -73,12 +73,17 @@ def _fail(sentence: str, code: int) -> int:
     return code
 
 
+COMPUTING = ("batch", "check", "demo", "design", "diagnose", "explain", "identify", "init", "retune", "trial")  # and `serve` and `rig`, in their logs
+
+
 @app.callback(invoke_without_command=True)
-def afdsvc(show: Annotated[bool, typer.Option("--version", help="Show the version and stop.")] = False) -> None:
+def afdsvc(context: typer.Context, show: Annotated[bool, typer.Option("--version", help="Show the version and stop.")] = False) -> None:
     """Active fault diagnosis for closed-loop machines."""
     if show:
         print(__version__)
         raise typer.Exit
+    if context.invoked_subcommand in COMPUTING and not {"--help"} & set(sys.argv) and not is_compiled():
+        print("afdsvc: its numerical code is compiled first, once on this computer: up to a minute", file=sys.stderr, flush=True)
 
 
 @app.command()
@@ -102,11 +107,8 @@ def demo(
     options = DemoOptions(plant, controller, rpm, tuple(parse_fault(f) for f in faults), length, seed, out, heal=heal, console=f"127.0.0.1:{free_port()}")
     print(f"afdsvc: preparing a simulated {plant}: controller, burst and detectors are designed; then it is shown live on http://{options.console}/", file=sys.stderr, flush=True)
     from afdsvc.app.demo import happening, run_demo  # takes seconds to import
-    from afdsvc.lti.simulate import is_compiled
     from afdsvc.present.terminal import demo_table, progress
 
-    if not is_compiled():
-        print("afdsvc: its numerical code is compiled first, once on this computer: about a minute more", file=sys.stderr, flush=True)
     with progress("running the machine", length) as tell:
         document = run_demo(options, lambda done, hub: tell(done, happening(hub)))
     show(as_json, document, lambda: demo_table(document))

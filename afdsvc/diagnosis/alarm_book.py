@@ -151,7 +151,7 @@ class AlarmBook:
                 return None
             fault = e.fault or UNNAMED
             return self._raise(raised(e.machine, fault, AlarmKind.FAULT, sentence, t_ns, e.detector, e.severity))
-        more = supported(alarm, e.detector, e.severity, t_ns)
+        more = replace(supported(alarm, e.detector, e.severity, t_ns), sentence=sentence or alarm.sentence)
         if more.raised_by != alarm.raised_by:
             return self._set(more, "supported", t_ns, why=f"{e.detector} agrees")
         self._alarms[id] = more

@@ -118,8 +118,9 @@ def _searched(
         last = list(path)[-1]
         return player(problem, last).better(heldout, without[last].point, path[last].point)
 
-    def searched(base: Settled) -> Found:
-        return search(base, library, mapper, progress, partial(remainder, base.problem), partial(better, base.problem), excluded)
+    def searched(base: Settled, choose: bool = True) -> Found:
+        found = search(base, library, mapper, progress, partial(remainder, base.problem), partial(better, base.problem), excluded, choose)
+        return found if found.otherwise is None else searched(settled(found.otherwise, choose=False), choose=False)
 
     found = searched(base)
     if not base.problem.weighting.even or not found.steps or found.effects:

@@ -6,9 +6,6 @@ gives exactly the numbers of one pass over the whole, and the loop without numba
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numba
 import numpy as np
 
@@ -26,11 +23,6 @@ def simulate(system: StateSpace, u: Array, x0: Array | None = None) -> tuple[Arr
     y = np.empty((u.shape[0], system.outputs))
     _run(*_columns(system), u, x, y)
     return y, x
-
-
-def is_compiled() -> bool:
-    """Whether compiled loops of an earlier run are kept on this computer; compiling all of them takes up to a minute."""
-    return any(Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nbi"))
 
 
 def _checked(system: StateSpace, u: Array, x0: Array | None) -> tuple[Array, Array]:

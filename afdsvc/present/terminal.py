@@ -119,7 +119,8 @@ def diagnosis_table(document: dict[str, Any]) -> None:
         for remark in (*recording.get("notes", []), *recording["remarks"][:10]):
             OUT.print(f"note: {remark}", soft_wrap=True)
         verdict = recording["verdict"]
-        words = verdict["fault"] or ("a fault, not isolated" if verdict["first_detected_s"] is not None else "no fault")
+        silent = "no fault" if verdict.get("trustworthy", True) else "not trustworthy:"
+        words = verdict["fault"] or ("a fault, not isolated" if verdict["first_detected_s"] is not None else silent)
         OUT.print(f"verdict: {words} {_percent(verdict['severity'])} {verdict.get('reason', '')}")
         _weights(verdict["weights"])
 

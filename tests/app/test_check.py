@@ -36,6 +36,15 @@ def files(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def test_a_first_command_says_that_it_compiles_and_later_ones_do_not(files: Path, monkeypatch):
+    command = ["check", str(files / "none.toml"), str(files / "good.csv")]
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(files / "cache"))
+    assert "compiled first, once on this computer" in CliRunner().invoke(app, command).stderr
+    (files / "cache").mkdir()
+    (files / "cache" / "loop.nbi").touch()
+    assert "compiled" not in CliRunner().invoke(app, command).stderr
+
+
 def test_check_of_files(files: Path):
     done = CliRunner().invoke(app, ["check", str(files / "motor.toml"), str(files / "good.csv"), "--json"])
     assert done.exit_code == 0, done.output

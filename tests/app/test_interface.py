@@ -180,6 +180,7 @@ def test_identify_in_one_line_each(run):
         ((["on"] * 500, np.zeros(500), 0.1), "u holds 'on'; expected real numbers"),
         (("abc", np.zeros(500), 0.1), "u holds 'abc'; expected real numbers"),
         ((np.zeros(500), np.zeros(500) + 1j, 0.1), "y holds 1j; expected real numbers"),
+        (([], [], 0.1), "u is empty"),
         (([np.zeros(500)] * 2, [np.zeros(500)] * 3, 0.1), "u has 2 experiments and y 3"),
         ((3,), "recordings are a int"),
         (([],), "no recording was given"),
@@ -228,6 +229,13 @@ def test_times_as_pandas_reads_them_from_a_csv_file(run):
 def test_a_frame_without_time_is_refused(run):
     with pytest.raises(BadInput, match="no column 't'"):
         afdsvc.check(SYSTEMS["num, den"], pd.DataFrame({"u_a": run[0], "y_b": run[1]}))
+
+
+def test_where_nothing_was_tested_nothing_is_said(run):
+    """No burst, and too little quiet data: that is no "no fault"."""
+    found = afdsvc.diagnose({"t": 0.01 * np.arange(300), "u_a": run[0][:300], "y_b": run[1][:300]}, model=SYSTEMS["num, den"])
+    assert not found.document["recordings"][0]["verdict"]["trustworthy"]
+    assert "not trustworthy: nothing was tested" in repr(found)
 
 
 def test_design_and_diagnosis_show_themselves():

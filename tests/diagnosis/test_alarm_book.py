@@ -35,6 +35,13 @@ def test_a_decision_raises_an_alarm_once_and_later_ones_support_it():
     assert (alarm.since_ns, alarm.last_ns, alarm.active, alarm.kind) == (SECOND, 3 * SECOND, True, AlarmKind.FAULT)
 
 
+def test_an_alarm_says_what_the_last_decision_says():
+    b, _ = book()
+    b.take(said(t=1), "a -11 %")
+    b.take(said(t=2), "a -30 %")
+    assert b.alarms["m/a"].sentence == "a -30 %"
+
+
 def test_what_is_not_trustworthy_neither_raises_nor_ends():
     b, reported = book()
     assert b.take(said(trust=False)) is None

@@ -272,8 +272,8 @@ def test_an_effect_under_slow_noise_replaces_an_offset_only_where_held_out_recor
     problem = SimpleNamespace(weighting=SimpleNamespace(even=True), settings=Settings())
     point = SimpleNamespace(point=None)
     found = {
-        "offset": SimpleNamespace(steps=(SimpleNamespace(accepted=True),), effects=0, end={0.0: point}),
-        "effect": SimpleNamespace(steps=(SimpleNamespace(accepted=True),), effects=1, end={0.0: point}),
+        "offset": SimpleNamespace(steps=(SimpleNamespace(accepted=True),), effects=0, end={0.0: point}, otherwise=None),
+        "effect": SimpleNamespace(steps=(SimpleNamespace(accepted=True),), effects=1, end={0.0: point}, otherwise=None),
     }
     answers = iter(found.values())
     monkeypatch.setattr(module, "search", lambda *_: next(answers))

@@ -41,6 +41,7 @@ def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
     silent = [j for j, share in enumerate(caused) if not share < CAUSED and not _correlated(runs, simulated, j)]
     if not silent:
         return
+    inputs = ", ".join(f"u_{v.name}" for v in model.inputs)
     if _stretches(runs) < GapSettings().needed_blocks:
         for j in silent:
             if nominal.plant.is_stable() and caused[j] > STOP:
@@ -49,11 +50,12 @@ def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
                     f"y_{model.outputs[j].name} is not correlated with the inputs, and the model says that they move it {caused[j]:.3g} times as much as it moves; "
                     "expected columns recorded together on the machine of the model, in its units",
                 )
+            else:
+                yield _doubtful(model.outputs[j].name, inputs)
         return
     given = [ResidualSignals(r.Y[:, silent], r.U, r.U[:, :0], r.U[:, :0], r.dt, r.period) for r in runs]
     names = [model.outputs[j].name for j in silent]
     found = gap_test(given, [], [v.name for v in model.inputs], names, [], np.random.default_rng(0))
-    inputs = ", ".join(f"u_{v.name}" for v in model.inputs)
     for i, name in enumerate(names):
         repeats = 0.0 if found.repeats is None else found.repeats[i]
         if found.enough and found.r2[i] < found.threshold[i] and repeats < REPEATS:
@@ -62,6 +64,16 @@ def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
                 f"y_{name} does not respond to {inputs}: of the output, {100 * max(found.r2[i], 0.0):.1f} % is predictable from the inputs, no more "
                 "than from time-shifted ones; expected columns recorded together on the machine of the model",
             )
+        elif not found.enough and repeats < REPEATS:
+            yield _doubtful(name, inputs)
+
+
+def _doubtful(name: str, inputs: str) -> Finding:
+    return Finding(
+        "warning", "response",
+        f"y_{name} is not clearly correlated with {inputs}, nor with what the model makes of them, and moves too slowly for a test of more; "
+        "expected columns recorded together on the machine of the model: is this the right one?",
+    )
 
 
 def _simulated(nominal: Nominal, runs: Sequence[Run]) -> list[Array]:

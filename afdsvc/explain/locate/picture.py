@@ -56,6 +56,7 @@ def _drawn(found: Found, final: Fit, candidate: Candidate, drawn: LawSite, claim
     named = next((e for e in like.effects if e.hypothesis.key == key), None)
     if named is None:
         return None
+    drawn = replace(drawn, factor=drawn.factor * _regained(found.problem, like, named.hypothesis))
     without = replace(like, effects=tuple(e for e in like.effects if e is not named))
     beside = evaluated(named.hypothesis, named.values, drawn.knots, _others(found, named.hypothesis), found.problem.nominal.dt)
     base = fit(found.problem, without, last, final.tau, ITERATIONS)
@@ -67,6 +68,13 @@ def _drawn(found: Found, final: Fit, candidate: Candidate, drawn: LawSite, claim
         return None
     left = float(left_out(base, block_spans([len(e) for e in base.residuals], base.tau, problem.settings), base.sd).sum())
     return _law(drawn, heights, sd, beside if claimed else None, 1 - loss / left)
+
+
+def _regained(problem: Problem, point: Point, h: Hypothesis) -> float:
+    """Return the stated gain from the input whose unit a force is given in, over the refitted one."""
+    through = next((c.through for c in h.parameters if c.through is not None), None)
+    stated, refitted = (problem.nominal.at(theta).B for theta in (np.zeros_like(point.theta), point.theta))
+    return float(stated[through] / refitted[through]) if through is not None and refitted[through] else 1.0
 
 
 def _held(problem: Problem, point: Point) -> tuple[Problem, Point]:

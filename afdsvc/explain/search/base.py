@@ -30,10 +30,13 @@ class Settled:
     limited: str
 
 
-def settled(problem: Problem) -> Settled:
-    """Return the problem with its weighting, correlation times and horizons, and the model refitted without effects."""
+def settled(problem: Problem, choose: bool = True) -> Settled:
+    """Return the problem with its weighting, correlation times and horizons, and the model refitted without effects.
+
+    Unless it is to ``choose`` whether inputs are held between samples or smooth, they are as in the problem.
+    """
     s = problem.settings
-    part, path = _interpolated(problem.beginning())
+    part, path = _interpolated(problem.beginning(), choose)
     problem = replace(problem, ramped=part.ramped) if part is not problem else part
     taus = {h: f.own_tau for h, f in path.items()}
     path = base_path(part, s.horizons, taus, part.start(), path)
@@ -75,17 +78,22 @@ def _weighted(problem: Problem, w: Weighting) -> Problem:
     return replace(problem, weighting=w, settings=replace(problem.settings, theta_sd=1.0), offset_free=False, loads=())
 
 
-def _interpolated(problem: Problem) -> tuple[Problem, dict[float, Fit]]:
-    """Return the problem with inputs held between samples, or smooth where they may be and that follows the recordings better."""
+def _interpolated(problem: Problem, choose: bool) -> tuple[Problem, dict[float, Fit]]:
+    """Return the problem as it is, or with smooth inputs where it may choose them and they follow the recordings better."""
     taus = dict.fromkeys(problem.settings.horizons, 1.0)
-    held = problem, base_path(problem, problem.settings.horizons, taus, problem.start())
+    as_is = problem, base_path(problem, problem.settings.horizons, taus, problem.start())
+    if not (choose and may_be_smooth(problem)):
+        return as_is
+    smooth = replace(problem, ramped=True)
+    other = smooth, base_path(smooth, problem.settings.horizons, taus, problem.start(), as_is[1])
+    return min(as_is, other, key=lambda pair: sum(f.deviance for f in pair[1].values()))
+
+
+def may_be_smooth(problem: Problem) -> bool:
+    """Whether inputs may run smoothly between samples: no controller or command that holds them is known, and they are no staircase."""
     plant = problem.nominal.plant
     driven = any(r.W is not None or r.commanded or bool(np.ptp(r.REF, axis=0).max(initial=0.0) > 0) for r in problem.runs)
-    if plant.discrete or not plant.inputs or problem.nominal.model.controller is not None or driven or _stepped(problem):
-        return held
-    smooth = replace(problem, ramped=True)
-    other = smooth, base_path(smooth, problem.settings.horizons, taus, problem.start(), held[1])
-    return min(held, other, key=lambda pair: sum(f.deviance for f in pair[1].values()))
+    return not (plant.discrete or not plant.inputs or problem.nominal.model.controller is not None or driven or _stepped(problem))
 
 
 def _stepped(problem: Problem) -> bool:

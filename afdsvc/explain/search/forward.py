@@ -13,7 +13,7 @@ from afdsvc.api.physics import Hypothesis, Machine, Physics
 from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.noise.surrogates import chance
 from afdsvc.explain.noise.weighting import differing, noise_share
-from afdsvc.explain.search.base import Settled
+from afdsvc.explain.search.base import Settled, may_be_smooth
 from afdsvc.explain.search.evidence import (
     HypothesisEvidence,
     Losses,
@@ -79,7 +79,8 @@ class Round:
 class Found:
     """What the search found: the problem, the refitted model without effects, the final one, the rounds.
 
-    ``evidence`` is that of the final model over the one without effects.
+    ``evidence`` is that of the final model over the one without effects. ``otherwise`` is the problem with inputs held instead of smooth between
+    samples, or the other way round, where the effects fit better so: then the search ended with them and has to begin anew.
     """
 
     problem: Problem
@@ -89,6 +90,7 @@ class Found:
     steps: tuple[Round, ...]
     limited: str
     evidence: HypothesisEvidence
+    otherwise: Problem | None = None
 
     @property
     def effects(self) -> int:
@@ -99,7 +101,7 @@ class Found:
 def search(
     settled: Settled, library: Sequence[Physics], mapper: Mapper = map, progress: Progress = lambda what, share: None,
     remainder: Callable[[Path], Gap | None] = lambda path: None, better: Callable[[Path, Path], float] = lambda before, after: 0.5,
-    excluded: Container[tuple[str, ...]] = (),
+    excluded: Container[tuple[str, ...]] = (), choose: bool = True,
 ) -> Found:
     """Return what the search finds; every effect accepted is refitted with all numbers of the model. Mechanisms ``excluded`` are not tried.
 
@@ -108,6 +110,7 @@ def search(
     blocks or closing too little of the gap, and a further effect must not do worse there. In the end an effect without which they are likely followed
     better is dropped.
     Offsets belong to the recordings, not to the machine: they count as no effect, and what comes after them is compared with the model that has them.
+    Half a sample between held and smooth inputs would stand for a further effect, so with ``choose`` that is decided anew beside each.
     """
     problem, start, limited = settled.problem, settled.start, settled.limited
     rounds = whole = Rounds(problem, settled.part, settled.taus, start, settled.rough, limited, mapper, remainder, {})
@@ -136,8 +139,18 @@ def search(
             rounds = replace(rounds, start=path, losses={})
         else:
             number += 1
+        if choose and (otherwise := _otherwise(problem, path)) is not None:
+            return Found(problem, start, path, seen, tuple(steps), limited, whole.over(path, start, 0), otherwise)
     path, steps = _helpful(whole, *whole.exchanged(path, steps), better)
     return Found(problem, start, path, seen, tuple(steps), limited, whole.over(path, start, 0))
+
+
+def _otherwise(problem: Problem, path: Path) -> Problem | None:
+    """Return the problem with inputs held instead of smooth between samples, or the other way round, if a path fits better so."""
+    if not (problem.weighting.even and may_be_smooth(problem)):
+        return None
+    other, (last, f) = replace(problem, ramped=not problem.ramped), list(path.items())[-1]
+    return other if fit(other, f.point, last, f.tau, enough=CONVERGED).deviance < f.deviance else None
 
 
 def _within(progress: Progress, where: str, begin: float, length: float, what: str, share: float) -> None:

@@ -18,6 +18,7 @@ from afdsvc.explain.search.ranking import is_constant
 from afdsvc.explain.simulate.steps import continuous
 from afdsvc.lti.statespace import Array, StateSpace
 
+SIDE, SIDES = 0.05, (1, 99)  # of a signal's peak, from which on it is on a side; percentiles of its values that are compared with that
 EXCITED = 0.99  # share of the input's power below the bandwidth
 
 
@@ -55,7 +56,11 @@ def _sizes(variables: Sequence[Variable], values: Array) -> tuple[Size, ...]:
     for i, v in enumerate(variables):
         column = values[:, i][np.isfinite(values[:, i])]
         peak = float(np.abs(column).max(initial=0.0))
-        found.append(Size(i, v.name, v.unit, float(column.mean()), float(column.std()) or peak or 1.0, peak, grid(column), float(column.min()) if len(column) else 0.0))
+        low, high = np.percentile(column, SIDES) if len(column) else (0.0, 0.0)
+        found.append(Size(
+            i, v.name, v.unit, float(column.mean()), float(column.std()) or peak or 1.0, peak, grid(column), float(column.min()) if len(column) else 0.0,
+            bool(min(-low, high) > SIDE * peak),
+        ))
     return tuple(found)
 
 

@@ -21,8 +21,8 @@ class AsymmetricDamping:
     summary = "damping that differs between the two directions of motion"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per axis; each direction may lose what damping the model has, and no more."""
-        for axis in machine.axes:
+        """Return one hypothesis per axis that moves both ways; each direction may lose what damping the model has, and no more."""
+        for axis in [a for a in machine.axes if a.rate.reverses]:
             i, scale = axis.rate.index, 0.1 * axis.push / axis.rate.rms
             own = 0.0 if machine.plant is None else max(-float(machine.plant.A[i, i]), 0.0)
             yield at_force(

@@ -55,7 +55,7 @@ class EncoderError:
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per output that is an angle or a speed of a shaft, and per pair of both; it begins at whole periods per turn.
 
-        A wave of which no whole period was travelled cannot be distinguished from a smooth curve, and is not offered.
+        An angle has to travel a whole turn: in less, nothing repeats with every turn, and a wave stands for any curve.
         """
         for port in machine.outputs:
             if quantity(port.unit) == "angle":
@@ -79,7 +79,7 @@ def _reads(row: Array, state: int) -> bool:
 def _of_angle(ports: Sequence[Size], machine: Machine) -> Iterator[Hypothesis]:
     angle = ports[0]
     unit, travelled, scale = radians(angle.unit), 2 * (angle.peak - abs(angle.mean)), 0.2 * float(machine.residual[angle.index])
-    starts = [(float(n), unit, 0.0, 0.0) for n in range(1, MOST + 1) if n * unit * travelled > 2 * math.pi]
+    starts = [(float(n), unit, 0.0, 0.0) for n in range(1, MOST + 1)] if unit * travelled > 2 * math.pi else []
     parts = [Coefficient(f"{part} part", angle.unit, -1e3 * scale, 1e3 * scale, scale, linear=True) for part in ("cosine", "sine")]
     words: dict[str, Any] = {"parameters": [*periods(unit), *parts], "starts": starts, **WORDS}
     both = [Signal("y", p.index) for p in ports]

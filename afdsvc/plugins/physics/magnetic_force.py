@@ -10,18 +10,20 @@ from afdsvc.plugins.physics.attach import at_force, constant, placed, quantity, 
 
 
 def single(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """One magnet, ``b i0 / 2 (1 + i / i0)^2 / (1 - s q / g)^2`` less its straight part; ``p = (i0, g, b, s)``, s the side it pulls to."""
-    current, gap = 1.0 + z[0] / p[0], max(1.0 - p[3] * z[1] / p[1], 0.05)
-    straight = 1.0 + 2.0 * z[0] / p[0] + 2.0 * p[3] * z[1] / p[1]
-    out[0] += 0.5 * p[2] * p[0] * (current * current / (gap * gap) - straight)
+    """One magnet, ``b i0 / 2 (1 + i / i0)^2 / (1 - s q / g)^2`` less its straight part, i and q about their means.
+
+    ``p = (i0, g, b, s, means)``, s the side it pulls to.
+    """
+    i, q = (z[0] - p[4]) / p[0], p[3] * (z[1] - p[5]) / p[1]
+    gap = max(1.0 - q, 0.05)
+    out[0] += 0.5 * p[2] * p[0] * ((1.0 + i) * (1.0 + i) / (gap * gap) - 1.0 - 2.0 * i - 2.0 * q)
 
 
 def pair(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """Two magnets that pull against each other, the current added to one and taken from the other; as `single`."""
-    to, away = max(1.0 - p[3] * z[1] / p[1], 0.05), max(1.0 + p[3] * z[1] / p[1], 0.05)
-    more, less = (1.0 + z[0] / p[0]) / to, (1.0 - z[0] / p[0]) / away
-    straight = 4.0 * z[0] / p[0] + 4.0 * p[3] * z[1] / p[1]
-    out[0] += 0.25 * p[2] * p[0] * (more * more - less * less - straight)
+    i, q = (z[0] - p[4]) / p[0], p[3] * (z[1] - p[5]) / p[1]
+    more, less = (1.0 + i) / max(1.0 - q, 0.05), (1.0 - i) / max(1.0 + q, 0.05)
+    out[0] += 0.25 * p[2] * p[0] * (more * more - less * less - 4.0 * i - 4.0 * q)
 
 
 class MagneticForce:
@@ -44,10 +46,10 @@ class MagneticForce:
             axis, law, [Signal("u", port.index), state(q)], physics=self.name, family="stiffness", notes=notes,
             parameters=[
                 Coefficient("bias", port.unit, 0.5 * port.rms, 100 * port.peak, 0.1 * port.rms),
-                Coefficient("gap", q.unit, 1.05 * q.peak, 1e3 * q.peak, 0.1 * q.peak),
-                constant("gain", "", axis.gain), constant("side", "", side),
+                Coefficient("gap", q.unit, 1.05 * q.reach, 1e3 * q.reach, 0.1 * q.reach),
+                constant("gain", "", axis.gain), constant("side", "", side), constant("mean current", "", port.mean), constant("mean position", "", q.mean),
             ],
-            starts=[(b * port.peak, g * q.peak, axis.gain, side) for b in (1.0, 4.0) for g in (1.5, 5.0)],
+            starts=[(b * port.reach, g * q.reach, axis.gain, side, port.mean, q.mean) for b in (1.0, 4.0) for g in (1.5, 5.0)],
             predicts="a gain and a stiffness that change with the current and the gap together",
             refuted_by="a gain that is the same at every position and level",
         )

@@ -26,8 +26,8 @@ class SensorRectification:
     summary = "a sensor whose gain differs between the two directions"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per output."""
-        for port in machine.outputs:
+        """Return one hypothesis per output that takes both signs: on one side its law is a change of the gain."""
+        for port in [o for o in machine.outputs if o.reverses]:
             words: dict[str, Any] = {
                 "physics": self.name, "family": "sensor curve", "starts": [(0.0,)],
                 "predicts": "even distortion in proportion to the level, in this output alone",

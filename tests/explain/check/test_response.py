@@ -35,6 +35,16 @@ def test_two_unrelated_signals_are_refused_by_name(spring, recorded, seed):
     assert "y_position does not respond to u_force" in refused
 
 
+def test_an_output_that_moves_too_slowly_for_a_test_is_doubted(spring, recorded):
+    """A temperature in the place of the position: nothing refuses it, and nothing says that it follows the force."""
+    traces = [noise(recorded(k), k) for k in (1, 2)]
+    traces = [replace(t, values=np.column_stack([t.values[:, 0], 40 + 0.1 * t.values[:, 1].std() * np.sin(np.arange(len(t)) * 6.0 / len(t))])) for t in traces]
+    runs = prepare(spring, traces)
+    (found,) = responding(nominal(spring, runs[0].dt), runs)
+    assert found.kind == "warning"
+    assert "y_position is not clearly correlated with u_force" in found.sentence
+
+
 def test_an_output_that_responds_raises_no_objection(spring, recorded):
     runs = prepare(spring, [recorded(k, noise=0.5) for k in (1, 2)])
     assert list(responding(nominal(spring, runs[0].dt), runs)) == []

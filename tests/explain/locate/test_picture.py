@@ -69,6 +69,25 @@ def test_dry_friction_of_a_machine_with_a_speed_alone_is_drawn_even_in_both_dire
     assert "same size at every value of the speed, changes sign" in law.sentence
 
 
+def test_the_picture_is_in_the_unit_of_the_refitted_gain():
+    """A gain stated 30 % too low: the curve of the named force is the force that is named, 0.5 V."""
+    rng, dt, v = np.random.default_rng(3), 0.01, [0.0]
+    u = np.repeat(rng.uniform(-9, 9, 100), 20)
+    for now in u[:-1]:
+        speed = v[-1]
+        for _ in range(20):
+            speed += dt / 20 * (50 * now - 5 * speed - 25 * np.tanh(speed / 0.05))
+        v.append(speed)
+    trace = Trace("log", dt, (Channel("u_voltage"), Channel("y_speed")), np.column_stack([u, np.array(v) + 0.05 * rng.standard_normal(len(u))]))
+    plant = StateSpace(np.array([[-5.5]]), np.array([[35.0]]), np.array([[1.0]]), np.zeros((1, 1)))
+    axis = (Variable("speed", "rad/s"),)
+    model = Model("motor", (Variable("voltage", "V"),), axis, axis, plant, entry_sd={"A": np.array([[1.0]]), "B": np.array([[15.0]])})
+    answer = search(settled(build(nominal(model, dt), prepare(model, [trace]), replace(Settings(), effects=1))), [CoulombFriction()])
+    law = picture(answer, list(answer.end.values())[-1], True)
+    fast = np.abs(law.x) > 0.1 * law.x.max()
+    assert law.named_y[fast] == pytest.approx(-0.5 * np.sign(law.x[fast]), abs=0.02)
+
+
 def test_the_curve_is_straight_between_its_knots_and_continues_outwards():
     p = np.array([-1.0, 0.0, 2.0, 3.0, 1.0, 5.0])
 

@@ -18,6 +18,7 @@ from afdsvc.plugins.physics.encoder_error import at_angle, at_speed
 from afdsvc.plugins.physics.flexible_mode import _attach, bent_spring, masses
 from afdsvc.plugins.physics.gain_follows_aux import _scaled
 from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
+from afdsvc.plugins.physics.magnetic_force import pair, single
 from afdsvc.plugins.physics.parameter_change import _scaled_entries, terms
 from afdsvc.plugins.physics.periodic_disturbance import oscillation
 from afdsvc.plugins.physics.quantisation import read_in_steps
@@ -220,6 +221,14 @@ def test_a_ripple_turns_with_the_shaft():
         error.append(out[1])
     assert torque == pytest.approx(wave(t + DT / 2), abs=1e-2)
     assert error == pytest.approx(slope * t * wave(t), abs=1e-6)
+
+
+@pytest.mark.parametrize("law", [single, pair])
+def test_a_magnet_is_the_same_in_readings_from_its_operating_point_and_in_absolute_ones(law):
+    about = np.random.default_rng(2).uniform(-0.3, 0.3, (20, 2))
+    plain = changed(law, [2.0, 1.3, 30.0, -1.0, 0.0, 0.0], about)
+    assert changed(law, [2.0, 1.3, 30.0, -1.0, 4.0, 2.6], about + [4.0, 2.6]) == pytest.approx(plain, abs=1e-12)
+    assert np.abs(plain).max() > 0.1
 
 
 def test_an_uneven_encoder_is_read_at_its_angle_and_its_speed_is_the_rate_of_that():

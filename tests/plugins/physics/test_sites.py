@@ -63,17 +63,28 @@ def _split(text: str) -> list[list[str]]:
     return words
 
 
-def test_what_repeats_along_the_way_needs_a_whole_period_or_a_speed_that_the_samples_resolve():
+def test_what_repeats_with_every_turn_needs_a_turn_or_a_speed_that_the_samples_resolve():
     arm, motor = machines()[ARM], machines()[MOTOR]
-    swing = 2 * (arm.outputs[0].peak - abs(arm.outputs[0].mean))
-    assert min(s[0] for s in offered(arm)["encoder_error@output:q"].starts) == np.ceil(2 * np.pi / swing)
-    assert "encoder_error@output:q" not in offered(replace(arm, outputs=(replace(arm.outputs[0], peak=0.06),)))
-    both = replace(arm, outputs=arm.states, plant=StateSpace(arm.plant.A, arm.plant.B, np.eye(2), np.zeros((2, 1))), residual=np.array([0.04, 0.3]))
+    assert "encoder_error@output:q" not in offered(arm)  # swings by less than a turn
+    turning = replace(arm.outputs[0], rms=2.0, peak=4.0)
+    assert "encoder_error@output:q" in offered(replace(arm, outputs=(turning,)))
+    plant = StateSpace(arm.plant.A, arm.plant.B, np.eye(2), np.zeros((2, 1)))
+    both = replace(
+        arm, outputs=(turning, arm.states[1]), states=(turning, arm.states[1]), axes=(replace(arm.axes[0], position=turning),), plant=plant,
+        residual=np.array([0.04, 0.3]),
+    )
     assert "encoder_error@machine#q and w" in offered(both)
     starts = offered(motor)["encoder_error@output:w"].starts
     assert [s[0] for s in starts] == list(range(1, 1 + int(np.pi / (20.0 * motor.dt))))
     fast = replace(motor, outputs=(replace(motor.outputs[0], rms=400.0),))
     assert "encoder_error@output:w" not in offered(fast)
+
+
+def test_laws_of_two_directions_need_both():
+    motor = machines()[MOTOR]
+    speed = replace(motor.outputs[0], reverses=False)
+    one_way = replace(motor, outputs=(speed,), states=(speed,), axes=(replace(motor.axes[0], rate=speed),))
+    assert set(offered(motor)) - set(offered(one_way)) >= {"sensor_rectification@output:w", "asymmetric_damping@state:w"}
 
 
 def test_a_joint_of_two_masses_is_sized_by_their_difference():
