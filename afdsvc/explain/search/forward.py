@@ -146,11 +146,12 @@ def search(
 
 
 def _otherwise(problem: Problem, path: Path) -> Problem | None:
-    """Return the problem with inputs held instead of smooth between samples, or the other way round, if a path fits better so."""
+    """Return the problem with inputs held instead of smooth between samples, or the other way round, if a path gains by that what is asked of any effect."""
     if not (problem.weighting.even and may_be_smooth(problem)):
         return None
     other, (last, f) = replace(problem, ramped=not problem.ramped), list(path.items())[-1]
-    return other if fit(other, f.point, last, f.tau, enough=CONVERGED).deviance < f.deviance else None
+    gain = (f.deviance - fit(other, f.point, last, f.tau, enough=CONVERGED).deviance) / f.own_tau
+    return other if gain > problem.settings.evidence else None
 
 
 def _within(progress: Progress, where: str, begin: float, length: float, what: str, share: float) -> None:
