@@ -62,7 +62,6 @@ for _library in ("OPENBLAS", "OMP", "MKL"):
 __version__ = "0.1.0"
 
 
-
 def is_compiled() -> bool:
     """Whether compiled loops of an earlier run are kept on this computer; compiling all of them takes up to a minute."""
     return any(Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nbi"))

@@ -263,8 +263,10 @@ def _axes() -> tuple[Figure, Any]:
 
 
 def _verdict(verdict: Mapping[str, Any]) -> str:
+    if verdict["first_detected_s"] is None:
+        return "no fault" if verdict["trustworthy"] else f"not trustworthy: {verdict['reason']}"
     if verdict["fault"] is None:
-        return "something differs, no known fault fits" if verdict["first_detected_s"] is not None else "no fault" if verdict["trustworthy"] else f"not trustworthy: {verdict['reason']}"
+        return "something differs, no known fault fits"
     size = verdict["severity"]
     return f"{verdict['fault']} {100 * size['value']:+.1f} ± {100 * size['sd']:.1f} %, first detected at {verdict['first_detected_s']:.1f} s"
 

@@ -79,7 +79,9 @@ def table(effects: Sequence[PlacedEffect], m: int, n: int, p: int, a: int) -> Ta
 
 def _stage(h: Hypothesis) -> int:
     """Return when the kernel evaluates a law: friction without memory is implicit in the state it acts on, inputs to come are as measured."""
-    if any(s.ahead for s in h.reads):
+    if ahead := [s for s in h.reads if s.ahead]:
+        if h.stage != "input" or any(s.kind != "u" or not 0 < s.ahead <= kernel.AHEAD for s in ahead):
+            raise BadInput(f"{h.key}: reads samples to come; expected those of inputs, {kernel.AHEAD} at most, and stage 'input'")
         return kernel.RECORDED
     read = {s.index for s in h.reads if s.kind == "x"}
     rubs = h.stage == "force" and h.family == "friction" and not h.memory and any(s.index in read for s in h.writes)

@@ -101,7 +101,7 @@ def _apply(stage, laws, plan, par, mem, s, work, dt, target, base):  # type: ign
 
 @njit(cache=True, nogil=True)
 def _recorded(laws, plan, par, mem, s, work, dt, k, U, u, it):  # type: ignore[no-untyped-def]
-    """Apply what changes the measured input of sample ``k``, held in ``u`` and at the start of ``s``; the samples that follow are behind the time."""
+    """Apply what changes the measured input of sample ``k``, held in ``u`` and at the start of ``s``; the samples to come are at the end of ``s``."""
     N, m = U.shape
     for a in range(AHEAD):
         for j in range(m):

@@ -310,6 +310,13 @@ def test_an_input_recorded_late_acts_before_all_that_changes_it(model, recording
         assert simulator.run(recording(excitation), *rest, effects).y == pytest.approx(expected.y, abs=1e-12)
 
 
+@pytest.mark.parametrize(("stage", "reads"), [("input", ("u", 0, 8)), ("input", ("u", 0, -1)), ("input", ("x", 0, 1)), ("output", ("u", 0, 1))])
+def test_only_the_next_samples_of_inputs_can_be_read_ahead(model, recording, excitation, effect, stage, reads):
+    wrong = effect(early, stage, [("u", 0), reads, reads], [("u", 0)], [0.5])
+    with pytest.raises(BadInput, match="reads samples to come; expected those of inputs, 7 at most, and stage 'input'"):
+        play(model(AXIS), recording(excitation), [0, 0], [wrong])
+
+
 def test_a_closed_loop_has_no_input_to_come(model, recording, excitation, effect):
     offset = effect(early, "input", [("u", 0), ("u", 0, 1), ("u", 0, 2)], [("u", 0)], [0.75])
     made, run = model(AXIS, controller=StateSpace.gain([[-0.5]])), recording(excitation, W=excitation)
