@@ -82,7 +82,7 @@ def afdsvc(context: typer.Context, show: Annotated[bool, typer.Option("--version
     if show:
         print(__version__)
         raise typer.Exit
-    if context.invoked_subcommand in COMPUTING and "--help" not in sys.argv and not is_compiled():
+    if context.invoked_subcommand in COMPUTING and "--help" not in sys.argv and sys.stderr.isatty() and not is_compiled():
         print("afdsvc: its numerical code is compiled first, once on this computer: up to a minute", file=sys.stderr, flush=True)
 
 
