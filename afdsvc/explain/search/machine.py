@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -35,7 +36,8 @@ def hypotheses(library: Sequence[Physics], machine: Machine, corrected: bool = F
 def machine(problem: Problem, base: Fit, horizon: float, tones: Sequence[float] = (), peaks: Sequence[float] = (), limited: str = "model") -> Machine:
     """Return the machine along the trajectories of a fit."""
     model, runs = problem.nominal.model, problem.runs
-    x = np.vstack([s.x for s in problem.simulated(base.point, horizon)])
+    made = problem.simulated(base.point, horizon)
+    x, y = np.vstack([s.x for s in made]), np.vstack([s.y for s in made])
     plant = problem.nominal.plant
     smooth = continuous(plant) if plant.discrete else plant
     states = _sizes(model.states, x)
@@ -43,8 +45,10 @@ def machine(problem: Problem, base: Fit, horizon: float, tones: Sequence[float] 
     aux = np.vstack([r.AUX for r in runs])
     e = np.vstack(problem.residuals(base.point, horizon)) * problem.scale
     axes = tuple(_axes(model.states, states, inputs, smooth, x))
+    read = zip(_sizes(model.outputs, np.vstack([r.Y for r in runs])), _sizes(model.outputs, y), strict=True)
+    outputs = tuple(replace(o, reverses=o.reverses or there.reverses) for o, there in read)  # a sensor may have lost the sign
     return Machine(
-        inputs, _sizes(model.outputs, np.vstack([r.Y for r in runs])), states, axes,
+        inputs, outputs, states, axes,
         dict(zip(runs[0].aux, _sizes([Variable(a) for a in runs[0].aux], aux), strict=True)), runs[0].dt, sum(len(r) for r in runs) * runs[0].dt,
         bandwidth(runs), smooth, np.sqrt((e**2).mean(0)), tuple(tones), tuple(peaks), "noise" if limited == "noise" else "model",
         _deflections(axes, smooth, x),
