@@ -25,6 +25,7 @@ from afdsvc.lti.statespace import Array, StateSpace
 
 Law = Callable[[Any, Any, Any, float, Any], None]
 Stage = Literal["input", "force", "output"]
+MOST_SIGNALS, MOST_AHEAD = 16, 7  # that one law may read, and samples ahead of time
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +36,7 @@ class Signal:
     ``t`` time in s. Kinds to write: ``u`` (stage "input"), ``x`` meaning the rate of change of that state ("force"), ``y``
     ("output"). At stage "output" the input read is the one held during the sample before.
 
-    ``ahead`` reads an input as many samples later (7 at most), as recorded: for errors of the recording, such as a clock that is late. A law that
+    ``ahead`` reads an input as many samples later (`MOST_AHEAD` at most), as recorded: for errors of the recording, such as a clock that is late. A law that
     does so comes before the other laws at inputs, is no part of the machine, and does nothing in a loop that is closed in simulation.
     """
 

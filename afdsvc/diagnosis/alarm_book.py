@@ -151,7 +151,7 @@ class AlarmBook:
                 return None
             fault = e.fault or UNNAMED
             return self._raise(raised(e.machine, fault, AlarmKind.FAULT, sentence, t_ns, e.detector, e.severity))
-        more = replace(supported(alarm, e.detector, e.severity, t_ns), sentence=sentence or alarm.sentence)
+        more = supported(alarm, e.detector, e.severity, t_ns, sentence)
         if more.raised_by != alarm.raised_by:
             return self._set(more, "supported", t_ns, why=f"{e.detector} agrees")
         self._alarms[id] = more
@@ -208,10 +208,10 @@ def returned(alarm: Alarm, again: Alarm) -> Alarm:
     return replace(again, shelved_until_ns=alarm.shelved_until_ns, shelved_by=alarm.shelved_by)
 
 
-def supported(alarm: Alarm, detector: str, severity: Severity | None, t_ns: int) -> Alarm:
-    """Return the alarm with one more decision behind it."""
+def supported(alarm: Alarm, detector: str, severity: Severity | None, t_ns: int, sentence: str = "") -> Alarm:
+    """Return the alarm with one more decision behind it, which it says from now on."""
     by = alarm.raised_by if detector in alarm.raised_by else (*alarm.raised_by, detector)
-    return replace(alarm, last_ns=t_ns, count=alarm.count + 1, severity=severity or alarm.severity, raised_by=by)
+    return replace(alarm, last_ns=t_ns, count=alarm.count + 1, severity=severity or alarm.severity, raised_by=by, sentence=sentence or alarm.sentence)
 
 
 def opposed(alarm: Alarm, detector: str) -> Alarm:

@@ -45,8 +45,8 @@ def machine(problem: Problem, base: Fit, horizon: float, tones: Sequence[float] 
     aux = np.vstack([r.AUX for r in runs])
     e = np.vstack(problem.residuals(base.point, horizon)) * problem.scale
     axes = tuple(_axes(model.states, states, inputs, smooth, x))
-    read = zip(_sizes(model.outputs, np.vstack([r.Y for r in runs])), _sizes(model.outputs, y), strict=True)
-    outputs = tuple(replace(o, reverses=o.reverses or there.reverses) for o, there in read)  # a sensor may have lost the sign
+    read = _sizes(model.outputs, np.vstack([r.Y for r in runs]))
+    outputs = tuple(replace(o, reverses=o.reverses or _reverses(y[:, o.index])) for o in read)  # a sensor may have lost the sign
     return Machine(
         inputs, outputs, states, axes,
         dict(zip(runs[0].aux, _sizes([Variable(a) for a in runs[0].aux], aux), strict=True)), runs[0].dt, sum(len(r) for r in runs) * runs[0].dt,
@@ -60,12 +60,19 @@ def _sizes(variables: Sequence[Variable], values: Array) -> tuple[Size, ...]:
     for i, v in enumerate(variables):
         column = values[:, i][np.isfinite(values[:, i])]
         peak = float(np.abs(column).max(initial=0.0))
-        low, high = np.percentile(column, SIDES) if len(column) else (0.0, 0.0)
         found.append(Size(
             i, v.name, v.unit, float(column.mean()), float(column.std()) or peak or 1.0, peak, grid(column), float(column.min()) if len(column) else 0.0,
-            bool(min(-low, high) > SIDE * peak),
+            _reverses(column),
         ))
     return tuple(found)
+
+
+def _reverses(values: Array) -> bool:
+    """Whether a signal takes both signs, by more than noise about rest."""
+    if not len(values):
+        return False
+    low, high = np.percentile(values, SIDES)
+    return bool(min(-low, high) > SIDE * np.abs(values).max())
 
 
 def _deflections(axes: Sequence[Axis], plant: StateSpace | None, x: Array) -> dict[tuple[int, int], Size]:

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal, Size
+from afdsvc.api.physics import MOST_AHEAD, MOST_SIGNALS, Coefficient, Hypothesis, Machine, Signal, Size
 from afdsvc.plugins.physics.attach import at_input, at_machine
 
-LATEST = 7  # samples that a law may read from the future
-SIGNALS = 16  # that a law may read
 STARTS = (0.5, 1.0, 2.5)  # samples
 
 
@@ -31,7 +29,7 @@ class ClockOffset:
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis for all inputs, and one per input where there are several."""
-        if 0 < len(machine.inputs) <= SIGNALS // 2:
+        if 0 < len(machine.inputs) <= MOST_SIGNALS // 2:
             yield _late(machine.inputs, machine)
         if len(machine.inputs) > 1:
             yield from (_late([port], machine) for port in machine.inputs)
@@ -39,7 +37,7 @@ class ClockOffset:
 
 def _late(ports: Sequence[Size], machine: Machine) -> Hypothesis:
     inputs = [Signal("u", port.index) for port in ports]
-    latest = min(LATEST, SIGNALS // len(ports) - 1)
+    latest = min(MOST_AHEAD, MOST_SIGNALS // len(ports) - 1)
     later = [Signal("u", s.index, a) for a in range(1, latest + 1) for s in inputs]
     parts: dict[str, Any] = {
         "family": "timing", "physics": ClockOffset.name,

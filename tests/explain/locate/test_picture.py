@@ -48,29 +48,8 @@ def test_without_a_name_the_picture_is_drawn_at_the_nearest_site(spring, recorde
     assert "changes sign with the direction" in law.sentence
 
 
-def test_dry_friction_of_a_machine_with_a_speed_alone_is_drawn_even_in_both_directions():
-    """An offset of the sensor acts on a first-order machine as a constant force does: it is not the law's to move."""
-    rng, dt, v = np.random.default_rng(3), 0.01, [0.0]
-    u = np.repeat(rng.uniform(-9, 9, 100), 20)
-    for now in u[:-1]:
-        speed = v[-1]
-        for _ in range(20):
-            speed += dt / 20 * (50 * now - 5 * speed - 25 * np.tanh(speed / 0.05))
-        v.append(speed)
-    measured = np.array(v) + 0.05 * rng.standard_normal(len(u))
-    trace = Trace("log", dt, (Channel("u_voltage"), Channel("y_speed")), np.column_stack([u, measured]))
-    plant = StateSpace(np.array([[-5.5]]), np.array([[48.0]]), np.array([[1.0]]), np.zeros((1, 1)))
-    model = Model("motor", (Variable("voltage", "V"),), (Variable("speed", "rad/s"),), (Variable("speed", "rad/s"),), plant)
-    runs = prepare(model, [trace])
-    answer = search(settled(build(nominal(model, dt), runs, replace(Settings(), effects=1))), [CoulombFriction()])
-    law = picture(answer, list(answer.end.values())[-1], True)
-    fast = np.abs(law.x) > 0.1 * law.x.max()
-    assert law.y[fast] == pytest.approx(-0.5 * np.sign(law.x[fast]), abs=0.06)
-    assert "same size at every value of the speed, changes sign" in law.sentence
-
-
-def test_the_picture_is_in_the_unit_of_the_refitted_gain():
-    """A gain stated 30 % too low: the curve of the named force is the force that is named, 0.5 V."""
+def rubbing(gain: float, **sd) -> tuple[np.ndarray, str, np.ndarray]:
+    """Return where the motor moves, the sentence, and both curves of the friction that is drawn: 0.5 V, gain 50; the model states ``gain``."""
     rng, dt, v = np.random.default_rng(3), 0.01, [0.0]
     u = np.repeat(rng.uniform(-9, 9, 100), 20)
     for now in u[:-1]:
@@ -79,13 +58,25 @@ def test_the_picture_is_in_the_unit_of_the_refitted_gain():
             speed += dt / 20 * (50 * now - 5 * speed - 25 * np.tanh(speed / 0.05))
         v.append(speed)
     trace = Trace("log", dt, (Channel("u_voltage"), Channel("y_speed")), np.column_stack([u, np.array(v) + 0.05 * rng.standard_normal(len(u))]))
-    plant = StateSpace(np.array([[-5.5]]), np.array([[35.0]]), np.array([[1.0]]), np.zeros((1, 1)))
-    axis = (Variable("speed", "rad/s"),)
-    model = Model("motor", (Variable("voltage", "V"),), axis, axis, plant, entry_sd={"A": np.array([[1.0]]), "B": np.array([[15.0]])})
+    plant, axis = StateSpace(np.array([[-5.5]]), np.array([[gain]]), np.array([[1.0]]), np.zeros((1, 1))), (Variable("speed", "rad/s"),)
+    model = Model("motor", (Variable("voltage", "V"),), axis, axis, plant, **sd)
     answer = search(settled(build(nominal(model, dt), prepare(model, [trace]), replace(Settings(), effects=1))), [CoulombFriction()])
     law = picture(answer, list(answer.end.values())[-1], True)
     fast = np.abs(law.x) > 0.1 * law.x.max()
-    assert law.named_y[fast] == pytest.approx(-0.5 * np.sign(law.x[fast]), abs=0.02)
+    return -0.5 * np.sign(law.x[fast]), law.sentence, np.array([law.y[fast], law.named_y[fast]])
+
+
+def test_dry_friction_of_a_machine_with_a_speed_alone_is_drawn_even_in_both_directions():
+    """An offset of the sensor acts on a first-order machine as a constant force does: it is not the law's to move."""
+    true, sentence, (free, _) = rubbing(48.0)
+    assert free == pytest.approx(true, abs=0.06)
+    assert "same size at every value of the speed, changes sign" in sentence
+
+
+def test_the_picture_is_in_the_unit_of_the_refitted_gain():
+    """A gain stated 30 % too low: the curve of the named force is the force that is named."""
+    true, _, (_, named) = rubbing(35.0, entry_sd={"A": np.array([[1.0]]), "B": np.array([[15.0]])})
+    assert named == pytest.approx(true, abs=0.02)
 
 
 def test_the_curve_is_straight_between_its_knots_and_continues_outwards():

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from afdsvc.api.physics import MOST_AHEAD, MOST_SIGNALS
 from afdsvc.errors import BadInput
+from afdsvc.explain.simulate import kernel
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.simulate.predictor import correction_gain
 from afdsvc.explain.simulate.simulator import Simulator
@@ -315,6 +317,11 @@ def test_only_the_next_samples_of_inputs_can_be_read_ahead(model, recording, exc
     wrong = effect(early, stage, [("u", 0), reads, reads], [("u", 0)], [0.5])
     with pytest.raises(BadInput, match="reads samples to come; expected those of inputs, 7 at most, and stage 'input'"):
         play(model(AXIS), recording(excitation), [0, 0], [wrong])
+
+
+def test_plugins_may_read_what_the_compiled_loop_holds():
+    """The loop keeps its own numbers: numba would not notice that those of another file changed."""
+    assert (kernel.MOST_SIGNALS, kernel.AHEAD) == (MOST_SIGNALS, MOST_AHEAD)
 
 
 def test_a_closed_loop_has_no_input_to_come(model, recording, excitation, effect):
