@@ -37,5 +37,6 @@ def test_a_ripple_is_named_with_its_periods_per_turn(torque, error, periods, nam
     *given, held = (recording(seed, torque, error, periods) for seed in (1, 2, 3))
     (found,) = explain(MODEL, given, [held], LIBRARY, experiment=False).named
     assert found.physics == name
+    assert set(found.parameters) == {"periods per turn", size[0]}
     assert found.parameters["periods per turn"].value == pytest.approx(periods, abs=0.01)
     assert found.parameters[size[0]].value == pytest.approx(size[1], rel=0.05)

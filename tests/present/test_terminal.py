@@ -20,6 +20,14 @@ def test_brackets_and_colons_are_printed_as_they_are():
         assert text in words
 
 
+@pytest.mark.parametrize(("trustworthy", "words"), [(True, "verdict: no fault"), (False, "verdict: not trustworthy: nothing was tested")])
+def test_where_nothing_was_tested_no_fault_is_no_verdict(trustworthy, words):
+    verdict = {"fault": None, "first_detected_s": None, "severity": None, "weights": {}, "trustworthy": trustworthy, "reason": "" if trustworthy else "nothing was tested"}
+    with terminal.OUT.capture() as seen:
+        terminal.diagnosis_table({"recordings": [{"recording": "r", "machine": "m", "bursts": [], "passive": [], "notes": [], "remarks": [], "verdict": verdict}]})
+    assert words in " ".join(seen.get().split())
+
+
 ALARM = (
     dict.fromkeys(("acknowledged", "latched", "confirmed"), False)
     | dict.fromkeys(("comment", "acknowledged_by", "confirmed_by", "shelved_by", "cause", "suppressed", "sentence"), "")

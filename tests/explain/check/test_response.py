@@ -101,3 +101,12 @@ def test_a_short_recording_in_which_the_output_hardly_moves_is_refused(spring, r
     (said,) = responding(nominal(spring, trace.dt), prepare(spring, [replace(trace, values=values)]))
     assert said.kind == "stop"
     assert "is not correlated with the inputs" in said.sentence
+
+
+def test_a_short_recording_in_which_the_output_moves_as_if_alone_is_doubted(spring, recorded):
+    trace = recorded(1)
+    values = trace.values[:60].copy()
+    values[:, 1] = 0.3 * np.random.default_rng(3).standard_normal(60) * trace.values[:, 1].std()
+    (said,) = responding(nominal(spring, trace.dt), prepare(spring, [replace(trace, values=values)]))
+    assert said.kind == "warning"
+    assert "is not clearly correlated with u_force" in said.sentence

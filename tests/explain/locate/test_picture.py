@@ -10,7 +10,7 @@ import pytest
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
-from afdsvc.explain.locate.free_law import curve
+from afdsvc.explain.locate.free_law import curve, site
 from afdsvc.explain.locate.picture import picture
 from afdsvc.explain.locate.places import band
 from afdsvc.explain.search.base import settled
@@ -19,9 +19,12 @@ from afdsvc.explain.search.forward import search
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.lti.statespace import StateSpace
+from afdsvc.plugins.physics.clock_offset import ClockOffset
 from afdsvc.plugins.physics.coulomb_friction import CoulombFriction
 from afdsvc.plugins.physics.cubic_stiffness import CubicStiffness
+from afdsvc.plugins.physics.dead_zone import DeadZone
 from afdsvc.plugins.physics.quadratic_damping import QuadraticDamping
+from afdsvc.testing.conformance.physics import machines
 
 
 def found(spring, recorded, extra, library):
@@ -77,6 +80,14 @@ def test_the_picture_is_in_the_unit_of_the_refitted_gain():
     """A gain stated 30 % too low: the curve of the named force is the force that is named."""
     true, _, (_, named) = rubbing(35.0, entry_sd={"A": np.array([[1.0]]), "B": np.array([[15.0]])})
     assert named == pytest.approx(true, abs=0.02)
+
+
+def test_a_clock_is_no_curve():
+    motor = machines()[2]
+    (late,) = ClockOffset().hypotheses(motor)
+    assert site(late, motor, np.arange(9.0)) is None
+    (zone, *_) = DeadZone().hypotheses(motor)
+    assert site(zone, motor, np.arange(9.0)) is not None
 
 
 def test_the_curve_is_straight_between_its_knots_and_continues_outwards():
