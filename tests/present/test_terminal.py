@@ -24,7 +24,7 @@ def test_brackets_and_colons_are_printed_as_they_are():
 def test_where_nothing_was_tested_no_fault_is_no_verdict(trustworthy, words):
     verdict = {"fault": None, "first_detected_s": None, "severity": None, "weights": {}, "trustworthy": trustworthy, "reason": "" if trustworthy else "nothing was tested"}
     with terminal.OUT.capture() as seen:
-        terminal.diagnosis_table({"recordings": [{"recording": "r", "machine": "m", "bursts": [], "passive": [], "notes": [], "remarks": [], "verdict": verdict}]})
+        terminal.diagnosis_table({"recordings": [{"recording": "r", "machine": "m", "bursts": [], "passive": [], "promised_alarms": {}, "watched_s": 3.0, "notes": [], "remarks": [], "verdict": verdict}]})
     assert words in " ".join(seen.get().split())
 
 
