@@ -47,14 +47,18 @@ def aligned(
 ) -> tuple[list[Piece], list[str]]:
     """Return pieces on one grid, columns of all groups side by side, and what was done to get there.
 
-    ``dt`` is the sample time [s]; without it the slowest group's. ``gap`` is the step, in sample times, from which on
+    ``dt`` is the sample time [s]; without it that of the slowest group with a signal the model reads: groups of ``aux_`` columns
+    alone are interpolated linearly where they are slower. ``gap`` is the step, in sample times, from which on
     samples are missing; ``regular`` says that stamps jitter and the sampling did not. Raises `BadInput`, beginning with
     ``where``, when nothing usable is left.
     """
     remarks: list[str] = []
     evened = [_evened(_ordered(group, where, remarks), where, gap, regular, remarks) for group in groups]
-    slowest = max(found[0].dt for found in evened)
-    step = dt or slowest
+    read = [k for k, group in enumerate(groups) if not all(signal.startswith("aux_") for signal in group.columns)] or range(len(groups))
+    slowest = max(read, key=lambda k: evened[k][0].dt)
+    step = dt or evened[slowest][0].dt
+    for k in set(range(len(groups))) - set(read):
+        evened[k] = _interpolated(groups[k], evened[k], evened[slowest][0].start, step, remarks)
     if all(_same_grid(found, evened[0], step) for found in evened):
         pieces = _side_by_side(evened)
     else:
@@ -62,9 +66,11 @@ def aligned(
     kept = [p for p in pieces if len(p.values) >= SHORTEST]
     if not kept:
         longest = max((len(p.values) for p in pieces), default=0)
+        slow = f", at the rate of the slowest signal, {groups[slowest].name}" if dt is None and any(found[0].dt < step * (1 - SAME_STEP) for found in evened) else ""
         raise BadInput(
-            f"{where}: the longest stretch without a gap has {longest} samples; expected at least {SHORTEST}. Where values are stored when they "
-            "change, state [resample] dt = ... and hold = true in the mapping file; where samples are missing, a larger [resample] gap bridges them"
+            f"{where}: the longest stretch without a gap has {longest} samples of {step:.6g} s{slow}; expected at least {SHORTEST}. Where values are stored "
+            "when they change, state [resample] dt = ... and hold = true in the mapping file; where samples are missing, a larger [resample] gap "
+            "bridges them; a recording that is too short must be taken again"
         )
     if len(kept) < len(pieces):
         lost = sum(len(p.values) for p in pieces if len(p.values) < SHORTEST)
@@ -152,6 +158,19 @@ def _on_grid(t: Array, values: Array, step: float, regular: bool) -> tuple[Piece
     moved = np.column_stack([np.interp(grid, t, column) for column in values.T])
     phase = (t - start) / step
     return Piece(start, step, moved), float(np.abs(phase - np.round(phase)).max())
+
+
+def _interpolated(group: Group, found: list[Piece], phase: float, step: float, remarks: list[str]) -> list[Piece]:
+    """Return pieces slower than ``step`` [s] interpolated linearly onto its grid, which has a sample at ``phase`` [s]; others as they are."""
+    if found[0].dt <= step * (1 + SAME_STEP):
+        return found
+    remarks.append(f"{group.name} was sampled every {found[0].dt:.6g} s and interpolated linearly to {step:.6g} s")
+    finer = []
+    for p in found:
+        first, last = (int(turn((t - phase) / step + slack)) for turn, t, slack in ((np.ceil, p.start, -1e-6), (np.floor, p.end, 1e-6)))
+        grid, known = phase + step * np.arange(first, last + 1), p.start + p.dt * np.arange(len(p.values))
+        finer.append(Piece(float(grid[0]), step, np.column_stack([np.interp(grid, known, column) for column in p.values.T])))
+    return finer
 
 
 def _same_grid(found: list[Piece], first: list[Piece], step: float) -> bool:

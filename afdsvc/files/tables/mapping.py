@@ -61,7 +61,7 @@ class Time(Strict):
 
 
 class Resample(Strict):
-    """The sample time [s] (default: the model's, or that of the slowest signal, without), and what counts as a gap, in samples.
+    """The sample time [s] (default: the model's, or that of the slowest signal that is not ``aux_``), and what counts as a gap, in samples.
 
     ``hold``: a value is stored when it changes, and holds until the next one, as historians do; ``dt`` has to be given then.
     """

@@ -53,7 +53,7 @@ def test_pieces_too_short_to_tell_anything_are_left_out_and_counted():
     pieces, reported = aligned([group(t)], "here")
     assert [len(p.values) for p in pieces] == [100, 100]
     assert "stretches shorter than 50 samples are left out: 1, with 3 samples in all" in reported
-    with pytest.raises(BadInput, match="here: the longest stretch without a gap has 30 samples; expected at least 50"):
+    with pytest.raises(BadInput, match="here: the longest stretch without a gap has 30 samples of 0.001 s; expected at least 50"):
         aligned([group(DT * np.arange(30))], "here")
 
 
@@ -135,3 +135,22 @@ def test_nothing_but_gaps_is_refused():
         aligned([group([0.5, 0.5])], "here")
     with pytest.raises(BadInput, match="drive holds no numbers"):
         aligned([Group("drive", DT * np.arange(200), {"u_x": np.full(200, np.nan)})], "here", dt=5e-3)
+
+
+def test_a_slow_column_that_no_model_reads_leaves_the_rate_of_the_others():
+    fast, other = group(DT * np.arange(4000)), group(DT * np.arange(4000), "encoder", "y_x", np.cos)
+    t = 0.0137 + 0.5 * np.arange(9)
+    slow = Group("thermometer", t, {"aux_temperature": 20 + 3 * t})
+    pieces, reported = aligned([slow, fast, other], "here")
+    (piece,) = pieces
+    times = piece.start + DT * np.arange(len(piece.values))
+    assert piece.dt == DT
+    assert len(piece.values) == 3986
+    np.testing.assert_allclose(piece.values[:, 0], 20 + 3 * times, rtol=1e-12)
+    np.testing.assert_array_equal(piece.values[:, 1], fast.columns["u_x"][14:])
+    assert reported == ["thermometer was sampled every 0.5 s and interpolated linearly to 0.001 s"]
+
+
+def test_where_the_slowest_signal_leaves_too_little_it_is_named():
+    with pytest.raises(BadInput, match=r"has 0 samples of 0.5 s, at the rate of the slowest signal, encoder; expected at least 50"):
+        aligned([group(DT * np.arange(4000)), group(0.5 * np.arange(9), "encoder", "y_x")], "here")
