@@ -13,18 +13,17 @@ from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model, write_model
 from afdsvc.files.model.stepped import LINEARISED
-from afdsvc.files.open import Naming, open_file
+from afdsvc.files.open import Naming, TableFile, open_file
 from afdsvc.files.tables.foreign import prepared
 from afdsvc.files.unfinished import writing
 from afdsvc.identify.options import IdentifyOptions
 from afdsvc.identify.pipeline import identify
 
 
-def read_traces(
-    paths: Sequence[Path], machine: str | None = None, naming: Naming = Naming(), model: Model | None = None
-) -> list[Trace]:
-    """Return the traces of recordings (every gapless piece) and tables, in the model's units; raises `BadInput` naming the file."""
-    return [trace for path in paths for trace in open_file(path, naming).traces(model, machine)]
+def _traces(paths: Sequence[Path], naming: Naming, model: Model) -> list[Trace]:
+    """Return the traces of recordings (every gapless piece) and tables, in the model's units; empty cells of a table are missing samples."""
+    files = [open_file(path, naming) for path in paths]
+    return [trace for file in files for trace in (file.traces(model, gaps=True) if isinstance(file, TableFile) else file.traces(model))]
 
 
 def identify_files(
@@ -37,7 +36,7 @@ def identify_files(
     """
     nominal = read_model(model, allow_code)
     chosen = IdentifyOptions.of({k: v for k, v in options.items() if v is not None})
-    train, test = (read_traces(paths, None, naming, nominal) for paths in (recordings, holdout))
+    train, test = (_traces(paths, naming, nominal) for paths in (recordings, holdout))
     result = identify(nominal, train, test, chosen, np.random.default_rng(seed))
     target = out or model.with_name(f"{model.stem}.identified.toml")
     if target.resolve() == model.resolve():

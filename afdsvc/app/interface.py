@@ -249,7 +249,7 @@ def diagnose(*recordings: Any, model: Any = None, calibrate: float | None = None
     Examples
     --------
     >>> import afdsvc
-    >>> found = afdsvc.diagnose(RECORDING)  # a recording of `afdsvc demo`
+    >>> found = afdsvc.diagnose(RECORDING)  # the path of a recording, as text; here one that `afdsvc demo` made
     >>> found.document["recordings"][0]["machine"]
     'bearing'
 

@@ -12,7 +12,7 @@ from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Trace
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.sample_checks import Finding
-from afdsvc.dataset.units import unit_in_words
+from afdsvc.dataset.units import unit_in_words, unknown_unit
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 
@@ -129,6 +129,9 @@ def _unused(model: Model, traces: Sequence[Trace]) -> Iterator[Finding]:
 
 def _units(model: Model, traces: Sequence[Trace]) -> Iterator[Finding]:
     units = {f"u_{v.name}": v.unit for v in model.inputs} | {f"y_{v.name}": v.unit for v in model.outputs}
+    for name, unit in units.items():
+        if wrong := unknown_unit(unit):
+            yield Finding("warning", "units", f"the model's {name}: {wrong}: which laws are tried depends on whether it is a speed, a position or a force")
     for trace in traces:
         for channel in trace.channels:
             unit = units.get(channel.name, "")

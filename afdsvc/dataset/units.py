@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from functools import lru_cache
 from typing import Any
 
 _VELOCITIES = ("[length]/[time]", "1/[time]")
+NOT_KNOWN = ", a unit that is not known"
+COMMON = ("volt", "rpm", "rad/s", "deg/s", "m/s", "mm/s", "m/s^2", "mm", "um", "rad", "deg", "N*m", "degC", "bar", "kPa", "L/min")  # one may be meant by a unit that is none
 
 
 @lru_cache(maxsize=1)
@@ -37,7 +40,19 @@ def unit_in_words(unit: str) -> str:
     try:
         return str(unit_registry().Unit(unit.replace("^", "**"))).replace("revolutions_per_minute", "revolution / minute")
     except (PintError, ValueError, TypeError, AttributeError):
-        return f"{unit}, a unit that is not known"
+        return f"{unit}{NOT_KNOWN}"
+
+
+def unknown_unit(unit: str) -> str:
+    """Return what is wrong with a unit and which one may be meant, "" where it is known.
+
+    >>> unknown_unit("rmp"), unknown_unit("rpm")
+    ("unit 'rmp' is not known; expected one such as 'rpm'", '')
+    """
+    if not unit or not unit_in_words(unit).endswith(NOT_KNOWN):
+        return ""
+    near = get_close_matches(unit, COMMON, 1)
+    return f"unit '{unit}' is not known; expected one such as " + (f"'{near[0]}'" if near else "'mm', 'N' or 'rad/s'")
 
 
 @lru_cache(maxsize=256)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import difflib
+import re
 import stat
 import time
 import tomllib
@@ -41,6 +42,7 @@ class Bounds:
 
 
 BOUNDS = Bounds()
+DECIMAL_COMMA = re.compile(r"^[^#\"]*=\s*-?\d+,\d", re.MULTILINE)  # number = 0,5
 
 
 def table_bytes(size: int) -> int:
@@ -144,7 +146,8 @@ def toml_table(text: str, source: str) -> dict[str, Any]:
     try:
         return in_time(lambda: tomllib.loads(text), source, len(text))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise BadInput(f"{source}: not a TOML file: {error}") from None
+        comma = "; the decimal sign is a point" if DECIMAL_COMMA.search(text) else ""
+        raise BadInput(f"{source}: not a TOML file: {error}{comma}") from None
 
 
 def validated(schema: type[T], data: object, source: str) -> T:

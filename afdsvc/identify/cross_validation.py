@@ -37,6 +37,7 @@ PATIENCE = 4
 HORIZONS = (10, 30)
 #: Loss (multiple of the outputs' power) that counts as a failure.
 HOPELESS = 1e6
+ROUNDING = 1e-20  # loss below which it is that of the arithmetic, of recordings without noise
 #: Samples beyond which the choice rests on a part of the recordings; the fit uses all.
 MOST_SAMPLES = 20_000
 #: Steps of a refinement, in the fit and where candidates are compared.
@@ -134,7 +135,7 @@ class _Folds:
                 found = float(np.mean((errors**2).mean(axis=0) / np.where(self.power > 0, self.power, 1.0)))
         except (AfdsvcError, linalg.LinAlgError, ValueError):
             return float("inf")
-        return found if found < HOPELESS else float("inf")
+        return max(found, ROUNDING) if found < HOPELESS else float("inf")
 
     def _errors(self, model: InnovationsForm, r: InputOutputData) -> Array:
         offset = np.zeros(r.y.shape[1])

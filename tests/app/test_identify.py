@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from afdsvc.api.signals import Trace
 from afdsvc.app import pipelines, ports
@@ -103,3 +104,31 @@ def test_an_interruption_between_the_page_and_the_model_leaves_neither(tmp_path,
     with pytest.raises(KeyboardInterrupt):
         identify_files(tmp_path / "model.toml", [tmp_path / "run.csv"], [], tmp_path / "new.toml", {"groups": 0}, 0)
     assert sorted(tmp_path.iterdir()) == before
+
+
+def _motor(folder, speed) -> Path:
+    """Write a model and a table of a motor's voltage and ``speed (3000,)``; an element that is no number becomes an empty cell."""
+    voltage = np.random.default_rng(0).standard_normal(3000)
+    rows = [f"{0.01 * k:.2f},{u:.6f},{'' if np.isnan(y) else f'{y:.6f}'}" for k, (u, y) in enumerate(zip(voltage, speed(voltage), strict=True))]
+    (folder / "motor.csv").write_text("\n".join(["t,voltage,speed", *rows]), encoding="utf-8")
+    (folder / "MODEL.toml").write_text(
+        'name = "motor"\ntime = "continuous"\ninputs = [{name = "voltage", unit = "V"}]\noutputs = [{name = "speed", unit = "rad/s"}]\nnum = [2]\nden = [0.1, 1]\n',
+        encoding="utf-8",
+    )
+    return folder / "MODEL.toml"
+
+
+def test_an_output_that_never_moves_is_said_to_be_so(tmp_path):
+    model = _motor(tmp_path, lambda u: np.full(len(u), 0.37))
+    with pytest.raises(BadInput, match=r"output 'speed' reads 0.37 rad/s in every sample; expected recordings in which it moves"):
+        identify_files(model, [tmp_path / "motor.csv"], [], None, {}, 0)
+
+
+def test_empty_cells_of_a_table_are_missing_samples(tmp_path):
+    def speed(u):
+        y = lfilter([0, 0.2], [1, -0.9], u) + 0.01 * np.random.default_rng(1).standard_normal(len(u))
+        y[1200:1203] = np.nan
+        return y
+
+    found = identify_files(_motor(tmp_path, speed), [tmp_path / "motor.csv"], [], None, {}, 0)
+    assert "motor.csv: samples are missing; fitted 2 stretches without gaps, 2997 of 3000 samples" in found["warnings"]

@@ -130,3 +130,9 @@ def test_public_sets_with_automatic_choices(name, measured):
     left = fitted_errors(found, held.u, held.y)  # a mode that grows a little may still be simulated this far
     fit = 100 * np.mean(1 - np.linalg.norm(left, axis=0) / np.linalg.norm(held.y - held.y.mean(axis=0), axis=0))
     assert fit > PEERS.get(name, -np.inf) - 5
+
+
+def test_recordings_without_noise_get_no_states_for_rounding():
+    choice = choose_candidate(_recorded(_resonator(), noise=0.0), 12)
+    assert choice.candidate.order <= 3  # the operating point may take one
+    assert choice.loss < 1e-15

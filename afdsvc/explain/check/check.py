@@ -40,7 +40,7 @@ def check(model: Model, traces: Sequence[Trace]) -> tuple[Finding, ...]:
         *clock(nom, runs),
         *samples(model, runs),
         *responding(nom, runs),
-        *gains(nom, lines(problem, response)),
+        *gains(nom, lines(problem, response), runs),
         *check_excitation(model, runs),
         *information(problem, response),
         *ambiguities(model, runs),

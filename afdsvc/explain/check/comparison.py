@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import correlate
 
 from afdsvc.explain.search.problem import Problem
 from afdsvc.lti.statespace import Array
 
-SHIFTS = 40  # samples by which measured and simulated are shifted against each other at most
+SHARE = 0.1  # of the shortest recording, by which measured and simulated are shifted against each other at most
+ALIKE = 0.5  # correlation that they have then at least
 BETTER = 0.02  # of the correlation, by which a shift must improve it to be reported
 
 
@@ -64,13 +66,9 @@ def _about_means(measured: Array, simulated: Array) -> tuple[Array, Array, float
 
 
 def _delay(pairs: list[tuple[Array, Array]]) -> int:
-    """Return the shift in samples at which measured and simulated resemble each other most, 0 where none is clearly better."""
-    shifts = range(-SHIFTS, SHIFTS + 1)
-    found = [sum(_overlap(np.nan_to_num(y), s, k) for y, s in pairs) for k in shifts]
+    """Return the shift in samples at which measured and simulated resemble each other most, 0 where none is clearly better or they never do."""
+    most = int(SHARE * min(len(y) for y, _ in pairs))
+    found = np.abs(sum(correlate(np.nan_to_num(y), s, method="fft")[len(s) - 1 - most : len(s) + most] for y, s in pairs))
     size = np.sqrt(sum(float(np.nansum(y**2)) for y, _ in pairs) * sum(float(s @ s) for _, s in pairs))
-    best = int(np.argmax(np.abs(found)))
-    return shifts[best] if abs(found[best]) > abs(found[SHIFTS]) + BETTER * size else 0
-
-
-def _overlap(y: Array, s: Array, shift: int) -> float:
-    return float(y[max(shift, 0) : len(y) + min(shift, 0)] @ s[max(-shift, 0) : len(s) - max(shift, 0)])
+    best = int(np.argmax(found))
+    return best - most if found[best] > max(ALIKE * size, found[most] + BETTER * size) else 0

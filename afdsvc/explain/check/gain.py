@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.sample_checks import Finding
+from afdsvc.dataset.split import still
 from afdsvc.explain.check.lines import ComplexArray, ExcitedLines
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.lti.statespace import Array
@@ -22,9 +24,8 @@ FAR = 3.0  # ratio to the model's gain from which it is reported
 SURE, SURER = 0.5, 0.7  # shares of an output's lines that the scaled model must explain for a factor to be reported, and to stop
 STOP = 20.0  # ratio from which a wrong unit stops: nearer to one, a model may just be a bad one
 TINY = 0.01  # size of an output's lines over what the model says, below which it is another signal if it does not follow the model either
-STILL = 1e-9  # the same of a sensor that always reads the same: rounding
 VISIBLE = 0.1  # share of an output an input must cause for its factor to be reported
-SHIFTS = 40
+SHIFTS = 400  # samples by which clocks may be out of step
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,19 +39,20 @@ class _Path:
     explained: float
 
 
-def gains(nominal: Nominal, lines: ExcitedLines) -> Iterator[Finding]:
+def gains(nominal: Nominal, lines: ExcitedLines, runs: Sequence[Run]) -> Iterator[Finding]:
     """Yield what the measured gains say about units and signs, and the best shift about clocks."""
     if len(lines.angle) < 2:
         return
     terms = lines.parts
     paths = [p for j in range(terms.shape[1]) for p in _paths(terms[:, j], lines.Y[:, j], j)]
-    wrong = [*_factors(nominal, paths), *_others(nominal, lines, {p.output for p in paths})]
+    told = {p.output for p in paths} | set(np.flatnonzero(still(np.concatenate([r.Y for r in runs]))).tolist())
+    wrong = [*_factors(nominal, paths), *_others(nominal, lines, told)]
     yield from wrong
     if paths and not wrong:
         yield Finding("ok", "units", "the measured gains agree with the model's within a factor of three, signs included")
     if not wrong:
         for j in range(terms.shape[1]):
-            yield from _shift(nominal, terms[:, j], lines, j)
+            yield from _shift(nominal, terms[:, j], lines, j, runs)
 
 
 def _paths(terms: ComplexArray, y: ComplexArray, j: int) -> Iterator[_Path]:
@@ -98,11 +100,11 @@ def _factors(nominal: Nominal, paths: list[_Path]) -> Iterator[Finding]:
             yield _finding(f"y_{v.name}", own[0].factor, own[0].explained, also)
 
 
-def _others(nominal: Nominal, lines: ExcitedLines, followed: Collection[int]) -> Iterator[Finding]:
+def _others(nominal: Nominal, lines: ExcitedLines, told: Collection[int]) -> Iterator[Finding]:
     """Yield a finding per output that hardly moves where the model says it does, and in another way."""
     measured, simulated = (np.sqrt((np.abs(x) ** 2).sum(0)) for x in (lines.Y, lines.parts.sum(2)))
     for j, v in enumerate(nominal.model.outputs):
-        if j not in followed and STILL < measured[j] / max(simulated[j], 1e-300) < TINY:
+        if j not in told and measured[j] < TINY * simulated[j]:
             said = f"y_{v.name} moves {measured[j] / simulated[j]:.2g} times as much as the model says and does not follow it"
             yield Finding("stop", "units", f"{said}; expected the column and the unit of '{v.name}': are columns exchanged? explain --trust-units goes on where they are right")
 
@@ -127,20 +129,21 @@ def _finding(channel: str, factor: float, explained: float, also: str = "") -> F
     return Finding("stop" if stop else "warning", "units", f"{channel} is {' and '.join(what)}{also}; {mend}")
 
 
-def _shift(nominal: Nominal, terms: ComplexArray, lines: ExcitedLines, j: int) -> Iterator[Finding]:
+def _shift(nominal: Nominal, terms: ComplexArray, lines: ExcitedLines, j: int, runs: Sequence[Run]) -> Iterator[Finding]:
     y = lines.Y[:, j]
     weight = 1 / np.sqrt(np.abs(y) ** 2 + np.mean(np.abs(y) ** 2) + 1e-300)
     X = terms * weight[:, None]
-    tried = range(-SHIFTS, SHIFTS + 1)
+    most = min(SHIFTS, *(len(r) // 10 for r in runs))
+    tried = sorted(range(-most, most + 1), key=abs)  # what repeats fits as well a period later
     left = [_real_fit(X, y * weight * np.exp(1j * lines.angle * s))[1] for s in tried]
-    best = tried[int(np.argmin(left))]
     total = float((np.abs(y * weight) ** 2).sum())
-    if best == 0 or min(left) > 0.4 * left[SHIFTS] or min(left) > 0.2 * total:
+    best = next(s for s, rest in zip(tried, left, strict=True) if rest <= min(left) + 1e-9 * total)
+    if best == 0 or min(left) > 0.4 * left[0] or min(left) > 0.2 * total:
         return
     name = nominal.model.outputs[j].name
     how = "late" if best > 0 else "early"
-    reason = "or there is a transport delay" if best > 0 else "no machine answers before it is driven"
+    reason = "or there is a transport delay; where it is the clocks, shift one of the columns" if best > 0 else "for no machine answers before it is driven; shift one of the columns"
     yield Finding(
         "warning", "synchronisation",
-        f"y_{name} comes {abs(best)} samples {how} against the inputs compared with the model: clocks out of step, {reason}",
+        f"y_{name} comes {abs(best)} samples {how} ({abs(best) * runs[0].dt:.3g} s) against the inputs compared with the model: clocks out of step, {reason}",
     )

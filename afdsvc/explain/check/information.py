@@ -35,6 +35,8 @@ def information(problem: Problem, response: Caused) -> Iterator[Finding]:
     visible, posterior = visibility(response, sd), posterior_sd(problem, sd)
     known = [e for e, s in zip(nominal.entries, posterior, strict=True) if s < DETERMINED]
     blind = [e for e, s in zip(nominal.entries, posterior, strict=True) if s > 0.9]
+    if np.isinf(sd).all():  # dead sensors, which are findings of their own
+        return
     if visible < VISIBLE or (nominal.entries and not known and visible < 1.0):
         yield Finding(
             "stop", "excitation",
@@ -44,9 +46,10 @@ def information(problem: Problem, response: Caused) -> Iterator[Finding]:
         )
         return
     if nominal.entries:
-        listed = f"; there is almost no information about {_names(nominal, blind)}" if blind else ""
+        listed = "" if known else "; an excitation that is larger, longer or broader would fix more"
+        listed += f"; there is almost no information about {_names(nominal, blind)}" if blind else ""
         yield Finding(
-            "ok", "information",
+            "ok" if known else "warning", "information",
             f"the recordings fix {len(known)} of {len(nominal.entries)} uncertain numbers of the model: their uncertainty falls below half of what the model states{listed}",
         )
 

@@ -45,7 +45,6 @@ def _stable(nominal: Nominal) -> bool:
 
 
 FAST, SLOW = 2.0, 0.5  # samples per radian of the fastest pole, and recordings per slowest time constant, beyond which it is said
-OTHER_UNIT = 30.0  # how far beyond, from which another unit of time is the likelier reason
 CURE = "if the times are in another unit, say so (column t_ms, or time.unit in a mapping file); otherwise "
 
 
@@ -57,16 +56,15 @@ def clock(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
     if not len(rates):
         return
     dt, seconds = runs[0].dt, max(len(r) * r.dt for r in runs)
-    if (turn := float(rates.max()) * dt) > FAST:
+    if float(rates.max()) * dt > FAST:
         yield Finding(
             "warning", "clock",
             f"the recordings are sampled every {dt:.4g} s and the model's fastest time constant is {1 / rates.max():.3g} s: "
-            f"{CURE if turn > OTHER_UNIT else ''}dynamics faster than the sampling cannot be seen; record at {10 * rates.max() / (2 * np.pi):.3g} Hz or more",
+            f"{CURE}dynamics faster than the sampling cannot be seen; record at {10 * rates.max() / (2 * np.pi):.3g} Hz or more",
         )
     if float(rates.min()) * seconds < SLOW:
-        far = rates.min() * seconds * OTHER_UNIT < 1
         yield Finding(
             "warning", "clock",
             f"the longest recording lasts {seconds:.4g} s and the model's slowest time constant is {1 / rates.min():.3g} s: "
-            f"{CURE if far else ''}record for {3 / rates.min():.3g} s or more",
+            f"{CURE}record for {3 / rates.min():.3g} s or more",
         )

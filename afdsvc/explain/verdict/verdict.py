@@ -54,7 +54,7 @@ def verdict(found: Found, gap: Gap, remainder: Gap | None) -> Verdict:
     word = "parameter_change" if all(is_constant(c.candidate.hypothesis) for c in firsts) else "omitted_physics"
     limit = (f"the named effects close {100 * complete:.0f} % of what can be explained; no name is surer than that",) if complete < 0.995 else ()
     doubts = tuple(f"{s.reason}; the recordings held out confirm it: no name is certain" for s in accepted if s.reason)
-    return Verdict(word, tuple(claims), (*_rest(gap, remainder, explained), *limit, *doubts, *strained), gap, remainder, explained)
+    return Verdict(word, tuple(claims), (*_rest(gap, remainder, explained), *limit, *doubts, *strained, *_refitted(found)), gap, remainder, explained)
 
 
 DOUBT = 0.1  # share of the residual a flexible model predicts above which "consistent" is not said
@@ -67,10 +67,10 @@ def _nothing(found: Found, gap: Gap, strained: Sequence[str]) -> tuple[str, tupl
     nearest = f"{last.candidates[0].hypothesis.title} closes too little of what can be explained" if last.accepted else last.reason
     stop = (f"the search stopped: {nearest}",)
     if gap.present or gap.total > DOUBT:
-        return "unexplained", (gap.sentence, *stop, *strained)
+        return "unexplained", (gap.sentence, *stop, *strained, *_refitted(found))
     if strained:
         return "parameter_change", (gap.sentence, *strained)
-    return "consistent", (gap.sentence, *stop)
+    return "consistent", (gap.sentence, *stop, *_refitted(found))
 
 
 def _claims(step: Round, number: int, most: float, found: Found) -> list[Claim]:
@@ -83,13 +83,24 @@ def _claims(step: Round, number: int, most: float, found: Found) -> list[Claim]:
 
 def _strained(found: Found) -> tuple[str, ...]:
     """Return a sentence for the numbers of the final model that are far from the stated ones."""
-    point = list(found.end.values())[-1].point
     limit = found.problem.settings.strained
-    far = [(e, t) for e, t in zip(found.problem.nominal.entries, point.theta, strict=True) if abs(t) > limit]
-    if not far:
-        return ()
-    names = ", ".join(f"{e.name or f'{e.matrix}[{e.row}, {e.column}]'} ({t:+.1f})" for e, t in far[:4])
-    return (f"the fit moves numbers of the model by more than {limit:g} stated standard deviations: {names}; no name is certain",)
+    far = _moved(found, limit)
+    return (f"the fit moves numbers of the model by more than {limit:g} stated standard deviations: {far}; no name is certain",) if far else ()
+
+
+def _refitted(found: Found) -> tuple[str, ...]:
+    """Return a sentence for the numbers of the final model that the fit moved by more than a stated standard deviation, and not by too many."""
+    moved = _moved(found, 1.0)
+    return (f"the fit moves numbers of the model within what it states of their uncertainty: {moved}",) if moved and not _strained(found) else ()
+
+
+def _moved(found: Found, limit: float) -> str:
+    """Return the numbers of the final model that are more than ``limit`` stated standard deviations away, the farthest first."""
+    nominal, theta = found.problem.nominal, list(found.end.values())[-1].point.theta
+    far = sorted(((e, t) for e, t in zip(nominal.entries, theta, strict=True) if abs(t) > limit), key=lambda pair: -abs(pair[1]))
+    stated, fitted = nominal.values(0 * theta), nominal.values(theta)
+    said = [f"{e.name} from {stated[e.name]:.4g} to {fitted[e.name]:.4g} ({t:+.1f} standard deviations)" for e, t in far[:4]]
+    return ", ".join(said) + (f" and {len(far) - 4} more" if len(far) > 4 else "")
 
 
 def _complete(found: Found, remainder: Gap | None, explained: tuple[float, float]) -> float:

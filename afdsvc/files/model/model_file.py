@@ -219,6 +219,9 @@ def _transfer_function(table: LinearTable, inputs: int, outputs: int, source: st
             zeros, poles = ([complex(*r) if isinstance(r, list) else complex(r) for r in roots or []] for roots in (table.zeros, table.poles))
             return from_roots(zeros, poles, table.gain or 0.0, table.dt)
         num, den = (_polynomials(getattr(table, key), inputs, outputs, key) for key in ("num", "den"))
+        led = next((d for row in den for d in row if len(d) > 1 and d[0] == 0), None)
+        if led is not None:
+            raise BadInput(f"key 'den' begins with 0 in {[float(v) for v in led]}; expected the coefficient of the highest power first, and a point as decimal sign")
         return from_polynomials(num, den, table.dt)
     except BadInput as error:
         raise BadInput(f"{source}: {f'table {prefix[:-1]}: ' if prefix else ''}{error}") from None

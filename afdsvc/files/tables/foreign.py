@@ -12,6 +12,7 @@ import numpy as np
 
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Channel, Trace
+from afdsvc.dataset.units import unknown_unit
 from afdsvc.errors import BadInput
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.tables.alignment import Group, aligned, held
@@ -60,6 +61,8 @@ def _mapped(path: Path, groups: Sequence[Group], done: Sequence[str], mapping: D
     for group in groups:
         columns = {}
         for signal, values in group.columns.items():
+            if wrong := unknown_unit(units.get(signal, "")):
+                raise BadInput(f"the model's {signal}: {wrong}")
             columns[signal], channel, sentence = _converted(signal, values, mapping.signals[signal], units.get(signal, ""), path)
             channels.append(channel)
             remarks.append(sentence)

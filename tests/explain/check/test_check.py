@@ -268,3 +268,23 @@ def closed_loop(model: Model, alpha: np.ndarray, dt: float) -> tuple[np.ndarray,
         w = K.A @ w + K.B @ y[k]
         x = G.A @ x + G.B @ u[k]
     return u, y
+
+
+def test_a_delay_of_many_samples_is_counted_too():
+    sentence = reported(check(sound()[0], spoiled("y_horizontal", lambda x: np.roll(x, 90))), "synchronisation")
+    assert "90 samples" in sentence
+    assert "shift one of the columns" in sentence
+
+
+def test_a_dead_sensor_is_one_finding_and_no_wrong_unit():
+    model, traces = sound()
+    names = [c.name for c in traces[0].channels if c.role == "y"]
+    for name in names:
+        traces = [Trace(t.name, t.dt, t.channels, np.where([c.name == name for c in t.channels], 0.37, t.values), t.t0) for t in traces]
+    assert [f.topic for f in check(model, traces) if f.kind == "stop"] == ["dead"] * len(names)
+
+
+def test_a_unit_that_is_none_is_said_to_be_the_models():
+    model, traces = sound()
+    misspelt = replace(model, outputs=(replace(model.outputs[0], unit="rmp"), *model.outputs[1:]))
+    assert f"the model's y_{model.outputs[0].name}: unit 'rmp' is not known; expected one such as 'rpm'" in reported(check(misspelt, traces), "units")

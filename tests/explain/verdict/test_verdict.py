@@ -34,7 +34,7 @@ def test_all_is_explained_where_nothing_remains_to_be_tested():
 
 def _found(effects: list[Candidate], evidence: HypothesisEvidence) -> SimpleNamespace:
     """Return a search that accepted these effects, with this evidence for all of them."""
-    problem = SimpleNamespace(settings=Settings(), nominal=SimpleNamespace(entries=()), weighting=SimpleNamespace(even=True, measured=False))
+    problem = SimpleNamespace(settings=Settings(), nominal=SimpleNamespace(entries=(), values=lambda theta: {}), weighting=SimpleNamespace(even=True, measured=False))
     steps = [SimpleNamespace(accepted=True, candidates=[e], limited="model", reason="") for e in effects]
     return SimpleNamespace(steps=steps, problem=problem, end={0.0: SimpleNamespace(point=SimpleNamespace(theta=np.zeros(0), effects=()))}, evidence=evidence)
 
@@ -46,6 +46,17 @@ def test_further_effects_are_certain_only_where_nothing_predictable_remains(pres
     left = SimpleNamespace(present=present, total=0.1, p_value=0.01, depends_on=())
     answer = verdict(found, SimpleNamespace(present=True, total=0.9, sentence=""), left)
     assert [c.weight for c in answer.claims] == pytest.approx(certain)
+
+
+@pytest.mark.parametrize(("moved", "said"), [(0.4, ()), (-3.3, ("within what it states of their uncertainty: A[1,1] from -3.333 to -2.233 (-3.3 standard deviations)",)), (-6.0, ("no name is certain",))])
+def test_the_numbers_that_the_fit_moved_are_listed(moved, said):
+    found = _found([candidate("friction")], candidate("friction").evidence)
+    entry = SimpleNamespace(name="A[1,1]", sd=-1 / 3)
+    found.problem.nominal = SimpleNamespace(entries=(entry,), values=lambda theta: {"A[1,1]": -10 / 3 + entry.sd * theta[0]})
+    found.end[0.0].point.theta = np.array([moved])
+    sentences = [s for s in verdict(found, SimpleNamespace(present=True, total=0.9, sentence=""), None).sentences if "moves numbers" in s]
+    assert len(sentences) == len(said)
+    assert all(words in s for words, s in zip(said, sentences, strict=True))
 
 
 def test_what_closes_next_to_nothing_of_what_can_be_explained_is_not_named():

@@ -154,6 +154,8 @@ def test_any_model_comes_back_bit_for_bit(data, n, m, p, dt):
         ("D = [[-1.0]]", "", ["'controller'", "matrix D is missing"]),
         ("B = [[0], [0.0105]]", "B = [0, 0.0105]", ["'B'", "[[0, 0.0105]] is one row", "[[0], [0.0105]] one column"]),
         ("D = [[0]]", "num = [1]", ["num and A are both given"]),
+        ("D = [[0]]", "D = 0,5", ["not a TOML file", "the decimal sign is a point"]),
+        ("A = [[0, 1], [0, -2.1]]\nB = [[0], [0.0105]]\nC = [[1, 0]]\nD = [[0]]", "num = [2]\nden = [0,3, 1,0]", ["'den' begins with 0", "a point as decimal sign"]),
         ("B = [[0], [0.0105]]", "", ["matrix B is missing", "num and den"]),
         ("[parameters]\nmass = {value = 95.1, unit = \"kg\", relative_sd = 0.02}", '[parameters]\nmass = "heavy"', ["'parameters.mass'", "'heavy'"]),
         ("sample_time = 0.001", "", ["'controller'", "sample_time is missing"]),

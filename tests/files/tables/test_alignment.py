@@ -53,7 +53,7 @@ def test_pieces_too_short_to_tell_anything_are_left_out_and_counted():
     pieces, reported = aligned([group(t)], "here")
     assert [len(p.values) for p in pieces] == [100, 100]
     assert "stretches shorter than 50 samples are left out: 1, with 3 samples in all" in reported
-    with pytest.raises(BadInput, match="here: the longest stretch without a gap has 30 samples of 0.001 s; expected at least 50"):
+    with pytest.raises(BadInput, match=r"here: the longest stretch without a gap has 30 samples of 0.001 s; expected at least 50"):
         aligned([group(DT * np.arange(30))], "here")
 
 
