@@ -59,7 +59,7 @@ def plugins_page() -> str:
 
 
 MODEL_KEYS = {
-    "name": "what the machine is called",
+    "name": "of the machine, input, output or state",
     "time": '`"continuous"` or `"discrete"`',
     "sample_time": "seconds, of a discrete model",
     "A": "rows: `[[0, 1], [-4, -2]]`; a column is `[[0], [1]]`", "B": "states by inputs", "C": "outputs by states", "D": "outputs by inputs; zero where left out",

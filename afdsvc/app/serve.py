@@ -120,6 +120,7 @@ def serving(site: Site, clock: Clock | None = None, turn: Callable[[History], ob
             stack.callback(serve_metrics(site.metrics.listen, hub.status))
         if site.web.listen:
             stack.callback(serve_console(site.web.listen, hub, requests, sign_in, site.recording.folder, site.alarms.severity_limit))
+            log.info("the operators' console is at http://%s", site.web.listen)
         yield hub
 
 
