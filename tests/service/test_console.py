@@ -50,9 +50,10 @@ def ask(url: str, method: str = "GET", **headers: str) -> tuple[int, bytes, str]
             return error.code, error.read(), ""
 
 
-def test_the_page_shows_and_nothing_else_is_answered(free_port, tmp_path):
+def test_the_page_shows_and_nothing_else_is_answered(free_port, tmp_path, caplog):
     base = f"http://127.0.0.1:{free_port + 1}"
-    with serve.serving(site_of(free_port, tmp_path, base.removeprefix("http://"))):
+    with caplog.at_level("INFO"), serve.serving(site_of(free_port, tmp_path, base.removeprefix("http://"))):
+        assert f"the operators' console is at {base}" in caplog.messages
         status, page, kind = ask(base + "/")
         assert (status, kind) == (200, "text/html; charset=utf-8")
         assert b"http://" not in page.replace(b"http://www.w3.org", b"")  # nothing is fetched from elsewhere
