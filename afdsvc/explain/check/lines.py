@@ -15,6 +15,7 @@ from afdsvc.lti.statespace import Array
 
 STRONG = 0.02  # size of what an input causes, over the largest at any frequency
 MOST = 800
+MOVING = 0.1  # share of the variance of what the inputs cause that has to come after what a recording begins with is forgotten
 STEP = 1e-3  # relative change of an input
 ComplexArray = np.ndarray
 
@@ -71,12 +72,17 @@ def weakest_horizon(problem: Problem) -> float:
 def lines(problem: Problem, response: Caused) -> ExcitedLines:
     """Return the amplitudes of all runs, of the mean of whole periods where the excitation repeats.
 
-    Recordings that last much longer than the plant remembers count from where it has forgotten what they begin with.
+    Recordings that last much longer than the plant remembers count from where it has forgotten what they begin with, unless they rest by then.
     """
     forgets = _forgotten(problem)
-    pieces = [_of_run(r, c, y, forgets if 2 * forgets < len(r) else 0) for r, c, y in zip(problem.runs, response.parts, response.measured, strict=True)]
+    pieces = [_of_run(r, c, y, forgets if _moves(c, forgets) else 0) for r, c, y in zip(problem.runs, response.parts, response.measured, strict=True)]
     parts, Y, angle = (np.concatenate(part) for part in zip(*pieces, strict=True))
     return ExcitedLines(parts, Y, angle)
+
+
+def _moves(parts: Array, first: float) -> bool:
+    """Whether what the inputs cause moves on after a sample in the first half of a recording."""
+    return 2 * first < len(parts) and bool(parts[int(first) :].var(0).sum() > MOVING * parts.var(0).sum())
 
 
 def _forgotten(problem: Problem) -> float:

@@ -22,6 +22,7 @@ from afdsvc.explain.simulate.simulator import Simulator
 from afdsvc.lti.statespace import Array
 
 CLEAR = 0.3  # smallest correlation with an input, or its size, at any lag, from which an output responds without a further test
+ALIKE = 0.5  # the same of a slow output, which chance reaches often, below which it is doubted
 CHANCE = 1e-3  # probability with which the largest correlation of unrelated signals may count as clear
 CAUSED = 0.5  # rms of what the model says the inputs cause, over that of the output, below which nothing is expected to show
 REPEATS = 0.02  # share of the output that repeats with the excitation, from which it responds
@@ -38,7 +39,8 @@ def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
         return
     simulated = _simulated(nominal, runs)
     caused = [_caused(runs, simulated, j) for j in range(len(model.outputs))]
-    silent = [j for j, share in enumerate(caused) if not share < CAUSED and not _correlated(runs, simulated, j)]
+    found = [_correlation(runs, simulated, j) for j in range(len(model.outputs))]
+    silent = [j for j, share in enumerate(caused) if not share < CAUSED and not found[j][1]]
     if not silent:
         return
     inputs = ", ".join(f"u_{v.name}" for v in model.inputs)
@@ -50,21 +52,21 @@ def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
                     f"y_{model.outputs[j].name} is not correlated with the inputs, and the model says that they move it {caused[j]:.3g} times as much as it moves; "
                     "expected columns recorded together on the machine of the model, in its units",
                 )
-            else:
+            elif found[j][0] < ALIKE:
                 yield _doubtful(model.outputs[j].name, inputs)
         return
     given = [ResidualSignals(r.Y[:, silent], r.U, r.U[:, :0], r.U[:, :0], r.dt, r.period) for r in runs]
     names = [model.outputs[j].name for j in silent]
-    found = gap_test(given, [], [v.name for v in model.inputs], names, [], np.random.default_rng(0))
+    tested = gap_test(given, [], [v.name for v in model.inputs], names, [], np.random.default_rng(0))
     for i, name in enumerate(names):
-        repeats = 0.0 if found.repeats is None else found.repeats[i]
-        if found.enough and found.r2[i] < found.threshold[i] and repeats < REPEATS:
+        repeats = 0.0 if tested.repeats is None else tested.repeats[i]
+        if tested.enough and tested.r2[i] < tested.threshold[i] and repeats < REPEATS:
             yield Finding(
                 "stop", "response",
-                f"y_{name} does not respond to {inputs}: of the output, {100 * max(found.r2[i], 0.0):.1f} % is predictable from the inputs, no more "
+                f"y_{name} does not respond to {inputs}: of the output, {100 * max(tested.r2[i], 0.0):.1f} % is predictable from the inputs, no more "
                 "than from time-shifted ones; expected columns recorded together on the machine of the model",
             )
-        elif not found.enough and repeats < REPEATS:
+        elif not tested.enough and repeats < REPEATS and found[silent[i]][0] < ALIKE:
             yield _doubtful(name, inputs)
 
 
@@ -96,29 +98,30 @@ def _stretches(runs: Sequence[Run]) -> float:
     return sum(map(len, moved)) / (GapSettings().block_times * correlation_time(moved)) if moved else 0.0
 
 
-def _correlated(runs: Sequence[Run], simulated: Sequence[Array], j: int) -> bool:
-    """Whether an output is clearly correlated with what the model makes of the inputs, with an input or its size, at some lag in any recording."""
+def _correlation(runs: Sequence[Run], simulated: Sequence[Array], j: int) -> tuple[float, bool]:
+    """Return the largest correlation of an output with what the model makes of the inputs, with an input or its size, at any lag in any recording,
+    and whether one is clear."""
+    found = [(0.0, False)]
     for r, made in zip(runs, simulated, strict=True):
         y, own = np.nan_to_num(r.Y[:, j] - np.nanmean(r.Y[:, j])), made[:, j] - made[:, j].mean()
         inputs = [x for u in (r.U - r.U.mean(0)).T for x in (u, np.abs(u) - np.abs(u).mean())]
-        if any(_clear(y, x) for x in (own, *inputs) if np.isfinite(x).all()):
-            return True
-    return False
+        found += [_largest(y, x) for x in (own, *inputs) if np.isfinite(x).all()]
+    return max(size for size, _ in found), any(clear for _, clear in found)
 
 
-def _clear(y: Array, u: Array) -> bool:
-    """Whether the largest correlation over all lags is `CLEAR` and more than unrelated signals of these spectra reach by chance.
+def _largest(y: Array, u: Array) -> tuple[float, bool]:
+    """Return the largest correlation over all lags, and whether it is `CLEAR` and more than unrelated signals of these spectra reach by chance.
 
     The variance of a correlation of unrelated signals is the sum over lags of the product of their autocorrelations, over their length
     (Bartlett, "On the theoretical specification and sampling properties of autocorrelated time-series", 1946).
     """
     size = np.linalg.norm(y) * np.linalg.norm(u)
     if size == 0:
-        return False
+        return 0.0, False
     largest = float(np.abs(signal.correlate(y, u, method="fft")).max() / size)
     own = [signal.correlate(x, x, method="fft") / float(x @ x) for x in (y, u)]
     variance = max(float(own[0] @ own[1]), 1.0) / len(y)
-    return bool(largest > max(CLEAR, float(stats.norm.isf(CHANCE / (2 * len(y)))) * np.sqrt(variance)))
+    return largest, bool(largest > max(CLEAR, float(stats.norm.isf(CHANCE / (2 * len(y)))) * np.sqrt(variance)))
 
 
 def refuse_still(model: Model, roles: Split) -> None:

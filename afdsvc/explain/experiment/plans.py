@@ -47,6 +47,8 @@ class Plan:
 def plans(runs: Sequence[Run]) -> list[Plan]:
     """Return multisines on all inputs; the first one has the band and level of the recordings."""
     dt, strong = runs[0].dt, np.max([_drive(r).std(0) for r in runs], axis=0)
+    if not any(np.ptp(_drive(r), axis=0).any() for r in runs):  # constant inputs have no level to begin from
+        return []
     peaks = CREST * np.maximum(strong, 0.1 * float(strong.max()) + 1e-300)
     top = min(bandwidth(runs) / (2 * np.pi), TOP / (2 * dt))
     bands = dict.fromkeys((top / LINES, min(w * top, TOP / (2 * dt))) for w in WIDER)

@@ -18,8 +18,8 @@ from afdsvc.explain.locate.places import located
 from afdsvc.explain.noise.weighting import weighting
 from afdsvc.explain.report.courses import courses, fits, spectra, white
 from afdsvc.explain.report.explanation import Explanation
-from afdsvc.explain.report.naming import estimates, names, nearest, rejections, value_text
-from afdsvc.explain.search.fit import Fit
+from afdsvc.explain.report.naming import estimates, names, nearest, offsets, rejections, value_text
+from afdsvc.explain.search.fit import Fit, rms
 from afdsvc.explain.search.forward import Found
 from afdsvc.explain.search.problem import NUISANCE, Problem
 from afdsvc.explain.settings import Mapper
@@ -46,6 +46,7 @@ def report(
     outputs = [v.name for v in model.outputs]
     claimed = [c.candidate.hypothesis for c in verdict.claims]
     unexplained = verdict.verdict == "unexplained"
+    near = unexplained or (verdict.verdict == "insufficient_excitation" and bool(found.steps) and found.steps[0].accepted)
     where, named, law, next_experiment, rejected = mapper(lambda part: part(), (
         lambda: located(found.problem, found.start[list(found.start)[-1]], list(found.start)[-1], verdict.gap, np.random.default_rng(SEED)),
         lambda: names(found, verdict, final, {p.name: p.summary for p in library}),
@@ -65,10 +66,10 @@ def report(
         explained=verdict.explained if claimed else (0.0, 0.0),
         gap=verdict.gap,
         remainder=verdict.remainder if claimed else None,
-        candidates=nearest(found) if unexplained else (),
+        candidates=nearest(found) if near else (),
         law=law,
         check=tuple(f.sentence for f in findings),
-        sentences=(*verdict.sentences, *_loads(found.problem, final, list(found.end)[-1])),
+        sentences=(*verdict.sentences, *_loads(found.problem, final, list(found.end)[-1]), *_offsets(found.problem, final, list(found.end)[-1])),
         next_experiment=next_experiment,
         noise_floor=floor,
         courses=(*courses(play, roles.train, "train", before, final.point), *held),
@@ -99,6 +100,13 @@ def _loads(problem: Problem, final: Fit, horizon: float) -> Iterator[str]:
             if load.sd is not None and abs(load.value) > CLEAR * load.sd:
                 site = effect.hypothesis.site.removeprefix("state:")
                 yield f"a constant {value_text('load', load)} on {site} is fitted to these recordings; the improved model does not have it"
+
+
+def _offsets(problem: Problem, final: Fit, horizon: float) -> Iterator[str]:
+    """Yield a sentence on every reading whose fitted zero matters beside what the model misses of it."""
+    for v, fitted, missed in zip(problem.nominal.model.outputs, offsets(problem, final, horizon), problem.scale * rms(final.residuals), strict=False):
+        if fitted.sd is not None and abs(fitted.value) > max(CLEAR * fitted.sd, missed):
+            yield f"a constant {value_text('offset', fitted)} of the reading {v.name} is fitted to these recordings; the improved model does not have it"
 
 
 def _next(found: Found, verdict: Verdict) -> Mapping[str, Any] | None:

@@ -107,14 +107,14 @@ def _complete(found: Found, remainder: Gap | None, explained: tuple[float, float
     """Return how much of what can be explained the named effects close: what no name closes may be another law in their place.
 
     Where the noise is known, all above it can be explained (the upper end of the 95 % interval counts); else what a flexible model
-    predicts of the remainder.
+    predicts of the remainder, where it is tested or the recordings are too short for a test.
     """
     share, sd = explained
     if found.problem.weighting.measured:
         return min(1.0, share + 2 * sd)
-    if remainder is None or not remainder.present:
+    if remainder is None or (remainder.enough and not remainder.present):
         return 1.0
-    return share / max(share + remainder.total * (1 - share), 1e-300)
+    return share / max(share + max(remainder.total, 0.0) * (1 - share), 1e-300)
 
 
 def _explained(found: Found) -> tuple[float, float]:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
-from afdsvc.plugins.physics.attach import at_input, at_output
+from afdsvc.plugins.physics.attach import at_input, at_output, quantity
 
 
 def _play(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -21,14 +21,14 @@ def _play(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 class Backlash:
-    """Play at every input and in the drive of every sensor."""
+    """Play at every input and in the drive of every sensor, those of speeds apart: play lets a position lag, and a speed for a moment only."""
 
     name = "backlash"
     summary = "a gap that is crossed without effect at every reversal"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per input and per output."""
-        for port, attach in [*((i, at_input) for i in machine.inputs), *((o, at_output) for o in machine.outputs)]:
+        for port, attach in [*((i, at_input) for i in machine.inputs), *((o, at_output) for o in machine.outputs if quantity(o.unit) != "velocity")]:
             r = port.rms
             yield attach(
                 port, _play, physics=self.name, family="memory", memory=2,

@@ -288,3 +288,12 @@ def test_a_unit_that_is_none_is_said_to_be_the_models():
     model, traces = sound()
     misspelt = replace(model, outputs=(replace(model.outputs[0], unit="rmp"), *model.outputs[1:]))
     assert f"the model's y_{model.outputs[0].name}: unit 'rmp' is not known; expected one such as 'rpm'" in reported(check(misspelt, traces), "units")
+
+
+def test_a_step_whose_response_is_over_early_is_no_wrong_unit():
+    """A motor with two and a half times the time constant of the model: later than the model remembers, next to nothing moves."""
+    t = 0.002 * np.arange(450)
+    speed = np.round(25 * (1 - np.exp(-t / 0.16)) / 0.26) * 0.26
+    motor = Model.from_system(([2.09], [0.065, 1]), {"voltage": "V"}, {"speed": "rad/s"})
+    found = check(motor, [Trace("step", 0.002, (Channel("u_voltage", "V"), Channel("y_speed", "rad/s")), np.column_stack([np.full(450, 12.0), speed]))])
+    assert reported(found, "units") == ""

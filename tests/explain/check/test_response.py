@@ -45,6 +45,17 @@ def test_an_output_that_moves_too_slowly_for_a_test_is_doubted(spring, recorded)
     assert "y_position is not clearly correlated with u_force" in found.sentence
 
 
+def test_a_step_response_is_not_doubted_for_being_slow(spring, recorded):
+    """Two steps in a recording are two independent samples of the input: nothing can be tested, but the response is plain."""
+    t = recorded(1)
+    n, dt = len(t), t.dt
+    u = np.where(np.arange(n) < n // 2, 1.0, 2.0)
+    slow = replace(spring, plant=replace(spring.plant, A=np.array([[0.0, 1.0], [-1.0, -1.5]]) * np.array([[1.0], [1 / (n * dt / 20) ** 2]])))
+    y = lsim((slow.plant.A, slow.plant.B, slow.plant.C, slow.plant.D), u, dt * np.arange(n), interp=False)[1]
+    runs = prepare(slow, [replace(t, values=np.column_stack([u, 1.3 * y]))])
+    assert list(responding(nominal(slow, dt), runs)) == []
+
+
 def test_an_output_that_responds_raises_no_objection(spring, recorded):
     runs = prepare(spring, [recorded(k, noise=0.5) for k in (1, 2)])
     assert list(responding(nominal(spring, runs[0].dt), runs)) == []

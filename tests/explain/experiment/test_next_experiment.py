@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from afdsvc.api.signals import Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.experiment.next_experiment import experiment_after, first_experiment
+from afdsvc.explain.experiment.plans import plans
 from afdsvc.explain.experiment.separation import unlike
 from afdsvc.explain.search.base import settled
 from afdsvc.explain.search.build import build
@@ -68,3 +69,9 @@ def test_a_machine_without_inputs_has_no_first_experiment(spring, recorded):
     free = replace(spring, inputs=(), plant=replace(spring.plant, B=np.zeros((2, 0)), D=np.zeros((1, 0))))
     runs = prepare(free, [recorded(1, decay=True)])
     assert first_experiment(nominal(free, runs[0].dt), runs) is None
+
+
+def test_constant_inputs_have_no_level_to_begin_from(spring, recorded):
+    runs = prepare(spring, [replace(recorded(1), values=recorded(1).values * [0.0, 1.0] + [3.0, 0.0])])
+    assert plans(runs) == []
+    assert plans(prepare(spring, [recorded(1)])) != []

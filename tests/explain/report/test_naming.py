@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Signal
 from afdsvc.dataset.experiment import prepare
-from afdsvc.explain.report.naming import estimates
+from afdsvc.explain.report.naming import _why, estimates, offsets
+from afdsvc.explain.report.report import _offsets
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.fit import fit
 from afdsvc.explain.settings import Settings
@@ -59,3 +61,25 @@ def test_what_the_recordings_say_nothing_about_has_no_deviation(spring, recorded
     (reported,) = estimates(problem, fit(problem, problem.start().added(PlacedEffect(blind, np.zeros(2))), 0.0, 1.0), 0.0)
     assert reported["nothing"].sd is None
     assert reported["stiffness"].sd is not None
+
+
+@pytest.mark.parametrize(("shift", "said"), [(0.0, 0), (0.3, 1)])
+def test_the_zero_of_a_reading_that_was_fitted_is_said(spring, recorded, shift, said):
+    """Its deviation is that of a mean, beside numbers of the model that a shift does not touch."""
+    moved = [replace(t, values=t.values + np.array([0.0, shift])) for t in (recorded(k, noise=NOISE) for k in (1, 2))]
+    runs = prepare(spring, moved)
+    problem = build(nominal(spring, runs[0].dt), runs, Settings())
+    found = fit(problem, problem.start(), 0.0, 1.0)
+    (zero,) = offsets(problem, found, 0.0)
+    assert zero.value == pytest.approx(shift, abs=5 * zero.sd)
+    assert zero.sd == pytest.approx(NOISE / np.sqrt(sum(map(len, runs))), rel=0.2)
+    sentences = list(_offsets(problem, found, 0.0))
+    assert len(sentences) == said
+    assert all(s.startswith("a constant offset 0.") and "mm of the reading position" in s for s in sentences)
+
+
+def test_why_the_first_of_a_round_is_not_claimed_is_not_compared_with_itself():
+    first, second = (SimpleNamespace(hypothesis=SimpleNamespace(title=n), evidence=SimpleNamespace(explained=x)) for n, x in (("friction", 0.82), ("play", 0.79)))
+    step = SimpleNamespace(candidates=[first, second], accepted=True, reason="")
+    assert _why(first, step).startswith("closes 82 % of the gap on left-out blocks, but is not claimed")
+    assert _why(second, step) == "closes 79 % of the gap on left-out blocks; friction closes 82 %"

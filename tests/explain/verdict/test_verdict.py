@@ -18,13 +18,16 @@ def candidate(physics: str) -> Candidate:
 
 
 @pytest.mark.parametrize(
-    ("explained", "predictable", "present", "measured", "complete"),
-    [(0.3, 0.9, True, False, 0.3 / 0.93), (0.3, 0.9, False, False, 1.0), (0.7, 0.9, False, True, 0.8), (0.95, 0.9, False, True, 1.0)],
-)
-def test_no_name_is_surer_than_the_share_of_the_explainable_that_is_closed(explained, predictable, present, measured, complete):
-    """Of the residual 30 % are explained; of the other 70 % a flexible model predicts 90 %: 63 %."""
+    ("explained", "predictable", "present", "enough", "measured", "complete"),
+    [
+        (0.3, 0.9, True, True, False, 0.3 / 0.93), (0.3, 0.9, False, True, False, 1.0), (0.3, 0.9, False, False, False, 0.3 / 0.93),
+        (0.3, -0.1, False, False, False, 1.0), (0.7, 0.9, False, True, True, 0.8), (0.95, 0.9, False, True, True, 1.0),
+    ],
+)  # fmt: skip
+def test_no_name_is_surer_than_the_share_of_the_explainable_that_is_closed(explained, predictable, present, enough, measured, complete):
+    """Of the residual 30 % are explained; of the other 70 % a flexible model predicts 90 %: 63 %. Too short a recording shows no absence."""
     found = SimpleNamespace(problem=SimpleNamespace(weighting=SimpleNamespace(measured=measured)))
-    assert _complete(found, SimpleNamespace(present=present, total=predictable), (explained, 0.05)) == pytest.approx(complete)
+    assert _complete(found, SimpleNamespace(present=present, enough=enough, total=predictable), (explained, 0.05)) == pytest.approx(complete)
 
 
 def test_all_is_explained_where_nothing_remains_to_be_tested():
@@ -43,7 +46,7 @@ def _found(effects: list[Candidate], evidence: HypothesisEvidence) -> SimpleName
 def test_further_effects_are_certain_only_where_nothing_predictable_remains(present, certain):
     effects = [candidate(name) for name in ("friction", "slew")]
     found = _found(effects, effects[0].evidence)
-    left = SimpleNamespace(present=present, total=0.1, p_value=0.01, depends_on=())
+    left = SimpleNamespace(present=present, enough=True, total=0.1, p_value=0.01, depends_on=())
     answer = verdict(found, SimpleNamespace(present=True, total=0.9, sentence=""), left)
     assert [c.weight for c in answer.claims] == pytest.approx(certain)
 
@@ -61,7 +64,7 @@ def test_the_numbers_that_the_fit_moved_are_listed(moved, said):
 
 def test_what_closes_next_to_nothing_of_what_can_be_explained_is_not_named():
     found = _found([candidate("friction")], HypothesisEvidence({0.0: 12.0}, 0.02, np.ones(20), np.full(20, 0.98), 400.0, 0.0))
-    answer = verdict(found, SimpleNamespace(present=True, total=0.9, sentence="a gap"), SimpleNamespace(present=True, total=0.9, p_value=0.01, depends_on=()))
+    answer = verdict(found, SimpleNamespace(present=True, total=0.9, sentence="a gap"), SimpleNamespace(present=True, enough=True, total=0.9, p_value=0.01, depends_on=()))
     assert (answer.verdict, answer.claims) == ("unexplained", ())
     assert any("friction (input u) closes too little" in s for s in answer.sentences)
 

@@ -80,6 +80,12 @@ def test_what_repeats_with_every_turn_needs_a_turn_or_a_speed_that_the_samples_r
     assert "encoder_error@output:w" not in offered(fast)
 
 
+def test_a_speed_is_not_read_with_play():
+    motor, arm = offered(machines()[MOTOR]), offered(machines()[ARM])
+    assert [k for k in motor if k.startswith("backlash")] == ["backlash@input:voltage"]
+    assert "backlash@output:q" in arm
+
+
 def test_laws_of_two_directions_need_both():
     motor = machines()[MOTOR]
     speed = replace(motor.outputs[0], reverses=False)
