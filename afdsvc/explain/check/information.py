@@ -18,7 +18,7 @@ from afdsvc.explain.check.lines import Caused, weakest_horizon
 from afdsvc.explain.search.fit import Coordinates, jacobian
 from afdsvc.explain.search.machine import bandwidth
 from afdsvc.explain.search.problem import Problem
-from afdsvc.explain.simulate.nominal import Entry, Nominal
+from afdsvc.explain.simulate.nominal import Entry, Nominal, entry_name
 from afdsvc.lti.statespace import Array
 
 DETERMINED = 0.5  # posterior over prior standard deviation below which the data determine a number
@@ -91,16 +91,6 @@ def posterior_sd(problem: Problem, sd: Array) -> Array:
 def _names(nominal: Nominal, entries: Sequence[Entry]) -> str:
     listed = ", ".join(entry_name(nominal, e) for e in entries[:6])
     return listed + (f" and {len(entries) - 6} more" if len(entries) > 6 else "")
-
-
-def entry_name(nominal: Nominal, entry: Entry) -> str:
-    """Return an entry in the model's names, such as ``A[velocity, position]``."""
-    model = nominal.model
-    rows = model.states if entry.matrix in "AB" else model.outputs
-    columns = model.states if entry.matrix in "AC" else model.inputs
-    row = rows[entry.row].name if entry.row < len(rows) else str(entry.row)
-    column = columns[entry.column].name if entry.column < len(columns) else str(entry.column)
-    return f"{entry.matrix}[{row}, {column}]"
 
 
 SHORT = 0.12  # phase [rad] by which one sample of delay differs from one of lag, third order; see `_timing`

@@ -14,7 +14,7 @@ from afdsvc.dataset.sample_checks import Finding
 from afdsvc.errors import BadInput
 from afdsvc.explain.check.check import check
 from afdsvc.explain.check.comparison import Compared, compared
-from afdsvc.explain.check.information import entry_name, noise_sd, posterior_sd
+from afdsvc.explain.check.information import noise_sd, posterior_sd
 from afdsvc.explain.check.offers import Offers, offers
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.problem import Problem
@@ -81,4 +81,4 @@ def _problem(model: Model, runs: Sequence[Run]) -> Problem:
 def _parameters(problem: Problem) -> dict[str, float]:
     nominal = problem.nominal
     shares = posterior_sd(problem, noise_sd(nominal, problem.runs))
-    return {e.name or entry_name(nominal, e): float(s) for e, s in zip(nominal.entries, shares, strict=True)}
+    return {e.name: float(s) for e, s in zip(nominal.entries, shares, strict=True)}

@@ -204,6 +204,18 @@ def _move(parts: dict[str, Array], entry: Entry, value: float) -> None:
         parts[entry.matrix][entry.row, entry.column] += value * entry.sd
 
 
+def entry_name(nominal: Nominal, entry: Entry) -> str:
+    """Return a free number in the model's names: an entry of a matrix such as ``A[velocity, position]``, a parameter or a gain as it is called."""
+    if entry.matrix not in ("A", "B", "C", "D"):
+        return entry.name
+    model = nominal.model
+    rows = model.states if entry.matrix in "AB" else model.outputs
+    columns = model.states if entry.matrix in "AC" else model.inputs
+    row = rows[entry.row].name if entry.row < len(rows) else str(entry.row)
+    column = columns[entry.column].name if entry.column < len(columns) else str(entry.column)
+    return f"{entry.matrix}[{row}, {column}]"
+
+
 def _start(plant: StateSpace, entry: Entry) -> float:
     return 1.0 if entry.matrix in (INPUT_GAIN, OUTPUT_GAIN) else float(getattr(plant, entry.matrix)[entry.row, entry.column])
 

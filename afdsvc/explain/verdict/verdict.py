@@ -11,6 +11,7 @@ from afdsvc.api.evidence import p_value_text
 from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.search.forward import Found, Round
 from afdsvc.explain.search.ranking import Candidate, is_constant, look_alikes, vote_shares
+from afdsvc.explain.simulate.nominal import entry_name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +100,7 @@ def _moved(found: Found, limit: float) -> str:
     nominal, theta = found.problem.nominal, list(found.end.values())[-1].point.theta
     far = sorted(((e, t) for e, t in zip(nominal.entries, theta, strict=True) if abs(t) > limit), key=lambda pair: -abs(pair[1]))
     stated, fitted = nominal.values(0 * theta), nominal.values(theta)
-    said = [f"{e.name} from {stated[e.name]:.4g} to {fitted[e.name]:.4g} ({t:+.1f} standard deviations)" for e, t in far[:4]]
+    said = [f"{entry_name(nominal, e)} from {stated[e.name]:.4g} to {fitted[e.name]:.4g} ({t:+.1f} standard deviations)" for e, t in far[:4]]
     return ", ".join(said) + (f" and {len(far) - 4} more" if len(far) > 4 else "")
 
 

@@ -5,9 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from afdsvc.api.model import Variable
 from afdsvc.explain.search.evidence import HypothesisEvidence
 from afdsvc.explain.search.ranking import Candidate
 from afdsvc.explain.settings import Settings
+from afdsvc.explain.simulate.nominal import Entry
 from afdsvc.explain.verdict.verdict import _claims, _complete, verdict
 
 
@@ -51,11 +53,12 @@ def test_further_effects_are_certain_only_where_nothing_predictable_remains(pres
     assert [c.weight for c in answer.claims] == pytest.approx(certain)
 
 
-@pytest.mark.parametrize(("moved", "said"), [(0.4, ()), (-3.3, ("within what it states of their uncertainty: A[1,1] from -3.333 to -2.233 (-3.3 standard deviations)",)), (-6.0, ("no name is certain",))])
+@pytest.mark.parametrize(("moved", "said"), [(0.4, ()), (-3.3, ("within what it states of their uncertainty: A[speed, speed] from -3.333 to -2.233 (-3.3 standard deviations)",)), (-6.0, ("no name is certain",))])
 def test_the_numbers_that_the_fit_moved_are_listed(moved, said):
     found = _found([candidate("friction")], candidate("friction").evidence)
-    entry = SimpleNamespace(name="A[1,1]", sd=-1 / 3)
-    found.problem.nominal = SimpleNamespace(entries=(entry,), values=lambda theta: {"A[1,1]": -10 / 3 + entry.sd * theta[0]})
+    entry = Entry("A", 0, 0, -1 / 3, "A[1,1]")
+    model = SimpleNamespace(states=(Variable("speed"),))
+    found.problem.nominal = SimpleNamespace(entries=(entry,), model=model, values=lambda theta: {"A[1,1]": -10 / 3 + entry.sd * theta[0]})
     found.end[0.0].point.theta = np.array([moved])
     sentences = [s for s in verdict(found, SimpleNamespace(present=True, total=0.9, sentence=""), None).sentences if "moves numbers" in s]
     assert len(sentences) == len(said)
