@@ -45,8 +45,8 @@ def gains(nominal: Nominal, lines: ExcitedLines, runs: Sequence[Run]) -> Iterato
         return
     terms = lines.parts
     paths = [p for j in range(terms.shape[1]) for p in _paths(terms[:, j], lines.Y[:, j], j)]
-    told = {p.output for p in paths} | set(np.flatnonzero(still(np.concatenate([r.Y for r in runs]))).tolist())
-    wrong = [*_factors(nominal, paths), *_others(nominal, lines, told)]
+    reported = {p.output for p in paths} | set(np.flatnonzero(still(np.concatenate([r.Y for r in runs]))).tolist())
+    wrong = [*_factors(nominal, paths), *_others(nominal, lines, reported)]
     yield from wrong
     if paths and not wrong:
         yield Finding("ok", "units", "the measured gains agree with the model's within a factor of three, signs included")
@@ -100,11 +100,11 @@ def _factors(nominal: Nominal, paths: list[_Path]) -> Iterator[Finding]:
             yield _finding(f"y_{v.name}", own[0].factor, own[0].explained, also)
 
 
-def _others(nominal: Nominal, lines: ExcitedLines, told: Collection[int]) -> Iterator[Finding]:
+def _others(nominal: Nominal, lines: ExcitedLines, reported: Collection[int]) -> Iterator[Finding]:
     """Yield a finding per output that hardly moves where the model says it does, and in another way."""
     measured, simulated = (np.sqrt((np.abs(x) ** 2).sum(0)) for x in (lines.Y, lines.parts.sum(2)))
     for j, v in enumerate(nominal.model.outputs):
-        if j not in told and measured[j] < TINY * simulated[j]:
+        if j not in reported and measured[j] < TINY * simulated[j]:
             said = f"y_{v.name} moves {measured[j] / simulated[j]:.2g} times as much as the model says and does not follow it"
             yield Finding("stop", "units", f"{said}; expected the column and the unit of '{v.name}': are columns exchanged? explain --trust-units goes on where they are right")
 

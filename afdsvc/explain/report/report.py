@@ -104,8 +104,9 @@ def _loads(problem: Problem, final: Fit, horizon: float) -> Iterator[str]:
 
 def _offsets(problem: Problem, final: Fit, horizon: float) -> Iterator[str]:
     """Yield a sentence on every reading whose fitted zero matters beside what the model misses of it."""
-    for v, fitted, missed in zip(problem.nominal.model.outputs, offsets(problem, final, horizon), problem.scale * rms(final.residuals), strict=False):
-        if fitted.sd is not None and abs(fitted.value) > max(CLEAR * fitted.sd, missed):
+    matters = np.abs(final.point.offset) > problem.scale * rms(final.residuals)
+    for v, fitted, large in zip(problem.nominal.model.outputs, offsets(problem, final, horizon) if matters.any() else (), matters, strict=False):
+        if large and fitted.sd is not None and abs(fitted.value) > CLEAR * fitted.sd:
             yield f"a constant {value_text('offset', fitted)} of the reading {v.name} is fitted to these recordings; the improved model does not have it"
 
 
