@@ -161,13 +161,14 @@ def _on_grid(t: Array, values: Array, step: float, regular: bool) -> tuple[Piece
 
 
 def _interpolated(group: Group, found: list[Piece], phase: float, step: float, remarks: list[str]) -> list[Piece]:
-    """Return pieces slower than ``step`` [s] interpolated linearly onto its grid, which has a sample at ``phase`` [s]; others as they are."""
+    """Return pieces slower than ``step`` [s] interpolated linearly onto its grid, which has a sample at ``phase`` [s], and held for one of
+    their own sample times at both ends; others as they are."""
     if found[0].dt <= step * (1 + SAME_STEP):
         return found
-    remarks.append(f"{group.name} was sampled every {found[0].dt:.6g} s and interpolated linearly to {step:.6g} s")
+    remarks.append(f"{group.name} was sampled every {found[0].dt:.6g} s and interpolated linearly to {step:.6g} s, the first and last value held for as long at most")
     finer = []
     for p in found:
-        first, last = (int(turn((t - phase) / step + slack)) for turn, t, slack in ((np.ceil, p.start, -1e-6), (np.floor, p.end, 1e-6)))
+        first, last = (int(turn((t - phase) / step + slack)) for turn, t, slack in ((np.ceil, p.start - p.dt, -1e-6), (np.floor, p.end + p.dt, 1e-6)))
         grid, known = phase + step * np.arange(first, last + 1), p.start + p.dt * np.arange(len(p.values))
         finer.append(Piece(float(grid[0]), step, np.column_stack([np.interp(grid, known, column) for column in p.values.T])))
     return finer

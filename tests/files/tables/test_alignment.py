@@ -145,10 +145,9 @@ def test_a_slow_column_that_no_model_reads_leaves_the_rate_of_the_others():
     (piece,) = pieces
     times = piece.start + DT * np.arange(len(piece.values))
     assert piece.dt == DT
-    assert len(piece.values) == 3986
-    np.testing.assert_allclose(piece.values[:, 0], 20 + 3 * times, rtol=1e-12)
-    np.testing.assert_array_equal(piece.values[:, 1], fast.columns["u_x"][14:])
-    assert reported == ["thermometer was sampled every 0.5 s and interpolated linearly to 0.001 s"]
+    np.testing.assert_allclose(piece.values[:, 0], 20 + 3 * np.clip(times, t[0], t[-1]), rtol=1e-12)
+    np.testing.assert_array_equal(piece.values[:, 1], fast.columns["u_x"])
+    assert reported == ["thermometer was sampled every 0.5 s and interpolated linearly to 0.001 s, the first and last value held for as long at most"]
 
 
 def test_where_the_slowest_signal_leaves_too_little_it_is_named():
