@@ -297,3 +297,15 @@ def test_a_step_whose_response_is_over_early_is_no_wrong_unit():
     motor = Model.from_system(([2.09], [0.065, 1]), {"voltage": "V"}, {"speed": "rad/s"})
     found = check(motor, [Trace("step", 0.002, (Channel("u_voltage", "V"), Channel("y_speed", "rad/s")), np.column_stack([np.full(450, 12.0), speed]))])
     assert reported(found, "units") == ""
+
+
+def test_recordings_that_fix_no_number_of_the_model_are_limited():
+    """A motor sampled far below its time constant: its answer moves with the input, and its numbers do not show."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.standard_normal(50), 10)
+    motor = Model.from_system(([2.0], [0.3, 1]), {"voltage": "V"}, {"speed": "rad/s"})
+    motor = replace(motor, entry_sd={"A": np.array([[0.01]]), "B": np.array([[0.02]]), "C": np.zeros((1, 1)), "D": np.zeros((1, 1))})
+    trace = Trace("slow", 5.0, (Channel("u_voltage", "V"), Channel("y_speed", "rad/s")), np.column_stack([u, 2 * u + rng.standard_normal(500)]))
+    sentence = reported(check(motor, [trace]), "information")
+    assert "fix 0 of 2 uncertain numbers" in sentence
+    assert "an excitation that is larger, longer or broader would fix more" in sentence

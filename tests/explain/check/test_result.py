@@ -63,6 +63,12 @@ def test_gain_and_delay_are_measured(model):
     assert output.delay == pytest.approx(4 * DT)
 
 
+@pytest.mark.parametrize(("change", "delay"), [({"shift": 120}, 120 * DT), ({"unrelated": True}, 0.0)])
+def test_long_delays_are_measured_and_those_of_unrelated_signals_are_not(model, change, delay):
+    (output,) = check_all(model, [_recorded(model, **change)], LIBRARY).outputs
+    assert output.delay == pytest.approx(delay, abs=DT)
+
+
 @pytest.mark.parametrize(
     ("change", "topic", "words"),
     [
