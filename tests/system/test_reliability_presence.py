@@ -59,7 +59,9 @@ def eventually(condition: Callable[[], bool], seconds: float = 30.0) -> None:
 
 def judged_burst(hub: Hub) -> None:
     """Play a burst and wait for its decisions: they come soon, they are trusted, and detect nothing."""
-    name = hub.burst_requests["bearing"].ask(BurstOrder("test"))
+    requests = hub.burst_requests["bearing"]
+    eventually(lambda: not requests.scheduler.playing, 15)  # of the burst before, decisions may come sooner than its end
+    name = requests.ask(BurstOrder("test"))
     found = lambda: [e for e in list(hub.watches["bearing"].evidence) if e.burst == name]  # noqa: E731
     eventually(lambda: bool(found()), 15)
     assert not any(e.detected for e in found())
