@@ -65,6 +65,19 @@ def test_the_numbers_that_the_fit_moved_are_listed(moved, said):
     assert all(words in s for words, s in zip(said, sentences, strict=True))
 
 
+@pytest.mark.parametrize("present", [False, True])
+def test_the_numbers_that_the_fit_moved_are_listed_where_nothing_is_named(present):
+    found = _found([candidate("friction")], candidate("friction").evidence)
+    found.steps[0].accepted = False
+    found.problem.nominal = SimpleNamespace(
+        entries=(Entry("A", 0, 0, 0.5, "A[1,1]"),), model=SimpleNamespace(states=(Variable("speed"),)), values=lambda theta: {"A[1,1]": -3 + 0.5 * theta[0]}
+    )
+    found.end[0.0].point.theta = np.array([2.0])
+    answer = verdict(found, SimpleNamespace(present=present, total=0.9 * present, sentence="a gap"), None)
+    assert answer.verdict == ("unexplained" if present else "consistent")
+    assert answer.sentences[-1].endswith("A[speed, speed] from -3 to -2 (+2.0 standard deviations)")
+
+
 def test_what_closes_next_to_nothing_of_what_can_be_explained_is_not_named():
     found = _found([candidate("friction")], HypothesisEvidence({0.0: 12.0}, 0.02, np.ones(20), np.full(20, 0.98), 400.0, 0.0))
     answer = verdict(found, SimpleNamespace(present=True, total=0.9, sentence="a gap"), SimpleNamespace(present=True, enough=True, total=0.9, p_value=0.01, depends_on=()))

@@ -13,10 +13,11 @@ import scipy.io
 from hypothesis import given
 from hypothesis import strategies as st
 
+from afdsvc.api.model import Model
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import parse_model
 from afdsvc.files.open import Naming, open_file
-from afdsvc.files.tables.foreign import prepared
+from afdsvc.files.tables.foreign import prepared, read_foreign_columns
 from afdsvc.files.tables.mapping import DataMapping, converted, product, read_mapping, same_unit
 
 MODEL = """
@@ -260,3 +261,11 @@ def test_a_product_has_the_unit_of_the_product():
 def test_what_is_wrong_or_ambiguous_is_refused(source, target, said):
     with pytest.raises(BadInput, match=said):
         converted(np.ones(2), source, target, "here")
+
+
+def test_a_unit_of_the_model_that_is_none_is_not_blamed_on_the_table(tmp_path):
+    (tmp_path / "log.csv").write_text("t,volt,rev\n" + "".join(f"{k / 100},1,{k}\n" for k in range(100)), encoding="utf-8")
+    (tmp_path / "map.toml").write_text('[signals]\nu_voltage = {from = "volt", unit = "V"}\ny_speed = {from = "rev", unit = "rpm"}\n', encoding="utf-8")
+    model = Model.from_system(([2.0], [0.3, 1]), {"voltage": "V"}, {"speed": "rmp"})
+    with pytest.raises(BadInput, match=r"the model's y_speed: unit 'rmp' is not known; expected one such as 'rpm'"):
+        read_foreign_columns(tmp_path / "log.csv", read_mapping(tmp_path / "map.toml"), model)
