@@ -137,9 +137,11 @@ def _why(c: Candidate, step: Round) -> str:
 
 
 def nearest(found: Found, most: int = 3) -> tuple[Nearest, ...]:
-    """Return the hypotheses that come nearest where none is claimed, by the share of the gap they close."""
-    step = found.steps[0] if found.steps else None
-    best = [] if step is None else sorted((c for c in step.candidates if c.evidence.explained > 0), key=lambda c: -c.evidence.explained)[:most]
+    """Return the hypotheses that come nearest where none is claimed, by the share of the gap they close, one shape of each."""
+    candidates = found.steps[0].candidates if found.steps else ()
+    ordered = sorted((c for c in candidates if c.evidence.explained > 0), key=lambda c: c.evidence.explained)
+    best = list({(c.hypothesis.physics, c.hypothesis.site): c for c in ordered}.values())
+    best = sorted(best, key=lambda c: -c.evidence.explained)[:most]
     return tuple(
         Nearest(c.hypothesis.physics, c.hypothesis.site, c.evidence.explained, f"{site_words(c.hypothesis.site)}: {c.hypothesis.physics.replace('_', ' ')} would close {100 * c.evidence.explained:.0f} % of the gap")
         for c in best

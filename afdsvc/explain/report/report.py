@@ -17,7 +17,7 @@ from afdsvc.explain.locate.picture import picture
 from afdsvc.explain.locate.places import located
 from afdsvc.explain.noise.weighting import weighting
 from afdsvc.explain.report.courses import courses, fits, spectra, white
-from afdsvc.explain.report.explanation import Explanation
+from afdsvc.explain.report.explanation import Explanation, Nearest
 from afdsvc.explain.report.naming import estimates, names, nearest, offsets, rejections, value_text
 from afdsvc.explain.search.fit import Fit, rms
 from afdsvc.explain.search.forward import Found
@@ -46,7 +46,6 @@ def report(
     outputs = [v.name for v in model.outputs]
     claimed = [c.candidate.hypothesis for c in verdict.claims]
     unexplained = verdict.verdict == "unexplained"
-    near = unexplained or (verdict.verdict == "insufficient_excitation" and bool(found.steps) and found.steps[0].accepted)
     where, named, law, next_experiment, rejected = mapper(lambda part: part(), (
         lambda: located(found.problem, found.start[list(found.start)[-1]], list(found.start)[-1], verdict.gap, np.random.default_rng(SEED)),
         lambda: names(found, verdict, final, {p.name: p.summary for p in library}),
@@ -66,7 +65,7 @@ def report(
         explained=verdict.explained if claimed else (0.0, 0.0),
         gap=verdict.gap,
         remainder=verdict.remainder if claimed else None,
-        candidates=nearest(found) if near else (),
+        candidates=_nearest(found, verdict),
         law=law,
         check=tuple(f.sentence for f in findings),
         sentences=(*verdict.sentences, *_loads(found.problem, final, list(found.end)[-1]), *_offsets(found.problem, final, list(found.end)[-1])),
@@ -78,6 +77,12 @@ def report(
         point=final.point,
         notes=_notes(found, final),
     )
+
+
+def _nearest(found: Found, verdict: Verdict) -> tuple[Nearest, ...]:
+    """Return the laws that come nearest where none is named although there is a gap, or the search found one and the recordings are too short for it."""
+    short = verdict.verdict == "insufficient_excitation" and bool(found.steps) and found.steps[0].accepted
+    return nearest(found) if verdict.verdict == "unexplained" or short else ()
 
 
 def _excited(verdict: Verdict, findings: Sequence[Finding]) -> Verdict:
