@@ -20,7 +20,7 @@ from afdsvc.explain.pipeline import explain
 from afdsvc.explain.report.explanation import Explanation
 from afdsvc.files.model.improved import write_improved
 from afdsvc.files.model.stepped import LINEARISED, REST
-from afdsvc.files.open import Naming, OpenFile, OwnRecording, TableFile, open_file, open_model
+from afdsvc.files.open import Naming, OpenFile, OwnRecording, open_file, open_model
 from afdsvc.files.tables.foreign import prepared
 from afdsvc.files.tables.tables import PREPARED
 from afdsvc.files.unfinished import writing
@@ -104,10 +104,8 @@ def _pieces(file: OpenFile, model: Model, machine: str | None) -> list[Trace]:
 
     Missing samples of a table become gaps.
     """
-    if isinstance(file, TableFile):
-        return file.traces(model, gaps=True)
     if not isinstance(file, OwnRecording):
-        return file.traces(model)
+        return file.traces(model, gaps=True)
     found, bursts = file.traces_and_bursts(model, machine)
     pieces = []
     for t in found:

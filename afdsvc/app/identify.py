@@ -13,7 +13,7 @@ from afdsvc.api.signals import Trace
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model, write_model
 from afdsvc.files.model.stepped import LINEARISED
-from afdsvc.files.open import Naming, TableFile, open_file
+from afdsvc.files.open import Naming, open_file
 from afdsvc.files.tables.foreign import prepared
 from afdsvc.files.unfinished import writing
 from afdsvc.identify.options import IdentifyOptions
@@ -22,8 +22,7 @@ from afdsvc.identify.pipeline import identify
 
 def _traces(paths: Sequence[Path], naming: Naming, model: Model) -> list[Trace]:
     """Return the traces of recordings (every gapless piece) and tables, in the model's units; empty cells of a table are missing samples."""
-    files = [open_file(path, naming) for path in paths]
-    return [trace for file in files for trace in (file.traces(model, gaps=True) if isinstance(file, TableFile) else file.traces(model))]
+    return [trace for path in paths for trace in open_file(path, naming).traces(model, gaps=True)]
 
 
 def identify_files(

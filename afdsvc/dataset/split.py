@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from afdsvc.api.model import Variable
 from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.units import with_unit
 from afdsvc.lti.statespace import Array
 
 HELD_SHARE = 1 / 3  # of a single recording
@@ -42,6 +44,13 @@ def split(runs: Sequence[Run], holdout: Sequence[Run]) -> Split:
 def still(y: Array) -> Array:
     """Return which columns of ``y (T, p)`` hold one value, readings that are missing aside."""
     return np.asarray(np.nanmax(y, axis=0) == np.nanmin(y, axis=0))
+
+
+def still_readings(outputs: Sequence[Variable], y: Array) -> Iterator[tuple[str, str]]:
+    """Yield the name of every output ``y (T, p)`` that holds one value, and what to say of it."""
+    for v, value, dead in zip(outputs, np.nanmin(y, axis=0), still(y), strict=True):
+        if dead:
+            yield v.name, f"reads {with_unit(f'{value + 0.0:.6g}', v.unit)} in every sample; expected recordings in which it moves"
 
 
 def _parts(run: Run, share: float) -> tuple[Run, Run]:

@@ -7,7 +7,6 @@ from functools import lru_cache
 from typing import Any
 
 _VELOCITIES = ("[length]/[time]", "1/[time]")
-NOT_KNOWN = ", a unit that is not known"
 COMMON = ("volt", "rpm", "rad/s", "deg/s", "m/s", "mm/s", "m/s^2", "mm", "um", "rad", "deg", "N*m", "degC", "bar", "kPa", "L/min")  # one may be meant by a unit that is none
 
 
@@ -29,18 +28,26 @@ def with_unit(number: str, unit: str) -> str:
 
 
 @lru_cache(maxsize=256)
+def parsed_unit(unit: str) -> Any:
+    """Return a text as a unit of pint, None where it is none.
+
+    >>> str(parsed_unit("N m")), parsed_unit("widgets")
+    ('meter * newton', None)
+    """
+    try:
+        return unit_registry().Unit(unit.replace("^", "**"))
+    except Exception:  # pint has a class of its own for every way of misspelling a unit
+        return None
+
+
 def unit_in_words(unit: str) -> str:
     """Return what a unit is read as, or that it is not known.
 
     >>> unit_in_words("rpm"), unit_in_words("N m"), unit_in_words("revs/m")
     ('revolution / minute', 'meter * newton', 'revs/m, a unit that is not known')
     """
-    from pint.errors import PintError
-
-    try:
-        return str(unit_registry().Unit(unit.replace("^", "**"))).replace("revolutions_per_minute", "revolution / minute")
-    except (PintError, ValueError, TypeError, AttributeError):
-        return f"{unit}{NOT_KNOWN}"
+    known = parsed_unit(unit)
+    return f"{unit}, a unit that is not known" if known is None else str(known).replace("revolutions_per_minute", "revolution / minute")
 
 
 def unknown_unit(unit: str) -> str:
@@ -49,22 +56,17 @@ def unknown_unit(unit: str) -> str:
     >>> unknown_unit("rmp"), unknown_unit("rpm")
     ("unit 'rmp' is not known; expected one such as 'rpm'", '')
     """
-    if not unit or not unit_in_words(unit).endswith(NOT_KNOWN):
+    if parsed_unit(unit) is not None:
         return ""
     near = get_close_matches(unit, COMMON, 1)
     return f"unit '{unit}' is not known; expected one such as " + (f"'{near[0]}'" if near else "'mm', 'N' or 'rad/s'")
 
 
-@lru_cache(maxsize=256)
 def is_velocity(unit: str) -> bool:
     """Return whether a unit is that of a linear or angular velocity ("m/s", "rad/s", "rpm"); False for units not known.
 
     >>> is_velocity("rpm"), is_velocity("m"), is_velocity("widgets")
     (True, False, False)
     """
-    from pint.errors import PintError
-
-    try:
-        return any(unit_registry().Quantity(1, unit.replace("^", "**")).check(d) for d in _VELOCITIES) and unit not in ("Hz", "1/s")
-    except (PintError, ValueError, TypeError, AttributeError):
-        return False
+    known = parsed_unit(unit)
+    return known is not None and any(known.dimensionality == unit_registry().get_dimensionality(d) for d in _VELOCITIES) and unit not in ("Hz", "1/s")

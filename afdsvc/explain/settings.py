@@ -62,7 +62,7 @@ class Settings:
         Most effects named.
     resamples : int
         Resamplings of the blocks that weights rest on.
-    strained : float
+    implausible : float
         Distance of a number of the model from its stated value, in stated standard deviations, from which no name is certain.
     uncertain : float
         Largest weight of a name that is not certain.
@@ -97,6 +97,6 @@ class Settings:
     likely: float = 4.0
     effects: int = 3
     resamples: int = 400
-    strained: float = 5.0
+    implausible: float = 5.0
     uncertain: float = 0.8
     alike: float = 0.5

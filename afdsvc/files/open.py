@@ -65,8 +65,8 @@ class MappedTopics:
     recording: Recording
     naming: Naming
 
-    def traces(self, model: Model | None = None, machine: str | None = None) -> list[Trace]:
-        """Return the mapped topics as traces; raises `BadInput` listing the topics without a mapping."""
+    def traces(self, model: Model | None = None, machine: str | None = None, gaps: bool = False) -> list[Trace]:
+        """Return the mapped topics as traces, which hold no empty cells (``gaps``); raises `BadInput` listing the topics without a mapping."""
         return read_foreign_topics(self.recording, self.mapping(), model)
 
     def mapping(self) -> DataMapping:
@@ -86,8 +86,8 @@ class OwnRecording:
 
     recording: Recording
 
-    def traces(self, model: Model | None = None, machine: str | None = None) -> list[Trace]:
-        """Return the samples without gaps; what was done when they were imported stays with them."""
+    def traces(self, model: Model | None = None, machine: str | None = None, gaps: bool = False) -> list[Trace]:
+        """Return the samples in pieces without gaps, whatever ``gaps``; what was done when they were imported stays with them."""
         return self.traces_and_bursts(model, machine)[0]
 
     def traces_and_bursts(self, model: Model | None = None, machine: str | None = None) -> tuple[list[Trace], list[Span]]:

@@ -13,7 +13,7 @@ from afdsvc.api.signals import Trace
 from afdsvc.dataset.arrays import InputOutputData, together
 from afdsvc.dataset.periods import without_rotation
 from afdsvc.dataset.screening import screen, screening_notes, without_gaps
-from afdsvc.dataset.split import still
+from afdsvc.dataset.split import still_readings
 from afdsvc.errors import BadInput
 from afdsvc.identify.methods.hansen import settling_samples
 from afdsvc.identify.parameters.structure import model_structure
@@ -70,10 +70,8 @@ def prepare_problem(model: Model, traces: Sequence[Trace], heldout: Sequence[Tra
     traces, heldout = ([without_rotation(t) for t in several] for several in (traces, heldout))
     training, away = [_recording(model, t) for t in traces], [_recording(model, t) for t in heldout]
     together(training + away)
-    y = np.concatenate([r.y for r in training])
-    for v, value, dead in zip(model.outputs, y[0], still(y), strict=True):
-        if dead:
-            raise BadInput(f"output '{v.name}' reads {value + 0.0:.6g} {v.unit} in every sample; expected recordings in which it moves, or a model without it".replace("  ", " "))
+    for name, said in still_readings(model.outputs, np.concatenate([r.y for r in training])):
+        raise BadInput(f"output '{name}' {said}, or a model without it")
     dt = traces[0].dt
     nominal = nominal_plant(model, dt)
     fact = None if model.controller is None else factorise(nominal, _controller_at(model.controller, dt))

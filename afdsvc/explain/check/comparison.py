@@ -11,7 +11,7 @@ from afdsvc.explain.search.problem import Problem
 from afdsvc.lti.statespace import Array
 
 SHARE = 0.1  # of the shortest recording, by which measured and simulated are shifted against each other at most
-ALIKE = 0.5  # correlation that they have then at least
+CORRELATED = 0.5  # correlation that they have then at least
 BETTER = 0.02  # of the correlation, by which a shift must improve it to be reported
 
 
@@ -71,4 +71,4 @@ def _delay(pairs: list[tuple[Array, Array]]) -> int:
     found = np.abs(sum(correlate(np.nan_to_num(y), s, method="fft")[len(s) - 1 - most : len(s) + most] for y, s in pairs))
     size = np.sqrt(sum(float(np.nansum(y**2)) for y, _ in pairs) * sum(float(s @ s) for _, s in pairs))
     best = int(np.argmax(found))
-    return best - most if found[best] > max(ALIKE * size, found[most] + BETTER * size) else 0
+    return best - most if found[best] > max(CORRELATED * size, found[most] + BETTER * size) else 0

@@ -10,6 +10,7 @@ import numpy as np
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.sample_checks import Finding
 from afdsvc.dataset.split import still
+from afdsvc.explain.check.comparison import SHARE
 from afdsvc.explain.check.lines import ComplexArray, ExcitedLines
 from afdsvc.explain.simulate.nominal import Nominal
 from afdsvc.lti.statespace import Array
@@ -25,7 +26,7 @@ SURE, SURER = 0.5, 0.7  # shares of an output's lines that the scaled model must
 STOP = 20.0  # ratio from which a wrong unit stops: nearer to one, a model may just be a bad one
 TINY = 0.01  # size of an output's lines over what the model says, below which it is another signal if it does not follow the model either
 VISIBLE = 0.1  # share of an output an input must cause for its factor to be reported
-SHIFTS = 400  # samples by which clocks may be out of step
+SHIFTS = 400  # samples by which clocks may be out of step, in recordings that are long enough
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +134,7 @@ def _shift(nominal: Nominal, terms: ComplexArray, lines: ExcitedLines, j: int, r
     y = lines.Y[:, j]
     weight = 1 / np.sqrt(np.abs(y) ** 2 + np.mean(np.abs(y) ** 2) + 1e-300)
     X = terms * weight[:, None]
-    most = min(SHIFTS, *(len(r) // 10 for r in runs))
+    most = int(min(SHIFTS, SHARE * min(map(len, runs))))
     tried = sorted(range(-most, most + 1), key=abs)  # what repeats fits as well a period later
     left = [_real_fit(X, y * weight * np.exp(1j * lines.angle * s))[1] for s in tried]
     total = float((np.abs(y * weight) ** 2).sum())

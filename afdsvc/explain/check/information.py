@@ -32,11 +32,11 @@ def information(problem: Problem, response: Caused) -> Iterator[Finding]:
     if not nominal.plant.inputs:
         return
     sd = noise_sd(nominal, problem.runs)
+    if np.isinf(sd).all():  # dead sensors, which are findings of their own
+        return
     visible, posterior = visibility(response, sd), posterior_sd(problem, sd)
     known = [e for e, s in zip(nominal.entries, posterior, strict=True) if s < DETERMINED]
     blind = [e for e, s in zip(nominal.entries, posterior, strict=True) if s > 0.9]
-    if np.isinf(sd).all():  # dead sensors, which are findings of their own
-        return
     if visible < VISIBLE or (nominal.entries and not known and visible < 1.0):
         yield Finding(
             "stop", "excitation",

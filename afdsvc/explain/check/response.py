@@ -10,7 +10,7 @@ from scipy import signal, stats
 from afdsvc.api.model import Model
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.sample_checks import Finding
-from afdsvc.dataset.split import Split, still
+from afdsvc.dataset.split import Split, still_readings
 from afdsvc.errors import BadInput
 from afdsvc.explain.check.gain import STOP
 from afdsvc.explain.gap.decision import gap_test
@@ -22,7 +22,7 @@ from afdsvc.explain.simulate.simulator import Simulator
 from afdsvc.lti.statespace import Array
 
 CLEAR = 0.3  # smallest correlation with an input, or its size, at any lag, from which an output responds without a further test
-ALIKE = 0.5  # the same of a slow output, which chance reaches often, below which it is doubted
+SLOW = 0.5  # the same of a slow output, which chance reaches often, below which it is doubted
 CHANCE = 1e-3  # probability with which the largest correlation of unrelated signals may count as clear
 CAUSED = 0.5  # rms of what the model says the inputs cause, over that of the output, below which nothing is expected to show
 REPEATS = 0.02  # share of the output that repeats with the excitation, from which it responds
@@ -39,8 +39,8 @@ def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
         return
     simulated = _simulated(nominal, runs)
     caused = [_caused(runs, simulated, j) for j in range(len(model.outputs))]
-    found = [_correlation(runs, simulated, j) for j in range(len(model.outputs))]
-    silent = [j for j, share in enumerate(caused) if not share < CAUSED and not found[j][1]]
+    correlations = [_correlation(runs, simulated, j) for j in range(len(model.outputs))]
+    silent = [j for j, share in enumerate(caused) if not share < CAUSED and not correlations[j][1]]
     if not silent:
         return
     inputs = ", ".join(f"u_{v.name}" for v in model.inputs)
@@ -52,7 +52,7 @@ def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
                     f"y_{model.outputs[j].name} is not correlated with the inputs, and the model says that they move it {caused[j]:.3g} times as much as it moves; "
                     "expected columns recorded together on the machine of the model, in its units",
                 )
-            elif found[j][0] < ALIKE:
+            elif correlations[j][0] < SLOW:
                 yield _doubtful(model.outputs[j].name, inputs)
         return
     given = [ResidualSignals(r.Y[:, silent], r.U, r.U[:, :0], r.U[:, :0], r.dt, r.period) for r in runs]
@@ -66,7 +66,7 @@ def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
                 f"y_{name} does not respond to {inputs}: of the output, {100 * max(tested.r2[i], 0.0):.1f} % is predictable from the inputs, no more "
                 "than from time-shifted ones; expected columns recorded together on the machine of the model",
             )
-        elif not tested.enough and repeats < REPEATS and found[silent[i]][0] < ALIKE:
+        elif not tested.enough and repeats < REPEATS and correlations[silent[i]][0] < SLOW:
             yield _doubtful(name, inputs)
 
 
@@ -128,7 +128,5 @@ def refuse_still(model: Model, roles: Split) -> None:
     """Raise `BadInput` where a reading never moves in what is fitted or in what is held out: nothing could be fitted or shown there."""
     for runs, role in ((roles.train, "fitted"), (roles.heldout, "held out")):
         y = np.concatenate([r.Y for r in runs])
-        for v, value, dead in zip(model.outputs, np.nanmin(y, axis=0), still(y), strict=True):
-            if dead:
-                names = ", ".join(r.name for r in runs)
-                raise BadInput(f"{names}, {role}: y_{v.name} reads {value + 0.0:.6g} {v.unit} in every sample; expected recordings in which it moves")
+        for name, said in still_readings(model.outputs, y):
+            raise BadInput(f"{', '.join(r.name for r in runs)}, {role}: y_{name} {said}")

@@ -72,7 +72,7 @@ def estimates(problem: Problem, of: Fit, horizon: float) -> list[dict[str, Estim
     beside them and samples counted by the correlation time of the residual; those of logarithmic coordinates by the delta
     rule. Shape parameters that are not findings of their own are left out, unless nothing else was fitted.
     """
-    c, sd = _known(problem, of, horizon)
+    c, sd = _deviations(problem, of, horizon)
     spreads = {(i, j): s * _size(x, of.point.effects[i].values[j], u) for (i, j, x), s, u in zip(c.slots, sd[c.k + c.p : c.shared], c.units, strict=True)}
     B = problem.nominal.at(of.point.theta).B
     return [_of_effect(e, {j: spreads[i, j] for j, x in enumerate(e.hypothesis.parameters) if x.free}, B) for i, e in enumerate(of.point.effects)]
@@ -80,12 +80,12 @@ def estimates(problem: Problem, of: Fit, horizon: float) -> list[dict[str, Estim
 
 def offsets(problem: Problem, of: Fit, horizon: float) -> list[Estimate]:
     """Return what was added to the simulation of every output, with the standard deviation of `estimates`; none where readings have no free zero."""
-    c, sd = _known(problem, of, horizon)
+    c, sd = _deviations(problem, of, horizon)
     own = sd[c.k : c.k + c.p] * problem.scale[: c.p]
     return [Estimate(float(v), float(s), o.unit) for v, s, o in zip(of.point.offset, own, problem.nominal.model.outputs, strict=False)]
 
 
-def _known(problem: Problem, of: Fit, horizon: float) -> tuple[Coordinates, Array]:
+def _deviations(problem: Problem, of: Fit, horizon: float) -> tuple[Coordinates, Array]:
     """Return the coordinates of a fit and their standard deviations, from the inverse of its information matrix."""
     here = fit(problem, of.point, horizon, of.own_tau, iterations=0)
     return Coordinates(problem, of.point), np.sqrt(np.maximum(np.diag(np.linalg.pinv(here.H, hermitian=True)), 0.0))

@@ -23,11 +23,13 @@ from afdsvc.explain.search.fit import Fit, rms
 from afdsvc.explain.search.forward import Found
 from afdsvc.explain.search.problem import NUISANCE, Problem
 from afdsvc.explain.settings import Mapper
+from afdsvc.explain.simulate.nominal import Nominal, entry_name
 from afdsvc.explain.simulate.simulator import Simulator
 from afdsvc.explain.verdict.holdout import HeldOutVerdict, player
 from afdsvc.explain.verdict.verdict import Verdict
 
 SEED = 1  # of the flexible model's features
+MOVED = 4  # numbers that a sentence lists at most
 CLEAR = 3.0  # standard deviations from which a load is reported
 
 
@@ -68,7 +70,7 @@ def report(
         candidates=_nearest(found, verdict),
         law=law,
         check=tuple(f.sentence for f in findings),
-        sentences=(*verdict.sentences, *_loads(found.problem, final, list(found.end)[-1]), *_offsets(found.problem, final, list(found.end)[-1])),
+        sentences=(*verdict.sentences, *_moved(found.problem.nominal, final), *_loads(found.problem, final, list(found.end)[-1]), *_offsets(found.problem, final, list(found.end)[-1])),
         next_experiment=next_experiment,
         noise_floor=floor,
         courses=(*courses(play, roles.train, "train", before, final.point), *held),
@@ -95,6 +97,16 @@ def _excited(verdict: Verdict, findings: Sequence[Finding]) -> Verdict:
     if not poor or verdict.claims:
         return verdict
     return replace(verdict, verdict="insufficient_excitation", sentences=(poor, *verdict.sentences))
+
+
+def _moved(nominal: Nominal, final: Fit) -> Iterator[str]:
+    """Yield a sentence on the numbers of the model that the final fit moved by more than a stated standard deviation, the farthest first."""
+    theta = final.point.theta
+    far = sorted(((e, t) for e, t in zip(nominal.entries, theta, strict=True) if abs(t) > 1), key=lambda pair: -abs(pair[1]))
+    stated, fitted = nominal.values(0 * theta), nominal.values(theta)
+    said = [f"{entry_name(nominal, e)} from {stated[e.name]:.4g} to {fitted[e.name]:.4g} ({t:+.1f} stated standard deviations)" for e, t in far[:MOVED]]
+    if said:
+        yield f"the fit moves numbers of the model: {', '.join(said)}{f' and {len(far) - MOVED} more' if len(far) > MOVED else ''}"
 
 
 def _loads(problem: Problem, final: Fit, horizon: float) -> Iterator[str]:

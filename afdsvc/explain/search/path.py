@@ -59,7 +59,7 @@ def trial(problem: Problem, bases: Sequence[Mapping[float, Fit]], taus: Taus, sc
 
 def bases(problem: Problem, base: Mapping[float, Fit], taus: Taus) -> list[Mapping[float, Fit]]:
     """Return where trials begin: the base, and where it has bent the model's numbers beyond what its owner states, the stated ones, too."""
-    bent = any(np.abs(base[h].point.theta).max(initial=0.0) > problem.settings.strained for h in ends(base))
+    bent = any(np.abs(base[h].point.theta).max(initial=0.0) > problem.settings.implausible for h in ends(base))
     stated = {h: fit(problem, replace(f.point, theta=np.zeros_like(f.point.theta)), h, taus[h], iterations=0) for h, f in base.items() if bent and h in ends(base)}
     return [base, stated] if bent else [base]
 

@@ -11,7 +11,6 @@ from afdsvc.api.evidence import p_value_text
 from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.search.forward import Found, Round
 from afdsvc.explain.search.ranking import Candidate, is_constant, look_alikes, vote_shares
-from afdsvc.explain.simulate.nominal import entry_name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,35 +42,35 @@ def verdict(found: Found, gap: Gap, remainder: Gap | None) -> Verdict:
     """Return the verdict of a search, the gap before it and the one that remains after it."""
     accepted = [s for s in found.steps if s.accepted]
     explained = _explained(found)
-    strained, complete = _strained(found), _complete(found, remainder, explained)
+    implausible, complete = _implausible(found), _complete(found, remainder, explained)
     if not accepted or complete < 1 - found.problem.settings.sure:
-        word, sentences = _nothing(found, gap, strained)
+        word, sentences = _nothing(found, gap, implausible)
         return Verdict(word, (), sentences, gap, remainder, explained)
     open_ended = remainder is not None and remainder.present
     uncertain = found.problem.settings.uncertain
-    most = [min(complete, uncertain if strained or s.reason or (open_ended and k) else 1.0) for k, s in enumerate(accepted)]
+    most = [min(complete, uncertain if implausible or s.reason or (open_ended and k) else 1.0) for k, s in enumerate(accepted)]
     claims = [c for k, s in enumerate(accepted) for c in _claims(s, k + 1, most[k], found)]
     firsts = [next(c for c in claims if c.effect == k) for k in range(1, len(accepted) + 1)]
     word = "parameter_change" if all(is_constant(c.candidate.hypothesis) for c in firsts) else "omitted_physics"
     limit = (f"the named effects close {100 * complete:.0f} % of what can be explained; no name is surer than that",) if complete < 0.995 else ()
     doubts = tuple(f"{s.reason}; the recordings held out confirm it: no name is certain" for s in accepted if s.reason)
-    return Verdict(word, tuple(claims), (*_rest(gap, remainder, explained), *limit, *doubts, *strained, *_refitted(found)), gap, remainder, explained)
+    return Verdict(word, tuple(claims), (*_rest(gap, remainder, explained), *limit, *doubts, *implausible), gap, remainder, explained)
 
 
 DOUBT = 0.1  # share of the residual a flexible model predicts above which "consistent" is not said
 
 
-def _nothing(found: Found, gap: Gap, strained: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+def _nothing(found: Found, gap: Gap, implausible: Sequence[str]) -> tuple[str, tuple[str, ...]]:
     last = found.steps[-1] if found.steps else None
     if last is None:
         return "consistent", ("the residual is rounding: recording and simulation agree",)
     nearest = f"{last.candidates[0].hypothesis.title} closes too little of what can be explained" if last.accepted else last.reason
     stop = (f"the search stopped: {nearest}",)
     if gap.present or gap.total > DOUBT:
-        return "unexplained", (gap.sentence, *stop, *strained, *_refitted(found))
-    if strained:
-        return "parameter_change", (gap.sentence, *strained)
-    return "consistent", (gap.sentence, *stop, *_refitted(found))
+        return "unexplained", (gap.sentence, *stop, *implausible)
+    if implausible:
+        return "parameter_change", (gap.sentence, *implausible)
+    return "consistent", (gap.sentence, *stop)
 
 
 def _claims(step: Round, number: int, most: float, found: Found) -> list[Claim]:
@@ -82,26 +81,11 @@ def _claims(step: Round, number: int, most: float, found: Found) -> list[Claim]:
     return [Claim(alike[k], min(float(w[k]), most), number, alike[k].evidence.explained) for k in order]
 
 
-def _strained(found: Found) -> tuple[str, ...]:
-    """Return a sentence for the numbers of the final model that are far from the stated ones."""
-    limit = found.problem.settings.strained
-    far = _moved(found, limit)
-    return (f"the fit moves numbers of the model by more than {limit:g} stated standard deviations: {far}; no name is certain",) if far else ()
-
-
-def _refitted(found: Found) -> tuple[str, ...]:
-    """Return a sentence for the numbers of the final model that the fit moved by more than a stated standard deviation, and not by too many."""
-    moved = _moved(found, 1.0)
-    return (f"the fit moves numbers of the model within what it states of their uncertainty: {moved}",) if moved and not _strained(found) else ()
-
-
-def _moved(found: Found, limit: float) -> str:
-    """Return the numbers of the final model that are more than ``limit`` stated standard deviations away, the farthest first."""
-    nominal, theta = found.problem.nominal, list(found.end.values())[-1].point.theta
-    far = sorted(((e, t) for e, t in zip(nominal.entries, theta, strict=True) if abs(t) > limit), key=lambda pair: -abs(pair[1]))
-    stated, fitted = nominal.values(0 * theta), nominal.values(theta)
-    said = [f"{entry_name(nominal, e)} from {stated[e.name]:.4g} to {fitted[e.name]:.4g} ({t:+.1f} standard deviations)" for e, t in far[:4]]
-    return ", ".join(said) + (f" and {len(far) - 4} more" if len(far) > 4 else "")
+def _implausible(found: Found) -> tuple[str, ...]:
+    """Return a sentence where numbers of the final model are far from the stated ones."""
+    limit, theta = found.problem.settings.implausible, list(found.end.values())[-1].point.theta
+    far = bool((np.abs(theta) > limit).any())
+    return (f"numbers of the model are more than {limit:g} stated standard deviations from what is stated: no name is certain",) if far else ()
 
 
 def _complete(found: Found, remainder: Gap | None, explained: tuple[float, float]) -> float:

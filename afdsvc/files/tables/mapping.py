@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from afdsvc.api.signals import ROLES, Channel
-from afdsvc.dataset.units import unit_registry
+from afdsvc.dataset.units import parsed_unit, unit_registry, unknown_unit
 from afdsvc.errors import BadInput
 from afdsvc.files.validation import Strict, read_text, toml_table, validated
 from afdsvc.lti.statespace import Array
@@ -154,10 +154,9 @@ def _refuse_unlike(source: str, target: str, where: str) -> None:
 
 
 def _unit(text: str, where: str) -> Any:
-    try:
-        return unit_registry().Unit(text)
-    except Exception:  # pint has a class of its own for every way of misspelling a unit
-        raise BadInput(f"{where}: unit '{text}' is not known; expected one such as 'mm', 'N' or 'rad/s'") from None
+    if wrong := unknown_unit(text):
+        raise BadInput(f"{where}: {wrong}")
+    return parsed_unit(text)
 
 
 INPUTS = ("voltage", "force", "torque", "current", "command", "duty", "pwm", "drive", "valve", "input", "effort")

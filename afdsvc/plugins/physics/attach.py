@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Law, Machine, Signal, Size
-from afdsvc.dataset.units import unit_registry
+from afdsvc.dataset.units import parsed_unit, unit_registry
 from afdsvc.lti.statespace import StateSpace
 
 MOST = 100  # periods per turn of what repeats along a way
@@ -136,9 +136,8 @@ def _static(plant: StateSpace | None, i: int, j: int) -> float:
 @lru_cache(maxsize=256)
 def quantity(unit: str) -> str:
     """Return what a unit measures: "length", "angle", "velocity" (of either), "force" (or torque), "current", "voltage", else ""."""
-    try:
-        known = unit_registry().Unit(unit)
-    except Exception:  # pint has a class of its own for every way of misspelling a unit
+    known = parsed_unit(unit)
+    if known is None:
         return ""
     turning = any(word in str(known) for word in ("radian", "degree", "turn", "revolution"))
     for kind, example in _QUANTITIES:

@@ -2,9 +2,12 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from afdsvc.explain.report.report import _excited, _nearest
+from afdsvc.api.model import Variable
+from afdsvc.explain.report.report import _excited, _moved, _nearest
+from afdsvc.explain.simulate.nominal import Entry
 from afdsvc.explain.verdict.verdict import Verdict
 
 
@@ -35,3 +38,26 @@ def test_laws_that_come_nearest_are_listed_where_none_is_named(word, accepted, l
     near = _nearest(found, Verdict(word, (), (), None, None, (0.0, 0.0)))
     assert len(near) == listed
     assert all("coulomb friction would close 82 % of the gap" in n.sentence for n in near)
+
+
+@pytest.mark.parametrize(
+    ("moved", "said"),
+    [
+        ([0.4, -0.2], []),
+        ([-3.3, 0.0], ["A[speed, speed] from -3 to -4.65 (-3.3 stated standard deviations)"]),
+        ([-1.2, 2.0], ["B[speed, voltage] from 6 to 8 (+2.0 stated standard deviations), A[speed, speed] from -3 to -3.6 (-1.2 stated standard deviations)"]),
+    ],
+)
+def test_the_numbers_that_the_fit_moved_are_listed_the_farthest_first(moved, said):
+    entries = (Entry("A", 0, 0, 0.5, "A[1,1]"), Entry("B", 0, 0, 1.0, "B[1,1]"))
+    model = SimpleNamespace(states=(Variable("speed"),), inputs=(Variable("voltage"),))
+    nominal = SimpleNamespace(entries=entries, model=model, values=lambda theta: {"A[1,1]": -3 + 0.5 * theta[0], "B[1,1]": 6 + theta[1]})
+    final = SimpleNamespace(point=SimpleNamespace(theta=np.array(moved)))
+    assert list(_moved(nominal, final)) == [f"the fit moves numbers of the model: {s}" for s in said]
+
+
+def test_no_more_numbers_are_listed_than_can_be_read():
+    nominal = SimpleNamespace(entries=[Entry("parameter", k, 0, 1.0, f"p{k}") for k in range(9)], values=lambda theta: {f"p{k}": t for k, t in enumerate(theta)})
+    (said,) = _moved(nominal, SimpleNamespace(point=SimpleNamespace(theta=np.arange(9.0) + 2)))
+    assert said.startswith("the fit moves numbers of the model: p8 from 0 to 10 (+10.0")
+    assert said.endswith("p5 from 0 to 7 (+7.0 stated standard deviations) and 5 more")

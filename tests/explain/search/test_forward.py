@@ -213,7 +213,7 @@ def test_where_the_model_was_bent_hypotheses_begin_at_the_stated_numbers_too():
     h = next(iter(hypotheses([CoulombFriction()], machine(p, bent, 0.0, [], [], "model"))))
     start = Start(PlacedEffect(h, np.array(h.starts[0], float)), 0.0, np.zeros(0), np.zeros(len(bent.H)))
     screened = {0.0: Screened(h, (start,))}
-    begin = [bases(replace(p, settings=Settings(strained=s)), {0.0: bent}, {0.0: 5.0}) for s in (5.0, np.inf)]
+    begin = [bases(replace(p, settings=Settings(implausible=s)), {0.0: bent}, {0.0: 5.0}) for s in (5.0, np.inf)]
     falls = [trial(p, b, {0.0: 5.0}, screened, 1).falls[0] for b in begin]
     assert falls[0] > falls[1] + 10.0
 
