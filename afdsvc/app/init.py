@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from afdsvc.api.signals import Trace
-from afdsvc.dataset.units import is_velocity
+from afdsvc.dataset.units import is_velocity, unknown_unit
 from afdsvc.errors import BadInput
 from afdsvc.files.model.schema import Inline, toml_text
 from afdsvc.files.open import TABLES
 from afdsvc.files.tables.alignment import SHORTEST
 from afdsvc.files.tables.foreign import read_foreign_columns
-from afdsvc.files.tables.formats import read_columns
+from afdsvc.files.tables.formats import read_columns, stated_units
 from afdsvc.files.tables.historian import is_export, read_export
 from afdsvc.files.tables.mapping import REFERENCES, DataMapping, Heading, heading, role_of_unit, same_dimension, same_unit
 from afdsvc.files.tables.time_base import is_stamped, own_step, own_time
@@ -116,7 +116,8 @@ def _headings(recording: Path, names: Sequence[str], answers: Answers, time: str
         if name not in (*names, time):
             raise BadInput(f"{recording}: no column '{name}'; it has {', '.join(names)}")
     found = [h for h in (heading(n, answers.inputs, answers.outputs) for n in names) if h.role != "t"]
-    found = [replace(h, unit=_unit(h.name, answers.units[h.name])) if h.name in answers.units else h for h in found]
+    own = {n: unit for n, unit in stated_units(recording).items() if not unknown_unit(unit)}
+    found = [replace(h, unit=_unit(h.name, answers.units[h.name]) if h.name in answers.units else h.unit or own.get(h.name, "")) for h in found]
     for role, word, examples in (("u", "input", "voltage_V or torque_Nm"), ("y", "output", "speed_rpm or position_mm")):
         if not any(h.role == role for h in found):  # where no name says it, units do
             found = [replace(h, role=role) if h.role == "aux" and not h.name.startswith("aux_") and role_of_unit(h.unit) == role else h for h in found]

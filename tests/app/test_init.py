@@ -9,6 +9,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
 import pytest
 from scipy.io import savemat
 from typer.testing import CliRunner
@@ -67,6 +69,26 @@ def test_units_say_the_role_where_names_do_not(tmp_path: Path):
     (tmp_path / "log.csv").write_text("t,U_V,n_rpm,winding_degC,aux_gap_mm\n" + rows)
     found = init_files(tmp_path / "log.csv")["columns"]
     assert [c["signal"] for c in found] == ["u_u", "y_n", "aux_winding", "aux_gap"]
+
+
+def parquet(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:
+    fields = [pa.field(n, pa.float64(), metadata={"unit": units[n]} if n in units else None) for n in columns]
+    pyarrow.parquet.write_table(pa.table(list(columns.values()), schema=pa.schema(fields)), path)
+
+
+def tdms(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter(str(path)) as writer:
+        writer.write_segment([nptdms.ChannelObject("run", n, v, {"unit_string": units.get(n, "")}) for n, v in columns.items()])
+
+
+@pytest.mark.parametrize("write", [parquet, tdms])
+def test_units_that_the_file_states_beside_its_columns_are_used(tmp_path: Path, write):
+    k = np.arange(300.0)
+    columns = {"t": k / 10, "drive": (k // 9) % 2, "tacho": (k // 9) % 2 + k % 3 / 10, "heat": k % 7, "aux_gap_mm": k % 5, "index": k}
+    write(path := tmp_path / f"log.{write.__name__}", columns, {"drive": "V", "tacho": "rpm", "heat": "pulses!", "aux_gap_mm": "inch"})
+    found = init_files(path, answers=Answers(units={"index": "1"}))["columns"]
+    assert [(c["signal"], c["unit"]) for c in found] == [("u_drive", "V"), ("y_tacho", "rpm"), ("aux_heat", ""), ("aux_gap", "mm"), ("aux_index", "1")]
 
 
 def test_set_points_and_temperatures_are_kept_and_what_is_left_out_is_said(tmp_path: Path):

@@ -6,7 +6,8 @@ import csv
 import logging
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -46,6 +47,18 @@ def read_columns(path: Path) -> Columns:
         raise
     except Exception as error:  # five libraries, each with errors of its own for files that are not what they claim
         raise BadInput(f"{path}: not a readable {path.suffix} file: {_first_line(error)}") from None
+
+
+def stated_units(path: Path) -> dict[str, str]:
+    """Return the units that a file states beside its columns, by column: properties of TDMS channels, metadata of Parquet fields; of other files none."""
+    if path.suffix.lower() == ".tdms":
+        with _tdms_file(path) as file:
+            return {n: str(c.properties["unit_string"]) for n, c in _channels(file).items() if c.properties.get("unit_string")}
+    if path.suffix.lower() == ".parquet":
+        stated = {f.name: f.metadata or {} for f in pyarrow.parquet.read_schema(path)}
+        found = {n: facts.get(b"unit", facts.get(b"units", b"")) for n, facts in stated.items()}
+        return {n: unit.decode(errors="replace") for n, unit in found.items() if unit}
+    return {}
 
 
 def opened(path: Path) -> BinaryIO:
@@ -233,8 +246,9 @@ def _named(path: Path, variables: Iterable[tuple[str, Any]]) -> Columns:
     return found
 
 
-def _tdms(path: Path) -> Columns:
-    """Return the channels by name (``group/channel`` where a name comes twice), and the time that their properties state as ``t``."""
+@contextmanager
+def _tdms_file(path: Path) -> Iterator[Any]:
+    """Open a TDMS file; raises `BadInput` without the library that reads it."""
     try:
         from nptdms import TdmsFile
         from nptdms.log import log_manager
@@ -242,22 +256,34 @@ def _tdms(path: Path) -> Columns:
         raise BadInput(f"{path}: TDMS needs the extra 'tdms': install afdsvc[tdms]") from None
     log_manager.set_level(logging.CRITICAL)  # it would print bytes of the file
     with opened(path) as stream, TdmsFile.open(stream) as file:
+        yield file
+
+
+def _channels(file: Any) -> dict[str, Any]:
+    """Return the channels of a TDMS file that hold samples, by name (``group/channel`` where a name comes twice)."""
+    channels = [c for group in file.groups() for c in group.channels() if len(c)]
+    often = Counter(c.name for c in channels)
+    return {c.name if often[c.name] == 1 else f"{c.group_name}/{c.name}": c for c in channels}
+
+
+def _tdms(path: Path) -> Columns:
+    """Return the channels by name, and the time that their properties state as ``t``."""
+    with _tdms_file(path) as file:
         if file.file_status.incomplete_final_segment:
             log.warning("%s: the file ends within a segment; what is whole is read", path)
-        return _tdms_columns(path, [c for group in file.groups() for c in group.channels() if len(c)])
+        return _tdms_columns(path, _channels(file))
 
 
-def _tdms_columns(path: Path, channels: list[Any]) -> Columns:
+def _tdms_columns(path: Path, channels: dict[str, Any]) -> Columns:
     refuse_more(path, len(channels), BOUNDS.columns, "channels")
-    refuse_more(path, 8 * sum(len(c) for c in channels), table_bytes(path.stat().st_size), "bytes of samples")
+    refuse_more(path, 8 * sum(map(len, channels.values())), table_bytes(path.stat().st_size), "bytes of samples")
     if not channels:
         raise BadInput(f"{path}: not a readable .tdms file: it holds no samples")
-    often = Counter(c.name for c in channels)
-    found = {c.name if often[c.name] == 1 else f"{c.group_name}/{c.name}": _numbers(path, c.name, np.asarray(c[:])) for c in channels}
-    steps = {(c.properties.get("wf_increment"), c.properties.get("wf_start_offset", 0.0)) for c in channels}
+    found = {name: _numbers(path, name, np.asarray(c[:])) for name, c in channels.items()}
+    steps = {(c.properties.get("wf_increment"), c.properties.get("wf_start_offset", 0.0)) for c in channels.values()}
     step, start = steps.pop() if len(steps) == 1 else (None, 0.0)
     if step and "t" not in found:
-        found = {"t": start + step * np.arange(len(channels[0])), **found}
+        found = {"t": start + step * np.arange(len(next(iter(found.values())))), **found}
     return found
 
 
