@@ -16,8 +16,8 @@ from afdsvc.errors import BadInput
 from afdsvc.files.model.schema import Inline, toml_text
 from afdsvc.files.open import TABLES
 from afdsvc.files.tables.alignment import SHORTEST
-from afdsvc.files.tables.foreign import read_foreign_columns
-from afdsvc.files.tables.formats import read_columns, stated_units
+from afdsvc.files.tables.foreign import read_foreign_columns, refuse_unmapped
+from afdsvc.files.tables.formats import opened, read_columns, stated_units
 from afdsvc.files.tables.historian import is_export, read_export
 from afdsvc.files.tables.mapping import REFERENCES, DataMapping, Heading, heading, role_of_unit, same_dimension, same_unit
 from afdsvc.files.tables.time_base import is_stamped, own_step, own_time
@@ -64,8 +64,11 @@ def init_files(recording: Path, out: Path | None = None, answers: Answers | None
     answers = answers or Answers()
     if answers.step is not None:
         _positive("--step", str(answers.step))
+    if recording.is_dir():
+        opened(recording).close()
     if recording.suffix.lower() not in TABLES:
         raise BadInput(f"{recording}: is not a table; expected one that ends in {', '.join(TABLES)}")
+    refuse_unmapped(recording)
     folder = out or recording.parent
     files = [folder / name for name in (MODEL, MAPPING, *([SITE] if site else []))]
     model, mapping = files[:2]

@@ -12,7 +12,14 @@ from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.recording.mcap_file import METADATA
 from afdsvc.files.recording.reader import Recording
-from afdsvc.files.tables.foreign import in_model_units, read_foreign_columns, read_foreign_topics
+from afdsvc.files.tables.foreign import (
+    in_model_units,
+    needs_mapping,
+    read_foreign_columns,
+    read_foreign_topics,
+    refuse_unmapped,
+)
+from afdsvc.files.tables.foreign_mcap import listed_places
 from afdsvc.files.tables.mapping import DataMapping, read_mapping
 from afdsvc.files.tables.tables import PREPARED, read_table
 
@@ -50,6 +57,7 @@ class TableFile:
         mapping = self.naming.for_others()
         if mapping:
             return read_foreign_columns(self.path, mapping, model)
+        refuse_unmapped(self.path)
         step = model.plant.dt if gaps and model and model.plant and model.plant.discrete else None
         trace = read_table(self.path, self.naming.pairs, None, gaps, step, model)
         if self.naming.pairs:
@@ -73,10 +81,7 @@ class MappedTopics:
         """Return the mapping; raises `BadInput` listing the topics without one."""
         mapping = self.naming.for_others() or (DataMapping().extended(self.naming.pairs) if self.naming.pairs else None)
         if mapping is None or not mapping.signals:
-            held = ", ".join(self.recording.counts) or "no messages"
-            raise BadInput(
-                f"{self.recording.path}: holds no samples of afdsvc; expected a mapping of its topics (--mapping FILE.toml): it has {held}"
-            )
+            raise needs_mapping(self.recording.path, "holds no samples of afdsvc", listed_places(self.recording.path, self.recording.items()))
         return mapping
 
 

@@ -16,7 +16,7 @@ from afdsvc.dataset.units import unknown_unit
 from afdsvc.errors import BadInput
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.tables.alignment import Group, aligned, held
-from afdsvc.files.tables.foreign_mcap import maps, read_topics
+from afdsvc.files.tables.foreign_mcap import listed_places, maps, read_topics, shown
 from afdsvc.files.tables.formats import opened, read_columns
 from afdsvc.files.tables.historian import is_export, read_export
 from afdsvc.files.tables.mapping import OWN_TIMES, DataMapping, Source, Time, converted, product, same_unit
@@ -29,6 +29,18 @@ from afdsvc.lti.statespace import Array
 ULOG = ".ulg"  # of PX4: topics at rates of their own, so a mapping is always needed
 FIELDS = 65_536  # of all topics of a ULog together
 _AUX_UNITS = {"aux_speed": "rad/s", "aux_angle": "rad"}
+
+
+def refuse_unmapped(path: Path) -> None:
+    """Raise `BadInput` with the places there are for a file of topics with times of their own, which needs a mapping."""
+    if path.suffix.lower() in (ULOG, *BAGS):
+        places = shown(_ulog_places(path)) if path.suffix.lower() == ULOG else listed_places(path, read_bag(path, lambda topic: True))
+        raise needs_mapping(path, "its topics have times of their own", places)
+
+
+def needs_mapping(path: Path, why: str, places: str) -> BadInput:
+    """Return the refusal of a file of topics without a mapping."""
+    return BadInput(f"{path}: {why}; expected a mapping file (--mapping FILE.toml) with [signals] such as u_force = 'TOPIC.FIELD'; it has {places}")
 
 
 def read_foreign_columns(path: Path, mapping: DataMapping, model: Model | None = None) -> list[Trace]:
@@ -172,8 +184,8 @@ def _export(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Gro
     return [Group(place, tags[place][0], {signal: tags[place][1]}) for signal, place in places.items()], [*remarks, *([f"not mapped and left out: {', '.join(left)}"] if left else [])]
 
 
-def _ulog(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group], list[str]]:
-    """Return the mapped fields (``topic.field``, ``topic[1].field`` for its second instance) of a PX4 log, a group for each topic."""
+def _ulog_topics(path: Path) -> tuple[dict[str, dict[str, Array]], list[str]]:
+    """Return the fields of every topic (``topic[1]`` is its second instance) of a PX4 log, and sentences on damage."""
     try:
         from pyulog import ULog
     except ImportError:
@@ -196,6 +208,16 @@ def _ulog(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group
         raise
     except Exception as error:  # a log that is none fails in many ways
         raise BadInput(f"{path}: not a readable ULog file: {type(error).__name__}: {error}") from None
+    return topics, [f"not all could be read: {damage.getvalue().splitlines()[0]}"] if damage.getvalue() else []
+
+
+def _ulog_places(path: Path) -> list[str]:
+    return sorted(f"{topic}.{name}" for topic, data in _ulog_topics(path)[0].items() for name in data if name != "timestamp")
+
+
+def _ulog(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group], list[str]]:
+    """Return the mapped fields of a PX4 log, a group for each topic."""
+    topics, damage = _ulog_topics(path)
     groups: dict[str, dict[str, Array]] = {}
     for signal, place in places.items():
         topic, _, name = place.partition(".")
@@ -206,8 +228,8 @@ def _ulog(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group
             raise BadInput(f"{path}: topic '{topic}' holds no 'timestamp'; expected one for every sample")
         groups.setdefault(topic, {})[signal] = np.asarray(topics[topic][name], dtype=np.float64)
     first = min(int(topics[t]["timestamp"][0]) for t in groups)
-    made = [Group(t, (topics[t]["timestamp"].astype(np.int64) - first) * 1e-6, columns) for t, columns in groups.items()]
-    return made, ["the time of a sample is the time stamp of its topic", *([f"not all could be read: {damage.getvalue().splitlines()[0]}"] if damage.getvalue() else [])]
+    made = [Group(t, np.asarray((topics[t]["timestamp"].astype(np.int64) - first) * 1e-6, dtype=np.float64), columns) for t, columns in groups.items()]
+    return made, ["the time of a sample is the time stamp of its topic", *damage]
 
 
 def _bag(path: Path, places: Mapping[str, str], time: Time) -> tuple[list[Group], list[str]]:

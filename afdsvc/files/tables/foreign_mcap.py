@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain, islice
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from afdsvc.files.validation import file_size, in_time, refuse_more, table_bytes
 from afdsvc.lti.statespace import Array
 
 _MESSAGE = 200  # bytes that a message of no bytes takes in memory
+_LOOKED, _LISTED = 10_000, 24  # messages and numbers looked at for the places there are, and places listed
 
 
 @dataclass
@@ -60,6 +62,37 @@ def read_topics(path: Path, items: Iterable[Item], places: Mapping[str, str], ti
         values = np.array(topic.values, dtype=np.float64)
         groups.append(Group(topic.name, times[topic.name], dict(zip(topic.fields, values.T, strict=True))))
     return groups, [sentence, *losses]
+
+
+def listed_places(path: Path, items: Iterable[Item]) -> str:
+    """Return what a mapping may name, ``TOPIC.FIELD`` of the numbers in the first message of each topic, as text; of topics that cannot be decoded the name alone."""
+    file, first = _File(), dict[int, Message]()
+
+    def look() -> None:
+        for item in islice(items, _LOOKED):
+            if isinstance(item, Message):
+                first.setdefault(item.channel_id, item)
+            else:
+                file.take(item, {})
+
+    in_time(look, path, file_size(path, sys.maxsize))
+    return shown(sorted(chain.from_iterable(_places(path, c, file.schemas.get(c.schema_id), first[id]) for id, c in file.channels.items() if id in first)))
+
+
+def shown(places: Sequence[str]) -> str:
+    """Return the first of places as text, and how many more there are."""
+    return ", ".join(places[:_LISTED]) + (f" and {len(places) - _LISTED} more" if len(places) > _LISTED else "") or "no messages"
+
+
+def _places(path: Path, channel: Channel, schema: Schema | None, message: Message) -> Iterator[str]:
+    try:
+        found = list(islice(numeric_paths(decoder(channel, schema, f"{path}: topic '{channel.topic}'")(message.data)), _LOOKED))
+    except Exception:  # decoders fail in many ways; what matters here is what else there is
+        yield channel.topic
+        return
+    for at in found:
+        if not re.match(r"(header|stamp|timestamp)\b", at):
+            yield f"{channel.topic}{'' if at.startswith('[') else '.'}{at}"
 
 
 def _read(path: Path, items: Iterable[Item], places: Mapping[str, str], time: Time) -> tuple[dict[str, _Topic], list[str]]:

@@ -25,7 +25,6 @@ from afdsvc.lti.statespace import Array
 log = logging.getLogger(__name__)
 Columns = dict[str, Array]
 TAGS, VALUES = ("tag", "tagname", "tag_name", "point", "variable"), ("value", "val")  # columns of a historian's export
-_TOPICS = {".ulg": "actuator_outputs.output[0]", ".bag": "/joint_states.effort[0]", ".db3": "/joint_states.effort[0]"}
 _LFS = b"version https://git-lfs"
 
 
@@ -34,8 +33,6 @@ def read_columns(path: Path) -> Columns:
 
     A column of time stamps (ISO 8601 with or without zone in CSV, dates in Parquet) is ``datetime64[ns]``, in UTC where zones are given.
     """
-    if example := _TOPICS.get(path.suffix.lower()):
-        raise BadInput(f"{path}: its topics have times of their own; expected a mapping file (--mapping FILE.toml) such as [signals] u_effort = '{example}'")
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise BadInput(f"{path}: tables end in {', '.join(_READERS)}; this one ends in '{path.suffix}'")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from afdsvc.app.init import init_files
 from afdsvc.errors import BadInput
 from afdsvc.files import validation
 from afdsvc.files.open import Naming, open_file
@@ -102,8 +103,12 @@ def test_what_is_there_is_said(tmp_path):
             mapped(path, aux_x="/odom.x")
         with pytest.raises(BadInput, match=r"/joint_states.speed: has no such field; expected a number, and it has header.*, position\[0\]"):
             mapped(path, aux_x="/joint_states.speed")
-        with pytest.raises(BadInput, match=r"its topics have times of their own; expected a mapping file"):
+        with pytest.raises(BadInput, match=r"its topics have times of their own; expected a mapping file .*; it has /joint_states\.effort\[0\], "):
             open_file(path).traces()
+        with pytest.raises(BadInput, match=r"such as u_force = 'TOPIC.FIELD'; it has /joint_states"):
+            init_files(path)
+    with pytest.raises(BadInput, match=r"run: is a folder; expected a file, such as one in it \(metadata.yaml, run.db3\)"):
+        init_files(tmp_path / "run")
     (tmp_path / "text.db3").write_text("no bag\n" * 100)
     (tmp_path / "text.bag").write_text("no bag\n" * 100)
     for name in ("text.db3", "text.bag"):
