@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
@@ -149,7 +149,7 @@ class Recording:
             return None
         return parse_model(self.description[name].decode(errors="replace"), f"{self.path}:{name}", allow_code)
 
-    def items(self) -> Iterator[Item]:
+    def items(self) -> Generator[Item, None, None]:
         """Yield every record, and every loss, in one pass over the file; a message whose channel is undefined is a loss."""
         ahead, rest, contents = self._ahead, self._rest or self._defined(), Contents()
         self._ahead, self._rest = [], None

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from numbers import Real
@@ -64,16 +65,17 @@ def read_topics(path: Path, items: Iterable[Item], places: Mapping[str, str], ti
     return groups, [sentence, *losses]
 
 
-def listed_places(path: Path, items: Iterable[Item]) -> str:
+def listed_places(path: Path, items: Generator[Item, None, None]) -> str:
     """Return what a mapping may name, ``TOPIC.FIELD`` of the numbers in the first message of each topic, as text; of topics that cannot be decoded the name alone."""
     file, first = _File(), dict[int, Message]()
 
     def look() -> None:
-        for item in islice(items, _LOOKED):
-            if isinstance(item, Message):
-                first.setdefault(item.channel_id, item)
-            else:
-                file.take(item, {})
+        with closing(items):  # in the thread that opened the file
+            for item in islice(items, _LOOKED):
+                if isinstance(item, Message):
+                    first.setdefault(item.channel_id, item)
+                else:
+                    file.take(item, {})
 
     in_time(look, path, file_size(path, sys.maxsize))
     return shown(sorted(chain.from_iterable(_places(path, c, file.schemas.get(c.schema_id), first[id]) for id, c in file.channels.items() if id in first)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bz2
 import sqlite3
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ BAGS = (".bag", ".db3")
 FIELDS = 65_536  # elements of arrays of fixed length in all types together: the library writes code for each
 
 
-def read_bag(path: Path, is_mapped: Callable[[str], bool]) -> Iterator[Item]:
+def read_bag(path: Path, is_mapped: Callable[[str], bool]) -> Generator[Item, None, None]:
     """Yield schema and channel of every topic, and the messages of the topics for which ``is_mapped(topic)``; raises `BadInput` for what is not a bag."""
     opened(path).close()
     try:

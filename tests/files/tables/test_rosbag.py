@@ -13,7 +13,7 @@ from afdsvc.app.init import init_files
 from afdsvc.errors import BadInput
 from afdsvc.files import validation
 from afdsvc.files.open import Naming, open_file
-from afdsvc.files.tables import rosbag
+from afdsvc.files.tables import foreign_mcap, rosbag
 from afdsvc.files.tables.mapping import DataMapping, Source
 
 pytest.importorskip("rosbags")
@@ -97,7 +97,7 @@ def test_topics_of_a_bag_of_ros_2_with_its_definitions_or_those_of_ros_itself(tm
     check(trace)
 
 
-def test_what_is_there_is_said(tmp_path):
+def test_what_is_there_is_said(tmp_path, monkeypatch):
     for path in (ros1(tmp_path / "run.bag"), ros2(tmp_path / "run")):
         with pytest.raises(BadInput, match=r"no topic for '/odom.x', which is to be aux_x; .* /joint_states \(sensor_msgs/msg/JointState\)"):
             mapped(path, aux_x="/odom.x")
@@ -107,6 +107,10 @@ def test_what_is_there_is_said(tmp_path):
             open_file(path).traces()
         with pytest.raises(BadInput, match=r"such as u_force = 'TOPIC.FIELD'; it has /joint_states"):
             init_files(path)
+        with monkeypatch.context() as patched:
+            patched.setattr(foreign_mcap, "_LOOKED", 50)  # a long bag is looked at in part, and closed where it was opened
+            with pytest.raises(BadInput, match="it has /joint_states"):
+                open_file(path).traces()
     with pytest.raises(BadInput, match=r"run: is a folder; expected a file, such as one in it \(metadata.yaml, run.db3\)"):
         init_files(tmp_path / "run")
     (tmp_path / "text.db3").write_text("no bag\n" * 100)
