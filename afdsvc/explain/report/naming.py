@@ -35,9 +35,21 @@ def names(found: Found, verdict: Verdict, final: Fit, summaries: Mapping[str, st
         alike = _each_once([c for c in verdict.claims if c.effect == number])
         for claim in [c for k, c in enumerate(alike) if not k or c.weight >= LEAST_WEIGHT][:MOST_NAMES]:
             h = claim.candidate.hypothesis
-            parameters = own.get(h.key) or estimates(found.problem, claim.candidate.fit, last)[-1]
-            listed.append(_named(claim, parameters, len(alike), partial, summaries))
+            parameters = own.get(h.key) or _own_of(found.problem, claim.candidate, last)
+            listed.append(_named(claim, parameters, len(alike), partial, summaries, _shape(h, alike)))
     return tuple(listed)
+
+
+def _own_of(problem: Problem, of: Candidate, horizon: float) -> Mapping[str, Estimate]:
+    """Return the parameters of a candidate in its own fit, where other effects may come after it."""
+    beside = zip(of.fit.point.effects, estimates(problem, of.fit, horizon), strict=True)
+    return next(values for effect, values in beside if effect.hypothesis.key == of.hypothesis.key)
+
+
+def _shape(h: Hypothesis, alike: Sequence[Claim]) -> str:
+    """Return what distinguishes a name from another of the same physics and site, "" where none is listed beside it."""
+    same = [c for c in alike if (c.candidate.hypothesis.physics, c.candidate.hypothesis.site) == (h.physics, h.site)]
+    return h.notes.get("variant", "") if len(same) > 1 and not is_constant(h) else ""
 
 
 def _each_once(claims: Sequence[Claim]) -> list[Claim]:
@@ -49,13 +61,13 @@ def _each_once(claims: Sequence[Claim]) -> list[Claim]:
     return list(first.values())
 
 
-def _named(claim: Claim, parameters: Mapping[str, Estimate], alike: int, partial: bool, summaries: Mapping[str, str]) -> Named:
+def _named(claim: Claim, parameters: Mapping[str, Estimate], alike: int, partial: bool, summaries: Mapping[str, str], shape: str = "") -> Named:
     h = claim.candidate.hypothesis
     what = h.notes.get("variant", "") if is_constant(h) else ""
     values = "; ".join(value_text(name, e) for name, e in parameters.items())
     law = f"{what} other than stated" if what else summaries.get(h.physics, h.physics.replace("_", " "))
     doubt = f", weight {claim.weight:.2f} among {alike} that fit alike" if alike > 1 else ""
-    sentence = f"{site_words(h.site)}: {law}{f' ({values})' if values else ''}; closes {100 * claim.share:.0f} % of the gap{doubt}"
+    sentence = f"{site_words(h.site)}: {law}{f', {shape}' if shape else ''}{f' ({values})' if values else ''}; closes {100 * claim.share:.0f} % of the gap{doubt}"
     return Named(h.physics, h.site, claim.weight, parameters, sentence, claim.effect, claim.share, partial, h.family, what)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Size
-from afdsvc.plugins.physics.attach import at_force, force, placed, state
+from afdsvc.plugins.physics.attach import at_force, constant, force, placed, state, velocity
 from afdsvc.plugins.physics.joint import at_joint, joints
 
 PLAY = "play in the spring"
@@ -41,14 +41,13 @@ def _play(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 def _joint_play(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`_play` in a joint; the rest as in `_joint`."""
-    n, deflection = len(out), z[0]
-    for k in range(1, n):
-        deflection += p[1 + k] * z[k]
+    """`_play` in a joint of two masses, whose damper, ``p[2]`` of its spring, acts beyond the gap only, too; ``p[3:] = s_2, r_2``."""
+    deflection = z[0] + p[3] * z[1]
     push = p[0] * min(max(deflection, -p[1]), p[1])
+    if abs(deflection) < p[1]:
+        push += p[0] * p[2] * (z[2] + p[3] * z[3])
     out[0] += push
-    for k in range(1, n):
-        out[k] += p[1 + k] * p[n + k] * push
+    out[1] += p[3] * p[4] * push
 
 
 class Clearance:
@@ -87,7 +86,9 @@ class Clearance:
                 predicts="modes that change their frequency together beyond a level", refuted_by="modes that stay where they are at every level",
             )
             if k.stiffness > 0:
-                yield at_joint(k, _joint_play, _lost(a, q, k.stiffness), _gaps(q, k.stiffness), what=PLAY, **_SLACK)
+                damper = constant("damping over stiffness", "s", k.damping / k.stiffness)
+                starts = [(*s, damper.low) for s in _gaps(q, k.stiffness)]
+                yield at_joint(k, _joint_play, [*_lost(a, q, k.stiffness), damper], starts, further=[velocity(x) for x in k.axes], what=PLAY, **_SLACK)
 
 
 def _lost(axis: Axis, q: Size, stiffness: float) -> list[Coefficient]:

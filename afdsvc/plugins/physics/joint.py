@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations, islice, product
 from typing import Any
 
-from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Law, Machine, Size
+from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Law, Machine, Signal, Size
 from afdsvc.plugins.physics.attach import at_machine, constant, placed, state, velocity
 
 MOST_MODES = 6  # of a joint between all modes of a structure
@@ -19,7 +19,7 @@ class Joint:
     """A joint that deflects by ``q_1 + s_2 q_2 + ...`` and pushes axis k with ``s_k r_k`` times its force.
 
     ``deflection`` is the size of its deflection where two masses are coupled, of the first position between modal coordinates;
-    ``stiffness`` that of the model's spring over the mass of the first axis, 0 between modal coordinates.
+    ``stiffness`` and ``damping`` are those of the model's spring and damper over the mass of the first axis, 0 between modal coordinates.
     ``shares`` are the coefficients ``s_2, ..., r_2, ...`` and ``starts`` their values. Between modal coordinates the ``s_k`` are
     free and every ``r_k`` is 1 (modes scaled to unit mass); between two masses the joint deflects by the difference, and
     ``r_2`` is the ratio of the first mass to the second.
@@ -30,6 +30,7 @@ class Joint:
     positions: tuple[Size, ...]
     deflection: Size
     stiffness: float
+    damping: float
     shares: tuple[Coefficient, ...]
     starts: tuple[tuple[float, ...], ...]
 
@@ -46,12 +47,13 @@ def spring(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 def at_joint(
-    joint: Joint, law: Law, parameters: Sequence[Coefficient], starts: Sequence[Sequence[float]], rates: bool = False, what: str = "", **rest: Any
+    joint: Joint, law: Law, parameters: Sequence[Coefficient], starts: Sequence[Sequence[float]], rates: bool = False, what: str = "",
+    further: Sequence[Signal] = (), **rest: Any,
 ) -> Hypothesis:
-    """Return a law of a joint, which reads the positions of its axes or their ``rates``; the joint's shares follow its parameters."""
+    """Return a law of a joint, which reads the positions of its axes or their ``rates``, then ``further`` signals; the joint's shares follow its parameters."""
     push = [velocity(axis) for axis in joint.axes]
     return at_machine(
-        "force", law, push if rates else [state(q) for q in joint.positions], push, parameters=[*parameters, *joint.shares],
+        "force", law, [*(push if rates else [state(q) for q in joint.positions]), *further], push, parameters=[*parameters, *joint.shares],
         starts=[(*own, *shares) for shares in joint.starts for own in starts], notes={"variant": f"{what} between {joint.name}".strip()}, **rest,
     )
 
@@ -68,8 +70,11 @@ def joints(machine: Machine) -> Iterator[Joint]:
 
 def _masses(machine: Machine, one: tuple[Axis, Size], other: tuple[Axis, Size], deflection: Size) -> Joint:
     shares = constant("deflection", "", -1.0), Coefficient("mass ratio", "", 1e-2, 1e2, 0.1)
-    stiffness = 0.0 if machine.plant is None else float(machine.plant.A[one[0].rate.index, other[1].index])
-    return Joint(f"{one[0].name},{other[0].name}", (one[0], other[0]), (one[1], other[1]), deflection, stiffness, shares, ((-1.0, 1.0),))
+    A = None if machine.plant is None else machine.plant.A
+    there, back = (0.0, 0.0) if A is None else (float(A[one[0].rate.index, other[1].index]), float(A[other[0].rate.index, one[1].index]))
+    damping = 0.0 if A is None else max(0.0, float(A[one[0].rate.index, other[0].rate.index]))
+    ratio = back / there if min(there, back) > 0 else 1.0  # what pulls one mass pulls the other: any other ratio makes both drift
+    return Joint(f"{one[0].name},{other[0].name}", (one[0], other[0]), (one[1], other[1]), deflection, there, damping, shares, ((-1.0, ratio),))
 
 
 def _modes(known: Sequence[tuple[Axis, Size]]) -> Joint:
@@ -81,6 +86,6 @@ def _modes(known: Sequence[tuple[Axis, Size]]) -> Joint:
     signs = islice(product((1.0, -1.0), repeat=len(ratios)), MOST_STARTS)
     equal = [1.0] * len(ratios)
     return Joint(
-        ",".join(a.name for a in axes), axes, positions, first, 0.0, (*shares, *(constant("weight", "", 1.0) for _ in ratios)),
+        ",".join(a.name for a in axes), axes, positions, first, 0.0, 0.0, (*shares, *(constant("weight", "", 1.0) for _ in ratios)),
         tuple((*(s * r for s, r in zip(row, ratios, strict=True)), *equal) for row in signs),
     )

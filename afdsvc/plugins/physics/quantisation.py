@@ -48,8 +48,8 @@ class Quantisation:
         for port in machine.inputs:
             low, r = max(2 * port.step, 0.02 * port.rms), port.rms
             yield at_input(
-                port, _stepped, physics=self.name, family="input curve", parameters=[Coefficient("step", port.unit, low, max(2 * port.peak, 2 * low), 0.02 * r)],
-                starts=[(max(s * r, low),) for s in np.geomspace(0.1, 2.0, 25)],  # a step that is off by an eighth is another staircase three steps up
+                port, _stepped, physics=self.name, family="input curve", parameters=[Coefficient("step", port.unit, low, max(r, 2 * low), 0.02 * r)],  # beyond it are curves of two or three levels
+                starts=[(max(s * r, low),) for s in np.geomspace(0.1, 1.0, 19)],  # a step that is off by an eighth is another staircase three steps up
                 predicts="an effect that stays the same while the command changes by less than a step",
                 refuted_by="an effect that follows the smallest changes of the command",
             )

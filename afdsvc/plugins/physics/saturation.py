@@ -36,6 +36,16 @@ def two_limits(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] += min(max(z[0], p[1]), p[0]) - z[0]
 
 
+def cut_above(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """The signal is cut above the limit only."""
+    out[0] -= max(z[0] - p[0], 0.0)
+
+
+def cut_below(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """The signal is cut below the limit only, as by a pump that cannot suck."""
+    out[0] += max(p[0] - z[0], 0.0)
+
+
 def _held(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """A state beyond ``+-limit`` is brought back within one step."""
     out[0] -= math.copysign(max(abs(z[0]) - p[0], 0.0), z[0]) / dt
@@ -50,7 +60,7 @@ def overflow(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 class Saturation:
-    """A limit at every input, of every velocity, of every force that is a state, and of every store, inside the range the recordings use."""
+    """A limit at every input, on one side or both, of every velocity, of every force that is a state, and of every store, inside the range the recordings use."""
 
     name = "saturation"
     summary = "commands, speeds or levels beyond a limit are cut"
@@ -84,11 +94,13 @@ class Saturation:
             starts=[(share * peak, 0.1) for share in (0.35, 0.6, 0.85, 0.95)], **words,
         )
         top, low = port.mean - port.rms, port.mean + port.rms
+        upper = Coefficient("upper limit", port.unit, top, max(1.4 * peak, top + port.rms), step)
+        lower = Coefficient("lower limit", port.unit, min(-1.4 * peak, low - port.rms), low, step)
+        for law, limit, way, variant in ((cut_above, upper, 1, "above"), (cut_below, lower, -1, "below")):
+            starts = [(port.mean + way * s * port.rms,) for s in (0.0, 0.5, 0.95, 1.5)]
+            yield at_input(port, law, parameters=[limit], starts=starts, notes={"variant": variant, "of": ""}, **words)
         yield at_input(
-            port, two_limits, parameters=[
-                Coefficient("upper limit", port.unit, top, max(1.4 * peak, top + port.rms), step),
-                Coefficient("lower limit", port.unit, min(-1.4 * peak, low - port.rms), low, step),
-            ],
+            port, two_limits, parameters=[upper, lower],
             starts=[(port.mean + a * port.rms, port.mean - b * port.rms) for a, b in ((0.9, 0.9), (0.5, 0.95), (0.95, 0.5))],
             notes={"variant": "asymmetric", "of": ""}, **words,
         )

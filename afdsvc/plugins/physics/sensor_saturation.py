@@ -8,12 +8,7 @@ from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_output
-from afdsvc.plugins.physics.saturation import SHARP, SOFT, soft_limit, two_limits
-
-
-def cut_above(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """The reading is held below ``limit``."""
-    out[0] += min(z[0], p[0]) - z[0]
+from afdsvc.plugins.physics.saturation import SHARP, SOFT, cut_above, soft_limit, two_limits
 
 
 class SensorSaturation:

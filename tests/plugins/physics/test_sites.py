@@ -29,7 +29,7 @@ def offered(machine: Machine) -> dict:
     (MOTOR, "coulomb_friction@state:w#grows with the input stribeck_friction@state:w stribeck_friction@state:w#presliding"),
     (MOTOR, "quadratic_damping@state:w cubic_damping@state:w constant_load@state:w constant_load@state:w#drifting"),
     (MOTOR, "flexible_mode@state:w#attached mass flexible_mode@state:w#divided in 2 flexible_mode@state:w#divided in 3"),
-    (MOTOR, "saturation@state:w saturation@input:voltage#asymmetric dead_zone@input:voltage#asymmetric supply_droop@input:voltage"),
+    (MOTOR, "saturation@state:w saturation@input:voltage#asymmetric saturation@input:voltage#above saturation@input:voltage#below dead_zone@input:voltage#asymmetric supply_droop@input:voltage"),
     (MOTOR, "quantisation@input:voltage parameter_change@state:w#mass parameter_change@state:w#damping sensor_drift@output:w"),
     (MOTOR, "sensor_saturation@output:w sensor_saturation@output:w#above sensor_saturation@output:w#asymmetric"),
     (ARM, "gravity@state:w gravity@state:w#sine in place of a line cogging@state:w gain_follows_position@input:torque#w"),

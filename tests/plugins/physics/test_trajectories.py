@@ -24,7 +24,7 @@ from afdsvc.plugins.physics.gravity import _in_place, _weight
 from afdsvc.plugins.physics.hysteresis import over_integral
 from afdsvc.plugins.physics.joint import spring
 from afdsvc.plugins.physics.magnetic_force import pair, single
-from afdsvc.plugins.physics.saturation import overflow, two_limits
+from afdsvc.plugins.physics.saturation import cut_above, cut_below, overflow, two_limits
 from afdsvc.plugins.physics.slow_mode import _exchange
 from afdsvc.plugins.physics.static_nonlinearity import outflow, outflow_about, power, signed_square, thrust
 from afdsvc.plugins.physics.stribeck_friction import presliding
@@ -146,11 +146,12 @@ def two(x: np.ndarray, u: float, push: Callable) -> list[float]:
 def shaft(x: np.ndarray, u: float) -> list[float]:
     """Two masses, the second four times the first, on a shaft with play."""
     d = x[0] - x[2]
-    f = K * (d - np.clip(d, -0.05, 0.05))
+    f = K * (d - np.clip(d, -0.05, 0.05) + (0.02 * (x[1] - x[3]) if abs(d) > 0.05 else 0.0))
     return [x[1], -f - D * x[1] + G * u, x[3], 0.25 * f - D * x[3]]
 
 
-SHAFT = {"A": [[0, 1, 0, 0], [-K, -D, K, 0], [0, 0, 0, 1], [0.25 * K, 0, -0.25 * K, -D]], "B": [0, G, 0, 0], "writes": (1, 3)}
+DAMPED = 0.02 * K  # of the shaft
+SHAFT = {"A": [[0, 1, 0, 0], [-K, -D - DAMPED, K, DAMPED], [0, 0, 0, 1], [0.25 * K, 0.25 * DAMPED, -0.25 * K, -D - 0.25 * DAMPED]], "B": [0, G, 0, 0], "writes": (1, 3)}
 
 
 def tank(out: Callable, share: float = 0.5 / 0.8) -> Callable:
@@ -183,6 +184,8 @@ CASES = [
     Case("rotor with a thrust", thrust, (1.2, 0.05), lambda x, u: [-D * x[0] + G * x[1] * abs(x[1]) / 1.2, (u - x[1]) / 0.05], **SPEED, reads=(("u", 0),), stage="input", memory=1, hidden=(0.0,)),
     Case("thrust", power, (1.2, 2.0), lambda x, u: [-D * x[0] + G * u * abs(u) / 1.2], **SPEED, reads=(("u", 0),), stage="input"),
     Case("signed square", signed_square, (0.3, 1.2), lambda x, u: [-D * x[0] + G * (u + 0.3 * u * abs(u) / 1.2)], **SPEED, reads=(("u", 0),), stage="input"),
+    Case("limit above", cut_above, (0.5,), lambda x, u: [-D * x[0] + G * min(u, 0.5)], **SPEED, reads=(("u", 0),), stage="input"),
+    Case("limit below", cut_below, (-0.3,), lambda x, u: [-D * x[0] + G * max(u, -0.3)], **SPEED, reads=(("u", 0),), stage="input"),
     Case("two limits", two_limits, (0.5, -0.3), lambda x, u: [-D * x[0] + G * np.clip(u, -0.3, 0.5)], **SPEED, reads=(("u", 0),), stage="input"),
     Case("loop over a way", over_integral, (0.4, 0.05, 1.0), bouc, **SPEED, reads=(("u", 0),), stage="input", hidden=(0.0,), memory=3, tolerance=2e-2),
     Case("second store", _exchange, (0.9, 0.6), lambda x, u: [u - 0.8 * x[0] - 0.9 * (x[0] - x[2]), 0.5 * x[0] - 0.4 * x[1], (x[0] - x[2]) / 0.6], **(TANK | {"writes": (0,)}), hidden=(1.0,), memory=2),
@@ -191,7 +194,7 @@ CASES = [
     Case("joint with a cubic spring", spring, (300.0, 3.0, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 300 * d**3), **MODES, reads=(("x", 0), ("x", 2))),
     Case("joint with a gap", gap, (200.0, 0.1, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 200 * (d - np.clip(d, -0.1, 0.1))), **MODES, reads=(("x", 0), ("x", 2)), tolerance=5e-3),
     Case("play in a spring", play, (K, 0.1), axis(lambda q, v, u: K * np.clip(q, -0.1, 0.1)), **AXIS, reads=(("x", 0),), tolerance=5e-3),
-    Case("play in a shaft", shaft_play, (K, 0.05, -1.0, 0.25), shaft, **SHAFT, reads=(("x", 0), ("x", 2)), tolerance=5e-3),
+    Case("play in a shaft", shaft_play, (K, 0.05, 0.02, -1.0, 0.25), shaft, **SHAFT, reads=(("x", 0), ("x", 2), ("x", 1), ("x", 3)), tolerance=5e-3),
     Case("joint that rubs", _joint, (3.0, 0.1, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 3 * np.tanh(v / (0.1 + 3 * 1.49 * H))), **MODES, reads=(("x", 1), ("x", 3))),
 ]
 
