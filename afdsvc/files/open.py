@@ -21,7 +21,8 @@ from afdsvc.files.tables.foreign import (
 )
 from afdsvc.files.tables.foreign_mcap import listed_places
 from afdsvc.files.tables.mapping import DataMapping, read_mapping
-from afdsvc.files.tables.tables import PREPARED, read_table
+from afdsvc.files.tables.tables import PREPARED, read_table, signal_names
+from afdsvc.files.tables.time_base import Gap
 
 TABLES = (".csv", ".parquet", ".mat", ".npz", ".tdms", ".ulg", ".bag", ".db3")
 RECORDING, SPREADSHEETS = ".mcap", (".xlsx", ".xls", ".ods")
@@ -53,13 +54,16 @@ class TableFile:
     naming: Naming
 
     def traces(self, model: Model | None = None, machine: str | None = None, gaps: bool = False) -> list[Trace]:
-        """Return the table as traces; ``gaps`` allows cells without a number, as NaN, and takes a discrete model's sample time for a missing one."""
+        """Return the table as traces, one where it has no gap; ``gaps`` allows cells without a number, as NaN, and takes a discrete model's sample time for a missing one."""
         mapping = self.naming.for_others()
         if mapping:
             return read_foreign_columns(self.path, mapping, model)
         refuse_unmapped(self.path)
         step = model.plant.dt if gaps and model and model.plant and model.plant.discrete else None
-        trace = read_table(self.path, self.naming.pairs, None, gaps, step, model)
+        try:
+            trace = read_table(self.path, self.naming.pairs, None, gaps, step, model)
+        except Gap:
+            return read_foreign_columns(self.path, DataMapping().extended(signal_names(self.path, self.naming.pairs, model)), model)
         if self.naming.pairs:
             said = [f"{new} is {old}" if new else f"{old} is left out" for old, new in self.naming.pairs.items()]
             trace = replace(trace, notes={**trace.notes, PREPARED: "\n".join([*said, *trace.notes.get(PREPARED, "").splitlines()])})

@@ -30,6 +30,7 @@ FILES = {
     "fast.toml": f'site = "hall"\n{SITE}options = {{rpm = "fast"}}\n', "hours.csv": "t\n" + "".join(f"{k}\n" for k in range(100)),
     "log.csv": "Time_ms,Voltage [V],speed_rpm\n" + ROWS, "bare.csv": ROWS, "words.csv": "t,u_voltage,y_speed\n0.00,1,2\n0.01,off,2\n",
     "gap.csv": "t,u_voltage,y_speed\n" + "".join(f"{t},1,2\n" for t in TIMES), "book.xlsx": "PK",
+    "torn.csv": "t,u_voltage,y_speed\n" + "".join(f"{0.01 * k + k // 30:.2f},{k % 7},{k % 5}\n" for k in range(100)),
 }  # fmt: skip
 
 
@@ -60,7 +61,7 @@ def folder(tmp_path_factory) -> Path:
         ("check typo.toml gap.csv", ["typo.toml: key 'nun' is not known; is 'num' meant?"]),
         ("check MODEL.toml book.xlsx", ["book.xlsx: is a spreadsheet; expected the sheet saved as CSV"]),
         ("check MODEL.toml words.csv", ["words.csv: column 'u_voltage', row 2 holds 'off'; expected a number"]),
-        ("identify MODEL.toml gap.csv", ["gap.csv: column 't', row 52 comes 1.01 s after the one before it", "one recording for each side of the gap"]),
+        ("identify MODEL.toml torn.csv", ["torn.csv: the longest stretch without a gap has 30 samples", "expected at least 50"]),
         ("check MODEL.toml nowhere.csv", ["nowhere.csv: cannot be read: No such file or directory"]),
         ("check MODEL.toml", ["MODEL.toml: no recording is given to compare it with"]),
         ("check site.toml gap.csv", ["site.toml: is a site file; expected a model (MODEL.toml)"]),

@@ -99,29 +99,37 @@ def _stretches(runs: Sequence[Run]) -> float:
 
 
 def _correlation(runs: Sequence[Run], simulated: Sequence[Array], j: int) -> tuple[float, bool]:
-    """Return the largest correlation of an output with what the model makes of the inputs, with an input or its size, at any lag in any recording,
-    and whether one is clear."""
-    found = [(0.0, False)]
+    """Return the largest correlation of an output with what the model makes of the inputs, with an input or its size, at any lag in any recording
+    and in all together, and whether one is clear."""
+    outputs, causes = [], []
     for r, made in zip(runs, simulated, strict=True):
-        y, own = np.nan_to_num(r.Y[:, j] - np.nanmean(r.Y[:, j])), made[:, j] - made[:, j].mean()
-        inputs = [x for u in (r.U - r.U.mean(0)).T for x in (u, np.abs(u) - np.abs(u).mean())]
-        found += [_largest(y, x) for x in (own, *inputs) if np.isfinite(x).all()]
-    return max(size for size, _ in found), any(clear for _, clear in found)
+        u = r.U - r.U.mean(0)
+        outputs.append(np.nan_to_num(r.Y[:, j] - np.nanmean(r.Y[:, j])))
+        causes.append(np.column_stack([made[:, j] - made[:, j].mean(), u, np.abs(u) - np.abs(u).mean(0)]))
+    recordings = [[k] for k in range(len(runs))] + [list(range(len(runs)))]
+    kinds = [i for i in range(causes[0].shape[1]) if all(np.isfinite(c[:, i]).all() for c in causes)]
+    found = [_largest([outputs[k] for k in some], [causes[k][:, i] for k in some]) for some in recordings for i in kinds]
+    return max([size for size, _ in found], default=0.0), any(clear for _, clear in found)
 
 
-def _largest(y: Array, u: Array) -> tuple[float, bool]:
+def _largest(outputs: Sequence[Array], inputs: Sequence[Array]) -> tuple[float, bool]:
     """Return the largest correlation over all lags, and whether it is `CLEAR` and more than unrelated signals of these spectra reach by chance.
 
     The variance of a correlation of unrelated signals is the sum over lags of the product of their autocorrelations, over their length
-    (Bartlett, "On the theoretical specification and sampling properties of autocorrelated time-series", 1946).
+    (Bartlett, "On the theoretical specification and sampling properties of autocorrelated time-series", 1946). Products of several recordings add up.
     """
-    size = np.linalg.norm(y) * np.linalg.norm(u)
+    longest, powers = max(map(len, outputs)), np.array([[float(x @ x) for x in pair] for pair in zip(outputs, inputs, strict=True)])
+    size = float(np.sqrt(np.prod(powers.sum(0))))
     if size == 0:
         return 0.0, False
-    largest = float(np.abs(signal.correlate(y, u, method="fft")).max() / size)
-    own = [signal.correlate(x, x, method="fft") / float(x @ x) for x in (y, u)]
-    variance = max(float(own[0] @ own[1]), 1.0) / len(y)
-    return largest, bool(largest > max(CLEAR, float(stats.norm.isf(CHANCE / (2 * len(y)))) * np.sqrt(variance)))
+    products, variance = np.zeros(2 * longest - 1), 0.0
+    for y, u, power in zip(outputs, inputs, powers, strict=True):
+        at = longest - len(y)
+        products[at : at + 2 * len(y) - 1] += signal.correlate(y, u, method="fft")
+        own = [signal.correlate(x, x, method="fft") for x in (y, u)]
+        variance += max(float(own[0] @ own[1]), float(np.prod(power))) / len(y)
+    largest = float(np.abs(products).max() / size)
+    return largest, bool(largest > max(CLEAR, float(stats.norm.isf(CHANCE / (2 * sum(map(len, outputs))))) * np.sqrt(variance) / size))
 
 
 def refuse_still(model: Model, roles: Split) -> None:

@@ -40,6 +40,15 @@ def read_table(
     return table_trace(_renamed(columns, own, str(path)), path, dt, allow_nan, default_dt)
 
 
+def signal_names(path: Path, mapping: Mapping[str, str], model: Model | None = None) -> dict[str, str]:
+    """Return the name that `read_table` gives every column of a table but its time, by column."""
+    columns = read_columns(path)
+    names = {column: mapping.get(column, column) for column in columns}
+    own = own_names(names.values(), model) if model else {}
+    time = own_time({new: columns[old] for old, new in names.items()})
+    return {old: own.get(new, new) for old, new in names.items() if new and new != time}
+
+
 def table_trace(columns: Columns, path: Path, dt: float | None = None, allow_nan: bool = False, default_dt: float | None = None) -> Trace:
     """Return columns by name as a trace named after ``path``, as `read_table` does."""
     columns = dict(columns)

@@ -10,13 +10,16 @@ import pytest
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Signal
 from afdsvc.dataset.experiment import prepare
-from afdsvc.explain.report.naming import _why, estimates, offsets
+from afdsvc.explain.report.explanation import Estimate
+from afdsvc.explain.report.naming import _named, _own_of, _shape, _why, estimates, offsets
 from afdsvc.explain.report.report import _offsets
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.fit import fit
+from afdsvc.explain.search.ranking import Candidate
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.explain.verdict.verdict import Claim
 
 NOISE = 0.02
 
@@ -30,6 +33,22 @@ def law(low: float, linear: bool) -> Hypothesis:
     q, v = Signal("x", 0), Signal("x", 1)
     size = Coefficient("stiffness", "N/mm^3", low, 1e6, 100.0, linear=linear, through=(1, 0))
     return Hypothesis("cubic", "state:v", "spring", "force", cubic, (q,), (v,), (size,), ((500.0,),))
+
+
+def test_parameters_of_a_look_alike_are_its_own_where_another_effect_comes_after_it(spring, recorded):
+    problem = build(nominal(spring, 2e-3), prepare(spring, [recorded(1)]), Settings())
+    first, second = law(-1e6, True), replace(law(-1e6, True), physics="other", parameters=(Coefficient("width", "", -1.0, 1.0, 0.1, linear=True),))
+    point = problem.start().added(PlacedEffect(first, np.array([300.0]))).added(PlacedEffect(second, np.array([0.5])))
+    candidate = Candidate(first, {0.0: fit(problem, point, 0.0, 1.0, iterations=0)}, None)  # type: ignore[arg-type]
+    assert _own_of(problem, candidate, 0.0).keys() == {"stiffness"}
+
+
+def test_shapes_of_one_name_are_told_apart_where_both_are_listed():
+    shapes = [replace(law(-1e6, True), notes={"variant": variant, "of": variant}) for variant in ("soft", "stiff")]
+    claims = [Claim(Candidate(h, {}, None), 0.5, 1, 0.9) for h in (*shapes, replace(shapes[0], physics="other"))]  # type: ignore[arg-type]
+    assert [_shape(c.candidate.hypothesis, claims) for c in claims] == ["soft", "stiff", ""]
+    assert _shape(shapes[0], claims[:1]) == ""
+    assert "left out, soft (" in _named(claims[0], {"k": Estimate(1.0, None, "N")}, 2, False, {"cubic": "a spring left out"}, "soft").sentence
 
 
 @pytest.mark.parametrize(("low", "linear"), [(-1e6, True), (0.0, False)])

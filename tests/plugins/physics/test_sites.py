@@ -100,6 +100,20 @@ def test_a_joint_of_two_masses_is_sized_by_their_difference():
     assert gap.high < 0.1 * machine.states[0].rms
 
 
+def test_a_joint_begins_at_the_ratio_of_masses_that_the_model_has():
+    """Its force on one mass is that on the other, or both drift; its damper acts where its spring does."""
+    machine = machines()[SHAFT]
+    assert machine.plant is not None
+    A = machine.plant.A
+    for key in ("clearance@machine#play in the spring between w1,w2", "cubic_stiffness@machine#between w1,w2"):
+        h = offered(machine)[key]
+        at = [c.name for c in h.parameters].index("mass ratio")
+        assert {s[at] for s in h.starts} == {A[3, 0] / A[1, 2]}
+    play = offered(machine)["clearance@machine#play in the spring between w1,w2"]
+    assert play.parameters[2].low == A[1, 3] / A[1, 2]
+    assert [(s.kind, s.index) for s in play.reads] == [("x", 0), ("x", 2), ("x", 1), ("x", 3)]
+
+
 def test_play_needs_a_spring_of_the_model():
     machine = machines()[ARM]
     assert machine.plant is not None
