@@ -77,7 +77,7 @@ def experiment_after(found: Found, claims: Sequence[Claim]) -> NextExperiment | 
 
 def _sentence(found: Found, names: tuple[str, str], plan: Plan, apart: float, repeated: float) -> str:
     ports = found.machine.inputs
-    level = "the present level" if plan.level == 1 else f"{plan.level:g} times the present level"
+    level = "the present level" if plan.level == 1 else f"{plan.level:.2g} times the present level"
     doubt = "" if apart >= ENOUGH else "; even that may not separate them"
     return (
         f"to separate {names[0]} from {names[1]}: an odd multisine on input {' and '.join(x.name for x in ports)} from {plan.band[0]:.4g} to "

@@ -45,14 +45,21 @@ class Plan:
 
 
 def plans(runs: Sequence[Run]) -> list[Plan]:
-    """Return multisines on all inputs; the first one has the band and level of the recordings."""
+    """Return multisines on all inputs, about where they are; the first one has the band and level of the recordings.
+
+    An input that never changes its sign may be unable to (a heater, a pump): it stays within the range of the recordings.
+    """
     dt, strong = runs[0].dt, np.max([_drive(r).std(0) for r in runs], axis=0)
     if not any(np.ptp(_drive(r), axis=0).any() for r in runs):  # constant inputs have no level to begin from
         return []
+    played = np.vstack([_drive(r) for r in runs])
+    low, high = played.min(0), played.max(0)
+    room = np.where((low < high) & ((low >= 0) | (high <= 0)), (high - low) / 2, np.inf)
     peaks = CREST * np.maximum(strong, 0.1 * float(strong.max()) + 1e-300)
+    levels = {float((np.minimum(level * peaks, room) / peaks).max()): np.minimum(level * peaks, room) for level in LEVELS}
     top = min(bandwidth(runs) / (2 * np.pi), TOP / (2 * dt))
     bands = dict.fromkeys((top / LINES, min(w * top, TOP / (2 * dt))) for w in WIDER)
-    return [made for band, level in product(bands, LEVELS) if (made := _plan(band, level, peaks, dt)) is not None]
+    return [made for band, level in product(bands, levels) if (made := _plan(band, level, levels[level], dt)) is not None]
 
 
 def _drive(run: Run) -> Array:
@@ -61,7 +68,7 @@ def _drive(run: Run) -> Array:
 
 def _plan(band: tuple[float, float], level: float, peaks: Array, dt: float) -> Plan | None:
     try:
-        return Plan(multisine_plan(band, level * peaks, dt), band, level, float(level * peaks.max()))
+        return Plan(multisine_plan(band, peaks, dt), band, level, float(peaks.max()))
     except BadInput:  # too few lines in the band
         return None
 

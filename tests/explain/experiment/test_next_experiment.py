@@ -71,6 +71,21 @@ def test_a_machine_without_inputs_has_no_first_experiment(spring, recorded):
     assert first_experiment(nominal(free, runs[0].dt), runs) is None
 
 
+@pytest.mark.parametrize(("mean", "gain", "most"), [(0.0, 1.0, np.inf), (5.0, 1.0, 1.0), (-5.0, 1.0, 1.0), (5.0, 2.0, 2.0)])
+def test_an_input_that_never_changes_its_sign_stays_in_its_range(spring, recorded, mean, gain, most):
+    """Of a heater or a pump nobody knows that it can: half of its range is the most on either side."""
+    trace = recorded(1)
+    u = trace.values[:, 0]
+    shaped = 2 * (u - u.min()) / np.ptp(u) - 1
+    runs = prepare(spring, [replace(trace, values=np.column_stack([mean + gain * shaped, trace.values[:, 1]]))])
+    made = plans(runs)
+    assert {p.level for p in made} >= ({1.0, 2.0, 0.5} if most == np.inf else {0.5})
+    assert all(p.peak <= most * (1 + 1e-9) for p in made)
+    assert max(p.peak for p in made) == pytest.approx(min(most, 2 * 1.8 * gain * shaped.std()))
+    for p in made:
+        assert np.abs(p.burst.play(2e-3)).max() <= p.peak * (1 + 1e-6)
+
+
 def test_constant_inputs_have_no_level_to_begin_from(spring, recorded):
     runs = prepare(spring, [replace(recorded(1), values=recorded(1).values * [0.0, 1.0] + [3.0, 0.0])])
     assert plans(runs) == []
