@@ -72,7 +72,7 @@ def test_units_say_the_role_where_names_do_not(tmp_path: Path):
 
 
 def parquet(path: Path, columns: dict[str, np.ndarray], units: dict[str, str]) -> None:
-    fields = [pa.field(n, pa.float64(), metadata={"unit": units[n]} if n in units else None) for n in columns]
+    fields = [pa.field(n, pa.float64(), metadata={"units" if n == "tacho" else "unit": units[n]} if n in units else None) for n in columns]
     pyarrow.parquet.write_table(pa.table(list(columns.values()), schema=pa.schema(fields)), path)
 
 

@@ -15,7 +15,7 @@ from afdsvc.errors import BadInput
 from afdsvc.files.open import Naming, open_file
 from afdsvc.files.recording.foxglove import pool_of
 from afdsvc.files.tables.foreign import prepared
-from afdsvc.files.tables.foreign_mcap import number, numeric_paths, stamp_ns
+from afdsvc.files.tables.foreign_mcap import number, numeric_paths, shown, stamp_ns
 from afdsvc.files.tables.mapping import DataMapping
 
 T0 = 1_763_000_000_123_456_789
@@ -279,6 +279,13 @@ def test_a_recording_that_is_not_ours_asks_for_a_mapping(tmp_path):
         open_file(path, Naming()).traces()
     (trace,) = open_file(path, Naming(None, {"encoder.angle.deg[0]": "y_angle"})).traces()
     assert len(trace) == N
+
+
+def test_no_more_places_are_listed_than_can_be_read():
+    places = [f"motor.{k}" for k in range(30)]
+    assert shown(places).endswith("motor.23 and 6 more")
+    assert shown(places[:2]) == "motor.0, motor.1"
+    assert shown([]) == "no messages"
 
 
 def test_paths_and_stamps_of_odd_messages():
