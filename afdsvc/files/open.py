@@ -22,7 +22,7 @@ from afdsvc.files.tables.foreign import (
 from afdsvc.files.tables.foreign_mcap import listed_places
 from afdsvc.files.tables.mapping import DataMapping, read_mapping
 from afdsvc.files.tables.tables import PREPARED, read_table, signal_names
-from afdsvc.files.tables.time_base import Gap
+from afdsvc.files.tables.time_base import MissingSamples
 
 TABLES = (".csv", ".parquet", ".mat", ".npz", ".tdms", ".ulg", ".bag", ".db3")
 RECORDING, SPREADSHEETS = ".mcap", (".xlsx", ".xls", ".ods")
@@ -62,7 +62,7 @@ class TableFile:
         step = model.plant.dt if gaps and model and model.plant and model.plant.discrete else None
         try:
             trace = read_table(self.path, self.naming.pairs, None, gaps, step, model)
-        except Gap:
+        except MissingSamples:
             return read_foreign_columns(self.path, DataMapping().extended(signal_names(self.path, self.naming.pairs, model)), model)
         if self.naming.pairs:
             said = [f"{new} is {old}" if new else f"{old} is left out" for old, new in self.naming.pairs.items()]

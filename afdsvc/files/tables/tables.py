@@ -41,12 +41,12 @@ def read_table(
 
 
 def signal_names(path: Path, mapping: Mapping[str, str], model: Model | None = None) -> dict[str, str]:
-    """Return the name that `read_table` gives every column of a table but its time, by column."""
+    """Return the name that `read_table` gives every column of a table but its time, by column; raises `BadInput` for one without a role."""
     columns = read_columns(path)
     names = {column: mapping.get(column, column) for column in columns}
     own = own_names(names.values(), model) if model else {}
     time = own_time({new: columns[old] for old, new in names.items()})
-    return {old: own.get(new, new) for old, new in names.items() if new and new != time}
+    return {old: _channel(own.get(new, new), path).name for old, new in names.items() if new and new != time}
 
 
 def table_trace(columns: Columns, path: Path, dt: float | None = None, allow_nan: bool = False, default_dt: float | None = None) -> Trace:

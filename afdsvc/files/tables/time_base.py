@@ -20,8 +20,11 @@ from afdsvc.lti.statespace import Array
 TIME = "t"
 UNITS = {"t": 1.0, "t_s": 1.0, "t_ms": 1e-3, "t_us": 1e-6, "t_ns": 1e-9}
 STEPS = ("ts", "dt", "step")
-GAP = 1.5  # sample times between two rows from which samples are missing
 JITTER = 0.1  # share of the sample time by which a time may miss its place
+
+
+class MissingSamples(BadInput):
+    """Samples are missing between two rows."""
 
 
 def time_base(t: Array, where: str) -> tuple[float, float]:
@@ -37,9 +40,9 @@ def time_base(t: Array, where: str) -> tuple[float, float]:
     _refuse(steps <= 0, where, lambda i: f"goes from {t[i - 1]:.15g} to {t[i]:.15g}; expected times that increase")
     step = float(np.median(steps[1:]))
     _refuse(
-        steps > GAP * step, where,
+        steps > 1.5 * step, where,
         lambda i: f"comes {steps[i]:.6g} s after the one before it, where {step:.6g} s is usual: samples are missing; "
-        "expected one recording for each side of the gap", Gap,
+        "expected one recording for each side of the gap", MissingSamples,
     )  # fmt: skip
     dt = shortest_step(t)
     miss = np.abs(t - t[0] - dt * np.arange(len(t)))
@@ -90,10 +93,6 @@ def shortest_step(t: Array) -> float:
         if np.abs(t - t[0] - step * grid).max() <= 1.5 * error + 1e-9 * mean:
             return step
     return mean
-
-
-class Gap(BadInput):
-    """Samples are missing between two rows."""
 
 
 def _refuse(offends, where, sentence, error=BadInput) -> None:  # type: ignore[no-untyped-def]

@@ -385,6 +385,8 @@ def test_a_gap_divides_a_table_without_a_mapping_too(tmp_path, time):
     (tmp_path / "run.csv").write_text(f"{time},left,place,rest\n{rows}")
     pieces = open_file(tmp_path / "run.csv", Naming(None, {"left": "u_left", "place": "y_height", "rest": ""})).traces(MODEL)
     assert [c.name for c in pieces[0].channels] == ["u_left", "y_height"]
+    with pytest.raises(BadInput, match=r"run\.csv: column 'left' has no role; .* let afdsvc init write a mapping file"):
+        open_file(tmp_path / "run.csv").traces()
     assert [(len(p), round(p.t0, 6), p.dt) for p in pieces] == [(80, 0.0, 0.004), (120, 0.8, 0.004)]
     assert np.array_equal(pieces[1].column("u_left"), u[80:200])
     assert pieces[0].channels[1].unit == next(v.unit for v in MODEL.outputs if v.name == "height")
