@@ -81,8 +81,10 @@ def eventually(condition: Callable[[], bool], seconds: float = 30.0) -> float:
 
 
 def burst(hub: Hub) -> str:
-    name = hub.burst_requests["bearing"].ask(BurstOrder("test"))
+    requests = hub.burst_requests["bearing"]
+    name = requests.ask(BurstOrder("test"))
     eventually(lambda: any(e.burst == name for e in list(hub.watches["bearing"].evidence)), 20)
+    eventually(lambda: not requests.scheduler.playing, 15)  # its decisions may come sooner than its end
     return name
 
 
