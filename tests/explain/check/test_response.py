@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.check.check import check, objection
-from afdsvc.explain.check.response import _largest, responding
+from afdsvc.explain.check.response import _correlation, _largest, responding
 from afdsvc.explain.check.result import check_all
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.lti.statespace import StateSpace
@@ -40,6 +41,8 @@ def test_short_recordings_show_together_what_none_shows_alone():
     outputs, inputs = steps(1, 1.0)
     assert not any(_largest([y], [u])[1] for y, u in zip(outputs, inputs, strict=True))
     assert _largest(outputs, inputs)[1]
+    runs = [SimpleNamespace(U=u[:, None], Y=y[:, None]) for y, u in zip(outputs, inputs, strict=True)]
+    assert _correlation(runs, [np.zeros((60, 1))] * 12, 0)[1]
     assert sum(_largest(*steps(seed, 0.0))[1] for seed in range(2, 302)) <= 3  # 0.1 % promised
 
 

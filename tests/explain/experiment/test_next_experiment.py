@@ -75,8 +75,7 @@ def test_a_machine_without_inputs_has_no_first_experiment(spring, recorded):
 def test_an_input_that_never_changes_its_sign_stays_in_its_range(spring, recorded, mean, gain, most):
     """Of a heater or a pump nobody knows that it can: half of its range is the most on either side."""
     trace = recorded(1)
-    u = trace.values[:, 0]
-    shaped = 2 * (u - u.min()) / np.ptp(u) - 1
+    shaped = np.sign(trace.values[:, 0])
     runs = prepare(spring, [replace(trace, values=np.column_stack([mean + gain * shaped, trace.values[:, 1]]))])
     made = plans(runs)
     assert {p.level for p in made} >= ({1.0, 2.0, 0.5} if most == np.inf else {0.5})
