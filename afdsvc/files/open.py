@@ -21,7 +21,7 @@ from afdsvc.files.tables.foreign import (
 )
 from afdsvc.files.tables.foreign_mcap import listed_places
 from afdsvc.files.tables.mapping import DataMapping, read_mapping
-from afdsvc.files.tables.tables import PREPARED, read_table, signal_names
+from afdsvc.files.tables.tables import PREPARED, own_mapping, read_table
 from afdsvc.files.tables.time_base import MissingSamples
 
 TABLES = (".csv", ".parquet", ".mat", ".npz", ".tdms", ".ulg", ".bag", ".db3")
@@ -63,7 +63,7 @@ class TableFile:
         try:
             trace = read_table(self.path, self.naming.pairs, None, gaps, step, model)
         except MissingSamples:
-            return read_foreign_columns(self.path, DataMapping().extended(signal_names(self.path, self.naming.pairs, model)), model)
+            return read_foreign_columns(self.path, own_mapping(self.path, self.naming.pairs, model), model)
         if self.naming.pairs:
             said = [f"{new} is {old}" if new else f"{old} is left out" for old, new in self.naming.pairs.items()]
             trace = replace(trace, notes={**trace.notes, PREPARED: "\n".join([*said, *trace.notes.get(PREPARED, "").splitlines()])})

@@ -14,7 +14,8 @@ from afdsvc.files.model.model_file import model_text
 from afdsvc.files.recording.mcap_file import Header
 from afdsvc.files.recording.recorder import Recorder, RecordingSettings
 from afdsvc.files.tables.formats import Columns, read_columns
-from afdsvc.files.tables.time_base import TIME, is_stamped, own_step, own_time, seconds, time_base
+from afdsvc.files.tables.mapping import DataMapping
+from afdsvc.files.tables.time_base import TIME, UNITS, is_stamped, own_step, own_time, seconds, time_base
 from afdsvc.files.unfinished import writing
 from afdsvc.lti.statespace import Array
 from afdsvc.wire.codec import encode_block
@@ -40,13 +41,16 @@ def read_table(
     return table_trace(_renamed(columns, own, str(path)), path, dt, allow_nan, default_dt)
 
 
-def signal_names(path: Path, mapping: Mapping[str, str], model: Model | None = None) -> dict[str, str]:
-    """Return the name that `read_table` gives every column of a table but its time, by column; raises `BadInput` for one without a role."""
+def own_mapping(path: Path, pairs: Mapping[str, str], model: Model | None = None) -> DataMapping:
+    """Return the mapping by which a table is read as `read_table` does, gaps apart; raises `BadInput` for a column without a role."""
     columns = read_columns(path)
-    names = {column: mapping.get(column, column) for column in columns}
+    names = {column: pairs.get(column, column) for column in columns if column != own_step(columns)[0]}
     own = own_names(names.values(), model) if model else {}
     time = own_time({new: columns[old] for old, new in names.items()})
-    return {old: _channel(own.get(new, new), path).name for old, new in names.items() if new and new != time}
+    unit = time.removeprefix("t_") if time in UNITS and time != TIME else "s"
+    clock = {"from": next(old for old, new in names.items() if new == time), "unit": unit}
+    signals = {old: _channel(own.get(new, new), path).name for old, new in names.items() if new and new != time}
+    return DataMapping.model_validate({"time": clock}).extended(signals)
 
 
 def table_trace(columns: Columns, path: Path, dt: float | None = None, allow_nan: bool = False, default_dt: float | None = None) -> Trace:

@@ -73,7 +73,7 @@ def test_a_machine_without_inputs_has_no_first_experiment(spring, recorded):
 
 @pytest.mark.parametrize(("mean", "gain", "most"), [(0.0, 1.0, np.inf), (5.0, 1.0, 1.0), (-5.0, 1.0, 1.0), (5.0, 2.0, 2.0)])
 def test_an_input_that_never_changes_its_sign_stays_in_its_range(spring, recorded, mean, gain, most):
-    """Of a heater or a pump nobody knows that it can: half of its range is the most on either side."""
+    """A heater or a pump may be unable to: half of its range is the most on either side."""
     trace = recorded(1)
     shaped = np.sign(trace.values[:, 0])
     runs = prepare(spring, [replace(trace, values=np.column_stack([mean + gain * shaped, trace.values[:, 1]]))])

@@ -376,17 +376,18 @@ def test_what_is_no_number_says_what_is_expected(tmp_path, text, expected):
         read_columns(tmp_path / "log.csv")
 
 
-@pytest.mark.parametrize("time", ["t", "t_ms"])
+@pytest.mark.parametrize("time", ["t", "t_ms", "Zeit", "Zeit_ms"])
 def test_a_gap_divides_a_table_without_a_mapping_too(tmp_path, time):
     """Each side is a recording of its own, with the numbers as they are."""
     k = np.concatenate([np.arange(80), np.arange(200, 320), np.arange(400, 420)])
     t, u, y = 0.004 * k, np.sin(0.3 * k), np.cos(0.3 * k)
-    rows = "".join(f"{a if time == 't' else 1000 * a:.3f},{float(b)!r},{float(c)!r},7\n" for a, b, c in zip(t, u, y, strict=True))
+    rows = "".join(f"{1000 * a if 'ms' in time else a:.3f},{float(b)!r},{float(c)!r},7\n" for a, b, c in zip(t, u, y, strict=True))
     (tmp_path / "run.csv").write_text(f"{time},left,place,rest\n{rows}")
-    pieces = open_file(tmp_path / "run.csv", Naming(None, {"left": "u_left", "place": "y_height", "rest": ""})).traces(MODEL)
+    pairs = {"left": "u_left", "place": "y_height", "rest": "", **({time: time.replace("Zeit", "t")} if "Zeit" in time else {})}
+    pieces = open_file(tmp_path / "run.csv", Naming(None, pairs)).traces(MODEL)
     assert [c.name for c in pieces[0].channels] == ["u_left", "y_height"]
     with pytest.raises(BadInput, match=r"run\.csv: column 'left' has no role; .* let afdsvc init write a mapping file"):
-        open_file(tmp_path / "run.csv").traces()
+        open_file(tmp_path / "run.csv", Naming(None, {k: v for k, v in pairs.items() if k != "left"})).traces()
     assert [(len(p), round(p.t0, 6), p.dt) for p in pieces] == [(80, 0.0, 0.004), (120, 0.8, 0.004)]
     assert np.array_equal(pieces[1].column("u_left"), u[80:200])
     assert pieces[0].channels[1].unit == next(v.unit for v in MODEL.outputs if v.name == "height")
