@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from afdsvc.errors import BadInput
-from afdsvc.lti.python_control import as_state_space
+from afdsvc.lti.python_control import as_state_space, is_transfer_function
 from afdsvc.lti.statespace import Array, StateSpace
 
 DEFAULT_RELATIVE_SD = 0.05  # of parameters and entries whose owner states none
@@ -100,6 +100,8 @@ class Model:
         Further content of the file.
     opened : callable, optional
         Opens the simulator behind a model that only steps; ``plant`` is then what was found of it by small pushes.
+    transfer : bool
+        Whether it was stated as a transfer function: ``plant`` is then as `from_polynomials` makes it, and results are shown as one.
     sd_stated : bool
         False where ``entry_sd`` is the default share of the entries: detection takes such a model as certain.
 
@@ -127,6 +129,7 @@ class Model:
     raw: str = ""
     extra: Mapping[str, Any] = field(default_factory=dict)
     opened: Callable[[], SteppedPlant] | None = None
+    transfer: bool = False
     sd_stated: bool = False
 
     @classmethod
@@ -167,7 +170,7 @@ class Model:
         >>> motor.plant.A.tolist(), motor.states[0]
         ([[-12.5]], Variable(name='speed', unit='rad/s', rate_of=None))
         """
-        plant = as_state_space(system)
+        plant, transfer = as_state_space(system), is_transfer_function(system)
         if not all(np.isfinite(part).all() for part in (plant.A, plant.B, plant.C, plant.D)):
             raise BadInput("the system holds nan or inf; expected finite numbers")
         plant = plant if states else _scaled_as_outputs(plant)
@@ -177,7 +180,7 @@ class Model:
         sd = {k: np.where(np.isin(getattr(plant, k), (0.0, 1.0, -1.0)), 0.0, share * np.abs(getattr(plant, k))) for k in "ABCD"}
         noise = None if output_sd is None else np.asarray(output_sd, dtype=np.float64)
         K = None if controller is None else as_state_space(controller)
-        return cls(name, ins, outs, named, plant, sample_time=plant.dt, entry_sd=sd, output_sd=noise, controller=K, sd_stated=relative_sd is not None)
+        return cls(name, ins, outs, named, plant, sample_time=plant.dt, entry_sd=sd, output_sd=noise, controller=K, transfer=transfer, sd_stated=relative_sd is not None)
 
 
 def _scaled_as_outputs(plant: StateSpace) -> StateSpace:

@@ -142,6 +142,13 @@ def as_state_space(system: Any) -> StateSpace:
     raise BadInput(f"the system is a {type(system).__name__}; expected one of python-control or scipy.signal, or (num, den), (zeros, poles, gain), (A, B, C), (A, B, C, D)")
 
 
+def is_transfer_function(system: Any) -> bool:
+    """Whether `as_state_space` takes a system as numerators and denominators, or as zeros, poles and a gain."""
+    if isinstance(system, tuple):
+        return len(system) == 2 or (len(system) == 3 and np.ndim(system[2]) == 0)
+    return not isinstance(system, StateSpace) and not all(hasattr(system, part) for part in "ABCD")
+
+
 def _of_parts(parts: tuple[Any, ...], dt: float) -> StateSpace:
     if len(parts) == 2:
         num, den = (np.atleast_1d(np.asarray(p, dtype=np.float64)) for p in parts)

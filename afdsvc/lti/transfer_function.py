@@ -41,6 +41,41 @@ def from_polynomials(num: Sequence[Sequence[Polynomial]], den: Sequence[Sequence
     return StateSpace(A, B, C, D, dt)
 
 
+def to_polynomials(system: StateSpace, output: int, of: int) -> tuple[Array, Array]:
+    """Return numerator and denominator from input ``of`` to an output of a system that `from_polynomials` made, highest power first.
+
+    The last coefficient of the denominator is 1, or the first one where the last is 0.
+
+    >>> [p.tolist() for p in to_polynomials(from_polynomials([[[2.0]]], [[[0.5, 1.0]]]), 0, 0)]
+    [[2.0], [0.5, 1.0]]
+    """
+    firsts = [int(np.flatnonzero(row)[0]) if row.any() else system.order for row in system.C]
+    block = slice(firsts[output], min((k for k in firsts if k > firsts[output]), default=system.order))
+    if firsts[output] == system.order:
+        return system.D[output, of : of + 1], np.ones(1)
+    A, through = system.A[block, block], system.D[output, of]
+    den = np.append(1.0, -A[:, 0] if A[:-1, 0].any() else -A[-1, ::-1])
+    num = through * den + np.append(0.0, system.B[block, of])
+    return _trimmed(num) / (den[-1] or 1.0), den / (den[-1] or 1.0)
+
+
+def ratio_text(num: Array, den: Array, variable: str) -> str:
+    """Return a ratio of polynomials as people write it, four digits a number.
+
+    >>> ratio_text(np.array([2.0]), np.array([0.5, 1.0]), "s")
+    '2 / (0.5 s + 1)'
+    """
+    over, under = (" + ".join(_terms(p, variable)).replace("+ -", "- ") or "0" for p in (num, den))
+    over, under = (f"({text})" if " " in text else text for text in (over, under))
+    return over if under == "1" else f"{over} / {under}"
+
+
+def _terms(polynomial: Array, variable: str) -> list[str]:
+    powers = range(len(polynomial) - 1, -1, -1)
+    words = ["" if k == 0 else f" {variable}" if k == 1 else f" {variable}^{k}" for k in powers]
+    return [(w.strip() if w and c == 1 else f"{c:.4g}{w}") for c, w in zip(polynomial, words, strict=True) if c]
+
+
 def from_roots(zeros: Sequence[complex], poles: Sequence[complex], gain: float, dt: float = 0.0) -> StateSpace:
     """Return the system ``gain (s - z1)(s - z2) ... / ((s - p1)(s - p2) ...)``; complex roots come in conjugate pairs.
 

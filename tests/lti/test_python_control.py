@@ -8,10 +8,13 @@ import sys
 import control
 import numpy as np
 import pytest
+from scipy import signal
 
 import afdsvc.lti as lti
+from afdsvc.api.model import Model
 from afdsvc.errors import BadInput, NotStabilising
-from afdsvc.lti.python_control import as_state_space
+from afdsvc.lti.python_control import as_state_space, is_transfer_function
+from afdsvc.lti.statespace import StateSpace
 
 FACTORS = ("M", "N", "U", "V", "Mt", "Nt", "Ut", "Vt")
 
@@ -161,6 +164,14 @@ def test_shapes_times_and_types_are_named() -> None:
         as_state_space((1, 2, 3, 4))
     with pytest.raises(BadInput, match="NaN or infinity"):
         lti.coprime(control.ss([[np.nan]], [[1.0]], [[1.0]], 0, 0.1), 0.1)
+
+
+def test_systems_stated_as_transfer_functions_are_known() -> None:
+    transfer = [control.tf([1.0], [1, 2.0]), signal.TransferFunction([1.0], [1, 2.0]), ([1.0], [1, 2.0]), ([], [-2.0], 3.0), signal.ZerosPolesGain([], [-2.0], 3.0)]
+    state_space = [control.ss(-1.0, 1, 1, 0), signal.StateSpace(-1.0, 1, 1, 0), (-1.0, 1.0, [[1.0]]), (-1.0, 1.0, 1.0, 0.0), StateSpace.gain(np.eye(1))]
+    assert [is_transfer_function(s) for s in transfer] == [True] * 5
+    assert [is_transfer_function(s) for s in state_space] == [False] * 5
+    assert [Model.from_system(s).transfer for s in (transfer[0], state_space[0])] == [True, False]
 
 
 def test_importing_the_room_does_not_import_python_control() -> None:

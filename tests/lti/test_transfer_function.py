@@ -5,7 +5,7 @@ import pytest
 
 from afdsvc.errors import BadInput
 from afdsvc.lti.frequency import frequency_response
-from afdsvc.lti.transfer_function import from_polynomials, from_roots
+from afdsvc.lti.transfer_function import from_polynomials, from_roots, ratio_text, to_polynomials
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.1])
@@ -17,6 +17,8 @@ def test_several_inputs_and_outputs(dt):
     s = np.exp(1j * omega * dt) if dt else 1j * omega
     wanted = np.array([[[np.polyval(n, x) / np.polyval(d, x) for n, d in zip(*row, strict=True)] for row in zip(num, den, strict=True)] for x in s])
     np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-14)
+    again = [[to_polynomials(from_polynomials(num, den, dt), i, j) for j in range(2)] for i in range(3)]
+    np.testing.assert_allclose([[[np.polyval(n, x) / np.polyval(d, x) for n, d in row] for row in again] for x in s], wanted, rtol=1e-12)
 
 
 def test_roots():
@@ -39,3 +41,14 @@ def test_a_constant_over_a_polynomial_has_derivatives_as_states():
     system = from_polynomials([[[6.0]]], [[[2.0, 3.0, 4.0]]])
     assert system.A.tolist() == [[0, 1], [-2, -1.5]]
     assert system.B.tolist() == [[0], [3]]
+
+
+@pytest.mark.parametrize(
+    ("num", "den", "text"),
+    [
+        ([6.0], [2, 3, 4.0], "1.5 / (0.5 s^2 + 0.75 s + 1)"), ([4.0, -2], [2, 0, 0], "(2 s - 1) / s^2"), ([3.0, 6], [1, 2.0, 3], "(s + 2) / (0.3333 s^2 + 0.6667 s + 1)"),
+        ([5.0], [2.0], "2.5"), ([0.0], [2, 1.0], "0 / (2 s + 1)"), ([1.0], [1, -3.0], "-0.3333 / (-0.3333 s + 1)"), ([1.0, 1], [4, 2.0], "(0.5 s + 0.5) / (2 s + 1)"),
+    ],
+)  # fmt: skip
+def test_a_realisation_is_written_as_a_ratio_again(num, den, text):
+    assert ratio_text(*to_polynomials(from_polynomials([[num]], [[den]]), 0, 0), "s") == text

@@ -27,6 +27,8 @@ from afdsvc.explain.simulate.nominal import Nominal, entry_name
 from afdsvc.explain.simulate.simulator import Simulator
 from afdsvc.explain.verdict.holdout import HeldOutVerdict, player
 from afdsvc.explain.verdict.verdict import Verdict
+from afdsvc.lti.statespace import Array
+from afdsvc.lti.transfer_function import ratio_text, to_polynomials
 
 SEED = 1  # of the flexible model's features
 MOVED = 4  # numbers that a sentence lists at most
@@ -103,10 +105,23 @@ def _moved(nominal: Nominal, final: Fit) -> Iterator[str]:
     """Yield a sentence on the numbers of the model that the final fit moved by more than a stated standard deviation, the farthest first."""
     theta = final.point.theta
     far = sorted(((e, t) for e, t in zip(nominal.entries, theta, strict=True) if abs(t) > 1), key=lambda pair: -abs(pair[1]))
+    if far and nominal.transfer:
+        yield f"the fit moves the model, its coefficients by {abs(far[0][1]):.1f} stated standard deviations at most: {', '.join(_ratios(nominal, theta))}"
+        return
     stated, fitted = nominal.values(0 * theta), nominal.values(theta)
     said = [f"{entry_name(nominal, e)} from {stated[e.name]:.4g} to {fitted[e.name]:.4g} ({t:+.1f} stated standard deviations)" for e, t in far[:MOVED]]
     if said:
         yield f"the fit moves numbers of the model: {', '.join(said)}{f' and {len(far) - MOVED} more' if len(far) > MOVED else ''}"
+
+
+def _ratios(nominal: Nominal, theta: Array) -> Iterator[str]:
+    """Yield every transfer function that the fit changed, stated and fitted."""
+    model, plants = nominal.model, (nominal.plant, nominal.at(theta))
+    for i, y in enumerate(model.outputs):
+        for j, u in enumerate(model.inputs):
+            stated, fitted = (ratio_text(*to_polynomials(plant, i, j), nominal.variable) for plant in plants)
+            if stated != fitted:
+                yield f"from {u.name} to {y.name} from {stated} to {fitted}"
 
 
 def _loads(problem: Problem, final: Fit, horizon: float) -> Iterator[str]:

@@ -62,6 +62,16 @@ class Nominal:
         """Whether the model is Python code, simulated as it is."""
         return self.program is not None
 
+    @property
+    def transfer(self) -> bool:
+        """Whether the plant is a transfer function as its owner stated it, realised by `from_polynomials`."""
+        return self.model.transfer and self.plant is self.model.plant
+
+    @property
+    def variable(self) -> str:
+        """The variable of transfer functions."""
+        return "z" if self.plant.discrete else "s"
+
     def at(self, theta: Array) -> StateSpace:
         """Return the plant with its free numbers moved by ``theta`` standard deviations, shape ``(len(entries),)``."""
         if self.program is not None and self.point is not None:
@@ -209,11 +219,25 @@ def entry_name(nominal: Nominal, entry: Entry) -> str:
     if entry.matrix not in ("A", "B", "C", "D"):
         return entry.name
     model = nominal.model
+    if nominal.transfer and entry.matrix in "AB":
+        return _coefficient_name(nominal, entry)
     rows = model.states if entry.matrix in "AB" else model.outputs
     columns = model.states if entry.matrix in "AC" else model.inputs
     row = rows[entry.row].name if entry.row < len(rows) else str(entry.row)
     column = columns[entry.column].name if entry.column < len(columns) else str(entry.column)
     return f"{entry.matrix}[{row}, {column}]"
+
+
+def _coefficient_name(nominal: Nominal, entry: Entry) -> str:
+    """Return a free number of a transfer function as the coefficient it is."""
+    model, C = nominal.model, nominal.plant.C
+    firsts = [int(np.flatnonzero(row)[0]) for row in C if row.any()]
+    first = max(k for k in firsts if k <= entry.row)
+    last = min((k for k in firsts if k > first), default=nominal.plant.order)
+    output = model.outputs[int(np.flatnonzero(C[:, first])[0])].name
+    power = entry.column - first if entry.matrix == "A" and entry.column > first else last - 1 - entry.row
+    of = f"den of {output}" if entry.matrix == "A" else f"num from {model.inputs[entry.column].name} to {output}"
+    return f"{of}, {nominal.variable}^{power}" if last - first > 1 else of
 
 
 def _start(plant: StateSpace, entry: Entry) -> float:

@@ -61,6 +61,7 @@ def parse_model(text: str, source: str, allow_code: bool = False) -> Model:
         raw="" if stepped else text,
         extra={**_form(table), **(stepped.extra if stepped else {})},
         opened=stepped.opened if stepped else None,
+        transfer=not (dynamics or stepped) and table.form[0] != "A",
         sd_stated=table.uncertainty is not None,
     )
 

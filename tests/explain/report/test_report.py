@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from afdsvc.api.model import Variable
+from afdsvc.api.model import Model, Variable
 from afdsvc.explain.report.report import _excited, _moved, _nearest
-from afdsvc.explain.simulate.nominal import Entry
+from afdsvc.explain.simulate.nominal import Entry, nominal
 from afdsvc.explain.verdict.verdict import Verdict
 
 
@@ -51,13 +51,24 @@ def test_laws_that_come_nearest_are_listed_where_none_is_named(word, accepted, l
 def test_the_numbers_that_the_fit_moved_are_listed_the_farthest_first(moved, said):
     entries = (Entry("A", 0, 0, 0.5, "A[1,1]"), Entry("B", 0, 0, 1.0, "B[1,1]"))
     model = SimpleNamespace(states=(Variable("speed"),), inputs=(Variable("voltage"),))
-    nominal = SimpleNamespace(entries=entries, model=model, values=lambda theta: {"A[1,1]": -3 + 0.5 * theta[0], "B[1,1]": 6 + theta[1]})
+    nominal = SimpleNamespace(transfer=False, entries=entries, model=model, values=lambda theta: {"A[1,1]": -3 + 0.5 * theta[0], "B[1,1]": 6 + theta[1]})
     final = SimpleNamespace(point=SimpleNamespace(theta=np.array(moved)))
     assert list(_moved(nominal, final)) == [f"the fit moves numbers of the model: {s}" for s in said]
 
 
+@pytest.mark.parametrize(
+    ("matrix", "said"), [("A", "voltage to speed from 6 / (0.5 s + 1) to 8 / (0.6667 s + 1)"), ("B", "voltage to speed from 6 / (0.5 s + 1) to 7.5 / (0.5 s + 1)")]
+)
+def test_of_a_transfer_function_what_the_fit_moved_is_shown_as_one(matrix, said):
+    stated = nominal(Model.from_system(([6.0], [0.5, 1]), {"voltage": "V"}, {"speed": "rad/s"}), 0.01)
+    theta = np.array([5.0 if e.matrix == matrix else 0.0 for e in stated.entries])
+    (found,) = _moved(stated, SimpleNamespace(point=SimpleNamespace(theta=theta)))
+    assert found == f"the fit moves the model, its coefficients by 5.0 stated standard deviations at most: from {said}"
+    assert not list(_moved(stated, SimpleNamespace(point=SimpleNamespace(theta=0 * theta + 0.9))))
+
+
 def test_no_more_numbers_are_listed_than_can_be_read():
-    nominal = SimpleNamespace(entries=[Entry("parameter", k, 0, 1.0, f"p{k}") for k in range(9)], values=lambda theta: {f"p{k}": t for k, t in enumerate(theta)})
+    nominal = SimpleNamespace(transfer=False, entries=[Entry("parameter", k, 0, 1.0, f"p{k}") for k in range(9)], values=lambda theta: {f"p{k}": t for k, t in enumerate(theta)})
     (said,) = _moved(nominal, SimpleNamespace(point=SimpleNamespace(theta=np.arange(9.0) + 2)))
     assert said.startswith("the fit moves numbers of the model: p8 from 0 to 10 (+10.0")
     assert said.endswith("p5 from 0 to 7 (+7.0 stated standard deviations) and 5 more")

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 
+from afdsvc.api.model import Model
 from afdsvc.errors import BadInput
-from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.explain.simulate.nominal import entry_name, nominal
 from afdsvc.lti.statespace import StateSpace
+from afdsvc.lti.transfer_function import from_polynomials
 
 
 class Pendulum:
@@ -34,6 +38,29 @@ def test_entries_of_matrices(model):
     assert moved.B[1, 0] == pytest.approx(20 - 2.0)
     assert found.values(np.array([1.0, 0.0, -2.0])) == pytest.approx({"A[2,1]": -28.5, "A[2,2]": -0.8, "B[2,1]": 18.0})
     assert found.moved(np.array([1.0, 0.0, -2.0])).plant.A[1, 0] == moved.A[1, 0]
+
+
+def test_numbers_of_a_transfer_function_are_its_coefficients():
+    system = from_polynomials([[[2.0, 6], [4.0]], [[3.0], [5.0]]], [[[1, 3, 7.0], [1, 3, 7.0]], [[1, 4.0], [1, 4.0]]])
+    stated = Model.from_system(system, {"force": "N", "heat": "W"}, {"place": "m", "warmth": "K"})
+    found = nominal(replace(stated, transfer=True), 0.01)
+    names = {(e.matrix, e.row, e.column): entry_name(found, e) for e in found.entries}
+    assert names == {
+        ("A", 0, 0): "den of place, s^1", ("A", 1, 0): "den of place, s^0", ("A", 2, 2): "den of warmth", ("B", 0, 0): "num from force to place, s^1",
+        ("B", 1, 0): "num from force to place, s^0", ("B", 1, 1): "num from heat to place, s^0", ("B", 2, 0): "num from force to warmth", ("B", 2, 1): "num from heat to warmth",
+    }  # fmt: skip
+    assert entry_name(nominal(stated, 0.01), found.entries[0]) == "A[place, place]"
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.01])
+def test_derivatives_of_an_output_have_its_coefficients_too(dt):
+    found = nominal(Model.from_system(control.tf([50.0], [1, 3.0, 7.0], dt), "force", "place"), 0.01)
+    assert [entry_name(found, e) for e in found.entries] == [f"den of place, {v}" for v in (("s^0", "s^1") if dt == 0 else ("z^1", "z^0"))] + [f"num from force to place, {'z' if dt else 's'}^0"]
+
+
+def test_a_transfer_function_sampled_anew_has_entries_of_matrices():
+    found = nominal(Model.from_system(control.tf([0.5], [1, -0.9], 0.01), "force", "place"), 0.005)
+    assert [entry_name(found, e) for e in found.entries] == ["A[place, place]", "B[place, force]"]
 
 
 def test_stated_deviations_choose_the_entries(model):

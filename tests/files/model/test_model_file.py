@@ -229,6 +229,7 @@ def test_models_as_people_have_them(lines, A, B, C, D, states):
     for name, wanted in zip("ABCD", (A, B, C, D), strict=True):
         np.testing.assert_array_equal(getattr(m.plant, name), wanted)
     assert m.states == states
+    assert m.transfer == ("num" in lines or "poles" in lines)
     same(parse_model(model_text(m), "again.toml"), m)
 
 
