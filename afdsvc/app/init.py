@@ -1,4 +1,4 @@
-"""`afdsvc init`: a first MODEL.toml, a mapping file and a site file from a table's own columns."""
+"""`afdsvc init`: a first MODEL.toml, a mapping file and a site file from the columns of a table or the topics of a log."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from afdsvc.api.signals import Trace
 from afdsvc.dataset.units import is_velocity, unknown_unit
 from afdsvc.errors import BadInput
 from afdsvc.files.model.schema import Inline, toml_text
-from afdsvc.files.open import TABLES
+from afdsvc.files.open import RECORDING, TABLES, Naming, OwnRecording, open_file
 from afdsvc.files.tables.alignment import SHORTEST
-from afdsvc.files.tables.foreign import read_foreign_columns, refuse_unmapped
+from afdsvc.files.tables.foreign_mcap import shown
 from afdsvc.files.tables.formats import opened, read_columns, stated_units
 from afdsvc.files.tables.historian import is_export, read_export
 from afdsvc.files.tables.mapping import REFERENCES, DataMapping, Heading, heading, role_of_unit, same_dimension, same_unit
@@ -38,7 +38,7 @@ OF_THE_LOG = """# Runs the model of {file} as a simulated machine; put your driv
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What names of columns do not say: which are inputs and outputs, units and limits of bursts by column, and the seconds between rows.
+    """What names of columns (or ``TOPIC.FIELD``) do not say: which are inputs and outputs, units and limits of bursts by column, and the seconds between rows.
 
     ``ask(question, default, parse)`` is called for what is missing and returns what ``parse`` makes of the answer; None asks nothing.
     """
@@ -57,49 +57,75 @@ class Answers:
 
 
 def init_files(recording: Path, out: Path | None = None, answers: Answers | None = None, overwrite: bool = False, site: bool = False) -> dict[str, Any]:
-    """Write MODEL.toml and mapping.toml for a table, with ``site`` also site.toml, and return what was found, column by column.
+    """Write MODEL.toml and mapping.toml for a table or a log of topics, with ``site`` also site.toml, and return what was found, column by column.
 
-    Raises `BadInput` where there is no input or no output and no terminal to ask on, and where a file is there already.
+    Of topics only inputs, outputs and set points are mapped. Raises `BadInput` where there is no input or no output and no terminal to ask on, and where a file is there already.
     """
     answers = answers or Answers()
     if answers.step is not None:
         _positive("--step", str(answers.step))
     if recording.is_dir():
         opened(recording).close()
-    if recording.suffix.lower() not in TABLES:
-        raise BadInput(f"{recording}: is not a table; expected one that ends in {', '.join(TABLES)}")
-    refuse_unmapped(recording)
+    if recording.suffix.lower() not in (*TABLES, RECORDING):
+        raise BadInput(f"{recording}: is not a table; expected one that ends in {', '.join((*TABLES, RECORDING))}")
     folder = out or recording.parent
     files = [folder / name for name in (MODEL, MAPPING, *([SITE] if site else []))]
     model, mapping = files[:2]
     there = next((f for f in files if f.exists() and not overwrite), None)
     if there is not None:
         raise BadInput(f"{there}: exists already; expected another folder (--out DIR), or --overwrite")
-    columns = {n: v for n, (_, v) in read_export(recording)[0].items()} if is_export(recording) else read_columns(recording)
-    _, stated = own_step(columns)
-    columns = {n: v for n, v in columns.items() if len(v) > 1}  # MAT files hold numbers beside vectors
-    time = own_time(columns) or next((n for n in columns if answers.units.get(n) in SECONDS or heading(n).role == "t"), "")
-    found = _headings(recording, [n for n in columns if n != time and not is_stamped(columns[n])], answers, time)
-    step = None if time or is_export(recording) else _step(recording, replace(answers, step=answers.step or stated))
-    text = _mapping(found, time, is_stamped(columns[time]) if time else False, answers.units.get(time) or (heading(time).unit if time else ""), step)
-    trace = _longest(read_foreign_columns(recording, DataMapping.model_validate(text), None))
+    found, clock, left = _signals(recording, answers)
+    trace = _longest(open_file(recording, Naming(DataMapping.model_validate(_mapping(found, clock)))).traces())
+    still = _still(recording, found, trace, answers)
+    found = [h for h in found if h not in still]
     ins, outs = ([h for h in found if h.role == role] for role in ("u", "y"))
     u = np.column_stack([trace.column(f"u_{h.label}") for h in ins])
     fits = [first_model(u, trace.column(f"y_{h.label}"), trace.dt, is_velocity(h.unit) if h.unit else None) for h in outs]
     machine = _site(recording, trace, ins, outs, fits, answers) if site else ""
     folder.mkdir(parents=True, exist_ok=True)
     with writing(*files):
-        mapping.write_text(f"# Which column of {recording.name} is which signal, and in what unit.\n{_toml(text)}", encoding="utf-8")
+        mapping.write_text(f"# Which column of {recording.name} is which signal, and in what unit.\n{_toml(_mapping(found, clock))}", encoding="utf-8")
         model.write_text(_model(recording, ins, outs, fits), encoding="utf-8")
         for file in files[2:]:
             file.write_text(machine, encoding="utf-8")
     return {
-        "model": str(model), "mapping": str(mapping), **({"site": str(files[2])} if site else {}), "sample_time": trace.dt, "time": time,
+        "model": str(model), "mapping": str(mapping), **({"site": str(files[2])} if site else {}), "sample_time": trace.dt, "time": clock.get("from", ""),
         "columns": [{"column": h.name, "signal": f"{h.role}_{h.label}", "unit": h.unit} for h in found],
-        "left_out": {n: f"its {'cells are time stamps' if is_stamped(columns[n]) else 'name says that it is a time'}" for n in columns if n not in (time, *(h.name for h in found))},
+        "left_out": left | {h.name: "it never changes" for h in still},
         "fits": {h.label: {"r2": f.r2, "num": f.num, "den": f.den} for h, f in zip(outs, fits, strict=True)},
         "next": NEXT.format(model=model, recording=recording, mapping=mapping).splitlines() + [f"afdsvc site check {f}" for f in files[2:]],
     }  # fmt: skip
+
+
+def _signals(recording: Path, answers: Answers) -> tuple[list[Heading], dict[str, Any], dict[str, str]]:
+    """Return the signals of a recording, the ``[time]`` section of its mapping, and why other columns are left out."""
+    source = open_file(recording)
+    if isinstance(source, OwnRecording):
+        raise BadInput(f"{recording}: is a recording of afdsvc, which carries names, units and model; expected a log of other origin")
+    if places := source.places():
+        asked: dict[str, Sequence[str]] = {"u": answers.inputs, "y": answers.outputs}
+        return [h for h in _headings(recording, places, answers, "") if h.role != "aux" and h.name in (asked.get(h.role) or places)], {}, {}
+    columns = {n: v for n, (_, v) in read_export(recording)[0].items()} if is_export(recording) else read_columns(recording)
+    _, stated = own_step(columns)
+    columns = {n: v for n, v in columns.items() if len(v) > 1}  # MAT files hold numbers beside vectors
+    time = own_time(columns) or next((n for n in columns if answers.units.get(n) in SECONDS or heading(n).role == "t"), "")
+    stamped = {n for n, v in columns.items() if is_stamped(v)}
+    found = _headings(recording, [n for n in columns if n != time and n not in stamped], answers, time)
+    step = None if time or is_export(recording) else _step(recording, replace(answers, step=answers.step or stated))
+    unit = "" if not time or time in stamped else answers.units.get(time) or heading(time).unit
+    clock = {"from": time} | ({"unit": unit} if unit else {}) if time else {"step": step} if step else {}
+    named = (time, *(h.name for h in found))
+    return found, clock, {n: f"its {'cells are time stamps' if n in stamped else 'name says that it is a time'}" for n in columns if n not in named}
+
+
+def _still(recording: Path, found: Sequence[Heading], trace: Trace, answers: Answers) -> list[Heading]:
+    """Return the inputs and outputs that never change; raises `BadInput` where one of them was asked for, or no other is left."""
+    still = [h for h in found if h.role in ("u", "y") and np.ptp(trace.column(f"{h.role}_{h.label}")) == 0]
+    for role, word, asked in (("u", "input", answers.inputs), ("y", "output", answers.outputs)):
+        names = [h.name for h in still if h.role == role]
+        if set(names) & set(asked) or len(names) == sum(h.role == role for h in found):
+            raise BadInput(f"{recording}: {word} {shown(names)} never changes; expected an {word} that does")
+    return still
 
 
 def _longest(traces: Sequence[Trace]) -> Trace:
@@ -117,7 +143,7 @@ def _longest(traces: Sequence[Trace]) -> Trace:
 def _headings(recording: Path, names: Sequence[str], answers: Answers, time: str) -> list[Heading]:
     for name in answers.columns:
         if name not in (*names, time):
-            raise BadInput(f"{recording}: no column '{name}'; it has {', '.join(names)}")
+            raise BadInput(f"{recording}: no column '{name}'; it has {shown(names)}")
     found = [h for h in (heading(n, answers.inputs, answers.outputs) for n in names) if h.role != "t"]
     own = {n: unit for n, unit in stated_units(recording).items() if not unknown_unit(unit)}
     found = [replace(h, unit=_unit(h.name, answers.units[h.name]) if h.name in answers.units else h.unit or own.get(h.name, "")) for h in found]
@@ -127,7 +153,7 @@ def _headings(recording: Path, names: Sequence[str], answers: Answers, time: str
         if any(h.role == role for h in found):
             continue
         if answers.ask is None:
-            raise BadInput(f"{recording}: no column name says that it is an {word}, as {examples} does; expected --{word} COLUMN, {'one of ' + ', '.join(names) if names else 'but it has no column beside the time'}")
+            raise BadInput(f"{recording}: no column name says that it is an {word}, as {examples} does; expected --{word} COLUMN, {'one of ' + shown(names) if names else 'but it has no column beside the time'}")
         chosen = answers.ask(f"Which columns are {word}s ({', '.join(h.name for h in found if h.role == 'aux')})?", "", _chooser(found))
         found = [replace(h, role=role) if h.name in chosen else h for h in found]
     if answers.ask:
@@ -175,8 +201,7 @@ def _unit(column: str, text: str) -> str:
     return text
 
 
-def _mapping(found: Sequence[Heading], time: str, stamped: bool, unit: str, step: float | None) -> dict[str, Any]:
-    clock = {"from": time} | ({} if stamped or not unit else {"unit": unit}) if time else {"step": step} if step else {}
+def _mapping(found: Sequence[Heading], clock: dict[str, Any]) -> dict[str, Any]:
     signals = {f"{h.role}_{h.label}": {"from": h.name} | ({"unit": h.unit} if h.unit else {}) for h in found}
     return ({"time": clock} if clock else {}) | {"signals": signals}
 

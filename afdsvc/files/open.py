@@ -13,18 +13,21 @@ from afdsvc.files.model.model_file import read_model
 from afdsvc.files.recording.mcap_file import METADATA
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.tables.foreign import (
+    ULOG,
     in_model_units,
     needs_mapping,
     read_foreign_columns,
     read_foreign_topics,
-    refuse_unmapped,
+    topic_places,
 )
-from afdsvc.files.tables.foreign_mcap import listed_places
+from afdsvc.files.tables.foreign_mcap import places_of
 from afdsvc.files.tables.mapping import DataMapping, read_mapping
+from afdsvc.files.tables.rosbag import BAGS
 from afdsvc.files.tables.tables import PREPARED, own_mapping, read_table
 from afdsvc.files.tables.time_base import MissingSamples
 
-TABLES = (".csv", ".parquet", ".mat", ".npz", ".tdms", ".ulg", ".bag", ".db3")
+TOPICS = (ULOG, *BAGS)  # hold topics with times of their own
+TABLES = (".csv", ".parquet", ".mat", ".npz", ".tdms", *TOPICS)
 RECORDING, SPREADSHEETS = ".mcap", (".xlsx", ".xls", ".ods")
 Span = tuple[str, int, int]
 
@@ -58,7 +61,8 @@ class TableFile:
         mapping = self.naming.for_others()
         if mapping:
             return read_foreign_columns(self.path, mapping, model)
-        refuse_unmapped(self.path)
+        if self.path.suffix.lower() in TOPICS:
+            raise needs_mapping(self.path, "its topics have times of their own", self.places())
         step = model.plant.dt if gaps and model and model.plant and model.plant.discrete else None
         try:
             trace = read_table(self.path, self.naming.pairs, None, gaps, step, model)
@@ -68,6 +72,10 @@ class TableFile:
             said = [f"{new} is {old}" if new else f"{old} is left out" for old, new in self.naming.pairs.items()]
             trace = replace(trace, notes={**trace.notes, PREPARED: "\n".join([*said, *trace.notes.get(PREPARED, "").splitlines()])})
         return [in_model_units(trace, model) if model else trace]
+
+    def places(self) -> list[str]:
+        """Return what a mapping may name where the file holds topics with times of their own; nothing for a table."""
+        return topic_places(self.path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +93,12 @@ class MappedTopics:
         """Return the mapping; raises `BadInput` listing the topics without one."""
         mapping = self.naming.for_others() or (DataMapping().extended(self.naming.pairs) if self.naming.pairs else None)
         if mapping is None or not mapping.signals:
-            raise needs_mapping(self.recording.path, "holds no samples of afdsvc", listed_places(self.recording.path, self.recording.items()))
+            raise needs_mapping(self.recording.path, "holds no samples of afdsvc", self.places())
         return mapping
+
+    def places(self) -> list[str]:
+        """Return what a mapping may name."""
+        return places_of(self.recording.path, self.recording.items())
 
 
 @dataclass(frozen=True, slots=True)

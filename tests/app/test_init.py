@@ -106,6 +106,24 @@ LOG = "t,a,b\n" + "".join(f"{k / 10},{(k // 9) % 2},{(k // 9) % 2 + k % 3 / 10}\
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+def test_inputs_and_outputs_that_never_change_are_left_out(tmp_path: Path):
+    rows = "".join(f"{0.01 * k:.2f},{k % 7},{(k % 50) // 25},0,1013\n" for k in range(200))
+    (tmp_path / "log.csv").write_text("t,command,speed_rpm,valve_command,pressure_hPa\n" + rows)
+    document = init_files(tmp_path / "log.csv")
+    assert document["left_out"] == dict.fromkeys(("valve_command", "pressure_hPa"), "it never changes")
+    assert [c["signal"] for c in document["columns"]] == ["u_command", "y_speed"]
+    with pytest.raises(BadInput, match=r"log\.csv: input valve_command never changes; expected an input that does"):
+        init_files(tmp_path / "log.csv", tmp_path / "second", Answers(inputs=["valve_command"]))
+    (tmp_path / "dead.csv").write_text("t,command,speed_rpm\n" + "".join(f"{0.01 * k:.2f},{k % 7},3\n" for k in range(200)))
+    with pytest.raises(BadInput, match=r"dead\.csv: output speed_rpm never changes"):
+        init_files(tmp_path / "dead.csv", tmp_path / "third")
+
+
+def test_a_recording_of_the_service_needs_no_first_files(tmp_path: Path):
+    with pytest.raises(BadInput, match="is a recording of afdsvc, which carries names, units and model"):
+        init_files(next((ROOT / "recordings" / "shipped").glob("*.mcap")), tmp_path)
+
+
 def test_on_a_terminal_it_asks_what_names_do_not_say(tmp_path: Path):
     (tmp_path / "log.csv").write_text(LOG)
     ours, theirs = os.openpty()

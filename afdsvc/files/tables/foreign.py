@@ -16,7 +16,7 @@ from afdsvc.dataset.units import unknown_unit
 from afdsvc.errors import BadInput
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.tables.alignment import Group, aligned, held
-from afdsvc.files.tables.foreign_mcap import listed_places, maps, read_topics, shown
+from afdsvc.files.tables.foreign_mcap import maps, places_of, read_topics, shown
 from afdsvc.files.tables.formats import opened, read_columns
 from afdsvc.files.tables.historian import is_export, read_export
 from afdsvc.files.tables.mapping import OWN_TIMES, DataMapping, Source, Time, converted, product, same_unit
@@ -31,16 +31,16 @@ FIELDS = 65_536  # of all topics of a ULog together
 _AUX_UNITS = {"aux_speed": "rad/s", "aux_angle": "rad"}
 
 
-def refuse_unmapped(path: Path) -> None:
-    """Raise `BadInput` with the places there are for a file of topics with times of their own, which needs a mapping."""
-    if path.suffix.lower() in (ULOG, *BAGS):
-        places = shown(_ulog_places(path)) if path.suffix.lower() == ULOG else listed_places(path, read_bag(path, lambda topic: True))
-        raise needs_mapping(path, "its topics have times of their own", places)
+def topic_places(path: Path) -> list[str]:
+    """Return what a mapping may name in a file whose topics have times of their own (a bag, a ULog); nothing for a table."""
+    kind = path.suffix.lower()
+    return _ulog_places(path) if kind == ULOG else places_of(path, read_bag(path, lambda topic: True)) if kind in BAGS else []
 
 
-def needs_mapping(path: Path, why: str, places: str) -> BadInput:
+def needs_mapping(path: Path, why: str, places: Sequence[str]) -> BadInput:
     """Return the refusal of a file of topics without a mapping."""
-    return BadInput(f"{path}: {why}; expected a mapping file (--mapping FILE.toml) with [signals] such as u_force = 'TOPIC.FIELD'; it has {places}")
+    how = "expected a mapping file (--mapping FILE.toml) with [signals] such as u_force = 'TOPIC.FIELD', as `afdsvc init` writes it"
+    return BadInput(f"{path}: {why}; {how}; it has {shown(places)}")
 
 
 def read_foreign_columns(path: Path, mapping: DataMapping, model: Model | None = None) -> list[Trace]:

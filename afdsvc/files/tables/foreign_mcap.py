@@ -65,8 +65,8 @@ def read_topics(path: Path, items: Iterable[Item], places: Mapping[str, str], ti
     return groups, [sentence, *losses]
 
 
-def listed_places(path: Path, items: Generator[Item, None, None]) -> str:
-    """Return what a mapping may name, ``TOPIC.FIELD`` of the numbers in the first message of each topic, as text; of topics that cannot be decoded the name alone."""
+def places_of(path: Path, items: Generator[Item, None, None]) -> list[str]:
+    """Return what a mapping may name, ``TOPIC.FIELD`` of the numbers in the first message of each topic; of topics that cannot be decoded the name alone."""
     file, first = _File(), dict[int, Message]()
 
     def look() -> None:
@@ -78,7 +78,7 @@ def listed_places(path: Path, items: Generator[Item, None, None]) -> str:
                     file.take(item, {})
 
     in_time(look, path, file_size(path, sys.maxsize))
-    return shown(sorted(chain.from_iterable(_places(path, c, file.schemas.get(c.schema_id), first[id]) for id, c in file.channels.items() if id in first)))
+    return sorted(chain.from_iterable(_places(path, c, file.schemas.get(c.schema_id), first[id]) for id, c in file.channels.items() if id in first))
 
 
 def shown(places: Sequence[str]) -> str:

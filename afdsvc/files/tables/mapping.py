@@ -189,7 +189,7 @@ def heading(name: str, inputs: Sequence[str] = (), outputs: Sequence[str] = ()) 
     """
     prefix, _, rest = name.partition("_")
     own = prefix if prefix in ROLES and rest else ""
-    words, unit = _unit_of(rest if own else name)
+    words, unit = _unit_of(re.sub(r"\[(\d+)\]", r"_\1", rest if own else name))
     label = re.sub(r"\W+", "_", words.strip()).strip("_").lower() or "signal"
     if name in inputs or name in outputs:
         return Heading(name, label, unit, "u" if name in inputs else "y")

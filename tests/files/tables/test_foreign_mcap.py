@@ -1,6 +1,7 @@
 """MCAP files of others, written by the libraries others write them with: protobuf, JSON with and without schema, ROS 2."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
+from afdsvc.app.init import Answers, init_files
 from afdsvc.errors import BadInput
 from afdsvc.files.open import Naming, open_file
 from afdsvc.files.recording.foxglove import pool_of
@@ -208,6 +210,11 @@ def test_two_topics_meet_on_one_grid(tmp_path):
     assert np.abs(trace.column("u_x") - np.sin(20 * trace.t)).max() < 3e-4
     assert np.abs(trace.column("y_x") - np.cos(20 * trace.t)).max() < 3e-4
     assert "resampled from 1000 Hz (/u), 250 Hz (/y) to 250 Hz" in prepared([trace])[-1]
+    document = init_files(path, answers=Answers(inputs=["/u.v"], outputs=["/y.v"]))
+    (again,) = open_file(path, Naming.of(Path(document["mapping"]))).traces()
+    np.testing.assert_array_equal(again.values, trace.values)
+    with pytest.raises(BadInput, match=r"no column name says that it is an input, .*; expected --input COLUMN, one of /u\.v, /y\.v"):
+        init_files(path, tmp_path / "other")
 
 
 @pytest.mark.parametrize(

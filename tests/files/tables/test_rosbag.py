@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from afdsvc.app.init import init_files
+from afdsvc.app.init import Answers, init_files
 from afdsvc.errors import BadInput
 from afdsvc.files import validation
+from afdsvc.files.model.model_file import read_model
 from afdsvc.files.open import Naming, open_file
 from afdsvc.files.tables import foreign_mcap, rosbag
 from afdsvc.files.tables.mapping import DataMapping, Source
@@ -105,8 +106,6 @@ def test_what_is_there_is_said(tmp_path, monkeypatch):
             mapped(path, aux_x="/joint_states.speed")
         with pytest.raises(BadInput, match=r"its topics have times of their own; expected a mapping file .*; it has /joint_states\.effort\[0\], /joint_states\.effort\[1\], /joint_states\.position\[0\], .*velocity\[1\](, /on\.data)?$"):
             open_file(path).traces()
-        with pytest.raises(BadInput, match=r"such as u_force = 'TOPIC.FIELD'; it has /joint_states"):
-            init_files(path)
         with monkeypatch.context() as patched:
             patched.setattr(foreign_mcap, "_LOOKED", 50)  # a long bag is looked at in part, and closed where it was opened
             with pytest.raises(BadInput, match="it has /joint_states"):
@@ -123,6 +122,40 @@ def test_what_is_there_is_said(tmp_path, monkeypatch):
     with pytest.raises(BadInput, match="expected the tables 'topics' and 'messages' of rosbag2"):
         mapped(tmp_path / "else.db3")
     base.close()
+
+
+@pytest.mark.parametrize("write", [lambda folder: ros1(folder / "run.bag"), lambda folder: ros2(folder / "run")], ids=["ros1", "ros2"])
+def test_first_files_of_a_bag(tmp_path, write):
+    """Effort and velocity have the field names of inputs and outputs; what never changes is left out."""
+    path = write(tmp_path)
+    document = init_files(path, tmp_path / "first", Answers(units={"/joint_states.position[1]": "rad", "/joint_states.effort[0]": "N*m"}))
+    assert document["columns"] == [
+        {"column": "/joint_states.effort[0]", "signal": "u_joint_states_effort_0", "unit": "N*m"},
+        {"column": "/joint_states.position[1]", "signal": "y_joint_states_position_1", "unit": "rad"},
+    ]
+    assert document["left_out"] == {f"/joint_states.{field}": "it never changes" for field in ("effort[1]", "position[0]", "velocity[0]", "velocity[1]")}
+    model = read_model(document["model"])
+    (trace,) = open_file(path, Naming.of(Path(document["mapping"]))).traces(model)
+    np.testing.assert_allclose(trace.column("u_joint_states_effort_0"), EFFORT, atol=1e-9)
+    assert [c.unit for c in trace.channels] == ["N*m", "rad"]
+
+
+@pytest.mark.parametrize(
+    ("answers", "said"),
+    [
+        ({"inputs": ["/joint_states.position[1]"], "outputs": ["/joint_states.effort[0]"]}, ["u_joint_states_position_1", "y_joint_states_effort_0"]),
+        ({"outputs": ["/on.data"]}, ["u_joint_states_effort_0", "y_on_data"]),
+        ({"outputs": ["/joint_states.velocity[0]"]}, r"run\.bag: output /joint_states\.velocity\[0\] never changes; expected an output that does"),
+        ({"inputs": ["/joint_states.torque"]}, r"no column '/joint_states\.torque'; it has /joint_states\.effort\[0\], "),
+    ],
+)
+def test_places_that_are_named_are_the_only_ones_of_their_role(tmp_path, answers, said):
+    path = ros1(tmp_path / "run.bag")
+    if isinstance(said, str):
+        with pytest.raises(BadInput, match=said):
+            init_files(path, answers=Answers(**answers))
+    else:
+        assert {c["signal"] for c in init_files(path, answers=Answers(**answers))["columns"]} == set(said)
 
 
 def test_a_bag_that_ends_early_is_refused_with_the_cure(tmp_path):

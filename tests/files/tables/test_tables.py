@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from afdsvc.api.signals import Channel
+from afdsvc.app.init import Answers, init_files
 from afdsvc.errors import BadInput
 from afdsvc.files.model.model_file import parse_model
 from afdsvc.files.open import Naming, open_file
@@ -355,6 +356,9 @@ def test_topics_of_a_ulog_come_to_one_rate_by_a_mapping(tmp_path):
     assert np.abs(trace.column("y_height") - np.cos(5 * (t + 1))).max() < 1e-3
     with pytest.raises(BadInput, match=r"times of their own; expected a mapping file .*; it has position\.z, thrust\.force$"):
         open_file(path).traces()
+    document = init_files(path, tmp_path, Answers(outputs=["position.z"], units={"thrust.force": "N", "position.z": "m"}))
+    (trace,) = open_file(path, Naming.of(Path(document["mapping"]))).traces()
+    assert [(c.name, c.unit) for c in trace.channels] == [("u_thrust_force", "N"), ("y_position_z", "m")]
     other = text(tmp_path / "o.toml", "[signals]\nu_thrust = 'thrust.power'\n")
     with pytest.raises(BadInput, match=r"no 'thrust.power', which is to be u_thrust; .* position \(z\), thrust \(force\)"):
         open_file(path, Naming.of(other)).traces()
