@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
@@ -119,7 +118,7 @@ def _searched(
         return player(problem, last).better(heldout, without[last].point, path[last].point)
 
     def searched(base: Settled, choose: bool = True) -> Found:
-        found = search(base, library, mapper, progress, partial(remainder, base.problem), partial(better, base.problem), excluded, choose)
+        found = search(base, library, mapper, progress, remainder, better, excluded, choose)
         return found if found.otherwise is None else searched(settled(found.otherwise, choose=False), choose=False)
 
     found = searched(base)

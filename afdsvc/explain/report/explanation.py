@@ -191,6 +191,7 @@ class Explanation:
     spectra: tuple[Spectrum, ...]
     nominal: Nominal
     point: Point
+    substeps: int = 1
     notes: Mapping[str, Any] = field(default_factory=dict)
 
     def json(self, model_path: str | None, report_path: str | None) -> dict[str, Any]:

@@ -79,6 +79,7 @@ def report(
         spectra=spectra(roles.heldout, held, outputs),
         nominal=found.problem.nominal,
         point=final.point,
+        substeps=found.problem.substeps,
         notes=_notes(found, final),
     )
 

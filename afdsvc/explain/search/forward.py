@@ -23,7 +23,7 @@ from afdsvc.explain.search.evidence import (
     noise_times,
     refitted,
 )
-from afdsvc.explain.search.fit import CONVERGED, Fit, fit
+from afdsvc.explain.search.fit import CONVERGED, Fit, fit, rms, weighted
 from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
 from afdsvc.explain.search.path import (
     added_path,
@@ -56,9 +56,11 @@ from afdsvc.stats.tones import tones
 
 Path = dict[float, Fit]
 Progress = Callable[[str, float], None]
+Better = Callable[[Problem, Path, Path], float]
 
 
 STARTS = 2  # of every hypothesis that are tried, by what they promise
+FINER = 4  # sub-steps of laws that act between samples
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +102,7 @@ class Found:
 
 def search(
     settled: Settled, library: Sequence[Physics], mapper: Mapper = map, progress: Progress = lambda what, share: None,
-    remainder: Callable[[Path], Gap | None] = lambda path: None, better: Callable[[Path, Path], float] = lambda before, after: 0.5,
+    remainder: Callable[[Problem, Path], Gap | None] = lambda problem, path: None, better: Better = lambda problem, before, after: 0.5,
     excluded: Container[tuple[str, ...]] = (), choose: bool = True,
 ) -> Found:
     """Return what the search finds; every effect accepted is refitted with all numbers of the model. Mechanisms ``excluded`` are not tried.
@@ -110,7 +112,8 @@ def search(
     blocks or closing too little of the gap, and a further effect must not do worse there. In the end an effect without which they are likely followed
     better is dropped.
     Offsets belong to the recordings, not to the machine: they count as no effect, and what comes after them is compared with the model that has them.
-    Half a sample between held and smooth inputs would stand for a further effect, so with ``choose`` that is decided anew beside each.
+    Half a sample between held and smooth inputs would stand for a further effect, so with ``choose`` that is decided anew beside each; so would
+    the error of coarse steps, which laws that are simulated in finer ones do not have.
     """
     problem, start, limited = settled.problem, settled.start, settled.limited
     rounds = whole = Rounds(problem, settled.part, settled.taus, start, settled.rough, limited, mapper, remainder, {})
@@ -127,13 +130,16 @@ def search(
         rounds = replace(rounds, progress=partial(_within, progress, f"round {len(steps) + 1}", number / problem.settings.effects, 1 / problem.settings.effects))
         step = rounds.next(path, rough, offered, number > 0)
         more = rounds.accepted(step.candidates[0]) if step.accepted else (path, rough)
-        if step.accepted and (step.reason or number) and not better(path, more[0]) > (problem.settings.sure if step.reason else 0.0):
+        if step.accepted and (step.reason or number) and not better(problem, path, more[0]) > (problem.settings.sure if step.reason else 0.0):
             why = f"{step.candidates[0].hypothesis.title}: the recordings held out are followed worse with it"
             step = replace(step, accepted=False, reason=step.reason or why)
         steps.append(step)
         if not step.accepted:
             break
         path, rough = more
+        if rounds.coarse(path):
+            rounds, whole = (r.finer(noise_times([rough]) | noise_times([path])) for r in (rounds, whole))
+            problem, (path, rough) = rounds.problem, rounds.converged(path, rough)
         rounds, whole = (replace(r, taus=noise_times([rough]) | noise_times([path])) for r in (rounds, whole))
         if is_offset(step.candidates[0].hypothesis):
             rounds = replace(rounds, start=path, losses={})
@@ -168,7 +174,7 @@ def _kept(steps: Sequence[Round], path: dict[float, Fit]) -> list[Round]:
     return [replace(s, accepted=False, reason=why.format(s.candidates[0].hypothesis.title)) if g else s for s, g in zip(steps, gone, strict=True)]
 
 
-def _helpful(rounds: Rounds, path: Path, steps: Sequence[Round], better: Callable[[Path, Path], float]) -> tuple[Path, list[Round]]:
+def _helpful(rounds: Rounds, path: Path, steps: Sequence[Round], better: Better) -> tuple[Path, list[Round]]:
     """Return the path and the rounds without effects that the recordings held out are likely followed better without, beside the others."""
     found = list(steps)
     for k, step in enumerate(found):
@@ -176,7 +182,7 @@ def _helpful(rounds: Rounds, path: Path, steps: Sequence[Round], better: Callabl
         at = [i for i, e in enumerate(effects) if step.accepted and e.hypothesis.key == step.candidates[0].hypothesis.key]
         if at and sum(s.accepted for s in found) > 1:
             fewer = fewer_path(rounds.problem, path, rounds.taus, at[0])
-            if better(path, fewer) > rounds.problem.settings.probable:
+            if better(rounds.problem, path, fewer) > rounds.problem.settings.probable:
                 why = f"{step.candidates[0].hypothesis.title}: the recordings held out are followed better without it"
                 path, found[k] = fewer, replace(step, accepted=False, reason=why)
     return path, [*(s for s in found if s.accepted), *(s for s in found if not s.accepted)]
@@ -196,7 +202,7 @@ class Rounds(Settled):
     """What the rounds of a search share: the model without effects, the map, the judgement of what remains."""
 
     mapper: Mapper
-    remainder: Callable[[Path], Gap | None]
+    remainder: Callable[[Problem, Path], Gap | None]
     losses: dict[tuple[Fit, int], Losses]
     progress: Progress = lambda what, share: None
 
@@ -226,7 +232,7 @@ class Rounds(Settled):
     def exhausted(self, path: Path) -> bool:
         """Return whether no effect beside those of a path could be accepted: too small a share of what it leaves repeats with the excitation or
         is predictable, even if the model's numbers came back to what is stated."""
-        gap, last = self.remainder(path) if self.limited == "model" else None, list(path.values())[-1]
+        gap, last = self.remainder(self.problem, path) if self.limited == "model" else None, list(path.values())[-1]
         if gap is None or gap.repeats is None:
             return False
         reach, tau, eased = np.array(gap.within_reach), last.own_tau, 2 * last.penalty + max(last.narrowed, 0.0)
@@ -266,14 +272,29 @@ class Rounds(Settled):
         Samples count by the correlation time of what it leaves.
         """
         taus = noise_times([first.rough]) | noise_times([first.path])
-        path = replace(self, taus=taus).without_idle(first.path)
+        rounds = replace(self, taus=taus)
+        return rounds.converged(rounds.without_idle(first.path), first.rough)
+
+    def converged(self, path: Path, rough: Path) -> tuple[Path, Path]:
+        """Return a path fitted to convergence, and its rough one, with the same effects."""
         kept = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
-        path = {h: fit(self.problem, f.point, h, taus[h], enough=CONVERGED) for h, f in path.items()}
-        rough = {}
-        for h, f in first.rough.items():
+        path = {h: fit(self.problem, f.point, h, self.taus[h], enough=CONVERGED) for h, f in path.items()}
+        fitted = {}
+        for h, f in rough.items():
             point = replace(f.point, effects=tuple(e for e in f.point.effects if e.hypothesis.key in kept))
-            rough[h] = path[h] if self.part is self.problem and h in path else fit(self.part, point, h, taus[h])
-        return path, rough
+            fitted[h] = path[h] if self.part is self.problem and h in path else fit(self.part, point, h, self.taus[h])
+        return path, fitted
+
+    def finer(self, taus: dict[float, float]) -> Rounds:
+        """Return the rounds in finer steps; of linear plants without effects fits are the same in any steps."""
+        problem = replace(self.problem, substeps=FINER)
+        return replace(self, problem=problem, part=problem if self.part is self.problem else replace(self.part, substeps=FINER), taus=taus)
+
+    def coarse(self, path: Path) -> bool:
+        """Whether finer steps change the likelihood of a path by what is asked of any effect."""
+        (last, f), p = list(path.items())[-1], self.problem
+        finer = rms(weighted(replace(p, substeps=max(FINER, p.substeps)), f.point, last))
+        return bool(abs(2 * f.samples * np.log(finer / f.sd).sum()) > p.settings.evidence * f.own_tau)
 
     def exchanged(self, path: dict[float, Fit], steps: Sequence[Round]) -> tuple[dict[float, Fit], list[Round]]:
         """Return the path and the rounds after every effect was compared with its look-alikes beside all other effects, what gains most
@@ -313,7 +334,7 @@ class Rounds(Settled):
             return [], limited
         first = winner(reasons, self.problem.settings, limited)
         contested = reasons[0] is not ordered[0] or vote_shares(reasons, self.problem.settings, limited).max() < 1
-        if limited == "model" and contested and (gap := self.remainder(ordered[0].path)) is not None and gap.absent:
+        if limited == "model" and contested and (gap := self.remainder(self.problem, ordered[0].path)) is not None and gap.absent:
             limited = "noise"
             first = winner(ordered, self.problem.settings, limited)
         return [first, *(c for c in ordered if c is not first)], limited

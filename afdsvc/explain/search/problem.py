@@ -61,8 +61,8 @@ class Problem:
     ``scale (p,)`` is the rms of the outputs about their mean, ``state_scale (n,)`` that of the simulated states; ``x0`` the
     initial states guessed from the recordings; ``gains`` the predictor gain ``(n, p)`` of every horizon (zero: simulation).
     ``loads`` are the unknown loads every fit has, ``offset_free`` whether sensor offsets are free,
-    ``regular`` whether the simulation forgets its start. ``closed`` simulates the loop with the stated controller. ``mapper`` works out
-    the columns of a Jacobian.
+    ``regular`` whether the simulation forgets its start. ``closed`` simulates the loop with the stated controller. ``substeps`` of a sample are taken
+    at least. ``mapper`` works out the columns of a Jacobian.
     """
 
     nominal: Nominal
@@ -78,6 +78,7 @@ class Problem:
     regular: bool = True
     closed: bool = False
     ramped: bool = False
+    substeps: int = 1
     mapper: Mapper = map
 
     def start(self) -> Point:
@@ -89,7 +90,7 @@ class Problem:
         return [Simulated(s.y + point.offset, s.u, s.x) for s in self._simulated(point, horizon)]
 
     def _simulated(self, point: Point, horizon: float, outputs_only: bool = False) -> list[Simulated]:
-        simulator, found = Simulator(self.nominal, self.gains[horizon], self.ramped), []
+        simulator, found = Simulator(self.nominal, self.gains[horizon], self.ramped, self.substeps), []
         read = self.closed or bool(self.gains[horizon].any())  # else the simulation reads neither outputs nor references
         for k, (run, x0) in enumerate(zip(self.runs, point.x0, strict=True)):
             there = replace(run, Y=run.Y - point.offset, REF=run.REF - point.offset) if read else run

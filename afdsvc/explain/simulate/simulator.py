@@ -31,12 +31,14 @@ class Simulated:
 class Simulator:
     """A nominal model and the predictor gain ``Kp (n, p)`` its states are corrected with (zero: pure simulation).
 
-    ``ramped`` takes measured inputs to run smoothly between samples, as those of an analogue source do, instead of held.
+    ``ramped`` takes measured inputs to run smoothly between samples, as those of an analogue source do, instead of held. ``substeps`` of
+    a sample are taken at least.
     """
 
     nominal: Nominal
     gain: Array
     ramped: bool = False
+    substeps: int = 1
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -53,7 +55,7 @@ class Simulator:
         the states, for a simulation from the measured input alone. A simulation that diverges is nan from there on.
         With ``outputs_only`` inputs and states are not kept, which takes less time.
         """
-        least = max([_fineness(run.U) if self.ramped and self.nominal.python else 1, *(e.hypothesis.substeps for e in effects)])
+        least = max([self.substeps, _fineness(run.U) if self.ramped and self.nominal.python else 1, *(e.hypothesis.substeps for e in effects)])
         theta = np.asarray(theta, dtype=np.float64)
         steps = self.nominal.steps(theta, least, kernel.DEGREE if self.ramped and not closed and not self.nominal.python else 0)
         rows = 0 if outputs_only and not self.nominal.program else len(run)

@@ -103,7 +103,7 @@ def _dynamics(explanation: Explanation, file: Path, aux: Mapping[str, float]) ->
         old, states=states, plant=None, sample_time=nominal.dt if by_samples else 0.0, parameters=_parameters(explanation, plant), entry_sd={},
         process_cov=None, output_sd=_noise(explanation), extra={DYNAMICS: f"{file.name}:{OBJECT}"}, raw="",
     )
-    steps = nominal.steps(point.theta, max([1, *(e.hypothesis.substeps for e in effects)]))
+    steps = nominal.steps(point.theta, max([explanation.substeps, *(e.hypothesis.substeps for e in effects)]))
     reference = relative_code(str(old.extra[DYNAMICS]), old.origin, file.parent) if nominal.python else ""
     return model, text(Parts(nominal, plant, effects, steps, aux, reference))
 

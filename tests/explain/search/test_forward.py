@@ -23,6 +23,7 @@ from afdsvc.explain.search.screen import Screened, Start
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.plugins.physics.actuator_lag import ActuatorLag
 from afdsvc.plugins.physics.coulomb_friction import CoulombFriction
 from afdsvc.plugins.physics.dead_zone import DeadZone
 from afdsvc.plugins.physics.parameter_change import ParameterChange
@@ -105,12 +106,25 @@ def test_an_offset_is_no_effect_and_comes_last():
     assert values["sensor_offset"] + found.end[0.0].point.offset[0] == pytest.approx(200.0, rel=0.05)
 
 
+def test_errors_of_coarse_steps_are_no_further_effect(found, monkeypatch):
+    """A lag is simulated in finer steps than friction: where the noise is small, it stood for the error of the friction's reversals."""
+    assert found.problem.substeps == 1  # the noise hides it
+    library = [CoulombFriction(), ActuatorLag()]
+    fine = search(settled(problem(60.0, seeds=(1,), noise=0.03)), library)
+    assert [s.candidates[0].hypothesis.physics for s in fine.steps if s.accepted] == ["coulomb_friction"]
+    assert fine.problem.substeps == forward.FINER
+    monkeypatch.setattr(forward.Rounds, "coarse", lambda self, path: False)
+    coarse = search(settled(problem(60.0, seeds=(1,), noise=0.03)), library)
+    assert [s.candidates[0].hypothesis.physics for s in coarse.steps if s.accepted] == ["coulomb_friction", "actuator_lag"]
+    assert fine.end[0.0].deviance < coarse.steps[0].candidates[0].fit.deviance
+
+
 @pytest.mark.parametrize("confirms", [True, False])
 def test_what_resampled_blocks_doubt_the_recordings_held_out_decide(confirms):
     unanimous = replace(problem(60.0), settings=replace(Settings(), sure=1.0))  # no share of resamplings is more than all of them
     asked = []
 
-    def better(before, after):
+    def better(problem, before, after):
         asked.append(after[0.0].cost < before[0.0].cost)
         return 1.1 if confirms else 0.9
 
@@ -125,11 +139,11 @@ def test_a_further_effect_that_recordings_held_out_follow_worse_is_not_accepted(
     traces = [motor.recording(60.0, s, name=f"r{s}") for s in (1, 2)]
     late = [replace(t, values=np.column_stack([t.values[:, 0], np.roll(t.values[:, 1], 5)])) for t in traces]
     base = settled(build(nominal(model, motor.DT), prepare(model, late), Settings()))
-    both, one = (search(base, LIBRARY, better=lambda before, after, sure=sure: sure) for sure in (0.5, 0.0))
+    both, one = (search(base, LIBRARY, better=lambda problem, before, after, sure=sure: sure) for sure in (0.5, 0.0))
     assert (both.effects, one.effects) == (2, 1)
     assert "recordings held out" in one.steps[-1].reason
 
-    def without(before, after):
+    def without(problem, before, after):
         return 0.9 if len(after[0.0].point.effects) < len(before[0.0].point.effects) else 0.5
 
     dropped = search(base, LIBRARY, better=without)
@@ -230,7 +244,7 @@ def test_the_evidence_knows_the_share_of_noise_where_the_excitation_repeats(foun
     """Of a residual of white noise, all that differs between periods is noise: its power but for that of the mean."""
     runs = tuple(replace(r, period=500) for r in found.problem.runs)
     for noisy, share in ((found.problem, 0.0), (replace(found.problem, runs=runs), 1.0)):
-        rounds = forward.Rounds(noisy, noisy, noise_times([found.end]), found.start, found.start, "model", map, lambda path: None, {})
+        rounds = forward.Rounds(noisy, noisy, noise_times([found.end]), found.start, found.start, "model", map, lambda problem, path: None, {})
         assert rounds.over(found.end, found.start, 1).noise == pytest.approx(share, abs=0.1)
 
 
@@ -297,7 +311,7 @@ def test_a_further_effect_counts_by_the_gap_where_noise_is_most_of_what_is_left(
 def test_a_round_in_which_nothing_could_be_accepted_is_left_out(limited, repeats, r2, penalty, gap, exhausted):
     found = SimpleNamespace(repeats=repeats, within_reach=tuple(np.maximum(r2, repeats or 0.0)))
     last = SimpleNamespace(own_tau=2.0, penalty=penalty, narrowed=0.0, samples=1000, sd=np.array([1.0, 2.0]))
-    rounds = SimpleNamespace(limited=limited, remainder=lambda path: found, gap=lambda tau: gap, problem=SimpleNamespace(settings=Settings()))
+    rounds = SimpleNamespace(limited=limited, remainder=lambda problem, path: found, gap=lambda tau: gap, problem=SimpleNamespace(settings=Settings()))
     assert forward.Rounds.exhausted(rounds, {0.0: last}) is exhausted
 
 
