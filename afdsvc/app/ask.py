@@ -9,11 +9,10 @@ from typing import Any
 
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.site import Site
-from afdsvc.service import operator_requests
-from afdsvc.service.operator_requests import QUESTIONS, RETUNING
 from afdsvc.transport.access_rules import access_of
 from afdsvc.transport.zenoh_session import Transport
 from afdsvc.wire.keys import Keys
+from afdsvc.wire.requests import QUESTIONS, RETUNING, ask
 
 DESIGN_SECONDS = {"burst": 60.0, "retune": 600.0}  # what is designed before it is accepted
 ASKED_SECONDS = 0.05  # between two questions whether it is
@@ -33,8 +32,8 @@ def ask_service(site: Site, name: str, asked_by: str, waiting: Callable[[], obje
         question = partial(transport.ask, keys.question(), timeout=patience)
         command = partial(transport.ask, key, timeout=patience)
         if name not in DESIGN_SECONDS:
-            return operator_requests.ask(question if name in QUESTIONS else command, name, asked_by, **arguments)
-        answer = operator_requests.ask(command, name, asked_by, later=True, **arguments)
+            return ask(question if name in QUESTIONS else command, name, asked_by, **arguments)
+        answer = ask(command, name, asked_by, later=True, **arguments)
         began, silent = time.monotonic(), True
         while "ticket" in answer:
             waited = time.monotonic() - began
@@ -44,5 +43,5 @@ def ask_service(site: Site, name: str, asked_by: str, waiting: Callable[[], obje
                 silent = False
                 waiting()
             time.sleep(ASKED_SECONDS)
-            answer = operator_requests.ask(question, "ticket", asked_by, ticket=answer["ticket"])
+            answer = ask(question, "ticket", asked_by, ticket=answer["ticket"])
         return answer

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import secrets
-import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
@@ -20,12 +19,11 @@ from afdsvc.service.scheduler import BurstOrder
 from afdsvc.transport.freshness import Freshness
 from afdsvc.wire import codec
 from afdsvc.wire.messages import Alarm, Command, CommandReply
+from afdsvc.wire.requests import QUESTIONS, RETUNING
 
 Arguments = Mapping[str, Any]
 Handler = Callable[[Arguments, str], Any]
 SAFE = ("stop", "pause", "restore")  # obeyed however wrong a clock is: they only end or hold back excitation
-QUESTIONS = ("status", "alarms", "history", "ticket", "plan")  # requests that change nothing
-RETUNING = ("retune", "restore")  # what those may ask who may retune
 TICKETS = 100  # of the last bursts and retunings that were asked for
 ANSWERED_AT_ONCE = 16  # requests of people: a stop does not wait for the design of a burst
 PATIENCE = 0.5  # seconds a person waits for the disk to keep what they did
@@ -282,15 +280,6 @@ def answer(
     if command:
         tell(command, reply)
     return codec.encode(reply)
-
-
-def ask(send: Callable[[bytes], bytes], name: str, asked_by: str, **arguments: Any) -> Any:
-    """Send a command with ``send`` and return its result; raises `AfdsvcError` with the service's sentence."""
-    command = Command(name, arguments, asked_by, time.time_ns(), secrets.token_hex(8))
-    reply = codec.decode(CommandReply, send(codec.encode(command)))
-    if not reply.ok:
-        raise AfdsvcError(reply.error)
-    return reply.result
 
 
 def json_values(value: Any) -> Any:

@@ -14,11 +14,12 @@ from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.signals import Channel
 from afdsvc.hal.agent import RigAgent
 from afdsvc.service.clock import FastClock, RealClock, Watchdog
-from afdsvc.service.operator_requests import Requests, ask
+from afdsvc.service.operator_requests import Requests
 from afdsvc.transport.freshness import FRESH_SECONDS
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import BurstReply, BurstRequest, Command, CommandReply, RigDescription
+from afdsvc.wire.requests import ask
 
 NOW = 1_700_000_000_000_000_000
 YEAR = 365 * 86400 * 10**9

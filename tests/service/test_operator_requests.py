@@ -10,7 +10,8 @@ import pytest
 
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.service.clock import LONGEST, WINDOW_SECONDS, RealClock, Watchdog
-from afdsvc.service.operator_requests import TICKETS, Requests, answer, ask
+from afdsvc.service.operator_requests import TICKETS, Requests, answer
+from afdsvc.wire.requests import ask
 
 
 class Machine:

@@ -21,7 +21,6 @@ from afdsvc.errors import AfdsvcError, BadInput
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import Site, TransportSection, parse_site
 from afdsvc.service.audit_log import verify_chain
-from afdsvc.service.operator_requests import ask
 from afdsvc.transport import access_rules
 from afdsvc.transport.access_rules import Access
 from afdsvc.transport.certificates import check_pair, days_left, ending, key_files, make_certificates, rig_name
@@ -30,6 +29,7 @@ from afdsvc.transport.zenoh_session import Transport as Session
 from afdsvc.wire import codec
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import BurstRequest
+from afdsvc.wire.requests import ask
 
 KEYS = Keys("t")
 UNHEARD = "lacks permission for this request"
