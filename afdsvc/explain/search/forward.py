@@ -291,10 +291,10 @@ class Rounds(Settled):
         return replace(self, problem=problem, part=problem if self.part is self.problem else replace(self.part, substeps=FINER), taus=taus)
 
     def coarse(self, path: Path) -> bool:
-        """Whether finer steps change the likelihood of a path by what is asked of any effect."""
-        (last, f), p = list(path.items())[-1], self.problem
-        finer = rms(weighted(replace(p, substeps=max(FINER, p.substeps)), f.point, last))
-        return bool(abs(2 * f.samples * np.log(finer / f.sd).sum()) > p.settings.evidence * f.own_tau)
+        """Whether finer steps change a path by what is asked of a further effect: in likelihood, and as a share of the power that it leaves."""
+        (last, f), p, s = list(path.items())[-1], self.problem, self.problem.settings
+        change = np.log(rms(weighted(replace(p, substeps=max(FINER, p.substeps)), f.point, last)) / f.sd)
+        return bool(2 * f.samples * abs(change.sum()) > s.evidence * f.own_tau and (np.abs(np.expm1(2 * change)) > s.further).any())
 
     def exchanged(self, path: dict[float, Fit], steps: Sequence[Round]) -> tuple[dict[float, Fit], list[Round]]:
         """Return the path and the rounds after every effect was compared with its look-alikes beside all other effects, what gains most
