@@ -78,6 +78,10 @@ def __getattr__(name: str) -> Any:
     return getattr(importlib.import_module(f"afdsvc.{_PLACES.get(name, 'app.interface')}"), name)
 
 
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]
+
+
 class _Interface(ModuleType):
     """`afdsvc.identify` and `afdsvc.explain` are functions here and packages below: importing a package must not take the function away."""
 

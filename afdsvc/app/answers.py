@@ -131,7 +131,7 @@ class Identified(Answer):
     def sentences(self) -> tuple[str, ...]:
         """Method and order, notes and warnings."""
         fit = self.result.fit
-        return (f"identified by {fit.method}, order {fit.order}: {fit.order_reason}", *fit.notes, *(self.result.warnings if self.nominal_given else ()))
+        return (f"identified by {fit.method}, order {fit.order}: {fit.order_reason}", *fit.notes, *(self.result.warnings if self.nominal_given else self.result.data))
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the fit on data not used, a row for each output; ``r2`` is the coefficient of determination."""
@@ -168,8 +168,9 @@ class Explained(Answer):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The verdict, and each name that is claimed."""
-        return (f"explain: {self.verdict.replace('_', ' ')}", *(n.sentence for n in self.result.named))
+        """The verdict, each name that is claimed, laws that come nearest where none is, and what limits the answer."""
+        near = (f"not claimed: {n.sentence}" for n in self.result.candidates)
+        return (f"explain: {self.verdict.replace('_', ' ')}", *(n.sentence for n in self.result.named), *near, *self.result.sentences)
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the named effects, a row for each parameter."""

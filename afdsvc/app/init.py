@@ -14,7 +14,7 @@ from afdsvc.api.signals import Trace
 from afdsvc.dataset.units import is_velocity, unknown_unit
 from afdsvc.errors import BadInput
 from afdsvc.files.model.schema import Inline, toml_text
-from afdsvc.files.open import RECORDING, TABLES, Naming, OwnRecording, open_file
+from afdsvc.files.open import Naming, OwnRecording, open_file
 from afdsvc.files.tables.alignment import SHORTEST
 from afdsvc.files.tables.foreign_mcap import shown
 from afdsvc.files.tables.formats import opened, read_columns, stated_units
@@ -66,17 +66,15 @@ def init_files(recording: Path, out: Path | None = None, answers: Answers | None
         _positive("--step", str(answers.step))
     if recording.is_dir():
         opened(recording).close()
-    if recording.suffix.lower() not in (*TABLES, RECORDING):
-        raise BadInput(f"{recording}: is not a table; expected one that ends in {', '.join((*TABLES, RECORDING))}")
     folder = out or recording.parent
     files = [folder / name for name in (MODEL, MAPPING, *([SITE] if site else []))]
     model, mapping = files[:2]
     there = next((f for f in files if f.exists() and not overwrite), None)
     if there is not None:
         raise BadInput(f"{there}: exists already; expected another folder (--out DIR), or --overwrite")
-    found, clock, left = _signals(recording, answers)
+    found, clock, left, columns = _signals(recording, answers)
     trace = _longest(open_file(recording, Naming(DataMapping.model_validate(_mapping(found, clock)))).traces())
-    still = _still(recording, found, trace, answers)
+    still = _still(recording, found, trace, answers, columns)
     found = [h for h in found if h not in still]
     ins, outs = ([h for h in found if h.role == role] for role in ("u", "y"))
     u = np.column_stack([trace.column(f"u_{h.label}") for h in ins])
@@ -97,34 +95,36 @@ def init_files(recording: Path, out: Path | None = None, answers: Answers | None
     }  # fmt: skip
 
 
-def _signals(recording: Path, answers: Answers) -> tuple[list[Heading], dict[str, Any], dict[str, str]]:
-    """Return the signals of a recording, the ``[time]`` section of its mapping, and why other columns are left out."""
+def _signals(recording: Path, answers: Answers) -> tuple[list[Heading], dict[str, Any], dict[str, str], list[str]]:
+    """Return the signals of a recording, the ``[time]`` section of its mapping, why other columns are left out, and what could be a signal."""
     source = open_file(recording)
     if isinstance(source, OwnRecording):
         raise BadInput(f"{recording}: is a recording of afdsvc, which carries names, units and model; expected a log of other origin")
     if places := source.places():
         asked: dict[str, Sequence[str]] = {"u": answers.inputs, "y": answers.outputs}
-        return [h for h in _headings(recording, places, answers, "") if h.role != "aux" and h.name in (asked.get(h.role) or places)], {}, {}
+        return [h for h in _headings(recording, places, answers, "") if h.role != "aux" and h.name in (asked.get(h.role) or places)], {}, {}, places
     columns = {n: v for n, (_, v) in read_export(recording)[0].items()} if is_export(recording) else read_columns(recording)
     _, stated = own_step(columns)
     columns = {n: v for n, v in columns.items() if len(v) > 1}  # MAT files hold numbers beside vectors
     time = own_time(columns) or next((n for n in columns if answers.units.get(n) in SECONDS or heading(n).role == "t"), "")
     stamped = {n for n, v in columns.items() if is_stamped(v)}
-    found = _headings(recording, [n for n in columns if n != time and n not in stamped], answers, time)
+    signals = [n for n in columns if n != time and n not in stamped]
+    found = _headings(recording, signals, answers, time)
     step = None if time or is_export(recording) else _step(recording, replace(answers, step=answers.step or stated))
     unit = "" if not time or time in stamped else answers.units.get(time) or heading(time).unit
     clock = {"from": time} | ({"unit": unit} if unit else {}) if time else {"step": step} if step else {}
     named = (time, *(h.name for h in found))
-    return found, clock, {n: f"its {'cells are time stamps' if n in stamped else 'name says that it is a time'}" for n in columns if n not in named}
+    return found, clock, {n: f"its {'cells are time stamps' if n in stamped else 'name says that it is a time'}" for n in columns if n not in named}, signals
 
 
-def _still(recording: Path, found: Sequence[Heading], trace: Trace, answers: Answers) -> list[Heading]:
+def _still(recording: Path, found: Sequence[Heading], trace: Trace, answers: Answers, columns: Sequence[str]) -> list[Heading]:
     """Return the inputs and outputs that never change; raises `BadInput` where one of them was asked for, or no other is left."""
     still = [h for h in found if h.role in ("u", "y") and np.ptp(trace.column(f"{h.role}_{h.label}")) == 0]
     for role, word, asked in (("u", "input", answers.inputs), ("y", "output", answers.outputs)):
         names = [h.name for h in still if h.role == role]
         if set(names) & set(asked) or len(names) == sum(h.role == role for h in found):
-            raise BadInput(f"{recording}: {word} {shown(names)} never changes; expected an {word} that does")
+            others = [n for n in columns if n not in {h.name for h in found}] or [h.name for h in found if h not in still]
+            raise BadInput(f"{recording}: {word} {shown(names)} never changes; expected one that does: --{word} COLUMN, one of {shown(others)}")
     return still
 
 

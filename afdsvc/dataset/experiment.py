@@ -76,10 +76,11 @@ def prepare(model: Model, traces: Sequence[Trace]) -> list[Run]:
     """Return the traces as runs; raises `BadInput` naming the recording and column that are missing or do not fit."""
     if not traces:
         raise BadInput("no recording was given; expected at least one")
-    if any(abs(t.dt / traces[0].dt - 1) > SAME_RATE for t in traces):
+    other = next((t for t in traces if abs(t.dt / traces[0].dt - 1) > SAME_RATE), None)
+    if other is not None:
         raise BadInput(
-            f"recordings '{traces[0].name}' and others differ in sample time ({sorted({t.dt for t in traces})} s); "
-            "expected one sample time"
+            f"recordings '{traces[0].name}' ({traces[0].dt:.6g} s) and '{other.name}' ({other.dt:.6g} s) differ in sample time; "
+            "expected one: resample = {dt = SECONDS} in a mapping file brings them to it"
         )
     labels = tuple(sorted({c.label for t in traces for c in t.channels if c.role == "aux"}))
     return [_run(model, trace, labels) for trace in traces]

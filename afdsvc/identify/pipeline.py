@@ -83,6 +83,7 @@ def identify(
         check,
         preview,
         (*problem.notes, *warning, *_warnings(fit.heldout, before, stable), *_invented(fit.system, problem.nominal, max(len(r) * r.dt for r in parts.training))),
+        problem.notes,
     )
 
 

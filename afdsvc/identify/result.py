@@ -53,6 +53,7 @@ class IdentifyResult:
     cross_check: Agreement | None = None
     preview: HoldoutPreview | None = None
     warnings: tuple[str, ...] = ()
+    data: tuple[str, ...] = ()  # those of the warnings that say what was done to the recordings
 
     def _second_route(self) -> tuple[str, ...]:
         check = self.cross_check

@@ -155,6 +155,8 @@ def _of_parts(parts: tuple[Any, ...], dt: float) -> StateSpace:
         return from_polynomials([[num]], [[den]], dt)
     if len(parts) == 3 and np.ndim(parts[2]) == 0:
         return from_roots(parts[0], parts[1], float(parts[2]), dt)
+    if len(parts) == 4:
+        parts = tuple(np.atleast_2d(part) if np.ndim(part) == 0 else part for part in parts)
     if not all(np.ndim(part) == 2 for part in parts):
         raise BadInput(f"the parts of the system have {', '.join(str(np.ndim(part)) for part in parts)} dimensions; expected matrices (A, B, C) or (A, B, C, D), or (zeros, poles, gain)")
     A, B, C, D = parts if len(parts) == 4 else (*parts, np.zeros((len(parts[2]), np.shape(parts[1])[-1])))

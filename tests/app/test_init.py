@@ -112,7 +112,7 @@ def test_inputs_and_outputs_that_never_change_are_left_out(tmp_path: Path):
     document = init_files(tmp_path / "log.csv")
     assert document["left_out"] == dict.fromkeys(("valve_command", "pressure_hPa"), "it never changes")
     assert [c["signal"] for c in document["columns"]] == ["u_command", "y_speed"]
-    with pytest.raises(BadInput, match=r"log\.csv: input valve_command never changes; expected an input that does"):
+    with pytest.raises(BadInput, match=r"log\.csv: input valve_command never changes; expected one that does: --input COLUMN, one of command, speed_rpm"):
         init_files(tmp_path / "log.csv", tmp_path / "second", Answers(inputs=["valve_command"]))
     (tmp_path / "dead.csv").write_text("t,command,speed_rpm\n" + "".join(f"{0.01 * k:.2f},{k % 7},3\n" for k in range(200)))
     with pytest.raises(BadInput, match=r"dead\.csv: output speed_rpm never changes"):

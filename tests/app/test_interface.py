@@ -243,3 +243,9 @@ def test_design_and_diagnosis_show_themselves():
     assert "bearing" in found.to_pandas()["machine"].unique()
     assert "<svg" in found._repr_html_()
     assert RECORDING in repr(found)
+
+
+def test_names_of_the_interface_are_listed_and_a_model_is_shown_in_a_line():
+    assert {"Model", "check", "design", "diagnose", "explain", "identify", "load"} <= set(dir(afdsvc))
+    motor = afdsvc.Model.from_system(([12.0], [0.08, 1]), {"voltage": "V"}, {"speed": "rad/s"})
+    assert repr(motor) == "<Model 'model': inputs voltage [V]; outputs speed [rad/s]; linear of order 1, continuous>"

@@ -160,8 +160,9 @@ def test_shapes_times_and_types_are_named() -> None:
         lti.coprime("plant", plant)
     with pytest.raises(BadInput, match="the true plant has 2 outputs and 1 inputs; expected 1 and 1"):
         lti.deviation(control.ss([[0.5]], [[1.0]], [[1.0], [1.0]], [[0], [0]], 0.1), plant, 0.1)
-    with pytest.raises(BadInput, match="have 0, 0, 0, 0 dimensions; expected matrices"):
-        as_state_space((1, 2, 3, 4))
+    with pytest.raises(BadInput, match="have 2, 1, 1, 2 dimensions; expected matrices"):
+        as_state_space((1, [2], [3], 4))
+    assert as_state_space((-1, 2, 3, 4)).B.tolist() == [[2]]
     with pytest.raises(BadInput, match="NaN or infinity"):
         lti.coprime(control.ss([[np.nan]], [[1.0]], [[1.0]], 0, 0.1), 0.1)
 

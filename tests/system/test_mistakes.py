@@ -29,7 +29,8 @@ FILES = {
     "MODEL.toml": MODEL, "typo.toml": MODEL.replace("num =", "nun ="), "site.toml": f'site = "hall"\n{SITE}', "number.toml": MODEL.replace("3.0", '"three"'),
     "fast.toml": f'site = "hall"\n{SITE}options = {{rpm = "fast"}}\n', "hours.csv": "t\n" + "".join(f"{k}\n" for k in range(100)),
     "log.csv": "Time_ms,Voltage [V],speed_rpm\n" + ROWS, "bare.csv": ROWS, "words.csv": "t,u_voltage,y_speed\n0.00,1,2\n0.01,off,2\n",
-    "gap.csv": "t,u_voltage,y_speed\n" + "".join(f"{t},1,2\n" for t in TIMES), "book.xlsx": "PK",
+    "MODEL.json": '{"num": [3.0]}', "commas.csv": "t,u_voltage,y_speed\n0,00,1,2,3,4\n0,01,1,2,3,4\n",
+    "thrice.csv": "t,u_voltage,u_voltage,u_voltage\n0,1,2,3\n", "gap.csv": "t,u_voltage,y_speed\n" + "".join(f"{t},1,2\n" for t in TIMES), "book.xlsx": "PK",
     "torn.csv": "t,u_voltage,y_speed\n" + "".join(f"{0.01 * k + k // 30:.2f},{k % 7},{k % 5}\n" for k in range(100)),
 }  # fmt: skip
 
@@ -60,6 +61,10 @@ def folder(tmp_path_factory) -> Path:
         ("explain log.csv MODEL.toml", ["log.csv: is a recording; expected the model (MODEL.toml) here, recordings after it"]),
         ("check typo.toml gap.csv", ["typo.toml: key 'nun' is not known; is 'num' meant?"]),
         ("check MODEL.toml book.xlsx", ["book.xlsx: is a spreadsheet; expected the sheet saved as CSV"]),
+        ("init book.xlsx --out new", ["book.xlsx: is a spreadsheet; expected the sheet saved as CSV"]),
+        ("check MODEL.toml MODEL.json", ["is not an MCAP file: it begins with b'{", "expected an MCAP file, or a table with its own ending"]),
+        ("check MODEL.toml commas.csv", ["row 1 has 6 cells; expected 3, as many as the header (commas as decimal signs need ';' between cells)"]),
+        ("check MODEL.toml thrice.csv", ["column 'u_voltage' comes 3 times; expected once"]),
         ("check MODEL.toml words.csv", ["words.csv: column 'u_voltage', row 2 holds 'off'; expected a number"]),
         ("identify MODEL.toml torn.csv", ["torn.csv: the longest stretch without a gap has 30 samples", "expected at least 50"]),
         ("check MODEL.toml nowhere.csv", ["nowhere.csv: cannot be read: No such file or directory"]),

@@ -37,7 +37,7 @@ def check(model: Model, traces: Sequence[Trace]) -> tuple[Finding, ...]:
     return (
         *check_columns(model, traces, runs),
         *loop(nom, runs),
-        *clock(nom, runs),
+        *clock(problem),
         *samples(model, runs),
         *responding(nom, runs),
         *gains(nom, lines(problem, response), runs),

@@ -51,6 +51,9 @@ def gains(nominal: Nominal, lines: ExcitedLines, runs: Sequence[Run]) -> Iterato
     yield from wrong
     if paths and not wrong:
         yield Finding("ok", "units", "the measured gains agree with the model's within a factor of three, signs included")
+    elif not wrong and len(reported) < len(nominal.model.outputs):
+        said = "the model follows less than half of what the inputs cause in any output, so units and signs cannot be compared with it"
+        yield Finding("warning", "units", f"{said}; expected its numbers in seconds and its own units: a point as decimal sign, the highest power first")
     if not wrong:
         for j in range(terms.shape[1]):
             yield from _shift(nominal, terms[:, j], lines, j, runs)

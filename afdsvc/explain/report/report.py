@@ -140,7 +140,7 @@ def _offsets(problem: Problem, final: Fit, horizon: float) -> Iterator[str]:
     matters = np.abs(final.point.offset) > problem.scale * rms(final.residuals)
     for v, fitted, large in zip(problem.nominal.model.outputs, offsets(problem, final, horizon) if matters.any() else (), matters, strict=False):
         if large and fitted.sd is not None and abs(fitted.value) > CLEAR * fitted.sd:
-            yield f"a constant {value_text('offset', fitted)} of the reading {v.name} is fitted to these recordings; the improved model does not have it"
+            yield f"a constant {value_text('offset', fitted)} of the reading {v.name} is fitted to these recordings, as one is to those held out; the improved model does not have it, so its own error there is larger"
 
 
 def _next(found: Found, verdict: Verdict) -> Mapping[str, Any] | None:

@@ -69,7 +69,7 @@ def read_items(path: Path) -> Iterator[Item]:
     with opened(path) as file:
         size, start = os.fstat(file.fileno()).st_size, file.read(len(MAGIC))
         if start != MAGIC:
-            raise BadInput(f"{path}: is not an MCAP file: it begins with {start!r}" if start else f"{path}: is empty")
+            raise BadInput(f"{path}: is not an MCAP file: it begins with {start!r}; expected an MCAP file, or a table with its own ending (.csv, .parquet, .mat, ...)" if start else f"{path}: is empty")
         refuse_more(path, _stated_bytes(file, size), recording_bytes(size), "bytes in its chunks")
         yield from items_in_time(_data(file, size), path, size)
         yield End(_finished(file, size))

@@ -43,7 +43,8 @@ def read_columns(path: Path) -> Columns:
     except BadInput:
         raise
     except Exception as error:  # five libraries, each with errors of its own for files that are not what they claim
-        raise BadInput(f"{path}: not a readable {path.suffix} file: {_first_line(error)}") from None
+        why = "it holds Python objects; expected arrays of numbers" if "allow_pickle" in str(error) else _first_line(error)
+        raise BadInput(f"{path}: not a readable {path.suffix} file: {why}") from None
 
 
 def stated_units(path: Path) -> dict[str, str]:
@@ -146,7 +147,8 @@ def _name_bad_cell(path: Path, header: list[str], timed: list[str], delimiter: s
                 continue
             if len(cells) != len(header):
                 expected = f"expected {len(header)}, as many as the header"
-                raise BadInput(f"{path}: row {row} has {len(cells)} cells; {expected}")
+                cure = " (commas as decimal signs need ';' between cells)" if delimiter == "," and len(cells) == 2 * len(header) else ""
+                raise BadInput(f"{path}: row {row} has {len(cells)} cells; {expected}{cure}")
             for name, cell in zip(header, cells, strict=True):
                 if name not in timed and not _is_number(cell.replace(point, ".")):
                     raise BadInput(f"{path}: column '{name}', row {row} holds '{cell}'; expected {_expected(cell, row)}")
@@ -302,9 +304,9 @@ def _numbers(path: Path, name: str, values: Any) -> Array:
 def _refuse_names(path: Path, names: list[str]) -> None:
     """Raise `BadInput` for too many columns, or one that comes twice."""
     refuse_more(path, len(names), BOUNDS.columns, "columns")
-    twice = next((name for name, times in Counter(names).items() if times > 1), None)
-    if twice is not None:
-        raise BadInput(f"{path}: column '{twice}' comes twice; expected once")
+    name, times = max(Counter(names).items(), key=lambda pair: pair[1], default=("", 0))
+    if times > 1:
+        raise BadInput(f"{path}: column '{name}' comes {'twice' if times == 2 else f'{times} times'}; expected once")
 
 
 def _first_line(error: Exception) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -75,7 +76,12 @@ def _one(log: ReviewLog, recording: Recording, planes: Planes | None) -> None:
 
 
 def open_viewer(file: Path) -> int:
-    """Open the viewer on a file and wait until it is closed; return its exit code. It listens on loopback only."""
+    """Open the viewer on a file and wait until it is closed; return its exit code. It listens on loopback only.
+
+    Raises `BadInput` where there is no display.
+    """
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise BadInput(f"there is no display for the viewer; expected --save FILE.rrd, to be opened elsewhere (this review is in {file})")
     rerun = [sys.executable, "-m", "rerun"]
     # It would report its use to its makers otherwise.
     subprocess.run([*rerun, "analytics", "disable"], check=False, capture_output=True)

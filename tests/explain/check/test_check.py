@@ -122,6 +122,34 @@ def test_a_change_of_thirty_per_cent_is_no_wrong_unit():
     assert objection(check(sound()[0], spoiled("y_horizontal", lambda x: 1.3 * x))) == ""
 
 
+def motor_log(seconds: float = 1.0, gain: float = 60.0) -> Trace:
+    """Return 30 s of a motor of 0.1 s at 100 Hz under random levels, times counted in ``seconds``."""
+    rng = np.random.default_rng(8)
+    u = np.repeat(rng.uniform(-5, 5, 60), 50)
+    y = np.zeros(3000)
+    for k in range(2999):
+        y[k + 1] = np.exp(-0.1) * y[k] + gain * (1 - np.exp(-0.1)) * u[k]
+    return Trace("log.csv", 0.01 * seconds, (Channel("u_voltage", "V"), Channel("y_speed", "rpm")), np.column_stack([u, y + rng.normal(size=3000)]))
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(1e3, "times taken as milliseconds"), (1e-3, "times taken as thousands of what they are")])
+def test_times_in_another_unit_stop(seconds, words):
+    model = Model.from_system(([60.0], [0.1, 1]), {"voltage": "V"}, {"speed": "rpm"})
+    refused = objection(check(model, [motor_log(seconds)]))
+    assert words in refused
+    assert "--trust-units" in refused
+    assert objection(check(model, [motor_log()])) == ""
+    slow = Model.from_system(([60.0], [0.002, 1]), {"voltage": "V"}, {"speed": "rpm"})  # faster than the sampling, and right but for that
+    assert objection(check(slow, [motor_log()])) == ""
+
+
+@pytest.mark.parametrize(("num", "den"), [([60.0, 4.0], [0.1, 1]), ([60.0], [1, 0.1])])
+def test_a_model_that_no_output_follows_is_said(num, den):
+    """A comma as decimal sign, and the order of coefficients turned around."""
+    said = reported(check(Model.from_system((num, den), {"voltage": "V"}, {"speed": "rpm"}), [motor_log()]), "units")
+    assert "follows less than half of what the inputs cause" in said
+
+
 @pytest.mark.parametrize(("shift", "words"), [(4, "4 samples late"), (-3, "3 samples early")])
 def test_clocks_out_of_step_are_counted_in_samples(shift, words):
     sentence = reported(check(sound()[0], spoiled("y_horizontal", lambda x: np.roll(x, shift))), "synchronisation")

@@ -145,7 +145,7 @@ def test_first_files_of_a_bag(tmp_path, write):
     [
         ({"inputs": ["/joint_states.position[1]"], "outputs": ["/joint_states.effort[0]"]}, ["u_joint_states_position_1", "y_joint_states_effort_0"]),
         ({"outputs": ["/on.data"]}, ["u_joint_states_effort_0", "y_on_data"]),
-        ({"outputs": ["/joint_states.velocity[0]"]}, r"run\.bag: output /joint_states\.velocity\[0\] never changes; expected an output that does"),
+        ({"outputs": ["/joint_states.velocity[0]"]}, r"run\.bag: output /joint_states\.velocity\[0\] never changes; expected one that does: --output COLUMN, one of /joint_states\.position\[0\], "),
         ({"inputs": ["/joint_states.torque"]}, r"no column '/joint_states\.torque'; it has /joint_states\.effort\[0\], "),
     ],
 )

@@ -407,3 +407,9 @@ def test_a_folder_names_the_files_in_it(tmp_path):
     (tmp_path / "run" / "run.db3").touch()
     with pytest.raises(BadInput, match=r"such as one in it \(run.db3\)"):
         opened(tmp_path / "run")
+
+
+def test_objects_of_python_are_not_read(tmp_path):
+    np.savez(tmp_path / "objects.npz", t=np.arange(3.0), u_x=np.array([1, "a", None], dtype=object))
+    with pytest.raises(BadInput, match=r"not a readable \.npz file: it holds Python objects; expected arrays of numbers$"):
+        read_columns(tmp_path / "objects.npz")

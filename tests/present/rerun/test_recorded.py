@@ -1,5 +1,6 @@
 """From a recording to a Rerun file, and the viewer opened without telling anybody."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -105,6 +106,13 @@ def test_the_viewer_reports_to_nobody_and_listens_on_loopback(tmp_path, monkeypa
         returncode = 0
 
     monkeypatch.setattr("subprocess.run", lambda command, **_: calls.append(command[1:]) or Done)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    if sys.platform == "linux":
+        with pytest.raises(BadInput, match=r"there is no display for the viewer; expected --save FILE\.rrd"):
+            open_viewer(tmp_path / "a.rrd")
+    assert calls == []
+    monkeypatch.setenv("DISPLAY", ":0")
     assert open_viewer(tmp_path / "a.rrd") == 0
     assert calls[0] == ["-m", "rerun", "analytics", "disable"]
     assert calls[1] == ["-m", "rerun", "--bind", "127.0.0.1", "--port", "auto", str(tmp_path / "a.rrd")]
