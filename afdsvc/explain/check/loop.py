@@ -63,14 +63,14 @@ def clock(problem: Problem) -> Iterator[Finding]:
         return
     dt, seconds = runs[0].dt, max(len(r) * r.dt for r in runs)
     if float(rates.max()) * dt > FAST:
-        yield from _in_other_unit(problem, 1e-3, "milliseconds", "expected a column named t_ms, or time.unit = 'ms' in a mapping file")
+        yield from _in_other_unit(problem, 1e-3, "as milliseconds", "expected a column named t_ms, or time.unit = 'ms' in a mapping file")
         yield Finding(
             "warning", "clock",
             f"the recordings are sampled every {dt:.4g} s and the model's fastest time constant is {1 / rates.max():.3g} s: "
             f"{CURE}dynamics faster than the sampling cannot be seen; record at {10 * rates.max() / (2 * np.pi):.3g} Hz or more",
         )
     if float(rates.min()) * seconds < SLOW:
-        yield from _in_other_unit(problem, 1e3, "thousands of what they are", "expected times in seconds: is a column in seconds named t_ms?")
+        yield from _in_other_unit(problem, 1e3, "1000 times as long", "expected times in seconds: is a column in seconds named t_ms?")
         yield Finding(
             "warning", "clock",
             f"the longest recording lasts {seconds:.4g} s and the model's slowest time constant is {1 / rates.min():.3g} s: "
@@ -84,5 +84,5 @@ def _in_other_unit(problem: Problem, factor: float, unit: str, cure: str) -> Ite
     scaled = build(nominal(problem.nominal.model, runs[0].dt), runs, problem.settings)
     after, before = (min(c.r2 for c in compared(p)) for p in (scaled, problem))
     if after > FOLLOWED and 1 - after < FOLLOWED * (1 - before):
-        said = f"with the times taken as {unit} the model follows the outputs (R2 {after:.3g}, as they are {before:.3g})"
+        said = f"with the times taken {unit} the model follows the outputs (R2 {after:.3g}, as they are {before:.3g})"
         yield Finding("stop", "units", f"{said}; {cure}; explain --trust-units goes on where they are right")

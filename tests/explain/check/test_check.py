@@ -132,7 +132,7 @@ def motor_log(seconds: float = 1.0, gain: float = 60.0) -> Trace:
     return Trace("log.csv", 0.01 * seconds, (Channel("u_voltage", "V"), Channel("y_speed", "rpm")), np.column_stack([u, y + rng.normal(size=3000)]))
 
 
-@pytest.mark.parametrize(("seconds", "words"), [(1e3, "times taken as milliseconds"), (1e-3, "times taken as thousands of what they are")])
+@pytest.mark.parametrize(("seconds", "words"), [(1e3, "times taken as milliseconds"), (1e-3, "times taken 1000 times as long")])
 def test_times_in_another_unit_stop(seconds, words):
     model = Model.from_system(([60.0], [0.1, 1]), {"voltage": "V"}, {"speed": "rpm"})
     refused = objection(check(model, [motor_log(seconds)]))
