@@ -92,7 +92,7 @@ def initial(problem: Problem, k: int) -> Array:
 
     if not n:
         return np.zeros(0)
-    x = min(np.zeros(n), unit * (np.linalg.pinv(problem.nominal.plant.C * unit) @ np.nan_to_num(run.Y[0])), key=misfit)
+    x = min(np.zeros(n), alone.resting()[0], key=misfit)
     for _ in range(STEPS):
         e = residual(x)
         J = np.column_stack([(residual(x + 1e-3 * unit * row) - e) / 1e-3 for row in np.eye(n)])

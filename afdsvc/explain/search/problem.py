@@ -112,6 +112,12 @@ class Problem:
             return max(float(np.abs((r.U if signal.kind == "u" else r.AUX)[:, signal.index]).max(initial=0.0)) for r in self.runs) or 1.0
         return float((self.state_scale if signal.kind == "x" else self.scale)[signal.index])
 
+    def resting(self) -> tuple[Array, ...]:
+        """Return the smallest initial states that have the first readings: those of machines that begin at rest."""
+        unit = self.state_scale
+        back = unit[:, None] * np.linalg.pinv(self.nominal.plant.C * unit)
+        return tuple(np.asarray(back @ np.nan_to_num(r.Y[0])) for r in self.runs)
+
     def of(self, runs: Sequence[Run], x0: Sequence[Array]) -> Problem:
         """Return the same problem on other runs."""
         return replace(self, runs=tuple(runs), x0=tuple(x0))

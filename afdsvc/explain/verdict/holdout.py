@@ -203,7 +203,16 @@ def error(problem: Problem, point: Point, horizon: float = 0.0) -> float:
 
 
 def _begun(problem: Problem, point: Point, horizon: float) -> Point:
-    """Return the point with the initial state of the only run, and what memories begin with, by damped Gauss-Newton."""
+    """Return the point with the initial state of the only run, and what memories begin with, that fit it best: from the state of the point and from rest.
+
+    A state that makes up for what the model lacks is a local minimum beside a law that is right.
+    """
+    found = [_settled(problem, p, horizon) for p in (point, replace(point, x0=problem.resting()))]
+    return min(found, key=lambda pair: pair[1])[0]
+
+
+def _settled(problem: Problem, point: Point, horizon: float) -> tuple[Point, float]:
+    """Return the point with the initial state that fits best by damped Gauss-Newton, and the sum of squares it leaves."""
     c = Coordinates(problem, point)
     q, local = c.pack(point), slice(c.shared, c.size)
 
@@ -227,4 +236,4 @@ def _begun(problem: Problem, point: Point, horizon: float) -> Point:
             damping = max(10 * damping, 1e-3)
         else:
             break
-    return moved(x)
+    return moved(x), float(e @ e)

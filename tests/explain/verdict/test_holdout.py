@@ -7,10 +7,18 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import binom
 
+from afdsvc.api.model import Model, Variable
+from afdsvc.api.physics import Coefficient, Hypothesis, Signal
+from afdsvc.api.signals import Channel, Trace
+from afdsvc.dataset.experiment import prepare
+from afdsvc.explain.search.build import build
 from afdsvc.explain.settings import Settings
+from afdsvc.explain.simulate.effects import PlacedEffect
+from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.verdict import holdout as module
 from afdsvc.explain.verdict.holdout import HeldOutVerdict, Player
 from afdsvc.explain.verdict.verdict import Claim, Verdict
+from afdsvc.lti.statespace import StateSpace
 
 
 @pytest.fixture
@@ -130,3 +138,31 @@ def test_models_that_follow_short_recordings_alike_rarely_seem_different(monkeyp
         errors = [lfilter([1.0], [1.0, -0.8], rng.standard_normal((n + 50, 1)), axis=0)[50:] for _ in range(2)]
         sure += _short(monkeypatch, *errors) > 0.95
     assert sure <= binom.ppf(0.999, 400, 0.05)
+
+
+def hardening(p, z, m, dt, out):
+    """A cubic spring."""
+    out[0] -= p[0] * z[0] * z[0] * z[0]
+
+
+def test_a_machine_that_began_at_rest_is_played_from_rest_with_a_law_its_model_lacks():
+    """Without the law, the initial state that fits the beginning best makes up for it: 19 mm where the axis was at 0."""
+    rng, dt, fine = np.random.default_rng(1), 0.005, 100
+    u, x, v, y = np.repeat(rng.uniform(-15, 15, 401), 20)[:8000], 0.0, 0.0, np.empty(8000)
+    for k in range(8000):
+        y[k] = x
+        for _ in range(fine):
+            v += dt / fine * (500 * u[k] - 4 * v - 400 * x - 1.25 * x**3)
+            x += dt / fine * v
+    plant = StateSpace(np.array([[0, 1.0], [-400, -4]]), np.array([[0.0], [500]]), np.array([[1.0, 0]]), np.zeros((1, 1)))
+    model = Model("axis", (Variable("force", "N"),), (Variable("position", "mm"),), (Variable("x", "mm"), Variable("v", "mm/s", "x")), plant)
+    trace = Trace("axis", dt, (Channel("u_force", "N"), Channel("y_position", "mm")), np.column_stack([u, y + 0.03 * rng.standard_normal(8000)]))
+    runs = prepare(model, [trace])
+    problem = build(nominal(model, dt), runs, Settings())
+    size = Coefficient("stiffness", "", 0.0, np.inf, 1.0)
+    law = Hypothesis("hardening", "state:v", "stiffness", "force", hardening, (Signal("x", 0),), (Signal("x", 1),), (size,), ((1.0,),))
+    point = problem.start().added(PlacedEffect(law, np.array([1.25])))
+    (simulated,), (x0,) = module.played_back(problem, point)
+    assert abs(problem.x0[0][0]) > 5
+    assert np.std(runs[0].Y - simulated) < 0.1
+    assert abs(x0[0]) < 0.1
