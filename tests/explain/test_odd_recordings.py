@@ -74,7 +74,7 @@ def test_a_discrete_model_without_a_continuous_one_is_refused_at_another_rate():
 
 
 def test_recordings_of_different_rates_are_refused_by_name():
-    with pytest.raises(BadInput, match="one sample time"):
+    with pytest.raises(BadInput, match=r"'r0' \(0\.001 s\) and 'r1' \(0\.002 s\) differ in sample time; expected one: resample"):
         explain(model(), [recording(0), replace(recording(1), dt=2 * DT)], [], afdsvc_physics())
 
 
