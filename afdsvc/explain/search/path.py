@@ -65,14 +65,10 @@ def bases(problem: Problem, base: Mapping[float, Fit], taus: Taus) -> list[Mappi
 
 
 def _begin(problem: Problem, base: Fit, start: Start, horizon: float) -> Point:
-    """Return the base with the effect, its free numbers shifted as the effect asks for or not, or begun at rest, whichever costs less.
-
-    Without the effect, the states at the beginning may stand for it there.
-    """
+    """Return the base with the effect, its free numbers shifted as the effect asks for or not, whichever costs less."""
     c = Coordinates(problem, base.point)
-    point = base.point.added(start.effect)
     shifted = c.unpack(c.pack(base.point) + start.shift).added(start.effect)
-    return _nearer(problem, [point, shifted, replace(point, x0=problem.resting())], horizon)
+    return _nearer(problem, [base.point.added(start.effect), shifted], horizon)
 
 
 def _nearer(problem: Problem, points: Sequence[Point], horizon: float) -> Point:
