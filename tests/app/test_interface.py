@@ -20,7 +20,7 @@ import pytest
 import scipy.signal
 
 import afdsvc
-from afdsvc.app.answers import Checked, Diagnosed, Explained
+from afdsvc.app.answers import Checked, Diagnosed, Explained, Identified
 from afdsvc.errors import BadInput
 
 ROOT = Path(__file__).parents[2]
@@ -249,3 +249,13 @@ def test_names_of_the_interface_are_listed_and_a_model_is_shown_in_a_line():
     assert {"Model", "check", "design", "diagnose", "explain", "identify", "load"} <= set(dir(afdsvc))
     motor = afdsvc.Model.from_system(([12.0], [0.08, 1]), {"voltage": "V"}, {"speed": "rad/s"})
     assert repr(motor) == "<Model 'model': inputs voltage [V]; outputs speed [rad/s]; linear of order 1, continuous>"
+
+
+def test_answers_say_what_limits_them_and_what_was_done_to_the_data():
+    nearest, limit = SimpleNamespace(sentence="friction would close 82 %"), "no name is certain"
+    explained = Explained({}, SimpleNamespace(verdict="unexplained", named=(), candidates=(nearest,), sentences=(limit,)))
+    assert explained.sentences == ("explain: unexplained", "not claimed: friction would close 82 %", limit)
+    fit = SimpleNamespace(method="pem", order=1, order_reason="stated", notes=())
+    result = SimpleNamespace(fit=fit, data=("samples are missing",), warnings=("samples are missing", "worse than the model given"))
+    for given, said in ((True, result.warnings), (False, result.data)):
+        assert Identified({}, result, given).sentences[1:] == said

@@ -122,10 +122,10 @@ def test_a_change_of_thirty_per_cent_is_no_wrong_unit():
     assert objection(check(sound()[0], spoiled("y_horizontal", lambda x: 1.3 * x))) == ""
 
 
-def motor_log(seconds: float = 1.0, gain: float = 60.0) -> Trace:
+def motor_log(seconds: float = 1.0, gain: float = 60.0, held: int = 50) -> Trace:
     """Return 30 s of a motor of 0.1 s at 100 Hz under random levels, times counted in ``seconds``."""
     rng = np.random.default_rng(8)
-    u = np.repeat(rng.uniform(-5, 5, 60), 50)
+    u = np.repeat(rng.uniform(-5, 5, 3000 // held), held)
     y = np.zeros(3000)
     for k in range(2999):
         y[k + 1] = np.exp(-0.1) * y[k] + gain * (1 - np.exp(-0.1)) * u[k]
@@ -141,6 +141,8 @@ def test_times_in_another_unit_stop(seconds, words):
     assert objection(check(model, [motor_log()])) == ""
     slow = Model.from_system(([60.0], [0.002, 1]), {"voltage": "V"}, {"speed": "rpm"})  # faster than the sampling, and right but for that
     assert objection(check(slow, [motor_log()])) == ""
+    either = Model.from_system(([60.0], [3e-4, 1]), {"voltage": "V"}, {"speed": "rpm"})  # follows slow levels in both units
+    assert objection(check(either, [motor_log(held=500)])) == ""
 
 
 @pytest.mark.parametrize(("num", "den"), [([60.0, 4.0], [0.1, 1]), ([60.0], [1, 0.1])])

@@ -1,5 +1,6 @@
 """Where recordings are too short to tell a gap from noise, that is the verdict."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ from afdsvc.api.model import Model, Variable
 from afdsvc.explain.report.report import _excited, _moved, _nearest
 from afdsvc.explain.simulate.nominal import Entry, nominal
 from afdsvc.explain.verdict.verdict import Verdict
+from afdsvc.lti.transfer_function import from_polynomials
 
 
 @pytest.mark.parametrize(
@@ -65,6 +67,14 @@ def test_of_a_transfer_function_what_the_fit_moved_is_shown_as_one(matrix, said)
     (found,) = _moved(stated, SimpleNamespace(point=SimpleNamespace(theta=theta)))
     assert found == f"the fit moves the model, its coefficients by 5.0 stated standard deviations at most: from {said}"
     assert not list(_moved(stated, SimpleNamespace(point=SimpleNamespace(theta=0 * theta + 0.9))))
+
+
+def test_transfer_functions_that_the_fit_left_alone_are_not_shown():
+    system = from_polynomials([[[6.0], [4.0]]], [[[0.5, 1], [0.5, 1]]])
+    stated = nominal(replace(Model.from_system(system, {"voltage": "V", "load": "N*m"}, {"speed": "rad/s"}), transfer=True), 0.01)
+    theta = np.array([5.0 * (e.matrix == "B" and e.column == 1) for e in stated.entries])
+    (found,) = _moved(stated, SimpleNamespace(point=SimpleNamespace(theta=theta)))
+    assert found.endswith("at most: from load to speed from 4 / (0.5 s + 1) to 5 / (0.5 s + 1)")
 
 
 def test_no_more_numbers_are_listed_than_can_be_read():
