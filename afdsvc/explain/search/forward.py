@@ -138,8 +138,10 @@ def search(
             break
         path, rough = more
         if rounds.coarse(path):
-            rounds, whole = (r.finer(noise_times([rough]) | noise_times([path])) for r in (rounds, whole))
-            problem, (path, rough) = rounds.problem, rounds.converged(path, rough)
+            finer = [r.finer(noise_times([rough]) | noise_times([path])) for r in (rounds, whole)]
+            again = finer[0].converged(path, rough)
+            if list(again[0].values())[-1].deviance < list(path.values())[-1].deviance:  # else coarse steps favour no other law
+                (rounds, whole), problem, (path, rough) = finer, finer[0].problem, again
         rounds, whole = (replace(r, taus=noise_times([rough]) | noise_times([path])) for r in (rounds, whole))
         if is_offset(step.candidates[0].hypothesis):
             rounds = replace(rounds, start=path, losses={})
