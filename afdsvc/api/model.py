@@ -134,7 +134,7 @@ class Model:
 
     def __repr__(self) -> str:
         ins, outs = (", ".join(f"{v.name} [{v.unit}]" if v.unit else v.name for v in role) or "none" for role in (self.inputs, self.outputs))
-        kind = f"{'Python code' if self.plant is None else 'linear'} of order {len(self.states)}"
+        kind = f"{'linear' if self.dynamics is None and self.opened is None else 'simulator'} of order {len(self.states)}"
         return f"<Model '{self.name}': inputs {ins}; outputs {outs}; {kind}, {f'every {self.sample_time:g} s' if self.sample_time else 'continuous'}>"
 
     @classmethod

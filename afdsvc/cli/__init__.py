@@ -159,7 +159,7 @@ def design_command(
 
 @app.command()
 def init(
-    recording: Annotated[Path, typer.Argument(metavar="TABLE", help="A table whose columns say what they are: speed_rpm, voltage_V, t_ms.")],
+    recording: Annotated[Path, typer.Argument(metavar="TABLE", help="A table whose columns say what they are (speed_rpm, voltage_V, t_ms), or a log of topics (bag, ULog, MCAP), whose columns are TOPIC.FIELD.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder of the files (default: that of the table).")] = None,
     inputs: Annotated[list[str] | None, typer.Option("--input", metavar="COLUMN", help="A column that is an input; may be repeated.")] = None,
     outputs: Annotated[list[str] | None, typer.Option("--output", metavar="COLUMN", help="A column that is an output; may be repeated.")] = None,

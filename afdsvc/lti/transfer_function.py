@@ -41,6 +41,12 @@ def from_polynomials(num: Sequence[Sequence[Polynomial]], den: Sequence[Sequence
     return StateSpace(A, B, C, D, dt)
 
 
+def output_states(system: StateSpace) -> list[slice]:
+    """Return which states each output of a system has that `from_polynomials` made; no states for a gain."""
+    firsts = [int(np.flatnonzero(row)[0]) if row.any() else system.order for row in system.C]
+    return [slice(first, min((k for k in firsts if k > first), default=system.order)) for first in firsts]
+
+
 def to_polynomials(system: StateSpace, output: int, of: int) -> tuple[Array, Array]:
     """Return numerator and denominator from input ``of`` to an output of a system that `from_polynomials` made, highest power first.
 
@@ -49,13 +55,12 @@ def to_polynomials(system: StateSpace, output: int, of: int) -> tuple[Array, Arr
     >>> [p.tolist() for p in to_polynomials(from_polynomials([[[2.0]]], [[[0.5, 1.0]]]), 0, 0)]
     [[2.0], [0.5, 1.0]]
     """
-    firsts = [int(np.flatnonzero(row)[0]) if row.any() else system.order for row in system.C]
-    block = slice(firsts[output], min((k for k in firsts if k > firsts[output]), default=system.order))
-    if firsts[output] == system.order:
-        return system.D[output, of : of + 1], np.ones(1)
-    A, through = system.A[block, block], system.D[output, of]
+    own, through = output_states(system)[output], system.D[output, of]
+    if own.start == system.order:
+        return np.array([through]), np.ones(1)
+    A = system.A[own, own]
     den = np.append(1.0, -A[:, 0] if A[:-1, 0].any() else -A[-1, ::-1])
-    num = through * den + np.append(0.0, system.B[block, of])
+    num = through * den + np.append(0.0, system.B[own, of])
     return _trimmed(num) / (den[-1] or 1.0), den / (den[-1] or 1.0)
 
 

@@ -1,4 +1,4 @@
-"""Requests of people to the service, as the one who asks sends them."""
+"""Requests of people to the service, as a client sends them."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def _stable(nominal: Nominal) -> bool:
     return bool((poles.real < -MARGIN).all())
 
 
-FOLLOWED = 0.5  # R2 that every output has with the times in another unit, and share of what is left as they are, beyond which it is said
+FOLLOWED = 0.5  # least R2 of every output with the times in another unit, and largest ratio of the unexplained variance there to that as recorded
 FAST, SLOW = 2.0, 0.5  # samples per radian of the fastest pole, and recordings per slowest time constant, beyond which it is said
 CURE = "if the times are in another unit, say so (column t_ms, or time.unit in a mapping file); otherwise "
 

@@ -167,7 +167,7 @@ class Explanation:
     measurements, where the plant alone would drift away). ``whiteness_p`` is (before, after) on the held-out recordings.
     ``explained`` is the fraction of the gap that is closed with its standard deviation; ``gap`` and ``remainder`` are the
     findings of the gap test before and after. ``nominal`` and ``point`` are the final model: its numbers refitted, and the
-    effects claimed with their values. ``noise_floor`` is the noise's standard deviation per output (None: not known).
+    effects claimed with their values, simulated in ``substeps`` of a sample at least. ``noise_floor`` is the noise's standard deviation per output (None: not known).
     """
 
     verdict: str

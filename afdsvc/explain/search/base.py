@@ -8,7 +8,7 @@ import numpy as np
 
 from afdsvc.explain.noise.weighting import Weighting, correlation_time, own, weighting
 from afdsvc.explain.search.build import growth
-from afdsvc.explain.search.fit import Fit
+from afdsvc.explain.search.fit import CONVERGED, Fit, fit
 from afdsvc.explain.search.path import base_path, whole_path
 from afdsvc.explain.search.problem import LOST, Problem
 from afdsvc.lti.statespace import Array
@@ -94,6 +94,15 @@ def may_be_smooth(problem: Problem) -> bool:
     plant = problem.nominal.plant
     driven = any(r.W is not None or r.commanded or bool(np.ptp(r.REF, axis=0).max(initial=0.0) > 0) for r in problem.runs)
     return not (plant.discrete or not plant.inputs or problem.nominal.model.controller is not None or driven or _stepped(problem))
+
+
+def otherwise_between(problem: Problem, path: dict[float, Fit]) -> Problem | None:
+    """Return the problem with inputs held instead of smooth between samples, or the other way round, if a path gains by that what is asked of any effect."""
+    if not (problem.weighting.even and may_be_smooth(problem)):
+        return None
+    other, (last, f) = replace(problem, ramped=not problem.ramped), list(path.items())[-1]
+    gain = (f.deviance - fit(other, f.point, last, f.tau, enough=CONVERGED).deviance) / f.own_tau
+    return other if gain > problem.settings.evidence else None
 
 
 def _stepped(problem: Problem) -> bool:

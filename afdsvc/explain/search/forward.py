@@ -13,7 +13,7 @@ from afdsvc.api.physics import Hypothesis, Machine, Physics
 from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.noise.surrogates import chance
 from afdsvc.explain.noise.weighting import differing, noise_share
-from afdsvc.explain.search.base import Settled, may_be_smooth
+from afdsvc.explain.search.base import Settled, otherwise_between
 from afdsvc.explain.search.evidence import (
     HypothesisEvidence,
     Losses,
@@ -23,11 +23,14 @@ from afdsvc.explain.search.evidence import (
     noise_times,
     refitted,
 )
-from afdsvc.explain.search.fit import CONVERGED, Fit, fit, rms, weighted
+from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
 from afdsvc.explain.search.path import (
+    FINER,
     added_path,
     bases,
+    coarse,
+    converged,
     ends,
     exchanged_path,
     fewer_path,
@@ -58,9 +61,7 @@ Path = dict[float, Fit]
 Progress = Callable[[str, float], None]
 Better = Callable[[Problem, Path, Path], float]
 
-
 STARTS = 2  # of every hypothesis that are tried, by what they promise
-FINER = 4  # sub-steps of laws that act between samples
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,9 +138,9 @@ def search(
         if not step.accepted:
             break
         path, rough = more
-        if rounds.coarse(path):
+        if coarse(problem, path):
             finer = [r.finer(noise_times([rough]) | noise_times([path])) for r in (rounds, whole)]
-            again = finer[0].converged(path, rough)
+            again = converged(finer[0].problem, finer[0].part, finer[0].taus, path, rough)
             if list(again[0].values())[-1].deviance < list(path.values())[-1].deviance:  # else coarse steps favour no other law
                 (rounds, whole), problem, (path, rough) = finer, finer[0].problem, again
         rounds, whole = (replace(r, taus=noise_times([rough]) | noise_times([path])) for r in (rounds, whole))
@@ -147,19 +148,10 @@ def search(
             rounds = replace(rounds, start=path, losses={})
         else:
             number += 1
-        if choose and (otherwise := _otherwise(problem, path)) is not None:
+        if choose and (otherwise := otherwise_between(problem, path)) is not None:
             return Found(problem, start, path, seen, tuple(steps), limited, whole.over(path, start, 0), otherwise)
     path, steps = _helpful(whole, *whole.exchanged(path, steps), better)
     return Found(problem, start, path, seen, tuple(steps), limited, whole.over(path, start, 0))
-
-
-def _otherwise(problem: Problem, path: Path) -> Problem | None:
-    """Return the problem with inputs held instead of smooth between samples, or the other way round, if a path gains by that what is asked of any effect."""
-    if not (problem.weighting.even and may_be_smooth(problem)):
-        return None
-    other, (last, f) = replace(problem, ramped=not problem.ramped), list(path.items())[-1]
-    gain = (f.deviance - fit(other, f.point, last, f.tau, enough=CONVERGED).deviance) / f.own_tau
-    return other if gain > problem.settings.evidence else None
 
 
 def _within(progress: Progress, where: str, begin: float, length: float, what: str, share: float) -> None:
@@ -274,29 +266,12 @@ class Rounds(Settled):
         Samples count by the correlation time of what it leaves.
         """
         taus = noise_times([first.rough]) | noise_times([first.path])
-        rounds = replace(self, taus=taus)
-        return rounds.converged(rounds.without_idle(first.path), first.rough)
-
-    def converged(self, path: Path, rough: Path) -> tuple[Path, Path]:
-        """Return a path fitted to convergence, and its rough one, with the same effects."""
-        kept = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
-        path = {h: fit(self.problem, f.point, h, self.taus[h], enough=CONVERGED) for h, f in path.items()}
-        fitted = {}
-        for h, f in rough.items():
-            point = replace(f.point, effects=tuple(e for e in f.point.effects if e.hypothesis.key in kept))
-            fitted[h] = path[h] if self.part is self.problem and h in path else fit(self.part, point, h, self.taus[h])
-        return path, fitted
+        return converged(self.problem, self.part, taus, replace(self, taus=taus).without_idle(first.path), first.rough)
 
     def finer(self, taus: dict[float, float]) -> Rounds:
         """Return the rounds in finer steps; of linear plants without effects fits are the same in any steps."""
         problem = replace(self.problem, substeps=FINER)
         return replace(self, problem=problem, part=problem if self.part is self.problem else replace(self.part, substeps=FINER), taus=taus)
-
-    def coarse(self, path: Path) -> bool:
-        """Whether finer steps change a path by what is asked of a further effect: in likelihood, and as a share of the power that it leaves."""
-        (last, f), p, s = list(path.items())[-1], self.problem, self.problem.settings
-        change = np.log(rms(weighted(replace(p, substeps=max(FINER, p.substeps)), f.point, last)) / f.sd)
-        return bool(2 * f.samples * abs(change.sum()) > s.evidence * f.own_tau and (np.abs(np.expm1(2 * change)) > s.further).any())
 
     def exchanged(self, path: dict[float, Fit], steps: Sequence[Round]) -> tuple[dict[float, Fit], list[Round]]:
         """Return the path and the rounds after every effect was compared with its look-alikes beside all other effects, what gains most

@@ -14,6 +14,7 @@ from afdsvc.explain.search.ranking import complexity, is_constant, mechanism
 from afdsvc.explain.search.screen import Screened, Start
 from afdsvc.explain.simulate.effects import PlacedEffect
 
+FINER = 4  # sub-steps of a sample that laws of lags and delays take
 GLANCE, BRIEF = 2, 4  # iterations of every start, and of those that are best after them
 Taus = Mapping[float, float]
 
@@ -123,6 +124,24 @@ def whole_path(
 def resumed_path(problem: Problem, taus: Taus, path: Mapping[float, Fit]) -> dict[float, Fit]:
     """Return the fits of a path gone on with, samples counting by other correlation times."""
     return {h: fit(problem, f.point, h, taus[h], known=f.J, renewals=problem.effort) for h, f in path.items()}
+
+
+def converged(problem: Problem, part: Problem, taus: Taus, path: Mapping[float, Fit], rough: Mapping[float, Fit]) -> tuple[dict[float, Fit], dict[float, Fit]]:
+    """Return a path fitted to convergence, and its rough one, on a ``part`` of the recordings, with the same effects."""
+    kept = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
+    fine = {h: fit(problem, f.point, h, taus[h], enough=CONVERGED) for h, f in path.items()}
+    fitted = {}
+    for h, f in rough.items():
+        point = replace(f.point, effects=tuple(e for e in f.point.effects if e.hypothesis.key in kept))
+        fitted[h] = fine[h] if part is problem and h in fine else fit(part, point, h, taus[h])
+    return fine, fitted
+
+
+def coarse(problem: Problem, path: Mapping[float, Fit]) -> bool:
+    """Whether finer steps change a path by what is asked of a further effect: in likelihood, and as a share of the power that it leaves."""
+    (last, f), s = list(path.items())[-1], problem.settings
+    change = np.log(rms(weighted(replace(problem, substeps=max(FINER, problem.substeps)), f.point, last)) / f.sd)
+    return bool(2 * f.samples * abs(change.sum()) > s.evidence * f.own_tau and (np.abs(np.expm1(2 * change)) > s.further).any())
 
 
 def fewer_path(problem: Problem, path: Mapping[float, Fit], taus: Taus, left_out: int) -> dict[float, Fit]:

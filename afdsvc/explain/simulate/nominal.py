@@ -18,6 +18,7 @@ from afdsvc.errors import BadInput
 from afdsvc.explain.simulate.dynamics import Program, linearised, program
 from afdsvc.explain.simulate.steps import Steps, continuous, substep_matrices
 from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.lti.transfer_function import output_states
 
 MOST_ENTRIES = 60  # free entries of a sampled black-box model above which only the gains of its inputs and outputs move
 PYTHON_ANGLE = 0.2  # largest angle [rad] the fastest pole of Python code may turn in one Runge-Kutta step
@@ -64,7 +65,7 @@ class Nominal:
 
     @property
     def transfer(self) -> bool:
-        """Whether the plant is a transfer function as its owner stated it, realised by `from_polynomials`."""
+        """Whether the plant is a transfer function as it was stated, realised by `from_polynomials`."""
         return self.model.transfer and self.plant is self.model.plant
 
     @property
@@ -230,14 +231,11 @@ def entry_name(nominal: Nominal, entry: Entry) -> str:
 
 def _coefficient_name(nominal: Nominal, entry: Entry) -> str:
     """Return a free number of a transfer function as the coefficient it is."""
-    model, C = nominal.model, nominal.plant.C
-    firsts = [int(np.flatnonzero(row)[0]) for row in C if row.any()]
-    first = max(k for k in firsts if k <= entry.row)
-    last = min((k for k in firsts if k > first), default=nominal.plant.order)
-    output = model.outputs[int(np.flatnonzero(C[:, first])[0])].name
-    power = entry.column - first if entry.matrix == "A" and entry.column > first else last - 1 - entry.row
-    of = f"den of {output}" if entry.matrix == "A" else f"num from {model.inputs[entry.column].name} to {output}"
-    return f"{of}, {nominal.variable}^{power}" if last - first > 1 else of
+    model = nominal.model
+    i, own = next((i, own) for i, own in enumerate(output_states(nominal.plant)) if own.start <= entry.row < own.stop)
+    power = entry.column - own.start if entry.matrix == "A" and entry.column > own.start else own.stop - 1 - entry.row
+    of = f"den of {model.outputs[i].name}" if entry.matrix == "A" else f"num from {model.inputs[entry.column].name} to {model.outputs[i].name}"
+    return f"{of}, {nominal.variable}^{power}" if own.stop - own.start > 1 else of
 
 
 def _start(plant: StateSpace, entry: Entry) -> float:

@@ -207,12 +207,12 @@ def _begun(problem: Problem, point: Point, horizon: float) -> Point:
 
     A state that makes up for what the model lacks is a local minimum beside a law that is right.
     """
-    found = [_settled(problem, p, horizon) for p in (point, replace(point, x0=problem.resting()))]
+    found = [_begun_near(problem, p, horizon) for p in (point, replace(point, x0=problem.resting()))]
     return min(found, key=lambda pair: pair[1])[0]
 
 
-def _settled(problem: Problem, point: Point, horizon: float) -> tuple[Point, float]:
-    """Return the point with the initial state that fits best by damped Gauss-Newton, and the sum of squares it leaves."""
+def _begun_near(problem: Problem, point: Point, horizon: float) -> tuple[Point, float]:
+    """Return the point at the nearest initial state that fits best, by damped Gauss-Newton, and the sum of squares that remains."""
     c = Coordinates(problem, point)
     q, local = c.pack(point), slice(c.shared, c.size)
 

@@ -113,7 +113,7 @@ def test_errors_of_coarse_steps_are_no_further_effect(found, monkeypatch):
     fine = search(settled(problem(60.0, seeds=(1,), noise=0.03)), library)
     assert [s.candidates[0].hypothesis.physics for s in fine.steps if s.accepted] == ["coulomb_friction"]
     assert fine.problem.substeps == forward.FINER
-    monkeypatch.setattr(forward.Rounds, "coarse", lambda self, path: False)
+    monkeypatch.setattr(forward, "coarse", lambda problem, path: False)
     coarse = search(settled(problem(60.0, seeds=(1,), noise=0.03)), library)
     assert [s.candidates[0].hypothesis.physics for s in coarse.steps if s.accepted] == ["coulomb_friction", "actuator_lag"]
     assert fine.end[0.0].deviance < coarse.steps[0].candidates[0].fit.deviance

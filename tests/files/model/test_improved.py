@@ -135,6 +135,16 @@ def test_every_law_is_written_as_it_was_fitted(key, tmp_path):
     assert np.linalg.norm(mine - engine) < (1e-9 * np.linalg.norm(engine) if sampled else 0.05 * felt)
 
 
+def test_what_was_fitted_in_finer_steps_is_written_in_them(tmp_path):
+    h = LIBRARY["slew_limit@input:a"]
+    e = replace(explanation(PlacedEffect(h, values(h))), substeps=4)
+    r = run(np.random.default_rng(1))
+    engine = Simulator(e.nominal, np.zeros((4, 2)), substeps=4).run(r, e.point.theta, np.zeros(4), e.point.effects).y
+    coarse = Simulator(e.nominal, np.zeros((4, 2))).run(r, e.point.theta, np.zeros(4), e.point.effects).y
+    mine = stepped(write_improved(e, tmp_path / "MODEL.toml", AUX)[0], r)
+    assert np.linalg.norm(mine - engine) < 1e-9 * np.linalg.norm(engine) < 1e-3 * np.linalg.norm(coarse - engine)
+
+
 def test_written_and_engine_meet_as_the_engine_takes_smaller_steps(tmp_path):
     h = LIBRARY["cubic_stiffness@state:v"]
     e = explanation(PlacedEffect(h, values(h)))
