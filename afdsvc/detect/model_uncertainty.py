@@ -11,7 +11,7 @@ energy formula has the wrong units, the expected statistic is linear in the wave
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,8 @@ from afdsvc.detect.thresholds import maximum
 from afdsvc.detect.thresholds.maximum import Mixture
 from afdsvc.detect.uncertain_parameters import uncertain_parameters
 from afdsvc.errors import BadInput
+from afdsvc.lti.lft import fault_signature
+from afdsvc.lti.stability import worst_pole
 from afdsvc.lti.statespace import Array
 
 NODES = 15  # models of one uncertain parameter
@@ -89,6 +91,21 @@ def _models(problem: DetectionProblem, lines: Sequence[Line], R: Array) -> Model
     found = [curves.together({n: float(sd * zj) for (n, sd), zj in zip(deviations.items(), row, strict=True)}) for row in z]
     waves = np.array([(R @ point).ravel() for point, _ in found])
     return Models(weights, waves, np.array([covariance for _, covariance in found]))
+
+
+def share_near_instability(problem: DetectionProblem) -> float:
+    """Return the share of the machines that the uncertainty allows whose loop is lost or keeps less than half of the model's stability margin."""
+    deviations = uncertain_parameters(problem)
+    if not deviations or problem.uncertain is None:
+        return 0.0
+    uncertain, (z, weights) = problem.uncertain, _nodes(len(deviations))
+
+    def margin(at: Mapping[str, float]) -> float:
+        loop = fault_signature(uncertain, problem.interconnection, at)
+        return worst_pole(loop.A, loop.dt)[1]
+
+    found = [margin({n: float(sd * x) for (n, sd), x in zip(deviations.items(), row, strict=True)}) for row in z]
+    return float(weights[np.array(found) < margin({}) / 2].sum())
 
 
 def threshold_over_models(directions: Array, found: Models, false_alarm: float) -> float:

@@ -15,7 +15,7 @@ from afdsvc.api.detection import DetectionProblem, FalseAlarms
 from afdsvc.detect.features.whiteness_gate import Gate
 from afdsvc.detect.statistics.active_cusum import ActiveCusum
 from afdsvc.detect.statistics.fault_curves import LoopResponse, loop_response
-from afdsvc.detect.statistics.passive_cusum import passive_detector
+from afdsvc.detect.statistics.passive_cusum import passive_detector, unpromised
 from afdsvc.detect.thresholds import maximum
 from afdsvc.detect.thresholds.power import pair_confusion
 from afdsvc.detect.thresholds.regressor_information import noise_driven
@@ -44,7 +44,8 @@ def design_sheet(
     ``confused_with`` is the probability that the other fault comes out likelier, ``smallest_detectable`` the severity
     that is found with probability 0.99. Documented keys: bursts, false_alarms_per_hour, thresholds, faults; beyond
     these ``unseen``, ``blind_pairs``, ``isolation`` and ``best_single_frequency`` say what the burst cannot do, and
-    why. ``uncertain`` names the parameters of the model whose stated uncertainty is allowed for. ``isolation.pairs`` states for every two faults with which burst, or burst and second burst, they are separated
+    why. ``uncertain`` names the parameters of the model whose stated uncertainty is allowed for,
+    ``unpromised`` says why no rate of alarms between bursts can be promised ("" where one can). ``isolation.pairs`` states for every two faults with which burst, or burst and second burst, they are separated
     (see `isolation`); so does ``isolated_by`` of every fault.
     """
     burst, seen = bursts[0], burst_detection(problem, bursts[0])
@@ -67,6 +68,7 @@ def design_sheet(
             for entry in _fault_entries(problem, seen, fault, severities, h)
         ],
         "uncertain": sorted(problem.uncertainty),
+        "unpromised": unpromised(problem) if any(name.startswith("passive") for name in alarms) else "",
         "unseen": [{"fault": name, "why": why} for name, why in unseen(problem, response).items()],
         "blind_pairs": blind_pairs(problem, efficient.pairs, problem.excitation_names),
         "isolation": {**_isolation(seen, typical, burst), "pairs": pairs},

@@ -142,6 +142,8 @@ def design_table(document: dict[str, Any], candidates: bool = False) -> None:
     OUT.print(table)
     if document.get("uncertain"):
         OUT.print(f"allowed for: the stated uncertainty of {', '.join(document['uncertain'])}", soft_wrap=True)
+    if document.get("unpromised"):
+        OUT.print(f"between bursts: {document['unpromised']}", soft_wrap=True)
     if candidates:
         _candidate_table(document["loop"]["candidates"])
     gain, margin = document["loop"]["controller_gain"], document["loop"]["nu_gap"]["margin"]

@@ -32,6 +32,7 @@ from afdsvc.app.commissioning import RecordedMachine, commission
 from afdsvc.detect.combinations import JOINED
 from afdsvc.detect.features.noise_calibration import calibrate_noise
 from afdsvc.detect.stability_range import reachable
+from afdsvc.detect.statistics.passive_cusum import unpromised
 from afdsvc.detect.uncertain_parameters import uncertain_entries
 from afdsvc.errors import AfdsvcError
 from afdsvc.excite.diagnosis_burst import Aim, default_burst
@@ -165,7 +166,11 @@ def uncertain(machine: TrueMachine, rng: np.random.Generator, size: float, sd: f
             hits += [exceeded(t[-1]) for t in shown(problem, detectors, run, burst)]
             if k % 10 == 0 and held(machine, long := machine.run(rng, np.zeros((PASSIVE_EVERY, burst.inputs)), plant=(A, B))):
                 passive, stretches = passive + between_bursts(problem, long), stretches + 1
-    yield from _between("parameters off by their stated 0.5 %", passive, stretches)
+    if unpromised(problem):
+        yield "alarms between bursts, parameters off by their stated 0.5 %, no rate promised", "passive_cusum", int(passive[0]), stretches, 0.0
+        yield "reports between bursts that no rate is promised or data are doubted", "passive_cusum", int(passive[1]), stretches, 1.0
+    else:
+        yield from _between("parameters off by their stated 0.5 %", passive, stretches)
     for kind, count in zip(TWO, hits, strict=True):
         yield "alarms, parameters off by their stated 0.5 %", kind, int(count), n, 5e-2
 
@@ -327,7 +332,7 @@ def judged_table(model: Model, dt: float, run: Mapping[str, np.ndarray], kinds: 
 STUDIES = (given_noise, calibrated_noise, references, uncertain, together, units, recorded, margins)
 
 
-AT_LEAST, AT_MOST = ("trusted", "refused", "one fault", "two faults"), ("not trusted", "doubts")  # how promises that are bounds begin
+AT_LEAST, AT_MOST = ("trusted", "refused", "one fault", "two faults"), ("not trusted", "doubts", "reports")  # how promises that are bounds begin
 
 
 def page(rows: Sequence[Mapping[str, str]]) -> str:

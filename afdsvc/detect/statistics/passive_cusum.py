@@ -23,6 +23,7 @@ from afdsvc.detect.features.front_end import filtered
 from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
 from afdsvc.detect.features.shared_filter import Filters, shared_regressors
 from afdsvc.detect.features.whiteness_gate import NOTHING, PARTS, Gate, GateState, Judgement, Recent
+from afdsvc.detect.model_uncertainty import share_near_instability
 from afdsvc.detect.statistics.binding_function import products_of_noise
 from afdsvc.detect.statistics.cusum import Cusum, CusumState, DeflectionBoundary, cusum
 from afdsvc.detect.thresholds import average_run_length
@@ -35,6 +36,12 @@ from afdsvc.lti.statespace import Array
 
 BLOCK = 1e-3  # seconds between looks at the CUSUMs
 HERMITE = 15  # models averaged over in one direction
+RARE = 0.01  # share of machines with a loop near instability, which alarm a hundred times as often as promised, that leaves the promise intact
+
+UNPROMISED = (
+    "the stated uncertainty of the model takes more than half of the loop's stability margin in {:.2g} % of the machines it allows, so no rate of "
+    "alarms between bursts can be promised: state what is uncertain more precisely"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +63,10 @@ class PassiveState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PassiveDetector:
-    """The detector: CUSUMs ``test`` of the faults ``which (K,)``, samples of silence after an alarm."""
+    """The detector: CUSUMs ``test`` of the faults ``which (K,)``, samples of silence after an alarm.
+
+    ``unpromised`` says why no rate of alarms can be promised: then what crosses the boundary is not trusted, for that reason.
+    """
 
     name: str
     problem: DetectionProblem
@@ -68,6 +78,7 @@ class PassiveDetector:
     sure: float
     frozen: int
     nuisances: Nuisances = NONE
+    unpromised: str = ""
 
     @property
     def boundary(self) -> float:
@@ -154,7 +165,7 @@ class PassiveDetector:
     def _alarm(self, state: PassiveState, who: int, k: int, dt: float) -> Evidence:
         names = [self.problem.fault_names[i] for i in self.which]
         finding = self.test.finding(state.cusum, who, names, self.problem.severity_range, k)
-        return self._evidence(state, finding, k, dt)
+        return self._evidence(state, finding, k, dt, self.unpromised)
 
     @property
     def _remembered(self) -> int:
@@ -172,10 +183,10 @@ class PassiveDetector:
         recent = state.recent.until(k, self._remembered)
         return recent.explained(self.gate, self.filters, self.nuisances, self.problem) or found
 
-    def _evidence(self, state: PassiveState, finding: Finding, k: int, dt: float) -> Evidence:
+    def _evidence(self, state: PassiveState, finding: Finding, k: int, dt: float, complaint: str = "") -> Evidence:
         judgement = self._judgement(state, k)
         still = [i for i, run in enumerate(state.runs.length) if run >= self.frozen]
-        complaint = f"sensor '{self._output(still[0])}' stands still" if still else ""
+        complaint = f"sensor '{self._output(still[0])}' stands still" if still else complaint
         return evidence(self.name, self.problem, k, dt, "", finding, judgement, complaint, self.sure)
 
     def _doubt(self, state: PassiveState, k: int, dt: float, found: list[Evidence]) -> PassiveState:
@@ -222,9 +233,16 @@ def passive_detector(
 
     boundary, clock = problem.once(made, "passive boundary", severity, rate)
     gate = replace(gate, settle=filters.settling(), estimated=problem.noise_samples)
-    silence = math.ceil(silence_seconds / problem.plant.dt)
+    doubt = unpromised(problem)
+    silence = math.ceil((max(silence_seconds, 3600 / rate) if doubt else silence_seconds) / problem.plant.dt)
     test = cusum(filters.theta[which], theta, range(len(which)), block, boundary, clock)
-    return PassiveDetector(name, problem, filters, gate, which, test, silence, sure, frozen, nuisances)
+    return PassiveDetector(name, problem, filters, gate, which, test, silence, sure, frozen, nuisances, doubt)
+
+
+def unpromised(problem: DetectionProblem) -> str:
+    """Return why no rate of alarms between bursts can be promised, "" where one can."""
+    near = problem.once(lambda: share_near_instability(problem), "machines near instability")
+    return UNPROMISED.format(100 * near) if near > RARE else ""
 
 
 def _boundary(

@@ -5,11 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from afdsvc.api.detection import FalseAlarms
+from afdsvc.detect.model_uncertainty import share_near_instability
 from afdsvc.detect.thresholds.average_run_length import run_length
 from afdsvc.detect.thresholds.regressor_information import excursion_steps, noise_driven
+from afdsvc.detect.uncertain_parameters import uncertain_entries
+from afdsvc.excite.design_sheet import design_sheet
+from afdsvc.excite.diagnosis_burst import default_burst
 from afdsvc.excite.simulated_burst import faulty_loop, simulate_burst
 from afdsvc.plugins.detectors.cusum import PassiveCusumDesign
 from afdsvc.testing.machines import bearing_problem, with_rate
+from benchmarks.detection.judged import shown
+from benchmarks.detection.truth import machines
+from benchmarks.detection.truth_problem import problem_of
 
 DT = 2e-4
 
@@ -117,3 +125,44 @@ def test_noise_a_tenth_larger_is_doubted_in_spite_of_that():
     louder = quiet(replace(problem, covariance=1.1**2 * problem.covariance), 20_000, 12)
     found, _ = doubts(problem, louder, gate_window=2500)
     assert found == 1
+
+
+def uncertain(machine, sd, per_hour=1.0):
+    entries = {"A": sd * np.abs(machine.A), "B": sd * np.abs(machine.B)}
+    problem = problem_of(machine, FalseAlarms(1e-2, per_hour))
+    pulled = uncertain_entries(problem.plant, entries, machine.dt)
+    return replace(problem, uncertain=pulled, uncertainty=dict.fromkeys(pulled.fault_names, 1.0))
+
+
+def margin(machine, A, B):
+    observer = machine.A + machine.B @ machine.F + machine.L @ machine.C
+    loop = np.block([[A, B @ machine.F], [-machine.L @ machine.C, observer]])
+    return 1 - np.abs(np.linalg.eigvals(loop)).max()
+
+
+@pytest.mark.parametrize(("name", "sd"), [("unstable", 0.005), ("unstable", 0.002), ("integrating", 0.005), ("integrating", 0.02)])
+def test_the_share_of_machines_near_instability_is_that_of_drawn_ones(name, sd):
+    machine, rng = next(m for m in machines() if m.name == name), np.random.default_rng(5)
+    drawn = [[M * (1 + sd * rng.standard_normal(M.shape)) for M in (machine.A, machine.B)] for _ in range(4000)]
+    counted = np.mean([margin(machine, *each) < margin(machine, machine.A, machine.B) / 2 for each in drawn])
+    assert share_near_instability(uncertain(machine, sd)) == pytest.approx(counted, abs=0.01 + 0.15 * counted)
+
+
+def test_where_the_stated_uncertainty_nearly_loses_the_loop_no_alarm_is_trusted_and_the_reason_said():
+    machine, samples = next(m for m in machines() if m.name == "unstable"), 20_000
+    problem = uncertain(machine, 0.005, 3600 / (samples * machine.dt))
+    design = PassiveCusumDesign().design
+    detector, sure = design(problem, {"silence_seconds": 0.0}), design(uncertain(machine, 0.0005), {"silence_seconds": 0.0})
+    assert "21 % of the machines it allows" in detector.unpromised
+    assert sure.unpromised == ""
+    assert (detector.silence, sure.silence) == (samples, 0)
+    slow = machine.A + 0.007 * np.abs(machine.A)  # near instability
+    run = machine.run(np.random.default_rng(2), np.zeros((samples, machine.shape[1])), plant=(slow, machine.B))
+    assert margin(machine, slow, machine.B) < margin(machine, machine.A, machine.B) / 2
+    (found,) = shown(problem, [detector], run, None)
+    assert [(e.detected, e.trustworthy) for e in found] == [(False, False)]
+    assert found[0].reason == detector.unpromised
+    burst = default_burst(problem_of(machine), problem.limits)
+    alarms = {name: problem.false_alarms for name in ("matched_filter", "passive_cusum")}
+    assert design_sheet(problem, [burst], alarms, 1.0)["unpromised"] == detector.unpromised
+    assert design_sheet(problem, [burst], {"matched_filter": problem.false_alarms}, 1.0)["unpromised"] == ""
