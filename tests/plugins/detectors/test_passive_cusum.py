@@ -163,6 +163,6 @@ def test_where_the_stated_uncertainty_nearly_loses_the_loop_no_alarm_is_trusted_
     assert [(e.detected, e.trustworthy) for e in found] == [(False, False)]
     assert found[0].reason == detector.unpromised
     burst = default_burst(problem_of(machine), problem.limits)
-    alarms = {name: problem.false_alarms for name in ("matched_filter", "passive_cusum")}
+    alarms = dict.fromkeys(("matched_filter", "passive_cusum"), problem.false_alarms)
     assert design_sheet(problem, [burst], alarms, 1.0)["unpromised"] == detector.unpromised
     assert design_sheet(problem, [burst], {"matched_filter": problem.false_alarms}, 1.0)["unpromised"] == ""
