@@ -14,7 +14,7 @@ from numba.core.errors import NumbaError
 
 from afdsvc.api.model import Model
 from afdsvc.errors import BadInput
-from afdsvc.explain.simulate.kernel import DYNAMICS
+from afdsvc.explain.simulate import kernel
 from afdsvc.explain.simulate.translate import Untranslatable, translated
 from afdsvc.lti.statespace import Array
 
@@ -108,7 +108,7 @@ def _reachable(model: Model, which: str, plain: Function, size: int, sizes: tupl
 
 
 def _compiled(function: Any, n: int, m: int, k: int, size: int) -> Any:
-    @cfunc(DYNAMICS, error_model="numpy")
+    @cfunc(kernel.DYNAMICS, error_model="numpy")
     def entry(t, x, u, p, out):  # type: ignore[no-untyped-def]
         function(t, carray(x, n), carray(u, m), carray(p, k), carray(out, size))
 
@@ -145,22 +145,8 @@ def _check(address: int, plain: Function, model: Model, size: int) -> None:
             raise Untranslatable("compiled code gives other values")
 
 
-def linearised(function: Function, x: Array, u: Array, values: Array) -> tuple[Array, Array]:
-    """Return the derivatives with respect to state ``(size, n)`` and input ``(size, m)`` at a point, by central differences.
-
-    Where the function has no finite value the slope is taken as zero.
-    """
-    n, z = len(x), np.concatenate([x, u])
-
-    def column(k: int) -> Array:
-        step = np.zeros(len(z))
-        step[k] = 1e-6 * max(1.0, abs(z[k]))
-        ahead, behind = z + step, z - step
-        with np.errstate(invalid="ignore"):
-            rise = function(0.0, ahead[:n], ahead[n:], values) - function(0.0, behind[:n], behind[n:], values)
-        slope: Array = np.nan_to_num(rise / (2 * step[k]), posinf=0.0, neginf=0.0)
-        return slope
-
-    size = len(function(0.0, x, u, values))
-    slopes: Array = np.column_stack([np.zeros((size, 0)), *(column(k) for k in range(len(z)))])
-    return slopes[:, :n], slopes[:, n:]
+def linearised(address: int, size: int, x: Array, u: Array, values: Array) -> tuple[Array, Array]:
+    """Return the derivatives of code that gives ``size`` values with respect to state ``(size, n)`` and input ``(size, m)`` at a point."""
+    slopes = np.empty((1, size, len(x) + len(u)))
+    kernel.slopes(address, x[None], u[None], values, slopes)
+    return slopes[0, :, : len(x)], slopes[0, :, len(x) :]

@@ -218,22 +218,26 @@ def _python(function, t, x, u, values, out):  # type: ignore[no-untyped-def]
 
 
 @njit(types.void(_I, _M, _M, _V, types.float64[:, :, ::1]), cache=True, nogil=True, error_model="numpy")
-def slopes(rate, at, inputs, values, out):  # type: ignore[no-untyped-def]
-    """Write the derivatives of Python code with respect to its state at some states and inputs, ``(points, n, n)``: central differences."""
+def slopes(function, at, inputs, values, out):  # type: ignore[no-untyped-def]
+    """Write the derivatives of Python code at some states and inputs, ``(points, values, n or n + m)``: with respect to the state, and to the input
+    where there is room; central differences, 0 where there is no finite slope."""
     n = at.shape[1]
-    x, ahead, behind = np.zeros(n), np.zeros(n), np.zeros(n)
+    x, u = np.zeros(n), np.zeros(inputs.shape[1])
+    ahead, behind = np.zeros(out.shape[1]), np.zeros(out.shape[1])
     for k in range(at.shape[0]):
-        for j in range(n):
-            step = 1e-6 * max(1.0, abs(at[k, j]))
-            for i in range(n):
-                x[i] = at[k, i]
-            x[j] = at[k, j] + step
-            _python(rate, 0.0, x, inputs[k], values, ahead)
-            x[j] = at[k, j] - step
-            _python(rate, 0.0, x, inputs[k], values, behind)
-            for i in range(n):
-                slope = (ahead[i] - behind[i]) / (2 * step)
-                out[k, i, j] = slope if np.isfinite(slope) else 0.0
+        x[:], u[:] = at[k], inputs[k]
+        for j in range(out.shape[2]):
+            moved, i = (x, j) if j < n else (u, j - n)
+            here = moved[i]
+            step = 1e-6 * max(1.0, abs(here))
+            moved[i] = here + step
+            _python(function, 0.0, x, u, values, ahead)
+            moved[i] = here - step
+            _python(function, 0.0, x, u, values, behind)
+            moved[i] = here
+            for row in range(ahead.size):
+                slope = (ahead[row] - behind[row]) / (2 * step)
+                out[k, row, j] = slope if np.isfinite(slope) else 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

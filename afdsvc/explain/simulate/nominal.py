@@ -168,8 +168,8 @@ def _linear(model: Model, code: Program, point: tuple[Array, Array], values: Arr
     """Return the linearisation of Python code, or the linear part the code itself offers; zero where it has no slope."""
     if model.plant is not None and model.plant.order == len(model.states):
         return model.plant
-    A, B = linearised(code.rate, *point, values)
-    C, D = linearised(code.output, *point, values)
+    A, B = linearised(code.rate_address, len(model.states), *point, values)
+    C, D = linearised(code.output_address, len(model.outputs), *point, values)
     return StateSpace(A, B, C, D, model.sample_time)
 
 
