@@ -130,9 +130,11 @@ def load_library() -> list[Physics]:
 def parallel(jobs: int) -> Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]:
     """Return a map over this many threads (the simulations run outside Python's lock), in order as they come; the plain one for a single job.
 
-    A map within a map runs in the thread it is in.
+    A map within a map runs in the thread it is in. Raises `BadInput` for less than one job.
     """
-    if jobs <= 1:
+    if jobs < 1:
+        raise BadInput(f"jobs: found {jobs}; expected 1 or more")
+    if jobs == 1:
         return map
     pool, here = ThreadPoolExecutor(jobs, "explain"), threading.local()
 

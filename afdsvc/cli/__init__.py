@@ -267,7 +267,7 @@ def explain_command(
     rrd: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Write simulations before and after for Rerun.")] = None,
     machine: MachineOption = None,
     allow_code: Annotated[bool, typer.Option("--allow-code", help="Permit the model's Python simulator to run.")] = False,
-    jobs: Annotated[int, typer.Option(help="Cores to use.")] = 2,
+    jobs: Annotated[int, typer.Option(min=1, help="Cores to use.")] = 2,
     trust_units: Annotated[bool, typer.Option("--trust-units", help="Go on where units or signs look wrong.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -289,7 +289,7 @@ def trial_command(
     kinds: Annotated[list[str] | None, typer.Option(metavar="NAME,NAME", help="Only trials with one of these hidden effects; 'nothing' is one.")] = None,
     parts: Annotated[list[str] | None, typer.Option(metavar="PART,PART", help="Only these parts of the plan; 'field' runs only when named.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the plan.")] = 1,
-    jobs: Annotated[int, typer.Option(help="Trials at a time.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, help="Trials at a time.")] = 1,
     keep: Annotated[bool, typer.Option("--keep", help="Keep the recordings.")] = False,
     write_only: Annotated[bool, typer.Option("--write-only", help="Write recordings and sealed answers, explain nothing.")] = False,
     as_json: Json = False,
@@ -312,7 +312,7 @@ def batch(
     model: Annotated[Path | None, typer.Option(metavar="MODEL.toml", help="The model, for recordings that carry none.")] = None,
     detector: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Detectors of `diagnose`, instead of the site's.")] = None,
     mapping: MappingOption = None,
-    jobs: Annotated[int, typer.Option(help="Number of recordings processed at a time.")] = 2,
+    jobs: Annotated[int, typer.Option(min=1, help="Number of recordings processed at a time.")] = 2,
     cluster: Annotated[str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler (extra `cluster`).")] = None,
     as_json: Json = False,
 ) -> None:

@@ -205,3 +205,9 @@ def test_quiet_samples_between_bursts_are_left_out():
     assert len(burst) * burst.dt == pytest.approx(2.6, abs=0.06)
     assert not burst.role("alpha")[: round(0.09 / burst.dt)].any()
     assert burst.role("alpha")[round(0.2 / burst.dt) :].any()
+
+
+@pytest.mark.parametrize("jobs", [0, -2])
+def test_less_than_one_job_is_refused(jobs):
+    with pytest.raises(BadInput, match=f"jobs: found {jobs}; expected 1 or more"):
+        parallel(jobs)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
-from tempfile import mkdtemp
 
 import numpy as np
 import pytest
@@ -12,7 +10,7 @@ import pytest
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.explain.pipeline import explain
-from afdsvc.files.model.model_file import read_model
+from afdsvc.files.model.model_file import parse_model
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
@@ -96,9 +94,8 @@ def test_a_drifting_plant_is_held_to_its_recordings():
     """A free mass in closed loop with a cubic spring left out: simulated from its inputs alone it goes elsewhere altogether."""
     cubic = (r for r in plan(300, 2029) if r.part == "axis" and r.wishes[0].physics == "cubic_stiffness" and r.wishes[0].rho == 0.3)
     trial = make_trial(next(cubic))
-    path = Path(mkdtemp()) / "model.toml"
-    path.write_text(nominal_model_text(trial.machine))
-    model = read_model(path)
+    text = nominal_model_text(trial.machine)
+    model = parse_model(text, "model.toml")
     answer = explain(model, trial.recordings, (trial.holdout,), LIBRARY, experiment=False)
     assert answer.simulated in ("in closed loop", "predicted")
     assert (answer.named[0].physics, answer.named[0].site) == ("cubic_stiffness", "state:v")

@@ -139,6 +139,7 @@ def test_a_path_that_cannot_be_used_is_one_sentence(monkeypatch, capsys):
         ("explian", "no such command 'explian'"),
         ("status a b", "got unexpected extra argument"),
         ("explain m.toml --jobs x", "invalid value for '--jobs': "),
+        ("explain m.toml a.csv --jobs 0", "invalid value for '--jobs': "),
     ],
 )
 def test_wrong_usage_is_one_sentence(monkeypatch, capsys, words, said):

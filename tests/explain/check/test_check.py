@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from tempfile import mkdtemp
 
 import numpy as np
 import pytest
@@ -22,7 +20,7 @@ from afdsvc.explain.pipeline import explain
 from afdsvc.explain.search.build import build
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
-from afdsvc.files.model.model_file import read_model
+from afdsvc.files.model.model_file import parse_model, read_model
 from afdsvc.files.tables.tables import read_table
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.statespace import StateSpace
@@ -34,9 +32,8 @@ from afdsvc.trial.folder import nominal_model_text
 @cache
 def sound(excitation: str = "multisine", machine: str = "gas_bearing") -> tuple[Model, tuple[Trace, ...]]:
     trial = generate_trial("nothing", None, 0.0, np.random.default_rng(3), Options(machine=machine, excitation=excitation))
-    path = Path(mkdtemp()) / "model.toml"
-    path.write_text(nominal_model_text(trial.machine))
-    return read_model(path), trial.recordings[:2]
+    text = nominal_model_text(trial.machine)
+    return parse_model(text, "model.toml"), trial.recordings[:2]
 
 
 def spoiled(column: str, change, traces: tuple[Trace, ...] | None = None) -> list[Trace]:
@@ -231,9 +228,7 @@ def test_the_information_is_that_of_the_fit():
     u = np.tile(rng.standard_normal(400), n // 400)
     text = 'name="m"\ntime="discrete"\nsample_time=0.01\ninputs=[{name="u"}]\noutputs=[{name="y"}]\nstates=[{name="x"}]\n'
     text += f"A=[[0.5]]\nB=[[2.0]]\nC=[[1]]\nD=[[0]]\n[uncertainty]\nA=[[0]]\nB=[[1.0]]\n[noise]\noutput_sd=[{sd}]\n"
-    path = Path(mkdtemp()) / "model.toml"
-    path.write_text(text)
-    model = read_model(path)
+    model = parse_model(text, "model.toml")
     x, y = 0.0, np.zeros(n)
     for k in range(n):
         y[k] = x
@@ -274,9 +269,8 @@ def test_explain_refuses_a_wrong_unit_by_name():
 def test_explain_says_insufficient_and_what_to_play():
     """A machine at rest: the burst proposed moves the nominal outputs by about ten times their noise."""
     trial = generate_trial("nothing", None, 0.0, np.random.default_rng(3), Options(excitation="operation", periods=2))
-    path = Path(mkdtemp()) / "model.toml"
-    path.write_text(nominal_model_text(trial.machine))
-    model = read_model(path)
+    text = nominal_model_text(trial.machine)
+    model = parse_model(text, "model.toml")
     few = [p for p in afdsvc_physics() if p.name in ("coulomb_friction", "static_nonlinearity", "actuator_lag", "parameter_change")]
     answer = explain(model, trial.recordings, [trial.holdout], few)
     assert answer.verdict == "insufficient_excitation"
