@@ -112,3 +112,30 @@ def test_no_input(model):
 def test_model_without_anything_is_refused(model):
     with pytest.raises(BadInput, match="neither matrices nor a simulator"):
         nominal(model(), 0.01)
+
+
+class Orifice:
+    """A tank that empties through a square root, at rest where the root has no slope; one output has a direct part."""
+
+    @staticmethod
+    def f(t, x, u, p):
+        return [x[1] + 3.0 * u[0], -2.0 * math.sqrt(x[0]) - p["d"] * x[1]]
+
+    @staticmethod
+    def h(t, x, u, p):
+        return [x[0] + 0.5 * u[0]]
+
+
+class Followed:
+    """The same behind calls that cannot be compiled."""
+
+    f = staticmethod(lambda *given: Orifice.f(*given))
+    h = staticmethod(lambda *given: Orifice.h(*given))
+
+
+@pytest.mark.parametrize("code", [Orifice, Followed])
+def test_linearised_code_has_the_slopes_of_states_and_inputs_and_none_where_there_is_none(model, code):
+    found = nominal(model(code=code, parameters={"d": 0.7}), 0.01)
+    assert bool(found.program.notes) == (code is Followed)
+    for part, expected in (("A", [[0, 1], [0, -0.7]]), ("B", [[3], [0]]), ("C", [[1, 0]]), ("D", [[0.5]])):
+        assert getattr(found.plant, part) == pytest.approx(np.array(expected), abs=1e-8)
