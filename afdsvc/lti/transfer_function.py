@@ -50,10 +50,12 @@ def output_states(system: StateSpace) -> list[slice]:
 def to_polynomials(system: StateSpace, output: int, of: int) -> tuple[Array, Array]:
     """Return numerator and denominator from input ``of`` to an output of a system that `from_polynomials` made, highest power first.
 
-    The last coefficient of the denominator is 1, or the first one where the last is 0.
+    The last coefficient of the denominator is 1 in continuous time; the first one is in discrete time, and where the last is 0.
 
     >>> [p.tolist() for p in to_polynomials(from_polynomials([[[2.0]]], [[[0.5, 1.0]]]), 0, 0)]
     [[2.0], [0.5, 1.0]]
+    >>> [p.tolist() for p in to_polynomials(from_polynomials([[[0.5]]], [[[1, -0.75]]], 0.01), 0, 0)]
+    [[0.5], [1.0, -0.75]]
     """
     own, through = output_states(system)[output], system.D[output, of]
     if own.start == system.order:
@@ -61,7 +63,8 @@ def to_polynomials(system: StateSpace, output: int, of: int) -> tuple[Array, Arr
     A = system.A[own, own]
     den = np.append(1.0, -A[:, 0] if A[:-1, 0].any() else -A[-1, ::-1])
     num = through * den + np.append(0.0, system.B[own, of])
-    return _trimmed(num) / (den[-1] or 1.0), den / (den[-1] or 1.0)
+    unit = den[-1] if system.dt == 0 and den[-1] else 1.0
+    return _trimmed(num) / unit, den / unit
 
 
 def ratio_text(num: Array, den: Array, variable: str) -> str:

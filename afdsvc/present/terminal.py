@@ -341,9 +341,11 @@ def explain_table(document: dict[str, Any]) -> None:
     if document["next_experiment"]:
         OUT.print(f"next experiment: {document['next_experiment']['sentence']}", soft_wrap=True)
     title = f"|y - yhat| / |y - mean| on {', '.join(document['fit']['heldout'])}"
-    table = _table(title, "output", "before", "after", "noise floor")
-    for name, fit in document["fit"]["per_output"].items():
-        table.add_row(name, *(_number(v) for v in (fit["before"]["nrmse"], fit["after"]["nrmse"], fit["noise_floor_nrmse"])))
+    outputs = document["fit"]["per_output"]
+    known = any(fit["noise_floor_nrmse"] is not None for fit in outputs.values())
+    table = _table(title, "output", "before", "after", *["noise floor"] * known)
+    for name, fit in outputs.items():
+        table.add_row(name, *map(_number, (fit["before"]["nrmse"], fit["after"]["nrmse"], *[fit["noise_floor_nrmse"]] * known)))
     OUT.print(table)
     OUT.print(f"model  {document['model']}\nreport {document['report']}", soft_wrap=True)
 

@@ -18,6 +18,7 @@ from afdsvc.files.model.model_file import read_model, write_model
 from afdsvc.files.open import open_model
 from afdsvc.files.tables.tables import import_table, read_table
 from afdsvc.lti.statespace import StateSpace
+from afdsvc.present.terminal import explain_table
 
 DT, PERIOD = 2e-3, 500
 PHYSICS = {"coulomb_friction", "cubic_stiffness", "dead_zone", "parameter_change", "quadratic_stiffness", "sensor_lag"}  # the way from files to files, not the search
@@ -205,6 +206,18 @@ def test_quiet_samples_between_bursts_are_left_out():
     assert len(burst) * burst.dt == pytest.approx(2.6, abs=0.06)
     assert not burst.role("alpha")[: round(0.09 / burst.dt)].any()
     assert burst.role("alpha")[round(0.2 / burst.dt) :].any()
+
+
+@pytest.mark.parametrize("floor", [None, 0.034])
+def test_the_noise_floor_is_shown_where_it_is_known(explained, capsys, floor):
+    document, out = explained
+    fit = document["fit"]
+    known = [m["noise_floor_nrmse"] for m in fit["per_output"].values() if m["noise_floor_nrmse"] is not None]
+    assert (">noise floor<" in (out / "report.html").read_text(encoding="utf-8")) == bool(known)
+    outputs = {name: {**m, "noise_floor_nrmse": floor} for name, m in fit["per_output"].items()}
+    explain_table({**document, "fit": {**fit, "per_output": outputs}})
+    said = capsys.readouterr().out
+    assert ("noise floor" in said) == ("0.034" in said) == (floor is not None)
 
 
 @pytest.mark.parametrize("jobs", [0, -2])
