@@ -107,6 +107,8 @@ def _signals(recording: Path, answers: Answers) -> tuple[list[Heading], dict[str
     _, stated = own_step(columns)
     columns = {n: v for n, v in columns.items() if len(v) > 1}  # MAT files hold numbers beside vectors
     time = own_time(columns) or next((n for n in columns if answers.units.get(n) in SECONDS or heading(n).role == "t"), "")
+    if not time and answers.ask and not is_export(recording) and (answers.step or stated) is None:
+        time, answers = _asked_time(list(columns), answers.ask, answers)
     stamped = {n for n, v in columns.items() if is_stamped(v)}
     signals = [n for n in columns if n != time and n not in stamped]
     found = _headings(recording, signals, answers, time)
@@ -204,6 +206,22 @@ def _unit(column: str, text: str) -> str:
 def _mapping(found: Sequence[Heading], clock: dict[str, Any]) -> dict[str, Any]:
     signals = {f"{h.role}_{h.label}": {"from": h.name} | ({"unit": h.unit} if h.unit else {}) for h in found}
     return ({"time": clock} if clock else {}) | {"signals": signals}
+
+
+def _asked_time(columns: Sequence[str], ask: Callable[[str, str, Callable[[str], Any]], Any], answers: Answers) -> tuple[str, Answers]:
+    """Return the column that is named as the time, "" for none, and the answers with its unit."""
+
+    def one_of(names: Sequence[str]) -> Callable[[str], str]:
+        def chosen(text: str) -> str:
+            if text.strip() not in ("", *names):
+                raise BadInput(f"found '{text.strip()}'; expected one of {', '.join(names)}")
+            return text.strip()
+
+        return chosen
+
+    time = ask(f"No name says which column is the time. Which one is ({', '.join(columns)}; Enter: none)?", "", one_of(columns))
+    unit = {time: ask(f"Unit of {time} (s, ms, us or ns)", "s", one_of(SECONDS))} if time else {}
+    return time, replace(answers, units={**answers.units, **unit})
 
 
 def _step(recording: Path, answers: Answers) -> float:

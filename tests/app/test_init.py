@@ -149,6 +149,25 @@ def test_a_log_without_a_time(tmp_path: Path):
     assert read_mapping(tmp_path / "mapping.toml").time.step == 0.5
 
 
+def test_on_a_terminal_a_column_of_numbers_is_named_as_the_time(tmp_path: Path):
+    (tmp_path / "log.csv").write_text(LOG.replace("t,a,b", "ticks,U_V,n_rpm"))
+    answers = {"Which one is": ["clock", "ticks"], "Unit of ticks": ["min", "ms"]}
+
+    def ask(question, default, parse):
+        replies = next(r for part, r in answers.items() if part in question)
+        with pytest.raises(BadInput, match=f"found '{replies[0]}'; expected one of"):
+            parse(replies[0])
+        return parse(replies[1])
+
+    seconds = init_files(tmp_path / "log.csv", tmp_path / "s", Answers(units={"ticks": "s"}))["sample_time"]
+    document = init_files(tmp_path / "log.csv", tmp_path / "ms", Answers(ask=ask))
+    assert (document["time"], document["sample_time"]) == ("ticks", pytest.approx(seconds / 1000))
+    assert read_mapping(tmp_path / "ms" / "mapping.toml").time.unit == "ms"
+    none = {"Which one is": "", "Seconds between rows": "0.25"}
+    document = init_files(tmp_path / "log.csv", tmp_path / "none", Answers(ask=lambda q, d, parse: parse(next(r for part, r in none.items() if part in q))))
+    assert (document["time"], document["sample_time"]) == ("", 0.25)
+
+
 def test_the_site_file_of_a_log_passes_site_check(logs: Path, tmp_path: Path):
     document = init_files(logs / "motor.csv", tmp_path, Answers(limits={"voltage_V": "5"}), site=True)
     (machine,) = check_site(Path(document["site"]))["machines"]
