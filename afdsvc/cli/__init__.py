@@ -107,7 +107,8 @@ def demo(
     options = DemoOptions(plant, controller, rpm, tuple(parse_fault(f) for f in faults), length, seed, out, heal=heal, console=f"127.0.0.1:{free_port()}")
     print(f"afdsvc: preparing a simulated {plant}: controller, burst and detectors are designed; then it is shown live on http://{options.console}/", file=sys.stderr, flush=True)
     from afdsvc.app.demo import happening, run_demo  # takes seconds to import
-    from afdsvc.present.terminal import demo_table, progress
+    from afdsvc.present.progress import progress
+    from afdsvc.present.terminal import demo_table
 
     with progress("running the machine", length) as tell:
         document = run_demo(options, lambda done, hub: tell(done, happening(hub)))
@@ -129,7 +130,8 @@ def diagnose_command(
     """Run the detectors over recordings: the same code and the same evidence as live."""
     from afdsvc.app.diagnose import diagnose_recordings
     from afdsvc.files.open import Naming
-    from afdsvc.present.terminal import diagnosis_table, progress
+    from afdsvc.present.progress import progress
+    from afdsvc.present.terminal import diagnosis_table
 
     with progress("diagnosing", None):
         document = diagnose_recordings(recordings, model, calibrate, calibrate_on, detector or [], Naming.of(mapping), allow_code)
@@ -209,7 +211,8 @@ def check_command(
     """
     from afdsvc.app.check import check_files
     from afdsvc.app.explain import ExplainOptions
-    from afdsvc.present.terminal import progress, show_check
+    from afdsvc.present.progress import progress
+    from afdsvc.present.terminal import show_check
 
     options = ExplainOptions(None, _pairs("--map", "u_current", column), allow_code, machine=machine, mapping_file=mapping)
     with progress("comparing simulated with measured", None):
@@ -244,7 +247,8 @@ def identify_command(
     """Identify the plant from recordings made in closed loop, and judge it on data not used."""
     from afdsvc.app.identify import identify_files
     from afdsvc.files.open import Naming
-    from afdsvc.present.terminal import identify_table, progress
+    from afdsvc.present.progress import progress
+    from afdsvc.present.terminal import identify_table
 
     options = {
         "method": method, "order": order, "reduce_to": reduce_to, "starts": starts, "weighting": weighting, "horizon": horizon,
@@ -273,7 +277,8 @@ def explain_command(
 ) -> None:
     """Say why simulation and recordings differ: where, what physics is missing, how well the improved model fits."""
     from afdsvc.app.explain import ExplainOptions, explain_files
-    from afdsvc.present.terminal import explain_table, progress
+    from afdsvc.present.progress import progress
+    from afdsvc.present.terminal import explain_table
 
     options = ExplainOptions(out, _pairs("--map", "u_current", column), allow_code, rrd, machine, jobs, mapping, trust_units)
     with progress("explaining", 1.0) as tell:
@@ -296,7 +301,8 @@ def trial_command(
 ) -> None:
     """Test `explain` blind: hide physics in recordings, seal the answer, let it look, break the seal, score."""
     from afdsvc.app.trial import trial_files
-    from afdsvc.present.terminal import progress, trial_table
+    from afdsvc.present.progress import progress
+    from afdsvc.present.terminal import trial_table
 
     hidden, of_plan = ([word for text in texts or () for word in text.split(",") if word] for texts in (kinds, parts))
     with progress("trials", 1.0) as tell:
@@ -318,7 +324,7 @@ def batch(
 ) -> None:
     """Work through many recordings into one table; what an earlier run has done is not done again."""
     from afdsvc.app.batch import Batch, run_batch
-    from afdsvc.present.terminal import progress
+    from afdsvc.present.progress import progress
 
     chosen = Batch(task, model, tuple(detector or ()), mapping=mapping)
     with progress(task, len(recordings)) as tell:

@@ -326,7 +326,8 @@ def retune(
 
     Refused with one sentence where nothing can be gained, or where a limit, stability or sensitivity would suffer.
     """
-    from afdsvc.present.terminal import progress, retune_table
+    from afdsvc.present.progress import progress
+    from afdsvc.present.terminal import retune_table
 
     said = "afdsvc: Q is being designed and proved; Ctrl-C does not stop that, 'afdsvc restore' does"
     with progress("designing Q"):

@@ -1,10 +1,8 @@
-"""Terminal output: tables and a progress bar."""
+"""Tables on the terminal."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from datetime import datetime
 from itertools import groupby
 from operator import itemgetter
@@ -12,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -23,19 +20,6 @@ if TYPE_CHECKING:
     from afdsvc.explain.check.result import CheckResult
 
 OUT = Console(markup=False, emoji=False)  # names and paths may hold brackets and colons
-ERR = Console(stderr=True, markup=False, emoji=False)
-
-
-@contextmanager
-def progress(what: str, total: float | None = None) -> Iterator[Callable[..., None]]:
-    """Show on a terminal's stderr what is being done, how much of it, and for how long already: how long it will take is not known.
-
-    The function handed out takes what is done so far (None: not known) and, when that changes, what is being done.
-    """
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=ERR, transient=True, disable=not ERR.is_terminal) as bar:
-        task = bar.add_task(what, total=total)
-        yield lambda done=None, now="": bar.update(task, completed=done, description=f"{what}: {now}" if now else None)
 
 
 def _percent(severity: dict[str, float] | None) -> str:
