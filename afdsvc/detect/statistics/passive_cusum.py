@@ -36,7 +36,7 @@ from afdsvc.lti.statespace import Array
 
 BLOCK = 1e-3  # seconds between looks at the CUSUMs
 HERMITE = 15  # models averaged over in one direction
-RARE = 0.01  # share of machines with a loop near instability, which alarm a hundred times as often as promised, that leaves the promise intact
+RARE = 0.01  # share of machines with a loop near instability, which alarm tens of times as often as promised, that leaves the promise intact
 
 UNPROMISED = (
     "the stated uncertainty of the model takes more than half of the loop's stability margin in {:.2g} % of the machines it allows, so no rate of "
