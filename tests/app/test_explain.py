@@ -18,9 +18,11 @@ from afdsvc.files.model.model_file import read_model, write_model
 from afdsvc.files.open import open_model
 from afdsvc.files.tables.tables import import_table, read_table
 from afdsvc.lti.statespace import StateSpace
+from afdsvc.present.html import explain_page
 from afdsvc.present.terminal import explain_table
 
 DT, PERIOD = 2e-3, 500
+SHOWN, PAGES = explain_page.explain_page, []  # what pages were made of
 PHYSICS = {"coulomb_friction", "cubic_stiffness", "dead_zone", "parameter_change", "quadratic_stiffness", "sensor_lag"}  # the way from files to files, not the search
 
 
@@ -75,7 +77,9 @@ def explained(files) -> tuple[dict, Path]:
     model, tables = files
     out = model.parent / "out"
     options = ExplainOptions(out, {"current": "u_force"}, rerun=out / "why.rrd")
-    return explain_files(model, tables[:1], tables[3:], options), out
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(explain_page, "explain_page", lambda *given: PAGES.append(given) or SHOWN(*given))
+        return explain_files(model, tables[:1], tables[3:], options), out
 
 
 def test_a_map_within_a_map_runs_in_its_thread():
@@ -210,14 +214,14 @@ def test_quiet_samples_between_bursts_are_left_out():
 
 @pytest.mark.parametrize("floor", [None, 0.034])
 def test_the_noise_floor_is_shown_where_it_is_known(explained, capsys, floor):
-    document, out = explained
+    document, _ = explained
     fit = document["fit"]
-    known = [m["noise_floor_nrmse"] for m in fit["per_output"].values() if m["noise_floor_nrmse"] is not None]
-    assert (">noise floor<" in (out / "report.html").read_text(encoding="utf-8")) == bool(known)
     outputs = {name: {**m, "noise_floor_nrmse": floor} for name, m in fit["per_output"].items()}
-    explain_table({**document, "fit": {**fit, "per_output": outputs}})
-    said = capsys.readouterr().out
+    changed = {**document, "fit": {**fit, "per_output": outputs}}
+    explain_table(changed)
+    said, page = capsys.readouterr().out, SHOWN(PAGES[0][0], changed)
     assert ("noise floor" in said) == ("0.034" in said) == (floor is not None)
+    assert (">noise floor<" in page) == ("The noise floor is" in page) == (">3.4&nbsp;%<" in page or ">3.4 %<" in page) == (floor is not None)
 
 
 @pytest.mark.parametrize("jobs", [0, -2])

@@ -119,11 +119,11 @@ class Orifice:
 
     @staticmethod
     def f(t, x, u, p):
-        return [x[1] + 3.0 * u[0], -2.0 * math.sqrt(x[0]) - p["d"] * x[1]]
+        return [x[1] + 3.0 * u[0], -2.0 * math.sqrt(x[0]) - p["d"] * x[1] + 4.0 * u[1]]
 
     @staticmethod
     def h(t, x, u, p):
-        return [x[0] + 0.5 * u[0]]
+        return [x[0] + 0.5 * u[1]]
 
 
 class Followed:
@@ -135,7 +135,7 @@ class Followed:
 
 @pytest.mark.parametrize("code", [Orifice, Followed])
 def test_linearised_code_has_the_slopes_of_states_and_inputs_and_none_where_there_is_none(model, code):
-    found = nominal(model(code=code, parameters={"d": 0.7}), 0.01)
+    found = nominal(model(code=code, sizes=(2, 2, 1), parameters={"d": 0.7}), 0.01)
     assert bool(found.program.notes) == (code is Followed)
-    for part, expected in (("A", [[0, 1], [0, -0.7]]), ("B", [[3], [0]]), ("C", [[1, 0]]), ("D", [[0.5]])):
+    for part, expected in (("A", [[0, 1], [0, -0.7]]), ("B", [[3, 0], [0, 4]]), ("C", [[1, 0]]), ("D", [[0, 0.5]])):
         assert getattr(found.plant, part) == pytest.approx(np.array(expected), abs=1e-8)

@@ -285,6 +285,25 @@ def test_contact_beyond_the_start_gets_the_substeps_it_needs(model, recording, e
     assert np.abs(y).max() < 0.08
 
 
+class Volts:
+    """An axis whose position is in tiny and whose speed in large units: large slopes, slow poles."""
+
+    @staticmethod
+    def f(t, x, u, p):
+        return [1e6 * x[1], -3e-5 * x[0] - 0.8 * x[1] + 2e-5 * u[0]]
+
+    @staticmethod
+    def h(t, x, u, p):
+        return [x[0]]
+
+
+def test_units_of_states_ask_for_no_substeps(model, recording, excitation):
+    found, run = nominal(model(code=Volts), 0.01), recording(excitation)
+    simulator = Simulator(found, np.zeros((2, 1)))
+    simulated = simulator.run(run, np.zeros(0), np.zeros(2))
+    assert simulator._needed(simulated, np.zeros(0), 1) == 1
+
+
 def test_parameters_move_with_theta(model, recording, excitation):
     made = model(code=Pendulum, parameters=PENDULUM)
     moved = {"stiffness": 36.0, "damping": 0.8, "gain": 16.0}
