@@ -128,8 +128,13 @@ def test_design_says_what_the_burst_finds(tmp_path: Path):
 def test_the_design_in_the_terminal_says_frequencies_in_both_units(capsys):
     loop = {"controller_gain": {"stable_from": None, "stable_to": 2.0, "least_damping": 0.5}, "nu_gap": {"margin": 0.25}, "candidates": []}
     burst = {"input": "voltage", "frequencies_rad_s": [2 * math.pi * 50.0], "seconds": 1.0, "peak_output": 0.1}
-    terminal.design_table({"machine": "m", "bursts": [burst], "faults": [], "false_alarms_per_hour": 0.1, "loop": loop, "report": "page.html"})
-    assert "burst on voltage: 50 Hz (314 rad/s), 1.00 s" in capsys.readouterr().out
+    sheet = {"machine": "m", "bursts": [burst], "faults": [], "false_alarms_per_hour": 0.1, "loop": loop, "report": "page.html"}
+    terminal.design_table(sheet)
+    said = capsys.readouterr().out
+    assert "burst on voltage: 50 Hz (314 rad/s), 1.00 s" in said
+    assert "between bursts" not in said
+    terminal.design_table(sheet | {"unpromised": "no rate of alarms can be promised"})
+    assert "between bursts: no rate of alarms can be promised\n" in capsys.readouterr().out
 
 
 def test_plugins_list_and_version(tmp_path: Path):

@@ -32,7 +32,10 @@ def test_the_page_is_self_contained_and_says_what_the_sheet_says():
     sheet = design_sheet(problem, [burst], {"matched_filter": FalseAlarms(1e-3)}, 60.0)
     page = Counter()
     K = StateSpace.gain(0.2 * np.eye(2), problem.plant.dt)
-    page.feed(design_page(problem, burst, sheet | {"loop": loop_sheet(problem, burst, K)}, controller=K))
+    whole = sheet | {"loop": loop_sheet(problem, burst, K)}
+    page.feed(design_page(problem, burst, whole, controller=K))
+    assert "Between bursts:" not in design_page(problem, burst, whole, controller=K)
+    assert "Between bursts: no rate can be promised." in design_page(problem, burst, whole | {"unpromised": "no rate can be promised"}, controller=K)
     assert page.count["svg"] == 2 * 9  # wide and for phones
     assert not page.outside
     assert "Stable from -0.66 to 2.04 times" in " ".join(" ".join(page.words).split())
