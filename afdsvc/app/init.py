@@ -26,6 +26,7 @@ from afdsvc.identify.first_model import MOST, Polynomials, first_model
 
 MODEL, MAPPING, SITE = "MODEL.toml", "mapping.toml", "site.toml"
 ESTIMATED = "# Estimated from {file}: a lag for each speed, a resonance for any other output. Put what you know of the machine in its place.\n"
+Ask = Callable[[str, str, Callable[[str], Any]], Any]  # question, default, what reads the answer
 SECONDS = ("s", "ms", "us", "ns")
 SMALLEST = 1e-6  # least share of the variance that is taken for noise
 RELATIVE = 0.3  # how well the estimate is known where physics is missing from it
@@ -48,7 +49,7 @@ class Answers:
     units: Mapping[str, str] = field(default_factory=dict)
     limits: Mapping[str, str] = field(default_factory=dict)
     step: float | None = None
-    ask: Callable[[str, str, Callable[[str], Any]], Any] | None = None
+    ask: Ask | None = None
 
     @property
     def columns(self) -> list[str]:
@@ -208,7 +209,7 @@ def _mapping(found: Sequence[Heading], clock: dict[str, Any]) -> dict[str, Any]:
     return ({"time": clock} if clock else {}) | {"signals": signals}
 
 
-def _asked_time(columns: Sequence[str], ask: Callable[[str, str, Callable[[str], Any]], Any], answers: Answers) -> tuple[str, Answers]:
+def _asked_time(columns: Sequence[str], ask: Ask, answers: Answers) -> tuple[str, Answers]:
     """Return the column that is named as the time, "" for none, and the answers with its unit."""
 
     def one_of(names: Sequence[str]) -> Callable[[str], str]:

@@ -105,7 +105,6 @@ LOG_COLUMNS = (np.arange(300) // 9 % 2.0, np.convolve(np.arange(300) // 9 % 2.0,
 LOG = "t,a,b\n" + "".join(f"{k / 10},{(k // 9) % 2},{(k // 9) % 2 + k % 3 / 10}\n" for k in range(300))
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_inputs_and_outputs_that_never_change_are_left_out(tmp_path: Path):
     rows = "".join(f"{0.01 * k:.2f},{k % 7},{(k % 50) // 25},0,1013\n" for k in range(200))
     (tmp_path / "log.csv").write_text("t,command,speed_rpm,valve_command,pressure_hPa\n" + rows)
@@ -124,6 +123,7 @@ def test_a_recording_of_the_service_needs_no_first_files(tmp_path: Path):
         init_files(next((ROOT / "recordings" / "shipped").glob("*.mcap")), tmp_path)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_on_a_terminal_it_asks_what_names_do_not_say(tmp_path: Path):
     (tmp_path / "log.csv").write_text(LOG)
     ours, theirs = os.openpty()

@@ -94,8 +94,7 @@ def test_a_drifting_plant_is_held_to_its_recordings():
     """A free mass in closed loop with a cubic spring left out: simulated from its inputs alone it goes elsewhere altogether."""
     cubic = (r for r in plan(300, 2029) if r.part == "axis" and r.wishes[0].physics == "cubic_stiffness" and r.wishes[0].rho == 0.3)
     trial = make_trial(next(cubic))
-    text = nominal_model_text(trial.machine)
-    model = parse_model(text, "model.toml")
+    model = parse_model(nominal_model_text(trial.machine), "model.toml")
     answer = explain(model, trial.recordings, (trial.holdout,), LIBRARY, experiment=False)
     assert answer.simulated in ("in closed loop", "predicted")
     assert (answer.named[0].physics, answer.named[0].site) == ("cubic_stiffness", "state:v")

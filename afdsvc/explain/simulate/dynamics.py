@@ -34,14 +34,13 @@ class Values(dict[str, float]):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Program:
-    """The functions f and h of a model: plain, as ``rate(t, x, u, values) -> (n,)`` and ``output(...) -> (p,)``, and by address.
+    """The functions f and h of a model by address, and f plain, as ``rate(t, x, u, values) -> (n,)``.
 
     ``direct``: the outputs depend on the inputs at once. ``notes`` says what could not be compiled and therefore runs in the
     interpreter. ``keep`` holds what the addresses need.
     """
 
     rate: Function
-    output: Function
     rate_address: int
     output_address: int
     direct: bool
@@ -56,7 +55,7 @@ def program(model: Model) -> Program:
     output = _plain(model, "h", sizes[2])
     found = [_reachable(model, which, function, size, sizes) for which, function, size in (("f", rate, sizes[0]), ("h", output, sizes[2]))]
     notes = tuple(note for _, note, _ in found if note)
-    return Program(rate, output, found[0][0], found[1][0], _direct(model, output), notes, tuple(kept for _, _, kept in found))
+    return Program(rate, found[0][0], found[1][0], _direct(model, output), notes, tuple(kept for _, _, kept in found))
 
 
 def _direct(model: Model, output: Function) -> bool:

@@ -32,8 +32,7 @@ from afdsvc.trial.folder import nominal_model_text
 @cache
 def sound(excitation: str = "multisine", machine: str = "gas_bearing") -> tuple[Model, tuple[Trace, ...]]:
     trial = generate_trial("nothing", None, 0.0, np.random.default_rng(3), Options(machine=machine, excitation=excitation))
-    text = nominal_model_text(trial.machine)
-    return parse_model(text, "model.toml"), trial.recordings[:2]
+    return parse_model(nominal_model_text(trial.machine), "model.toml"), trial.recordings[:2]
 
 
 def spoiled(column: str, change, traces: tuple[Trace, ...] | None = None) -> list[Trace]:
@@ -269,8 +268,7 @@ def test_explain_refuses_a_wrong_unit_by_name():
 def test_explain_says_insufficient_and_what_to_play():
     """A machine at rest: the burst proposed moves the nominal outputs by about ten times their noise."""
     trial = generate_trial("nothing", None, 0.0, np.random.default_rng(3), Options(excitation="operation", periods=2))
-    text = nominal_model_text(trial.machine)
-    model = parse_model(text, "model.toml")
+    model = parse_model(nominal_model_text(trial.machine), "model.toml")
     few = [p for p in afdsvc_physics() if p.name in ("coulomb_friction", "static_nonlinearity", "actuator_lag", "parameter_change")]
     answer = explain(model, trial.recordings, [trial.holdout], few)
     assert answer.verdict == "insufficient_excitation"
