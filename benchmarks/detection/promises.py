@@ -15,7 +15,7 @@ import json
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from unittest.mock import patch
@@ -52,6 +52,7 @@ from benchmarks.detection.truth_problem import alpha_of, loss_of, problem_of
 SAMPLES, CALIBRATED = 2000, 20_000
 EVERY = ("matched_filter", "fault_curves", "regression", "iterated_regression", "cusum")
 TWO = ("matched_filter", "regression")
+RATES = (1e-2, 1e-3)  # alarms per healthy burst that are promised
 PASSIVE_EVERY = 20_000  # samples in which the passive detector promises one alarm here
 Row = tuple[str, str, int, int, float]
 
@@ -67,6 +68,16 @@ def broad(machine: TrueMachine) -> Burst:
 def designed(problem: DetectionProblem, kinds: Sequence[str], settings: Mapping[str, float] | None = None) -> list[Detector]:
     """Return detectors by name."""
     return [load().get("detectors", kind).design(problem, dict(settings or {})) for kind in kinds]
+
+
+def at_rates(problem: DetectionProblem, rates: Sequence[float] = RATES) -> list[Detector]:
+    """Return `TWO` detectors for every rate of alarms per healthy burst."""
+    return [d for rate in rates for d in designed(replace(problem, false_alarms=FalseAlarms(rate)), TWO)]
+
+
+def _alarms(words: str, hits: np.ndarray, bursts: int, rates: Sequence[float] = RATES) -> Iterator[Row]:
+    for (rate, kind), count in zip(product(rates, TWO), hits.tolist(), strict=True):
+        yield f"alarms, {words}", kind, count, bursts, rate
 
 
 def exceeded(e: Evidence) -> bool:
@@ -92,23 +103,23 @@ def calibrated_noise(machine: TrueMachine, rng: np.random.Generator, size: float
     """Noise from quiet data, new ones for every burst: trusted and alarms; refused when the noise is a tenth larger, everywhere or in bursts
     only; alarms between bursts."""
     plant, burst, spans = StateSpace(machine.A, machine.B, machine.C, machine.D, machine.dt), broad(machine), round(100 * size)
-    counts, passive = np.zeros(5, int), np.zeros(2, int)
+    counts, hits, passive = np.zeros(3, int), np.zeros(len(RATES) * len(TWO), int), np.zeros(2, int)
     for k in range(spans):
         learnt = machine.run(rng, np.zeros((CALIBRATED, burst.inputs)))
         problem = with_noise(problem_of(machine, FalseAlarms(1e-2)), calibrate_noise(plant, learnt["u"], learnt["y"]))
-        detectors, before = designed(problem, TWO), quiet(problem)
+        detectors, before = at_rates(problem), quiet(problem)
         alpha = alpha_of(burst, machine.dt, before)
-        first, second = (t[-1] for t in shown(problem, detectors, machine.run(rng, alpha), burst))
-        counts[:3] += [first.trustworthy, exceeded(first), exceeded(second)]
+        decisions = [t[-1] for t in shown(problem, detectors, machine.run(rng, alpha), burst)]
+        counts[0] += decisions[0].trustworthy
+        hits += [exceeded(e) for e in decisions]
         for j, where in enumerate((1.1, np.r_[np.ones(before), np.full(burst.samples, 1.1)])):
-            counts[3 + j] += not shown(problem, detectors[:1], machine.run(rng, alpha, noisier=where), burst)[0][-1].trustworthy
+            counts[1 + j] += not shown(problem, detectors[:1], machine.run(rng, alpha, noisier=where), burst)[0][-1].trustworthy
         if k % 5 == 0:
             passive += between_bursts(problem, machine.run(rng, np.zeros((PASSIVE_EVERY, burst.inputs))))
     yield "trusted, calibrated noise", "gate", int(counts[0]), spans, 0.95
-    yield "alarms, calibrated noise", TWO[0], int(counts[1]), spans, 1e-2
-    yield "alarms, calibrated noise", TWO[1], int(counts[2]), spans, 1e-2
-    yield "refused, noise 10 % larger", "gate", int(counts[3]), spans, 0.95
-    yield "refused, noise 10 % larger in the burst", "gate", int(counts[4]), spans, 0.95
+    yield from _alarms("calibrated noise", hits, spans)
+    yield "refused, noise 10 % larger", "gate", int(counts[1]), spans, 0.95
+    yield "refused, noise 10 % larger in the burst", "gate", int(counts[2]), spans, 0.95
     yield from _between("calibrated noise", passive, len(range(0, spans, 5)))
 
 
@@ -142,22 +153,23 @@ def references(machine: TrueMachine, rng: np.random.Generator, size: float) -> I
         slow = lfilter([0.02], [1, -0.98], rng.standard_normal((n, len(y_sd))), axis=0)
         return np.asarray(5 * y_sd * slow / slow.std())
 
-    detectors, hits, alpha = designed(problem, TWO), np.zeros(2, int), alpha_of(burst, machine.dt, quiet(problem))
+    detectors, alpha = at_rates(problem), alpha_of(burst, machine.dt, quiet(problem))
+    hits = np.zeros(len(detectors), int)
     for _ in range(bursts):
         hits += [exceeded(t[-1]) for t in shown(problem, detectors, machine.run(rng, alpha, ref=wandering(len(alpha))), burst)]
-    for kind, count in zip(TWO, hits, strict=True):
-        yield "alarms, moving references", kind, int(count), bursts, 1e-2
+    yield from _alarms("moving references", hits, bursts)
     for words, ref in (("at rest", None), ("moving references", wandering(samples))):
         yield from _between(words, between_bursts(problem, machine.run(rng, np.zeros((samples, burst.inputs)), ref=ref)), samples // PASSIVE_EVERY)
 
 
 def uncertain(machine: TrueMachine, rng: np.random.Generator, size: float, sd: float = 0.005) -> Iterator[Row]:
-    """Entries of A and B off by half a per cent, as stated; every draw is another machine: alarms at 5e-2."""
+    """Entries of A and B off by half a per cent, as stated; every draw is another machine: alarms, those at 5e-2 too."""
     entries = {"A": sd * np.abs(machine.A), "B": sd * np.abs(machine.B)}
     plain = problem_of(machine, FalseAlarms(5e-2))
     pulled = uncertain_entries(plain.plant, entries, machine.dt)
     problem = replace(plain, uncertain=pulled, uncertainty=dict.fromkeys(pulled.fault_names, 1.0))
-    burst, detectors, hits, n, passive, stretches = broad(machine), designed(problem, TWO), np.zeros(2, int), 0, np.zeros(2, int), 0
+    burst, rates, n, passive, stretches = broad(machine), (5e-2, *RATES), 0, np.zeros(2, int), 0
+    detectors, hits = at_rates(problem, rates), np.zeros(len(rates) * len(TWO), int)
     for k in range(round(200 * size)):
         A, B = (M * (1 + sd * rng.standard_normal(M.shape)) for M in (machine.A, machine.B))
         run = machine.run(rng, alpha_of(burst, machine.dt, quiet(problem)), plant=(A, B))
@@ -171,8 +183,7 @@ def uncertain(machine: TrueMachine, rng: np.random.Generator, size: float, sd: f
         yield "reports between bursts that no rate is promised or data are doubted", "passive_cusum", int(passive[1]), stretches, 1.0
     else:
         yield from _between("parameters off by their stated 0.5 %", passive, stretches)
-    for kind, count in zip(TWO, hits, strict=True):
-        yield "alarms, parameters off by their stated 0.5 %", kind, int(count), n, 5e-2
+    yield from _alarms("parameters off by their stated 0.5 %", hits, n, rates)
 
 
 def margins(machine: TrueMachine, rng: np.random.Generator, size: float, sd: float = 0.005) -> Iterator[Row]:
@@ -278,15 +289,15 @@ def units(machine: TrueMachine, rng: np.random.Generator, size: float) -> Iterat
 def recorded(machine: TrueMachine, rng: np.random.Generator, size: float) -> Iterator[Row]:
     """Tables of a healthy machine with bursts in their alpha columns, judged by `diagnose` with the controller that the model states, the noise
     learnt from the first two thirds of the quiet data; and quiet tables, their controller stated or not."""
-    burst, hits, n = broad(machine), np.zeros(2, int), 0
+    burst, hits, n = broad(machine), np.zeros((len(RATES), len(TWO)), int), 0
     model, unstated = (model_of(machine, stated) for stated in (True, False))
     for _ in range(round(10 * size)):
         alpha = np.vstack([np.zeros((CALIBRATED, burst.inputs)), *[alpha_of(burst, machine.dt, 3000)] * 10, np.zeros((1000, burst.inputs))])
-        evidence = judged_table(model, machine.dt, machine.run(rng, alpha), TWO)
-        n += sum(e.detector == TWO[0] for e in evidence)
-        hits += [sum(exceeded(e) for e in evidence if e.detector == kind) for kind in TWO]
-    for kind, count in zip(TWO, hits, strict=True):
-        yield "alarms, recorded controller, noise from the table", kind, int(count), n, 1e-2
+        run = machine.run(rng, alpha)
+        evidence = [judged_table(model, machine.dt, run, TWO, rate) for rate in RATES]
+        n += sum(e.detector == TWO[0] for e in evidence[0])
+        hits += [[sum(exceeded(e) for e in found if e.detector == kind) for kind in TWO] for found in evidence]
+    yield from _alarms("recorded controller, noise from the table", hits.ravel(), n)
     for words, used in (("recorded controller", model), ("controller not recorded", unstated)):
         found, stretches = np.zeros(2, int), 0
         for _ in range(round(5 * size)):
@@ -312,8 +323,8 @@ def model_of(machine: TrueMachine, stated: bool) -> Model:
     return parse_model(text + (f"[controller]\n{time}" + rows(*zip("ABCD", K, strict=True)) if stated else ""), "truth.toml")
 
 
-def judged_table(model: Model, dt: float, run: Mapping[str, np.ndarray], kinds: Sequence[str]) -> list[Evidence]:
-    """Return the decisions of `diagnose` on a table, at one alarm in 100 bursts or in `PASSIVE_EVERY` samples of quiet data."""
+def judged_table(model: Model, dt: float, run: Mapping[str, np.ndarray], kinds: Sequence[str], rate: float = RATES[0]) -> list[Evidence]:
+    """Return the decisions of `diagnose` on a table, at a rate of alarms per burst, or one in `PASSIVE_EVERY` samples of quiet data."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run.npz"
         own = {"u": model.inputs, "y": model.outputs, "alpha": model.inputs, "beta": model.outputs}
@@ -322,7 +333,7 @@ def judged_table(model: Model, dt: float, run: Mapping[str, np.ndarray], kinds: 
         (trace,) = open_file(path, Naming()).traces(model)
     config = diagnose._bare("table", len(trace) * trace.dt / 2)  # noqa: SLF001
     per_day = 86400 / (PASSIVE_EVERY * trace.dt)
-    sections = [DetectorSection(kind=k, false_alarms_per_1000_bursts=10, false_alarms_per_day=per_day, settings={"silence_seconds": 0.0} if k == "passive_cusum" else {}) for k in kinds]
+    sections = [DetectorSection(kind=k, false_alarms_per_1000_bursts=1000 * rate, false_alarms_per_day=per_day, settings={"silence_seconds": 0.0} if k == "passive_cusum" else {}) for k in kinds]
     machine = commission(config.model_copy(update={"detectors": sections}), load(), RecordedMachine(model, trace.dt, trace.channels))
     machine, played = diagnose._excited(machine, [trace], None)  # noqa: SLF001
     bursts = {burst.name: burst for _, burst in played}
