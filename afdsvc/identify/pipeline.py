@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,7 +35,6 @@ from afdsvc.identify.validation import (
 from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.stats.fit_measures import Measures
-
 
 def identify(
     model: Model,
@@ -82,7 +81,7 @@ def identify(
         outcome.reductions,
         check,
         preview,
-        (*problem.notes, *warning, *_warnings(fit.heldout, before, stable), *_invented(fit.system, problem.nominal, max(len(r) * r.dt for r in parts.training))),
+        (*problem.notes, *warning, *_warnings(fit.heldout or {}, before, stable), *_invented(fit.system, problem.nominal, max(len(r) * r.dt for r in parts.training))),
         problem.notes,
     )
 
@@ -233,14 +232,13 @@ def _invented(found: StateSpace, nominal: StateSpace, duration: float) -> tuple[
     )
 
 
-def _warnings(after: object, before: object, stable: bool | None) -> tuple[str, ...]:
-    notes = []
-    if stable is False:
-        notes.append("the current controller does not stabilise the identified plant")
-    if isinstance(after, dict) and isinstance(before, dict):
-        worse = [name for name in after if after[name].r2 < before[name].r2 - 0.02]
-        notes += [
-            f"output '{name}' is predicted worse than before ({after[name].r2:.3g} against {before[name].r2:.3g})"
-            for name in worse
-        ]
+def _warnings(after: Mapping[str, Measures], before: Mapping[str, Measures], stable: bool | None) -> tuple[str, ...]:
+    notes = ["the current controller does not stabilise the identified plant"] if stable is False else []
+    errors = {name: (before[name].nrmse, after[name].nrmse) for name in after}
+    notes += [
+        f"output '{name}': the model that was given follows the samples held out better than the identified one "
+        f"(error {100 * given:.3g} % of the output's deviation, identified {100 * found:.3g} %)"
+        for name, (given, found) in errors.items()
+        if found > SETTINGS.worse * given
+    ]
     return tuple(notes)

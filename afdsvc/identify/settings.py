@@ -38,6 +38,8 @@ class IdentificationSettings:
     independent_share: float = 1e-10
     #: Fewest samples of a recording for a fit of physical parameters.
     parametric_samples: int = 100
+    #: Error held out of the identified model, over that of the model that was given, from which it is reported as worse.
+    worse: float = 1.1
     #: Groups of windows in the cross-validation of the order.
     order_groups: int = 10
 

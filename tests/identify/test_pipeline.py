@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.bursts import Burst, Line
-from afdsvc.api.model import Model
+from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.errors import BadInput
 from afdsvc.identify import IdentifyOptions, identify
@@ -297,6 +297,25 @@ def test_wrong_columns_and_sample_times(model, run):
         identify(slow, [trace])
     with pytest.raises(BadInput, match="no recording was handed in"):
         identify(model, [])
+
+
+@pytest.mark.parametrize(("order", "worse"), [(1, True), (2, False)])
+def test_a_model_that_is_followed_better_than_the_identified_one_is_reported(order, worse):
+    """Of an oscillator that is known, an asked first order leaves more of the samples held out than the model that was given."""
+    plant = StateSpace(np.array([[1.6, -0.9], [1.0, 0.0]]), np.array([[1.0], [0.0]]), np.array([[0.3, 0.0]]), np.zeros((1, 1)), 1e-2)
+    rng, x, y = np.random.default_rng(0), np.zeros(2), []
+    u = rng.standard_normal(3000)
+    for now in u:
+        y.append(plant.C @ x)
+        x = plant.A @ x + plant.B[:, 0] * now
+    table = np.column_stack([u, np.vstack(y) + 0.05 * rng.standard_normal((3000, 1))])
+    model = Model("known", (Variable("force", "N"),), (Variable("position", "m"),), (), plant, sample_time=1e-2)
+    found = identify(model, [Trace("run.csv", 1e-2, (Channel("u_force"), Channel("y_position")), table)], options=IdentifyOptions(method="subspace", order=order))
+    said = [w for w in found.warnings if w.startswith("output 'position': the model that was given follows the samples held out better than")]
+    assert bool(said) == worse
+    if worse:
+        given, left = found.before["position"].nrmse, found.after["position"].nrmse
+        assert f"(error {100 * given:.3g} % of the output's deviation, identified {100 * left:.3g} %)" in said[0]
 
 
 def test_unknown_options_are_errors():
