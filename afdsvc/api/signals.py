@@ -154,7 +154,7 @@ class Trace:
         if name in names:
             return self.values[:, names.index(name)]
         alike = [n for n in names if n.partition("_")[0] == name.partition("_")[0]]
-        cure = f"; --map {alike[0]}={name} takes {alike[0]} for it" if len(alike) == 1 else f"; expected it under that name, or --map COLUMN={name}"
+        cure = f"; --map {alike[0]}={name} (rename=) takes {alike[0]} for it" if len(alike) == 1 else f"; expected it under that name, or --map COLUMN={name} (rename=)"
         raise BadInput(f"{self.name}: no column '{name}'; it has {', '.join(names)}{cure}")
 
     def span(self, start: int, stop: int) -> Trace:

@@ -229,7 +229,7 @@ def _machine_of(
     if recording.site and model is None:
         return commissioning.commission_embedded(recording.site, f"{recording.path}:site.toml", id, plugins, watched)
     if watched is None:
-        raise BadInput(f"{recording.path}: carries neither site nor model; give one with --model MODEL.toml")
+        raise BadInput(f"{recording.path}: carries neither site nor model; give one with --model MODEL.toml (model=)")
     samples = sum(len(b) for b in blocks)
     return commissioning.commission(_bare(id, calibrate or samples * first.dt / 2, None, through), plugins, watched)
 
@@ -241,7 +241,7 @@ def _diagnose_foreign(
     if model is None:
         if isinstance(file, MappedTopics):
             file.mapping()  # without it, that is what is missing first
-        raise BadInput(f"{path}: a table carries no model; give one with --model MODEL.toml")
+        raise BadInput(f"{path}: a table carries no model; give one with --model MODEL.toml (model=)")
     return _diagnose_traces(str(path), path.stem.replace(" ", "_"), file.traces(model), model, calibrate, on, plugins, detectors)
 
 

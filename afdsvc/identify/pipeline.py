@@ -36,6 +36,7 @@ from afdsvc.lti.frequency import frequency_response
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.stats.fit_measures import Measures
 
+
 def identify(
     model: Model,
     traces: Sequence[Trace],

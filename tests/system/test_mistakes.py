@@ -56,7 +56,7 @@ def folder(tmp_path_factory) -> Path:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ("check MODEL.toml log.csv", ["log.csv: has no column 't'", "--map COLUMN=t, or let afdsvc init write a mapping file"]),
+        ("check MODEL.toml log.csv", ["log.csv: has no column 't'", "--map COLUMN=t (rename=), or let afdsvc init write a mapping file"]),
         ("check MODEL.toml bare.csv", ["bare.csv: the first row holds numbers", "--map 1=t --map 2=u_force"]),
         ("explain log.csv MODEL.toml", ["log.csv: is a recording; expected the model (MODEL.toml) here, recordings after it"]),
         ("check typo.toml gap.csv", ["typo.toml: key 'nun' is not known; is 'num' meant?"]),
@@ -71,7 +71,7 @@ def folder(tmp_path_factory) -> Path:
         ("check MODEL.toml", ["MODEL.toml: no recording is given to compare it with"]),
         ("check site.toml gap.csv", ["site.toml: is a site file; expected a model (MODEL.toml)"]),
         ("design MODEL.toml", ["MODEL.toml: is a model (MODEL.toml); expected a site file"]),
-        ("diagnose gap.csv", ["gap.csv: a table carries no model; give one with --model MODEL.toml"]),
+        ("diagnose gap.csv", ["gap.csv: a table carries no model; give one with --model MODEL.toml (model=)"]),
         ("review log.csv", ["log.csv: is a table; expected a recording, which 'afdsvc import log.csv -o log.mcap' makes of it"]),
         ("design fast.toml", ["plant 'gas_bearing': option 'rpm' is 'fast'; expected a number"]),
         ("init hours.csv --step 1 --out new", ["expected --input COLUMN, but it has no column beside the time"]),

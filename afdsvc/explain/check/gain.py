@@ -110,7 +110,7 @@ def _others(nominal: Nominal, lines: ExcitedLines, reported: Collection[int]) ->
     for j, v in enumerate(nominal.model.outputs):
         if j not in reported and measured[j] < TINY * simulated[j]:
             said = f"y_{v.name} moves {measured[j] / simulated[j]:.2g} times as much as the model says and does not follow it"
-            yield Finding("stop", "units", f"{said}; expected the column and the unit of '{v.name}': are columns exchanged? explain --trust-units goes on where they are right")
+            yield Finding("stop", "units", f"{said}; expected the column and the unit of '{v.name}': are columns exchanged? explain --trust-units (trust_units=True) goes on where they are right")
 
 
 def _off(factor: float) -> bool:
@@ -129,7 +129,7 @@ def _finding(channel: str, factor: float, explained: float, also: str = "") -> F
     stop = explained > SURER and (turned or not 1 / STOP < size < STOP)
     what = [f"{size:.4g} times what the model says{f', about {known[0]}' if known else ''}"] if scaled else []
     what += [f"of the opposite sign (factor {factor:.3g})"] if turned else []
-    mend = f"expected the model's {'unit' if scaled else 'sign'}" + ("; explain --trust-units goes on where both are right" if stop else "")
+    mend = f"expected the model's {'unit' if scaled else 'sign'}" + ("; explain --trust-units (trust_units=True) goes on where both are right" if stop else "")
     return Finding("stop" if stop else "warning", "units", f"{channel} is {' and '.join(what)}{also}; {mend}")
 
 

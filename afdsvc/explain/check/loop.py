@@ -85,4 +85,4 @@ def _in_other_unit(problem: Problem, factor: float, unit: str, cure: str) -> Ite
     after, before = (min(c.r2 for c in compared(p)) for p in (scaled, problem))
     if after > FOLLOWED and 1 - after < FOLLOWED * (1 - before):
         said = f"with the times taken {unit} the model follows the outputs (R2 {after:.3g}, as they are {before:.3g})"
-        yield Finding("stop", "units", f"{said}; {cure}; explain --trust-units goes on where they are right")
+        yield Finding("stop", "units", f"{said}; {cure}; explain --trust-units (trust_units=True) goes on where they are right")

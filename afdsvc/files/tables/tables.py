@@ -65,14 +65,14 @@ def table_trace(columns: Columns, path: Path, dt: float | None = None, allow_nan
     if counted:
         raise BadInput(
             f"{path}: the first row holds numbers, so columns are counted: {', '.join(columns)}; say what they are with --map 1=t --map 2=u_force "
-            f"--map 3=y_position, or leave one out with --map {counted}="
+            f"--map 3=y_position (rename=), or leave one out with --map {counted}="
         )
     time = own_time(columns)
     t, said = seconds(columns.pop(time), time) if time else (None, "")
     t0, step = _time(t, time or TIME, dt, default_dt, path)
     stamped = next((name for name, column in columns.items() if is_stamped(column)), None)
     if stamped is not None:
-        raise BadInput(f"{path}: column '{stamped}' holds time stamps beside the time '{time or TIME}'; leave it out with --map {stamped}=")
+        raise BadInput(f"{path}: column '{stamped}' holds time stamps beside the time '{time or TIME}'; leave it out with --map {stamped}= (rename=)")
     channels = tuple(_channel(name, path) for name in columns)
     if not channels:
         raise BadInput(f"{path}: has no signal; expected columns such as u_<input> and y_<output>")
@@ -129,7 +129,7 @@ def _channel(name: str, path: Path) -> Channel:
     try:
         return Channel(name)
     except BadInput as error:
-        cure = "; rename the column, name it with --map COLUMN=u_name, or let afdsvc init write a mapping file"
+        cure = "; rename the column, name it with --map COLUMN=u_name (rename=), or let afdsvc init write a mapping file"
         raise BadInput(f"{path}: {error}{cure}") from None
 
 
@@ -146,7 +146,7 @@ def _time(t: Array | None, column: str, dt: float | None, default: float | None,
     if t is None:
         dt = dt or default
         if dt is None or not dt > 0:
-            raise BadInput(f"{path}: has no column 't', and no sample time is known; expected t in seconds, t_ms, or a column of ISO 8601 time stamps; name it with --map COLUMN=t, or let afdsvc init write a mapping file")
+            raise BadInput(f"{path}: has no column 't', and no sample time is known; expected t in seconds, t_ms, or a column of ISO 8601 time stamps; name it with --map COLUMN=t (rename=), or let afdsvc init write a mapping file")
         return 0.0, dt
     t0, step = time_base(t, f"{path}: column '{column}'")
     if not dt:

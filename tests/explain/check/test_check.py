@@ -133,7 +133,7 @@ def test_times_in_another_unit_stop(seconds, words):
     model = Model.from_system(([60.0], [0.1, 1]), {"voltage": "V"}, {"speed": "rpm"})
     refused = objection(check(model, [motor_log(seconds)]))
     assert words in refused
-    assert "--trust-units" in refused
+    assert "--trust-units (trust_units=True)" in refused
     assert objection(check(model, [motor_log()])) == ""
     slow = Model.from_system(([60.0], [0.002, 1]), {"voltage": "V"}, {"speed": "rpm"})  # faster than the sampling, and right but for that
     assert objection(check(slow, [motor_log()])) == ""
