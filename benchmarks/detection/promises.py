@@ -34,6 +34,7 @@ from afdsvc.detect.features.noise_calibration import calibrate_noise
 from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.statistics.passive_cusum import unpromised
 from afdsvc.detect.uncertain_parameters import uncertain_entries
+from afdsvc.diagnosis.verdict import alarm_decisions, strongest
 from afdsvc.errors import AfdsvcError
 from afdsvc.excite.diagnosis_burst import Aim, default_burst
 from afdsvc.excite.recorded_bursts import marked
@@ -52,6 +53,7 @@ from benchmarks.detection.truth_problem import alpha_of, loss_of, problem_of
 SAMPLES, CALIBRATED = 2000, 20_000
 EVERY = ("matched_filter", "fault_curves", "regression", "iterated_regression", "cusum")
 TWO = ("matched_filter", "regression")
+DEFAULT = (*TWO, "cusum")  # detectors of bursts that a site has where it names none
 RATES = (1e-2, 1e-3)  # alarms per healthy burst that are promised
 PASSIVE_EVERY = 20_000  # samples in which the passive detector promises one alarm here
 Row = tuple[str, str, int, int, float]
@@ -208,14 +210,14 @@ def together(machine: TrueMachine, rng: np.random.Generator, size: float, loss: 
     """One fault and every pair of faults of -20 %, with the burst designed for -20 % and with the one for -50 % that is the default."""
     problem = problem_of(machine, FalseAlarms(1e-3))
     assert problem.limits is not None
-    detectors, names = designed(problem, TWO), [n for n, (low, _) in reachable(problem).items() if low < loss]
+    detectors, names = designed(problem, DEFAULT), [n for n, (low, _) in reachable(problem).items() if low < loss]
     for which, aim in (("burst for -20 %", Aim(severity=loss)), ("default burst", Aim())):
         try:
             burst = default_burst(problem, problem.limits, aim=aim)
         except AfdsvcError:
             continue
         for words, truths in (("one fault", [(n,) for n in names]), ("two faults", list(combinations(names, 2)))):
-            counts, n = np.zeros((len(TWO), 5), int), 0
+            counts, concluded, n = np.zeros((len(TWO), 5), int), 0, 0
             for truth in truths:
                 severities = dict.fromkeys(truth, loss)
                 if not problem_survives(problem, severities):
@@ -224,9 +226,11 @@ def together(machine: TrueMachine, rng: np.random.Generator, size: float, loss: 
                     n += 1
                     run = machine.run(rng, alpha_of(burst, machine.dt, quiet(problem)), loss_of(problem, severities))
                     decisions = [t[-1] for t in shown(problem, detectors, run, burst)]
-                    counts[:, :3] += [[e.detected, e.fault == JOINED.join(truth), e.detected and reported(e, truth, loss)] for e in decisions]
+                    counts[:, :3] += [[e.detected, e.fault == JOINED.join(truth), e.detected and reported(e, truth, loss)] for e in decisions[: len(TWO)]]
+                    decisive = deciding(decisions)
+                    concluded += decisive is not None and reported(decisive, truth, loss)
                     if len(truth) == 1:
-                        counts[:, 3:] += singles_only(problem, detectors, run, burst, truth[0])
+                        counts[:, 3:] += singles_only(problem, detectors[: len(TWO)], run, burst, truth[0])
             for kind, (detected, named, stated, alone, alone_named) in zip(TWO, counts.tolist(), strict=True):
                 yield f"{words} of -20 %, {which}: detected", kind, detected, n, np.nan
                 yield f"{words} of -20 %, {which}: named", kind, named, n, np.nan
@@ -234,6 +238,13 @@ def together(machine: TrueMachine, rng: np.random.Generator, size: float, loss: 
                 if words == "one fault":
                     yield f"{words} of -20 %, {which}: detected, pairs not looked for", kind, alone, n, np.nan
                     yield f"{words} of -20 %, {which}: named, pairs not looked for", kind, alone_named, n, np.nan
+            yield f"{words} of -20 %, {which}, all that were played: named in the verdict, or the ambiguity stated", "verdict", concluded, n, 0.95
+
+
+def deciding(decisions: Sequence[Evidence]) -> Evidence | None:
+    """Return the decision that the verdict of a burst is taken from: the strongest that names something, else the last with weights."""
+    found = alarm_decisions(decisions)
+    return strongest(found) or next((e for e in reversed(found) if e.weights), None)
 
 
 def reported(e: Evidence, truth: Sequence[str], loss: float) -> bool:
