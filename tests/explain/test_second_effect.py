@@ -37,4 +37,5 @@ def test_what_follows_a_signal_that_moves_for_a_moment_is_named_beside_another()
     *given, held = map(recording, range(5))
     answer = explain(MODEL, given, [held], afdsvc_physics(), experiment=False)
     assert {n.physics for n in answer.named if n.weight > 0.3} >= {"static_nonlinearity", "gain_follows_aux"}, answer.sentences
+    assert all("% of what the other effects leave" in n.sentence for n in answer.named)
     assert answer.fit[0].after_nrmse == pytest.approx(answer.fit[0].noise_floor_nrmse, rel=0.1)

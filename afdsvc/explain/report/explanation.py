@@ -46,7 +46,7 @@ class Named:
     """A name for the gap or one of its look-alikes: physics, site, weight among its look-alikes, parameters, one sentence.
 
     ``effect`` counts the effects found (look-alikes of one effect share the number), ``share_of_gap`` is the part of the gap it
-    closes, ``partial`` whether a part of the gap remains that a flexible model predicts; ``family`` is the group of laws it
+    closes, or of what the other effects leave, ``partial`` whether a part of the gap remains that a flexible model predicts; ``family`` is the group of laws it
     belongs to, ``parameter`` what changed when it is a parameter change.
     """
 

@@ -30,13 +30,14 @@ def names(found: Found, verdict: Verdict, final: Fit, summaries: Mapping[str, st
     last = list(found.end)[-1]
     partial = verdict.explained[0] < PARTIAL and verdict.remainder is not None and verdict.remainder.present
     own = {e.hypothesis.key: p for e, p in zip(final.point.effects, estimates(found.problem, final, last), strict=True)}
-    listed = []
-    for number in dict.fromkeys(c.effect for c in verdict.claims):
+    listed, numbers = [], list(dict.fromkeys(c.effect for c in verdict.claims))
+    of_what = "the gap" if len(numbers) == 1 else "what the other effects leave"
+    for number in numbers:
         alike = _each_once([c for c in verdict.claims if c.effect == number])
         for claim in [c for k, c in enumerate(alike) if not k or c.weight >= LEAST_WEIGHT][:MOST_NAMES]:
             h = claim.candidate.hypothesis
             parameters = own.get(h.key) or _own_of(found.problem, claim.candidate, last)
-            listed.append(_named(claim, parameters, len(alike), partial, summaries, _shape(h, alike)))
+            listed.append(_named(claim, parameters, len(alike), partial, summaries, _shape(h, alike), of_what))
     return tuple(listed)
 
 
@@ -61,13 +62,15 @@ def _each_once(claims: Sequence[Claim]) -> list[Claim]:
     return list(first.values())
 
 
-def _named(claim: Claim, parameters: Mapping[str, Estimate], alike: int, partial: bool, summaries: Mapping[str, str], shape: str = "") -> Named:
+def _named(
+    claim: Claim, parameters: Mapping[str, Estimate], alike: int, partial: bool, summaries: Mapping[str, str], shape: str = "", of_what: str = "the gap"
+) -> Named:
     h = claim.candidate.hypothesis
     what = h.notes.get("variant", "") if is_constant(h) else ""
     values = "; ".join(value_text(name, e) for name, e in parameters.items())
     law = f"{what} other than stated" if what else summaries.get(h.physics, h.physics.replace("_", " "))
     doubt = f", weight {claim.weight:.2f} among {alike} that fit alike" if alike > 1 else ""
-    sentence = f"{site_words(h.site)}: {law}{f', {shape}' if shape else ''}{f' ({values})' if values else ''}; closes {100 * claim.share:.0f} % of the gap{doubt}"
+    sentence = f"{site_words(h.site)}: {law}{f', {shape}' if shape else ''}{f' ({values})' if values else ''}; closes {100 * claim.share:.0f} % of {of_what}{doubt}"
     return Named(h.physics, h.site, claim.weight, parameters, sentence, claim.effect, claim.share, partial, h.family, what)
 
 
