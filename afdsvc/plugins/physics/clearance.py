@@ -25,14 +25,14 @@ def _stop(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 def _joint(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`_stop` of a deflection ``q_1 + s_2 q_2 + ...``; axis k takes ``s_k`` times ``r_k`` of it, ``p[2:] = s_2, ..., r_2, ...``."""
+    """`_stop` of a deflection ``q_1 + s_2 q_2 + ...``; axis k takes ``s_k r_k`` of it (see `Joint`), ``p[2:] = s_2, ..., r_2, ...``."""
     n, deflection = len(out), z[0]
     for k in range(1, n):
         deflection += p[1 + k] * z[k]
     push = p[0] * math.copysign(max(abs(deflection) - p[1], 0.0), deflection)
     out[0] -= push
     for k in range(1, n):
-        out[k] -= p[1 + k] * p[n + k] * push
+        out[k] -= (p[1 + k] or -1.0) * p[n + k] * push
 
 
 def _play(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -45,9 +45,9 @@ def _joint_play(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     deflection = z[0] + p[3] * z[1]
     push = p[0] * min(max(deflection, -p[1]), p[1])
     if abs(deflection) < p[1]:
-        push += p[0] * p[2] * (z[2] + p[3] * z[3])
+        push += p[0] * p[2] * (z[2] - z[3])
     out[0] += push
-    out[1] += p[3] * p[4] * push
+    out[1] -= p[4] * push
 
 
 class Clearance:

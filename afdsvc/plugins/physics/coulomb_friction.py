@@ -65,7 +65,7 @@ def slip(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     m[0] = min(max(m[0], deflection - p[1]), deflection + p[1])
     out[0] += p[0] * m[0]
     for k in range(1, n):
-        out[k] += p[1 + k] * p[n + k] * p[0] * m[0]
+        out[k] += (p[1 + k] or -1.0) * p[n + k] * p[0] * m[0]
 
 
 def reaction(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:

@@ -19,8 +19,8 @@ STAGES = ("input", "force", "output")
 @lru_cache(maxsize=1)
 def machines() -> tuple[Machine, ...]:
     """Return examples: a rotor on two axes with all auxiliary signals, a black box, a motor of which only the speed is a state,
-    an arm, a magnet, two tanks, a structure in modal coordinates, a damper whose motion is imposed, and two masses on a shaft."""
-    return _rotor(), _black_box(), _motor(), _arm(), _magnet(), _tanks(), _structure(), _damper(), _shaft()
+    an arm, a magnet, two tanks, a structure in modal coordinates, a damper whose motion is imposed, and two masses on a shaft, by their angles and by its twist."""
+    return _rotor(), _black_box(), _motor(), _arm(), _magnet(), _tanks(), _structure(), _damper(), _shaft(), _twisted_shaft()
 
 
 def _size(index: int, name: str, unit: str, rms: float, step: float = 0.0) -> Size:
@@ -103,6 +103,12 @@ def _shaft() -> Machine:
     matrices = ([[0, 1, 0, 0], [-900, -2, 900, 0], [0, 0, 0, 1], [300, 0, -300, -1]], [[0], [50], [0], [0]], [[0, 1, 0, 0], [0, 0, 0, 1]], [[0], [0]])
     machine = _plain([("torque", "N*m", 1.0)], motion, [("motor", "rad/s", 9.0), ("load", "rad/s", 8.0)], matrices, [(0, 1), (2, 3)], 2e-3)
     return replace(machine, deflections={(0, 2): _size(0, "q1 - q2", "rad", 0.05)})
+
+
+def _twisted_shaft() -> Machine:
+    motion = [("w1", "rad/s", 9.0), ("w2", "rad/s", 8.0), ("twist", "rad", 0.05)]
+    matrices = ([[-2, 0, -900], [0, -1, 300], [1, -1, 0]], [[50], [0], [0]], [[1, 0, 0], [0, 1, 0]], [[0], [0]])
+    return _plain([("torque", "N*m", 1.0)], motion, [("motor", "rad/s", 9.0), ("load", "rad/s", 8.0)], matrices, [(None, 0), (None, 1)], 2e-3)
 
 
 def _offered(thing: Any) -> Iterator[Hypothesis]:

@@ -16,7 +16,7 @@ from afdsvc.plugins.physics.back_emf import BackEmf
 from afdsvc.plugins.physics.cogging import Cogging
 from afdsvc.testing.conformance.physics import machines
 
-ROTOR, BLACK_BOX, MOTOR, ARM, MAGNET, TANKS, STRUCTURE, DAMPER, SHAFT = range(9)
+ROTOR, BLACK_BOX, MOTOR, ARM, MAGNET, TANKS, STRUCTURE, DAMPER, SHAFT, TWISTED = range(10)
 
 
 def offered(machine: Machine) -> dict:
@@ -45,6 +45,7 @@ def offered(machine: Machine) -> dict:
     (SHAFT, "encoder_error@output:motor encoder_error@output:load"),
     (ROTOR, "clock_offset@machine clock_offset@input:horizontal clock_offset@input:vertical"),
     (SHAFT, "clearance@machine#play in the spring between w1,w2 clearance@machine#between w1,w2 cubic_stiffness@machine#between w1,w2"),
+    (TWISTED, "clearance@machine#play in the spring between w1,w2 coulomb_friction@machine#slip between w1,w2 cubic_stiffness@machine#between w1,w2"),
     (DAMPER, "hysteresis@input:speed hysteresis@output:force#speed coulomb_friction@output:force#speed saturation@state:force"),
 ])
 def test_a_machine_is_offered_what_it_may_have(machine, keys):
@@ -112,6 +113,38 @@ def test_a_joint_begins_at_the_ratio_of_masses_that_the_model_has():
     play = offered(machine)["clearance@machine#play in the spring between w1,w2"]
     assert play.parameters[2].low == A[1, 3] / A[1, 2]
     assert [(s.kind, s.index) for s in play.reads] == [("x", 0), ("x", 2), ("x", 1), ("x", 3)]
+
+
+def test_a_shaft_is_the_same_joint_by_its_angles_and_by_its_twist():
+    """Laws between its ends, called with the same motion: what they add to both velocities is the same."""
+    by_angle, by_twist = (offered(machines()[k]) for k in (SHAFT, TWISTED))
+    between = {k for k in by_angle if "between" in k and k.startswith(("clearance", "coulomb", "cubic", "quadratic"))}
+    assert len(between) == 6
+    assert between <= set(by_twist)
+    angles, speeds = (1.03, 0.97), (2.0, 1.7)
+    for key in between:
+        values = {"x": {0: angles[0], 2: angles[1], 1: speeds[0], 3: speeds[1]}}, {"x": {2: angles[0] - angles[1], 0: speeds[0], 1: speeds[1]}}
+        added = []
+        for h, x in zip((by_angle[key], by_twist[key]), values, strict=True):
+            p = [{"stiffness": 700.0, "gap": 0.02, "stiffness lost": 500.0, "width": 0.01, "force": 3.0, "rounding": 0.1}.get(c.name, s) for c, s in zip(h.parameters, h.starts[0], strict=True)]
+            out = np.zeros(2)
+            h.law(p, [x[s.kind][s.index] for s in h.reads], np.zeros(max(h.memory, 1)), 1e-3, out)
+            added.append(out)
+        assert added[0] == pytest.approx(added[1]), key
+        assert added[0][0] * added[0][1] < 0, key
+        assert added[0][1] == pytest.approx(-added[0][0] / 3), key  # the second mass is three times the first
+
+
+@pytest.mark.parametrize("entry", [(2, 1, -0.9), (2, 2, -5.0), (0, 2, 900.0), (1, 2, -300.0)])
+def test_a_state_whose_rate_is_no_difference_of_speeds_or_that_pulls_nothing_together_is_no_twist(entry):
+    machine = machines()[TWISTED]
+    assert machine.plant is not None
+    i, j, value = entry
+    A = machine.plant.A.copy()
+    A[i, j] = value
+    changed = replace(machine, plant=StateSpace(A, machine.plant.B, machine.plant.C, machine.plant.D))
+    assert [k for k in offered(machine) if "between w1,w2" in k]
+    assert not [k for k in offered(changed) if "between w1,w2" in k]
 
 
 def test_play_needs_a_spring_of_the_model():
