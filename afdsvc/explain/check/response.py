@@ -100,23 +100,34 @@ def _stretches(runs: Sequence[Run]) -> float:
 
 def _correlation(runs: Sequence[Run], simulated: Sequence[Array], j: int) -> tuple[float, bool]:
     """Return the largest correlation of an output with what the model makes of the inputs, with an input or its size, at any lag in any recording
-    and in all together, and whether one is clear."""
-    outputs, causes = [], []
-    for r, made in zip(runs, simulated, strict=True):
-        u = r.U - r.U.mean(0)
-        outputs.append(np.nan_to_num(r.Y[:, j] - np.nanmean(r.Y[:, j])))
-        causes.append(np.column_stack([made[:, j] - made[:, j].mean(), u, np.abs(u) - np.abs(u).mean(0)]))
-    recordings = [[k] for k in range(len(runs))] + [list(range(len(runs)))]
-    kinds = [i for i in range(causes[0].shape[1]) if all(np.isfinite(c[:, i]).all() for c in causes)]
-    found = [_largest([outputs[k] for k in some], [causes[k][:, i] for k in some]) for some in recordings for i in kinds]
+    and in all together, and whether one is clear.
+
+    So are the changes of the output over the correlation time of the inputs: what integrates them wanders, and is correlated with nothing.
+    """
+    longest = min(len(r.U) for r in runs) // 2
+    recordings, found = [[k] for k in range(len(runs))] + [list(range(len(runs)))], []
+    for over in (0, int(np.clip(correlation_time([r.U - r.U.mean(0) for r in runs]), 1, longest))):
+        outputs, causes = [], []
+        for r, made in zip(runs, simulated, strict=True):
+            y, own, u = _changes(r.Y[:, j], over), _changes(made[:, j], over), r.U[: len(r.U) - over] - r.U.mean(0)
+            outputs.append(np.nan_to_num(y - np.nanmean(y)))
+            causes.append(np.column_stack([own - own.mean(), u - u.mean(0), np.abs(u) - np.abs(u).mean(0)]))
+        kinds = [i for i in range(causes[0].shape[1]) if all(np.isfinite(c[:, i]).all() for c in causes)]
+        found += [_largest([outputs[k] for k in some], [causes[k][:, i] for k in some]) for some in recordings for i in kinds]
     return max([size for size, _ in found], default=0.0), any(clear for _, clear in found)
+
+
+def _changes(x: Array, over: int) -> Array:
+    """Return how much a signal changes over that many samples, itself for none."""
+    return x[over:] - x[:-over] if over else x
 
 
 def _largest(outputs: Sequence[Array], inputs: Sequence[Array]) -> tuple[float, bool]:
     """Return the largest correlation over all lags, and whether it is `CLEAR` and more than unrelated signals of these spectra reach by chance.
 
     The variance of a correlation of unrelated signals is the sum over lags of the product of their autocorrelations, over their length
-    (Bartlett, "On the theoretical specification and sampling properties of autocorrelated time-series", 1946). Products of several recordings add up.
+    (Bartlett, "On the theoretical specification and sampling properties of autocorrelated time-series", 1946), that of its inverse hyperbolic tangent
+    for large ones, too (Fisher, "On the probable error of a coefficient of correlation", 1921). Products of several recordings add up.
     """
     longest, powers = max(map(len, outputs)), np.array([[float(x @ x) for x in pair] for pair in zip(outputs, inputs, strict=True)])
     size = float(np.sqrt(np.prod(powers.sum(0))))
@@ -128,8 +139,9 @@ def _largest(outputs: Sequence[Array], inputs: Sequence[Array]) -> tuple[float, 
         products[at : at + 2 * len(y) - 1] += signal.correlate(y, u, method="fft")
         own = [signal.correlate(x, x, method="fft") for x in (y, u)]
         variance += max(float(own[0] @ own[1]), float(np.prod(power))) / len(y)
-    largest = float(np.abs(products).max() / size)
-    return largest, bool(largest > max(CLEAR, float(stats.norm.isf(CHANCE / (2 * sum(map(len, outputs))))) * np.sqrt(variance) / size))
+    largest = min(float(np.abs(products).max() / size), 1.0 - 1e-12)
+    by_chance = float(np.tanh(stats.norm.isf(CHANCE / (2 * sum(map(len, outputs)))) * np.sqrt(variance) / size))
+    return largest, largest > max(CLEAR, by_chance)
 
 
 def refuse_still(model: Model, roles: Split) -> None:

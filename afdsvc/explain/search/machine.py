@@ -37,7 +37,7 @@ def machine(problem: Problem, base: Fit, horizon: float, tones: Sequence[float] 
     """Return the machine along the trajectories of a fit."""
     model, runs = problem.nominal.model, problem.runs
     made = problem.simulated(base.point, horizon)
-    x, y = np.vstack([s.x for s in made]), np.vstack([s.y for s in made])
+    x, y = np.vstack([s.x for s in made]), np.vstack([s.y for part in (made, problem.simulated(problem.start(), horizon)) for s in part])
     plant = problem.nominal.plant
     smooth = continuous(plant) if plant.discrete else plant
     states = _sizes(model.states, x)
@@ -46,7 +46,8 @@ def machine(problem: Problem, base: Fit, horizon: float, tones: Sequence[float] 
     e = np.vstack(problem.residuals(base.point, horizon)) * problem.scale
     axes = tuple(_axes(model.states, states, inputs, smooth, x))
     read = _sizes(model.outputs, np.vstack([r.Y for r in runs]))
-    outputs = tuple(replace(o, reverses=o.reverses or _reverses(y[:, o.index])) for o in read)  # a sensor may have lost the sign
+    # A sensor may have lost the sign; numbers of the model that were fitted to what it says may have lost it, too.
+    outputs = tuple(replace(o, reverses=o.reverses or _reverses(y[np.isfinite(y[:, o.index]), o.index])) for o in read)
     return Machine(
         inputs, outputs, states, axes,
         dict(zip(runs[0].aux, _sizes([Variable(a) for a in runs[0].aux], aux), strict=True)), runs[0].dt, sum(len(r) for r in runs) * runs[0].dt,

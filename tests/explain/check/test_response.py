@@ -14,7 +14,7 @@ from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.check.check import check, objection
-from afdsvc.explain.check.response import _correlation, _largest, responding
+from afdsvc.explain.check.response import _correlation, _largest, _simulated, responding
 from afdsvc.explain.check.result import check_all
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.lti.statespace import StateSpace
@@ -38,12 +38,36 @@ def steps(seed: int, gain: float) -> tuple[list[np.ndarray], list[np.ndarray]]:
 
 
 def test_short_recordings_show_together_what_none_shows_alone():
-    outputs, inputs = steps(1, 1.0)
+    outputs, inputs = steps(1, 0.8)
     assert not any(_largest([y], [u])[1] for y, u in zip(outputs, inputs, strict=True))
     assert _largest(outputs, inputs)[1]
     runs = [SimpleNamespace(U=u[:, None], Y=y[:, None]) for y, u in zip(outputs, inputs, strict=True)]
     assert _correlation(runs, [np.zeros((60, 1))] * 12, 0)[1]
     assert sum(_largest(*steps(seed, 0.0))[1] for seed in range(2, 302)) <= 3  # 0.1 % promised
+
+
+@pytest.mark.parametrize("related", [True, False])
+def test_what_integrates_its_input_responds_though_it_wanders(related):
+    """A cylinder that follows random levels in a loop nobody wrote down: its position is hardly correlated with the valve, its changes are."""
+    plant = StateSpace(np.array([[0.0, 1.0], [0.0, -20.0]]), np.array([[0.0], [600.0]]), np.array([[1.0, 0.0]]), np.zeros((1, 1)))
+    model = Model("cylinder", (Variable("valve", "V"),), (Variable("position", "mm"),), (Variable("q", "mm"), Variable("v", "mm/s", rate_of="q")), plant)
+
+    def played(seed: int, n: int = 3000, dt: float = 2e-3) -> tuple[np.ndarray, np.ndarray]:
+        rng, q, v, rows = np.random.default_rng(seed), 0.0, 0.0, []
+        for level in np.repeat(rng.uniform(-40, 40, n // 400 + 1), 400)[:n]:
+            u = float(np.clip(0.1 * (level - q), -9, 9))
+            rows.append((u, q + 0.05 * rng.standard_normal()))
+            v += dt * (600 * np.sign(u) * max(abs(u) - 0.5, 0.0) - 20 * v)
+            q += dt * v
+        return np.array(rows)[:, 0], np.array(rows)[:, 1]
+
+    valves = [played(seed if related else seed + 10)[0] for seed in (5, 6)]
+    traces = [Trace(f"r{k}", 2e-3, (Channel("u_valve"), Channel("y_position")), np.column_stack([u, played(k)[1]])) for k, u in enumerate(valves, 5)]
+    runs = prepare(model, traces)
+    made = _simulated(nominal(model, 2e-3), runs)
+    y, *causes = ([x - x.mean() for x in part] for part in ([r.Y[:, 0] for r in runs], [r.U[:, 0] for r in runs], [x[:, 0] for x in made]))
+    assert not any(_largest(y, cause)[1] for cause in causes)
+    assert _correlation(runs, made, 0)[1] == related
 
 
 @pytest.mark.parametrize("seed", [1, 2])
