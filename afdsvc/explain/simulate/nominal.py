@@ -21,8 +21,10 @@ from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.transfer_function import output_states
 
 MOST_ENTRIES = 60  # free entries of a sampled black-box model above which only the gains of its inputs and outputs move
-PYTHON_ANGLE = 0.2  # largest angle [rad] the fastest pole of Python code may turn in one Runge-Kutta step
+PYTHON_ANGLE = 0.2  # largest angle [rad] that a pole of Python code below the Nyquist frequency may turn in one Runge-Kutta step
+STABLE_ANGLE = 1.0  # the same of faster poles, which no sample shows: steps are stable, and wrong by 2 % of what decays within them
 PYTHON_SUBSTEPS = 200
+FASTER = 8.0  # than stated, the fastest pole of Python code that is followed where a fit moves numbers of the model; one of the Nyquist frequency always is
 RECENT = 64  # matrices of sub-steps kept: fits come back to the same numbers of the model
 PARAMETER, INPUT_GAIN, OUTPUT_GAIN = "parameter", "input gain", "output gain"
 
@@ -47,7 +49,8 @@ class Nominal:
     """A nominal model at the sample time of the recordings.
 
     ``plant`` is continuous (dt 0), or discrete when no continuous one has this sampling. ``entries`` are the free numbers. For
-    Python code, ``program``, ``plant`` is its linearisation at ``point``, a state and an input. ``recent`` keeps matrices of sub-steps.
+    Python code, ``program``, ``plant`` is its linearisation at ``point``, a state and an input, and ``most`` how many sub-steps a sample takes at most,
+    where numbers of the model that a fit tries make poles faster than samples can show. ``recent`` keeps matrices of sub-steps.
     """
 
     model: Model
@@ -56,6 +59,7 @@ class Nominal:
     dt: float
     point: tuple[Array, Array] | None = None
     program: Program | None = None
+    most: int = PYTHON_SUBSTEPS
     recent: dict[tuple[bytes, int, int], Steps] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -102,11 +106,20 @@ class Nominal:
         found = self.recent.get(key)
         if found is None:
             plant = self.at(theta)
-            found = substep_matrices(plant, self.dt, least, PYTHON_ANGLE, PYTHON_SUBSTEPS) if self.program else substep_matrices(plant, self.dt, least, degree=degree)
+            if self.program and not plant.discrete:
+                needed = max(least, self.substeps(float(np.abs(plant.poles()).max(initial=0.0))))
+                found = substep_matrices(plant, self.dt, needed, np.inf, needed)
+            else:
+                found = substep_matrices(plant, self.dt, least, degree=degree)
             if len(self.recent) >= RECENT:
                 self.recent.clear()
             self.recent[key] = found
         return found
+
+    def substeps(self, fastest: float) -> int:
+        """Return the sub-steps of a sample that Python code needs, `most` at most, for a fastest pole [rad/s]."""
+        angle = fastest * self.dt
+        return int(min(np.ceil(max(min(angle, np.pi) / PYTHON_ANGLE, angle / STABLE_ANGLE)), self.most))
 
     def moved(self, theta: Array) -> Model:
         """Return the model with its free numbers moved, to be written out."""
@@ -147,7 +160,10 @@ def _python(model: Model, dt: float, inputs: Array | None) -> Nominal:
     point = _point(model, code, values, inputs)
     sds = [abs(q.value) * q.relative_sd for q in model.parameters.values()]
     entries = tuple(Entry(PARAMETER, k, 0, sd, name) for k, (name, sd) in enumerate(zip(model.parameters, sds, strict=True)) if sd > 0)
-    return Nominal(model, _linear(model, code, point, values), entries, dt, point, code)
+    plant = _linear(model, code, point, values)
+    found = Nominal(model, plant, entries, dt, point, code)
+    fastest = 0.0 if plant.discrete else float(np.abs(plant.poles()).max(initial=0.0))
+    return replace(found, most=found.substeps(max(FASTER * fastest, np.pi / dt)))
 
 
 def _point(model: Model, code: Program, values: Array, inputs: Array | None) -> tuple[Array, Array]:
