@@ -304,6 +304,35 @@ def test_units_of_states_ask_for_no_substeps(model, recording, excitation):
     assert simulator._needed(simulated, np.zeros(0), 1) == 1
 
 
+class Coil:
+    """A motor behind a coil whose time constant is far below a sample: speed, current."""
+
+    @staticmethod
+    def f(t, x, u, p):
+        w, i = x
+        return [50.0 * i - 2.0 * w, (u[0] - i) / p["tau"]]
+
+    @staticmethod
+    def h(t, x, u, p):
+        return [x[0]]
+
+
+@pytest.mark.parametrize(("tau", "steps"), [(0.1, 1), (2e-3, 16), (5.1e-4, 20), (1.02e-4, 99)])
+def test_poles_faster_than_samples_show_take_the_steps_they_need_and_leave_the_slow_ones_right(model, recording, excitation, tau, steps):
+    found, run = nominal(model(code=Coil, parameters={"tau": tau}), 0.01), recording(excitation)
+    assert found.steps(np.zeros(1)).nsub == steps
+    y = Simulator(found, np.zeros((2, 1))).run(run, np.zeros(1), np.zeros(2)).y[:, 0]
+    expected = reference(lambda t, x, u: [50.0 * x[1] - 2.0 * x[0], (u[0] - x[1]) / tau], np.zeros(2), excitation, 0.01)[:, 0]
+    assert np.abs(y - expected).max() < 2e-3 * np.abs(expected).max()
+
+
+def test_a_fit_that_makes_a_pole_faster_than_samples_show_takes_no_more_steps_for_it(model):
+    found = nominal(model(code=Coil, parameters={"tau": 0.1}), 0.01)
+    assert found.steps(np.array([-9.999])).nsub == found.most == 16  # tau of 10 microseconds
+    stiff = nominal(model(code=Coil, parameters={"tau": 5.1e-4}), 0.01)
+    assert stiff.most == 157
+
+
 def test_parameters_move_with_theta(model, recording, excitation):
     made = model(code=Pendulum, parameters=PENDULUM)
     moved = {"stiffness": 36.0, "damping": 0.8, "gain": 16.0}
