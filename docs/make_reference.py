@@ -62,7 +62,7 @@ MODEL_KEYS = {
     "name": "of the machine, input, output or state",
     "time": '`"continuous"` or `"discrete"`',
     "sample_time": "seconds, of a discrete model",
-    "A": "rows: `[[0, 1], [-4, -2]]`; a column is `[[0], [1]]`", "B": "states by inputs", "C": "outputs by states", "D": "outputs by inputs; zero where left out",
+    "A": "rows: `[[0, 1], [-4, -2]]`; a column is `[[0], [1]]`", "B": "states by inputs; left out where there are none", "C": "outputs by states", "D": "outputs by inputs; zero where left out",
     "num": "numerator, highest power first; for several inputs or outputs a list for each output of a list for each input",
     "den": "denominator, likewise; one list serves all",
     "zeros": "of one input and output; a complex root is `[re, im]`", "poles": "likewise, conjugates both", "gain": "of zeros and poles",

@@ -117,7 +117,7 @@ def check_columns(model: Model, traces: Sequence[Trace], runs: Sequence[Run]) ->
 
 
 def _names(variables: Sequence[Variable]) -> str:
-    return ", ".join(f"{v.name} [{unit_in_words(v.unit)}]" if v.unit else v.name for v in variables)
+    return ", ".join(f"{v.name} [{unit_in_words(v.unit)}]" if v.unit else v.name for v in variables) or "none"
 
 
 def _unused(model: Model, traces: Sequence[Trace]) -> Iterator[Finding]:

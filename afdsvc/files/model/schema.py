@@ -119,8 +119,9 @@ class LinearTable(Strict):
         return next(form for form in FORMS if form[0] == "A" or any(getattr(self, key) is not None for key in form))
 
     def missing(self) -> list[str]:
-        """Return the keys that the given form needs and lacks; ``zeros`` and ``D`` may be left out, and all but D of a gain."""
-        absent = [key for key in self.form if getattr(self, key) is None and key != "zeros"]
+        """Return the keys that the given form needs and lacks; ``zeros`` and ``D`` may be left out, ``B`` where there are no inputs, and all but D of a gain."""
+        needless = {"zeros"} if getattr(self, "inputs", None) != [] else {"zeros", "B"}
+        absent = [key for key in self.form if getattr(self, key) is None and key not in needless]
         if self.form[0] != "A":
             return absent
         return [] if absent in ([], ["D"], ["A", "B", "C"]) and (self.A or self.D is not None) else absent

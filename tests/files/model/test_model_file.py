@@ -347,3 +347,12 @@ def test_measured_benchmarks(measured, name, tmp_path):
     m = read_model(measured / f"{name}.toml")
     write_model(m, tmp_path / "again.toml")
     same(read_model(tmp_path / "again.toml"), m)
+
+
+def test_without_inputs_B_is_left_out_too():
+    decay = 'name = "decay"\ntime = "continuous"\ninputs = []\noutputs = [{name = "q"}]\nA = [[0, 1], [-30, -0.8]]\nC = [[1, 0]]\n'
+    plant = parse_model(decay, "decay.toml").plant
+    assert plant is not None
+    assert (plant.B.shape, plant.D.shape) == ((2, 0), (1, 0))
+    with pytest.raises(BadInput, match="matrix B"):
+        parse_model(decay.replace("inputs = []", 'inputs = [{name = "u"}]'), "driven.toml")
