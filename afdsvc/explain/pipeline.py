@@ -30,7 +30,7 @@ from afdsvc.explain.search.forward import Found, Path, Progress, search
 from afdsvc.explain.search.problem import Point, Problem
 from afdsvc.explain.search.ranking import mechanism
 from afdsvc.explain.settings import Mapper, Settings
-from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.explain.simulate.nominal import mean_input, nominal
 from afdsvc.explain.verdict.holdout import HeldOutVerdict, checked_on_holdout, doubted, player
 from afdsvc.explain.verdict.verdict import DOUBT, verdict
 
@@ -81,7 +81,7 @@ def _checked(model: Model, recordings: Sequence[Trace], holdout: Sequence[Trace]
 def _problem(model: Model, roles: Split, settings: Settings, findings: Sequence[Finding]) -> Problem:
     if one_frequency(findings):  # a complex gain for every input and output distinguishes no effects
         settings = replace(settings, effects=1)
-    return build(nominal(model, roles.train[0].dt, _mean_input(roles.train)), roles.train, settings, roles.heldout)
+    return build(nominal(model, roles.train[0].dt, mean_input(roles.train)), roles.train, settings, roles.heldout)
 
 
 def _confirmed(
@@ -181,7 +181,3 @@ def _same(a: Fit, b: Fit) -> bool:
         return False
     first, second = np.vstack(a.residuals), np.vstack(b.residuals)
     return bool((((first - second) ** 2).sum(0) <= SAME * (first**2).sum(0)).all())
-
-
-def _mean_input(runs: Sequence[Run]) -> np.ndarray | None:
-    return np.vstack([r.U for r in runs]).mean(0) if runs[0].U.shape[1] else None

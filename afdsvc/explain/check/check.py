@@ -19,7 +19,7 @@ from afdsvc.explain.check.loop import clock, loop
 from afdsvc.explain.check.response import responding
 from afdsvc.explain.search.build import build
 from afdsvc.explain.settings import Settings
-from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.explain.simulate.nominal import mean_input, nominal
 
 
 def check(model: Model, traces: Sequence[Trace]) -> tuple[Finding, ...]:
@@ -29,7 +29,7 @@ def check(model: Model, traces: Sequence[Trace]) -> tuple[Finding, ...]:
     """
     try:
         runs = prepare(model, traces)
-        nom = nominal(model, runs[0].dt)
+        nom = nominal(model, runs[0].dt, mean_input(runs))
     except BadInput as error:
         return (Finding("stop", "columns", str(error)),)
     problem = build(nom, runs, Settings())

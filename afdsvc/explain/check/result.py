@@ -19,7 +19,7 @@ from afdsvc.explain.check.offers import Offers, offers
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.settings import Settings
-from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.explain.simulate.nominal import mean_input, nominal
 from afdsvc.identify.pipeline import MethodPlan, planned
 
 MOST = 20_000  # samples of a recording that are simulated here
@@ -73,9 +73,8 @@ def check_all(model: Model, traces: Sequence[Trace], library: Sequence[Physics])
 
 
 def _problem(model: Model, runs: Sequence[Run]) -> Problem:
-    mean = sum(r.U.mean(0) for r in runs) / len(runs) if model.inputs else None
     short = [r.span(0, MOST) if len(r) > MOST else r for r in runs]
-    return build(nominal(model, runs[0].dt, mean), short, Settings(), short)
+    return build(nominal(model, runs[0].dt, mean_input(runs)), short, Settings(), short)
 
 
 def _parameters(problem: Problem) -> dict[str, float]:

@@ -7,13 +7,14 @@ prior is standard normal.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import root
 
 from afdsvc.api.model import DEFAULT_RELATIVE_SD, Model
+from afdsvc.dataset.experiment import Run
 from afdsvc.errors import BadInput
 from afdsvc.explain.simulate.dynamics import Program, linearised, program
 from afdsvc.explain.simulate.steps import Steps, continuous, substep_matrices
@@ -147,6 +148,11 @@ def nominal(model: Model, dt: float, inputs: Array | None = None) -> Nominal:
     if sampled and len(entries) > MOST_ENTRIES:
         entries = _gains(model, plant, entries)
     return Nominal(model, plant, entries, dt)
+
+
+def mean_input(runs: Sequence[Run]) -> Array | None:
+    """Return the mean of the inputs ``(m,)`` over all samples; None where there are none."""
+    return np.asarray(np.vstack([r.U for r in runs]).mean(0)) if runs[0].U.shape[1] else None
 
 
 def _python(model: Model, dt: float, inputs: Array | None) -> Nominal:

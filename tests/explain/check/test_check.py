@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from afdsvc.api.model import Model, Variable
+from afdsvc.api.model import Model, Quantity, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare, repetition
 from afdsvc.dataset.sample_checks import Finding
@@ -331,3 +331,28 @@ def test_recordings_that_fix_no_number_of_the_model_are_limited():
     sentence = reported(check(motor, [trace]), "information")
     assert "fix 0 of 2 uncertain numbers" in sentence
     assert "an excitation that is larger, longer or broader would fix more" in sentence
+
+
+class Tank:
+    """A tank with an orifice: its time constant grows with the level, and vanishes where it is empty."""
+
+    @staticmethod
+    def f(t, x, u, p):
+        return [p["pump"] * u[0] - p["orifice"] * max(x[0], 0.0) ** 0.5]
+
+    @staticmethod
+    def h(t, x, u, p):
+        return [x[0]]
+
+
+def test_time_constants_of_code_are_those_where_the_inputs_hold_it():
+    rng, x, rows = np.random.default_rng(1), 9.0, []
+    for u in np.repeat(rng.uniform(2.0, 4.0, 20), 60):
+        rows.append((u, x + 0.01 * rng.standard_normal()))
+        x += 2.0 * (0.1 * u - 0.1 * max(x, 0.0) ** 0.5)
+    made = Model(
+        "tank", (Variable("pump", "V"),), (Variable("level", "cm"),), (Variable("level", "cm"),), dynamics=Tank,
+        parameters={"pump": Quantity(0.1, relative_sd=0.1), "orifice": Quantity(0.1, relative_sd=0.1)},
+    )
+    findings = check(made, [Trace("log.csv", 2.0, (Channel("u_pump"), Channel("y_level")), np.array(rows))])
+    assert reported(findings, "clock") == ""
