@@ -351,7 +351,7 @@ def test_time_constants_of_code_are_those_where_the_inputs_hold_it():
         rows.append((u, x + 0.01 * rng.standard_normal()))
         x += 2.0 * (0.1 * u - 0.1 * max(x, 0.0) ** 0.5)
     made = Model(
-        "tank", (Variable("pump", "V"),), (Variable("level", "cm"),), (Variable("level", "cm"),), dynamics=Tank,
+        "tank", (Variable("pump", "V"),), (Variable("level", "cm"),), (Variable("level", "cm"),), None, Tank,
         parameters={"pump": Quantity(0.1, relative_sd=0.1), "orifice": Quantity(0.1, relative_sd=0.1)},
     )
     findings = check(made, [Trace("log.csv", 2.0, (Channel("u_pump"), Channel("y_level")), np.array(rows))])
