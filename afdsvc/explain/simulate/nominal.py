@@ -50,8 +50,8 @@ class Nominal:
     """A nominal model at the sample time of the recordings.
 
     ``plant`` is continuous (dt 0), or discrete when no continuous one has this sampling. ``entries`` are the free numbers. For
-    Python code, ``program``, ``plant`` is its linearisation at ``point``, a state and an input, and ``most`` how many sub-steps a sample takes at most,
-    where numbers of the model that a fit tries make poles faster than samples can show. ``recent`` keeps matrices of sub-steps.
+    Python code, ``program``, ``plant`` is its linearisation at ``point``, a state and an input, and ``most`` how many sub-steps a sample takes at most
+    for poles at that point, which numbers that a fit tries may make faster than samples can show. ``recent`` keeps matrices of sub-steps.
     """
 
     model: Model
@@ -117,10 +117,10 @@ class Nominal:
             self.recent[key] = found
         return found
 
-    def substeps(self, fastest: float) -> int:
-        """Return the sub-steps of a sample that Python code needs, `most` at most, for a fastest pole [rad/s]."""
-        angle = fastest * self.dt
-        return int(min(np.ceil(max(min(angle, np.pi) / PYTHON_ANGLE, angle / STABLE_ANGLE)), self.most))
+    def substeps(self, fastest: float, beside: float = 1.0) -> int:
+        """Return the sub-steps of a sample that Python code needs for a fastest pole [rad/s], which is ``beside`` times that at `point`."""
+        angle, most = fastest * self.dt, min(self.most * max(beside, 1.0), PYTHON_SUBSTEPS)
+        return int(min(np.ceil(max(min(angle, np.pi) / PYTHON_ANGLE, angle / STABLE_ANGLE)), most))
 
     def moved(self, theta: Array) -> Model:
         """Return the model with its free numbers moved, to be written out."""

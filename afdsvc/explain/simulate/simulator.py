@@ -11,7 +11,7 @@ from afdsvc.dataset.experiment import Run, sampled
 from afdsvc.errors import BadInput
 from afdsvc.explain.simulate import kernel
 from afdsvc.explain.simulate.effects import PlacedEffect, Table, table
-from afdsvc.explain.simulate.nominal import Nominal
+from afdsvc.explain.simulate.nominal import PYTHON_SUBSTEPS, Nominal
 from afdsvc.explain.simulate.steps import Steps, contiguous
 from afdsvc.lti.statespace import Array, StateSpace
 
@@ -115,15 +115,16 @@ class Simulator:
         if code is None or self.nominal.plant.discrete:
             return nsub
         if not np.isfinite(simulated.y).all():
-            return min(8 * nsub, self.nominal.most)
+            return min(8 * nsub, PYTHON_SUBSTEPS)
         where = [*simulated.x.argmin(0), *simulated.x.argmax(0), len(simulated.x) // 2]
         slopes = np.empty((len(where), self.nominal.plant.order, self.nominal.plant.order))
         kernel.slopes(code.rate_address, simulated.x[where], simulated.u[where], self.nominal.parameters(theta), slopes)
         sizes = np.abs(slopes)
         fastest = min(float(sizes.sum(1).max(initial=0.0)), float(sizes.sum(2).max(initial=0.0)))  # a norm is no less than any pole
-        if self.nominal.substeps(fastest) > 2 * nsub:
-            fastest = float(np.abs(np.linalg.eigvals(slopes)).max(initial=0.0))
-        needed = self.nominal.substeps(fastest)
+        if self.nominal.substeps(fastest, np.inf) <= 2 * nsub:
+            return nsub
+        fastest = float(np.abs(np.linalg.eigvals(slopes)).max(initial=0.0))
+        needed = self.nominal.substeps(fastest, fastest / max(float(np.abs(self.nominal.at(theta).poles()).max(initial=0.0)), 1e-300))
         return needed if needed > 2 * nsub else nsub
 
     def _loop(self, run: Run, closed: bool) -> tuple[tuple[Array, Array, Array, Array], Array]:

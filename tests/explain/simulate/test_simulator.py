@@ -326,6 +326,30 @@ def test_poles_faster_than_samples_show_take_the_steps_they_need_and_leave_the_s
     assert np.abs(y - expected).max() < 2e-3 * np.abs(expected).max()
 
 
+class Stop:
+    """A mass that meets a stop a thousand times stiffer than its spring."""
+
+    @staticmethod
+    def f(t, x, u, p):
+        q, v = x
+        hit = max(q - 0.5, 0.0)
+        return [v, u[0] - p["spring"] * q - 2.0 * v - 1e8 * hit - (1e4 * v if hit > 0 else 0.0)]
+
+    @staticmethod
+    def h(t, x, u, p):
+        return [x[0]]
+
+
+def test_poles_that_code_has_on_its_way_alone_are_followed(model, recording):
+    """At rest its poles turn by 0.1 rad in a sample, in the stop by 100."""
+    force = np.repeat([[0.0], [100.0], [-50.0], [120.0]], 50, axis=0)
+    found = nominal(model(code=Stop, parameters={"spring": 100.0}), 0.01)
+    y = Simulator(found, np.zeros((2, 1))).run(recording(force), np.zeros(1), np.zeros(2)).y[:, 0]
+    assert found.most == 16
+    assert np.isfinite(y).all()
+    assert y.max() == pytest.approx(0.5, abs=1e-3)
+
+
 def test_a_fit_that_makes_a_pole_faster_than_samples_show_takes_no_more_steps_for_it(model):
     found = nominal(model(code=Coil, parameters={"tau": 0.1}), 0.01)
     assert found.steps(np.array([-9.999])).nsub == found.most == 16  # tau of 10 microseconds
