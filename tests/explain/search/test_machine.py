@@ -28,12 +28,13 @@ def test_a_signal_reaches_as_far_from_its_mean_as_its_peak():
     assert size.reach == pytest.approx(4.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("shift", [0.0, 10.0])
-def test_a_sensor_that_lost_the_sign_reads_what_reverses_though_the_fit_does_not(spring, recorded, shift):
-    """The reading is never negative; nor is the simulation, once its zero is fitted to the reading. The model as stated reverses."""
+@pytest.mark.parametrize(("bias", "shift", "positive"), [(0.0, 0.0, False), (0.0, 10.0, True), (10.0, -10.0, False)])
+def test_a_sensor_that_lost_the_sign_reads_what_the_model_reverses_fitted_or_as_stated(spring, recorded, bias, shift, positive):
+    """The reading is never negative; nor is the simulation, once its zero is fitted to the reading, or of the model as stated under a constant force."""
     trace = recorded(1)
-    rectified: Trace = replace(trace, values=np.column_stack([trace.values[:, 0], np.abs(trace.values[:, 1])]))
+    rectified: Trace = replace(trace, values=np.column_stack([trace.values[:, 0] + bias, np.abs(trace.values[:, 1])]))
     problem = build(nominal(spring, trace.dt), prepare(spring, [rectified]), Settings())
     base = fit(problem, replace(problem.start(), offset=np.array([shift])), 0.0, 1.0, iterations=0)
-    assert (np.vstack([s.y for s in problem.simulated(base.point, 0.0)]) > 0).all() == (shift > 0)
+    fitted, stated = (np.vstack([s.y for s in problem.simulated(point, 0.0)])[400:] for point in (base.point, problem.start()))
+    assert ((fitted > 0).all(), (stated > 0).all()) == (positive, bias > 0)
     assert machine(problem, base, 0.0).outputs[0].reverses
