@@ -127,7 +127,7 @@ def test_a_shaft_is_the_same_joint_by_its_angles_and_by_its_twist():
         values = {"x": {0: angles[0], 2: angles[1], 1: speeds[0], 3: speeds[1]}}, {"x": {2: angles[0] - angles[1], 0: speeds[0], 1: speeds[1]}}
         added = []
         for h, x in zip((by_angle[key], by_twist[key]), values, strict=True):
-            p = [{"stiffness": 700.0, "gap": 0.02, "stiffness lost": 500.0, "width": 0.01, "force": 3.0, "rounding": 0.1}.get(c.name, s) for c, s in zip(h.parameters, h.starts[0], strict=True)]
+            p = [{"stiffness": 700.0, "gap": 0.02, "damping over stiffness": 0.02, "stiffness lost": 500.0, "width": 0.01, "force": 3.0, "rounding": 0.1}.get(c.name, s) for c, s in zip(h.parameters, h.starts[0], strict=True)]
             out = np.zeros(2)
             h.law(p, [x[s.kind][s.index] for s in h.reads], np.zeros(max(h.memory, 1)), 1e-3, out)
             added.append(out)
