@@ -124,6 +124,7 @@ def test_a_free_decay_needs_no_input(spring, recorded):
     answer = explain(free, recordings, [held], some("coulomb_friction", "quadratic_damping", "cubic_stiffness"))
     assert answer.named[0].physics == "coulomb_friction"
     assert answer.fit[0].after_nrmse < 0.3 * answer.fit[0].before_nrmse
+    assert "inputs none, outputs position" in answer.check[0]
 
 
 class Code:
