@@ -48,7 +48,7 @@ def test_short_recordings_show_together_what_none_shows_alone():
 
 @pytest.mark.parametrize("related", [True, False])
 def test_what_integrates_its_input_responds_though_it_wanders(related):
-    """A cylinder that follows random levels in a loop nobody wrote down: its position is hardly correlated with the valve, its changes are."""
+    """A cylinder that follows random levels in a loop that is not stated: its position is hardly correlated with the valve, its changes are."""
     plant = StateSpace(np.array([[0.0, 1.0], [0.0, -20.0]]), np.array([[0.0], [600.0]]), np.array([[1.0, 0.0]]), np.zeros((1, 1)))
     model = Model("cylinder", (Variable("valve", "V"),), (Variable("position", "mm"),), (Variable("q", "mm"), Variable("v", "mm/s", rate_of="q")), plant)
 
