@@ -84,7 +84,9 @@ class Hypothesis:
     from outside: without what it begins with it adds nothing, and its fixed parameter is the size of one unit of the memory. ``substeps`` asks for that many calls per sample of a continuous model, for
     laws that act within a sample. ``linear`` returns the extended linear plant when the law is linear, given the continuous or
     discrete plant and the fitted values. ``predicts`` and ``refuted_by`` are sentences for people. ``description`` marks a law
-    that describes a curve without a mechanism, such as a polynomial: a mechanism that fits as well goes before it.
+    that describes a curve without a mechanism, such as a polynomial: a mechanism that fits as well goes before it. ``along`` is an input
+    or a state (of a model that is matrices) through which a force moves all axes of a mechanism: it acts like the change of that signal which has the same effect on
+    the velocity that it is written to, at the operating point. Friction where a motor turns an arm moves the pendulum on that arm, too.
 
     Keys of ``notes``: ``variant`` distinguishes hypotheses of one physics at one site; where one is only another shape of a
     second, ``of`` is the second's variant, and both are reported under one name. ``gauge`` names what the parameter cannot be
@@ -108,6 +110,7 @@ class Hypothesis:
     predicts: str = ""
     refuted_by: str = ""
     description: bool = False
+    along: Signal | None = None
     notes: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -180,7 +183,8 @@ class Machine:
     of the residual per output, shape ``(p,)``, ``tones`` angular frequencies of the residual's lines outside the
     excitation, ``peaks`` those where its spectrum stands out. ``limited`` says whether noise limits what can be seen of a law
     ("noise"), or the model ("model"): the form of a law then shows beyond its first approximation. ``deflections`` are the differences of
-    two positions, by the numbers of their states, that a spring of the model couples.
+    two positions, by the numbers of their states, that a spring of the model couples. ``waves`` are the wave numbers [rad per unit] with which the
+    residual repeats best along positions (of kind "x") and along readings of them ("y"). Of ``code`` the plant is the linearisation.
     """
 
     inputs: tuple[Size, ...]
@@ -197,6 +201,8 @@ class Machine:
     peaks: tuple[float, ...] = ()
     limited: Literal["noise", "model"] = "noise"
     deflections: Mapping[tuple[int, int], Size] = field(default_factory=dict)
+    waves: Mapping[Signal, Sequence[float]] = field(default_factory=dict)
+    code: bool = False
 
 
 class Physics(Protocol):

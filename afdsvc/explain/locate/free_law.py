@@ -88,7 +88,7 @@ def _free(like: Hypothesis, x: Array, scale: float, family: str) -> Hypothesis:
     heights = [Coefficient(f"y{i + 1}", "", -np.inf, np.inf, 0.5 * scale, linear=True) for i in range(len(x))]
     return Hypothesis(
         "free_law", like.site, family, like.stage, curve, like.reads[:1], like.writes, (*places, *heights), ((*x, *np.zeros(len(x))),),
-        substeps=like.substeps,
+        substeps=like.substeps, along=like.along,
     )
 
 

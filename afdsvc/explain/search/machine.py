@@ -9,27 +9,29 @@ from itertools import combinations
 import numpy as np
 
 from afdsvc.api.model import Variable
-from afdsvc.api.physics import Axis, Hypothesis, Machine, Physics, Size
+from afdsvc.api.physics import Axis, Hypothesis, Machine, Physics, Signal, Size
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.glitches import grid
 from afdsvc.dataset.units import is_velocity
+from afdsvc.explain.search.coupling import through_mechanism
 from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import is_constant
 from afdsvc.explain.simulate.steps import continuous
 from afdsvc.lti.statespace import Array, StateSpace
+from afdsvc.stats.waves import wave_numbers
 
 SIDE, SIDES = 0.05, (1, 99)  # of a signal's peak, from which on it is on a side; percentiles of its values that are compared with that
 EXCITED = 0.99  # share of the input's power below the bandwidth
 
 
 def hypotheses(library: Sequence[Physics], machine: Machine, corrected: bool = False) -> list[Hypothesis]:
-    """Return the hypotheses of every physics at every site where it makes sense.
+    """Return the hypotheses of every physics at every site where it makes sense, forces on coupled axes also as they move all of these.
 
     Where a predictor is ``corrected`` by the outputs, the gain of a sensor acts as a stronger correction. It is left out: what the
     plant shows of it is a product with the gains of the actuators.
     """
-    found = [h for physics in library for h in physics.hypotheses(machine)]
+    found = [shape for physics in library for h in physics.hypotheses(machine) for shape in (h, *through_mechanism(h, machine))]
     return [h for h in found if not (corrected and is_constant(h) and h.stage == "output")]
 
 
@@ -43,16 +45,19 @@ def machine(problem: Problem, base: Fit, horizon: float, tones: Sequence[float] 
     states = _sizes(model.states, x)
     inputs = _sizes(model.inputs, np.vstack([r.U for r in runs]))
     aux = np.vstack([r.AUX for r in runs])
-    e = np.vstack(problem.residuals(base.point, horizon)) * problem.scale
+    residuals = problem.residuals(base.point, horizon)
+    e = np.vstack(residuals) * problem.scale
     axes = tuple(_axes(model.states, states, inputs, smooth, x))
     read = _sizes(model.outputs, np.vstack([r.Y for r in runs]))
     # A sensor may have lost the sign; numbers of the model that were fitted to what it says may have lost it, too.
     outputs = tuple(replace(o, reverses=o.reverses or _reverses(y[np.isfinite(y[:, o.index]), o.index])) for o in read)
+    ways = {Signal("x", a.position.index): [s.x[:, a.position.index] for s in made[: len(runs)]] for a in axes if a.position}
+    ways |= {Signal("y", o.index): [r.Y[:, o.index] for r in runs] for o in outputs}
     return Machine(
         inputs, outputs, states, axes,
         dict(zip(runs[0].aux, _sizes([Variable(a) for a in runs[0].aux], aux), strict=True)), runs[0].dt, sum(len(r) for r in runs) * runs[0].dt,
         bandwidth(runs), smooth, np.sqrt((e**2).mean(0)), tuple(tones), tuple(peaks), "noise" if limited == "noise" else "model",
-        _deflections(axes, smooth, x),
+        _deflections(axes, smooth, x), {signal: wave_numbers(way, residuals) for signal, way in ways.items()}, problem.nominal.python,
     )
 
 

@@ -40,13 +40,15 @@ class PlacedEffect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
-    """Effects as arrays; ``laws`` are addresses of compiled code, ``forced`` states feel forces, ``middle`` states are read by them."""
+    """Effects as arrays; ``laws`` are addresses of compiled code, ``forced`` states feel forces, ``middle`` states are read by them; ``along`` are the
+    signals that forces act along, their kinds (1: input) and the states that they are written to; in the plan these are written beyond the last state."""
 
     laws: IntArray
     plan: IntArray
     par: Array
     forced: IntArray
     middle: IntArray
+    along: IntArray
 
     def memory(self, begun: Sequence[Array] = ()) -> Array:
         """Return the memory of all effects as a recording begins; ``begun`` is its unsettled part, effect by effect, else zero."""
@@ -63,18 +65,20 @@ def table(effects: Sequence[PlacedEffect], m: int, n: int, p: int, a: int) -> Ta
     plan = np.zeros((k, kernel.READS + 2 * kernel.MOST_SIGNALS), np.int64)
     par = np.zeros((k, max([len(e.values) for e in effects], default=0) + 3))
     start, first = 0, kernel.READS + kernel.MOST_SIGNALS
+    along: list[tuple[int, bool, int]] = []
     for i, e in enumerate(effects):
         h = e.hypothesis
         plan[i, : kernel.READS] = _stage(h), len(h.reads), len(h.writes), len(e.values), start, start + h.memory, e.bend is not None
         plan[i, kernel.READS : kernel.READS + len(h.reads)] = [_address(s, m, n, p, a) for s in h.reads]
-        plan[i, first : first + len(h.writes)] = [s.index for s in h.writes]
+        plan[i, first : first + len(h.writes)] = [s.index for s in h.writes] if h.along is None else n + len(along)
+        along += [] if h.along is None else [(h.along.index, h.along.kind == "u", h.writes[0].index)]
         par[i, : len(e.values)] = e.values
         par[i, -3:] = e.bend or (0.0, 0.0, 1.0)
         start += h.memory
     forces = [e.hypothesis for e in effects if _stage(e.hypothesis) == kernel.FORCE]
-    forced = np.unique(np.array([s.index for h in forces for s in h.writes], dtype=np.int64))
+    forced = np.array([*sorted({s.index for h in forces for s in h.writes if h.along is None}), *range(n, n + len(along))], dtype=np.int64)
     middle = np.unique(np.array([s.index for h in forces for s in h.reads if s.kind == "x"], dtype=np.int64))
-    return Table(laws, plan, par, forced, middle)
+    return Table(laws, plan, par, forced, middle, np.array(along, dtype=np.int64).reshape(-1, 3))
 
 
 def _stage(h: Hypothesis) -> int:

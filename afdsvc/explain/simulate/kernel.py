@@ -241,6 +241,27 @@ def slopes(function, at, inputs, values, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _along(rate, t, h, x, u, values, k1, along, ks, f, gx):  # type: ignore[no-untyped-def]
+    """Add forces that act along an input to ``f``: as the rates follow the input here; ``along (E, 2)`` are inputs and gains, ``k1`` the rates.
+
+    Their columns are the last of ``gx``; where the rates do not follow the input, as where code limits it, they stay as they were.
+    """
+    n = x.size
+    for e in range(along.shape[0]):
+        j = int(along[e, 0])
+        here, step, moved = u[j], 1e-4 * max(1.0, abs(u[j])), 0.0
+        u[j] = here + step
+        _python(rate, t, x, u, values, ks)
+        u[j] = here
+        for q in range(n):
+            moved += abs(ks[q] - k1[q])
+        for q in range(n):
+            if 0.0 < moved < LIMIT:
+                gx[q, n + e] = h * (ks[q] - k1[q]) / (step * along[e, 1])
+            f[q] += f[n + e] * gx[q, n + e] / h
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _runge_kutta(rate, t, h, x, u, values, f, k1, ks, xs, new):  # type: ignore[no-untyped-def]
     """Write the state after ``h`` into ``new``: ``dx/dt = rate + f``; ``k1`` is the rate at the start, without ``f``."""
     for i in range(x.size):
@@ -261,7 +282,7 @@ def _runge_kutta(rate, t, h, x, u, values, f, k1, ks, xs, new):  # type: ignore[
         types.boolean, types.boolean, types.boolean, _I, types.float64, types.float64, _M, _M, _M, _M, _M, _M, _M, _M, _IV, _IV,
         _I, _I, _I, _V,
         _M, _M, _M, _M, _M, _M, _M, _M, _V,
-        _IV, _IM, _M, _V,
+        _IV, _IM, _M, _V, _M,
         _M, _M, _M,
     ),
     cache=True, nogil=True, error_model="numpy",
@@ -270,7 +291,7 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
     closed, ramped, direct, nsub, dt, t0, phi, gam, gx, phih, gamh, C, D, Kp, forced, middle,
     kind, rate, output, values,
     KA, KB, KC, KD, U, Y, R, AUX, x0,
-    laws, plan, par, mem,
+    laws, plan, par, mem, along,
     yhat, uhat, xhat,
 ):
     """Fill ``yhat (n, p)``, ``uhat (n, m)`` (the input before effects) and ``xhat (n, states)``.
@@ -278,13 +299,14 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
     Open: ``U (n, m)`` is the measured input. Closed: ``u = K (yhat - R) + U`` with ``U`` what was added to the controller's
     output. ``laws`` holds the addresses of the compiled laws. Samples where Y is not finite correct nothing. ``ramped`` (open only)
     takes the input to run smoothly from sample to sample instead of being held, ``gam`` and ``gamh`` its coefficients; input laws
-    then see no states. ``direct``: the input reaches the output at once. Where ``xhat`` has no rows only outputs are kept.
+    then see no states. ``along (E, 2)`` are the signals that forces act along, and the gains by which their sizes are those of the signals: they are
+    written to states beyond the last, and their columns of ``gx (n, n + E)`` follow code. ``direct``: the input reaches the output at once. Where ``xhat`` has no rows only outputs are kept.
     """
     N, p = Y.shape
     kept = xhat.shape[0] > 0
     n, m, na, nk = x0.size, U.shape[1], AUX.shape[1], KA.shape[0]
     h = dt / nsub
-    x, new, f = x0.copy(), np.zeros(n), np.zeros(n)
+    x, new, f = x0.copy(), np.zeros(n), np.zeros(n + along.shape[0])
     k1, ks, xs = np.zeros(n), np.zeros(n), np.zeros(n)
     xk, knew, e = np.zeros(nk), np.zeros(nk), np.zeros(p)
     u, ue, held, y = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(p)
@@ -378,8 +400,7 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
                     mean[j] = u[j]
                     s[j] = u[j]
                 _apply(INPUT, laws, plan, par, mem, s, work, h, mean, 0)
-            for j in range(forced.size):
-                f[forced[j]] = 0.0
+            f[:] = 0.0
             if kind == LINEAR:
                 _affine(phi, x, gam, drive, new)
                 _middle(phih, x, gamh, drive, middle, m, s)
@@ -398,6 +419,7 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
             if forced.size:
                 _apply(FORCE, laws, plan, par, mem, s, work, h, f, -1)
             if kind == CONTINUOUS:
+                _along(rate, s[it], h, xs, mean, values, k1, along, ks, f, gx)
                 _runge_kutta(rate, s[it], h, x, mean, values, f, k1, ks, xs, new)
             else:
                 for j in range(forced.size):

@@ -12,9 +12,11 @@ from afdsvc.errors import BadInput
 from afdsvc.explain.simulate import kernel
 from afdsvc.explain.simulate.effects import PlacedEffect, Table, table
 from afdsvc.explain.simulate.nominal import PYTHON_SUBSTEPS, Nominal
-from afdsvc.explain.simulate.steps import Steps, contiguous
+from afdsvc.explain.simulate.predictor import driven
+from afdsvc.explain.simulate.steps import Steps, contiguous, ways
 from afdsvc.lti.statespace import Array, StateSpace
 
+NOWHERE = np.zeros((0, 2))
 HELD = 1e-4  # error of an input held over a sub-step, over its rms
 
 
@@ -88,14 +90,20 @@ class Simulator:
         n, p, m = len(run), plant.outputs, plant.inputs
         K, U = self._loop(run, closed)
         y, u, x = np.empty((n, p)), np.empty((rows, m)), np.empty((rows, plant.order))
+        gx, along = self._along(plant, steps, placed) if len(placed.along) else (steps.gx, NOWHERE)
         gain = np.zeros_like(self.gain) if free or closed else self.gain
         kernel.simulate_compiled(
             closed, self.ramped and not closed, self._direct(plant), steps.nsub, run.dt, run.t0 if run.clock is None else run.clock,
-            steps.phi, steps.gam, steps.gx, steps.phih, steps.gamh, contiguous(plant.C), contiguous(plant.D), contiguous(gain),
+            steps.phi, steps.gam, gx, steps.phih, steps.gamh, contiguous(plant.C), contiguous(plant.D), contiguous(gain),
             placed.forced, placed.middle, *self._code(theta), *K, U, run.Y, run.REF, run.AUX,
-            np.array(x0, dtype=np.float64), placed.laws, placed.plan, placed.par, memory, y, u, x,
+            np.array(x0, dtype=np.float64), placed.laws, placed.plan, placed.par, memory, along, y, u, x,
         )
         return Simulated(y, u, x)
+
+    def _along(self, plant: StateSpace, steps: Steps, placed: Table) -> tuple[Array, Array]:
+        """Return ``gx`` with a column more for every force along a signal, and these signals with their gains."""
+        directions, gains = ways(plant, driven(self.nominal.model, plant.order), placed.along)
+        return contiguous(np.hstack([steps.gx, steps.gx @ directions])), np.column_stack([placed.along[:, 0], gains])
 
     def _direct(self, plant: StateSpace) -> bool:
         """Whether the inputs reach the outputs at once."""

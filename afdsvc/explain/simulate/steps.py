@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sla
+from numpy.typing import NDArray
 
 from afdsvc.lti.statespace import Array, StateSpace
 
@@ -101,6 +102,17 @@ def _discrete_steps(plant: StateSpace) -> Steps:
         return Steps(1, contiguous(plant.A), contiguous(plant.B), eye * plant.dt, eye, np.zeros_like(plant.B))
     half = _continuous_steps(twin, plant.dt, 1)
     return Steps(1, contiguous(plant.A), contiguous(plant.B), half.gx, half.phih, half.gamh)
+
+
+def ways(plant: StateSpace, moving: Array, along: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Return what forces along signals do to the rates of the states ``(n, E)``, and the gains ``(E,)`` of the signals at the states they are written to.
+
+    Rows of ``along (E, 3)`` are a signal's number, whether it is an input, else a state that acts on the states ``moving``, and the state written to.
+    """
+    smooth = (continuous(plant) if plant.discrete else None) or plant
+    columns = np.array([smooth.B[:, j] if driven else np.where(moving, smooth.A[:, j], 0.0) for j, driven, _ in along]).reshape(-1, plant.order).T
+    gains = np.array([columns[i, e] or 1.0 for e, (_, _, i) in enumerate(along)])
+    return columns / gains, gains
 
 
 def contiguous(matrix: Array) -> Array:

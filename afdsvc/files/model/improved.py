@@ -16,7 +16,8 @@ from afdsvc.explain.report.explanation import Explanation
 from afdsvc.explain.search.problem import NUISANCE, Point
 from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import Nominal
-from afdsvc.explain.simulate.steps import Steps
+from afdsvc.explain.simulate.predictor import driven
+from afdsvc.explain.simulate.steps import Steps, ways
 from afdsvc.files.model.model_file import DYNAMICS, relative_code, write_model
 from afdsvc.lti.statespace import Array, StateSpace
 
@@ -297,8 +298,19 @@ def _laws(parts: Parts, stage: str, read: Mapping[str, str], step: str, target: 
         own = f"memory[{first}:{first + h.memory}]" if memory else "np.zeros(0)"
         values = ", ".join(_value(h, c, float(v), parts.plant) for c, v in zip(h.parameters, e.values, strict=True))
         lines += [f"out = np.zeros({len(h.writes)})", f"{_label(e)}(np.array([{values}]), np.array([{', '.join(_read(s, read) for s in h.reads)}]), {own}, {step}, out)"]
-        lines += [f"{target}[{s.index}] += out[{k}]" for k, s in enumerate(h.writes)]
+        lines += _along(parts, h, h.along, target, memory) if h.along else [f"{target}[{s.index}] += out[{k}]" for k, s in enumerate(h.writes)]
     return lines
+
+
+def _along(parts: Parts, h: Hypothesis, along: Signal, target: str, sampled: bool) -> list[str]:
+    """Return the lines that add a force along a signal: as the rates follow the signal."""
+    j, i = along.index, h.writes[0].index
+    way, (gain,) = ways(parts.plant, driven(parts.nominal.model, parts.plant.order), np.array([[j, along.kind == "u", i]]))
+    if not (parts.nominal.python and not parts.plant.discrete):
+        return [f"{target} += out[0] * np.array({way[:, 0].tolist()!r})"]
+    here = _rate(parts, "now" if sampled else "t", "state" if sampled else "x")
+    moved = ["moved = np.copy(acting)", f"moved[{j}] += 1e-4 * max(1.0, abs(acting[{j}]))"]
+    return [*moved, f"{target} += out[0] / {float(gain)!r} * ({here.replace('acting', 'moved')} - ({here})) / (moved[{j}] - acting[{j}])"]
 
 
 def _value(h: Hypothesis, c: Coefficient, value: float, plant: StateSpace) -> str:

@@ -60,6 +60,19 @@ def placed(machine: Machine) -> Iterator[tuple[Axis, Size]]:
             yield axis, axis.position
 
 
+def converter(machine: Machine, axis: Axis) -> Size | None:
+    """Return the state that drives an axis on which no input acts at once, such as a current: of those of no axis the one that pushes most."""
+    if machine.plant is None or axis.input is not None:
+        return None
+    moving, row = _moving(machine), machine.plant.A[axis.rate.index]
+    return max((s for s in machine.states if s.index not in moving and row[s.index]), key=lambda s: abs(row[s.index]) * s.rms, default=None)
+
+
+def _moving(machine: Machine) -> set[int]:
+    """Return the numbers of the states that belong to an axis."""
+    return {s.index for a in machine.axes for s in (a.rate, a.position) if s is not None}
+
+
 def store_states(machine: Machine) -> list[Size]:
     """Return the states that store something: they belong to no axis, run empty by themselves, and what leaves one arrives in others.
 
@@ -67,8 +80,7 @@ def store_states(machine: Machine) -> list[Size]:
     """
     if machine.plant is None:
         return []
-    moving = {s.index for a in machine.axes for s in (a.rate, a.position) if s is not None}
-    A = machine.plant.A
+    moving, A = _moving(machine), machine.plant.A
     return [s for i, s in enumerate(machine.states) if i not in moving and A[i, i] < 0 and min(np.delete([*A[i], *A[:, i]], [i, i + len(A)]), default=0.0) >= 0]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -48,12 +48,12 @@ class Cogging:
     summary = "a force that repeats along the way"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per axis, with periods from the way travelled to a tenth of it, or whole ones per turn.
+        """Return one hypothesis per axis, with periods from the way travelled to a tenth of it, or whole ones per turn, and with those that the residual shows.
 
         A wave of which no whole period was travelled cannot be distinguished from a smooth curve, and is not offered.
         """
         for axis, q in placed(machine):
-            yield from self._on(axis, state(q), q, quantity(q.unit) == "angle")
+            yield from self._on(axis, state(q), q, quantity(q.unit) == "angle", machine.waves.get(state(q), ()))
         angle = machine.aux.get("angle")
         for axis in machine.axes:
             if axis.position is None and angle:
@@ -70,7 +70,7 @@ class Cogging:
                 parameters=[*periods(unit), force(axis, "amplitude", size, size, size)], starts=[(n, unit, size) for n in starts], **WORDS,
             )
 
-    def _on(self, axis: Axis, where: Signal, way: Size, turns: bool) -> Iterable[Hypothesis]:
+    def _on(self, axis: Axis, where: Signal, way: Size, turns: bool, waves: Sequence[float] = ()) -> Iterable[Hypothesis]:
         longest = 2 * max(way.peak - abs(way.mean), 0.1 * way.peak)  # the way travelled, about its mean
         if not longest > 0:
             return
@@ -78,7 +78,7 @@ class Cogging:
         numbers = [n * radians(unit) for n in ORDERS if n * radians(unit) >= least] if turns else least * np.geomspace(1.0, 10, 9)
         if not len(numbers):
             return
-        scale = 0.05 * axis.push
+        numbers, scale = [*numbers, *(k for k in waves if k >= least)], 0.05 * axis.push
         pair = [force(axis, f"{part} force", -1e3 * scale, 1e3 * scale, scale, linear=True) for part in ("cosine", "sine")]
         yield at_force(
             axis, _ripple, [where], physics=self.name, family="ripple",

@@ -1,4 +1,4 @@
-"""Encoder error: a reading of an angle or a speed that is off by the same amount at the same angle of every turn."""
+"""Encoder error: a reading of a position or a speed that is off by the same amount at the same place of every period."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from afdsvc.plugins.physics.attach import (
     MOST,
     at_machine,
     at_output,
+    constant,
     orders,
     periods,
     placed,
@@ -24,7 +25,8 @@ from afdsvc.plugins.physics.attach import (
 
 
 def at_angle(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``e = a cos(n q) + b sin(n q)``, ``q`` the angle, one unit of it ``p[1]`` rad; where the speed is read from the same encoder, it is off by ``de/dt``."""
+    """``e = a cos(n q) + b sin(n q)``, ``q`` the angle, one unit of it ``p[1]`` rad (1 along a line); where the speed is read from the same encoder, it is off by
+    ``de/dt``."""
     k = p[0] * p[1]
     c, s = math.cos(k * z[0]), math.sin(k * z[0])
     out[0] += p[2] * c + p[3] * s
@@ -47,19 +49,24 @@ WORDS: dict[str, Any] = {
 
 
 class EncoderError:
-    """An eccentric disc, or the lines of an encoder: at outputs that are angles or speeds of shafts, and at both where one encoder gives both."""
+    """An eccentric disc, the lines of an encoder, the pitch of a screw: at outputs that are positions or speeds of shafts, and at both where one encoder
+    gives both."""
 
     name = "encoder_error"
-    summary = "a reading that is off by the same amount at the same angle of every turn"
+    summary = "a reading that is off by the same amount at the same place of every turn or period"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per output that is an angle or a speed of a shaft, and per pair of both; it begins at whole periods per turn.
+        """Return one hypothesis per output that is a position or a speed of a shaft, and per pair of angle and speed; it begins at whole periods per turn, along
+        a line at those that the residual shows.
 
         An angle has to travel a whole turn: in less, nothing repeats with every turn, and a wave stands for any curve.
         """
         for port in machine.outputs:
             if quantity(port.unit) == "angle":
                 yield from _of_angle([port], machine)
+            elif quantity(port.unit) == "length" and (waves := machine.waves.get(Signal("y", port.index), ())):
+                wave, size = Coefficient("wave number", f"rad/{port.unit}", 0.5 * min(waves), 2 * max(waves), 1e-3 * min(waves)), 0.2 * float(machine.residual[port.index])
+                yield at_output(port, at_angle, parameters=[wave, constant("unit", "", 1.0), *_parts(port, size)], starts=[(k, 1.0, 0.0, 0.0) for k in waves], **WORDS)
             elif (unit := radians_per_second(port.unit)) and (numbers := orders(unit * (size := max(port.rms, abs(port.mean))), machine.dt)):
                 yield at_output(
                     port, at_speed, memory=3, unsettled=2, lasting=True, parameters=[*periods(unit), Coefficient("share", "", 1 / size, 1 / size, 1 / size)],
@@ -76,12 +83,15 @@ def _reads(row: Array, state: int) -> bool:
     return bool(row[state] == 1 and np.count_nonzero(row) == 1)
 
 
+def _parts(port: Size, scale: float) -> list[Coefficient]:
+    return [Coefficient(f"{part} part", port.unit, -1e3 * scale, 1e3 * scale, scale, linear=True) for part in ("cosine", "sine")]
+
+
 def _of_angle(ports: Sequence[Size], machine: Machine) -> Iterator[Hypothesis]:
     angle = ports[0]
     unit, travelled, scale = radians(angle.unit), 2 * (angle.peak - abs(angle.mean)), 0.2 * float(machine.residual[angle.index])
     starts = [(float(n), unit, 0.0, 0.0) for n in range(1, MOST + 1)] if unit * travelled > 2 * math.pi else []
-    parts = [Coefficient(f"{part} part", angle.unit, -1e3 * scale, 1e3 * scale, scale, linear=True) for part in ("cosine", "sine")]
-    words: dict[str, Any] = {"parameters": [*periods(unit), *parts], "starts": starts, **WORDS}
+    words: dict[str, Any] = {"parameters": [*periods(unit), *_parts(angle, scale)], "starts": starts, **WORDS}
     both = [Signal("y", p.index) for p in ports]
     if starts and len(ports) == 1:
         yield at_output(angle, at_angle, **words)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal, Size
-from afdsvc.plugins.physics.attach import at_force, constant, placed, quantity, state
+from afdsvc.plugins.physics.attach import at_force, constant, converter, placed, quantity, state
 
 
 def single(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -27,29 +27,32 @@ def pair(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 class MagneticForce:
-    """One magnet, or two against each other, about an operating point; on every axis driven by a current or a voltage whose
-    position is not an angle: it is a gap."""
+    """One magnet, or two against each other, about an operating point; on every axis driven by a current or a voltage, or by a current that is a
+    state, whose position is not an angle: it is a gap."""
 
     name = "magnetic_force"
     summary = "a pull that goes with the square of current over gap"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return two hypotheses per axis with a position along a line and an electrical input."""
+        """Return two hypotheses per axis with a position along a line that is driven electrically."""
         for axis, q in placed(machine):
-            if quantity(q.unit) != "angle" and axis.input is not None and quantity(machine.inputs[axis.input].unit) in ("current", "voltage"):
-                for law, notes in ((single, {}), (pair, {"variant": "pair", "of": ""})):
-                    yield self._on(axis, q, machine.inputs[axis.input], law, notes)
+            port, coil = None if axis.input is None else machine.inputs[axis.input], converter(machine, axis)
+            for law, notes in ((single, {}), (pair, {"variant": "pair", "of": ""})) if quantity(q.unit) != "angle" else ():
+                if port and quantity(port.unit) in ("current", "voltage"):
+                    yield self._on(axis, q, port, Signal("u", port.index), axis.gain, law, notes)
+                elif coil and machine.plant and quantity(coil.unit) == "current":
+                    yield self._on(axis, q, coil, state(coil), float(machine.plant.A[axis.rate.index, coil.index]), law, notes)
 
-    def _on(self, axis: Axis, q: Size, port: Size, law: Any, notes: dict[str, str]) -> Hypothesis:
-        side = 1.0 if axis.gain >= 0 else -1.0
+    def _on(self, axis: Axis, q: Size, port: Size, drive: Signal, gain: float, law: Any, notes: dict[str, str]) -> Hypothesis:
+        side = 1.0 if gain >= 0 else -1.0
         return at_force(
-            axis, law, [Signal("u", port.index), state(q)], physics=self.name, family="stiffness", notes=notes,
+            axis, law, [drive, state(q)], physics=self.name, family="stiffness", notes=notes,
             parameters=[
                 Coefficient("bias", port.unit, 0.5 * port.rms, 100 * port.peak, 0.1 * port.rms),
                 Coefficient("gap", q.unit, 1.05 * q.reach, 1e3 * q.reach, 0.1 * q.reach),
-                constant("gain", "", axis.gain), constant("side", "", side), constant("mean current", "", port.mean), constant("mean position", "", q.mean),
+                constant("gain", "", gain), constant("side", "", side), constant("mean current", "", port.mean), constant("mean position", "", q.mean),
             ],
-            starts=[(b * port.reach, g * q.reach, axis.gain, side, port.mean, q.mean) for b in (1.0, 4.0) for g in (1.5, 5.0)],
+            starts=[(b * port.reach, g * q.reach, gain, side, port.mean, q.mean) for b in (1.0, 4.0) for g in (1.5, 5.0)],
             predicts="a gain and a stiffness that change with the current and the gap together",
             refuted_by="a gain that is the same at every position and level",
         )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from afdsvc.api.physics import Axis, Hypothesis, Machine, Size
+from afdsvc.api.physics import Axis, Hypothesis, Machine, Signal, Size
 from afdsvc.explain.simulate.effects import compiled
 from afdsvc.lti.statespace import StateSpace
 
@@ -19,8 +19,9 @@ STAGES = ("input", "force", "output")
 @lru_cache(maxsize=1)
 def machines() -> tuple[Machine, ...]:
     """Return examples: a rotor on two axes with all auxiliary signals, a black box, a motor of which only the speed is a state,
-    an arm, a magnet, two tanks, a structure in modal coordinates, a damper whose motion is imposed, and two masses on a shaft, by their angles and by its twist."""
-    return _rotor(), _black_box(), _motor(), _arm(), _magnet(), _tanks(), _structure(), _damper(), _shaft(), _twisted_shaft()
+    an arm, a magnet, two tanks, a structure in modal coordinates, a damper whose motion is imposed, two masses on a shaft, by their angles and by its twist, and
+    a coil whose current is a state."""
+    return _rotor(), _black_box(), _motor(), _arm(), _magnet(), _tanks(), _structure(), _damper(), _shaft(), _twisted_shaft(), _coil()
 
 
 def _size(index: int, name: str, unit: str, rms: float, step: float = 0.0) -> Size:
@@ -109,6 +110,14 @@ def _twisted_shaft() -> Machine:
     motion = [("w1", "rad/s", 9.0), ("w2", "rad/s", 8.0), ("twist", "rad", 0.05)]
     matrices = ([[-2, 0, -900], [0, -1, 300], [1, -1, 0]], [[50], [0], [0]], [[1, 0, 0], [0, 1, 0]], [[0], [0]])
     return _plain([("torque", "N*m", 1.0)], motion, [("motor", "rad/s", 9.0), ("load", "rad/s", 8.0)], matrices, [(None, 0), (None, 1)], 2e-3)
+
+
+def _coil() -> Machine:
+    motion = [("i", "A", 1.0), ("q", "mm", 2.0), ("v", "mm/s", 500.0)]
+    matrices = ([[-1500, 0, -1.4], [0, 0, 1], [4e5, -1.6e5, -90]], [[250], [0], [0]], [[0, 1, 0]], [[0]])
+    machine = _plain([("voltage", "V", 8.0)], motion, motion[1:2], matrices, [(1, 2)], 2.5e-4)
+    (axis,) = machine.axes
+    return replace(machine, axes=(Axis("v", axis.position, axis.rate, 4e5),), waves={Signal("x", 1): (3.1,), Signal("y", 0): (3.1, 0.8)})
 
 
 def _offered(thing: Any) -> Iterator[Hypothesis]:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from afdsvc.api.model import Model, Variable
-from afdsvc.api.physics import Axis, Hypothesis, Machine, Size
+from afdsvc.api.model import Model, Quantity, Variable
+from afdsvc.api.physics import Axis, Hypothesis, Machine, Signal, Size
 from afdsvc.dataset.experiment import Run
 from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.report.explanation import Estimate, Explanation, Named
@@ -133,6 +133,44 @@ def test_every_law_is_written_as_it_was_fitted(key, tmp_path):
     sampled = read_model(files[0], allow_code=True).sample_time > 0
     # sampled: the same arithmetic; continuous: the engine holds a force over each sample, Runge-Kutta does not
     assert np.linalg.norm(mine - engine) < (1e-9 * np.linalg.norm(engine) if sampled else 0.05 * felt)
+
+
+POLE = """import math
+
+
+class Pole:
+    @staticmethod
+    def f(t, x, u, p):
+        return [x[2], x[3], -p["k"] * x[0] - 30 * x[2] + 4e4 * u[0], -5e4 * x[1] - 40 * x[3] + 5e4 * u[1] - 2e4 * math.cos(x[1]) * u[0]]
+
+    @staticmethod
+    def h(t, x, u, p):
+        return [x[0], x[1]]
+"""
+
+
+@pytest.mark.parametrize("key", ["cubic_stiffness@state:v", "coulomb_friction@state:v", "hysteresis@state:v"])
+@pytest.mark.parametrize("along", [Signal("u", 0), Signal("x", 0), None])
+def test_a_force_along_a_signal_is_written_as_it_was_fitted(key, along, tmp_path):
+    """As matrices along an input or a state, as code (None) along an input; sampled where the law remembers."""
+    plant = spring().plant
+    assert plant is not None
+    plant.A[3, 0], plant.B[3, 0] = 2e4, -2e4
+    nom = nominal(replace(spring(), plant=plant), DT)
+    if along is None:
+        (tmp_path / "pole.py").write_text(POLE)
+        write_model(replace(spring(), plant=None, parameters={"k": Quantity(4e4, relative_sd=0.1)}, extra={"dynamics": "pole.py:Pole"}), tmp_path / "pole.toml")
+        nom = nominal(read_model(tmp_path / "pole.toml", allow_code=True), DT)
+    h = replace(LIBRARY[key], along=along or Signal("u", 0))
+    e = explanation(PlacedEffect(h, values(h)), nom=nom)
+    r = run(np.random.default_rng(1))
+    engine, alone, plain = (
+        Simulator(e.nominal, np.zeros((4, 2))).run(r, e.point.theta, np.zeros(4), [PlacedEffect(x, values(h)) for x in effects]).y for effects in ((h,), (LIBRARY[key],), ())
+    )
+    mine = stepped(write_improved(e, tmp_path / "MODEL.toml", AUX)[0], r, 2)
+    felt = np.linalg.norm(engine - plain)
+    assert np.linalg.norm(engine - alone) > 0.01 * felt > 1e-6 * np.linalg.norm(plain)
+    assert np.linalg.norm(mine - engine) < (1e-9 * np.linalg.norm(engine) if h.memory else 0.05 * felt)
 
 
 def test_what_was_fitted_in_finer_steps_is_written_in_them(tmp_path):

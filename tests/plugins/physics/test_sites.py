@@ -17,7 +17,7 @@ from afdsvc.plugins.physics.back_emf import BackEmf
 from afdsvc.plugins.physics.cogging import Cogging
 from afdsvc.testing.conformance.physics import machines
 
-ROTOR, BLACK_BOX, MOTOR, ARM, MAGNET, TANKS, STRUCTURE, DAMPER, SHAFT, TWISTED = range(10)
+ROTOR, BLACK_BOX, MOTOR, ARM, MAGNET, TANKS, STRUCTURE, DAMPER, SHAFT, TWISTED, COIL = range(11)
 
 
 def offered(machine: Machine) -> dict:
@@ -44,6 +44,7 @@ def offered(machine: Machine) -> dict:
     (ARM, "clearance@state:w#play in the spring"),
     (MOTOR, "clock_offset@input:voltage cogging@state:w encoder_error@output:w"),
     (SHAFT, "encoder_error@output:motor encoder_error@output:load"),
+    (COIL, "encoder_error@output:q cogging@state:v gain_follows_position@state:v#i magnetic_force@state:v magnetic_force@state:v#pair"),
     (ROTOR, "clock_offset@machine clock_offset@input:horizontal clock_offset@input:vertical"),
     (SHAFT, "clearance@machine#play in the spring between w1,w2 clearance@machine#between w1,w2 cubic_stiffness@machine#between w1,w2"),
     (TWISTED, "clearance@machine#play in the spring between w1,w2 coulomb_friction@machine#slip between w1,w2 cubic_stiffness@machine#between w1,w2"),
@@ -100,6 +101,32 @@ def test_a_joint_of_two_masses_is_sized_by_their_difference():
     gap = offered(machine)["clearance@machine#play in the spring between w1,w2"].parameters[1]
     assert gap.high == pytest.approx(3 * machine.deflections[0, 2].peak)
     assert gap.high < 0.1 * machine.states[0].rms
+
+
+def test_waves_that_the_residual_shows_are_starts():
+    coil = machines()[COIL]
+    numbers = {k: [s[0] for s in h.starts] for k, h in offered(coil).items() if k in ("encoder_error@output:q", "cogging@state:v")}
+    assert numbers["encoder_error@output:q"] == [3.1, 0.8]
+    assert 3.1 in numbers["cogging@state:v"]
+    assert "encoder_error@output:q" not in offered(replace(coil, waves={}))
+    assert not any(3.1 in [s[0] for s in h.starts] for h in offered(replace(coil, waves={})).values() if h.physics == "cogging")
+
+
+def test_a_coil_is_the_state_that_pushes_an_axis_without_an_input_most():
+    coil = machines()[COIL]
+    assert coil.plant is not None
+    gain = offered(coil)["gain_follows_position@state:v#i"]
+    assert [(s.kind, s.index) for s in (*gain.reads, *gain.writes)] == [("x", 0), ("x", 1), ("x", 2), ("x", 2), ("x", 0)]
+    assert [c.low for c in gain.parameters[-2:]] == [4e5, -1.4]
+    pull = offered(coil)["magnetic_force@state:v"]
+    assert [(s.kind, s.index) for s in pull.reads] == [("x", 0), ("x", 1)]
+    assert [c.low for c in pull.parameters if c.name == "gain"] == [4e5]
+    without = StateSpace(coil.plant.A * [[1, 1, 0], [1, 1, 1], [1, 1, 1]], coil.plant.B, coil.plant.C, coil.plant.D)
+    assert len(offered(replace(coil, plant=without))["gain_follows_position@state:v#i"].writes) == 1  # nothing is induced
+    moved = StateSpace(coil.plant.A * [[1, 1, 1], [1, 1, 1], [0, 1, 1]], coil.plant.B, coil.plant.C, coil.plant.D)
+    assert not {"gain_follows_position", "magnetic_force"} & {h.physics for h in offered(replace(coil, plant=moved)).values()}
+    metres = replace(coil, states=(replace(coil.states[0], unit="N"), *coil.states[1:]))
+    assert "magnetic_force" not in {h.physics for h in offered(metres).values()}
 
 
 def test_a_joint_begins_at_the_ratio_of_masses_that_the_model_has():

@@ -19,7 +19,7 @@ from afdsvc.plugins.physics.cogging import _ripple
 from afdsvc.plugins.physics.constant_load import drifting
 from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, loaded, reaction
 from afdsvc.plugins.physics.cubic_damping import _cubic
-from afdsvc.plugins.physics.gain_follows_position import geared
+from afdsvc.plugins.physics.gain_follows_position import converted, geared
 from afdsvc.plugins.physics.gravity import _in_place, _weight
 from afdsvc.plugins.physics.hysteresis import over_integral
 from afdsvc.plugins.physics.joint import spring
@@ -127,6 +127,13 @@ def motor(x: np.ndarray, u: float) -> list[float]:
     return [(0.5 * x[1] - 0.3 * x[0]) / 0.2, (u - 2 * x[1] - 0.5 * x[0]) / 0.06]
 
 
+def speaker(x: np.ndarray, u: float) -> list[float]:
+    """Current, position, velocity of a coil whose force factor, in its force and in the voltage it induces, follows the position."""
+    d = (x[1] - 0.1) / 0.5
+    factor = 1 + 0.2 * d - 0.15 * d**2
+    return [60 * u - 20 * x[0] - 3 * factor * x[2], x[2], 25 * factor * x[0] - K * x[1] - D * x[2]]
+
+
 MOTOR_GAIN = 0.5 / 2 / 0.2
 
 
@@ -178,6 +185,7 @@ CASES = [
     Case("coil of a motor with its damping", _coil, (0.03, 0.5, 0.5), motor, A=[[-1.5 - 0.5 * MOTOR_GAIN]], B=[MOTOR_GAIN], reads=(("u", 0), ("x", 0)), writes=(0,), stage="input", memory=1, hidden=(0.0,), level=5.0),
     Case("cogging", _ripple, (7.0, 3.0, -2.0), axis(lambda q, v, u: 3 * np.cos(7 * q) - 2 * np.sin(7 * q)), **AXIS, reads=(("x", 0),)),
     Case("gain along the way", geared, (0.3, 0.1, 0.2, 0.5, G), axis(lambda q, v, u: G * u * (0.3 * (q - 0.2) / 0.5 + 0.1 * ((q - 0.2) / 0.5) ** 2)), **AXIS, reads=(("u", 0), ("x", 0))),
+    Case("force factor of a coil", converted, (0.2, -0.15, 0.1, 0.5, 25.0, -3.0), speaker, A=[[-20, 0, -3.0], [0, 0, 1], [25.0, -K, -D]], B=[60.0, 0, 0], reads=(("x", 0), ("x", 1), ("x", 2)), writes=(2, 0)),
     Case("bristles", presliding, (4.0, 3.0, 0.5, 0.02, 0.6), lugre, **AXIS, memory=1, hidden=(0.0,), tolerance=5e-3),
     Case("load that grows", drifting, (5.0, 2.0), lambda x, u: [-D * x[0] + G * u + 5 + 2 * x[1], 1.0], **SPEED, reads=(), memory=1, hidden=(0.0,)),
     Case("droop", droop, (0.3, 0.4, 0.8), lambda x, u: [-D * x[0] + G * u * (1 - 0.3 * x[1] / 0.8), (abs(u) - x[1]) / 0.4], **SPEED, reads=(("u", 0),), stage="input", memory=1, hidden=(0.0,), tolerance=5e-3),
