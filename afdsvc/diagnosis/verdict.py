@@ -9,6 +9,7 @@ from itertools import groupby, takewhile
 from scipy.special import chdtri
 
 from afdsvc.api.evidence import Evidence, Severity
+from afdsvc.detect.combinations import JOINED
 from afdsvc.detect.isolation import NONE
 
 TYPICAL = -0.5  # severity a second burst is made for when the first gave none
@@ -53,7 +54,7 @@ def conclude(evidence: Sequence[Evidence]) -> FaultVerdict:
     """Return the verdict of decisions in the order they were made.
 
     The alarm is the first trustworthy detection. The fault is the one the newest burst names with certainty (its strongest
-    decision: the largest margin over its threshold); its severity, the estimate of smallest standard error in each burst, is pooled over the bursts before that named the same fault,
+    decision: the largest margin over its threshold, of those that weigh several faults at once where any does); its severity, the estimate of smallest standard error in each burst, is pooled over the bursts before that named the same fault,
     as long as they agree. Else the newest weights are reported. A passive detection never overrides the result of a
     burst, and neither does one inside a burst that is not over, or was cut: fewer detectors have judged it than the burst before.
     """
@@ -68,7 +69,7 @@ def conclude(evidence: Sequence[Evidence]) -> FaultVerdict:
         bursts, best = bursts[:-1], best[:-1]
     newest = best[-1]
     if newest is None:
-        weighted = [e for e in bursts[-1] if e.weights] or bursts[-1]
+        weighted = [e for e in informed(bursts[-1]) if e.weights] or bursts[-1]
         return FaultVerdict(None, None, found[0].seconds, weighted[-1].weights, True)
     both = zip(reversed(best), reversed(bursts), strict=True)
     same = [group for e, group in takewhile(lambda b: b[0] is not None and b[0].fault == newest.fault, both)]
@@ -82,13 +83,19 @@ def _newest(evidence: Sequence[Evidence]) -> Sequence[Evidence]:
     return [e for e in evidence if e.burst == burst] if burst else evidence[-1:]
 
 
-def strongest(decisions: Sequence[Evidence]) -> Evidence | None:
-    """Return the decision that names a fault with the largest margin over its threshold, None when none does.
+def informed(decisions: Sequence[Evidence]) -> Sequence[Evidence]:
+    """Return the decisions that weigh several faults at once where any does: the others name a single one whatever it hides."""
+    weighing = [e for e in decisions if any(JOINED in name for name in e.weights) or any(name.startswith(("alike.", "besides.")) for name in e.parts)]
+    return weighing or decisions
 
-    One that gives a severity comes before one that only bounds it.
+
+def strongest(decisions: Sequence[Evidence]) -> Evidence | None:
+    """Return the informed decision that names a fault with the largest margin over its threshold, None when none does.
+
+    One that gives severities comes before one that only bounds them.
     """
-    named = [e for e in decisions if e.fault]
-    return max(named, key=lambda e: (e.severity is not None, e.statistic - e.threshold), default=None)
+    named = [e for e in informed(decisions) if e.fault]
+    return max(named, key=lambda e: (e.severity is not None or JOINED in str(e.fault), e.statistic - e.threshold), default=None)
 
 
 def _most_precise(decisions: Sequence[Evidence], fault: str | None) -> Severity | None:

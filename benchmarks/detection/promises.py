@@ -34,7 +34,7 @@ from afdsvc.detect.features.noise_calibration import calibrate_noise
 from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.statistics.passive_cusum import unpromised
 from afdsvc.detect.uncertain_parameters import uncertain_entries
-from afdsvc.diagnosis.verdict import alarm_decisions, strongest
+from afdsvc.diagnosis.verdict import alarm_decisions, informed, strongest
 from afdsvc.errors import AfdsvcError
 from afdsvc.excite.diagnosis_burst import Aim, default_burst
 from afdsvc.excite.recorded_bursts import marked
@@ -244,7 +244,7 @@ def together(machine: TrueMachine, rng: np.random.Generator, size: float, loss: 
 def deciding(decisions: Sequence[Evidence]) -> Evidence | None:
     """Return the decision that the verdict of a burst is taken from: the strongest that names something, else the last with weights."""
     found = alarm_decisions(decisions)
-    return strongest(found) or next((e for e in reversed(found) if e.weights), None)
+    return strongest(found) or next((e for e in reversed(informed(found)) if e.weights), None)
 
 
 def reported(e: Evidence, truth: Sequence[str], loss: float) -> bool:

@@ -108,6 +108,12 @@ def test_document_page_model_and_rerun_file_are_there(explained):
     assert 0.04 * 0.9 < m.parameters["stiffness of cubic_stiffness at state:v"].value < 0.04 * 1.1
 
 
+def test_a_model_to_which_nothing_was_added_is_not_called_improved(explained):
+    pages = [SHOWN(PAGES[0][0], document) for document in (explained[0], explained[0] | {"named": []})]
+    assert ["The improved model is" in page for page in pages] == [True, False]
+    assert "The model without further physics is" in pages[1]
+
+
 def test_the_page_says_the_verdict_first_and_shows_everything(explained):
     page = (explained[1] / "report.html").read_text()
     words = [

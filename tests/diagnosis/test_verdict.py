@@ -48,6 +48,20 @@ def test_the_strongest_of_the_newest_burst_names_the_fault():
     assert verdict.first_detected_s == 1.0
 
 
+def test_what_weighs_several_faults_decides_before_what_knows_single_ones():
+    """However large their margin: a detector of single faults names one of two for sure."""
+    single = said("cusum", statistic=99.0, fault="b")
+    pair = replace(said(statistic=8.0, fault="a+b"), weights={"a+b": 1.0}, severity=None)
+    assert conclude([pair, single]).fault == conclude([single, pair]).fault == "a+b"
+    for open_ in (replace(pair, fault=None, weights={"a": 0.6, "a+b": 0.4}), replace(pair, fault=None, weights={"a": 0.6, "c": 0.4}, parts={"besides.b": -0.3})):
+        for order in ([open_, single], [single, open_]):
+            verdict = conclude(order)
+            assert (verdict.fault, verdict.weights, verdict.detected) == (None, open_.weights, True)
+    known = replace(said(statistic=7.0, fault="a"), parts={"besides.b": -0.3})
+    assert conclude([known, single]).fault == "a"
+    assert conclude([known, pair]).fault == "a+b"  # both weigh pairs: the larger margin
+
+
 def test_the_severity_is_that_of_the_surest_decision_on_the_fault():
     strong = replace(said(statistic=99.0), severity=Severity(-0.41, 0.17))
     sure = replace(said("matched_filter", statistic=50.0), severity=Severity(-0.3, 0.01))
