@@ -22,9 +22,10 @@ def wave_numbers(ways: Sequence[Array], residuals: Sequence[Array]) -> list[floa
     drifts hides a wave.
     """
     most = LONGEST // len(ways)
-    ways, residuals = [np.nan_to_num(q[:most]) for q in ways], [np.nan_to_num(e[:most]) for e in residuals]
+    ways, residuals = [np.nan_to_num(q[:most], posinf=0.0, neginf=0.0) for q in ways], [np.nan_to_num(e[:most]) for e in residuals]
     way, inside = np.concatenate(ways), np.concatenate([[*np.ones(len(q) - 1, bool), False] for q in ways])[:-1]
-    travelled, fastest = float(np.ptp(way)), float(np.percentile(np.abs(np.diff(way)[inside]), 90))
+    travelled, steps = float(np.ptp(way)), np.abs(np.diff(way)[inside])
+    fastest = float(np.percentile(steps, 90)) if len(steps) else 0.0
     if not fastest > 0:
         return []
     least, changes = 2 * np.pi / travelled / FINENESS, np.diff(np.vstack(residuals), axis=0)[inside]

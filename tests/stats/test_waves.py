@@ -32,9 +32,15 @@ def test_what_differs_between_samples_of_two_recordings_is_no_change():
     assert moved == wave_numbers([way, way], [e, e])
 
 
-@pytest.mark.parametrize("way", [np.zeros(500), np.array([1.0, 1.0]), np.full(50, np.nan)])
+@pytest.mark.parametrize("way", [np.zeros(500), np.array([1.0, 1.0]), np.full(50, np.nan), np.ones(1)])
 def test_a_position_that_does_not_move_has_none(way):
     assert wave_numbers([way], [np.ones((len(way), 1))]) == []
+
+
+def test_samples_where_a_simulation_was_lost_are_no_way():
+    way, e = recording(3, 2.0, 1.0, 0.05)
+    way[2000:2010], way[3000], e[3000:3010] = np.inf, np.nan, np.nan
+    assert wave_numbers([way], [e])[0] == pytest.approx(2.0, abs=2 * np.pi / 50 / 4)
 
 
 def test_waves_that_samples_do_not_resolve_are_not_looked_for():
