@@ -104,7 +104,7 @@ def test_a_force_along_an_input_acts_as_a_change_of_that_input(model, recording,
 def test_a_force_along_a_state_acts_as_a_force_on_that_coordinate_does(model, recording, placed, excitation, read, size):
     """A cubic spring and a cubic damper of the pole: the masses alone say what they do to the cart."""
     machine = replace(model(LINEAR), states=STATES)
-    _, made = play(machine, recording(excitation, 2), [placed(cube, [("x", read)], 3, Signal("x", read), [size])])
+    _, made = play(machine, recording(excitation, 2), [placed(cube, [("x", read)], 3, Signal("x", read), [size])], 8)
     states = [np.array([0.0, 0.1, 0.0, 0.0])]
     for u in excitation[:-1, 0]:
         def rates(_, x, u=u):
@@ -112,7 +112,7 @@ def test_a_force_along_a_state_acts_as_a_force_on_that_coordinate_does(model, re
 
         states.append(solve_ivp(rates, (0, DT), states[-1], rtol=1e-9, atol=1e-11).y[:, -1])
     assert np.abs(made.x - np.array(states)).max(0) == pytest.approx(0, abs=3e-3 * np.abs(states).max())
-    _, alone = play(machine, recording(excitation, 2), [placed(cube, [("x", read)], 3, None, [size])])
+    _, alone = play(machine, recording(excitation, 2), [placed(cube, [("x", read)], 3, None, [size])], 8)
     assert np.abs(alone.x - np.array(states)).max() > 0.01 * np.abs(states).max()
 
 
