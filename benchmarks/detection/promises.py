@@ -165,7 +165,8 @@ def references(machine: TrueMachine, rng: np.random.Generator, size: float) -> I
 
 
 def uncertain(machine: TrueMachine, rng: np.random.Generator, size: float, sd: float = 0.005) -> Iterator[Row]:
-    """Entries of A and B off by half a per cent, as stated; every draw is another machine: alarms, those at 5e-2 too."""
+    """Entries of A and B off by a share with this standard deviation, as stated; every draw is another machine: alarms, those at 5e-2 too."""
+    off = f"parameters off by their stated {100 * sd:g} %"
     entries = {"A": sd * np.abs(machine.A), "B": sd * np.abs(machine.B)}
     plain = problem_of(machine, FalseAlarms(5e-2))
     pulled = uncertain_entries(plain.plant, entries, machine.dt)
@@ -181,11 +182,11 @@ def uncertain(machine: TrueMachine, rng: np.random.Generator, size: float, sd: f
             if k % 10 == 0 and held(machine, long := machine.run(rng, np.zeros((PASSIVE_EVERY, burst.inputs)), plant=(A, B))):
                 passive, stretches = passive + between_bursts(problem, long), stretches + 1
     if unpromised(problem):
-        yield "alarms between bursts, parameters off by their stated 0.5 %, no rate promised", "passive_cusum", int(passive[0]), stretches, 0.0
+        yield f"alarms between bursts, {off}, no rate promised", "passive_cusum", int(passive[0]), stretches, 0.0
         yield "reports between bursts that no rate is promised or data are doubted", "passive_cusum", int(passive[1]), stretches, 1.0
     else:
-        yield from _between("parameters off by their stated 0.5 %", passive, stretches)
-    yield from _alarms("parameters off by their stated 0.5 %", hits, n, rates)
+        yield from _between(off, passive, stretches)
+    yield from _alarms(off, hits, n, rates)
 
 
 def margins(machine: TrueMachine, rng: np.random.Generator, size: float, sd: float = 0.005) -> Iterator[Row]:
@@ -198,7 +199,7 @@ def margins(machine: TrueMachine, rng: np.random.Generator, size: float, sd: flo
 
     found = np.array([margin(*(M * (1 + sd * rng.standard_normal(M.shape)) for M in (g.A, g.B))) for _ in range(draws)])
     for words, bound in (("lost", 0.0), ("with less than half of its stability margin", 0.5 * margin(g.A, g.B))):
-        yield f"loop {words}, parameters off by their stated 0.5 %", "", int(np.sum(found < bound)), draws, np.nan
+        yield f"loop {words}, parameters off by their stated {100 * sd:g} %", "", int(np.sum(found < bound)), draws, np.nan
 
 
 def held(machine: TrueMachine, run: Mapping[str, np.ndarray]) -> bool:
@@ -396,6 +397,7 @@ def main() -> None:
     parser.add_argument("--studies", nargs="*", default=[s.__name__ for s in STUDIES])
     parser.add_argument("--size", type=float, default=1.0, help="share of the bursts and spans of a full count")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--sd", type=float, default=0.005, help="of uncertain parameters, a share")
     asked = parser.parse_args()
     if asked.page:
         with asked.page.open() as stream:
@@ -405,7 +407,8 @@ def main() -> None:
         for k, study in enumerate(STUDIES):
             if study.__name__ not in asked.studies:
                 continue
-            found = list(study(machines()[i], np.random.default_rng([asked.seed, i, k]), asked.size))
+            more = {"sd": asked.sd} if study in (uncertain, margins) else {}
+            found = list(study(machines()[i], np.random.default_rng([asked.seed, i, k]), asked.size, **more))
             fresh = not asked.out.exists()
             with asked.out.open("a", newline="") as stream:
                 writer = csv.writer(stream)

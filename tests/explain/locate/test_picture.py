@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.model import Model, Variable
+from afdsvc.api.physics import Signal
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.locate.free_law import curve, site
@@ -30,6 +31,15 @@ from afdsvc.testing.conformance.physics import machines
 def found(spring, recorded, extra, library):
     runs = prepare(spring, [recorded(k, level, extra) for k, level in enumerate((1.0, 0.6))])
     return search(settled(build(nominal(spring, runs[0].dt), runs, replace(Settings(), effects=1))), library)
+
+
+def test_a_law_is_drawn_along_the_signal_that_it_was_fitted_along():
+    machine = machines()[6]
+    (like,) = (h for h in CubicStiffness().hypotheses(machine) if h.key == "cubic_stiffness@state:v1")
+    for along in (None, Signal("u", 0)):
+        drawn = site(replace(like, along=along), machine, np.linspace(-1e-4, 1e-4, 500))
+        assert drawn is not None
+        assert drawn.hypothesis.along == along
 
 
 def test_the_band_holds_the_spring_that_is_there_beside_its_name(spring, recorded):

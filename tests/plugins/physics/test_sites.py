@@ -125,8 +125,10 @@ def test_a_coil_is_the_state_that_pushes_an_axis_without_an_input_most():
     assert len(offered(replace(coil, plant=without))["gain_follows_position@state:v#i"].writes) == 1  # nothing is induced
     moved = StateSpace(coil.plant.A * [[1, 1, 1], [1, 1, 1], [0, 1, 1]], coil.plant.B, coil.plant.C, coil.plant.D)
     assert not {"gain_follows_position", "magnetic_force"} & {h.physics for h in offered(replace(coil, plant=moved)).values()}
-    metres = replace(coil, states=(replace(coil.states[0], unit="N"), *coil.states[1:]))
-    assert "magnetic_force" not in {h.physics for h in offered(metres).values()}
+    newtons = replace(coil, states=(replace(coil.states[0], unit="N"), *coil.states[1:]))
+    assert "magnetic_force" not in {h.physics for h in offered(newtons).values()}
+    pushed = replace(coil, inputs=(replace(coil.inputs[0], unit="N"),), axes=(replace(coil.axes[0], input=0),))
+    assert "magnetic_force" not in {h.physics for h in offered(pushed).values()}  # an input acts at once
 
 
 def test_a_joint_begins_at_the_ratio_of_masses_that_the_model_has():
