@@ -10,7 +10,7 @@ suffices, the loss that each other one may have besides is bounded by the profil
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -87,6 +87,11 @@ def alike(found: Sequence[Combination], best: Combination, names: Sequence[str])
     faults speaks against them. Values are the log likelihoods they fall short by."""
     more = [c for c in found if len(c.faults) > len(best.faults) and not set(best.faults) <= set(c.faults)]
     return {f"alike.{JOINED.join(names[i] for i in c.faults)}": best.gain - c.gain for c in more if best.gain - c.gain < -math.log(OPEN)}
+
+
+def weighs_several(weights: Iterable[str], parts: Iterable[str]) -> bool:
+    """Whether a decision with these names of weights and parts weighed several faults at once: pairs, or what a second fault may be besides one."""
+    return any(JOINED in name for name in weights) or any(name.startswith(("alike.", "besides.")) for name in parts)
 
 
 def besides(b: Array, G: Array, single: Combination, seen: Sequence[int], names: Sequence[str], low: float) -> dict[str, float]:

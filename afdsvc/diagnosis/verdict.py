@@ -9,7 +9,7 @@ from itertools import groupby, takewhile
 from scipy.special import chdtri
 
 from afdsvc.api.evidence import Evidence, Severity
-from afdsvc.detect.combinations import JOINED
+from afdsvc.detect.combinations import JOINED, weighs_several
 from afdsvc.detect.isolation import NONE
 
 TYPICAL = -0.5  # severity a second burst is made for when the first gave none
@@ -85,8 +85,7 @@ def _newest(evidence: Sequence[Evidence]) -> Sequence[Evidence]:
 
 def informed(decisions: Sequence[Evidence]) -> Sequence[Evidence]:
     """Return the decisions that weigh several faults at once where any does: the others name a single one whatever it hides."""
-    weighing = [e for e in decisions if any(JOINED in name for name in e.weights) or any(name.startswith(("alike.", "besides.")) for name in e.parts)]
-    return weighing or decisions
+    return [e for e in decisions if weighs_several(e.weights, e.parts)] or decisions
 
 
 def strongest(decisions: Sequence[Evidence]) -> Evidence | None:
