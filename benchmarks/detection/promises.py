@@ -117,7 +117,7 @@ def calibrated_noise(machine: TrueMachine, rng: np.random.Generator, size: float
         for j, where in enumerate((1.1, np.r_[np.ones(before), np.full(burst.samples, 1.1)])):
             counts[1 + j] += not shown(problem, detectors[:1], machine.run(rng, alpha, noisier=where), burst)[0][-1].trustworthy
         if k % 5 == 0:
-            passive += between_bursts(problem, machine.run(rng, np.zeros((PASSIVE_EVERY, burst.inputs))))
+            passive += between_bursts(problem, machine.run(rng, np.zeros((2 * PASSIVE_EVERY, burst.inputs))))
     yield "trusted, calibrated noise", "gate", int(counts[0]), spans, 0.95
     yield from _alarms("calibrated noise", hits, spans)
     yield "refused, noise 10 % larger", "gate", int(counts[1]), spans, 0.95
@@ -126,10 +126,12 @@ def calibrated_noise(machine: TrueMachine, rng: np.random.Generator, size: float
 
 
 def between_bursts(problem: DetectionProblem, run: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return the alarms of the passive detector in quiet data, and how often it doubts them."""
+    """Return the alarms of the passive detector in quiet data, and how often it doubts them, from `PASSIVE_EVERY` samples after its start on:
+    a run length is the mean time between alarms of a detector that runs, and the first alarm comes later."""
     hourly = replace(problem, false_alarms=FalseAlarms(per_hour=3600 / (PASSIVE_EVERY * problem.plant.dt)))
     (decisions,) = shown(hourly, designed(hourly, ["passive_cusum"], {"silence_seconds": 0.0}), run, None)
-    return np.array([sum(e.detected for e in decisions), sum(not e.trustworthy for e in decisions)])
+    running = [e for e in decisions if e.k >= PASSIVE_EVERY]
+    return np.array([sum(e.detected for e in running), sum(not e.trustworthy for e in running)])
 
 
 def _between(words: str, found: np.ndarray, stretches: int) -> Iterator[Row]:
@@ -160,8 +162,8 @@ def references(machine: TrueMachine, rng: np.random.Generator, size: float) -> I
     for _ in range(bursts):
         hits += [exceeded(t[-1]) for t in shown(problem, detectors, machine.run(rng, alpha, ref=wandering(len(alpha))), burst)]
     yield from _alarms("moving references", hits, bursts)
-    for words, ref in (("at rest", None), ("moving references", wandering(samples))):
-        yield from _between(words, between_bursts(problem, machine.run(rng, np.zeros((samples, burst.inputs)), ref=ref)), samples // PASSIVE_EVERY)
+    for words, ref in (("at rest", np.zeros((PASSIVE_EVERY + samples, len(y_sd)))), ("moving references", wandering(PASSIVE_EVERY + samples))):
+        yield from _between(words, between_bursts(problem, machine.run(rng, np.zeros((len(ref), burst.inputs)), ref=ref)), samples // PASSIVE_EVERY)
 
 
 def uncertain(machine: TrueMachine, rng: np.random.Generator, size: float, sd: float = 0.005) -> Iterator[Row]:
@@ -179,7 +181,7 @@ def uncertain(machine: TrueMachine, rng: np.random.Generator, size: float, sd: f
         if held(machine, run):
             n += 1
             hits += [exceeded(t[-1]) for t in shown(problem, detectors, run, burst)]
-            if k % 10 == 0 and held(machine, long := machine.run(rng, np.zeros((PASSIVE_EVERY, burst.inputs)), plant=(A, B))):
+            if k % 10 == 0 and held(machine, long := machine.run(rng, np.zeros((2 * PASSIVE_EVERY, burst.inputs)), plant=(A, B))):
                 passive, stretches = passive + between_bursts(problem, long), stretches + 1
     if unpromised(problem):
         yield f"alarms between bursts, {off}, no rate promised", "passive_cusum", int(passive[0]), stretches, 0.0

@@ -6,8 +6,7 @@
 of residual and features that all hypotheses share (`products`), so a sample costs the same however many there are; only
 the end of a block looks at every hypothesis. A crossing is noticed at the end of its block: at most one block late.
 
-Alarms come about in proportion to the information gained: with more of it than was expected (a reference moves) they would come too
-often. A `DeflectionBoundary` raises the boundary of each hypothesis as the information per block since its g last was zero demands.
+A `DeflectionBoundary` raises the boundary of a hypothesis that gains more information than was expected (a reference moves).
 
 For one hypothesis the test is exactly minimax: no other reacts sooner, in the worst case, at the same average run length
 (G. V. Moustakides, *Ann. Statist.* 14, 1986).
@@ -26,33 +25,9 @@ from numpy.typing import NDArray
 from afdsvc.detect.burst_detector import Finding
 from afdsvc.detect.features.sums import Products, add_products
 from afdsvc.detect.isolation import linear_fit, weights
-from afdsvc.detect.thresholds.average_run_length import boundary, run_length
+from afdsvc.detect.thresholds.deflection_boundary import DeflectionBoundary, raised_by
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
-
-POINTS = 16  # of a clock
-LARGE = 8.0  # deflection per block beyond which no boundary is needed
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DeflectionBoundary:
-    """Boundary of one CUSUM of even steps by the deflection of a step: ``boundary (N,)`` at ``log_deflection (N,)``, both of them for
-    one run length; ``expected (H,)`` is the logarithm of every hypothesis' deflection per block in a loop at rest."""
-
-    log_deflection: Array
-    boundary: Array
-    expected: Array
-
-    @classmethod
-    def of(cls, deflection: Array, looks: float) -> DeflectionBoundary:
-        """Return the clock of hypotheses with these deflections per look that alarm once in so many looks."""
-        grid = np.geomspace(float(deflection.min()), max(LARGE, 2 * float(deflection.max())), POINTS)
-        found = [boundary(mu, looks) if 3 * run_length(mu, 1e-9) < looks else 0.0 for mu in grid.tolist()]
-        return cls(np.log(grid), np.array(found), np.log(deflection))
-
-
-def _no_clock(hypotheses: int) -> DeflectionBoundary:
-    return DeflectionBoundary(np.array([0.0, 1.0]), np.zeros(2), np.zeros(hypotheses))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +91,7 @@ class Cusum:
     def raised(self, state: CusumState, who: int) -> float:
         """Return the boundary that hypothesis ``who`` has to cross."""
         c = self.clock
-        return self.boundary + float(_raise(c.log_deflection, c.boundary, c.expected[who], state.gained[who], state.n[who] / self.block))
+        return self.boundary + float(raised_by(c.log_deflection, c.boundary, c.expected[who], state.gained[who], state.n[who] / self.block))
 
     def finding(
         self, state: CusumState, who: int, names: Sequence[str], bounds: tuple[float, float], sample: int
@@ -151,7 +126,7 @@ def cusum(
     twice = np.where(i == j, 1.0, 2.0)
     quad = np.einsum("hqj,hqj->jh", theta[:, :, i], theta[:, :, j]) * twice[:, None]
     at = np.ascontiguousarray(theta.reshape(H, p * F).T)
-    return Cusum(theta, np.asarray(severity, dtype=float), np.array(fitted, dtype=np.intp), block, boundary, at, quad, clock or _no_clock(H))
+    return Cusum(theta, np.asarray(severity, dtype=float), np.array(fitted, dtype=np.intp), block, boundary, at, quad, clock or DeflectionBoundary.flat(H))
 
 
 @njit(cache=True)
@@ -176,19 +151,12 @@ def _cusum(  # type: ignore[no-untyped-def]
         for h in range(g.size):
             peak = max(peak, g[h])
             if g[h] > boundary:
-                over = g[h] - boundary - _raise(deflection, boundaries, expected[h], gained[h], n[h] / block)
+                over = g[h] - boundary - raised_by(deflection, boundaries, expected[h], gained[h], n[h] / block)
                 if over > margin:
                     highest, margin = h, over
         if margin > 0.0:
             return t, highest, peak, begun
     return -1, -1, peak, begun
-
-
-@njit(cache=True)
-def _raise(deflection, boundaries, expected, gained, blocks):  # type: ignore[no-untyped-def]
-    """Return what the boundary is raised by when so much information came in so many blocks."""
-    found = 0.5 * np.log(gained / blocks) if gained > 0.0 else expected
-    return max(np.interp(found, deflection, boundaries) - np.interp(expected, deflection, boundaries), 0.0) if found > expected else 0.0
 
 
 @njit(cache=True)

@@ -25,9 +25,10 @@ from afdsvc.detect.features.shared_filter import Filters, shared_regressors
 from afdsvc.detect.features.whiteness_gate import NOTHING, PARTS, Gate, GateState, Judgement, Recent
 from afdsvc.detect.model_uncertainty import share_near_instability
 from afdsvc.detect.statistics.binding_function import products_of_noise
-from afdsvc.detect.statistics.cusum import Cusum, CusumState, DeflectionBoundary, cusum
+from afdsvc.detect.statistics.cusum import Cusum, CusumState, cusum
 from afdsvc.detect.thresholds import average_run_length
 from afdsvc.detect.thresholds.cusum_boundary import Models, rate_boundary
+from afdsvc.detect.thresholds.deflection_boundary import DeflectionBoundary
 from afdsvc.detect.thresholds.joint_false_alarm_rate import joint_rate
 from afdsvc.detect.thresholds.regressor_information import NoiseDriven, excursion_steps, faulty_information, noise_driven
 from afdsvc.detect.uncertain_parameters import uncertain_parameters
@@ -229,7 +230,7 @@ def passive_detector(
     def made() -> tuple[float, DeflectionBoundary]:
         looks = 3600 / (rate * problem.plant.dt * block)
         clock = DeflectionBoundary.of(np.abs(theta) * np.sqrt(block * passive[which]), looks)
-        return _boundary(problem, noise, filters, which, theta, block), clock
+        return _boundary(problem, noise, which, theta, block, clock), clock
 
     boundary, clock = problem.once(made, "passive boundary", severity, rate)
     gate = replace(gate, settle=filters.settling(), estimated=problem.noise_samples)
@@ -246,12 +247,12 @@ def unpromised(problem: DetectionProblem) -> str:
 
 
 def _boundary(
-    problem: DetectionProblem, noise: NoiseDriven, filters: Filters, which: NDArray[np.intp], theta: Array, block: int
+    problem: DetectionProblem, noise: NoiseDriven, which: NDArray[np.intp], theta: Array, block: int, clock: DeflectionBoundary
 ) -> float:
     """Return the boundary of CUSUMs that look at blocks of samples and alarm as often as promised."""
     per_block = problem.false_alarms.per_hour * problem.plant.dt / 3600 * block
     mu = np.abs(theta) * np.sqrt(block * noise.passive[which])
-    step, joint, models = excursion_steps(noise, which, theta, block), joint_rate(noise, which, theta, block), _models(problem, noise, which, theta, block)
+    step, joint, models = excursion_steps(noise, which, theta, block), joint_rate(noise, which, theta, block, clock), _models(problem, noise, which, theta, block)
     return rate_boundary(correlation(noise)[np.ix_(which, which)], mu, step, per_block, joint, models)
 
 

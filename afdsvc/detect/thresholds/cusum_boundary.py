@@ -18,7 +18,7 @@ from afdsvc.detect.thresholds.joint_false_alarm_rate import JointRate
 from afdsvc.lti.statespace import Array
 
 LOWEST = 0.05  # boundary
-AROUND = np.linspace(-0.8, 0.8, 9)  # boundaries simulated, about the one looked for
+AROUND = np.linspace(-0.8, 0.8, 5)  # boundaries simulated, about the one looked for
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,34 +8,41 @@ cycle from rest to alarm satisfies
 
 (importance sampling for rare change alarms: T. L. Lai and J. Z. Shan, *IEEE Trans. Autom. Control* 44, 1999). Once the CUSUMs
 have forgotten that they began at rest, the terms are ``w_i P(T >= s)``, and the sum over s of ``P(T >= s)`` is the run length.
-So onsets before that give the transient and later ones w_i; the relative error does not grow as alarms become rare. Where alarms are
+So onsets before that give the transient and one after it w_i; the relative error does not grow as alarms become rare. Where alarms are
 promised more often than the CUSUMs forget, healthy loops are simulated and their alarms counted. No share of
-a CUSUM in the union and no allowance for uneven steps is needed. One set of paths, from a fixed seed, serves all boundaries.
+a CUSUM in the union and no allowance for uneven steps is needed, and boundaries rise with the information gained as in the
+detector. One set of paths, from a fixed seed, serves all boundaries.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
+from afdsvc.detect.thresholds.deflection_boundary import DeflectionBoundary, raised_by
 from afdsvc.detect.thresholds.regressor_information import NoiseDriven
 from afdsvc.lti.reduce import balanced_truncation
 from afdsvc.lti.statespace import Array, StateSpace
 
 LARGEST = 8  # faults simulated together
-WORK = 1.2e9  # multiplications spent: about half a second
-FEWEST = 60  # fewest simulated paths per fault for which a rate is given
-MOST = 10_000
-DRAW = 20  # multiplications that a normal number costs, or an exponential
-MEMORY = 16.0  # times 1 / mu^2: after so many blocks a CUSUM has forgotten where it began (it relaxes in 8 of them)
+LEAST = 0.01  # information, as a share of the largest, of faults that are simulated: alarms come in proportion to it
+WORK = 6e9  # multiplications spent at most: about three seconds
+PATHS = 600  # simulated at most
+FEWEST = 20  # of a fault
+EARLY = 5  # of so many, one begins before the CUSUMs have forgotten
+INEXACT = 0.1  # relative standard error, at the boundary in the middle, above which no rates are given
+DRAW = 50  # multiplications that a normal number costs, or an exponential
+LOOK = 12  # and one CUSUM with its boundary
+MEMORY = 64.0  # times 1 / mu^2: after so many blocks R has forgotten where it began (a CUSUM relaxes in 8 of them, the tail of R in their number)
 PATIENCE = 10.0  # times the mean time a fault takes to the boundary: nothing of weight alarms later
-OFTEN = 1.0  # alarms promised while the CUSUMs forget, beyond which alarms are counted
+OFTEN = 0.5  # alarms promised while the CUSUMs forget, beyond which alarms are counted
+ALARMS = 450  # counted at most
 SEEN = 3  # run lengths over which they are counted, after one that is not
 SMALL = 1e-7  # singular values of the loop left out
 
@@ -43,7 +50,7 @@ SMALL = 1e-7  # singular values of the loop left out
 @dataclass(frozen=True, slots=True, eq=False)
 class JointRate:
     """CUSUMs of the faults ``which``, indices into those of the detector: waves ``C x (K p,)`` of the loop
-    ``x+ = A x + B e``, in steps of ``block`` samples.
+    ``x+ = A x + B e``, in steps of ``block`` samples; ``clock`` raises their boundaries.
     """
 
     which: NDArray[np.intp]
@@ -51,26 +58,29 @@ class JointRate:
     B: Array
     C: Array
     block: int
+    clock: DeflectionBoundary
 
     def per_look(self, boundaries: Array, promised: float = 0.0) -> Array | None:
-        """Return alarms per block at every (ascending) boundary where about ``promised`` are looked for; None where too few paths are affordable."""
+        """Return alarms per block at every (ascending) boundary where about ``promised`` are looked for; None where too few paths are affordable for a rate to a tenth."""
         A, B, C, b = (np.ascontiguousarray(x, dtype=np.float64) for x in (self.A, self.B, self.C, boundaries))
-        return _rates(A, B, C, b, self.block, promised)
+        return _rates(A, B, C, b, self.block, promised, (self.clock.log_deflection, self.clock.boundary, self.clock.expected))
 
 
-def joint_rate(noise: NoiseDriven, which: NDArray[np.intp], theta: Array, block: int) -> JointRate | None:
-    """Return what simulates the CUSUMs of the faults ``which`` at severities ``theta``, the most informative `LARGEST` of them
-    when there are more; None for a loop in which psi answers the residual at once.
+def joint_rate(noise: NoiseDriven, which: NDArray[np.intp], theta: Array, block: int, clock: DeflectionBoundary | None = None) -> JointRate | None:
+    """Return what simulates the CUSUMs of the faults ``which`` at severities ``theta``, at most the `LARGEST` most informative of them;
+    None for a loop in which psi answers the residual at once. ``clock`` raises the boundaries of faster ones; without it they stay.
     """
-    p = noise.loop.outputs // noise.count
-    order = np.argsort(-(theta**2) * noise.passive[which], kind="stable")[:LARGEST]
+    p, information = noise.loop.outputs // noise.count, theta**2 * noise.passive[which]
+    order = np.argsort(-information, kind="stable")[: min(LARGEST, int(np.sum(information >= LEAST * information.max())))]
     rows = np.concatenate([np.arange(p) + p * i for i in which[order]])
     loop = noise.loop
     if loop.D[rows, :p].any():
         return None
     waves = np.repeat(theta[order], p)[:, None] * loop.C[rows]
     small = balanced_truncation(StateSpace(loop.A, loop.B[:, :p], waves, np.zeros((len(rows), p)), loop.dt), tolerance=SMALL).system
-    return JointRate(order, small.A, small.B, small.C, block)
+    sign = np.where(np.take_along_axis(small.B, np.abs(small.B).argmax(axis=1)[:, None], axis=1) < 0, -1.0, 1.0)  # paths are the same in any units
+    kept = replace(clock, expected=clock.expected[order]) if clock else DeflectionBoundary.flat(len(order))
+    return JointRate(order, sign * small.A * sign.T, sign * small.B, small.C * sign.T, block, kept)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +92,7 @@ class _Plan:
     paths: int
 
 
-def _rates(A: Array, B: Array, C: Array, b: Array, block: int, promised: float) -> Array | None:
+def _rates(A: Array, B: Array, C: Array, b: Array, block: int, promised: float, clock: tuple[Array, Array, Array]) -> Array | None:
     n, p = B.shape
     plans = _plans(A, B, C, p, block, float(b.max()))
     rng = np.random.Generator(np.random.PCG64(1))
@@ -90,31 +100,36 @@ def _rates(A: Array, B: Array, C: Array, b: Array, block: int, promised: float) 
     At, Bt, Ct = (np.ascontiguousarray(M.T) for M in (A, B, C))  # the loops run along memory
     if max(plan.forgotten for plan in plans) * promised > OFTEN:
         blocks = math.ceil(1 / promised)
-        paths = int(min(WORK / (_work(A, B, C, block) * block + 4 * len(b) * len(plans)) / blocks / (1 + SEEN), MOST))
+        paths = int(min(WORK / (_work(A, B, C, block) * block + LOOK * len(b) * len(plans)) / blocks / (1 + SEEN), ALARMS / SEEN))
+        if paths * SEEN < INEXACT**-2:
+            return None
         x = rng.standard_normal((paths, n)) @ root.T
-        return _counted(At, Bt, Ct, x, blocks, SEEN * blocks, block, rng, b) / (paths * SEEN * blocks) if paths >= FEWEST else None
+        counts: Array = _counted(At, Bt, Ct, x, blocks, SEEN * blocks, block, rng, b, *clock)
+        return counts / (paths * SEEN * blocks)
     if min(plan.paths for plan in plans) < FEWEST:
         return None
-    sums = np.zeros((3, len(b)))
+    sums = np.zeros((4, len(b)))
     for i, plan in enumerate(plans):
-        onset = ((np.arange(plan.paths) + 0.5) * (2 * plan.forgotten / plan.paths)).astype(np.int64)
+        early = plan.paths // EARLY
+        onset = np.append(np.arange(0.5, early) * plan.forgotten // early, np.full(plan.paths - early, plan.forgotten)).astype(np.int64)
         x = rng.standard_normal((plan.paths, n)) @ root.T
-        at, weight = _paths(At, Bt, Ct, x, i, onset, plan.patience, block, rng, b)
+        at, weight = _paths(At, Bt, Ct, x, i, onset, plan.patience, block, rng, b, *clock)
         sums += _terms(at, weight, onset, plan.forgotten)
-    early, steady, lost = sums
-    return np.asarray(steady / (1 - early + lost))
+    transient, steady, lost, variance = sums
+    middle = len(b) // 2
+    return np.asarray(steady / (1 - transient + lost)) if variance[middle] <= (INEXACT * steady[middle]) ** 2 else None
 
 
 def _plans(A: Array, B: Array, C: Array, p: int, block: int, boundary: float) -> Sequence[_Plan]:
-    K, work, plans = len(C) // p, _work(A, B, C, block), []
-    for i in range(K):
-        own = C[p * i : p * (i + 1)]
-        healthy, tilted = _information(A, B, own) * block, _information(A + B @ own, B, own) * block
-        tilted = tilted if tilted > 0 else healthy
-        forgotten, rise = int(np.ceil(MEMORY / healthy)), 2 * (boundary + 1) / tilted
-        paths = min(WORK / K / work / block / (forgotten + rise), MOST)
-        plans.append(_Plan(forgotten, int(np.ceil(PATIENCE * rise)), int(paths)))
-    return plans
+    """Return the plans of all faults, paths in proportion to the information, as alarms are."""
+    own = [C[i : i + p] for i in range(0, len(C), p)]
+    healthy = np.array([_information(A, B, c) * block for c in own])
+    tilted = np.array([_information(A + B @ c, B, c) * block for c in own])
+    forgotten, rise = np.ceil(MEMORY / healthy), 2 * (boundary + 1) / np.where(tilted > 0, tilted, healthy)
+    share = healthy / healthy.sum()
+    affordable = WORK / _work(A, B, C, block) / block / float(share @ (forgotten + rise))
+    each = zip(forgotten.tolist(), rise.tolist(), share.tolist(), strict=True)
+    return [_Plan(int(f), math.ceil(PATIENCE * r), max(int(min(affordable, PATHS) * s), FEWEST)) for f, r, s in each]
 
 
 def _work(A: Array, B: Array, C: Array, block: int) -> float:
@@ -131,22 +146,23 @@ def _information(A: Array, B: Array, C: Array) -> float:
 
 
 def _terms(at: NDArray[np.int64], weight: Array, onset: NDArray[np.int64], forgotten: int) -> Array:
-    """Return of one fault the terms of the transient, w, and w times the mean blocks passed in the transient: ``(3, B)``."""
+    """Return of one fault the terms of the transient, w, w times the mean blocks passed in the transient, and the variance of w: ``(4, B)``."""
     alive = (at < 0) | (at >= onset[:, None])
     first = onset < forgotten
-    early, steady = forgotten * weight[first].mean(axis=0), weight[~first].sum(axis=0) / np.maximum(alive[~first].sum(axis=0), 1)
-    return np.stack([early, steady, steady * forgotten * alive[first].mean(axis=0)])
+    late, living = weight[~first], np.maximum(alive[~first].sum(axis=0), 1)
+    early, steady = forgotten * weight[first].mean(axis=0), late.sum(axis=0) / living
+    return np.stack([early, steady, steady * forgotten * alive[first].mean(axis=0), len(late) * late.var(axis=0) / living**2])
 
 
 @njit(cache=True, fastmath=True)
-def _paths(At, Bt, Ct, start, who, onset, patience, block, rng, boundaries):  # type: ignore[no-untyped-def]
+def _paths(At, Bt, Ct, start, who, onset, patience, block, rng, boundaries, deflection, table, expected):  # type: ignore[no-untyped-def]
     """Return first crossings ``(N, B)`` in blocks (-1: none) and ``1 / R`` there, 0 for those before the onset."""
     N, n = start.shape
     p, many = Bt.shape[0], boundaries.size
     K = Ct.shape[1] // p
     at, weight = np.full((N, many), -1), np.zeros((N, many))
     x, new, waves, e = np.zeros(n), np.zeros(n), np.zeros(K * p), np.zeros(p)
-    g, shiryaev, gained = np.zeros(K), np.zeros(K), np.zeros(K)
+    g, shiryaev, gained = np.zeros((K, 3)), np.zeros(K), np.zeros((K, 2))
     for path in range(N):
         x[:] = start[path]
         g[:] = 0.0
@@ -158,9 +174,8 @@ def _paths(At, Bt, Ct, start, who, onset, patience, block, rng, boundaries):  # 
                 _advance(At, Bt, Ct, x, new, waves, e, who if t >= onset[path] else -1, rng)
                 _gain(waves, e, gained)
             for i in range(K):
-                g[i] = max(g[i] + gained[i], 0.0)
-                shiryaev[i] = (1.0 + shiryaev[i]) * np.exp(min(gained[i], 300.0))
-            highest, total = g.max(), shiryaev.sum()
+                shiryaev[i] = (1.0 + shiryaev[i]) * np.exp(min(gained[i, 0], 300.0))
+            highest, total = _highest(g, gained, boundaries[crossed], deflection, table, expected), shiryaev.sum()
             while crossed < many and highest > boundaries[crossed]:
                 at[path, crossed] = t
                 if t >= onset[path]:
@@ -172,13 +187,13 @@ def _paths(At, Bt, Ct, start, who, onset, patience, block, rng, boundaries):  # 
 
 
 @njit(cache=True, fastmath=True)
-def _counted(At, Bt, Ct, start, before, counted, block, rng, boundaries):  # type: ignore[no-untyped-def]
+def _counted(At, Bt, Ct, start, before, counted, block, rng, boundaries, deflection, table, expected):  # type: ignore[no-untyped-def]
     """Return the alarms at every boundary in all paths, each CUSUM set to 0 by its alarms; the first ``before`` blocks do not count."""
     N, n = start.shape
     p, many = Bt.shape[0], boundaries.size
     K = Ct.shape[1] // p
     x, new, waves, e = np.zeros(n), np.zeros(n), np.zeros(K * p), np.zeros(p)
-    g, gained, alarms = np.zeros((many, K)), np.zeros(K), np.zeros(many)
+    g, gained, alarms = np.zeros((many, K, 3)), np.zeros((K, 2)), np.zeros(many)
     for path in range(N):
         x[:] = start[path]
         g[:] = 0.0
@@ -188,11 +203,7 @@ def _counted(At, Bt, Ct, start, before, counted, block, rng, boundaries):  # typ
                 _advance(At, Bt, Ct, x, new, waves, e, -1, rng)
                 _gain(waves, e, gained)
             for j in range(many):
-                highest = 0.0
-                for i in range(K):
-                    g[j, i] = max(g[j, i] + gained[i], 0.0)
-                    highest = max(highest, g[j, i])
-                if highest > boundaries[j]:
+                if _highest(g[j], gained, boundaries[j], deflection, table, expected) > boundaries[j]:
                     g[j] = 0.0
                     alarms[j] += t >= before
     return alarms
@@ -222,9 +233,27 @@ def _advance(At, Bt, Ct, x, new, waves, e, who, rng):  # type: ignore[no-untyped
 
 @njit(cache=True, fastmath=True, inline="always")
 def _gain(waves, e, gained):  # type: ignore[no-untyped-def]
-    """Add the log likelihood ratios of one sample."""
+    """Add the log likelihood ratios of one sample and the information it brings."""
     p = e.size
-    for i in range(gained.size):
+    for i in range(gained.shape[0]):
         for q in range(p):
             w = waves[i * p + q]
-            gained[i] += w * (e[q] - 0.5 * w)
+            gained[i, 0] += w * (e[q] - 0.5 * w)
+            gained[i, 1] += w * w
+
+
+@njit(cache=True, fastmath=True)
+def _highest(g, gained, boundary, deflection, table, expected):  # type: ignore[no-untyped-def]
+    """Advance ``g (K, 3)``, each CUSUM with its information and blocks since it last was zero, by one block; return the largest,
+    less what its boundary is raised by."""
+    highest = 0.0
+    for i in range(g.shape[0]):
+        g[i, 0] += gained[i, 0]
+        if g[i, 0] <= 0.0:
+            g[i] = 0.0
+            continue
+        g[i, 1] += gained[i, 1]
+        g[i, 2] += 1.0
+        if g[i, 0] > max(boundary, highest):
+            highest = max(highest, g[i, 0] - raised_by(deflection, table, expected[i], g[i, 1], g[i, 2]))
+    return highest

@@ -5,8 +5,8 @@ import pytest
 from scipy.signal import lfilter
 
 from afdsvc.api.detection import FalseAlarms, ResidualBlock
-from afdsvc.detect.statistics.cusum import DeflectionBoundary
 from afdsvc.detect.thresholds.average_run_length import boundary
+from afdsvc.detect.thresholds.deflection_boundary import DeflectionBoundary
 from afdsvc.lti.simulate import simulate
 from afdsvc.plugins.detectors.cusum import PassiveCusumDesign
 from benchmarks.detection.truth import machines

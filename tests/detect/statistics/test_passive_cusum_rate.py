@@ -22,7 +22,8 @@ def designed(machine, rate):
 
 
 def stepped(detector, rng, runs, samples, pushed=None, onset=None):
-    """Yield after every block the largest CUSUM and Shiryaev's mixture over onsets (at blocks) and faults, and all CUSUMs.
+    """Yield after every block the largest CUSUM, less what its boundary is raised by, and Shiryaev's mixture over onsets (at blocks) and
+    faults, and all CUSUMs.
 
     The whole healthy loop, many runs side by side; theta psi of fault ``pushed`` is added to the residual from ``onset`` on.
     """
@@ -30,19 +31,25 @@ def stepped(detector, rng, runs, samples, pushed=None, onset=None):
     p, block, K = detector.problem.plant.outputs, detector.test.block, len(which)
     A, B = noise.loop.A.T.copy(), noise.loop.B[:, :p].T.copy()
     C = (np.repeat(theta, p)[:, None] * noise.loop.C[np.concatenate([np.arange(p) + p * i for i in which])]).T.copy()
-    x, g, R = np.zeros((runs, len(A))), np.zeros((runs, K)), np.zeros((runs, K))
+    x, g, R, information, blocks = np.zeros((runs, len(A))), *(np.zeros((runs, K)) for _ in range(4))
+    clock = detector.test.clock
     for _ in range(detector.filters.settling()):
         x = x @ A + rng.normal(size=(runs, p)) @ B
     for t in range(samples // block):
         gained, own = np.zeros((runs, K)), np.zeros((runs, 1, 1)) if pushed is None else (t >= onset)[:, None, None]
+        blocks += 1
         for _ in range(block):
             waves, e = (x @ C).reshape(runs, K, p), rng.normal(size=(runs, p))
             if pushed is not None:
                 e += (own * waves[np.arange(runs), pushed][:, None])[:, 0]
             gained += np.einsum("nkp,np->nk", waves, e) - 0.5 * np.sum(waves**2, axis=2)
+            information += np.sum(waves**2, axis=2)
             x = x @ A + e @ B
         g, R = np.maximum(g + gained, 0.0), np.minimum((1 + R) * np.exp(np.minimum(gained, 300.0)), 1e100)
-        yield g.max(axis=1), R.sum(axis=1) / K, g
+        blocks[g == 0], information[g == 0] = 0, 0
+        deflection = np.log(np.maximum(information, 1e-300) / np.maximum(blocks, 1)) / 2
+        risen = np.interp(np.maximum(deflection, clock.expected), clock.log_deflection, clock.boundary)
+        yield (g - risen + np.interp(clock.expected, clock.log_deflection, clock.boundary)).max(axis=1), R.sum(axis=1) / K, g
 
 
 def direct_rate(machine, rate, runs, stretches, seed):
@@ -113,8 +120,8 @@ def test_alarms_promised_before_the_cusums_forget_are_counted():
     machine = next(m for m in machines() if m.name == "order 2, output noise")
     problem, every = problem_of(machine), 20_000
     detector = PassiveCusumDesign().design(with_rate(problem, per_hour=3600 / (every * machine.dt)), {})
-    assert 16 / (0.3**2 * noise_driven(problem).passive[0]) > every
+    assert module.MEMORY / (0.3**2 * noise_driven(problem).passive[0]) > every
     assert 1.2 < detector.boundary < 1.9
-    joint = joint_rate(noise_driven(problem), detector.which, detector.test.severity, detector.test.block)
+    joint = joint_rate(noise_driven(problem), detector.which, detector.test.severity, detector.test.block, detector.test.clock)
     (rate,) = joint.per_look(np.array([detector.boundary]), detector.test.block / every)
     assert rate == pytest.approx(detector.test.block / every, rel=0.15)
