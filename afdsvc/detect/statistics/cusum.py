@@ -6,7 +6,7 @@
 of residual and features that all hypotheses share (`products`), so a sample costs the same however many there are; only
 the end of a block looks at every hypothesis. A crossing is noticed at the end of its block: at most one block late.
 
-A `DeflectionBoundary` raises the boundary of a hypothesis that gains more information than was expected (a reference moves).
+A `DeflectionBoundary` moves the boundary of a hypothesis that gains more information than was expected (a reference moves).
 
 For one hypothesis the test is exactly minimax: no other reacts sooner, in the worst case, at the same average run length
 (G. V. Moustakides, *Ann. Statist.* 14, 1986).
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from afdsvc.detect.burst_detector import Finding
 from afdsvc.detect.features.sums import Products, add_products
 from afdsvc.detect.isolation import linear_fit, weights
-from afdsvc.detect.thresholds.deflection_boundary import DeflectionBoundary, raised_by
+from afdsvc.detect.thresholds.deflection_boundary import DeflectionBoundary, boundary_at
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 
@@ -83,15 +83,15 @@ class Cusum:
         g, n, gained, total, began = (a.copy() for a in (state.g, state.n, state.gained, state.total, state.began))
         cross, square = state.cross.copy(), state.square.copy()
         at, who, peak, begun = _cusum(
-            np.ascontiguousarray(flat), self.at, self.quad, self.severity, self.block, self.boundary, self.clock.log_deflection,
-            self.clock.boundary, self.clock.expected, state.peak, state.begun, g, n, gained, total, began, cross, square,
+            np.ascontiguousarray(flat), self.at, self.quad, self.severity, self.block, self.boundary, *self.clock.arrays,
+            state.peak, state.begun, g, n, gained, total, began, cross, square,
         )
         return CusumState(g, n, gained, total, began, peak, begun, cross, square), at, who
 
-    def raised(self, state: CusumState, who: int) -> float:
+    def moved(self, state: CusumState, who: int) -> float:
         """Return the boundary that hypothesis ``who`` has to cross."""
         c = self.clock
-        return self.boundary + float(raised_by(c.log_deflection, c.boundary, c.expected[who], state.gained[who], state.n[who] / self.block))
+        return float(boundary_at(self.boundary, c.log_deflection, c.boundary, c.expected[who], state.gained[who], state.n[who] / self.block))
 
     def finding(
         self, state: CusumState, who: int, names: Sequence[str], bounds: tuple[float, float], sample: int
@@ -105,7 +105,7 @@ class Cusum:
         b, G = self._segment(state, who)
         fits = tuple(linear_fit(n, float(v), float(i), bounds) for n, v, i in zip(names, b, G, strict=True))
         parts = {"sample": float(sample), "delay_samples": float(state.n[who])}
-        crossed, boundary = float(state.g[who]), self.raised(state, who)
+        crossed, boundary = float(state.g[who]), self.moved(state, who)
         return Finding(crossed if crossed > boundary else state.peak, boundary, fits, weights(fits), parts, early=True)
 
     def _segment(self, state: CusumState, who: int) -> tuple[Array, Array]:
@@ -131,7 +131,7 @@ def cusum(
 
 @njit(cache=True)
 def _cusum(  # type: ignore[no-untyped-def]
-    flat, at, quad, severity, block, boundary, deflection, boundaries, expected, peak, begun, g, n, gained, total, began, cross, square
+    flat, at, quad, severity, block, boundary, deflection, table, expected, falls, peak, begun, g, n, gained, total, began, cross, square
 ):
     score, information, p = np.zeros(g.size), np.zeros(g.size), cross.shape[0]
     for t in range(flat.shape[0]):
@@ -150,8 +150,8 @@ def _cusum(  # type: ignore[no-untyped-def]
         highest, margin = -1, -np.inf
         for h in range(g.size):
             peak = max(peak, g[h])
-            if g[h] > boundary:
-                over = g[h] - boundary - raised_by(deflection, boundaries, expected[h], gained[h], n[h] / block)
+            if g[h] > boundary or gained[h] > falls[h] * n[h] / block:
+                over = g[h] - boundary_at(boundary, deflection, table, expected[h], gained[h], n[h] / block)
                 if over > margin:
                     highest, margin = h, over
         if margin > 0.0:

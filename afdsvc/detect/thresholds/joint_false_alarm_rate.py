@@ -10,7 +10,7 @@ cycle from rest to alarm satisfies
 have forgotten that they began at rest, the terms are ``w_i P(T >= s)``, and the sum over s of ``P(T >= s)`` is the run length.
 So onsets before that give the transient and one after it w_i; the relative error does not grow as alarms become rare. Where alarms are
 promised more often than the CUSUMs forget, healthy loops are simulated and their alarms counted. No share of
-a CUSUM in the union and no allowance for uneven steps is needed, and boundaries rise with the information gained as in the
+a CUSUM in the union and no allowance for uneven steps is needed, and boundaries move with the information gained as in the
 detector. One set of paths, from a fixed seed, serves all boundaries.
 """
 
@@ -25,7 +25,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
-from afdsvc.detect.thresholds.deflection_boundary import DeflectionBoundary, raised_by
+from afdsvc.detect.thresholds.deflection_boundary import DeflectionBoundary, boundary_at
 from afdsvc.detect.thresholds.regressor_information import NoiseDriven
 from afdsvc.lti.reduce import balanced_truncation
 from afdsvc.lti.statespace import Array, StateSpace
@@ -50,7 +50,7 @@ SMALL = 1e-7  # singular values of the loop left out
 @dataclass(frozen=True, slots=True, eq=False)
 class JointRate:
     """CUSUMs of the faults ``which``, indices into those of the detector: waves ``C x (K p,)`` of the loop
-    ``x+ = A x + B e``, in steps of ``block`` samples; ``clock`` raises their boundaries.
+    ``x+ = A x + B e``, in steps of ``block`` samples; ``clock`` moves their boundaries.
     """
 
     which: NDArray[np.intp]
@@ -63,12 +63,12 @@ class JointRate:
     def per_look(self, boundaries: Array, promised: float = 0.0) -> Array | None:
         """Return alarms per block at every (ascending) boundary where about ``promised`` are looked for; None where too few paths are affordable for a rate to a tenth."""
         A, B, C, b = (np.ascontiguousarray(x, dtype=np.float64) for x in (self.A, self.B, self.C, boundaries))
-        return _rates(A, B, C, b, self.block, promised, (self.clock.log_deflection, self.clock.boundary, self.clock.expected))
+        return _rates(A, B, C, b, self.block, promised, self.clock.arrays)
 
 
 def joint_rate(noise: NoiseDriven, which: NDArray[np.intp], theta: Array, block: int, clock: DeflectionBoundary | None = None) -> JointRate | None:
     """Return what simulates the CUSUMs of the faults ``which`` at severities ``theta``, at most the `LARGEST` most informative of them;
-    None for a loop in which psi answers the residual at once. ``clock`` raises the boundaries of faster ones; without it they stay.
+    None for a loop in which psi answers the residual at once. ``clock`` moves the boundaries of faster ones; without it they stay.
     """
     p, information = noise.loop.outputs // noise.count, theta**2 * noise.passive[which]
     order = np.argsort(-information, kind="stable")[: min(LARGEST, int(np.sum(information >= LEAST * information.max())))]
@@ -79,7 +79,7 @@ def joint_rate(noise: NoiseDriven, which: NDArray[np.intp], theta: Array, block:
     waves = np.repeat(theta[order], p)[:, None] * loop.C[rows]
     small = balanced_truncation(StateSpace(loop.A, loop.B[:, :p], waves, np.zeros((len(rows), p)), loop.dt), tolerance=SMALL).system
     sign = np.where(np.take_along_axis(small.B, np.abs(small.B).argmax(axis=1)[:, None], axis=1) < 0, -1.0, 1.0)  # paths are the same in any units
-    kept = replace(clock, expected=clock.expected[order]) if clock else DeflectionBoundary.flat(len(order))
+    kept = replace(clock, expected=clock.expected[order], falls=clock.falls[order]) if clock else DeflectionBoundary.flat(len(order))
     return JointRate(order, sign * small.A * sign.T, sign * small.B, small.C * sign.T, block, kept)
 
 
@@ -92,7 +92,7 @@ class _Plan:
     paths: int
 
 
-def _rates(A: Array, B: Array, C: Array, b: Array, block: int, promised: float, clock: tuple[Array, Array, Array]) -> Array | None:
+def _rates(A: Array, B: Array, C: Array, b: Array, block: int, promised: float, clock: tuple[Array, ...]) -> Array | None:
     n, p = B.shape
     plans = _plans(A, B, C, p, block, float(b.max()))
     rng = np.random.Generator(np.random.PCG64(1))
@@ -155,7 +155,7 @@ def _terms(at: NDArray[np.int64], weight: Array, onset: NDArray[np.int64], forgo
 
 
 @njit(cache=True, fastmath=True)
-def _paths(At, Bt, Ct, start, who, onset, patience, block, rng, boundaries, deflection, table, expected):  # type: ignore[no-untyped-def]
+def _paths(At, Bt, Ct, start, who, onset, patience, block, rng, boundaries, deflection, table, expected, falls):  # type: ignore[no-untyped-def]
     """Return first crossings ``(N, B)`` in blocks (-1: none) and ``1 / R`` there, 0 for those before the onset."""
     N, n = start.shape
     p, many = Bt.shape[0], boundaries.size
@@ -175,7 +175,7 @@ def _paths(At, Bt, Ct, start, who, onset, patience, block, rng, boundaries, defl
                 _gain(waves, e, gained)
             for i in range(K):
                 shiryaev[i] = (1.0 + shiryaev[i]) * np.exp(min(gained[i, 0], 300.0))
-            highest, total = _highest(g, gained, boundaries[crossed], deflection, table, expected), shiryaev.sum()
+            highest, total = _highest(g, gained, boundaries[crossed], deflection, table, expected, falls), shiryaev.sum()
             while crossed < many and highest > boundaries[crossed]:
                 at[path, crossed] = t
                 if t >= onset[path]:
@@ -187,7 +187,7 @@ def _paths(At, Bt, Ct, start, who, onset, patience, block, rng, boundaries, defl
 
 
 @njit(cache=True, fastmath=True)
-def _counted(At, Bt, Ct, start, before, counted, block, rng, boundaries, deflection, table, expected):  # type: ignore[no-untyped-def]
+def _counted(At, Bt, Ct, start, before, counted, block, rng, boundaries, deflection, table, expected, falls):  # type: ignore[no-untyped-def]
     """Return the alarms at every boundary in all paths, each CUSUM set to 0 by its alarms; the first ``before`` blocks do not count."""
     N, n = start.shape
     p, many = Bt.shape[0], boundaries.size
@@ -203,7 +203,7 @@ def _counted(At, Bt, Ct, start, before, counted, block, rng, boundaries, deflect
                 _advance(At, Bt, Ct, x, new, waves, e, -1, rng)
                 _gain(waves, e, gained)
             for j in range(many):
-                if _highest(g[j], gained, boundaries[j], deflection, table, expected) > boundaries[j]:
+                if _highest(g[j], gained, boundaries[j], deflection, table, expected, falls) > boundaries[j]:
                     g[j] = 0.0
                     alarms[j] += t >= before
     return alarms
@@ -243,9 +243,9 @@ def _gain(waves, e, gained):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True)
-def _highest(g, gained, boundary, deflection, table, expected):  # type: ignore[no-untyped-def]
+def _highest(g, gained, boundary, deflection, table, expected, falls):  # type: ignore[no-untyped-def]
     """Advance ``g (K, 3)``, each CUSUM with its information and blocks since it last was zero, by one block; return the largest,
-    less what its boundary is raised by."""
+    less what its boundary has moved by."""
     highest = 0.0
     for i in range(g.shape[0]):
         g[i, 0] += gained[i, 0]
@@ -254,6 +254,6 @@ def _highest(g, gained, boundary, deflection, table, expected):  # type: ignore[
             continue
         g[i, 1] += gained[i, 1]
         g[i, 2] += 1.0
-        if g[i, 0] > max(boundary, highest):
-            highest = max(highest, g[i, 0] - raised_by(deflection, table, expected[i], g[i, 1], g[i, 2]))
+        if g[i, 0] > max(boundary, highest) or g[i, 1] > falls[i] * g[i, 2]:
+            highest = max(highest, g[i, 0] + boundary - boundary_at(boundary, deflection, table, expected[i], g[i, 1], g[i, 2]))
     return highest
