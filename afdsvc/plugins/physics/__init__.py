@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from afdsvc.api.physics import Physics
 from afdsvc.plugins.hookspecs import hookimpl
+from afdsvc.plugins.physics.actuator_crosstalk import ActuatorCrosstalk
 from afdsvc.plugins.physics.actuator_lag import ActuatorLag
 from afdsvc.plugins.physics.asymmetric_damping import AsymmetricDamping
 from afdsvc.plugins.physics.back_emf import BackEmf
@@ -28,6 +29,7 @@ from afdsvc.plugins.physics.gain_follows_position import GainFollowsPosition
 from afdsvc.plugins.physics.gravity import Gravity
 from afdsvc.plugins.physics.gyroscopic_coupling import GyroscopicCoupling
 from afdsvc.plugins.physics.hysteresis import Hysteresis
+from afdsvc.plugins.physics.inertia_follows_position import InertiaFollowsPosition
 from afdsvc.plugins.physics.magnetic_force import MagneticForce
 from afdsvc.plugins.physics.parameter_change import ParameterChange
 from afdsvc.plugins.physics.periodic_disturbance import PeriodicDisturbance
@@ -55,9 +57,9 @@ from afdsvc.plugins.physics.transport_delay import TransportDelay
 from afdsvc.plugins.physics.unbalance import Unbalance
 
 BUILT_IN = (
-    ActuatorLag, AsymmetricDamping, BackEmf, Backlash, Clearance, ClockOffset, Cogging, ColouredNoise, ConstantLoad,
+    ActuatorCrosstalk, ActuatorLag, AsymmetricDamping, BackEmf, Backlash, Clearance, ClockOffset, Cogging, ColouredNoise, ConstantLoad,
     CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, EncoderError, FlexibleMode,
-    GainFollowsAux, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, MagneticForce,
+    GainFollowsAux, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, InertiaFollowsPosition, MagneticForce,
     ParameterChange, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
     ResonantActuator, Runout, Saturation, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,
     SensorNonlinearity, SensorOffset, SensorRectification, SensorSaturation, SlewLimit, SlowMode,

@@ -19,9 +19,9 @@ STAGES = ("input", "force", "output")
 @lru_cache(maxsize=1)
 def machines() -> tuple[Machine, ...]:
     """Return examples: a rotor on two axes with all auxiliary signals, a black box, a motor of which only the speed is a state,
-    an arm, a magnet, two tanks, a structure in modal coordinates, a damper whose motion is imposed, two masses on a shaft, by their angles and by its twist, and
-    a coil whose current is a state."""
-    return _rotor(), _black_box(), _motor(), _arm(), _magnet(), _tanks(), _structure(), _damper(), _shaft(), _twisted_shaft(), _coil()
+    an arm, a magnet, two tanks, a structure in modal coordinates, a damper whose motion is imposed, two masses on a shaft, by their angles and by its twist,
+    a coil whose current is a state, and a camera that tilts on a column that turns."""
+    return _rotor(), _black_box(), _motor(), _arm(), _magnet(), _tanks(), _structure(), _damper(), _shaft(), _twisted_shaft(), _coil(), _gimbal()
 
 
 def _size(index: int, name: str, unit: str, rms: float, step: float = 0.0) -> Size:
@@ -118,6 +118,14 @@ def _coil() -> Machine:
     machine = _plain([("voltage", "V", 8.0)], motion, motion[1:2], matrices, [(1, 2)], 2.5e-4)
     (axis,) = machine.axes
     return replace(machine, axes=(Axis("v", axis.position, axis.rate, 4e5),), waves={Signal("x", 1): (3.1,), Signal("y", 0): (3.1, 0.8)})
+
+
+def _gimbal() -> Machine:
+    motion = [("tilt", "deg", 10.0), ("tilt_rate", "deg/s", 40.0), ("turn_rate", "deg/s", 60.0)]
+    matrices = ([[0, 1, 0], [-16, -1.5, 0], [0, 0, -1.7]], [[0, 0], [570, 0], [0, 490]], [[0, 1, 0], [0, 0, 1]], np.zeros((2, 2)))
+    machine = _plain([("tilt_current", "A", 0.4), ("turn_current", "A", 0.5)], motion, motion[1:], matrices, [(0, 1), (None, 2)], 1e-2)
+    tilt, turn = machine.axes
+    return replace(machine, axes=(tilt, replace(turn, push=245.0, input=1, gain=490.0)))
 
 
 def _offered(thing: Any) -> Iterator[Hypothesis]:

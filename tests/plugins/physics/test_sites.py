@@ -17,7 +17,7 @@ from afdsvc.plugins.physics.back_emf import BackEmf
 from afdsvc.plugins.physics.cogging import Cogging
 from afdsvc.testing.conformance.physics import machines
 
-ROTOR, BLACK_BOX, MOTOR, ARM, MAGNET, TANKS, STRUCTURE, DAMPER, SHAFT, TWISTED, COIL = range(11)
+ROTOR, BLACK_BOX, MOTOR, ARM, MAGNET, TANKS, STRUCTURE, DAMPER, SHAFT, TWISTED, COIL, GIMBAL = range(12)
 
 
 def offered(machine: Machine) -> dict:
@@ -48,6 +48,8 @@ def offered(machine: Machine) -> dict:
     (ROTOR, "clock_offset@machine clock_offset@input:horizontal clock_offset@input:vertical"),
     (SHAFT, "clearance@machine#play in the spring between w1,w2 clearance@machine#between w1,w2 cubic_stiffness@machine#between w1,w2"),
     (TWISTED, "clearance@machine#play in the spring between w1,w2 coulomb_friction@machine#slip between w1,w2 cubic_stiffness@machine#between w1,w2"),
+    (ROTOR, "actuator_crosstalk@state:vx#vertical actuator_crosstalk@state:vy#horizontal"),
+    (GIMBAL, "inertia_follows_position@machine#turn_rate by tilt_rate actuator_crosstalk@state:turn_rate#tilt_current"),
     (DAMPER, "hysteresis@input:speed hysteresis@output:force#speed coulomb_friction@output:force#speed saturation@state:force"),
 ])
 def test_a_machine_is_offered_what_it_may_have(machine, keys):
