@@ -32,7 +32,7 @@ from afdsvc.lti.statespace import Array, StateSpace
 
 LARGEST = 8  # faults simulated together
 LEAST = 0.01  # information, as a share of the largest, of faults that are simulated: alarms come in proportion to it
-WORK = 6e9  # multiplications spent at most: about three seconds
+WORK = 6e9  # multiplications spent at most on one set of boundaries: about five seconds
 PATHS = 600  # simulated at most
 FEWEST = 20  # of a fault
 EARLY = 5  # of so many, one begins before the CUSUMs have forgotten
@@ -85,11 +85,16 @@ def joint_rate(noise: NoiseDriven, which: NDArray[np.intp], theta: Array, block:
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """Of one fault: blocks until it no longer matters that the CUSUMs began at rest, patience after the onset, paths."""
+    """Of one fault: blocks until it no longer matters that the CUSUMs began at rest, mean blocks from the onset to the alarm, paths."""
 
     forgotten: int
-    patience: int
+    rise: int
     paths: int
+
+    @property
+    def blocks(self) -> int:
+        """Mean blocks of a path."""
+        return self.forgotten + self.rise
 
 
 def _rates(A: Array, B: Array, C: Array, b: Array, block: int, promised: float, clock: tuple[Array, ...]) -> Array | None:
@@ -106,14 +111,14 @@ def _rates(A: Array, B: Array, C: Array, b: Array, block: int, promised: float, 
         x = rng.standard_normal((paths, n)) @ root.T
         counts: Array = _counted(At, Bt, Ct, x, blocks, SEEN * blocks, block, rng, b, *clock)
         return counts / (paths * SEEN * blocks)
-    if min(plan.paths for plan in plans) < FEWEST:
+    if sum(plan.paths * plan.blocks for plan in plans) * block * _work(A, B, C, block) > 2 * WORK:  # the fewest paths of slow faults
         return None
     sums = np.zeros((4, len(b)))
     for i, plan in enumerate(plans):
         early = plan.paths // EARLY
         onset = np.append(np.arange(0.5, early) * plan.forgotten // early, np.full(plan.paths - early, plan.forgotten)).astype(np.int64)
         x = rng.standard_normal((plan.paths, n)) @ root.T
-        at, weight = _paths(At, Bt, Ct, x, i, onset, plan.patience, block, rng, b, *clock)
+        at, weight = _paths(At, Bt, Ct, x, i, onset, int(PATIENCE * plan.rise), block, rng, b, *clock)
         sums += _terms(at, weight, onset, plan.forgotten)
     transient, steady, lost, variance = sums
     middle = len(b) // 2
@@ -129,7 +134,7 @@ def _plans(A: Array, B: Array, C: Array, p: int, block: int, boundary: float) ->
     share = healthy / healthy.sum()
     affordable = WORK / _work(A, B, C, block) / block / float(share @ (forgotten + rise))
     each = zip(forgotten.tolist(), rise.tolist(), share.tolist(), strict=True)
-    return [_Plan(int(f), math.ceil(PATIENCE * r), max(int(min(affordable, PATHS) * s), FEWEST)) for f, r, s in each]
+    return [_Plan(int(f), math.ceil(r), max(int(min(affordable, PATHS) * s), FEWEST)) for f, r, s in each]
 
 
 def _work(A: Array, B: Array, C: Array, block: int) -> float:
