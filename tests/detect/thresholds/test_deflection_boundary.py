@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from afdsvc.detect.statistics.cusum import cusum
 from afdsvc.detect.thresholds.average_run_length import run_length
 from afdsvc.detect.thresholds.deflection_boundary import DeflectionBoundary, boundary_at
 
@@ -42,3 +43,14 @@ def test_without_a_table_nothing_moves():
     flat = DeflectionBoundary.flat(2)
     assert boundary_at(3.0, flat.log_deflection, flat.boundary, flat.expected[0], 1e6, 1.0) == 3.0
     assert np.isinf(flat.falls).all()
+
+
+def test_large_steps_alarm_below_the_boundary_at_rest(clock):
+    """Of a step of deflection 6 the likelihood ratio is ``6 r - 18``: an alarm at 5.4, where the boundary at rest is higher, and none at 0.3."""
+    rest = moved(clock, REST)
+    test = cusum(np.ones((1, 1, 1)), [1.0], [0], 1, rest, DeflectionBoundary(clock.log_deflection, clock.boundary, np.log([REST]), clock.falls[1:]))
+    for residual, alarms in ((6.0 * 0.5 + 0.9, True), (6.0 * 0.5 + 0.05, False)):
+        g = 6.0 * residual - 18.0
+        assert g < rest
+        _, at, who = test.step(test.start(), np.array([[residual, 6.0]]))
+        assert ((at, who) == (0, 0)) == alarms
