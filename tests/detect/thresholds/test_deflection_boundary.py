@@ -30,7 +30,7 @@ def test_it_rises_then_falls_and_stays_where_information_is_scarce(clock):
     assert moved(clock, 2.0) > rest + 1
     assert moved(clock, 6.0) < rest - 1
     assert moved(clock, 0.1) == rest
-    assert moved(clock, 9.0) == 0.0
+    assert boundary_at(rest - 1, clock.log_deflection, clock.boundary, np.log(REST), 81.0, 1.0) == 0.0  # never below zero
 
 
 def test_information_beyond_which_it_is_below_the_one_at_rest(clock):

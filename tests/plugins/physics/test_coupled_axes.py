@@ -22,9 +22,9 @@ def size(index: int, name: str, unit: str) -> Size:
     return Size(index, name, unit, 0.0, 0.5, 2.0)
 
 
-def arm(plant: StateSpace = PLANT, angle: str = "rad") -> Machine:
+def arm(plant: StateSpace = PLANT, lift: str = "rad", turn: str = "rad") -> Machine:
     """A machine of two axes, each with a motor."""
-    states = tuple(size(i, n, u) for i, (n, u) in enumerate([("lift", angle), ("lift_rate", f"{angle}/s"), ("turn", angle), ("turn_rate", f"{angle}/s")]))
+    states = tuple(size(i, n, u) for i, (n, u) in enumerate([("lift", lift), ("lift_rate", f"{lift}/s"), ("turn", turn), ("turn_rate", f"{turn}/s")]))
     axes = tuple(Axis(states[k].name, states[k], states[k + 1], 2.0, i, float(plant.B[k + 1, i]), "V") for i, k in enumerate((0, 2)))
     return Machine(
         tuple(size(i, n, "V") for i, n in enumerate(["main", "tail"])), (states[0], states[2]), states, axes, {}, 0.01, 20.0, 10.0, plant, np.ones(2),
@@ -86,5 +86,6 @@ def test_the_forces_of_the_model_move_the_changed_inertia():
 
 def test_only_axes_that_turn_and_that_no_spring_joins():
     assert len(offered(arm())) == 2
-    assert offered(arm(angle="mm")) == {}
+    assert offered(arm(lift="mm", turn="mm")) == {}
+    assert "inertia_follows_position@machine#turn by lift" in offered(arm(lift="mm"))  # a mass that slides along an arm that turns
     assert offered(replace(arm(), deflections={(0, 2): size(4, "twist", "rad")})) == {}
