@@ -56,7 +56,7 @@ class InertiaFollowsPosition:
                 parameters=[
                     Coefficient("rise at the rms", "", -5.0, 5.0, 0.02, linear=True),
                     Coefficient("bend at the rms", "", -5.0, 5.0, 0.02, linear=True),
-                    Coefficient("inertia by that of the other axis", "", 0.0, 1e3 * ratio, ratio),
+                    Coefficient("ratio of the inertias", "", 0.0, 1e3 * ratio, ratio),
                     constant("middle", q.unit, q.mean), constant("rms", q.unit, q.rms), constant("rate", "", rate), *terms,
                 ],
                 starts=[(0.0, 0.0, ratio * k, q.mean, q.rms, rate, *(t.low for t in terms)) for k in (0.3, 3.0)], notes={"variant": f"{b.name} by {a.name}"},
