@@ -88,7 +88,7 @@ class Cusum:
         )
         return CusumState(g, n, gained, total, began, peak, begun, cross, square), at, who
 
-    def moved(self, state: CusumState, who: int) -> float:
+    def boundary_of(self, state: CusumState, who: int) -> float:
         """Return the boundary that hypothesis ``who`` has to cross."""
         c = self.clock
         return float(boundary_at(self.boundary, c.log_deflection, c.boundary, c.expected[who], state.gained[who], state.n[who] / self.block))
@@ -105,7 +105,7 @@ class Cusum:
         b, G = self._segment(state, who)
         fits = tuple(linear_fit(n, float(v), float(i), bounds) for n, v, i in zip(names, b, G, strict=True))
         parts = {"sample": float(sample), "delay_samples": float(state.n[who])}
-        crossed, boundary = float(state.g[who]), self.moved(state, who)
+        crossed, boundary = float(state.g[who]), self.boundary_of(state, who)
         return Finding(crossed if crossed > boundary else state.peak, boundary, fits, weights(fits), parts, early=True)
 
     def _segment(self, state: CusumState, who: int) -> tuple[Array, Array]:
