@@ -376,11 +376,14 @@ def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: d
     decision horizon every hypothesis has to gain, too.
     """
     s = rounds.problem.settings
+    nothing = Round(tuple(ranked), False, limited, "no hypothesis of the library gains anything")
     if not ranked:
-        return Round((), False, limited, "no hypothesis of the library gains anything")
+        return nothing
     e, sure = ranked[0].evidence, ranked[0].evidence.improves(s.resamples)
     gains = [(e.gains[h], max(s.evidence, s.chance * v)) for h, v in by_chance.items() if h in e.gains]
     gain, expected = gains[-1] if rounds.problem.regular else max(gains, key=lambda pair: pair[0] / pair[1])
+    if not gain > 0:
+        return nothing
     if rounds.limited == "noise" and is_constant(ranked[0].hypothesis):
         expected = s.constant  # one number that is known beforehand, not the best of many hypotheses
     asked = [(gain, expected, "gain of likelihood"), (e.gain, min(s.evidence, expected), "gain at the decision horizon")]

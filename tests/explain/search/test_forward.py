@@ -86,10 +86,15 @@ def test_its_weight_counts_resampled_blocks(found):
     assert friction > 0.9  # its variants share the vote: while the motor moves they are one force
 
 
-def test_nothing_is_accepted_from_coloured_noise_alone():
-    found = search(settled(problem(0.0, noise=8.0)), LIBRARY)
+@pytest.mark.parametrize(
+    ("friction", "reason"), [(0.0, "no hypothesis of the library gains anything"), (15.0, "coulomb friction (force on speed): gain of likelihood")]
+)
+def test_nothing_is_accepted_from_coloured_noise_alone(friction, reason):
+    """Nor friction so small that the noise hides it."""
+    found = search(settled(problem(friction, noise=8.0)), LIBRARY)
     assert not any(s.accepted for s in found.steps)
-    assert "expected more than" in found.steps[0].reason
+    assert found.steps[0].reason.startswith(reason)
+    assert ("expected more than" in found.steps[0].reason) == (friction > 0)
 
 
 def test_an_offset_is_no_effect_and_comes_last():

@@ -8,7 +8,7 @@ import pytest
 from afdsvc.explain.search.evidence import HypothesisEvidence
 from afdsvc.explain.search.ranking import Candidate
 from afdsvc.explain.settings import Settings
-from afdsvc.explain.verdict.verdict import _claims, _complete, verdict
+from afdsvc.explain.verdict.verdict import _claims, _complete, _explained, verdict
 
 
 def candidate(physics: str) -> Candidate:
@@ -33,6 +33,20 @@ def test_no_name_is_surer_than_the_share_of_the_explainable_that_is_closed(expla
 def test_all_is_explained_where_nothing_remains_to_be_tested():
     found = SimpleNamespace(problem=SimpleNamespace(weighting=SimpleNamespace(measured=False)))
     assert _complete(found, None, (0.1, 0.0)) == 1.0
+
+
+@pytest.mark.parametrize("floor", [0.0, 30.0])  # the noise of a block, none of the gap
+def test_the_deviation_of_the_explained_share_is_that_of_blocks_drawn_anew(floor):
+    """Blocks differ widely in what they hold of the gap, and close nearly the same share of it. The oracle is the bootstrap."""
+    rng = np.random.default_rng(7)
+    gap = np.exp(1.5 * rng.standard_normal(40)) * 10
+    before, after = gap + floor, gap * (0.1 + 0.02 * rng.standard_normal(40)) + floor
+    share = 1 - (after - floor).sum() / gap.sum()
+    drawn = rng.integers(0, 40, (4000, 40))
+    expected = np.std(1 - (after - floor)[drawn].sum(1) / gap[drawn].sum(1))
+    found = SimpleNamespace(evidence=HypothesisEvidence({0.0: 100.0}, share, before, after, 400.0, 0.0))
+    assert _explained(found) == (share, pytest.approx(expected, rel=0.15))
+    assert expected < 0.01
 
 
 def _found(effects: list[Candidate], evidence: HypothesisEvidence) -> SimpleNamespace:
