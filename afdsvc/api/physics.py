@@ -52,8 +52,9 @@ class Coefficient:
     ``scale`` is a change that matters, used as the first step of a fit. A parameter with ``low >= 0`` is searched on a
     logarithmic scale. ``linear`` says that the law is proportional to it (together with the other linear ones).
     ``nuisance`` marks a shape parameter that sharpens the fit but is not a finding of its own, such as a rounding width.
-    ``through = (state, input)`` says that people want the value divided by that entry of B, in the ``unit`` given: a force
-    where the law works with the acceleration it causes.
+    ``through = (state, input)`` says that the value is stated divided by that entry of B, in the ``unit`` given: a force
+    where the law works with the acceleration it causes. ``unsigned`` divides by the size of the entry: what opposes the motion is positive
+    although the input acts against the axis.
     """
 
     name: str
@@ -64,6 +65,12 @@ class Coefficient:
     linear: bool = False
     nuisance: bool = False
     through: tuple[int, int] | None = None
+    unsigned: bool = False
+
+    def per(self, B: Array) -> float:
+        """Return what the law's value is divided by where it is stated, for the matrix ``B (n, m)`` of the plant."""
+        entry = 1.0 if self.through is None else float(B[self.through]) or 1.0
+        return abs(entry) if self.unsigned else entry
 
     @property
     def free(self) -> bool:

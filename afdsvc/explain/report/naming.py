@@ -122,7 +122,7 @@ def _of_effect(effect: PlacedEffect, spreads: Mapping[int, float], B: Array) -> 
 
 
 def _estimate(value: float, c: Coefficient, spread: float, B: Array) -> Estimate:
-    factor = 1.0 if c.through is None or B[c.through] == 0 else 1 / float(B[c.through])
+    factor = 1 / c.per(B)
     size = max(abs(value), 0.0 if logarithmic(c) else c.scale)
     known = np.isfinite(spread) and 0 < spread < UNKNOWN * size
     return Estimate(value * factor, spread * abs(factor) if known else None, c.unit)

@@ -118,7 +118,7 @@ def _parameters(explanation: Explanation, plant: StateSpace) -> dict[str, Quanti
         h = effect.hypothesis
         for c, value in zip(h.parameters, effect.values, strict=True):
             if name := key(h, c):
-                shown = float(value) / factor(c, plant)
+                shown = float(value) / c.per(plant.B)
                 sd = sds.get((h.physics, h.site, c.name))
                 found[name] = Quantity(shown, c.unit, 0.05 if sd is None or not shown else float(sd / abs(shown)))
     return found
@@ -136,11 +136,6 @@ def goes_by_samples(plant: StateSpace, effects: Sequence[PlacedEffect]) -> bool:
 def key(h: Hypothesis, c: Coefficient) -> str:
     """Return the name of a parameter in MODEL.toml, "" for constants and shapes, which stay in the text."""
     return f"{c.name} of {h.physics} at {h.site}" if c.free and not c.nuisance else ""
-
-
-def factor(c: Coefficient, plant: StateSpace) -> float:
-    """Return what a value in people's units is multiplied by to become the law's."""
-    return 1.0 if c.through is None or plant.B[c.through] == 0 else float(plant.B[c.through])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -314,7 +309,7 @@ def _along(parts: Parts, h: Hypothesis, along: Signal, target: str, sampled: boo
 
 
 def _value(h: Hypothesis, c: Coefficient, value: float, plant: StateSpace) -> str:
-    scale, name = factor(c, plant), key(h, c)
+    scale, name = c.per(plant.B), key(h, c)
     return repr(value) if not name else f"p[{name!r}]" if scale == 1.0 else f"p[{name!r}] * {scale!r}"
 
 

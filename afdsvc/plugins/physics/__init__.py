@@ -25,6 +25,7 @@ from afdsvc.plugins.physics.dead_zone import DeadZone
 from afdsvc.plugins.physics.encoder_error import EncoderError
 from afdsvc.plugins.physics.flexible_mode import FlexibleMode
 from afdsvc.plugins.physics.gain_follows_aux import GainFollowsAux
+from afdsvc.plugins.physics.gain_follows_level import GainFollowsLevel
 from afdsvc.plugins.physics.gain_follows_position import GainFollowsPosition
 from afdsvc.plugins.physics.gravity import Gravity
 from afdsvc.plugins.physics.gyroscopic_coupling import GyroscopicCoupling
@@ -59,7 +60,7 @@ from afdsvc.plugins.physics.unbalance import Unbalance
 BUILT_IN = (
     ActuatorCrosstalk, ActuatorLag, AsymmetricDamping, BackEmf, Backlash, Clearance, ClockOffset, Cogging, ColouredNoise, ConstantLoad,
     CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, EncoderError, FlexibleMode,
-    GainFollowsAux, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, InertiaFollowsPosition, MagneticForce,
+    GainFollowsAux, GainFollowsLevel, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, InertiaFollowsPosition, MagneticForce,
     ParameterChange, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
     ResonantActuator, Runout, Saturation, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,
     SensorNonlinearity, SensorOffset, SensorRectification, SensorSaturation, SlewLimit, SlowMode,

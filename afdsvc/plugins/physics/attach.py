@@ -73,15 +73,20 @@ def _moving(machine: Machine) -> set[int]:
     return {s.index for a in machine.axes for s in (a.rate, a.position) if s is not None}
 
 
-def store_states(machine: Machine) -> list[Size]:
-    """Return the states that store something: they belong to no axis, run empty by themselves, and what leaves one arrives in others.
-
-    In the matrices: a diagonal entry below zero, no other entry of the row and the column below zero.
-    """
+def decaying(machine: Machine) -> list[tuple[Size, float]]:
+    """Return the states that belong to no axis and decay by themselves, with the rate at which they do."""
     if machine.plant is None:
         return []
-    moving, A = _moving(machine), machine.plant.A
-    return [s for i, s in enumerate(machine.states) if i not in moving and A[i, i] < 0 and min(np.delete([*A[i], *A[:, i]], [i, i + len(A)]), default=0.0) >= 0]
+    moving, own = _moving(machine), -np.diag(machine.plant.A)
+    return [(s, float(own[s.index])) for s in machine.states if s.index not in moving and own[s.index] > 0]
+
+
+def store_states(machine: Machine) -> list[Size]:
+    """Return the states that store something: they decay by themselves, and what leaves one arrives in others: no other entry of row and column is below zero."""
+    if machine.plant is None:
+        return []
+    A = machine.plant.A
+    return [s for s, _ in decaying(machine) if min(np.delete([*A[s.index], *A[:, s.index]], [s.index, s.index + len(A)]), default=0.0) >= 0]
 
 
 def downstream(machine: Machine, store: Size) -> list[tuple[int, float]]:
@@ -183,7 +188,7 @@ def force(axis: Axis, name: str, low: float, high: float, scale: float, per: str
     """Return a force-like coefficient (``per`` is its denominator, such as "m^3"), in the unit of the input where one acts here."""
     through = None if axis.input is None else (axis.rate.index, axis.input)
     unit = axis.unit or f"{axis.rate.unit}/s"
-    return Coefficient(name, f"{unit}/{per}" if per else unit, low, high, scale, through=through, **rest)
+    return Coefficient(name, f"{unit}/{per}" if per else unit, low, high, scale, through=through, unsigned=True, **rest)
 
 
 def _hypothesis(

@@ -24,6 +24,11 @@ def _stop(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
         out[0] -= p[0] * math.copysign(over, z[0])
 
 
+def _side(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``-k (q - g)`` beyond ``g`` on one side, ``p[2]``: 1 above, -1 below."""
+    out[0] -= p[0] * p[2] * max(p[2] * (z[0] - p[1]), 0.0)
+
+
 def _joint(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """`_stop` of a deflection ``q_1 + s_2 q_2 + ...``; axis k takes ``s_k r_k`` of it (see `Joint`), ``p[2:] = s_2, ..., r_2, ...``."""
     n, deflection = len(out), z[0]
@@ -51,7 +56,7 @@ def _joint_play(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 class Clearance:
-    """A spring behind a gap on every axis of motion and in joints between axes, and play in the springs of the model."""
+    """A spring behind a gap, on both sides or one, on every axis of motion and in joints between axes, and play in the springs of the model."""
 
     name = "clearance"
     summary = "a spring force that begins only beyond a gap"
@@ -71,6 +76,16 @@ class Clearance:
                 predicts="nothing below a level, and above it a stiffness that sets in at the same deflection everywhere",
                 refuted_by="distortion at levels that never reach the gap",
             )
+            for side, word in ((1.0, "above"), (-1.0, "below")):
+                yield at_force(
+                    axis, _side, [state(q)], physics=self.name, family="stiffness", notes={"variant": f"stop {word}", "of": ""},
+                    parameters=[
+                        force(axis, "stiffness", 0.0, 1e4 * scale, scale, q.unit, linear=True),
+                        Coefficient("place", q.unit, q.mean - q.reach, q.mean + q.reach, 0.02 * q.reach), constant("side", "", side),
+                    ],
+                    starts=[(0.0, q.mean + side * share * q.reach, side) for share in (0.15, 0.35, 0.6, 0.8)],
+                    predicts=f"a stiffness that sets in {word} a place and nothing on the other side of it", refuted_by="distortion alike on both sides",
+                )
             own = 0.0 if machine.plant is None else -float(machine.plant.A[axis.rate.index, q.index])
             if own > 0:
                 yield at_force(axis, _play, [state(q)], notes={"variant": PLAY, "of": ""}, parameters=_lost(axis, q, own), starts=_gaps(q, own), **_SLACK)

@@ -50,7 +50,7 @@ class Cogging:
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per axis, with periods from the way travelled to a tenth of it, or whole ones per turn, and with those that the residual shows.
 
-        A wave of which no whole period was travelled cannot be distinguished from a smooth curve, and is not offered.
+        A wave of which no two periods were travelled shows no repetition: it stands for any smooth curve, and is not offered.
         """
         for axis, q in placed(machine):
             yield from self._on(axis, state(q), q, quantity(q.unit) == "angle", machine.waves.get(state(q), ()))
@@ -71,7 +71,7 @@ class Cogging:
             )
 
     def _on(self, axis: Axis, where: Signal, way: Size, turns: bool, waves: Sequence[float] = ()) -> Iterable[Hypothesis]:
-        longest = 2 * max(way.peak - abs(way.mean), 0.1 * way.peak)  # the way travelled, about its mean
+        longest = max(way.peak - abs(way.mean), 0.1 * way.peak)  # half of the way travelled, about its mean
         if not longest > 0:
             return
         least, unit = 2 * math.pi / longest, way.unit if where.kind == "x" else "rad"

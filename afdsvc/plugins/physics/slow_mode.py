@@ -10,7 +10,7 @@ import numpy as np
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.plugins.physics.attach import at_state, state, store_states
+from afdsvc.plugins.physics.attach import at_state, decaying, state
 
 
 def _exchange(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -32,16 +32,14 @@ def _extend(plant: StateSpace, values: Sequence[float], i: int) -> StateSpace:
 
 
 class SlowMode:
-    """A second store beside every state that stores something."""
+    """A second store beside every state that belongs to no axis and decays by itself: heat, fluid, or the current of a coil beside eddy currents."""
 
     name = "slow_mode"
     summary = "a second store that takes up and gives back slowly"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per store, from as fast as the excitation to as slow as the recordings."""
-        for store in store_states(machine):
-            assert machine.plant is not None  # noqa: S101
-            own = -float(machine.plant.A[store.index, store.index])
+        for store, own in decaying(machine):
             fast, slow = 0.3 / machine.bandwidth, max(3 * machine.duration, 30 / machine.bandwidth)
             most = max(50 * own, machine.bandwidth)
             yield at_state(

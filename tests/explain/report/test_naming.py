@@ -11,7 +11,7 @@ import pytest
 from afdsvc.api.physics import Coefficient, Hypothesis, Signal
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.report.explanation import Estimate
-from afdsvc.explain.report.naming import _named, _own_of, _shape, _why, estimates, offsets
+from afdsvc.explain.report.naming import _estimate, _named, _own_of, _shape, _why, estimates, offsets
 from afdsvc.explain.report.report import _offsets
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.fit import fit
@@ -70,6 +70,13 @@ def test_standard_deviations_are_those_of_a_regression_in_the_unit_of_the_input(
     assert reported["stiffness"].value == pytest.approx(value / 1e4)
     assert reported["stiffness"].value == pytest.approx(0.06, abs=4 * reported["stiffness"].sd)
     assert reported["stiffness"].sd == pytest.approx(expected / 1e4, rel=0.15)
+
+
+@pytest.mark.parametrize(("unsigned", "value"), [(True, 0.06), (False, -0.06)])
+def test_what_opposes_the_motion_is_positive_though_the_input_acts_against_the_axis(unsigned, value):
+    c = replace(law(0.0, True).parameters[0], unsigned=unsigned)
+    found = _estimate(600.0, c, 10.0, np.array([[0.0], [-1e4]]))
+    assert (found.value, found.sd) == (pytest.approx(value), pytest.approx(1e-3))
 
 
 def test_what_the_recordings_say_nothing_about_has_no_deviation(spring, recorded):

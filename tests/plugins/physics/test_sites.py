@@ -38,6 +38,8 @@ def offered(machine: Machine) -> dict:
     (MAGNET, "magnetic_force@state:v magnetic_force@state:v#pair"),
     (TANKS, "saturation@state:h1 saturation@state:h2 slow_mode@state:h1 static_nonlinearity@state:h1#outflow"),
     (TANKS, "static_nonlinearity@state:h2#outflow about a level constant_load@input:pump static_nonlinearity@input:pump#thrust"),
+    (TANKS, "gain_follows_level@state:h1#pump gain_follows_level@state:h1#pump, flow from a supply"),
+    (COIL, "slow_mode@state:i gain_follows_level@state:i#voltage clearance@state:v#stop above clearance@state:v#stop below"),
     (TANKS, "static_nonlinearity@input:pump#power static_nonlinearity@input:pump#power from a threshold"),
     (STRUCTURE, "clearance@machine#between v1,v2 clearance@machine#between v1,v2,v3 coulomb_friction@machine#between v1,v3"),
     (STRUCTURE, "coulomb_friction@machine#slip between v2,v3 cubic_stiffness@machine#between v1,v2 quadratic_stiffness@machine#between v1,v2,v3"),
@@ -254,13 +256,28 @@ def test_units_of_what_a_velocity_sums_up_to():
     assert radians("deg") == pytest.approx(np.pi / 180)
 
 
-def test_cogging_is_offered_where_a_whole_period_was_travelled():
+def test_cogging_is_offered_where_two_periods_were_travelled():
+    """In less nothing repeats: a force that falls along the way would be a wave."""
     offers = [(m, h) for m in machines() for h in Cogging().hypotheses(m) if h.reads[0].kind == "x"]
     assert offers
     for machine, h in offers:
         where = machine.states[h.reads[0].index]
         travel = 2 * (where.peak - abs(where.mean))
-        assert min(h.parameters[0].low, *(start[0] for start in h.starts)) * travel >= 2 * np.pi * (1 - 1e-12)
+        assert min(h.parameters[0].low, *(start[0] for start in h.starts)) * travel >= 4 * np.pi * (1 - 1e-12)
+
+
+def test_no_gain_follows_a_level_that_no_input_drives_at_once():
+    assert not any(k.startswith("gain_follows_level@state:h2") for k in offered(machines()[TANKS]))
+
+
+def test_shapes_of_a_stop_are_one_mechanism_and_inputs_at_one_level_are_two():
+    coil = offered(machines()[COIL])
+    assert len({mechanism(coil[f"clearance@state:v{shape}"]) for shape in ("", "#stop above", "#stop below")}) == 1
+    tanks = machines()[TANKS]
+    second = replace(tanks.inputs[0], index=1, name="valve")
+    plant = replace(tanks.plant, B=np.hstack([tanks.plant.B, tanks.plant.B]), D=np.zeros((1, 2)))
+    gains = [h for k, h in offered(replace(tanks, inputs=(*tanks.inputs, second), plant=plant)).items() if k.startswith("gain_follows_level")]
+    assert (len(gains), len({mechanism(h) for h in gains})) == (4, 2)
 
 
 def test_an_axis_that_stands_still_is_offered_no_cogging():

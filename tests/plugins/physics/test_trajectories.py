@@ -15,10 +15,12 @@ from afdsvc.plugins.physics.back_emf import _coil
 from afdsvc.plugins.physics.clearance import _joint as gap
 from afdsvc.plugins.physics.clearance import _joint_play as shaft_play
 from afdsvc.plugins.physics.clearance import _play as play
+from afdsvc.plugins.physics.clearance import _side as one_side
 from afdsvc.plugins.physics.cogging import _ripple
 from afdsvc.plugins.physics.constant_load import drifting
 from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, loaded, reaction
 from afdsvc.plugins.physics.cubic_damping import _cubic
+from afdsvc.plugins.physics.gain_follows_level import _orifice
 from afdsvc.plugins.physics.gain_follows_position import converted, geared
 from afdsvc.plugins.physics.gravity import _in_place, _weight
 from afdsvc.plugins.physics.hysteresis import over_integral
@@ -185,6 +187,8 @@ CASES = [
     Case("coil of a motor with its damping", _coil, (0.03, 0.5, 0.5), motor, A=[[-1.5 - 0.5 * MOTOR_GAIN]], B=[MOTOR_GAIN], reads=(("u", 0), ("x", 0)), writes=(0,), stage="input", memory=1, hidden=(0.0,), level=5.0),
     Case("cogging", _ripple, (7.0, 3.0, -2.0), axis(lambda q, v, u: 3 * np.cos(7 * q) - 2 * np.sin(7 * q)), **AXIS, reads=(("x", 0),)),
     Case("gain along the way", geared, (0.3, 0.1, 0.2, 0.5, G), axis(lambda q, v, u: G * u * (0.3 * (q - 0.2) / 0.5 + 0.1 * ((q - 0.2) / 0.5) ** 2)), **AXIS, reads=(("u", 0), ("x", 0))),
+    Case("flow from a supply", _orifice, (12.0, G), lambda x, u: [-D * x[0] + G * u * np.sqrt(max(1 - np.sign(u) * x[0] / 12, 0.0))], **SPEED, reads=(("u", 0), ("x", 0)), tolerance=5e-3),
+    Case("flow from a supply through a valve that is reversed", _orifice, (12.0, -G), lambda x, u: [-D * x[0] - G * u * np.sqrt(max(1 + np.sign(u) * x[0] / 12, 0.0))], **(SPEED | {"B": [-G]}), reads=(("u", 0), ("x", 0)), tolerance=5e-3),
     Case("force factor of a coil", converted, (0.2, -0.15, 0.1, 0.5, 25.0, -3.0), speaker, A=[[-20, 0, -3.0], [0, 0, 1], [25.0, -K, -D]], B=[60.0, 0, 0], reads=(("x", 0), ("x", 1), ("x", 2)), writes=(2, 0)),
     Case("bristles", presliding, (4.0, 3.0, 0.5, 0.02, 0.6), lugre, **AXIS, memory=1, hidden=(0.0,), tolerance=5e-3),
     Case("load that grows", drifting, (5.0, 2.0), lambda x, u: [-D * x[0] + G * u + 5 + 2 * x[1], 1.0], **SPEED, reads=(), memory=1, hidden=(0.0,)),
@@ -201,6 +205,8 @@ CASES = [
     Case("Torricelli about a level", outflow_about, (0.5, 2.0, 0.8, 0.625), tank(lambda x: 0.8 * 4 * (np.sqrt(1 + x / 2) - 1)), **TANK),
     Case("joint with a cubic spring", spring, (300.0, 3.0, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 300 * d**3), **MODES, reads=(("x", 0), ("x", 2))),
     Case("joint with a gap", gap, (200.0, 0.1, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 200 * (d - np.clip(d, -0.1, 0.1))), **MODES, reads=(("x", 0), ("x", 2)), tolerance=5e-3),
+    Case("stop above", one_side, (300.0, 0.1, 1.0), axis(lambda q, v, u: -300 * max(q - 0.1, 0.0)), **AXIS, reads=(("x", 0),), tolerance=5e-3),
+    Case("stop below", one_side, (300.0, 0.05, -1.0), axis(lambda q, v, u: 300 * max(0.05 - q, 0.0)), **AXIS, reads=(("x", 0),), tolerance=5e-3),
     Case("play in a spring", play, (K, 0.1), axis(lambda q, v, u: K * np.clip(q, -0.1, 0.1)), **AXIS, reads=(("x", 0),), tolerance=5e-3),
     Case("play in a shaft", shaft_play, (K, 0.05, 0.02, -1.0, 0.25), shaft, **SHAFT, reads=(("x", 0), ("x", 2), ("x", 1), ("x", 3)), tolerance=5e-3),
     Case("joint that rubs", _joint, (3.0, 0.1, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 3 * np.tanh(v / (0.1 + 3 * 1.49 * H))), **MODES, reads=(("x", 1), ("x", 3))),
