@@ -40,6 +40,17 @@ def parsed_unit(unit: str) -> Any:
         return None
 
 
+@lru_cache(maxsize=256)
+def is_acceleration(unit: str) -> bool:
+    """Whether a unit is one of an acceleration, along a line or of an angle.
+
+    >>> is_acceleration("mm/s^2"), is_acceleration("rad/s/s"), is_acceleration("m/s"), is_acceleration("")
+    (True, True, False, False)
+    """
+    known = parsed_unit(unit)
+    return known is not None and known.dimensionality in [unit_registry().Unit(a).dimensionality for a in ("m/s^2", "rad/s^2")]
+
+
 def unit_in_words(unit: str) -> str:
     """Return what a unit is read as, or that it is not known.
 

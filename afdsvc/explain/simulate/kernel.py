@@ -109,14 +109,24 @@ def _recorded(laws, plan, par, mem, s, work, dt, k, U, u, it):  # type: ignore[n
     _apply(RECORDED, laws, plan, par, mem, s, work, dt, u, 0)
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _push(column, force, gx, dt, push):  # type: ignore[no-untyped-def]
+    """Add a force to ``push``, the rates of the states; columns beyond the last state are forces along signals."""
+    if column < push.size:
+        push[column] += force
+    else:
+        for i in range(push.size):
+            push[i] += force * gx[i, column] / dt
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def _friction(laws, plan, par, mem, s, work, dt, base, x, new, gx, first, last):  # type: ignore[no-untyped-def]  # noqa: C901
+def _friction(laws, plan, par, mem, s, work, dt, base, x, new, gx, first, last, push):  # type: ignore[no-untyped-def]  # noqa: C901
     """Add friction to ``new``, the states at the end of the sub-step without it.
 
     The force ``f = law(x + 0.75 (x+ - x))`` acts over the sub-step and depends on the state ``x+`` it leads to. It is ``r`` times
     the force ``first`` that would act without it, ``r`` in [0, 1] found by secants inside a bracket, beginning at the ``last``
     force of the law. At rest it balances the other forces, so an axis sticks; a third of what remains of the motion is left
-    after every sub-step. A law that drives motion is evaluated twice.
+    after every sub-step. A law that drives motion is evaluated twice. The forces are added to ``push``.
     """
     for i in range(plan.shape[0]):
         if plan[i, 0] != FRICTION:
@@ -166,6 +176,7 @@ def _friction(laws, plan, par, mem, s, work, dt, base, x, new, gx, first, last):
             before, excess_before, r = r, excess, following
         last[i] = r * first[0]
         for q in range(plan[i, 2]):
+            _push(plan[i, READS + MOST_SIGNALS + q], r * first[q], gx, dt, push)
             for j in range(x.size):
                 new[j] += r * first[q] * gx[j, plan[i, READS + MOST_SIGNALS + q]]
 
@@ -279,7 +290,7 @@ def _runge_kutta(rate, t, h, x, u, values, f, k1, ks, xs, new):  # type: ignore[
 
 @njit(
     types.void(
-        types.boolean, types.boolean, types.boolean, _I, types.float64, types.float64, _M, _M, _M, _M, _M, _M, _M, _M, _IV, _IV,
+        types.boolean, types.boolean, types.boolean, _I, types.float64, types.float64, _M, _M, _M, _M, _M, _M, _M, _M, _M, _IV, _IV,
         _I, _I, _I, _V,
         _M, _M, _M, _M, _M, _M, _M, _M, _V,
         _IV, _IM, _M, _V, _M,
@@ -288,7 +299,7 @@ def _runge_kutta(rate, t, h, x, u, values, f, k1, ks, xs, new):  # type: ignore[
     cache=True, nogil=True, error_model="numpy",
 )
 def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - one compiled loop over samples
-    closed, ramped, direct, nsub, dt, t0, phi, gam, gx, phih, gamh, C, D, Kp, forced, middle,
+    closed, ramped, direct, nsub, dt, t0, phi, gam, gx, phih, gamh, C, D, felt, Kp, forced, middle,
     kind, rate, output, values,
     KA, KB, KC, KD, U, Y, R, AUX, x0,
     laws, plan, par, mem, along,
@@ -300,7 +311,8 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
     output. ``laws`` holds the addresses of the compiled laws. Samples where Y is not finite correct nothing. ``ramped`` (open only)
     takes the input to run smoothly from sample to sample instead of being held, ``gam`` and ``gamh`` its coefficients; input laws
     then see no states. ``along (E, 2)`` are the signals that forces act along, and the gains by which their sizes are those of the signals: they are
-    written to states beyond the last, and their columns of ``gx (n, n + E)`` follow code. ``direct``: the input reaches the output at once. Where ``xhat`` has no rows only outputs are kept.
+    written to states beyond the last, and their columns of ``gx (n, n + E)`` follow code. ``direct``: the input reaches the output at once. Outputs feel
+    ``felt (p, n)`` of the forces of effects at once: half of the one before the sample and half of the one after. Where ``xhat`` has no rows only outputs are kept.
     """
     N, p = Y.shape
     kept = xhat.shape[0] > 0
@@ -308,6 +320,7 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
     h = dt / nsub
     x, new, f = x0.copy(), np.zeros(n), np.zeros(n + along.shape[0])
     k1, ks, xs = np.zeros(n), np.zeros(n), np.zeros(n)
+    push, before, sensed = np.zeros(n), np.zeros(n), bool(np.any(felt))
     xk, knew, e = np.zeros(nk), np.zeros(nk), np.zeros(p)
     u, ue, held, y = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(p)
     mean = np.zeros(m)
@@ -359,6 +372,8 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
                 xs[j] = x[j]
             _python(output, s[it], xs, ue, values, y)
         for j in range(p):
+            for i in range(n if sensed else 0):
+                y[j] += felt[j, i] * before[i]
             s[m + n + j] = y[j]
         if observed:
             for j in range(m):
@@ -425,8 +440,20 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
                 for j in range(forced.size):
                     for i in range(n):
                         new[i] += gx[i, forced[j]] * f[forced[j]]
+            if sensed:
+                push[:] = f[:n]
+                for j in range(forced.size):
+                    if forced[j] >= n and kind != CONTINUOUS:
+                        _push(forced[j], f[forced[j]], gx, h, push)
             if rubbed:
-                _friction(laws, plan, par, mem, s, work, h, m, x, new, gx, first, last)
+                _friction(laws, plan, par, mem, s, work, h, m, x, new, gx, first, last, push)
+            if sensed:
+                if sub == 0:
+                    for j in range(p):
+                        for i in range(n):
+                            y[j] += (0.5 if k > 0 else 1.0) * felt[j, i] * (push[i] - before[i])
+                        yhat[k, j] = y[j]
+                before[:] = push
             for j in range(n):
                 x[j] = new[j]
             s[it] += h

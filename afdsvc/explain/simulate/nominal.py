@@ -15,6 +15,7 @@ from scipy.optimize import root
 
 from afdsvc.api.model import DEFAULT_RELATIVE_SD, Model
 from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.units import is_acceleration
 from afdsvc.errors import BadInput
 from afdsvc.explain.simulate.dynamics import Program, linearised, program
 from afdsvc.explain.simulate.steps import Steps, continuous, substep_matrices
@@ -26,6 +27,7 @@ PYTHON_ANGLE = 0.2  # largest angle [rad] that a pole of Python code below the N
 STABLE_ANGLE = 1.0  # the same of faster poles, which no sample shows: steps are stable, and wrong by 2 % of what decays within them
 PYTHON_SUBSTEPS = 200
 FASTER = 8.0  # than stated, the fastest pole of Python code that is followed where a fit moves numbers of the model; one of the Nyquist frequency always is
+ROUNDED = 0.01  # of an entry: numbers in model files have two digits or more
 RECENT = 64  # matrices of sub-steps kept: fits come back to the same numbers of the model
 PARAMETER, INPUT_GAIN, OUTPUT_GAIN = "parameter", "input gain", "output gain"
 
@@ -49,7 +51,8 @@ class Entry:
 class Nominal:
     """A nominal model at the sample time of the recordings.
 
-    ``plant`` is continuous (dt 0), or discrete when no continuous one has this sampling. ``entries`` are the free numbers. For
+    ``plant`` is continuous (dt 0), or discrete when no continuous one has this sampling. ``entries`` are the free numbers. ``felt (p, n)`` is what
+    outputs that are accelerations feel of forces on the states. For
     Python code, ``program``, ``plant`` is its linearisation at ``point``, a state and an input, and ``most`` how many sub-steps a sample takes at most
     for poles at that point, which numbers that a fit tries may make faster than samples can show. ``recent`` keeps matrices of sub-steps.
     """
@@ -58,6 +61,7 @@ class Nominal:
     plant: StateSpace
     entries: tuple[Entry, ...]
     dt: float
+    felt: Array
     point: tuple[Array, Array] | None = None
     program: Program | None = None
     most: int = PYTHON_SUBSTEPS
@@ -147,7 +151,40 @@ def nominal(model: Model, dt: float, inputs: Array | None = None) -> Nominal:
     entries = _entries(plant, sds)
     if sampled and len(entries) > MOST_ENTRIES:
         entries = _gains(model, plant, entries)
-    return Nominal(model, plant, entries, dt)
+    return Nominal(model, plant, entries, dt, felt(model, plant))
+
+
+def felt(model: Model, plant: StateSpace) -> Array:
+    """Return what every output feels at once of a force on each velocity ``(p, n)``, per unit of the acceleration it causes; zero but for accelerations.
+
+    An output is one by its unit, and where its rows of C and D are those of velocities in A and B, or those of C alone: where a base moves, what is read
+    in space and what moves against the base differ in D.
+    """
+    found, smooth = np.zeros((plant.outputs, plant.order)), (continuous(plant) if plant.discrete else plant)
+    if smooth is None or len(model.states) != plant.order:
+        return found
+    moving = np.flatnonzero([v.rate_of is not None for v in model.states])
+    rows = np.hstack([smooth.A, smooth.B])[moving]
+    for i, y in enumerate(model.outputs):
+        if is_acceleration(y.unit):
+            row = np.hstack([smooth.C[i], smooth.D[i]])
+            whole = _shares(row, rows)
+            found[i, moving] = whole if whole.any() else _shares(row[: plant.order], rows[:, : plant.order])
+    return found
+
+
+def _shares(row: Array, rows: Array) -> Array:
+    """Return the shares of some rows that add up to a row, every entry to `ROUNDED`; zeros where there are none, or too few entries to show it."""
+    found, scale = np.zeros(len(rows)), np.abs(rows).max(0, initial=0.0)
+    scale[scale == 0] = 1.0
+    together = [r for r, other in enumerate(rows) if (other * row).any()]
+    for chosen in (*([r] for r in together), together):
+        part = rows[chosen]
+        shares = np.linalg.lstsq((part / scale).T, row / scale, rcond=None)[0]
+        if np.count_nonzero(row) > len(chosen) and (np.abs(row - shares @ part) <= ROUNDED * (np.abs(shares) @ np.abs(part))).all():
+            found[chosen] = shares
+            break
+    return found
 
 
 def mean_input(runs: Sequence[Run]) -> Array | None:
@@ -167,7 +204,7 @@ def _python(model: Model, dt: float, inputs: Array | None) -> Nominal:
     sds = [abs(q.value) * q.relative_sd for q in model.parameters.values()]
     entries = tuple(Entry(PARAMETER, k, 0, sd, name) for k, (name, sd) in enumerate(zip(model.parameters, sds, strict=True)) if sd > 0)
     plant = _linear(model, code, point, values)
-    found = Nominal(model, plant, entries, dt, point, code)
+    found = Nominal(model, plant, entries, dt, felt(model, plant), point, code)
     fastest = 0.0 if plant.discrete else float(np.abs(plant.poles()).max(initial=0.0))
     return replace(found, most=found.substeps(max(FASTER * fastest, np.pi / dt)))
 

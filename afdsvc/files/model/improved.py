@@ -62,8 +62,17 @@ def linear_plant(nominal: Nominal, point: Point) -> StateSpace | None:
         build = effect.hypothesis.linear
         if build is None or plant.discrete:
             return None
-        plant = build(plant, [float(v) for v in effect.values])
+        grown = build(plant, [float(v) for v in effect.values])
+        plant = _felt(nominal.felt, plant, grown) if effect.hypothesis.stage == "force" and nominal.felt.any() else grown
     return plant
+
+
+def _felt(felt: Array, plant: StateSpace, grown: StateSpace) -> StateSpace:
+    """Return the plant with a force built in, as outputs that are accelerations read it."""
+    n, order = felt.shape[1], plant.order
+    more = grown.A[:n].copy()
+    more[:, :order] -= plant.A[:n]
+    return replace(grown, C=grown.C + felt @ more, D=grown.D + felt @ (grown.B - np.pad(plant.B, ((0, grown.order - order), (0, 0))))[:n])
 
 
 def _linear(explanation: Explanation, plant: StateSpace) -> Model:
@@ -157,6 +166,11 @@ class Parts:
         """Whether the inputs reach the outputs at once, so that laws at the inputs come first."""
         return bool(self.plant.D.any())
 
+    @property
+    def felt(self) -> bool:
+        """Whether outputs feel forces of laws at once."""
+        return bool(self.of("force")) and bool(self.nominal.felt.any())
+
     def of(self, stage: str) -> list[tuple[int, PlacedEffect]]:
         """Return the effects of a stage with their numbers."""
         return [(i, e) for i, e in enumerate(self.effects) if e.hypothesis.stage == stage]
@@ -210,6 +224,7 @@ def _constants(parts: Parts) -> list[str]:
     steps = parts.steps
     found = [f"{name} = {_array(getattr(parts.plant, name))}" for name in "ABCD"]
     found += [f"{name.upper()} = {_array(getattr(steps, name))}" for name in ("phi", "gam", "gx", "phih", "gamh")] if goes_by_samples(parts.plant, parts.effects) else []
+    found += [f"FELT = {_array(parts.nominal.felt)}  # of forces on the states, by outputs that are accelerations"] if parts.felt else []
     return [*found, f"DT, SUBSTEPS = {parts.nominal.dt!r}, {steps.nsub}  # of the recordings, and steps per sample", "STEP = DT / SUBSTEPS"]
 
 
@@ -226,7 +241,7 @@ def _continuous(parts: Parts) -> list[str]:
         *_head(parts), "", "    def f(self, t, x, u, p):", *_indented(["acting = np.copy(u)", *inputs, f"rates = {_rate(parts, 't', 'x')}"], 2),
         *_indented([*_laws(parts, "force", read, step, "rates"), "return rates"], 2), "",
         "    def h(self, t, x, u, p):", *_indented(["acting = np.copy(u)", *inputs, f"y = {_output(parts, 'x')}"], 2),
-        *_indented([*_laws(parts, "output", read, "DT", "y"), "return y"], 2),
+        *_indented([*_felt_forces(parts, _laws(parts, "force", read, step, "push"), "x"), *_laws(parts, "output", read, "DT", "y"), "return y"], 2),
     ]
 
 
@@ -236,6 +251,7 @@ def _sampled(parts: Parts) -> list[str]:
     read = {"u": "acting[{}]", "x": "seen[{}]", "y": "y[{}]", "t": "now", "aux": "aux[{}]"}
     inputs = _laws(parts, "input", read, "STEP", "acting", memory=True)
     outputs = _laws(parts, "output", read | {"u": "before[{}]"}, "DT", "y", memory=True)
+    felt = ["kept = np.copy(memory)", *_felt_forces(parts, _laws(parts, "force", read, "STEP", "push", memory=True), "state"), "memory = kept"] if parts.felt else []
     values = ", ".join(f"p.get({'aux_' + name!r}, {mean!r})" for name, mean in parts.aux.items())
     used = any(s.kind == "aux" for e in parts.effects for s in e.hypothesis.reads)
     return [
@@ -243,12 +259,17 @@ def _sampled(parts: Parts) -> list[str]:
         "        return self.sample(t, x, u, p)[0]", "", "    def sample(self, t, x, u, p):",
         *_indented([
             *([f"aux = np.array([{values}])"] if used else []), f"now, state, memory, before = t, np.copy(x[:{n}]), np.copy(x[{n}:{n + k}]), np.copy(x[{n + k}:])",
-            "seen, acting = np.copy(state), np.copy(u)", *(inputs if parts.direct else []), f"y = {_output(parts, 'state', 'now')}", *outputs,
+            "seen, acting = np.copy(state), np.copy(u)", *(inputs if parts.direct else []), f"y = {_output(parts, 'state', 'now')}", *felt, *outputs,
             *([] if parts.direct else inputs), "for k in range(SUBSTEPS):",
             *_indented([*(["if k > 0:", *_indented(["acting = np.copy(u)", *inputs], 1)] if inputs else []), *_step(parts, read), "now += STEP"], 1),
             "return y, np.concatenate((state, memory, acting))",
         ], 2),
     ]
+
+
+def _felt_forces(parts: Parts, forces: Sequence[str], x: str) -> list[str]:
+    """Return the lines that add to the outputs what they feel of forces at once."""
+    return [f"push = np.zeros(len({x}))", *forces, "y = y + FELT @ push"] if parts.felt else []
 
 
 def _step(parts: Parts, read: Mapping[str, str]) -> list[str]:

@@ -135,6 +135,37 @@ def test_every_law_is_written_as_it_was_fitted(key, tmp_path):
     assert np.linalg.norm(mine - engine) < (1e-9 * np.linalg.norm(engine) if sampled else 0.05 * felt)
 
 
+@pytest.mark.parametrize("key", ["cubic_stiffness@state:v", "coulomb_friction@state:v", "hysteresis@state:v"])
+def test_what_an_accelerometer_reads_of_a_force_is_written_as_it_was_fitted(key, tmp_path):
+    """A law that remembers is written by samples; it is read where the sample is, by the engine half a step before and after it."""
+    m = spring()
+    plant = replace(m.plant, C=np.vstack([m.plant.C[0], m.plant.A[2] / 1000]), D=np.array([[0, 0], [40.0, 0]]))
+    nom = nominal(replace(m, plant=plant, outputs=(m.outputs[0], Variable("a", "m/s^2"))), DT)
+    h = LIBRARY[key]
+    point = Point(np.zeros(len(nom.entries)), (), np.zeros(2), (PlacedEffect(h, values(h)),))
+    e = replace(explanation(PlacedEffect(h, values(h)), nom=nom), point=point, substeps=4)
+    r = run(np.random.default_rng(1))
+    engine, plain = (Simulator(nom, np.zeros((4, 2)), substeps=4).run(r, e.point.theta, np.zeros(4), effects).y for effects in (e.point.effects, ()))
+    blind = Simulator(replace(nom, felt=np.zeros((2, 4))), np.zeros((4, 2)), substeps=4).run(r, e.point.theta, np.zeros(4), e.point.effects).y
+    mine = stepped(write_improved(e, tmp_path / "MODEL.toml", AUX)[0], r, 4)
+    size = np.linalg.norm(engine - plain, axis=0)
+    assert np.linalg.norm(blind - engine, axis=0)[1] > 0.1 * size[1]
+    assert (np.linalg.norm(mine - engine, axis=0) < 0.02 * size).all()
+
+
+def test_a_linear_force_is_built_into_what_an_accelerometer_reads(tmp_path):
+    m = spring()
+    plant = replace(m.plant, C=np.vstack([m.plant.C[0], m.plant.A[2] / 1000]), D=np.array([[0, 0], [40.0, 0]]))
+    nom = nominal(replace(m, plant=plant, outputs=(m.outputs[0], Variable("a", "m/s^2"))), DT)
+    forces = [h for h in LIBRARY.values() if h.linear is not None and h.stage == "force"]
+    assert forces
+    for h in forces:
+        effect = PlacedEffect(h, values(h))
+        built = linear_plant(nom, Point(np.zeros(len(nom.entries)), (), np.zeros(2), (effect,)))
+        assert built.C[1] == pytest.approx(built.A[2] / 1000)
+        assert built.D[1] == pytest.approx(built.B[2] / 1000)
+
+
 POLE = """import math
 
 
