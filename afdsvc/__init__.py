@@ -17,7 +17,7 @@ The packages below, from mathematics to the command line; each imports only from
 - `errors`: every deliberate error
 - `lti`: state-space algebra: coprime factors, YJBK, LFT, whitening, reduction, frequency response
 - `api`: the nouns and protocols every room speaks
-- `dataset`: recordings as arrays: experiments, periods, screening, glitches, columns
+- `dataset`: recordings as arrays: experiments, periods, screening, glitches, angles, columns
 - `stats`: whiteness, periodic parts, tones, coloured noise, fit measures, Levenberg-Marquardt
 - `plants`: physics with named parameters and units; rotors; simulators that only step
 - `detect`: features, statistics and thresholds of the detectors

@@ -1,1 +1,1 @@
-"""Recordings as arrays: experiments, periods, screening, glitches, columns."""
+"""Recordings as arrays: experiments, periods, screening, glitches, angles, columns."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
+from afdsvc.dataset.angles import turn, unwrapped
 from afdsvc.dataset.glitches import Glitch, glitches
 from afdsvc.errors import BadInput
 from afdsvc.lti.sampling import sample_zoh
@@ -28,7 +29,8 @@ class Run:
     it does not), ``settled`` the sample from which it does. ``commanded`` says that an excitation ``alpha`` was recorded, so
     a controller made the input. ``clock`` is the time laws see at the first sample [s]; None: ``t0``. ``glitches`` are the readings of every
     output that were taken for such, and are missing in ``Y``. ``controller`` is the known one at the sample time.
-    ``steady`` says that the outputs repeat from the first sample on, too: the machine ran with this excitation before.
+    ``steady`` says that the outputs repeat from the first sample on, too: the machine ran with this excitation before. ``wraps`` counts the jumps by a
+    turn that were taken out of every output.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Run:
     glitches: tuple[tuple[Glitch, ...], ...] = ()
     controller: StateSpace | None = None
     steady: bool = False
+    wraps: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return len(self.U)
@@ -140,6 +143,7 @@ def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:
         raise BadInput(f"{trace.name}: an input is missing at sample {at}; expected inputs without gaps (cut the recording there)")
     _check_readings(trace, model, Y)
     REF = np.column_stack([_optional(trace, f"ref_{v.name}", n) for v in model.outputs])
+    Y, REF, wraps = _within_a_turn(model, Y, REF)
     AUX = np.column_stack([np.zeros((n, 0)), *(_optional(trace, f"aux_{a}", n) for a in labels)])
     drive = _driver(trace, U, REF)
     period, settled = repetition(drive)
@@ -152,8 +156,19 @@ def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:
         y[[g.sample for g in found], j] = np.nan
     return Run(
         trace.name, trace.dt, trace.t0, u, y, aux, ref, labels, added, period, settled, commanded, glitches=alone, controller=controller,
-        steady=_steady(y, period, settled),
+        steady=_steady(y, period, settled), wraps=wraps,
     )
+
+
+def _within_a_turn(model: Model, Y: Array, REF: Array) -> tuple[Array, Array, tuple[int, ...]]:
+    """Return outputs and references without jumps of angles by a turn, the references at the nearest turn of what they are for, and how many jumps there were."""
+    turns = [turn(v.unit) for v in model.outputs]
+    found = [unwrapped(y, one) for y, one in zip(Y.T, turns, strict=True)]
+    refs = []
+    for (y, jumps), ref, one in zip(found, REF.T, turns, strict=True):
+        smooth = unwrapped(ref, one)[0]
+        refs.append(smooth + one * np.round(np.nanmean(y - smooth) / one) if jumps and ref.any() else ref)
+    return np.column_stack([y for y, _ in found]), np.column_stack(refs), tuple(jumps for _, jumps in found)
 
 
 def _steady(Y: Array, period: int, settled: int) -> bool:

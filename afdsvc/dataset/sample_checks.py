@@ -41,6 +41,8 @@ def samples(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
         for j, v in enumerate(model.outputs):
             alone = run.glitches[j] if run.glitches else ()
             yield from _gaps(run, f"y_{v.name}", run.Y[:, j], alone)
+            if run.wraps and run.wraps[j]:
+                yield Finding("ok", "wraps", f"{run.name}: y_{v.name} is read within one turn; {run.wraps[j]} jumps by a turn are taken out")
             yield from _glitches(run, f"y_{v.name}", v.unit, alone)
             yield from _still(run, f"y_{v.name}", v.unit, run.Y[:, j])
             yield from _clipped(run, f"y_{v.name}", v.unit, run.Y[:, j])
