@@ -44,7 +44,7 @@ class Settings:
     constant : float
         Gain asked of a constant of the model that is off, where noise limits: chi-square with one degree of freedom at 2e-4.
     surrogates : int
-        Surrogates of the residual from which the largest gain by chance is taken.
+        Surrogates of the residual of which the largest gain by chance is expected.
     chance : float
         Gain asked for, in multiples of the largest that chance reached to first order.
     share, further : float

@@ -343,7 +343,7 @@ def _shortlist(
 ) -> tuple[list[dict[float, Screened]], dict[float, float]]:
     """Return the ``count`` hypotheses that promise most at the strongest or the weakest correction, and what chance promises there.
 
-    ``mappers`` are one for each of these ends. What chance promises is the largest gain that any hypothesis reaches, to first order, on surrogates of the residual.
+    ``mappers`` are one for each of these ends. What chance promises is the largest gain of any hypothesis, to first order, that is expected on surrogates of the residual.
     """
     found: dict[str, dict[float, Screened]] = {}
     chosen: list[str] = []
@@ -356,8 +356,7 @@ def _shortlist(
         chosen += [x.hypothesis.key for x in screened[:count]]
         directions = np.array([x.starts[0].direction for x in screened]).reshape(len(screened), len(screen.scale))
         rng = np.random.default_rng(len(offered))
-        falls = chance(_noise(problem, path[h]), [len(r) for r in problem.runs], directions, screen.scale, problem.settings.surrogates, rng)
-        by_chance[h] = 2 * float(falls.max(initial=0.0))
+        by_chance[h] = 2 * chance(_noise(problem, path[h]), [len(r) for r in problem.runs], directions, screen.scale, problem.settings.surrogates, rng)
     return [found[k] for k in dict.fromkeys(chosen)], by_chance
 
 

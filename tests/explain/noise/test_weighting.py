@@ -26,12 +26,14 @@ def test_surrogates_keep_power_and_colour():
 
 
 def test_chance_is_the_largest_of_chi_squares_for_white_noise():
+    """The oracle draws them: of 99 surrogates, along 50 directions each. One set of surrogates says it as well as another."""
     rng = np.random.default_rng(5)
     e = rng.normal(size=(2000, 1))
     directions = rng.normal(size=(50, 2000))
-    falls = chance([e], [len(e)], directions, np.ones(e.size), 200, rng)
-    theory = 0.5 * rng.normal(size=(4000, 50)) ** 2
-    assert np.median(falls) == pytest.approx(np.median(theory.max(1)), rel=0.2)
+    found = [chance([e], [len(e)], directions, np.ones(e.size), 99, rng) for _ in range(30)]
+    largest = (0.5 * rng.normal(size=(1000, 99, 50)) ** 2).max((1, 2))
+    assert np.mean(found) == pytest.approx(largest.mean(), rel=0.1)
+    assert np.std(found) < 0.6 * largest.std()
 
 
 def test_chance_takes_the_noise_not_the_lines_beside_it():
@@ -42,7 +44,7 @@ def test_chance_takes_the_noise_not_the_lines_beside_it():
     directions = np.stack([np.cos(2 * np.pi * k * np.arange(2000) / 2000) for k in (40, 41, 90)])
     of_noise = chance([noise], [2000], directions, np.ones(2000), 100, rng)
     of_residual = chance([line + rng.normal(size=(2000, 1))], [2000], directions, np.ones(2000), 100, rng)
-    assert of_noise.max() < 0.02 * of_residual.max()
+    assert of_noise < 0.02 * of_residual
 
 
 def test_the_share_of_noise_is_what_does_not_repeat_the_mean_over_outputs():
