@@ -68,6 +68,18 @@ def slip(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
         out[k] += (p[1 + k] or -1.0) * p[n + k] * p[0] * m[0]
 
 
+def jenkins(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """A spring beside the model's that slips beyond ``width``: ``-k`` times the part of its deflection that does not slip (G. M. Jenkins 1962; bolted joints)."""
+    n, deflection = len(out), z[0]
+    for k in range(1, n):
+        deflection += p[1 + k] * z[k]
+    m[0] = min(max(m[0], deflection - p[1]), deflection + p[1])
+    push = p[0] * (deflection - m[0])
+    out[0] -= push
+    for k in range(1, n):
+        out[k] -= (p[1 + k] or -1.0) * p[n + k] * push
+
+
 def reaction(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``+F tanh(u / w)``: the force of a friction element whose velocity ``u`` is imposed."""
     out[0] += p[0] * math.tanh(z[1] / p[1])
@@ -150,16 +162,18 @@ def _loads(axis: Axis, machine: Machine) -> Iterable[tuple[str, list[Any], list[
 
 
 def _between(k: Joint) -> Iterable[Hypothesis]:
-    """Yield friction and slip in a joint of several coordinates."""
+    """Yield friction and slip in a joint of several coordinates: of the spring the model has, or of one beside it between two masses."""
     a, q, r = k.axes[0], k.deflection, k.axes[0].rate.rms
     size = force(a, "force", 0.0, 20 * a.push, 0.1 * a.push, linear=True)
     yield at_joint(k, _joint, [size, _rounding(a.rate)], [(0.0, 0.02 * r)], rates=True, **_WORDS, **_JUMP)
-    lost = force(a, "stiffness lost", 0.0, 20 * a.push / q.rms, 0.05 * a.push / q.rms, q.unit, linear=True)
     width = Coefficient("width", q.unit, 1e-3 * q.rms, 3 * q.peak, 0.05 * q.rms)
-    yield at_joint(
-        k, slip, [lost, width], [(0.0, 0.2 * q.rms), (0.0, 0.8 * q.rms)], what="slip", memory=1, **_WORDS,
-        predicts="a mode that falls in frequency and gains damping beyond a level", refuted_by="a mode that stays where it is at every level",
-    )
+    springs = [("stiffness lost", slip, "slip"), ("stiffness", jenkins, "a spring that slips")]
+    for name, law, what in springs if k.stiffness > 0 else springs[:1]:
+        stiff = force(a, name, 0.0, 20 * a.push / q.rms, 0.05 * a.push / q.rms, q.unit, linear=True)
+        yield at_joint(
+            k, law, [stiff, width], [(0.0, 0.2 * q.rms), (0.0, 0.8 * q.rms)], what=what, memory=1, **_WORDS,
+            predicts="a mode that falls in frequency and gains damping beyond a level", refuted_by="a mode that stays where it is at every level",
+        )
 
 
 def _along(axis: Axis, q: Size) -> Hypothesis:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from afdsvc.api.physics import Hypothesis, Machine
+from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_force, force, velocity
+from afdsvc.plugins.physics.joint import at_joint, joints
 
 
 def drag(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -14,22 +15,32 @@ def drag(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] -= p[0] * z[0] * abs(z[0])
 
 
+def _joint(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """`drag` of a relative velocity ``v_1 + s_2 v_2``; the second mass takes ``s_2 r_2`` of it, ``p = (c, s_2, r_2)``."""
+    rate = z[0] + p[1] * z[1]
+    push = p[0] * rate * abs(rate)
+    out[0] -= push
+    out[1] -= p[1] * p[2] * push
+
+
 class QuadraticDamping:
-    """Turbulent drag on every axis of motion."""
+    """Turbulent drag on every axis of motion, and of a damper beside every spring between two masses."""
 
     name = "quadratic_damping"
     summary = "drag that grows with the square of the speed"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per axis."""
+        """Return one hypothesis per axis and per spring."""
+        words: dict[str, Any] = {
+            "physics": self.name, "family": "damping", "predicts": "damping that grows with the amplitude; odd distortion in phase with the velocity",
+            "refuted_by": "damping that is the same at every level",
+        }
         for axis in machine.axes:
-            scale = 0.1 * axis.push / axis.rate.rms**2
-            yield at_force(
-                axis, drag, [velocity(axis)], physics=self.name, family="damping",
-                parameters=[
-                    force(axis, "drag", 0.0, 200 * scale, scale, f"({axis.rate.unit})^2", linear=True)
-                ],
-                starts=[(0.0,)],
-                predicts="damping that grows with the amplitude; odd distortion in phase with the velocity",
-                refuted_by="damping that is the same at every level",
-            )
+            yield at_force(axis, drag, [velocity(axis)], parameters=[_size(axis)], starts=[(0.0,)], **words)
+        for k in [k for k in joints(machine) if k.stiffness > 0]:
+            yield at_joint(k, _joint, [_size(k.axes[0])], [(0.0,)], rates=True, **words)
+
+
+def _size(axis: Axis) -> Coefficient:
+    scale = 0.1 * axis.push / axis.rate.rms**2
+    return force(axis, "drag", 0.0, 200 * scale, scale, f"({axis.rate.unit})^2", linear=True)

@@ -49,7 +49,8 @@ def offered(machine: Machine) -> dict:
     (COIL, "encoder_error@output:q cogging@state:v gain_follows_position@state:v#i magnetic_force@state:v magnetic_force@state:v#pair"),
     (ROTOR, "clock_offset@machine clock_offset@input:horizontal clock_offset@input:vertical"),
     (SHAFT, "clearance@machine#play in the spring between w1,w2 clearance@machine#between w1,w2 cubic_stiffness@machine#between w1,w2"),
-    (TWISTED, "clearance@machine#play in the spring between w1,w2 coulomb_friction@machine#slip between w1,w2 cubic_stiffness@machine#between w1,w2"),
+    (SHAFT, "asymmetric_damping@machine#between w1,w2 quadratic_damping@machine#between w1,w2 coulomb_friction@machine#a spring that slips between w1,w2"),
+    (TWISTED, "asymmetric_damping@machine#between w1,w2 clearance@machine#play in the spring between w1,w2 coulomb_friction@machine#slip between w1,w2 cubic_stiffness@machine#between w1,w2"),
     (ROTOR, "actuator_crosstalk@state:vx#vertical actuator_crosstalk@state:vy#horizontal"),
     (GIMBAL, "inertia_follows_position@machine#turn_rate by tilt_rate actuator_crosstalk@state:turn_rate#tilt_current"),
     (DAMPER, "hysteresis@input:speed hysteresis@output:force#speed coulomb_friction@output:force#speed saturation@state:force"),
@@ -152,15 +153,15 @@ def test_a_joint_begins_at_the_ratio_of_masses_that_the_model_has():
 def test_a_shaft_is_the_same_joint_by_its_angles_and_by_its_twist():
     """Laws between its ends, called with the same motion: what they add to both velocities is the same."""
     by_angle, by_twist = (offered(machines()[k]) for k in (SHAFT, TWISTED))
-    between = {k for k in by_angle if "between" in k and k.startswith(("clearance", "coulomb", "cubic", "quadratic"))}
-    assert len(between) == 6
+    between = {k for k in by_angle if "between" in k and k.startswith(("asymmetric", "clearance", "coulomb", "cubic", "quadratic"))}
+    assert len(between) == 9
     assert between <= set(by_twist)
     speeds = (2.0, 1.7)
     for key, angles in product(between, [(1.03, 0.97), (1.005, 0.995)]):  # beyond the gap and inside
         values = {"x": {0: angles[0], 2: angles[1], 1: speeds[0], 3: speeds[1]}}, {"x": {2: angles[0] - angles[1], 0: speeds[0], 1: speeds[1]}}
         added = []
         for h, x in zip((by_angle[key], by_twist[key]), values, strict=True):
-            p = [{"stiffness": 700.0, "gap": 0.02, "damping over stiffness": 0.02, "stiffness lost": 500.0, "width": 0.01, "force": 3.0, "rounding": 0.1}.get(c.name, s) for c, s in zip(h.parameters, h.starts[0], strict=True)]
+            p = [{"stiffness": 700.0, "gap": 0.02, "damping over stiffness": 0.02, "stiffness lost": 500.0, "width": 0.01, "force": 3.0, "rounding": 0.1, "damping forwards": 5.0, "damping backwards": 2.0, "drag": 4.0}.get(c.name, s) for c, s in zip(h.parameters, h.starts[0], strict=True)]
             out = np.zeros(2)
             h.law(p, [x[s.kind][s.index] for s in h.reads], np.zeros(max(h.memory, 1)), 1e-3, out)
             added.append(out)
@@ -179,6 +180,10 @@ def test_a_state_whose_rate_is_no_difference_of_speeds_or_that_pulls_nothing_tog
     changed = replace(machine, plant=StateSpace(A, machine.plant.B, machine.plant.C, machine.plant.D))
     assert [k for k in offered(machine) if "between w1,w2" in k]
     assert not [k for k in offered(changed) if "between w1,w2" in k]
+
+
+def test_dampers_between_masses_need_a_spring_of_the_model():
+    assert not any("between" in k for k in offered(machines()[STRUCTURE]) if "damping" in k)
 
 
 def test_play_needs_a_spring_of_the_model():

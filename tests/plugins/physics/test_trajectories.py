@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from afdsvc.plugins.physics.asymmetric_damping import _damper
+from afdsvc.plugins.physics.asymmetric_damping import _joint as shock_absorber
 from afdsvc.plugins.physics.back_emf import _coil
 from afdsvc.plugins.physics.clearance import _joint as gap
 from afdsvc.plugins.physics.clearance import _joint_play as shaft_play
@@ -18,7 +19,7 @@ from afdsvc.plugins.physics.clearance import _play as play
 from afdsvc.plugins.physics.clearance import _side as one_side
 from afdsvc.plugins.physics.cogging import _ripple
 from afdsvc.plugins.physics.constant_load import drifting
-from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, loaded, reaction
+from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, jenkins, loaded, reaction
 from afdsvc.plugins.physics.cubic_damping import _cubic
 from afdsvc.plugins.physics.gain_follows_level import _orifice
 from afdsvc.plugins.physics.gain_follows_position import converted, geared
@@ -26,6 +27,7 @@ from afdsvc.plugins.physics.gravity import _in_place, _weight
 from afdsvc.plugins.physics.hysteresis import over_integral
 from afdsvc.plugins.physics.joint import spring
 from afdsvc.plugins.physics.magnetic_force import pair, single
+from afdsvc.plugins.physics.quadratic_damping import _joint as turbulent
 from afdsvc.plugins.physics.saturation import cut_above, cut_below, overflow, two_limits
 from afdsvc.plugins.physics.slow_mode import _exchange
 from afdsvc.plugins.physics.static_nonlinearity import outflow, outflow_about, power, signed_square, thrust
@@ -159,6 +161,19 @@ def shaft(x: np.ndarray, u: float) -> list[float]:
     return [x[1], -f - D * x[1] + G * u, x[3], 0.25 * f - D * x[3]]
 
 
+def beside(x: np.ndarray, u: float, damper: Callable) -> list[float]:
+    """The masses of `shaft`, on their spring without play, with a damper beside it."""
+    f = K * (x[0] - x[2]) + DAMPED * (x[1] - x[3]) + damper(x[1] - x[3])
+    return [x[1], -f - D * x[1] + G * u, x[3], 0.25 * f - D * x[3]]
+
+
+def bolted(x: np.ndarray, u: float) -> list[float]:
+    """A spring of 20 that slips once it is stretched by 0.05, as a slider that its ends drag along."""
+    rate, stretched = x[1] - x[3], x[0] - x[2] - x[4]
+    slips = abs(stretched) >= 0.05 and rate * stretched > 0
+    return [*beside(x, u, lambda v: 20.0 * np.clip(stretched, -0.05, 0.05)), rate if slips else 0.0]
+
+
 DAMPED = 0.02 * K  # of the shaft
 SHAFT = {"A": [[0, 1, 0, 0], [-K, -D - DAMPED, K, DAMPED], [0, 0, 0, 1], [0.25 * K, 0.25 * DAMPED, -0.25 * K, -D - 0.25 * DAMPED]], "B": [0, G, 0, 0], "writes": (1, 3)}
 
@@ -209,6 +224,9 @@ CASES = [
     Case("stop below", one_side, (300.0, 0.05, -1.0), axis(lambda q, v, u: 300 * max(0.05 - q, 0.0)), **AXIS, reads=(("x", 0),), tolerance=5e-3),
     Case("play in a spring", play, (K, 0.1), axis(lambda q, v, u: K * np.clip(q, -0.1, 0.1)), **AXIS, reads=(("x", 0),), tolerance=5e-3),
     Case("play in a shaft", shaft_play, (K, 0.05, 0.02, -1.0, 0.25), shaft, **SHAFT, reads=(("x", 0), ("x", 2), ("x", 1), ("x", 3)), tolerance=5e-3),
+    Case("shock absorber", shock_absorber, (9.0, 2.0, -1.0, 0.25), lambda x, u: beside(x, u, lambda v: (9.0 if v > 0 else 2.0) * v), **SHAFT, reads=(("x", 1), ("x", 3))),
+    Case("bolted joint", jenkins, (20.0, 0.05, -1.0, 0.25), bolted, **SHAFT, reads=(("x", 0), ("x", 2)), memory=1, hidden=(0.0,), tolerance=1e-2),
+    Case("turbulent damper", turbulent, (3.0, -1.0, 0.25), lambda x, u: beside(x, u, lambda v: 3.0 * v * abs(v)), **SHAFT, reads=(("x", 1), ("x", 3))),
     Case("joint that rubs", _joint, (3.0, 0.1, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 3 * np.tanh(v / (0.1 + 3 * 1.49 * H))), **MODES, reads=(("x", 1), ("x", 3))),
 ]
 
