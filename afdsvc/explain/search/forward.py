@@ -36,6 +36,7 @@ from afdsvc.explain.search.path import (
     fewer_path,
     kept_promises,
     promising,
+    refined,
     resumed_path,
     trial,
     whole_path,
@@ -140,7 +141,7 @@ def search(
         path, rough = more
         if coarse(problem, path):
             finer = [r.finer(noise_times([rough]) | noise_times([path])) for r in (rounds, whole)]
-            again = converged(finer[0].problem, finer[0].part, finer[0].taus, path, rough)
+            again = refined(finer[0].problem, finer[0].part, finer[0].taus, path, rough)
             if list(again[0].values())[-1].deviance < list(path.values())[-1].deviance:  # else coarse steps favour no other law
                 (rounds, whole), problem, (path, rough) = finer, finer[0].problem, again
         rounds, whole = (replace(r, taus=noise_times([rough]) | noise_times([path])) for r in (rounds, whole))

@@ -137,6 +137,15 @@ def converged(problem: Problem, part: Problem, taus: Taus, path: Mapping[float, 
     return fine, fitted
 
 
+def refined(problem: Problem, part: Problem, taus: Taus, path: Mapping[float, Fit], rough: Mapping[float, Fit]) -> tuple[dict[float, Fit], dict[float, Fit]]:
+    """Return a path and its rough one in the finer steps of a problem: from the strongest correction on, each fit begins where it was or where
+    the one before it ended, for laws of contact have many minima."""
+    fitted: dict[float, Fit] = {}
+    for h, f in rough.items():
+        fitted[h] = fit(part, _nearer(part, [f.point, *(g.point for g in list(fitted.values())[-1:])], h), h, taus[h])
+    return {h: fit(problem, _nearer(problem, [f.point, fitted[h].point], h), h, taus[h], enough=CONVERGED) for h, f in path.items()}, fitted
+
+
 def coarse(problem: Problem, path: Mapping[float, Fit]) -> bool:
     """Whether finer steps change a path by what is asked of a further effect: in likelihood, and as a share of the power that it leaves."""
     (last, f), s = list(path.items())[-1], problem.settings

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from afdsvc.api.physics import Hypothesis
-from afdsvc.explain.search.fit import STEP, Fit, weighted
+from afdsvc.explain.search.fit import STEP, Coordinates, Fit, weighted
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import is_constant
 from afdsvc.explain.simulate.effects import PlacedEffect
@@ -52,8 +52,13 @@ class Screen:
         self.e = np.concatenate([r.ravel() for r in base.residuals]) * self.scale
 
     def __call__(self, hypothesis: Hypothesis) -> Screened:
-        """Return the hypothesis with its starts ordered by what they promise."""
-        tried = [self._start(hypothesis, np.array(s, float)) for s in hypothesis.starts]
+        """Return the hypothesis with its starts ordered by what they promise.
+
+        A law that begins in place of a part of the model also begins at the stated numbers, for the base has bent them in its absence.
+        """
+        given = [np.array(s, float) for s in hypothesis.starts]
+        tried = [self._start(hypothesis, values) for values in given]
+        tried += [self._stated(hypothesis, values) for values in given if any(v for v, c in zip(values, hypothesis.parameters, strict=True) if c.linear and c.free)]
         return Screened(hypothesis, tuple(sorted(tried, key=lambda t: -t.fall)))
 
     def shift(self, change: Array) -> Array:
@@ -74,6 +79,14 @@ class Screen:
         # Constants of the model move as far as its free numbers do in `fit`: over their whole scale the response curves, which hides what those nearly imitate.
         units = np.array([values[j] or h.parameters[j].scale for j in linear]) * (STEP if is_constant(h) else 1.0)
         return self._amplitudes(h, values, linear, units)
+
+    def _stated(self, h: Hypothesis, values: Array) -> Start:
+        """Return the start at the stated numbers of the model, and what it leaves less than the base."""
+        c, effect = Coordinates(self.problem, self.base.point), PlacedEffect(h, values)
+        there = replace(self.base.point, theta=np.zeros_like(self.base.point.theta))
+        e = np.concatenate([r.ravel() for r in weighted(self.problem, there.added(effect), self.horizon)]) * self.scale
+        fall = float(self.e @ self.e - e @ e)
+        return Start(effect, fall if np.isfinite(fall) else -np.inf, np.nan_to_num(self.e - e), c.pack(there) - c.pack(self.base.point))
 
     def _along(self, h: Hypothesis, values: Array) -> Start:
         """Return the start for a change of fixed shape, as if its size were free between none and a little more than it is."""

@@ -31,6 +31,7 @@ from afdsvc.plugins.physics.gravity import Gravity
 from afdsvc.plugins.physics.gyroscopic_coupling import GyroscopicCoupling
 from afdsvc.plugins.physics.hysteresis import Hysteresis
 from afdsvc.plugins.physics.inertia_follows_position import InertiaFollowsPosition
+from afdsvc.plugins.physics.linear_stiffness import LinearStiffness
 from afdsvc.plugins.physics.magnetic_force import MagneticForce
 from afdsvc.plugins.physics.parameter_change import ParameterChange
 from afdsvc.plugins.physics.periodic_disturbance import PeriodicDisturbance
@@ -56,15 +57,17 @@ from afdsvc.plugins.physics.stribeck_friction import StribeckFriction
 from afdsvc.plugins.physics.supply_droop import SupplyDroop
 from afdsvc.plugins.physics.transport_delay import TransportDelay
 from afdsvc.plugins.physics.unbalance import Unbalance
+from afdsvc.plugins.physics.viscous_damping import ViscousDamping
+from afdsvc.plugins.physics.voltage_drop import VoltageDrop
 
 BUILT_IN = (
     ActuatorCrosstalk, ActuatorLag, AsymmetricDamping, BackEmf, Backlash, Clearance, ClockOffset, Cogging, ColouredNoise, ConstantLoad,
     CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, EncoderError, FlexibleMode,
-    GainFollowsAux, GainFollowsLevel, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, InertiaFollowsPosition, MagneticForce,
+    GainFollowsAux, GainFollowsLevel, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, InertiaFollowsPosition, LinearStiffness, MagneticForce,
     ParameterChange, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
     ResonantActuator, Runout, Saturation, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,
     SensorNonlinearity, SensorOffset, SensorRectification, SensorSaturation, SlewLimit, SlowMode,
-    StaticNonlinearity, StiffnessFollowsAux, StribeckFriction, SupplyDroop, TransportDelay, Unbalance,
+    StaticNonlinearity, StiffnessFollowsAux, StribeckFriction, SupplyDroop, TransportDelay, Unbalance, ViscousDamping, VoltageDrop,
 )
 
 

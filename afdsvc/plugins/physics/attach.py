@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from itertools import product
 from typing import Any
@@ -116,6 +116,27 @@ def balance(machine: Machine, axis: Axis) -> tuple[list[Signal], list[Coefficien
     if len(terms) > MOST_TERMS:
         return [], []
     return [signal for signal, _ in terms], [constant("nominal", "", float(v)) for _, v in terms]
+
+
+NONE = 1e-6  # share of the largest force on an axis below which the model has no force of a kind
+
+
+def proportional(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``-k z``."""
+    out[0] -= p[0] * z[0]
+
+
+def beside(machine: Machine, axis: Axis, own: Size) -> Callable[[StateSpace, Sequence[float]], StateSpace] | None:
+    """Return what builds a force in proportion to a state into matrices, where the model has none of it on an axis; None where it has one."""
+    if machine.plant is None or abs(machine.plant.A[axis.rate.index, own.index]) * own.rms > NONE * axis.push:
+        return None
+
+    def built(plant: StateSpace, values: Sequence[float]) -> StateSpace:
+        A = plant.A.copy()
+        A[axis.rate.index, own.index] -= values[0]
+        return StateSpace(A, plant.B, plant.C, plant.D, plant.dt)
+
+    return built
 
 
 def constant(name: str, unit: str, value: float) -> Coefficient:

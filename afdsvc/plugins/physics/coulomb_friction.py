@@ -18,19 +18,19 @@ _JUMP: dict[str, Any] = {
 }
 
 
-def _coulomb(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def coulomb(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-F tanh(v / w)``, the rounding ``w`` never narrower than one step can follow."""
     out[0] -= p[0] * math.tanh(z[0] / (p[1] + p[0] * dt))
 
 
 def asymmetric(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`_coulomb` with a force of its own for each direction: while it moves, even friction of their mean and a load of half their difference."""
+    """`coulomb` with a force of its own for each direction: while it moves, even friction of their mean and a load of half their difference."""
     size = p[0] if z[0] > 0 else p[1]
     out[0] -= size * math.tanh(z[0] / (p[2] + size * dt))
 
 
 def loaded(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`_coulomb` of ``F + c |load|``; the load is a sum of the signals behind the velocity, coefficients ``p[3:]``."""
+    """`coulomb` of ``F + c |load|``; the load is a sum of the signals behind the velocity, coefficients ``p[3:]``."""
     load = 0.0
     for k in range(1, len(z)):
         load += p[2 + k] * z[k]
@@ -39,14 +39,14 @@ def loaded(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 def along(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`_coulomb` of ``F + a d + b d^2`` where that is positive; ``d = (q - mean) / rms`` is the place."""
+    """`coulomb` of ``F + a d + b d^2`` where that is positive; ``d = (q - mean) / rms`` is the place."""
     d = (z[1] - p[4]) / p[5]
     size = max(p[0] + p[1] * d + p[2] * d * d, 0.0)
     out[0] -= size * math.tanh(z[0] / (p[3] + size * dt))
 
 
 def _joint(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`_coulomb` of a relative velocity ``v_1 + s_2 v_2 + ...``; axis k takes ``s_k`` times ``r_k`` of it, ``p[2:] = s_2, ..., r_2, ...``."""
+    """`coulomb` of a relative velocity ``v_1 + s_2 v_2 + ...``; axis k takes ``s_k`` times ``r_k`` of it, ``p[2:] = s_2, ..., r_2, ...``."""
     n, rate, felt = len(out), z[0], 1.0
     for k in range(1, n):
         rate += p[1 + k] * z[k]
@@ -110,17 +110,18 @@ class CoulombFriction:
             )
 
 
-def _rounding(rate: Size) -> Coefficient:
+def rounding(rate: Size) -> Coefficient:
+    """Return the velocity over which a jump is rounded."""
     return Coefficient("rounding", rate.unit, 1e-4 * rate.rms, 0.7 * rate.rms, 0.02 * rate.rms, nuisance=True)
 
 
 def _on(axis: Axis, machine: Machine) -> Iterable[Hypothesis]:
-    v, rounding = axis.rate.rms, _rounding(axis.rate)
+    v, width = axis.rate.rms, rounding(axis.rate)
     size = force(axis, "force", 0.0, 20 * axis.push, 0.1 * axis.push, linear=True)
-    yield at_force(axis, _coulomb, [velocity(axis)], parameters=[size, rounding], starts=[(0.0, 0.02 * v), (0.0, 0.2 * v)], **_WORDS, **_JUMP)
+    yield at_force(axis, coulomb, [velocity(axis)], parameters=[size, width], starts=[(0.0, 0.02 * v), (0.0, 0.2 * v)], **_WORDS, **_JUMP)
     both = [force(axis, n, 0.0, 20 * axis.push, 0.1 * axis.push, linear=True) for n in ("force forwards", "force backwards")]
     yield at_force(
-        axis, asymmetric, [velocity(axis)], parameters=[*both, rounding], starts=[(0.0, 0.0, 0.02 * v), (0.0, 0.0, 0.2 * v)],
+        axis, asymmetric, [velocity(axis)], parameters=[*both, width], starts=[(0.0, 0.0, 0.02 * v), (0.0, 0.0, 0.2 * v)],
         notes={"variant": "asymmetric", "of": ""}, **_WORDS, predicts="jumps of the force where the velocity changes sign, and a mean force; moving, it is even friction beside a constant load",
         refuted_by="a residual that does not depend on the sign of the velocity",
     )
@@ -138,7 +139,7 @@ def _on(axis: Axis, machine: Machine) -> Iterable[Hypothesis]:
     for what, signals, terms in _loads(axis, machine):
         share = Coefficient(f"share of {what}", "", 0.0, 3.0, 0.05, linear=True)
         yield at_force(
-            axis, loaded, [velocity(axis), *signals], parameters=[size, share, rounding, *terms],
+            axis, loaded, [velocity(axis), *signals], parameters=[size, share, width, *terms],
             starts=[(0.0, 0.0, 0.02 * v, *(c.low for c in terms))], notes={"variant": f"grows with {what}", "of": ""}, **_WORDS,
             predicts=f"a jump of the force where the velocity changes sign, as large as {what}",
             refuted_by="a jump that is the same under every load",
@@ -165,7 +166,7 @@ def _between(k: Joint) -> Iterable[Hypothesis]:
     """Yield friction and slip in a joint of several coordinates: of the spring the model has, or of one beside it between two masses."""
     a, q, r = k.axes[0], k.deflection, k.axes[0].rate.rms
     size = force(a, "force", 0.0, 20 * a.push, 0.1 * a.push, linear=True)
-    yield at_joint(k, _joint, [size, _rounding(a.rate)], [(0.0, 0.02 * r)], rates=True, **_WORDS, **_JUMP)
+    yield at_joint(k, _joint, [size, rounding(a.rate)], [(0.0, 0.02 * r)], rates=True, **_WORDS, **_JUMP)
     width = Coefficient("width", q.unit, 1e-3 * q.rms, 3 * q.peak, 0.05 * q.rms)
     springs = [("stiffness lost", slip, "slip"), ("stiffness", jenkins, "a spring that slips")]
     for name, law, what in springs if k.stiffness > 0 else springs[:1]:
@@ -182,7 +183,7 @@ def _along(axis: Axis, q: Size) -> Hypothesis:
     return at_force(
         axis, along, [velocity(axis), state(q)],
         parameters=[
-            force(axis, "force", 0.0, 20 * push, 0.1 * push, linear=True), *bends, _rounding(axis.rate),
+            force(axis, "force", 0.0, 20 * push, 0.1 * push, linear=True), *bends, rounding(axis.rate),
             constant("middle", q.unit, q.mean), constant("unit of way", q.unit, q.rms),
         ],
         starts=[(0.0, 0.0, 0.0, 0.02 * v, q.mean, q.rms)], notes={"variant": "along the way", "of": ""}, **_WORDS,

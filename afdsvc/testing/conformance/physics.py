@@ -20,8 +20,8 @@ STAGES = ("input", "force", "output")
 def machines() -> tuple[Machine, ...]:
     """Return examples: a rotor on two axes with all auxiliary signals, a black box, a motor of which only the speed is a state,
     an arm, a magnet, two tanks, a structure in modal coordinates, a damper whose motion is imposed, two masses on a shaft, by their angles and by its twist,
-    a coil whose current is a state, and a camera that tilts on a column that turns."""
-    return _rotor(), _black_box(), _motor(), _arm(), _magnet(), _tanks(), _structure(), _damper(), _shaft(), _twisted_shaft(), _coil(), _gimbal()
+    a coil whose current is a state, a camera that tilts on a column that turns, and a mass that nothing holds."""
+    return _rotor(), _black_box(), _motor(), _arm(), _magnet(), _tanks(), _structure(), _damper(), _shaft(), _twisted_shaft(), _coil(), _gimbal(), _cart()
 
 
 def _size(index: int, name: str, unit: str, rms: float, step: float = 0.0) -> Size:
@@ -126,6 +126,11 @@ def _gimbal() -> Machine:
     machine = _plain([("tilt_current", "A", 0.4), ("turn_current", "A", 0.5)], motion, motion[1:], matrices, [(0, 1), (None, 2)], 1e-2)
     tilt, turn = machine.axes
     return replace(machine, axes=(tilt, replace(turn, push=245.0, input=1, gain=490.0)))
+
+
+def _cart() -> Machine:
+    motion = [("q", "m", 0.4), ("v", "m/s", 0.7)]
+    return _plain([("force", "N", 3.0)], motion, motion[:1], ([[0, 1], [0, 0]], [[0], [0.5]], [[1, 0]], [[0]]), [(0, 1)], 1e-2)
 
 
 def _offered(thing: Any) -> Iterator[Hypothesis]:

@@ -17,7 +17,7 @@ from afdsvc.plugins.physics.back_emf import BackEmf
 from afdsvc.plugins.physics.cogging import Cogging
 from afdsvc.testing.conformance.physics import machines
 
-ROTOR, BLACK_BOX, MOTOR, ARM, MAGNET, TANKS, STRUCTURE, DAMPER, SHAFT, TWISTED, COIL, GIMBAL = range(12)
+ROTOR, BLACK_BOX, MOTOR, ARM, MAGNET, TANKS, STRUCTURE, DAMPER, SHAFT, TWISTED, COIL, GIMBAL, CART = range(13)
 
 
 def offered(machine: Machine) -> dict:
@@ -49,6 +49,8 @@ def offered(machine: Machine) -> dict:
     (COIL, "encoder_error@output:q cogging@state:v gain_follows_position@state:v#i magnetic_force@state:v magnetic_force@state:v#pair"),
     (ROTOR, "clock_offset@machine clock_offset@input:horizontal clock_offset@input:vertical"),
     (SHAFT, "clearance@machine#play in the spring between w1,w2 clearance@machine#between w1,w2 cubic_stiffness@machine#between w1,w2"),
+    (CART, "linear_stiffness@state:v viscous_damping@state:v"),
+    (COIL, "voltage_drop@state:i#voltage"),
     (SHAFT, "asymmetric_damping@machine#between w1,w2 quadratic_damping@machine#between w1,w2 coulomb_friction@machine#a spring that slips between w1,w2"),
     (TWISTED, "asymmetric_damping@machine#between w1,w2 clearance@machine#play in the spring between w1,w2 coulomb_friction@machine#slip between w1,w2 cubic_stiffness@machine#between w1,w2"),
     (ROTOR, "actuator_crosstalk@state:vx#vertical actuator_crosstalk@state:vy#horizontal"),
@@ -269,6 +271,29 @@ def test_cogging_is_offered_where_two_periods_were_travelled():
         where = machine.states[h.reads[0].index]
         travel = 2 * (where.peak - abs(where.mean))
         assert min(h.parameters[0].low, *(start[0] for start in h.starts)) * travel >= 4 * np.pi * (1 - 1e-12)
+
+
+def test_a_spring_or_a_damper_is_offered_where_the_model_has_none():
+    arm = machines()[ARM]
+    assert {"linear_stiffness@state:w", "viscous_damping@state:w"}.isdisjoint(offered(arm))
+    for key, entry in (("linear_stiffness@state:w", (1, 0)), ("viscous_damping@state:w", (1, 1))):
+        A = arm.plant.A.copy()
+        A[entry] = 0.0
+        h = offered(replace(arm, plant=replace(arm.plant, A=A)))[key]
+        built = h.linear(replace(arm.plant, A=A), [7.0])
+        assert built.A[entry] == -7.0
+        assert np.count_nonzero(built.A != A) == 1
+
+
+@pytest.mark.parametrize(("change", "offers"), [
+    ({}, True), ({"inputs": "N"}, True), ({"states": ""}, True), ({"inputs": "N", "states": ""}, False), ({"reverses": False}, False),
+])  # fmt: skip
+def test_a_voltage_drops_where_a_current_takes_both_signs(change, offers):
+    """The unit of the current or that of the voltage says that it is one."""
+    coil = machines()[COIL]
+    current = replace(coil.states[0], unit=change.get("states", "A"), reverses=change.get("reverses", True))
+    machine = replace(coil, states=(current, *coil.states[1:]), inputs=(replace(coil.inputs[0], unit=change.get("inputs", "V")),))
+    assert ("voltage_drop@state:i#voltage" in offered(machine)) == offers
 
 
 def test_no_gain_follows_a_level_that_no_input_drives_at_once():

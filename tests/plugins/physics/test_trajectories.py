@@ -12,6 +12,7 @@ from scipy.linalg import expm
 
 from afdsvc.plugins.physics.asymmetric_damping import _damper
 from afdsvc.plugins.physics.asymmetric_damping import _joint as shock_absorber
+from afdsvc.plugins.physics.attach import proportional
 from afdsvc.plugins.physics.back_emf import _coil
 from afdsvc.plugins.physics.clearance import _joint as gap
 from afdsvc.plugins.physics.clearance import _joint_play as shaft_play
@@ -19,7 +20,7 @@ from afdsvc.plugins.physics.clearance import _play as play
 from afdsvc.plugins.physics.clearance import _side as one_side
 from afdsvc.plugins.physics.cogging import _ripple
 from afdsvc.plugins.physics.constant_load import drifting
-from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, jenkins, loaded, reaction
+from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, coulomb, jenkins, loaded, reaction
 from afdsvc.plugins.physics.cubic_damping import _cubic
 from afdsvc.plugins.physics.gain_follows_level import _orifice
 from afdsvc.plugins.physics.gain_follows_position import converted, geared
@@ -193,6 +194,9 @@ CASES = [
     Case("friction under what is passed on", loaded, (2.0, 0.3, 0.1, G, K), axis(lambda q, v, u: -(2 + 0.3 * abs(G * u + K * q)) * np.tanh(v / (0.1 + (2 + 0.3 * abs(G * u + K * q)) * H))), **AXIS, reads=(("x", 1), ("u", 0), ("x", 0))),
     Case("friction along the way", along, (3.0, 1.0, 2.0, 0.1, 0.2, 0.5), axis(lambda q, v, u: -(f := 3 + 2 * (q - 0.2) + 8 * (q - 0.2) ** 2) * np.tanh(v / (0.1 + f * H))), **AXIS, reads=(("x", 1), ("x", 0))),
     Case("asymmetric damping", _damper, (3.0, -1.0), axis(lambda q, v, u: -(3.0 if v > 0 else -1.0) * v), **AXIS),
+    Case("spring", proportional, (25.0,), axis(lambda q, v, u: -25.0 * q), **AXIS, reads=(("x", 0),)),
+    Case("damper", proportional, (3.0,), axis(lambda q, v, u: -3.0 * v), **AXIS),
+    Case("dead time", coulomb, (12.0, 0.05), lambda x, u: [-D * x[0] + G * u - 12.0 * np.tanh(x[0] / (0.05 + 12.0 * H))], **SPEED, reads=(("x", 0),), tolerance=5e-3),
     Case("cubic damping", _cubic, (0.2,), axis(lambda q, v, u: -0.2 * v**3), **AXIS),
     Case("weight in degrees", _weight, (1500.0, 400.0, np.pi / 180), axis(lambda q, v, u: -1500 * np.sin(np.deg2rad(q)) - 400 * np.cos(np.deg2rad(q))), **AXIS, reads=(("x", 0),), level=60.0),
     Case("pendulum for a spring", _in_place, (K, -K, 1.0), lambda x, u: [x[1], -K * np.sin(x[0]) - D * x[1] + G * u], **AXIS, reads=(("x", 0),)),
