@@ -10,7 +10,7 @@ import pytest
 
 from afdsvc.api.physics import Hypothesis
 from afdsvc.dataset.experiment import prepare
-from afdsvc.explain.search import forward
+from afdsvc.explain.search import forward, path
 from afdsvc.explain.search.base import settled
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.evidence import HypothesisEvidence, block_spans, noise_times, refitted
@@ -327,3 +327,22 @@ def test_the_runner_up_is_fitted_to_whole_recordings_however_far_behind_it_is():
 
     paths = [path("first", 0.0), path("second", 90.0), path("third", 99.0)]
     assert kept_promises({0.0: SimpleNamespace(cost=100.0)}, paths, 0.5, "model") == paths[:2]
+
+
+def test_in_finer_steps_a_fit_begins_where_the_one_before_it_ended_if_it_is_lost(monkeypatch):
+    """The last fit has friction so large that the motor sticks; the one that is corrected strongly has the right one."""
+    p = problem(60.0)
+    (alone,) = settled(p).start.values()
+    start = {0.01: alone, 0.0: alone}
+    (h,) = [h for h in hypotheses([CoulombFriction()], machine(p, start[0.0], 0.0), False) if h.key == "coulomb_friction@state:speed"]
+    begun = []
+
+    def only_begun(problem, point, horizon, tau, **rest):
+        begun.append((horizon, problem.substeps, point.effects[0].values[0]))
+        return replace(start[horizon], point=point)
+
+    monkeypatch.setattr(path, "fit", only_begun)
+    rough = {k: replace(f, point=f.point.added(PlacedEffect(h, np.array([60.0 if k else 1e5, 1.0])))) for k, f in start.items()}
+    finer = replace(p, substeps=forward.FINER)
+    path.refined(finer, finer, dict.fromkeys(start, 1.0), {0.0: rough[0.0]}, rough)
+    assert begun == [(k, forward.FINER, 60.0) for k in (*start, 0.0)]

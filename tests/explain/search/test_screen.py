@@ -8,12 +8,13 @@ from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.search.build import build
-from afdsvc.explain.search.fit import fit
+from afdsvc.explain.search.fit import Coordinates, fit
 from afdsvc.explain.search.machine import machine
 from afdsvc.explain.search.screen import Screen
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.lti.statespace import StateSpace
+from afdsvc.plugins.physics.clearance import Clearance
 from afdsvc.plugins.physics.parameter_change import ParameterChange
 
 DT, SAMPLES, HEAVIER = 0.01, 1000, 0.18
@@ -49,3 +50,23 @@ def test_a_heavier_mass_promises_what_the_priors_lose_without_it(bodies):
     assert "state:v" in first.hypothesis.key
     assert first.fall == pytest.approx(base.penalty, rel=0.2)
     assert second.fall < 0.1
+
+
+def test_a_law_in_place_of_a_part_of_the_model_also_begins_at_the_stated_numbers(bodies):
+    """What it promises there is what it leaves less than the base, which the mass has bent; a law that begins at nothing is not tried there."""
+    problem, base = bodies
+    screen = Screen(problem, base, 0.0)
+    offers = {h.key: h for h in Clearance().hypotheses(machine(problem, base, 0.0, [], [], "model"))}
+    h = offers["clearance@state:v#play in the spring"]
+    starts = screen(h).starts
+    assert len(starts) == 2 * len(h.starts)
+    assert len(screen(offers["clearance@state:v"]).starts) == len(offers["clearance@state:v"].starts)
+    c, left = Coordinates(problem, base.point), []
+    for s in starts:
+        point = c.unpack(c.pack(base.point) + s.shift)
+        if not point.theta.any():
+            (residual,) = problem.residuals(point.added(s.effect), 0.0)
+            (without,) = base.residuals
+            left.append((s.fall, float((((without / base.sd) ** 2).sum() - ((residual / base.sd) ** 2).sum()) / base.tau)))
+    assert len(left) == len(h.starts)
+    assert [fall for fall, _ in left] == pytest.approx([fall for _, fall in left])
