@@ -7,10 +7,11 @@ prior is standard normal.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 from afdsvc.api.model import DEFAULT_RELATIVE_SD, Model
@@ -27,6 +28,7 @@ PYTHON_ANGLE = 0.2  # largest angle [rad] that a pole of Python code below the N
 STABLE_ANGLE = 1.0  # the same of faster poles, which no sample shows: steps are stable, and wrong by 2 % of what decays within them
 PYTHON_SUBSTEPS = 200
 FASTER = 8.0  # than stated, the fastest pole of Python code that is followed where a fit moves numbers of the model; one of the Nyquist frequency always is
+SETTLING = 1000  # samples in which Python code comes near the state that balances its inputs
 ROUNDED = 0.01  # of an entry: numbers in model files have two digits or more
 RECENT = 64  # matrices of sub-steps kept: fits come back to the same numbers of the model
 PARAMETER, INPUT_GAIN, OUTPUT_GAIN = "parameter", "input gain", "output gain"
@@ -200,7 +202,7 @@ def _python(model: Model, dt: float, inputs: Array | None) -> Nominal:
         )
     values = np.array([q.value for q in model.parameters.values()], dtype=np.float64)
     code = program(model)
-    point = _point(model, code, values, inputs)
+    point = _point(model, code, values, inputs, dt)
     sds = [abs(q.value) * q.relative_sd for q in model.parameters.values()]
     entries = tuple(Entry(PARAMETER, k, 0, sd, name) for k, (name, sd) in enumerate(zip(model.parameters, sds, strict=True)) if sd > 0)
     plant = _linear(model, code, point, values)
@@ -209,8 +211,11 @@ def _python(model: Model, dt: float, inputs: Array | None) -> Nominal:
     return replace(found, most=found.substeps(max(FASTER * fastest, np.pi / dt)))
 
 
-def _point(model: Model, code: Program, values: Array, inputs: Array | None) -> tuple[Array, Array]:
-    """Return the state and input to linearise at."""
+def _point(model: Model, code: Program, values: Array, inputs: Array | None, dt: float) -> tuple[Array, Array]:
+    """Return the state and input to linearise at.
+
+    Where no balance is found from the origin, as that of a tank whose outflow has no slope there, it is sought from where the machine goes.
+    """
     rest = np.zeros(len(model.states))
     if inputs is None:
         return rest, np.zeros(len(model.inputs))
@@ -220,7 +225,21 @@ def _point(model: Model, code: Program, values: Array, inputs: Array | None) -> 
         return rate(0.0, x, u, values) - (x if model.sample_time else 0.0)
 
     found = root(imbalance, rest)
-    return (np.asarray(found.x) if found.success else rest), u
+    if not found.success:
+        found = root(imbalance, _gone(model, lambda x: rate(0.0, x, u, values), rest, dt))
+    return (np.asarray(found.x) if found.success and np.isfinite(found.x).all() else rest), u
+
+
+def _gone(model: Model, rate: Callable[[Array], Array], start: Array, dt: float) -> Array:
+    """Return the state of Python code after `SETTLING` samples of a constant input; the start where it diverges."""
+    x = start
+    with np.errstate(all="ignore"):
+        if model.sample_time:
+            for _ in range(SETTLING):
+                x = rate(x)
+        else:
+            x = solve_ivp(lambda t, x: rate(x), (0.0, SETTLING * dt), start, method="LSODA").y[:, -1]
+    return np.asarray(x) if np.isfinite(x).all() else start
 
 
 def _linear(model: Model, code: Program, point: tuple[Array, Array], values: Array) -> StateSpace:

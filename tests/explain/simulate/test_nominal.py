@@ -102,6 +102,37 @@ def test_code_is_linearised_where_the_inputs_balance(model):
     assert np.array_equal(unbalanced.point[0], [0, 0])
 
 
+class Tanks:
+    """Two tanks in a row; the outflow of an empty one has no slope."""
+
+    @staticmethod
+    def f(t, x, u, p):
+        first, second = p["a"] * math.sqrt(max(x[0], 0.0)), p["a"] * math.sqrt(max(x[1], 0.0))
+        return [u[0] - first, first - second]
+
+    @staticmethod
+    def h(t, x, u, p):
+        return [x[1]]
+
+
+class Filling(Tanks):
+    """By samples of 0.5 s."""
+
+    @staticmethod
+    def f(t, x, u, p):
+        return [x[k] + 0.5 * rate for k, rate in enumerate(Tanks.f(t, x, u, p))]
+
+
+@pytest.mark.parametrize(("code", "sample_time"), [(Tanks, 0.0), (Filling, 0.5)])
+def test_tanks_are_linearised_at_the_level_that_the_inflow_holds(model, code, sample_time):
+    """From an empty tank no balance is found, and poles there are as fast as one likes: every sample took a hundred steps."""
+    found = nominal(model(code=code, parameters={"a": 0.4}, sample_time=sample_time), 0.5, np.array([0.6]))
+    assert found.point[0] == pytest.approx([2.25, 2.25], rel=1e-6)
+    pole = -0.4 / (2 * 1.5)
+    assert found.plant.poles() == pytest.approx([1 + 0.5 * pole] * 2 if sample_time else [pole] * 2, rel=1e-4)
+    assert found.steps(np.zeros(1)).nsub == 1
+
+
 def test_no_input(model):
     plant = StateSpace.of([[0, 1], [-30, -0.8]], np.zeros((2, 0)), [[1, 0]], np.zeros((1, 0)))
     found = nominal(model(plant), 0.01)
