@@ -23,6 +23,7 @@ from afdsvc.plugins.physics.cubic_damping import CubicDamping
 from afdsvc.plugins.physics.cubic_stiffness import CubicStiffness
 from afdsvc.plugins.physics.dead_zone import DeadZone
 from afdsvc.plugins.physics.encoder_error import EncoderError
+from afdsvc.plugins.physics.exchange import Exchange
 from afdsvc.plugins.physics.flexible_mode import FlexibleMode
 from afdsvc.plugins.physics.gain_follows_aux import GainFollowsAux
 from afdsvc.plugins.physics.gain_follows_level import GainFollowsLevel
@@ -62,7 +63,7 @@ from afdsvc.plugins.physics.voltage_drop import VoltageDrop
 
 BUILT_IN = (
     ActuatorCrosstalk, ActuatorLag, AsymmetricDamping, BackEmf, Backlash, Clearance, ClockOffset, Cogging, ColouredNoise, ConstantLoad,
-    CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, EncoderError, FlexibleMode,
+    CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, EncoderError, Exchange, FlexibleMode,
     GainFollowsAux, GainFollowsLevel, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, InertiaFollowsPosition, LinearStiffness, MagneticForce,
     ParameterChange, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
     ResonantActuator, Runout, Saturation, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,

@@ -49,6 +49,7 @@ def offered(machine: Machine) -> dict:
     (COIL, "encoder_error@output:q cogging@state:v gain_follows_position@state:v#i magnetic_force@state:v magnetic_force@state:v#pair"),
     (ROTOR, "clock_offset@machine clock_offset@input:horizontal clock_offset@input:vertical"),
     (SHAFT, "clearance@machine#play in the spring between w1,w2 clearance@machine#between w1,w2 cubic_stiffness@machine#between w1,w2"),
+    (TANKS, "exchange@machine#between h1,h2 exchange@machine#turbulent, between h1,h2"),
     (CART, "linear_stiffness@state:v viscous_damping@state:v"),
     (COIL, "voltage_drop@state:i#voltage"),
     (SHAFT, "asymmetric_damping@machine#between w1,w2 quadratic_damping@machine#between w1,w2 coulomb_friction@machine#a spring that slips between w1,w2"),
@@ -294,6 +295,19 @@ def test_a_voltage_drops_where_a_current_takes_both_signs(change, offers):
     current = replace(coil.states[0], unit=change.get("states", "A"), reverses=change.get("reverses", True))
     machine = replace(coil, states=(current, *coil.states[1:]), inputs=(replace(coil.inputs[0], unit=change.get("inputs", "V")),))
     assert ("voltage_drop@state:i#voltage" in offered(machine)) == offers
+
+
+def test_stores_that_the_model_joins_are_not_joined_again_and_the_flow_is_that_of_the_matrices():
+    tanks = machines()[TANKS]
+    h = offered(tanks)["exchange@machine#between h1,h2"]
+    built, out = h.linear(tanks.plant, [0.3, 0.5]), np.zeros(2)
+    h.law(np.array([0.3, 0.5]), np.array([2.0, 1.2]), np.zeros(1), 1.0, out)
+    assert (built.A - tanks.plant.A) @ [2.0, 1.2] == pytest.approx(out)
+    both = tanks.plant.A.copy()
+    both[0, 1] = 0.01
+    assert not any(k.startswith("exchange") for k in offered(replace(tanks, plant=replace(tanks.plant, A=both))))
+    other = replace(tanks, states=(tanks.states[0], replace(tanks.states[1], unit="K")))
+    assert not any(k.startswith("exchange") for k in offered(other))
 
 
 def test_no_gain_follows_a_level_that_no_input_drives_at_once():

@@ -22,13 +22,14 @@ from afdsvc.plugins.physics.cogging import _ripple
 from afdsvc.plugins.physics.constant_load import drifting
 from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, coulomb, jenkins, loaded, reaction
 from afdsvc.plugins.physics.cubic_damping import _cubic
+from afdsvc.plugins.physics.exchange import conducted, turbulent
 from afdsvc.plugins.physics.gain_follows_level import _orifice
 from afdsvc.plugins.physics.gain_follows_position import converted, geared
 from afdsvc.plugins.physics.gravity import _in_place, _weight
 from afdsvc.plugins.physics.hysteresis import over_integral
 from afdsvc.plugins.physics.joint import spring
 from afdsvc.plugins.physics.magnetic_force import pair, single
-from afdsvc.plugins.physics.quadratic_damping import _joint as turbulent
+from afdsvc.plugins.physics.quadratic_damping import _joint as turbulent_damper
 from afdsvc.plugins.physics.saturation import cut_above, cut_below, overflow, two_limits
 from afdsvc.plugins.physics.slow_mode import _exchange
 from afdsvc.plugins.physics.static_nonlinearity import outflow, outflow_about, power, signed_square, thrust
@@ -220,6 +221,8 @@ CASES = [
     Case("two limits", two_limits, (0.5, -0.3), lambda x, u: [-D * x[0] + G * np.clip(u, -0.3, 0.5)], **SPEED, reads=(("u", 0),), stage="input"),
     Case("loop over a way", over_integral, (0.4, 0.05, 1.0), bouc, **SPEED, reads=(("u", 0),), stage="input", hidden=(0.0,), memory=3, tolerance=2e-2),
     Case("second store", _exchange, (0.9, 0.6), lambda x, u: [u - 0.8 * x[0] - 0.9 * (x[0] - x[2]), 0.5 * x[0] - 0.4 * x[1], (x[0] - x[2]) / 0.6], **(TANK | {"writes": (0,)}), hidden=(1.0,), memory=2),
+    Case("leak between tanks", conducted, (0.7, 0.5), lambda x, u: [u - 0.8 * x[0] - 0.7 * (x[0] - x[1]), 0.5 * x[0] - 0.4 * x[1] + 0.35 * (x[0] - x[1])], **(TANK | {"reads": (("x", 0), ("x", 1))})),
+    Case("valve between tanks", turbulent, (0.7, 0.5, 0.3), lambda x, u: [u - 0.8 * x[0] - (q := 0.7 * 0.3 * np.sign(x[0] - x[1]) * np.sqrt(abs(x[0] - x[1]) / 0.3)), 0.5 * x[0] - 0.4 * x[1] + 0.5 * q], **(TANK | {"reads": (("x", 0), ("x", 1))}), tolerance=1e-2),
     Case("Torricelli", outflow, (0.5, 2.0, 0.8, 0.625), tank(lambda x: 0.8 * np.sqrt(2.0 * x)), **TANK),
     Case("Torricelli about a level", outflow_about, (0.5, 2.0, 0.8, 0.625), tank(lambda x: 0.8 * 4 * (np.sqrt(1 + x / 2) - 1)), **TANK),
     Case("joint with a cubic spring", spring, (300.0, 3.0, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 300 * d**3), **MODES, reads=(("x", 0), ("x", 2))),
@@ -230,7 +233,7 @@ CASES = [
     Case("play in a shaft", shaft_play, (K, 0.05, 0.02, -1.0, 0.25), shaft, **SHAFT, reads=(("x", 0), ("x", 2), ("x", 1), ("x", 3)), tolerance=5e-3),
     Case("shock absorber", shock_absorber, (9.0, 2.0, -1.0, 0.25), lambda x, u: beside(x, u, lambda v: (9.0 if v > 0 else 2.0) * v), **SHAFT, reads=(("x", 1), ("x", 3))),
     Case("bolted joint", jenkins, (20.0, 0.05, -1.0, 0.25), bolted, **SHAFT, reads=(("x", 0), ("x", 2)), memory=1, hidden=(0.0,), tolerance=1e-2),
-    Case("turbulent damper", turbulent, (3.0, -1.0, 0.25), lambda x, u: beside(x, u, lambda v: 3.0 * v * abs(v)), **SHAFT, reads=(("x", 1), ("x", 3))),
+    Case("turbulent damper", turbulent_damper, (3.0, -1.0, 0.25), lambda x, u: beside(x, u, lambda v: 3.0 * v * abs(v)), **SHAFT, reads=(("x", 1), ("x", 3))),
     Case("joint that rubs", _joint, (3.0, 0.1, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 3 * np.tanh(v / (0.1 + 3 * 1.49 * H))), **MODES, reads=(("x", 1), ("x", 3))),
 ]
 
