@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 from afdsvc.api.model import DEFAULT_RELATIVE_SD, Model
@@ -28,7 +27,7 @@ PYTHON_ANGLE = 0.2  # largest angle [rad] that a pole of Python code below the N
 STABLE_ANGLE = 1.0  # the same of faster poles, which no sample shows: steps are stable, and wrong by 2 % of what decays within them
 PYTHON_SUBSTEPS = 200
 FASTER = 8.0  # than stated, the fastest pole of Python code that is followed where a fit moves numbers of the model; one of the Nyquist frequency always is
-SETTLING = 1000  # samples in which Python code comes near the state that balances its inputs
+DOUBLINGS = 40  # of a sample, after which Python code is where its inputs hold it
 ROUNDED = 0.01  # of an entry: numbers in model files have two digits or more
 RECENT = 64  # matrices of sub-steps kept: fits come back to the same numbers of the model
 PARAMETER, INPUT_GAIN, OUTPUT_GAIN = "parameter", "input gain", "output gain"
@@ -224,22 +223,27 @@ def _point(model: Model, code: Program, values: Array, inputs: Array | None, dt:
     def imbalance(x: Array) -> Array:
         return rate(0.0, x, u, values) - (x if model.sample_time else 0.0)
 
+    def slope(x: Array) -> Array:
+        return linearised(code.rate_address, len(x), x, u, values)[0] - (np.eye(len(x)) if model.sample_time else 0.0)
+
     found = root(imbalance, rest)
     if not found.success:
-        found = root(imbalance, _gone(model, lambda x: rate(0.0, x, u, values), rest, dt))
+        found = root(imbalance, _gone(imbalance, slope, rest, dt))
     return (np.asarray(found.x) if found.success and np.isfinite(found.x).all() else rest), u
 
 
-def _gone(model: Model, rate: Callable[[Array], Array], start: Array, dt: float) -> Array:
-    """Return the state of Python code after `SETTLING` samples of a constant input; the start where it diverges."""
+def _gone(rate: Callable[[Array], Array], slope: Callable[[Array], Array], start: Array, dt: float) -> Array:
+    """Return where a machine goes under a constant input, by implicit steps of doubling length; the start where it diverges.
+
+    Pseudo-transient continuation (C. T. Kelley, D. E. Keyes, SIAM J. Numer. Anal. 35, 1998).
+    """
     x = start
-    with np.errstate(all="ignore"):
-        if model.sample_time:
-            for _ in range(SETTLING):
-                x = rate(x)
-        else:
-            x = solve_ivp(lambda t, x: rate(x), (0.0, SETTLING * dt), start, method="LSODA").y[:, -1]
-    return np.asarray(x) if np.isfinite(x).all() else start
+    for k in range(DOUBLINGS):
+        step = np.linalg.lstsq(np.eye(len(x)) / (dt * 2.0**k) - slope(x), rate(x), rcond=None)[0] if np.isfinite(rate(x)).all() else np.inf
+        if not np.isfinite(step).all():
+            return start
+        x = x + step
+    return np.asarray(x)
 
 
 def _linear(model: Model, code: Program, point: tuple[Array, Array], values: Array) -> StateSpace:
