@@ -68,7 +68,13 @@ class Coefficient:
     unsigned: bool = False
 
     def per(self, B: Array) -> float:
-        """Return what the law's value is divided by where it is stated, for the matrix ``B (n, m)`` of the plant."""
+        """Return what the law's value is divided by where it is stated, for the matrix ``B (n, m)`` of the plant.
+
+        >>> import numpy as np
+        >>> drag = Coefficient("drag", "N s/m", 0.0, 9.0, 0.1, through=(1, 0), unsigned=True)
+        >>> drag.per(np.array([[0.0], [-4.0]]))
+        4.0
+        """
         entry = 1.0 if self.through is None else float(B[self.through]) or 1.0
         return abs(entry) if self.unsigned else entry
 
