@@ -310,6 +310,12 @@ def test_stores_that_the_model_joins_are_not_joined_again_and_the_flow_is_that_o
     assert not any(k.startswith("exchange") for k in offered(other))
 
 
+def test_forces_are_stated_by_the_size_of_the_gain_and_shares_of_inputs_with_its_sign():
+    friction, share = (offered(machines()[k])[key].parameters[0] for k, key in ((ARM, "coulomb_friction@state:w"), (GIMBAL, "actuator_crosstalk@state:turn_rate#tilt_current")))
+    assert (friction.through, friction.unsigned) == ((1, 0), True)
+    assert (share.through, share.unsigned) == ((2, 1), False)
+
+
 def test_no_gain_follows_a_level_that_no_input_drives_at_once():
     assert not any(k.startswith("gain_follows_level@state:h2") for k in offered(machines()[TANKS]))
 
