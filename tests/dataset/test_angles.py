@@ -41,6 +41,7 @@ def test_the_way_is_found_again_but_for_whole_turns(seed, unit, first):
 
 @pytest.mark.parametrize("x", [
     np.linspace(0, 900, 400),  # goes on beyond a turn
+    within(np.arange(400) * 5.0, 720.0, 0.0),  # begins anew after two turns
     np.where(np.arange(400) // 50 % 2, 200.0, 0.0),  # jumps between two places
     np.where(np.arange(400) % 97 == 50, 200.0, 1.0),  # bad samples
     within(np.arange(400) * 100.0, 360.0, 0.0),  # turns so fast that it may turn the other way

@@ -103,33 +103,36 @@ def test_code_is_linearised_where_the_inputs_balance(model):
 
 
 class Tanks:
-    """Two tanks in a row; the outflow of an empty one has no slope."""
+    """Two upper tanks that empty into two lower ones, pumps that feed one of each; the outflow of an empty tank has no slope."""
 
     @staticmethod
     def f(t, x, u, p):
-        first, second = p["a"] * math.sqrt(max(x[0], 0.0)), p["a"] * math.sqrt(max(x[1], 0.0))
-        return [u[0] - first, first - second]
+        a, b, c, d = (p["a"] * math.sqrt(1962 * max(level, 0.0)) for level in x)
+        return [(0.7 * u[0] + c - a) / 28, (0.6 * u[1] + d - b) / 28, (0.4 * u[1] - c) / 28, (0.3 * u[0] - d) / 28]
 
     @staticmethod
     def h(t, x, u, p):
-        return [x[1]]
+        return [x[0]]
 
 
 class Filling(Tanks):
-    """By samples of 0.5 s."""
+    """By samples of 2 s."""
 
     @staticmethod
     def f(t, x, u, p):
-        return [x[k] + 0.5 * rate for k, rate in enumerate(Tanks.f(t, x, u, p))]
+        return [x[k] + 2.0 * rate for k, rate in enumerate(Tanks.f(t, x, u, p))]
 
 
-@pytest.mark.parametrize(("code", "sample_time"), [(Tanks, 0.0), (Filling, 0.5)])
+@pytest.mark.parametrize(("code", "sample_time"), [(Tanks, 0.0), (Filling, 2.0)])
 def test_tanks_are_linearised_at_the_level_that_the_inflow_holds(model, code, sample_time):
-    """From an empty tank no balance is found, and poles there are as fast as one likes: every sample took a hundred steps."""
-    found = nominal(model(code=code, parameters={"a": 0.4}, sample_time=sample_time), 0.5, np.array([0.6]))
-    assert found.point[0] == pytest.approx([2.25, 2.25], rel=1e-6)
-    pole = -0.4 / (2 * 1.5)
-    assert found.plant.poles() == pytest.approx([1 + 0.5 * pole] * 2 if sample_time else [pole] * 2, rel=1e-4)
+    """From empty tanks no balance is found, and poles there are as fast as one likes: every sample took a hundred steps."""
+    u, a = np.array([9.6, 10.2]), 0.07
+    flows = np.array([0.7 * u[0] + 0.4 * u[1], 0.6 * u[1] + 0.3 * u[0], 0.4 * u[1], 0.3 * u[0]])
+    levels = (flows / a) ** 2 / 1962
+    found = nominal(model(code=code, parameters={"a": a}, sizes=(4, 2, 1), sample_time=sample_time), 2.0, u)
+    assert found.point[0] == pytest.approx(levels, rel=1e-6)
+    poles = -np.sort(a * np.sqrt(1962 / levels) / 56)
+    assert np.sort(found.plant.poles().real)[::-1] == pytest.approx(1 + 2.0 * poles if sample_time else poles, rel=1e-4)
     assert found.steps(np.zeros(1)).nsub == 1
 
 
