@@ -195,6 +195,15 @@ def radians_per_second(unit: str) -> float:
     return float(unit_registry().Quantity(1.0, unit).to("radian/second").magnitude) if turns else 0.0
 
 
+def least_wave(way: Size) -> float:
+    """Return the wave number [rad per unit] of which a way holds two periods, infinite where nothing moves.
+
+    In fewer a wave shows no repetition: it stands for any smooth curve.
+    """
+    half = max(way.peak - abs(way.mean), 0.1 * way.peak)  # of the way travelled, about its mean
+    return 2 * math.pi / half if half > 0 else math.inf
+
+
 def orders(speed: float, dt: float) -> list[float]:
     """Return the whole numbers of periods per turn that samples every ``dt`` s resolve at a speed [rad/s], `MOST` at most."""
     return [float(n) for n in range(1, 1 + min(MOST, int(math.pi / (speed * dt))))]

@@ -12,6 +12,7 @@ from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal, S
 from afdsvc.plugins.physics.attach import (
     at_force,
     force,
+    least_wave,
     orders,
     periods,
     placed,
@@ -50,7 +51,7 @@ class Cogging:
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per axis, with periods from the way travelled to a tenth of it, or whole ones per turn, and with those that the residual shows.
 
-        A wave of which no two periods were travelled shows no repetition: it stands for any smooth curve, and is not offered.
+        A wave of which no two periods were travelled is not offered.
         """
         for axis, q in placed(machine):
             yield from self._on(axis, state(q), q, quantity(q.unit) == "angle", machine.waves.get(state(q), ()))
@@ -71,10 +72,9 @@ class Cogging:
             )
 
     def _on(self, axis: Axis, where: Signal, way: Size, turns: bool, waves: Sequence[float] = ()) -> Iterable[Hypothesis]:
-        longest = max(way.peak - abs(way.mean), 0.1 * way.peak)  # half of the way travelled, about its mean
-        if not longest > 0:
+        least, unit = least_wave(way), way.unit if where.kind == "x" else "rad"
+        if math.isinf(least):
             return
-        least, unit = 2 * math.pi / longest, way.unit if where.kind == "x" else "rad"
         numbers = [n * radians(unit) for n in ORDERS if n * radians(unit) >= least] if turns else least * np.geomspace(1.0, 10, 9)
         if not len(numbers):
             return

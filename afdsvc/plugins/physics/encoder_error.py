@@ -15,6 +15,7 @@ from afdsvc.plugins.physics.attach import (
     at_machine,
     at_output,
     constant,
+    least_wave,
     orders,
     periods,
     placed,
@@ -59,13 +60,14 @@ class EncoderError:
         """Return one hypothesis per output that is a position or a speed of a shaft, and per pair of angle and speed; it begins at whole periods per turn, along
         a line at those that the residual shows.
 
-        An angle has to travel a whole turn: in less, nothing repeats with every turn, and a wave stands for any curve.
+        An angle has to travel a whole turn, a line two periods: in less nothing repeats, and a wave stands for any curve.
         """
         for port in machine.outputs:
             if quantity(port.unit) == "angle":
                 yield from _of_angle([port], machine)
-            elif quantity(port.unit) == "length" and (waves := machine.waves.get(Signal("y", port.index), ())):
-                wave, size = Coefficient("wave number", f"rad/{port.unit}", 0.5 * min(waves), 2 * max(waves), 1e-3 * min(waves)), 0.2 * float(machine.residual[port.index])
+            elif quantity(port.unit) == "length" and (waves := [k for k in machine.waves.get(Signal("y", port.index), ()) if k >= least_wave(port)]):
+                lowest = max(0.5 * min(waves), least_wave(port))
+                wave, size = Coefficient("wave number", f"rad/{port.unit}", lowest, 2 * max(waves), 1e-3 * min(waves)), 0.2 * float(machine.residual[port.index])
                 yield at_output(port, at_angle, parameters=[wave, constant("unit", "", 1.0), *_parts(port, size)], starts=[(k, 1.0, 0.0, 0.0) for k in waves], **WORDS)
             elif (unit := radians_per_second(port.unit)) and (numbers := orders(unit * (size := max(port.rms, abs(port.mean))), machine.dt)):
                 yield at_output(
