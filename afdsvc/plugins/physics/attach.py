@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import product
 from typing import Any
@@ -126,17 +126,21 @@ def proportional(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] -= p[0] * z[0]
 
 
-def beside(machine: Machine, axis: Axis, own: Size) -> Callable[[StateSpace, Sequence[float]], StateSpace] | None:
-    """Return what builds a force in proportion to a state into matrices, where the model has none of it on an axis; None where it has one."""
+def at_missing(machine: Machine, axis: Axis, own: Size, what: str, **rest: Any) -> Iterator[Hypothesis]:
+    """Yield a force on an axis in proportion to its position or velocity, ``what`` per unit of it, where the model has none."""
     if machine.plant is None or abs(machine.plant.A[axis.rate.index, own.index]) * own.rms > NONE * axis.push:
-        return None
+        return
+    scale = 0.05 * axis.push / own.rms
+    yield at_force(
+        axis, proportional, [state(own)], starts=[(0.0,)], linear=lambda plant, values: _resisted(plant, values, axis.rate.index, own.index),
+        parameters=[force(axis, what, -200 * scale, 200 * scale, scale, own.unit, linear=True)], **rest,
+    )
 
-    def built(plant: StateSpace, values: Sequence[float]) -> StateSpace:
-        A = plant.A.copy()
-        A[axis.rate.index, own.index] -= values[0]
-        return StateSpace(A, plant.B, plant.C, plant.D, plant.dt)
 
-    return built
+def _resisted(plant: StateSpace, values: Sequence[float], row: int, column: int) -> StateSpace:
+    A = plant.A.copy()
+    A[row, column] -= values[0]
+    return StateSpace(A, plant.B, plant.C, plant.D, plant.dt)
 
 
 def constant(name: str, unit: str, value: float) -> Coefficient:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 from afdsvc.api.physics import Hypothesis, Machine
-from afdsvc.plugins.physics.attach import at_force, beside, force, placed, proportional, state
+from afdsvc.plugins.physics.attach import at_missing, placed
 
 
 class LinearStiffness:
@@ -18,10 +17,7 @@ class LinearStiffness:
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per axis with a position that its force does not depend on."""
         for axis, q in placed(machine):
-            if (add := beside(machine, axis, q)) is not None:
-                scale = 0.05 * axis.push / q.rms
-                words: dict[str, Any] = {"predicts": "a linear residual that follows the position", "refuted_by": "a position that stays where it is left"}
-                yield at_force(
-                    axis, proportional, [state(q)], physics=self.name, family="stiffness", starts=[(0.0,)], linear=add, **words,
-                    parameters=[force(axis, "stiffness", -200 * scale, 200 * scale, scale, q.unit, linear=True)],
-                )
+            yield from at_missing(
+                machine, axis, q, "stiffness", physics=self.name, family="stiffness",
+                predicts="a linear residual that follows the position", refuted_by="a position that stays where it is left",
+            )

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 from afdsvc.api.physics import Hypothesis, Machine
-from afdsvc.plugins.physics.attach import at_force, beside, force, proportional, velocity
+from afdsvc.plugins.physics.attach import at_missing
 
 
 class ViscousDamping:
@@ -18,10 +17,7 @@ class ViscousDamping:
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per axis whose force does not depend on its velocity."""
         for axis in machine.axes:
-            if (add := beside(machine, axis, axis.rate)) is not None:
-                scale = 0.05 * axis.push / axis.rate.rms
-                words: dict[str, Any] = {"predicts": "a linear residual that follows the velocity", "refuted_by": "a motion that goes on when nothing drives it"}
-                yield at_force(
-                    axis, proportional, [velocity(axis)], physics=self.name, family="damping", starts=[(0.0,)], linear=add, **words,
-                    parameters=[force(axis, "damping", -200 * scale, 200 * scale, scale, axis.rate.unit, linear=True)],
-                )
+            yield from at_missing(
+                machine, axis, axis.rate, "damping", physics=self.name, family="damping",
+                predicts="a linear residual that follows the velocity", refuted_by="a motion that goes on when nothing drives it",
+            )
