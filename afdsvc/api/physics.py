@@ -24,7 +24,7 @@ from typing import Any, Literal, Protocol
 from afdsvc.lti.statespace import Array, StateSpace
 
 Law = Callable[[Any, Any, Any, float, Any], None]
-Stage = Literal["input", "force", "output"]
+Stage = Literal["input", "force", "output", "parameter"]
 MOST_SIGNALS, MOST_AHEAD = 16, 7  # that one law may read, and samples ahead of time
 
 
@@ -33,14 +33,14 @@ class Signal:
     """One signal a law reads or writes: its kind, and its number among its kind.
 
     Kinds to read: ``u`` input as it acts (after earlier effects), ``x`` state, ``y`` output, ``aux`` auxiliary signal,
-    ``t`` time in s. Kinds to write: ``u`` (stage "input"), ``x`` meaning the rate of change of that state ("force"), ``y``
-    ("output"). At stage "output" the input read is the one held during the sample before.
+    ``t`` time in s, ``p`` parameter of a model that is Python code. Kinds to write: ``u`` (stage "input"), ``x`` meaning the rate of change of that state
+    ("force"), ``y`` ("output"), ``p`` ("parameter", once per sample). At the last two the input read is the one held during the sample before.
 
     ``ahead`` reads an input as many samples later (`MOST_AHEAD` at most), as recorded: for errors of the recording, such as a clock that is late. A law that
     does so comes before the other laws at inputs, is no part of the machine, and does nothing in a loop that is closed in simulation.
     """
 
-    kind: Literal["u", "x", "y", "aux", "t"]
+    kind: Literal["u", "x", "y", "aux", "t", "p"]
     index: int = 0
     ahead: int = 0
 
@@ -88,7 +88,7 @@ class Coefficient:
 class Hypothesis:
     """One physics at one site: a law, its parameters, and how to distinguish it from others.
 
-    ``site`` is ``input:NAME``, ``state:NAME``, ``output:NAME`` or ``machine``; a law of stage "force" may have the site of the
+    ``site`` is ``input:NAME``, ``state:NAME``, ``output:NAME``, ``parameter:NAME`` or ``machine``; a law of stage "force" may have the site of the
     input it concerns. ``family`` groups laws that resemble each other in data; friction that sticks is of family "friction",
     other laws with a memory of the way of family "memory". ``starts`` are starting points of the search (values in the order of
     ``parameters``), guessed from the recordings. ``unsettled`` says how many of the first cells of the memory are in the unit of the
@@ -140,9 +140,9 @@ class Hypothesis:
 
 
 def site_words(site: str) -> str:
-    """Return a site in words: "input voltage", "force on w", "sensor angle", "machine"."""
+    """Return a site in words: "input voltage", "force on w", "sensor angle", "parameter friction", "machine"."""
     kind, _, name = site.partition(":")
-    return {"input": f"input {name}", "state": f"force on {name}", "output": f"sensor {name}"}.get(kind, site)
+    return {"input": f"input {name}", "state": f"force on {name}", "output": f"sensor {name}", "parameter": f"parameter {name}"}.get(kind, site)
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +197,8 @@ class Machine:
     excitation, ``peaks`` those where its spectrum stands out. ``limited`` says whether noise limits what can be seen of a law
     ("noise"), or the model ("model"): the form of a law then shows beyond its first approximation. ``deflections`` are the differences of
     two positions, by the numbers of their states, that a spring of the model couples. ``waves`` are the wave numbers [rad per unit] with which the
-    residual repeats best along positions (of kind "x") and along readings of them ("y"). Of ``code`` the plant is the linearisation.
+    residual repeats best along positions (of kind "x") and along readings of them ("y"). Of ``code`` the plant is the linearisation, and ``parameters``
+    are its numbers that are not known exactly, ``mean`` their values and ``rms`` the standard deviations stated.
     """
 
     inputs: tuple[Size, ...]
@@ -216,6 +217,7 @@ class Machine:
     deflections: Mapping[tuple[int, int], Size] = field(default_factory=dict)
     waves: Mapping[Signal, Sequence[float]] = field(default_factory=dict)
     code: bool = False
+    parameters: tuple[Size, ...] = ()
 
 
 class Physics(Protocol):

@@ -17,6 +17,7 @@ from afdsvc.explain.search.coupling import through_mechanism
 from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import is_constant
+from afdsvc.explain.simulate.nominal import PARAMETER, Nominal
 from afdsvc.explain.simulate.steps import continuous
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.stats.waves import wave_numbers
@@ -57,7 +58,7 @@ def machine(problem: Problem, base: Fit, horizon: float, tones: Sequence[float] 
         inputs, outputs, states, axes,
         dict(zip(runs[0].aux, _sizes([Variable(a) for a in runs[0].aux], aux), strict=True)), runs[0].dt, sum(len(r) for r in runs) * runs[0].dt,
         bandwidth(runs), smooth, np.sqrt((e**2).mean(0)), tuple(tones), tuple(peaks), "noise" if limited == "noise" else "model",
-        _deflections(axes, smooth, x), {signal: wave_numbers(way, residuals) for signal, way in ways.items()}, problem.nominal.python,
+        _deflections(axes, smooth, x), {signal: wave_numbers(way, residuals) for signal, way in ways.items()}, problem.nominal.python, _parameters(problem.nominal),
     )
 
 
@@ -71,6 +72,13 @@ def _sizes(variables: Sequence[Variable], values: Array) -> tuple[Size, ...]:
             _reverses(column),
         ))
     return tuple(found)
+
+
+def _parameters(nominal: Nominal) -> tuple[Size, ...]:
+    """Return the numbers of Python code that are not known exactly."""
+    stated = list(nominal.model.parameters.values())
+    uncertain = [(e, stated[e.row]) for e in nominal.entries if e.matrix == PARAMETER]
+    return tuple(Size(e.row, e.name, q.unit, q.value, e.sd, abs(q.value), reverses=False) for e, q in uncertain)
 
 
 def _reverses(values: Array) -> bool:

@@ -107,7 +107,9 @@ class Problem:
         return found
 
     def size(self, signal: Signal) -> float:
-        """Return the size of a signal: the largest value of an input or an auxiliary signal, the rms of a state or an output."""
+        """Return the size of a signal: the largest value of an input or an auxiliary signal, the rms of a state or an output, a parameter as stated."""
+        if signal.kind == "p":
+            return abs(list(self.nominal.model.parameters.values())[signal.index].value) or 1.0
         if signal.kind in ("u", "aux"):
             return max(float(np.abs((r.U if signal.kind == "u" else r.AUX)[:, signal.index]).max(initial=0.0)) for r in self.runs) or 1.0
         return float((self.state_scale if signal.kind == "x" else self.scale)[signal.index])

@@ -23,13 +23,16 @@ _CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_double, *[ctypes.c_void_p] * 4)
 
 
 class Values(dict[str, float]):
-    """Parameter values by name, ``p["mass"]`` or ``p.mass``."""
+    """Parameter values by name, ``p["mass"]`` or ``p.mass``; ``p | {"mass": 2.0}`` are the same with another mass."""
 
     def __getattr__(self, name: str) -> float:
         try:
             return self[name]
         except KeyError:
             raise AttributeError(name) from None
+
+    def __or__(self, other: Any) -> Any:
+        return Values({**self, **other})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

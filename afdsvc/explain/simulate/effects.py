@@ -19,7 +19,7 @@ from afdsvc.explain.simulate import kernel
 from afdsvc.explain.simulate.kernel import LAW
 from afdsvc.lti.statespace import Array
 
-_STAGE = {"input": kernel.INPUT, "force": kernel.FORCE, "output": kernel.OUTPUT}
+_STAGE = {"input": kernel.INPUT, "force": kernel.FORCE, "output": kernel.OUTPUT, "parameter": kernel.PARAMETER}
 IntArray = NDArray[np.int64]
 
 
@@ -28,14 +28,11 @@ class PlacedEffect:
     """A hypothesis with values for its parameters, shape ``(len(parameters),)``.
 
     ``begun`` is what the unsettled part of the law's memory begins every recording with, one array per recording; empty: zero.
-    ``bend = (c1, c2, reference)`` multiplies the law by ``1 + c1 w + c2 w^2``, ``w`` the size of its first signal over the
-    reference: a test of the law's shape.
     """
 
     hypothesis: Hypothesis
     values: Array
     begun: tuple[Array, ...] = ()
-    bend: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,17 +60,16 @@ def table(effects: Sequence[PlacedEffect], m: int, n: int, p: int, a: int) -> Ta
     k = len(effects)
     laws = np.array([compiled(e.hypothesis.law).address for e in effects], dtype=np.int64)
     plan = np.zeros((k, kernel.READS + 2 * kernel.MOST_SIGNALS), np.int64)
-    par = np.zeros((k, max([len(e.values) for e in effects], default=0) + 3))
+    par = np.zeros((k, max([len(e.values) for e in effects], default=0)))
     start, first = 0, kernel.READS + kernel.MOST_SIGNALS
     along: list[tuple[int, bool, int]] = []
     for i, e in enumerate(effects):
         h = e.hypothesis
-        plan[i, : kernel.READS] = _stage(h), len(h.reads), len(h.writes), len(e.values), start, start + h.memory, e.bend is not None
+        plan[i, : kernel.READS] = _stage(h), len(h.reads), len(h.writes), len(e.values), start, start + h.memory
         plan[i, kernel.READS : kernel.READS + len(h.reads)] = [_address(s, m, n, p, a) for s in h.reads]
         plan[i, first : first + len(h.writes)] = [s.index for s in h.writes] if h.along is None else n + len(along)
         along += [] if h.along is None else [(h.along.index, h.along.kind == "u", h.writes[0].index)]
         par[i, : len(e.values)] = e.values
-        par[i, -3:] = e.bend or (0.0, 0.0, 1.0)
         start += h.memory
     forces = [e.hypothesis for e in effects if _stage(e.hypothesis) == kernel.FORCE]
     forced = np.array([*sorted({s.index for h in forces for s in h.writes if h.along is None}), *range(n, n + len(along))], dtype=np.int64)
@@ -93,7 +89,7 @@ def _stage(h: Hypothesis) -> int:
 
 
 def _address(signal: Signal, m: int, n: int, p: int, a: int) -> int:
-    start = {"u": 0, "x": m, "y": m + n, "aux": m + n + p, "t": m + n + p + a}[signal.kind]
+    start = {"u": 0, "x": m, "y": m + n, "aux": m + n + p, "t": m + n + p + a, "p": m + n + p + a + 1 + kernel.AHEAD * m}[signal.kind]
     if signal.ahead:
         start = m + n + p + a + 1 + (signal.ahead - 1) * m
     return start + signal.index

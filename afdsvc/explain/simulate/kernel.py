@@ -1,9 +1,9 @@
-"""The compiled simulation: a plant with effects at its inputs, forces and outputs, in or out of its loop.
+"""The compiled simulation: a plant with effects at its inputs, forces, outputs and parameters, in or out of its loop.
 
 A linear plant is advanced exactly (matrix exponentials), Python code by the classical Runge-Kutta method of order four. Forces
 of effects are evaluated at the predicted middle of the sub-step and held over it, an error of second order; friction, which
 is nearly a jump, is implicit (`_friction`). Inputs are held between samples; what effects make of them is worked out in
-every sub-step. With a gain ``Kp`` the states are corrected by ``y - yhat`` at every sample, which makes the residual that
+every sub-step. Parameters of Python code that effects change are worked out once per sample. With a gain ``Kp`` the states are corrected by ``y - yhat`` at every sample, which makes the residual that
 of a one-step predictor; in the loop (``closed``) the simulated output feeds the controller and nothing is corrected.
 
 All compiled code is in this file because numba keeps what it compiled until the text of the file of the outermost function
@@ -30,8 +30,8 @@ LAW = types.void(  # parameters, signals, memory, time step, what it adds: addre
     NUMBERS, types.intp, NUMBERS, types.intp, NUMBERS, types.intp, types.float64, NUMBERS, types.intp
 )
 MOST_SIGNALS = 16
-READS = 7  # columns of a plan: stage, reads, writes, parameters, memory from, memory to, bent, then addresses
-INPUT, FORCE, OUTPUT, FRICTION, RECORDED = 0, 1, 2, 3, 4  # RECORDED: changes of the measured input that come before all others
+READS = 6  # columns of a plan: stage, reads, writes, parameters, memory from, memory to, then addresses
+INPUT, FORCE, OUTPUT, FRICTION, RECORDED, PARAMETER = 0, 1, 2, 3, 4, 5  # RECORDED: changes of the measured input that come before all others
 AHEAD = 7  # samples of the measured input that such a law may read from the future
 IMPLICIT = 0.75  # point of the sub-step where friction is evaluated: 0.5 would chatter at rest, 1 switches late at reversals
 SHARP = 0.001  # share of the sub-step that an implicit law gets as dt: it need not be smooth over the whole
@@ -65,19 +65,12 @@ def _call(typingctx, function, arguments):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def _evaluate(i, laws, plan, par, mem, work, dt):  # type: ignore[no-untyped-def]
-    """Call law ``i`` on the signals at the start of ``work``; what it adds is left from `MOST_SIGNALS` on.
-
-    A bent law is multiplied by ``1 + c1 w + c2 w^2``, ``w`` the size of its first signal over a reference (the last parameters).
-    """
-    first, nwrite, columns = work[0], plan[i, 2], par.shape[1]
+    """Call law ``i`` on the signals at the start of ``work``; what it adds is left from `MOST_SIGNALS` on."""
+    nwrite = plan[i, 2]
     for k in range(MOST_SIGNALS, MOST_SIGNALS + nwrite):
         work[k] = 0.0
-    values, memory, z = _address(par) + 8 * i * columns, _address(mem) + 8 * plan[i, 4], _address(work)  # type: ignore[call-arg, var-annotated]
+    values, memory, z = _address(par) + 8 * i * par.shape[1], _address(mem) + 8 * plan[i, 4], _address(work)  # type: ignore[call-arg, var-annotated]
     _call(laws[i], (values, plan[i, 3], z, plan[i, 1], memory, plan[i, 5] - plan[i, 4], dt, z + 8 * MOST_SIGNALS, nwrite))
-    if plan[i, 6]:
-        w = abs(first) / par[i, columns - 1]
-        for k in range(MOST_SIGNALS, MOST_SIGNALS + nwrite):
-            work[k] *= 1.0 + par[i, columns - 3] * w + par[i, columns - 2] * w * w
 
 
 @njit(cache=True, nogil=True)
@@ -101,7 +94,7 @@ def _apply(stage, laws, plan, par, mem, s, work, dt, target, base):  # type: ign
 
 @njit(cache=True, nogil=True)
 def _recorded(laws, plan, par, mem, s, work, dt, k, U, u, it):  # type: ignore[no-untyped-def]
-    """Apply what changes the measured input of sample ``k``, held in ``u`` and at the start of ``s``; the samples to come are at the end of ``s``."""
+    """Apply what changes the measured input of sample ``k``, held in ``u`` and at the start of ``s``; the samples to come follow the time in ``s``."""
     N, m = U.shape
     for a in range(AHEAD):
         for j in range(m):
@@ -307,7 +300,7 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
 ):
     """Fill ``yhat (n, p)``, ``uhat (n, m)`` (the input before effects) and ``xhat (n, states)``.
 
-    Open: ``U (n, m)`` is the measured input. Closed: ``u = K (yhat - R) + U`` with ``U`` what was added to the controller's
+    ``values`` are the parameters of Python code, left as effects changed them last. Open: ``U (n, m)`` is the measured input. Closed: ``u = K (yhat - R) + U`` with ``U`` what was added to the controller's
     output. ``laws`` holds the addresses of the compiled laws. Samples where Y is not finite correct nothing. ``ramped`` (open only)
     takes the input to run smoothly from sample to sample instead of being held, ``gam`` and ``gamh`` its coefficients; input laws
     then see no states. ``along (E, 2)`` are the signals that forces act along, and the gains by which their sizes are those of the signals: they are
@@ -325,15 +318,16 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
     u, ue, held, y = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(p)
     mean = np.zeros(m)
     drive = np.zeros((DEGREE + 1) * m) if ramped else mean
-    s, work, first = np.zeros(m + n + p + na + 1 + AHEAD * m), np.zeros(2 * MOST_SIGNALS), np.zeros(MOST_SIGNALS)
-    last = np.zeros(plan.shape[0])
-    it = m + n + p + na
+    it, ip = m + n + p + na, m + n + p + na + 1 + AHEAD * m
+    s, work, first = np.zeros(ip + values.size), np.zeros(2 * MOST_SIGNALS), np.zeros(MOST_SIGNALS)
+    last, stated = np.zeros(plan.shape[0]), values.copy()
     corrected = 0 if closed or not np.any(Kp) else p
-    shaped, observed, rubbed, led = False, False, False, False
+    shaped, observed, rubbed, led, varied = False, False, False, False, False
     for i in range(plan.shape[0]):
         shaped = shaped or plan[i, 0] == INPUT
         observed = observed or plan[i, 0] == OUTPUT
         rubbed = rubbed or plan[i, 0] == FRICTION
+        varied = varied or plan[i, 0] == PARAMETER
         led = led or (plan[i, 0] == RECORDED and not closed)
     smooth = U.copy() if ramped else U
     if ramped and (shaped or led):
@@ -352,6 +346,10 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
             s[m + n + p + j] = AUX[k, j]
         for j in range(n):
             s[m + j] = x[j]
+        if varied:
+            values[:] = stated
+            s[ip:] = stated
+            _apply(PARAMETER, laws, plan, par, mem, s, work, dt, values, ip)
         if ramped:
             for j in range(m):
                 ue[j] = smooth[k, j]

@@ -46,7 +46,7 @@ class _Translation:
     def _compile(self, function: Callable[..., Any], size: int) -> Any:
         plain, owner = getattr(function, "__func__", function), getattr(function, "__self__", None)
         tree = _source(plain)
-        scope = {**plain.__globals__, **inspect.getclosurevars(plain).nonlocals, "_store": store}
+        scope = {**plain.__globals__, **inspect.getclosurevars(plain).nonlocals, "_store": store, "_changed": changed}
         known: dict[str, Any] = {}
         arguments = [a.arg for a in tree.args.args]
         if owner is not None:
@@ -92,6 +92,20 @@ class _Rewriter(ast.NodeTransformer):
         if isinstance(node.value, ast.Name) and node.value.id == self.parameters and node.attr in self.translation.numbers:
             return self._number(node, node.value.id, node.attr)
         return self._constant(node)
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        """Rewrite ``p | {"name": value}``, a copy of the parameters with others in their place."""
+        changed = node.right
+        if not (isinstance(node.op, ast.BitOr) and isinstance(changed, ast.Dict) and isinstance(node.left, ast.Name) and node.left.id == self.parameters):
+            return self.generic_visit(node)
+        found: ast.expr = node.left
+        for key, value in zip(changed.keys, changed.values, strict=True):
+            name = key.value if isinstance(key, ast.Constant) else None
+            if name not in self.translation.numbers:
+                raise Untranslatable(f"parameter {name!r} is not among those of the model")
+            number = ast.Constant(self.translation.numbers[name])
+            found = ast.Call(ast.Name("_changed", ast.Load()), [found, number, self.visit(value)], [])
+        return found
 
     def visit_Name(self, node: ast.Name) -> ast.AST:
         return self._constant(node) if isinstance(node.ctx, ast.Load) else node
@@ -184,6 +198,14 @@ def _elements(node: ast.expr) -> list[ast.expr] | None:
     if isinstance(node, ast.List | ast.Tuple) and not any(isinstance(e, ast.Starred | ast.List | ast.Tuple) for e in node.elts):
         return node.elts
     return None
+
+
+@njit(error_model="numpy", nogil=True)
+def changed(values, number, value):  # type: ignore[no-untyped-def]
+    """Return a copy of numbers with one other."""
+    found = values.copy()
+    found[number] = value
+    return found
 
 
 def store(out: Any, values: Any) -> None:

@@ -171,6 +171,10 @@ class Parts:
         """Whether outputs feel forces of laws at once."""
         return bool(self.of("force")) and bool(self.nominal.felt.any())
 
+    def number(self, s: Signal) -> str:
+        """Return the name of a parameter of the nominal model's code."""
+        return list(self.nominal.model.parameters)[s.index]
+
     def of(self, stage: str) -> list[tuple[int, PlacedEffect]]:
         """Return the effects of a stage with their numbers."""
         return [(i, e) for i, e in enumerate(self.effects) if e.hypothesis.stage == stage]
@@ -236,7 +240,7 @@ def _continuous(parts: Parts) -> list[str]:
     """Return the class of a continuous model: ``dx/dt = f``, ``y = h``."""
     read = {"u": "acting[{}]", "x": "x[{}]", "y": "y[{}]"}
     step = f"{ROUNDED} * STEP"
-    inputs = _laws(parts, "input", read, step, "acting")
+    inputs = [*_laws(parts, "parameter", read, step, "p"), *_laws(parts, "input", read, step, "acting")]
     return [
         *_head(parts), "", "    def f(self, t, x, u, p):", *_indented(["acting = np.copy(u)", *inputs, f"rates = {_rate(parts, 't', 'x')}"], 2),
         *_indented([*_laws(parts, "force", read, step, "rates"), "return rates"], 2), "",
@@ -250,7 +254,7 @@ def _sampled(parts: Parts) -> list[str]:
     n, k = parts.plant.order, sum(e.hypothesis.memory for e in parts.effects)
     read = {"u": "acting[{}]", "x": "seen[{}]", "y": "y[{}]", "t": "now", "aux": "aux[{}]"}
     inputs = _laws(parts, "input", read, "STEP", "acting", memory=True)
-    outputs = _laws(parts, "output", read | {"u": "before[{}]"}, "DT", "y", memory=True)
+    numbers, outputs = (_laws(parts, stage, read | {"u": "before[{}]"}, "DT", target, memory=True) for stage, target in (("parameter", "p"), ("output", "y")))
     felt = ["kept = np.copy(memory)", *_felt_forces(parts, _laws(parts, "force", read, "STEP", "push", memory=True), "state"), "memory = kept"] if parts.felt else []
     values = ", ".join(f"p.get({'aux_' + name!r}, {mean!r})" for name, mean in parts.aux.items())
     used = any(s.kind == "aux" for e in parts.effects for s in e.hypothesis.reads)
@@ -259,7 +263,7 @@ def _sampled(parts: Parts) -> list[str]:
         "        return self.sample(t, x, u, p)[0]", "", "    def sample(self, t, x, u, p):",
         *_indented([
             *([f"aux = np.array([{values}])"] if used else []), f"now, state, memory, before = t, np.copy(x[:{n}]), np.copy(x[{n}:{n + k}]), np.copy(x[{n + k}:])",
-            "seen, acting = np.copy(state), np.copy(u)", *(inputs if parts.direct else []), f"y = {_output(parts, 'state', 'now')}", *felt, *outputs,
+            "seen, acting = np.copy(state), np.copy(u)", *numbers, *(inputs if parts.direct else []), f"y = {_output(parts, 'state', 'now')}", *felt, *outputs,
             *([] if parts.direct else inputs), "for k in range(SUBSTEPS):",
             *_indented([*(["if k > 0:", *_indented(["acting = np.copy(u)", *inputs], 1)] if inputs else []), *_step(parts, read), "now += STEP"], 1),
             "return y, np.concatenate((state, memory, acting))",
@@ -313,8 +317,8 @@ def _laws(parts: Parts, stage: str, read: Mapping[str, str], step: str, target: 
         first = sum(x.hypothesis.memory for x in parts.effects[:i])
         own = f"memory[{first}:{first + h.memory}]" if memory else "np.zeros(0)"
         values = ", ".join(_value(h, c, float(v), parts.plant) for c, v in zip(h.parameters, e.values, strict=True))
-        lines += [f"out = np.zeros({len(h.writes)})", f"{_label(e)}(np.array([{values}]), np.array([{', '.join(_read(s, read) for s in h.reads)}]), {own}, {step}, out)"]
-        lines += _along(parts, h, h.along, target, memory) if h.along else [f"{target}[{s.index}] += out[{k}]" for k, s in enumerate(h.writes)]
+        lines += [f"out = np.zeros({len(h.writes)})", f"{_label(e)}(np.array([{values}]), np.array([{', '.join(_read(parts, s, read) for s in h.reads)}]), {own}, {step}, out)"]
+        lines += _along(parts, h, h.along, target, memory) if h.along else [_written(parts, s, k, target) for k, s in enumerate(h.writes)]
     return lines
 
 
@@ -334,8 +338,13 @@ def _value(h: Hypothesis, c: Coefficient, value: float, plant: StateSpace) -> st
     return repr(value) if not name else f"p[{name!r}]" if scale == 1.0 else f"p[{name!r}] * {scale!r}"
 
 
-def _read(s: Signal, read: Mapping[str, str]) -> str:
-    return read[s.kind].format(s.index)
+def _read(parts: Parts, s: Signal, read: Mapping[str, str]) -> str:
+    return f"p[{parts.number(s)!r}]" if s.kind == "p" else read[s.kind].format(s.index)
+
+
+def _written(parts: Parts, s: Signal, k: int, target: str) -> str:
+    """Return the line that adds what a law says of one signal; parameters belong to the caller, so they are copied."""
+    return f"p = p | {{{parts.number(s)!r}: {_read(parts, s, {})} + out[{k}]}}" if s.kind == "p" else f"{target}[{s.index}] += out[{k}]"
 
 
 def _indented(lines: Sequence[str], levels: int) -> list[str]:

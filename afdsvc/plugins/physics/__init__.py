@@ -35,6 +35,7 @@ from afdsvc.plugins.physics.inertia_follows_position import InertiaFollowsPositi
 from afdsvc.plugins.physics.linear_stiffness import LinearStiffness
 from afdsvc.plugins.physics.magnetic_force import MagneticForce
 from afdsvc.plugins.physics.parameter_change import ParameterChange
+from afdsvc.plugins.physics.parameter_drift import ParameterDrift
 from afdsvc.plugins.physics.periodic_disturbance import PeriodicDisturbance
 from afdsvc.plugins.physics.quadratic_damping import QuadraticDamping
 from afdsvc.plugins.physics.quadratic_stiffness import QuadraticStiffness
@@ -65,7 +66,7 @@ BUILT_IN = (
     ActuatorCrosstalk, ActuatorLag, AsymmetricDamping, BackEmf, Backlash, Clearance, ClockOffset, Cogging, ColouredNoise, ConstantLoad,
     CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, EncoderError, Exchange, FlexibleMode,
     GainFollowsAux, GainFollowsLevel, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, InertiaFollowsPosition, LinearStiffness, MagneticForce,
-    ParameterChange, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
+    ParameterChange, ParameterDrift, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
     ResonantActuator, Runout, Saturation, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,
     SensorNonlinearity, SensorOffset, SensorRectification, SensorSaturation, SlewLimit, SlowMode,
     StaticNonlinearity, StiffnessFollowsAux, StribeckFriction, SupplyDroop, TransportDelay, Unbalance, ViscousDamping, VoltageDrop,

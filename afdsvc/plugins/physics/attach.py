@@ -1,4 +1,4 @@
-"""The ways a law is attached to a machine: to an input, to the force on an axis, to an output, or to the whole."""
+"""The ways a law is attached to a machine: to an input, to the force on an axis, to an output, to a parameter, or to the whole."""
 
 from __future__ import annotations
 
@@ -46,6 +46,12 @@ def at_output(port: Size, law: Law, reads: Sequence[Signal] = (), **rest: Any) -
 def at_state(where: Size, law: Law, reads: Sequence[Signal], writes: Sequence[Signal] = (), **rest: Any) -> Hypothesis:
     """Return a law that adds to the rate of change of a state that is not a velocity, or of those in ``writes``."""
     return _hypothesis(f"state:{where.name}", "force", law, tuple(reads), tuple(writes) or (state(where),), rest)
+
+
+def at_parameter(number: Size, law: Law, reads: Sequence[Signal] = (), **rest: Any) -> Hypothesis:
+    """Return a law that changes a parameter of Python code; it reads the parameter as earlier effects left it, then ``reads``."""
+    own = Signal("p", number.index)
+    return _hypothesis(f"parameter:{number.name}", "parameter", law, (own, *reads), (own,), rest)
 
 
 def at_machine(stage: str, law: Law, reads: Sequence[Signal], writes: Sequence[Signal], **rest: Any) -> Hypothesis:
@@ -107,11 +113,11 @@ def velocity(axis: Axis) -> Signal:
     return Signal("x", axis.rate.index)
 
 
-def balance(machine: Machine, axis: Axis) -> tuple[list[Signal], list[Coefficient]]:
-    """Return the signals of the model's force balance on an axis and their coefficients as constants; none where there are over 14."""
+def balance(machine: Machine, moved: Size) -> tuple[list[Signal], list[Coefficient]]:
+    """Return the signals of which the model makes the rate of change of a state, and their coefficients as constants; none where there are over 14."""
     if machine.plant is None:
         return [], []
-    x, u = machine.plant.A[axis.rate.index], machine.plant.B[axis.rate.index]
+    x, u = machine.plant.A[moved.index], machine.plant.B[moved.index]
     terms = [(Signal("x", j), v) for j, v in enumerate(x) if v] + [(Signal("u", j), v) for j, v in enumerate(u) if v]
     if len(terms) > MOST_TERMS:
         return [], []

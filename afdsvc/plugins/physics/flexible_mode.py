@@ -159,7 +159,7 @@ def _hung(axis: Axis, band: Band, grid: Sequence[float], words: dict[str, Any]) 
 
 def _divided(axis: Axis, machine: Machine, band: Band, grid: Sequence[float], words: dict[str, Any]) -> Iterable[Hypothesis]:
     """Yield the axis' mass divided in two and in three: what the model takes for one rigid mass is a chain."""
-    reads, terms = balance(machine, axis)
+    reads, terms = balance(machine, axis.rate)
     for count, starts in ((1, [(w, zeta) for w in grid for zeta in (0.02, 0.15)]), (2, _pairs(grid))) if reads else ():
         chain = [replace(c, name=f"{c.name}{_NUMBER[k]}") for k in range(count) for c in (*band, Coefficient("mass ratio", "", 0.0, 20.0, 0.05, linear=True))]
         yield at_force(

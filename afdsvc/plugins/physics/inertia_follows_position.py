@@ -43,7 +43,7 @@ class InertiaFollowsPosition:
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per ordered pair of axes of a model that is matrices, the first with a position."""
         for a, b in permutations(machine.axes, 2):
-            signals, terms = balance(machine, b)
+            signals, terms = balance(machine, b.rate)
             q = a.position
             if machine.plant is None or q is None or not signals or len(signals) > MOST_TERMS - 1:
                 continue

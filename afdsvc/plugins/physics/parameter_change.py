@@ -74,7 +74,7 @@ class ParameterChange:
                 yield self._of_terms(axis, row, name, [own.index], name)
             if row[own.index] != 0 and len(coupled) > 1:  # what makes them may be one thing for all axes
                 yield self._of_terms(axis, row, name, coupled, f"{name} with its couplings")
-        reads, constants = balance(machine, axis)
+        reads, constants = balance(machine, axis.rate)
         if reads:
             states, ports = (np.array([s.index for s in reads if s.kind == kind], dtype=np.int64) for kind in "xu")
             yield at_force(

@@ -13,15 +13,15 @@ from afdsvc.api.physics import Axis, Hypothesis, Machine, Signal, Size
 from afdsvc.explain.simulate.effects import compiled
 from afdsvc.lti.statespace import StateSpace
 
-STAGES = ("input", "force", "output")
+STAGES = ("input", "force", "output", "parameter")
 
 
 @lru_cache(maxsize=1)
 def machines() -> tuple[Machine, ...]:
     """Return examples: a rotor on two axes with all auxiliary signals, a black box, a motor of which only the speed is a state,
     an arm, a magnet, two tanks, a structure in modal coordinates, a damper whose motion is imposed, two masses on a shaft, by their angles and by its twist,
-    a coil whose current is a state, a camera that tilts on a column that turns, and a mass that nothing holds."""
-    return _rotor(), _black_box(), _motor(), _arm(), _magnet(), _tanks(), _structure(), _damper(), _shaft(), _twisted_shaft(), _coil(), _gimbal(), _cart()
+    a coil whose current is a state, a camera that tilts on a column that turns, a mass that nothing holds, and a reactor that is code."""
+    return _rotor(), _black_box(), _motor(), _arm(), _magnet(), _tanks(), _structure(), _damper(), _shaft(), _twisted_shaft(), _coil(), _gimbal(), _cart(), _reactor()
 
 
 def _size(index: int, name: str, unit: str, rms: float, step: float = 0.0) -> Size:
@@ -131,6 +131,13 @@ def _gimbal() -> Machine:
 def _cart() -> Machine:
     motion = [("q", "m", 0.4), ("v", "m/s", 0.7)]
     return _plain([("force", "N", 3.0)], motion, motion[:1], ([[0, 1], [0, 0]], [[0], [0.5]], [[1, 0]], [[0]]), [(0, 1)], 1e-2)
+
+
+def _reactor() -> Machine:
+    stores = [("concentration", "mol/L", 0.1), ("temperature", "K", 5.0)]
+    matrices = ([[-0.03, -6e-4], [1.0, -0.01]], [[0], [0.03]], np.eye(2), np.zeros((2, 1)))
+    numbers = (Size(0, "volume", "L", 100.0, 1.0, 100.0, reverses=False), Size(2, "rate", "1/s", 0.02, 1e-3, 0.02, reverses=False))
+    return replace(_plain([("jacket", "K", 4.0)], stores, stores, matrices, [], 4.0), code=True, parameters=numbers)
 
 
 def _offered(thing: Any) -> Iterator[Hypothesis]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from afdsvc.errors import BadInput
-from afdsvc.explain.simulate.dynamics import program
+from afdsvc.explain.simulate.dynamics import Values, program
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.simulate.simulator import Simulator
 
@@ -90,6 +90,38 @@ def test_objects_helpers_and_constants_are_compiled(model, recording, excitation
     assert notes == ()
     slow, _ = outputs(model(code=Hidden(Instance()), parameters={"drag": 0.3, "mass": 1.5}), run)
     assert np.abs(y - slow).max() < 1e-9
+
+
+class Changed:
+    """Code that calls other code with parameters of its own; those of the caller stay."""
+
+    def f(self, t, x, u, p):
+        p = p | {"a": 2 * p["a"], "b": p["a"] + p["b"]}
+        return Compiled.f(t, x, u, p)
+
+    def h(self, t, x, u, p):
+        return [x[0] + 0 * len(p | {"a": 0.0})]
+
+
+def test_code_may_change_a_copy_of_its_parameters(model, recording, excitation):
+    run = recording(excitation)
+    y, notes = outputs(model(code=Changed(), parameters={"a": 15.0, "b": -14.2}), run)
+    same, _ = outputs(model(code=Compiled, parameters={"a": 30.0, "b": 0.8}), run)
+    assert notes == ()
+    assert y == pytest.approx(same, rel=1e-12, abs=1e-15)
+    given = Values(a=1.0, b=2.0)
+    assert (given | {"b": 5.0}).b == 5.0
+    assert given.b == 2.0
+
+
+def test_a_parameter_that_the_model_does_not_have_is_not_changed_in_compiled_code(model, recording, excitation):
+    class Unknown(Changed):
+        def f(self, t, x, u, p):
+            p = p | {"c": 1.0}
+            return Compiled.f(t, x, u, p)
+
+    _, notes = outputs(model(code=Unknown(), parameters={"a": 30.0, "b": 0.8}), recording(excitation))
+    assert "parameter 'c' is not among those of the model" in notes[0]
 
 
 class Hidden:

@@ -341,11 +341,12 @@ def test_a_simulator_whose_numbers_move_names_the_same_code(pendulum, tmp_path):
 def swinging(plant: StateSpace) -> Machine:
     angle, rate, torque = Size(0, "angle", "rad", 0.0, 0.5, 1.5), Size(1, "rate", "rad/s", 0.0, 8.0, 24.0), Size(0, "torque", "N*m", 0.0, 2.0, 6.0)
     axis = Axis("rate", angle, rate, 200.0, 0, 100.0, "N*m")
-    return Machine((torque,), (angle,), (angle, rate), (axis,), {}, DT, N * DT, 60.0, plant, np.array([0.1]), limited="model")
+    return Machine((torque,), (angle,), (angle, rate), (axis,), {}, DT, N * DT, 60.0, plant, np.array([0.1]), limited="model", code=True, parameters=(Size(1, "weight", "N*m", 4.0, 0.4, 4.0),))
 
 
 @pytest.mark.parametrize(("key", "size"), [
     ("coulomb_friction@state:rate", [40.0, 0.1]), ("backlash@input:torque", [0.5]), ("sensor_saturation@output:angle", [-0.2, 0.2]),
+    ("parameter_drift@parameter:weight#weight", [3.0, 0.2]),
 ])
 def test_laws_are_added_to_a_simulator_that_stays_the_code_it_is(key, size, pendulum, tmp_path):
     nom = nominal(pendulum, DT)

@@ -17,7 +17,7 @@ from afdsvc.plugins.physics.back_emf import BackEmf
 from afdsvc.plugins.physics.cogging import Cogging
 from afdsvc.testing.conformance.physics import machines
 
-ROTOR, BLACK_BOX, MOTOR, ARM, MAGNET, TANKS, STRUCTURE, DAMPER, SHAFT, TWISTED, COIL, GIMBAL, CART = range(13)
+ROTOR, BLACK_BOX, MOTOR, ARM, MAGNET, TANKS, STRUCTURE, DAMPER, SHAFT, TWISTED, COIL, GIMBAL, CART, REACTOR = range(14)
 
 
 def offered(machine: Machine) -> dict:
@@ -50,6 +50,9 @@ def offered(machine: Machine) -> dict:
     (ROTOR, "clock_offset@machine clock_offset@input:horizontal clock_offset@input:vertical"),
     (SHAFT, "clearance@machine#play in the spring between w1,w2 clearance@machine#between w1,w2 cubic_stiffness@machine#between w1,w2"),
     (TANKS, "exchange@machine#between h1,h2 exchange@machine#turbulent, between h1,h2"),
+    (ARM, "parameter_drift@state:w#mass parameter_drift@state:w#damping parameter_drift@input:torque#actuator gain parameter_drift@output:q#sensor gain"),
+    (TANKS, "parameter_drift@state:h1#loss parameter_drift@state:h2#capacity"),
+    (REACTOR, "parameter_drift@parameter:volume#volume parameter_drift@parameter:rate#rate parameter_drift@input:jacket#actuator gain"),
     (CART, "linear_stiffness@state:v viscous_damping@state:v"),
     (COIL, "voltage_drop@state:i#voltage"),
     (SHAFT, "asymmetric_damping@machine#between w1,w2 quadratic_damping@machine#between w1,w2 coulomb_friction@machine#a spring that slips between w1,w2"),
@@ -72,6 +75,11 @@ def _split(text: str) -> list[list[str]]:
             words.append([])
         words[-1].append(word)
     return words
+
+
+def test_numbers_of_code_drift_by_name_and_not_as_forces_of_its_linearisation():
+    drifts = {k for k in offered(machines()[REACTOR]) if k.startswith("parameter_drift")}
+    assert {k.partition("@")[2].partition(":")[0] for k in drifts} == {"input", "output", "parameter"}
 
 
 def test_what_repeats_with_every_turn_needs_a_turn_or_a_speed_that_the_samples_resolve():
