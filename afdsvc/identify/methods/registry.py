@@ -48,9 +48,10 @@ class MethodResult:
 
 def band_hz(plant: StateSpace) -> tuple[float, float]:
     """Return the band in which a discrete plant acts: a tenth of its slowest pole to twice its fastest, below 0.4 /
-    dt."""
+    dt; integrators act in every band."""
     poles = plant.poles()
-    rates = np.abs(np.log(poles[np.abs(poles) > 1e-9])) / plant.dt / (2 * np.pi) if len(poles) else np.zeros(0)
+    angles = np.abs(np.log(poles[np.abs(poles) > 1e-9]))
+    rates = angles[angles > 1e-9] / plant.dt / (2 * np.pi)
     if not rates.size:
         return 0.001 / plant.dt, 0.4 / plant.dt
     high = min(2 * float(rates.max()), 0.4 / plant.dt)

@@ -127,7 +127,19 @@ def _dynamics(model: Model) -> tuple[tuple[FreeParameter, ...], Callable[[Array]
         C, D = _slopes(lambda x, u: dynamics.h(0.0, x, u, p), n, m)
         return StateSpace(A, B, C, D, model.sample_time)
 
-    return tuple(_quantity(name, model.parameters[name]) for name in names), build
+    parameters = tuple(_quantity(name, model.parameters[name]) for name in names)
+    _require_slopes(model, build(np.array([p.value for p in parameters])))
+    return parameters, build
+
+
+def _require_slopes(model: Model, plant: StateSpace) -> None:
+    """Raise `BadInput` where a simulator has no finite slope at rest."""
+    for which, slopes in (("f", np.hstack([plant.A, plant.B])), ("h", np.hstack([plant.C, plant.D]))):
+        if not np.isfinite(slopes).all():
+            raise BadInput(
+                f"model '{model.name}': {which}(t, x, u, p) has no finite slope where states and inputs are zero, and it is linearised there; "
+                "expected states and inputs stated as differences from an operating point, or code that can be evaluated at zero"
+            )
 
 
 def _slopes(function: Callable[[Array, Array], Array], n: int, m: int, step: float = 1e-6) -> tuple[Array, Array]:
@@ -139,7 +151,8 @@ def _slopes(function: Callable[[Array, Array], Array], n: int, m: int, step: flo
         ahead, behind = (np.asarray(function(s * z[:n], s * z[n:]), dtype=np.float64) for s in (1.0, -1.0))
         return (ahead - behind) / (2 * step)
 
-    columns = np.stack([column(k) for k in range(n + m)], axis=1)
+    with np.errstate(all="ignore"):
+        columns = np.stack([column(k) for k in range(n + m)], axis=1)
     return columns[:, :n], columns[:, n:]
 
 

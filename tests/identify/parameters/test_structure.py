@@ -62,6 +62,21 @@ def test_a_simulator_is_linearised_around_rest():
     assert np.allclose(system.C, [[1, 0]], atol=1e-8)
 
 
+class Spool:
+    """A temperature that divides by the speed."""
+
+    def f(self, t, x, u, p):
+        return [u[0] - p["c"] * x[0], p["heat"] * u[0] / x[0] - x[1]]
+
+    def h(self, t, x, u, p):
+        return [x[1]]
+
+
+def test_a_simulator_without_a_slope_at_rest_is_refused():
+    with pytest.raises(BadInput, match=r"model 'spool': f\(t, x, u, p\) has no finite slope where states and inputs are zero"):
+        model_structure(Model("spool", *IO, None, Spool(), parameters={"c": Quantity(3.0), "heat": Quantity(2.0)}))
+
+
 def test_what_cannot_move_is_named():
     with pytest.raises(BadInput, match="model 'axis' leaves no entry uncertain"):
         model_structure(Model("axis", *IO, PLANT))
