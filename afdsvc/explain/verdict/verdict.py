@@ -11,6 +11,7 @@ from afdsvc.api.evidence import p_value_text
 from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.search.forward import Found, Round
 from afdsvc.explain.search.ranking import Candidate, is_constant, look_alikes, vote_shares
+from afdsvc.explain.simulate.nominal import PARAMETER
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,9 +83,10 @@ def _claims(step: Round, number: int, most: float, found: Found) -> list[Claim]:
 
 
 def _implausible(found: Found) -> tuple[str, ...]:
-    """Return a sentence where numbers of the final model are far from the stated ones."""
-    limit, theta = found.problem.settings.implausible, list(found.end.values())[-1].point.theta
-    far = bool((np.abs(theta) > limit).any())
+    """Return a sentence where numbers of the final model are far from the stated ones; those that a law changes are so at some time only."""
+    limit, point, entries = found.problem.settings.implausible, list(found.end.values())[-1].point, found.problem.nominal.entries
+    changed = [s.index for e in point.effects for s in e.hypothesis.writes if s.kind == "p"]
+    far = any(abs(t) > limit and not (e.matrix == PARAMETER and e.row in changed) for t, e in zip(point.theta, entries, strict=True))
     return (f"numbers of the model are more than {limit:g} stated standard deviations from what is stated: no name is certain",) if far else ()
 
 

@@ -59,6 +59,7 @@ from afdsvc.plugins.physics.stribeck_friction import StribeckFriction
 from afdsvc.plugins.physics.supply_droop import SupplyDroop
 from afdsvc.plugins.physics.transport_delay import TransportDelay
 from afdsvc.plugins.physics.unbalance import Unbalance
+from afdsvc.plugins.physics.velocity_coupling import VelocityCoupling
 from afdsvc.plugins.physics.viscous_damping import ViscousDamping
 from afdsvc.plugins.physics.voltage_drop import VoltageDrop
 
@@ -69,7 +70,7 @@ BUILT_IN = (
     ParameterChange, ParameterDrift, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
     ResonantActuator, Runout, Saturation, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,
     SensorNonlinearity, SensorOffset, SensorRectification, SensorSaturation, SlewLimit, SlowMode,
-    StaticNonlinearity, StiffnessFollowsAux, StribeckFriction, SupplyDroop, TransportDelay, Unbalance, ViscousDamping, VoltageDrop,
+    StaticNonlinearity, StiffnessFollowsAux, StribeckFriction, SupplyDroop, TransportDelay, Unbalance, VelocityCoupling, ViscousDamping, VoltageDrop,
 )
 
 

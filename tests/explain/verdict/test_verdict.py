@@ -5,9 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from afdsvc.api.physics import Signal
 from afdsvc.explain.search.evidence import HypothesisEvidence
 from afdsvc.explain.search.ranking import Candidate
 from afdsvc.explain.settings import Settings
+from afdsvc.explain.simulate.nominal import Entry
 from afdsvc.explain.verdict.verdict import _claims, _complete, _explained, verdict
 
 
@@ -51,7 +53,7 @@ def test_the_deviation_of_the_explained_share_is_that_of_blocks_drawn_anew(floor
 
 def _found(effects: list[Candidate], evidence: HypothesisEvidence) -> SimpleNamespace:
     """Return a search that accepted these effects, with this evidence for all of them."""
-    problem = SimpleNamespace(settings=Settings(), weighting=SimpleNamespace(even=True, measured=False))
+    problem = SimpleNamespace(settings=Settings(), weighting=SimpleNamespace(even=True, measured=False), nominal=SimpleNamespace(entries=()))
     steps = [SimpleNamespace(accepted=True, candidates=[e], limited="model", reason="") for e in effects]
     return SimpleNamespace(steps=steps, problem=problem, end={0.0: SimpleNamespace(point=SimpleNamespace(theta=np.zeros(0), effects=()))}, evidence=evidence)
 
@@ -68,10 +70,20 @@ def test_further_effects_are_certain_only_where_nothing_predictable_remains(pres
 @pytest.mark.parametrize(("moved", "certain"), [(-3.3, True), (-6.0, False)])
 def test_no_name_is_certain_where_the_model_contradicts_its_owner(moved, certain):
     found = _found([candidate("friction")], candidate("friction").evidence)
-    found.end[0.0].point.theta = np.array([moved])
+    found.end[0.0].point.theta, found.problem.nominal.entries = np.array([moved]), (Entry("A", 0, 0, 0.1),)
     answer = verdict(found, SimpleNamespace(present=True, total=0.9, sentence=""), None)
     assert (answer.claims[0].weight > Settings().uncertain) == certain
     assert any("more than 5 stated standard deviations from what is stated: no name is certain" in s for s in answer.sentences) != certain
+
+
+@pytest.mark.parametrize(("changed", "kind", "certain"), [(1, "p", True), (0, "p", False), (1, "x", False)])
+def test_a_number_that_changes_with_time_may_begin_far_from_what_is_stated(changed, kind, certain):
+    found = _found([candidate("parameter_drift")], candidate("parameter_drift").evidence)
+    effect = SimpleNamespace(hypothesis=SimpleNamespace(writes=(Signal(kind, changed),)))
+    found.end[0.0].point = SimpleNamespace(theta=np.array([6.8]), effects=(effect,))
+    found.problem.nominal.entries = (Entry("parameter", 1, 0, 0.1),)
+    answer = verdict(found, SimpleNamespace(present=True, total=0.9, sentence=""), None)
+    assert (answer.claims[0].weight > Settings().uncertain) == certain
 
 
 def test_what_closes_next_to_nothing_of_what_can_be_explained_is_not_named():

@@ -12,6 +12,7 @@ from afdsvc.api.physics import Axis, Hypothesis, Machine, Size
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.actuator_crosstalk import ActuatorCrosstalk
 from afdsvc.plugins.physics.inertia_follows_position import InertiaFollowsPosition
+from afdsvc.plugins.physics.velocity_coupling import VelocityCoupling
 
 A = np.array([[0, 1.0, 0, 0], [-9.0, -0.5, 0, 0], [0, 0, 0, 1.0], [0, 0, -4.0, -0.8]])
 B = np.array([[0, 0], [8.0, 0], [0, 0], [0, 3.0]])
@@ -89,3 +90,16 @@ def test_only_axes_that_turn_and_that_no_spring_joins():
     assert offered(arm(lift="mm", turn="mm")) == {}
     assert "inertia_follows_position@machine#turn by lift" in offered(arm(lift="mm"))  # a mass that slides along an arm that turns
     assert offered(replace(arm(), deflections={(0, 2): size(4, "twist", "rad")})) == {}
+
+
+def test_a_force_quadratic_in_the_velocities_is_offered_for_every_pair_of_axes():
+    found = offered(arm(), VelocityCoupling)
+    assert set(found) == {f"velocity_coupling@state:{a}#{law}: {b}" for a, b in (("lift_rate", "turn_rate"), ("turn_rate", "lift_rate")) for law in ("square", "product")}
+    for law, signals, push in (("square", [3.0], -1.8), ("product", [5.0, 3.0], -3.0)):
+        h, out = found[f"velocity_coupling@state:lift_rate#{law}: turn_rate"], np.zeros(1)
+        h.law(np.array([0.2]), np.array(signals), np.zeros(0), 0.01, out)
+        assert out[0] == pytest.approx(push)
+        assert [s.index for s in h.reads] == ([3] if law == "square" else [1, 3])
+        assert h.parameters[0].scale * 0.5**2 == pytest.approx(0.1 * 2.0)
+        assert h.parameters[0].unit == ("V/(rad/s)^2" if law == "square" else "V/((rad/s) (rad/s))")
+    assert not offered(replace(arm(), axes=arm().axes[:1]), VelocityCoupling)

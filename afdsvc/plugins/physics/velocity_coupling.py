@@ -1,0 +1,44 @@
+"""Velocity coupling: a force on one axis that is quadratic in the velocities, one of them another axis': Coriolis and centrifugal forces, drag in a turn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from itertools import permutations
+from typing import Any
+
+from afdsvc.api.physics import Hypothesis, Machine
+from afdsvc.plugins.physics.attach import at_force, force, velocity
+
+
+def square(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``-c w^2``, ``w`` the velocity of the other axis."""
+    out[0] -= p[0] * z[0] * z[0]
+
+
+def product(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``-c v w``, ``v`` the axis' own velocity and ``w`` that of the other."""
+    out[0] -= p[0] * z[0] * z[1]
+
+
+class VelocityCoupling:
+    """Every ordered pair of axes: the square of the other's velocity, or the product of both, as in Coriolis and centrifugal forces (Fossen, Guidance
+    and Control of Ocean Vehicles, 1994, chapter 2) and the drag of a vehicle in a turn."""
+
+    name = "velocity_coupling"
+    summary = "a force on one axis that goes with the square of another's velocity, or with the product of both"
+
+    def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
+        """Return two hypotheses per ordered pair."""
+        shared: dict[str, Any] = {
+            "physics": self.name, "family": "cross coupling", "starts": [(0.0,)],
+            "predicts": "a residual of one axis that grows with the square of the speed of another", "refuted_by": "a residual that is the same whether the other axis moves or stands",
+        }
+        for a, b in permutations(machine.axes, 2):
+            for law, first in ((square, b), (product, a)):
+                unit = f"({b.rate.unit})^2" if law is square else f"(({a.rate.unit}) ({b.rate.unit}))"
+                scale = 0.1 * a.push / (math.hypot(first.rate.rms, first.rate.mean) * math.hypot(b.rate.rms, b.rate.mean))
+                yield at_force(
+                    a, law, [velocity(b)] if law is square else [velocity(a), velocity(b)], notes={"variant": f"{law.__name__}: {b.rate.name}", "of": b.rate.name},
+                    parameters=[force(a, "coupling", -200 * scale, 200 * scale, scale, unit, linear=True)], **shared,
+                )
