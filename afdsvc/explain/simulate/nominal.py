@@ -53,7 +53,7 @@ class Nominal:
     """A nominal model at the sample time of the recordings.
 
     ``plant`` is continuous (dt 0), or discrete when no continuous one has this sampling. ``entries`` are the free numbers. ``felt (p, n)`` is what
-    outputs that are accelerations feel of forces on the states. For
+    outputs that are accelerations feel of forces on the states: their rows of C and D follow those of A and B. For
     Python code, ``program``, ``plant`` is its linearisation at ``point``, a state and an input, and ``most`` how many sub-steps a sample takes at most
     for poles at that point, which numbers that a fit tries may make faster than samples can show. ``recent`` keeps matrices of sub-steps.
     """
@@ -90,6 +90,9 @@ class Nominal:
         parts = {"A": self.plant.A.copy(), "B": self.plant.B.copy(), "C": self.plant.C.copy(), "D": self.plant.D.copy()}
         for value, entry in zip(theta, self.entries, strict=True):
             _move(parts, entry, float(value))
+        for mine, of in _tied(self.plant, self.felt):
+            rows = np.flatnonzero(self.felt.any(1))
+            parts[mine][rows] += self.felt[rows] @ (parts[of] - getattr(self.plant, of))
         return StateSpace(parts["A"], parts["B"], parts["C"], parts["D"], self.plant.dt)
 
     def parameters(self, theta: Array) -> Array:
@@ -149,10 +152,12 @@ def nominal(model: Model, dt: float, inputs: Array | None = None) -> Nominal:
     sampled = plant.discrete
     if sampled and abs(plant.dt / dt - 1) > 1e-6:
         plant, sds = _continuous(model.name, plant, dt), {}
-    entries = _entries(plant, sds)
+    sensed = felt(model, plant)
+    accelerations, tied = np.flatnonzero(sensed.any(1)), [mine for mine, _ in _tied(plant, sensed)]
+    entries = tuple(e for e in _entries(plant, sds) if not (e.matrix in tied and e.row in accelerations))
     if sampled and len(entries) > MOST_ENTRIES:
         entries = _gains(model, plant, entries)
-    return Nominal(model, plant, entries, dt, felt(model, plant))
+    return Nominal(model, plant, entries, dt, sensed)
 
 
 def felt(model: Model, plant: StateSpace) -> Array:
@@ -172,6 +177,14 @@ def felt(model: Model, plant: StateSpace) -> Array:
             whole = _shares(row, rows)
             found[i, moving] = whole if whole.any() else _shares(row[: plant.order], rows[:, : plant.order])
     return found
+
+
+def _tied(plant: StateSpace, sensed: Array) -> list[tuple[str, str]]:
+    """Return the matrices whose rows of accelerations hold the numbers of other matrices, with these: C those of A, D those of B unless a base moves."""
+    rows = sensed.any(1)
+    if plant.discrete or not rows.any():
+        return []
+    return [("C", "A"), *([("D", "B")] if np.allclose(plant.D[rows], sensed[rows] @ plant.B, rtol=ROUNDED) else [])]
 
 
 def _shares(row: Array, rows: Array) -> Array:

@@ -43,6 +43,7 @@ from afdsvc.plugins.physics.quantisation import Quantisation
 from afdsvc.plugins.physics.resonant_actuator import ResonantActuator
 from afdsvc.plugins.physics.runout import Runout
 from afdsvc.plugins.physics.saturation import Saturation
+from afdsvc.plugins.physics.sensor_ac_coupling import SensorAcCoupling
 from afdsvc.plugins.physics.sensor_crosstalk import SensorCrosstalk
 from afdsvc.plugins.physics.sensor_drift import SensorDrift
 from afdsvc.plugins.physics.sensor_lag import SensorLag
@@ -68,7 +69,7 @@ BUILT_IN = (
     CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, EncoderError, Exchange, FlexibleMode,
     GainFollowsAux, GainFollowsLevel, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, InertiaFollowsPosition, LinearStiffness, MagneticForce,
     ParameterChange, ParameterDrift, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
-    ResonantActuator, Runout, Saturation, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,
+    ResonantActuator, Runout, Saturation, SensorAcCoupling, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,
     SensorNonlinearity, SensorOffset, SensorRectification, SensorSaturation, SlewLimit, SlowMode,
     StaticNonlinearity, StiffnessFollowsAux, StribeckFriction, SupplyDroop, TransportDelay, Unbalance, VelocityCoupling, ViscousDamping, VoltageDrop,
 )

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import cont2discrete
 
 from afdsvc.api.model import Variable
 from afdsvc.api.physics import Signal
@@ -118,8 +119,31 @@ def test_an_acceleration_may_be_a_sum_over_modes_and_a_coupled_mass_is_itself(mo
 
 
 def test_a_sampled_plant_is_read_by_its_continuous_counterpart(measured):
-    from scipy.signal import cont2discrete
-
     A, B, C, D, _ = cont2discrete((FORCED.A, FORCED.B, FORCED.C, FORCED.D), DT)
     plant = StateSpace(A, B, C, D, DT)
     assert felt(replace(measured(), plant=plant, sample_time=DT), plant) == pytest.approx(np.array([[0, 0], [0, 1.0]]), rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize(("plant", "free"), [
+    (FORCED, {"A[2,1]", "A[2,2]", "B[2,1]"}), (ON_A_BASE, {"A[2,1]", "A[2,2]", "B[2,1]"}),
+    (StateSpace(FORCED.A, FORCED.B, np.round(FORCED.C, 0), FORCED.D), {"A[2,1]", "A[2,2]", "B[2,1]", "C[2,1]", "D[2,1]"}),
+    (StateSpace(FORCED.A, FORCED.B, FORCED.C, np.array([[0.0], [7.0]])), {"A[2,1]", "A[2,2]", "B[2,1]", "D[2,1]"}),  # a base that moves
+])  # fmt: skip
+def test_numbers_of_an_acceleration_are_those_of_its_velocity(measured, plant, free):
+    found = nominal(measured(plant), DT)
+    assert {e.name for e in found.entries} == free
+    moved = found.at(np.linspace(1.0, 2.0, len(free)))
+    tied = found.felt.any(1)
+    assert not np.allclose(moved.A, plant.A)
+    assert moved.C[tied] - plant.C[tied] == pytest.approx(found.felt[tied] @ (moved.A - plant.A))
+    assert (moved.D != plant.D).any() == (plant is FORCED or "D[2,1]" in free)
+    if plant is FORCED:
+        assert moved.D - plant.D == pytest.approx(found.felt @ (moved.B - plant.B))
+
+
+def test_a_sampled_plant_keeps_the_numbers_of_its_outputs(measured):
+    A, B, C, D, _ = cont2discrete((FORCED.A, FORCED.B, FORCED.C, FORCED.D), DT)
+    plant = StateSpace(A, B, C, D, DT)
+    found = nominal(replace(measured(), plant=plant, sample_time=DT), DT)
+    assert "C[2,1]" in {e.name for e in found.entries}
+    assert np.array_equal(found.at(np.zeros(len(found.entries))).C, C)

@@ -20,16 +20,21 @@ from afdsvc.plugins.physics.gain_follows_aux import _scaled
 from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
 from afdsvc.plugins.physics.magnetic_force import pair, single
 from afdsvc.plugins.physics.parameter_change import _scaled_entries, terms
+from afdsvc.plugins.physics.parameter_drift import gain as drifting_gain
+from afdsvc.plugins.physics.parameter_drift import inertia as drifting_inertia
+from afdsvc.plugins.physics.parameter_drift import terms as drifting_terms
 from afdsvc.plugins.physics.periodic_disturbance import oscillation
 from afdsvc.plugins.physics.quantisation import read_in_steps
 from afdsvc.plugins.physics.runout import uneven
 from afdsvc.plugins.physics.saturation import soft_limit
+from afdsvc.plugins.physics.sensor_ac_coupling import SensorAcCoupling
 from afdsvc.plugins.physics.sensor_drift import drift
 from afdsvc.plugins.physics.sensor_rectification import unsigned
 from afdsvc.plugins.physics.slew_limit import _slew
 from afdsvc.plugins.physics.static_nonlinearity import power_from
 from afdsvc.plugins.physics.stiffness_follows_aux import _spring, springs
 from afdsvc.plugins.physics.transport_delay import delay
+from afdsvc.testing.conformance.physics import machines
 
 DT = 1e-3
 
@@ -258,6 +263,41 @@ def test_runout_is_the_first_three_harmonics():
     spectrum = np.fft.rfft(changed(uneven, parts, np.column_stack([np.zeros(64), angle]))) / 32
     assert spectrum[1:4] == pytest.approx([complex(parts[2 * k], -parts[2 * k + 1]) for k in range(3)])
     assert np.abs(spectrum[4:]).max() < 1e-12
+
+
+def test_an_ac_coupled_sensor_is_a_high_pass_by_law_and_matrices():
+    """Against scipy's exact answer for inputs that run straight between samples."""
+    h = next(iter(SensorAcCoupling().hypotheses(machines()[2])))
+    dt, tau, t = 2e-3, 0.05, 2e-3 * np.arange(400)
+    y, memory, read = 3.0 + np.sin(20 * t) + 0.5 * t, np.zeros(3), []
+    for value in y:
+        out = np.zeros(1)
+        h.law(np.array([tau]), np.array([value]), memory, dt, out)
+        read.append(value + out[0])
+    _, expected, _ = lsim(([-1 / tau], [1 / tau], [-1.0], [1.0]), y, t, X0=[y[0]])
+    assert read == pytest.approx(expected, abs=1e-9)
+    assert abs(read[0]) < 1e-12
+    plant = h.linear(StateSpace.of([[-3.0]], [[2.0]], [[1.5]], [[0.5]]), [tau])
+    s = 7j
+    assert plant.C @ np.linalg.solve(s * np.eye(2) - plant.A, plant.B) + plant.D == pytest.approx(np.array([[(3.0 / (s + 3) + 0.5) * s * tau / (s * tau + 1)]]))
+
+
+def test_a_number_that_drifts_levels_off_and_keeps_its_sign():
+    """``c = rate tau (1 - exp(-t / tau))``, of a gain, of the terms of a balance, and of a mass."""
+    t, tau, rate = 0.01 * np.arange(300), 0.5, -0.4
+    c = rate * tau * (1 - np.exp(-t / tau))
+    for law, constants, signals, expected in (
+        (drifting_gain, (), [3.0], 3.0 * c), (drifting_terms, (2.0, -1.0), [3.0, 4.0], 2.0 * c), (drifting_inertia, (2.0, -1.0), [3.0, 4.0], 2.0 / (1 + c) - 2.0),
+    ):
+        memory, found = np.zeros(1), []
+        for _ in t:
+            out = np.zeros(1)
+            law(np.array([rate, tau, *constants]), np.array(signals), memory, 0.01, out)
+            found.append(out[0])
+        assert found == pytest.approx(expected, abs=1e-12)
+        out = np.zeros(1)
+        law(np.array([-9.0, tau, *constants]), np.array(signals), np.array([9.0]), 0.01, out)
+        assert out[0] == pytest.approx({drifting_gain: -2.97, drifting_terms: -1.98, drifting_inertia: 198.0}[law])
 
 
 def test_what_follows_a_signal_may_bend():
