@@ -22,13 +22,13 @@ DAMPED = 0.25  # damping ratio above which a structure has no resonance to speak
 
 
 def mode(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``q'' + 2 zeta w q' + w^2 q = w^2 u``, seen as ``r_j q`` at output j; exact for an input held over the step."""
+    """``q'' + 2 zeta w q' + w^2 q = w^2 u``, seen as ``r_j q`` at output j; exact for an input held over the step; ``m = (q, q'/w)``."""
     w, zeta = p[0], p[1]
     decay, wd = math.exp(-zeta * w * dt), w * math.sqrt(max(1 - zeta * zeta, 1e-12))
     c, s = math.cos(wd * dt), math.sin(wd * dt)
-    e, v = m[0] - z[0], m[1]
+    e, v = m[0] - z[0], w * m[1]
     m[0] = z[0] + decay * (e * c + (v + zeta * w * e) / wd * s)
-    m[1] = decay * (v * c - (w * w * e + zeta * w * v) / wd * s)
+    m[1] = decay * (v * c - (w * w * e + zeta * w * v) / wd * s) / w
     for j in range(len(out)):
         out[j] += p[2 + j] * m[0]
 
@@ -36,20 +36,20 @@ def mode(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 def masses(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """Masses ``p[3 k + 2]`` (of the axis' own) on springs: ``e'' = -w^2 e - 2 zeta w e' - v'``, each pulling back ``p[3 k + 2] s''``, ``s' = v + e'``.
 
-    Exact for a velocity ``z[0]`` held over the step; the pull is its mean, so no momentum is lost. Where further signals are
+    Exact for a velocity ``z[0]`` held over the step; the pull is its mean, so no momentum is lost. ``m`` holds ``w e`` and ``s'`` of every mass. Where further signals are
     read, with their nominal coefficients behind the masses, the masses are parts of the axis' own and all of it stays the same.
     """
     n, given, own = len(m) // 2, 0.0, 0.0
     if m[2 * n] == 0.0:
         m[2 * n] = 1.0
         for k in range(n):
-            m[2 * k + 1] = z[0]
+            m[2 * k + 1] += z[0]
     for k in range(n):
         w, zeta = p[3 * k], p[3 * k + 1]
         decay, wd = math.exp(-zeta * w * dt), w * math.sqrt(max(1 - zeta * zeta, 1e-12))
         c, s = math.cos(wd * dt), math.sin(wd * dt)
-        e, r, before = m[2 * k], m[2 * k + 1] - z[0], m[2 * k + 1]
-        m[2 * k] = decay * (e * c + (r + zeta * w * e) / wd * s)
+        e, r, before = m[2 * k] / w, m[2 * k + 1] - z[0], m[2 * k + 1]
+        m[2 * k] = w * decay * (e * c + (r + zeta * w * e) / wd * s)
         m[2 * k + 1] = z[0] + decay * (r * c - (w * w * e + zeta * w * r) / wd * s)
         out[0] -= p[3 * k + 2] * (m[2 * k + 1] - before) / dt
         given += p[3 * k + 2]
@@ -61,14 +61,14 @@ def masses(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 def bent_spring(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """One of `masses` on a spring whose stiffness goes as ``1 + p3 e^2``, held over the step at what it is in its middle."""
     if m[2] == 0.0:
-        m[1], m[2] = z[0], 1.0
+        m[1], m[2] = m[1] + z[0], 1.0
     w, zeta = p[0], p[1]
-    e, r, before = m[0], m[1] - z[0], m[1]
+    e, r, before = m[0] / w, m[1] - z[0], m[1]
     middle = e + 0.5 * dt * r
     stiff = w * w * min(max(1.0 + p[3] * middle * middle, 0.04), 1e4)
     sigma, wd = zeta * w, math.sqrt(max(stiff - zeta * zeta * w * w, 1e-12 * w * w))
     decay, c, s = math.exp(-sigma * dt), math.cos(wd * dt), math.sin(wd * dt)
-    m[0] = decay * (e * c + (r + sigma * e) / wd * s)
+    m[0] = w * decay * (e * c + (r + sigma * e) / wd * s)
     m[1] = z[0] + decay * (r * c - (stiff * e + sigma * r) / wd * s)
     out[0] -= p[2] * (m[1] - before) / dt
 
@@ -127,7 +127,7 @@ class FlexibleMode:
             unit = q.rms**-2
             bend = Coefficient("hardening", f"1/{q.unit}^2", -unit, 10 * unit, 0.01 * unit, nuisance=True)
             yield at_force(
-                axis, bent_spring, [velocity(axis)], memory=3, notes={"variant": f"{ATTACHED} on a bent spring", "of": ATTACHED},
+                axis, bent_spring, [velocity(axis)], memory=3, unsettled=2, notes={"variant": f"{ATTACHED} on a bent spring", "of": ATTACHED},
                 parameters=[*band, Coefficient("mass ratio", "", 0.0, 2.0, 0.02, linear=True), bend],
                 starts=[*_hardened(machine.peaks, unit), *((w, zeta, 0.0, 0.0) for w in grid for zeta in (0.02, 0.15))], **words,
             )
@@ -140,7 +140,7 @@ class FlexibleMode:
             ]
             yield at_machine(
                 "output", mode, [Signal("u", port.index)], [Signal("y", o.index) for o in machine.outputs],
-                memory=2, parameters=[*band, *shares],
+                memory=2, unsettled=2, parameters=[*band, *shares],
                 starts=[(w, zeta, *np.zeros(len(shares))) for w in grid for zeta in (0.02, 0.15)],
                 linear=lambda plant, values, column=port.index: _extend(plant, values, column),
                 notes={"variant": port.name}, **words,
@@ -150,7 +150,7 @@ class FlexibleMode:
 def _hung(axis: Axis, band: Band, grid: Sequence[float], words: dict[str, Any]) -> Iterable[Hypothesis]:
     """Yield a mass hung on an axis beside what the model has."""
     yield at_force(
-        axis, masses, [velocity(axis)], memory=3, notes={"variant": ATTACHED},
+        axis, masses, [velocity(axis)], memory=3, unsettled=2, notes={"variant": ATTACHED},
         parameters=[*band, Coefficient("mass ratio", "", 0.0, 2.0, 0.02, linear=True)],
         starts=[(w, zeta, 0.0) for w in grid for zeta in (0.02, 0.15)],
         linear=lambda plant, values, v=axis.rate.index: _attach(plant, values, v), **words,
@@ -163,7 +163,7 @@ def _divided(axis: Axis, machine: Machine, band: Band, grid: Sequence[float], wo
     for count, starts in ((1, [(w, zeta) for w in grid for zeta in (0.02, 0.15)]), (2, _pairs(grid))) if reads else ():
         chain = [replace(c, name=f"{c.name}{_NUMBER[k]}") for k in range(count) for c in (*band, Coefficient("mass ratio", "", 0.0, 20.0, 0.05, linear=True))]
         yield at_force(
-            axis, masses, [velocity(axis), *reads], memory=2 * count + 1, notes={"variant": f"divided in {count + 1}", "of": ATTACHED},
+            axis, masses, [velocity(axis), *reads], memory=2 * count + 1, unsettled=2 * count, notes={"variant": f"divided in {count + 1}", "of": ATTACHED},
             parameters=[*chain, *terms],
             starts=[(*(v for k in range(count) for v in (*s[2 * k : 2 * k + 2], 0.0)), *(c.low for c in terms)) for s in starts],
             linear=lambda plant, values, v=axis.rate.index, count=count: _attach(plant, values, v, count, divided=True), **words,
