@@ -1,4 +1,4 @@
-"""Transport delay: what is commanded, or measured, arrives later."""
+"""Transport delay: what is commanded, or measured, arrives later, at once or spread over a time."""
 
 from __future__ import annotations
 
@@ -37,14 +37,34 @@ def delay(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
         m[0] = u + rest * decay
 
 
+def average(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """The mean over the last ``p[0]``, of values held over the step.
+
+    ``m`` holds the integral, a count, and a ring of the integral in the middle of the last steps.
+    """
+    size = len(m) - 2
+    if m[1] == 0.0:
+        for i in range(size):
+            m[2 + (-i) % size] = (0.5 - i) * z[0] * dt
+    k = int(m[1])
+    middle = m[0] + 0.5 * z[0] * dt
+    m[0], m[1], m[2 + k % size] = m[0] + z[0] * dt, k + 1.0, middle
+    late = min(p[0] / dt, size - 2.0)
+    whole = int(math.floor(late))
+    part = late - whole
+    before = (1 - part) * m[2 + (k - whole) % size] + part * m[2 + (k - whole - 1) % size]
+    out[0] += (middle - before) / (late * dt) - z[0]
+
+
 class TransportDelay:
-    """A pure delay at every input and every output, at inputs also before a lag, as processes are described that carry heat or matter."""
+    """A pure delay at every input and every output, at inputs also before a lag, as processes are described that carry heat or matter; and the mean over
+    a window, as of a flow through a tube, of counted pulses and of digital filters."""
 
     name = "transport_delay"
-    summary = "a pure delay between command and action, or between motion and reading"
+    summary = "a pure delay between command and action, or between motion and reading, or the mean over the last moments"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per input, one more with a lag behind the delay, and one per output."""
+        """Return a delay and a mean over a window for every input and output, and at inputs a delay with a lag behind it."""
         longest = max(8 * machine.dt, min(LONGEST * machine.dt, machine.duration / 20))
         parts: dict[str, Any] = {
             "physics": self.name, "family": "timing",
@@ -60,8 +80,14 @@ class TransportDelay:
             "notes": {"variant": "with a lag", "of": ""}, "unsettled": 1,
             "predicts": "an answer to a step that begins late, then approaches its end exponentially", "refuted_by": "an answer that overshoots, or begins at once",
         }
+        window: dict[str, Any] = {
+            **parts, "parameters": [Coefficient("window", "s", machine.dt, longest, 0.2 * machine.dt)], "starts": [(2 * d,) for (d,) in parts["starts"][1:] if 2 * d < longest],
+            "notes": {"variant": "mean over a window", "of": ""},
+            "predicts": "an answer to a step that rises evenly and then ends", "refuted_by": "a gain that does not fall towards high frequency",
+        }
         for port in machine.inputs:
-            yield at_input(port, delay, memory=ring, substeps=4, **parts)
-            yield at_input(port, delay, memory=ring, substeps=4, **both)
+            for law, shape in ((delay, parts), (delay, both), (average, window)):
+                yield at_input(port, law, memory=ring, substeps=4, **shape)
         for port in machine.outputs:
-            yield at_output(port, delay, memory=int(longest / machine.dt) + 5, **parts)
+            for law, shape in ((delay, parts), (average, window)):
+                yield at_output(port, law, memory=int(longest / machine.dt) + 5, **shape)

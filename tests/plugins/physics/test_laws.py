@@ -33,7 +33,7 @@ from afdsvc.plugins.physics.sensor_rectification import unsigned
 from afdsvc.plugins.physics.slew_limit import _slew
 from afdsvc.plugins.physics.static_nonlinearity import power_from
 from afdsvc.plugins.physics.stiffness_follows_aux import _spring, springs
-from afdsvc.plugins.physics.transport_delay import delay
+from afdsvc.plugins.physics.transport_delay import average, delay
 from afdsvc.testing.conformance.physics import machines
 
 DT = 1e-3
@@ -191,6 +191,21 @@ def test_a_lag_behind_a_delay_answers_a_step_late_and_then_exponentially():
 
     for late, expected in ((7, answer(7)), (7.25, 0.75 * answer(7) + 0.25 * answer(8))):
         np.testing.assert_allclose(u + changed(delay, [late * DT, tau], u, 40), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("window", [1.0, 2.5, 7.0])  # samples
+def test_the_mean_over_a_window_is_that_of_values_held_between_samples(window):
+    """Averages of a staircase, seen a quarter of a sample apart; before the recording it stands at its first value."""
+    rng = np.random.default_rng(2)
+    steps, fine = rng.standard_normal(60), 400
+    stairs = np.concatenate([np.full(20 * fine, steps[0]), np.repeat(steps, fine)])
+    width = round(window * fine)
+    total = np.concatenate([[0.0], np.cumsum(stairs)])
+    ends = np.arange(len(stairs) - len(steps) * fine, len(stairs), fine // 4) + fine // 8  # middles of quarter steps
+    expected = (total[ends] - total[ends - width]) / width
+    found = np.repeat(steps, 4) + changed(average, [window * DT], np.repeat(steps, 4), memory=2 + 50, dt=DT / 4)
+    assert found == pytest.approx(expected, abs=1e-9)
+    assert found[:4] == pytest.approx(steps[0])
 
 
 @pytest.mark.parametrize("samples", [0.3, 1.0, 2.6, 7.0, 9.0])

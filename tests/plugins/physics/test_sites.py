@@ -53,7 +53,7 @@ def offered(machine: Machine) -> dict:
     (ARM, "parameter_drift@state:w#mass parameter_drift@state:w#damping parameter_drift@input:torque#actuator gain parameter_drift@output:q#sensor gain"),
     (TANKS, "parameter_drift@state:h1#loss parameter_drift@state:h2#capacity"),
     (REACTOR, "parameter_drift@parameter:volume#volume parameter_drift@parameter:rate#rate parameter_drift@input:jacket#actuator gain"),
-    (MOTOR, "sensor_ac_coupling@output:w"),
+    (MOTOR, "sensor_ac_coupling@output:w transport_delay@output:w#mean over a window transport_delay@input:voltage#mean over a window"),
     (CART, "linear_stiffness@state:v viscous_damping@state:v"),
     (COIL, "voltage_drop@state:i#voltage"),
     (SHAFT, "asymmetric_damping@machine#between w1,w2 quadratic_damping@machine#between w1,w2 coulomb_friction@machine#a spring that slips between w1,w2"),
