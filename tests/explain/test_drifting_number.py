@@ -12,7 +12,7 @@ from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import BUILT_IN
 
 DT, N, LOSS = 2.0, 900, 0.02
-SOME = ("parameter_drift", "parameter_change", "sensor_drift", "constant_load", "static_nonlinearity", "slow_mode", "gain_follows_level", "transport_delay")
+SOME = ("parameter_drift", "sensor_drift", "constant_load", "slow_mode")
 
 
 class Plate:
