@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from afdsvc.api.model import Model, Quantity, Variable
+from afdsvc.api.physics import Signal
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.search.build import build
@@ -30,6 +31,19 @@ def test_the_loop_is_closed_where_all_recordings_allow_it(known, open_heldout, c
     problem = build(nominal(model, odd.DT), [fitted], Settings(), [replace(held, W=None) if open_heldout else held])
     assert problem.closed == closed
     assert problem.settings.horizons == ((0.0,) if closed else Settings().horizons)
+
+
+def test_the_size_of_a_parameter_is_its_stated_value():
+    class Code:
+        f = staticmethod(lambda t, x, u, p: [u[0] - p["loss"] * x[0]])
+        h = staticmethod(lambda t, x, u, p: [x[0]])
+
+    words = (Variable("u"),), (Variable("y"),), (Variable("x"),)
+    model = Model("store", *words, None, Code, 0.0, {"none": Quantity(0.0), "loss": Quantity(-3.0)})
+    data = np.random.default_rng(1).standard_normal((200, 2))
+    runs = prepare(model, [Trace("r", 0.1, (Channel("u_u", ""), Channel("y_y", "")), data)])
+    problem = build(nominal(model, 0.1), runs, Settings(), runs)
+    assert [problem.size(Signal("p", k)) for k in (0, 1)] == [1.0, 3.0]
 
 
 def test_missing_readings_count_for_nothing_and_a_simulation_that_left_for_as_much_as_is_lost():

@@ -42,10 +42,10 @@ def doubled(p, z, m, dt, out):
     out[0] += z[0]
 
 
-def played(model, recording, excitation, effects, code=Store):
+def played(model, recording, excitation, effects, code=Store, substeps=1):
     found = nominal(model(code=code, sizes=(1, 1, 1), parameters=NUMBERS, sample_time=DT if code is Sampled else 0.0), DT)
     run = recording(excitation)
-    return [Simulator(found, np.zeros((1, 1))).run(run, np.zeros(3), np.zeros(1), effects).y[:, 0] for _ in range(2)]
+    return [Simulator(found, np.zeros((1, 1)), substeps=substeps).run(run, np.zeros(3), np.zeros(1), effects).y[:, 0] for _ in range(2)]
 
 
 @pytest.mark.parametrize(("number", "law", "reads"), [
@@ -54,7 +54,8 @@ def played(model, recording, excitation, effects, code=Store):
 ])  # fmt: skip
 def test_a_number_of_the_code_follows_its_law(model, recording, excitation, effect, number, law, reads):
     rate, signal = 0.15, reads[-1][0] + str(reads[-1][1])
-    y, again = played(model, recording, excitation, [effect(law, "parameter", reads, [("p", number)], [rate], memory=1)])
+    changing = effect(law, "parameter", reads, [("p", number)], [rate], memory=1)
+    y, again = played(model, recording, excitation, [changing])
     state, expected = 0.0, []
     for k, u in enumerate(excitation[:, 0]):
         t, numbers = k * DT, list(NUMBERS.values())
@@ -67,6 +68,7 @@ def test_a_number_of_the_code_follows_its_law(model, recording, excitation, effe
     assert np.linalg.norm(plain - expected) > 0.02 * np.linalg.norm(expected)
     assert np.linalg.norm(y - expected) < 1e-6 * np.linalg.norm(expected)
     assert np.array_equal(y, again)
+    assert played(model, recording, excitation, [changing], substeps=3)[0] == pytest.approx(y, abs=1e-6 * np.abs(y).max())
 
 
 def test_laws_of_one_number_come_one_after_the_other_in_sampled_code_too(model, recording, excitation, effect):

@@ -363,6 +363,17 @@ def test_laws_are_added_to_a_simulator_that_stays_the_code_it_is(key, size, pend
     assert Simulator(again, np.zeros((len(again.model.states), 1))).notes == ()
 
 
+def test_a_parameter_that_drifts_is_written_as_it_was_fitted_in_finer_steps(pendulum, tmp_path):
+    nom = nominal(pendulum, DT)
+    h = next(h for physics in afdsvc_physics() for h in physics.hypotheses(swinging(nom.plant)) if h.key == "parameter_drift@parameter:weight#weight")
+    e = replace(explanation(PlacedEffect(h, np.array([3.0, 0.2])), nom=nom), substeps=4)
+    drive = run(np.random.default_rng(3))
+    r = Run("r", DT, 0.0, 3 * drive.U[:, :1], np.zeros((N, 1)), drive.AUX, np.zeros((N, 1)), drive.aux)
+    engine = Simulator(nom, np.zeros((2, 1)), substeps=4).run(r, e.point.theta, np.zeros(2), e.point.effects).y
+    mine = stepped(write_improved(e, tmp_path / "MODEL.toml", AUX)[0], r)
+    assert np.linalg.norm(mine - engine) < 1e-9 * np.linalg.norm(engine)
+
+
 @pytest.mark.parametrize("key", ["cubic_stiffness@state:v", "coulomb_friction@state:v", "backlash@input:a", "dead_zone@input:a", "transport_delay@input:a"])
 def test_a_written_simulator_is_simple_enough_to_be_compiled(key, tmp_path):
     e = explanation(PlacedEffect(LIBRARY[key], values(LIBRARY[key])))
