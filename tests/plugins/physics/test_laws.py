@@ -15,7 +15,7 @@ from afdsvc.plugins.physics.backlash import _play
 from afdsvc.plugins.physics.clock_offset import clock
 from afdsvc.plugins.physics.cogging import _turning
 from afdsvc.plugins.physics.encoder_error import at_angle, at_speed
-from afdsvc.plugins.physics.flexible_mode import _attach, bent_spring, masses
+from afdsvc.plugins.physics.flexible_mode import _attach, bent_spring, masses, mode
 from afdsvc.plugins.physics.gain_follows_aux import _scaled
 from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
 from afdsvc.plugins.physics.magnetic_force import pair, single
@@ -138,6 +138,33 @@ def test_a_mass_on_a_bent_spring_is_the_duffing_oscillator_on_a_moving_base():
     assert straight[0] == pytest.approx(straight[1], rel=1e-9, abs=1e-9 * np.abs(straight[0]).max())
 
 
+def test_a_mode_begins_with_its_place_and_its_velocity_over_the_frequency():
+    w, zeta, q, v = 40.0, 0.05, 0.7, -0.4
+    memory, found = np.array([q, v]), []
+    for _ in range(300):
+        out = np.zeros(1)
+        mode(np.array([w, zeta, 2.0]), np.zeros(1), memory, DT, out)
+        found.append(out[0])
+    t = DT * np.arange(1, 301)
+    wd = w * math.sqrt(1 - zeta**2)
+    assert found == pytest.approx(2.0 * np.exp(-zeta * w * t) * (q * np.cos(wd * t) + (v + zeta * q) * w / wd * np.sin(wd * t)), abs=1e-9)
+
+
+@pytest.mark.parametrize("law", [masses, bent_spring])
+def test_a_hung_mass_begins_with_its_deflection_times_the_frequency_and_its_own_velocity(law):
+    """On an axis that moves evenly nothing but what it begins with moves it: the pull is the mass' own change of momentum."""
+    w, zeta, e, s, ratio, moving = 40.0, 0.05, 0.02, -0.4, 0.3, 1.5
+    memory, found = np.array([w * e, s, 0.0]), []
+    for _ in range(300):
+        out = np.zeros(1)
+        law(np.array([w, zeta, ratio, 0.0][: 3 if law is masses else 4]), np.array([moving]), memory, DT, out)
+        found.append(out[0] * DT)
+    t = DT * np.arange(301)
+    wd = w * math.sqrt(1 - zeta**2)
+    rate = np.exp(-zeta * w * t) * (s * np.cos(wd * t) - (w * w * e + zeta * w * s) / wd * np.sin(wd * t))
+    assert found == pytest.approx(-ratio * np.diff(rate), abs=1e-9 if law is masses else 1e-6)
+
+
 def test_a_mass_on_an_axis_that_stands_still_does_not_pull():
     assert changed(masses, [90.0, 0.03, 0.2], np.zeros(50), 3) == pytest.approx(np.zeros(50), abs=1e-12)
 
@@ -206,6 +233,8 @@ def test_the_mean_over_a_window_is_that_of_values_held_between_samples(window):
     found = np.repeat(steps, 4) + changed(average, [window * DT], np.repeat(steps, 4), memory=2 + 50, dt=DT / 4)
     assert found == pytest.approx(expected, abs=1e-9)
     assert found[:4] == pytest.approx(steps[0])
+    short, longest = (changed(average, [length * DT], steps, memory=2 + 12) for length in (1e3, 10.0))
+    assert short == pytest.approx(longest)  # what the ring holds
 
 
 @pytest.mark.parametrize("samples", [0.3, 1.0, 2.6, 7.0, 9.0])
