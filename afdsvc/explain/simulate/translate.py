@@ -95,11 +95,11 @@ class _Rewriter(ast.NodeTransformer):
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
         """Rewrite ``p | {"name": value}``, a copy of the parameters with others in their place."""
-        changed = node.right
-        if not (isinstance(node.op, ast.BitOr) and isinstance(changed, ast.Dict) and isinstance(node.left, ast.Name) and node.left.id == self.parameters):
+        others = node.right
+        if not (isinstance(node.op, ast.BitOr) and isinstance(others, ast.Dict) and isinstance(node.left, ast.Name) and node.left.id == self.parameters):
             return self.generic_visit(node)
         found: ast.expr = node.left
-        for key, value in zip(changed.keys, changed.values, strict=True):
+        for key, value in zip(others.keys, others.values, strict=True):
             name = key.value if isinstance(key, ast.Constant) else None
             if name not in self.translation.numbers:
                 raise Untranslatable(f"parameter {name!r} is not among those of the model")

@@ -12,7 +12,7 @@ from afdsvc.plugins.physics import parameter_change
 from afdsvc.plugins.physics.attach import at_parameter, at_state, balance, constant, decaying, state
 from afdsvc.plugins.physics.parameter_change import ParameterChange
 
-LONGEST = 10.0  # time constant, in all recordings, that is as good as a steady drift
+LONGEST = 10.0  # time constant, over the length of all recordings together, that is as good as a steady drift
 
 
 def gain(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
