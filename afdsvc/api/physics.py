@@ -52,7 +52,8 @@ class Coefficient:
     ``scale`` is a change that matters, used as the first step of a fit. A parameter with ``low >= 0`` is searched on a
     logarithmic scale. ``linear`` says that the law is proportional to it (together with the other linear ones).
     ``nuisance`` marks a shape parameter that sharpens the fit but is not a finding of its own, such as a rounding width.
-    ``through = (state, input)`` says that the value is stated divided by that entry of B, in the ``unit`` given: a force
+    Where a fit ends at the upper end of the range of a ``decisive`` one, such as the damping of a resonance, something else is there, and the
+    hypothesis is not compared. ``through = (state, input)`` says that the value is stated divided by that entry of B, in the ``unit`` given: a force
     where the law works with the acceleration it causes. ``unsigned`` divides by the size of the entry: what opposes the motion is positive
     although the input acts against the axis.
     """
@@ -64,6 +65,7 @@ class Coefficient:
     scale: float
     linear: bool = False
     nuisance: bool = False
+    decisive: bool = False
     through: tuple[int, int] | None = None
     unsigned: bool = False
 

@@ -62,6 +62,7 @@ Path = dict[float, Fit]
 Progress = Callable[[str, float], None]
 Better = Callable[[Problem, Path, Path], float]
 
+AT_END = 0.99  # of the end of a range, from where on a fit counts as ended there
 STARTS = 2  # of every hypothesis that are tried, by what they promise
 
 
@@ -256,7 +257,10 @@ class Rounds(Settled):
         self.mapped("leaving out blocks", 0.9, 1.0, lambda path: self.block_losses(path, list(counted.values())[-1]), fitted)
         found = []
         for r, q in zip(begun, fitted, strict=True):
-            h = list(q.values())[-1].point.effects[-1].hypothesis
+            effect = list(q.values())[-1].point.effects[-1]
+            h = effect.hypothesis
+            if any(c.decisive and v >= AT_END * c.high for c, v in zip(h.parameters, effect.values, strict=True)):
+                continue
             found.append(Candidate(h, q, self.evidence(q, path, h, counted), {k: replace(f, J=f.J[:0]) for k, f in r.items()}))
         ranked, limited = self.ranked(found)
         return _decided(ranked, limited, self, by_chance, further)

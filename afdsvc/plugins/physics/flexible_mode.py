@@ -115,7 +115,7 @@ class FlexibleMode:
         """Return hypotheses per input and per axis, started at the peaks of the residual and on a logarithmic grid."""
         low, high = 0.02 * machine.bandwidth, min(2 * machine.bandwidth, 0.9 * math.pi / machine.dt)
         grid = [*machine.peaks, *np.geomspace(low * 3, high * 0.8, 5)]
-        band = Coefficient("frequency", "rad/s", low, high, 0.02 * low), Coefficient("damping ratio", "", 1e-3, DAMPED, 0.02)
+        band = Coefficient("frequency", "rad/s", low, high, 0.02 * low), Coefficient("damping ratio", "", 1e-3, DAMPED, 0.02, decisive=True)
         words = {
             "physics": self.name, "family": "mode", "predicts": "a linear residual around one frequency, the same at every level",
             "refuted_by": "a residual that repeats at unexcited lines or changes its share with the level",

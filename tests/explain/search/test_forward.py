@@ -70,6 +70,19 @@ def test_dry_friction_is_found_where_only_speed_is_measured(found):
     assert effect.values[0] == pytest.approx(60.0, rel=0.1)  # rpm/s, as simulated
 
 
+@pytest.mark.parametrize("decisive", [True, False])
+def test_a_law_that_ends_at_the_limit_of_what_it_means_is_not_compared(decisive):
+    """Friction of 60 rpm/s where 30 are the most that may be meant."""
+
+    class Limited(CoulombFriction):
+        def hypotheses(self, machine):
+            h = next(iter(super().hypotheses(machine)))
+            return [replace(h, parameters=(replace(h.parameters[0], high=30.0, decisive=decisive), *h.parameters[1:]))]
+
+    candidates = search(settled(problem(60.0)), [Limited(), SensorLag()]).steps[0].candidates
+    assert ("coulomb_friction" in {c.hypothesis.physics for c in candidates}) != decisive
+
+
 def test_samples_count_by_what_the_best_hypothesis_leaves(found):
     """Friction that is missing makes the residual correlated for longer than the noise; the fits with it do not count by that."""
     start, first, end = found.start[0.0], found.steps[0].candidates[0].fit, found.end[0.0]

@@ -83,6 +83,13 @@ def test_numbers_of_code_drift_by_name_and_not_as_forces_of_its_linearisation():
     assert {k.partition("@")[2].partition(":")[0] for k in drifts} == {"input", "output", "parameter"}
 
 
+def test_every_resonance_ends_where_its_damping_does():
+    for k in (MOTOR, ARM, STRUCTURE):
+        modes = [h for h in offered(machines()[k]).values() if h.physics == "flexible_mode"]
+        assert modes
+        assert all([c.name for c in h.parameters if c.decisive] == [c.name for c in h.parameters if c.name.startswith("damping ratio")] != [] for h in modes)
+
+
 def test_what_repeats_with_every_turn_needs_a_turn_or_a_speed_that_the_samples_resolve():
     arm, motor = machines()[ARM], machines()[MOTOR]
     assert "encoder_error@output:q" not in offered(arm)  # swings by less than a turn
