@@ -11,6 +11,7 @@ from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
 from afdsvc.dataset.angles import turn, unwrapped
 from afdsvc.dataset.glitches import Glitch, glitches
+from afdsvc.dataset.screening import require_sizes
 from afdsvc.errors import BadInput
 from afdsvc.lti.sampling import sample_zoh
 from afdsvc.lti.simulate import simulate
@@ -85,6 +86,8 @@ def prepare(model: Model, traces: Sequence[Trace]) -> list[Run]:
             f"recordings '{traces[0].name}' ({traces[0].dt:.6g} s) and '{other.name}' ({other.dt:.6g} s) differ in sample time; "
             "expected one: resample = {dt = SECONDS} in a mapping file brings them to it"
         )
+    for trace in traces:
+        require_sizes(trace)
     labels = tuple(sorted({c.label for t in traces for c in t.channels if c.role == "aux"}))
     return [_run(model, trace, labels) for trace in traces]
 

@@ -23,6 +23,8 @@ def grid(column: Array) -> float:
         return 0.0
     gaps = np.diff(values)
     step = float(gaps.min())
+    if not gaps.max() < 1e15 * step:  # finer than numbers of this size are stored
+        return 0.0
     multiples = gaps / step
     return step if np.abs(multiples - np.round(multiples)).max() < 0.02 * max(1.0, float(np.median(multiples))) else 0.0
 

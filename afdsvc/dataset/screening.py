@@ -18,6 +18,15 @@ DRIFT_SHARE = 0.1
 STRETCHES = 10  # whose means show a trend
 #: Consecutive samples in which nothing at all changes, above which the recorder must have stood still.
 FROZEN_SAMPLES = 8
+LEAST, LARGEST = 1e-60, 1e60  # of the largest value of a channel
+
+
+def require_sizes(trace: Trace) -> None:
+    """Raise `BadInput` for a channel whose values are too large or too small to be squared and cubed."""
+    for channel, column in zip(trace.channels, np.abs(trace.values).T, strict=True):
+        largest = float(np.max(column, where=np.isfinite(column), initial=0.0))
+        if largest and not LEAST < largest < LARGEST:
+            raise BadInput(f"{trace.name}: {channel.name} has values of up to {largest:.3g}; expected sizes between {LEAST:g} and {LARGEST:g}, in a suitable unit")
 
 
 def screen(trace: Trace, needed: int) -> None:

@@ -12,7 +12,7 @@ from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
 from afdsvc.dataset.arrays import InputOutputData, together
 from afdsvc.dataset.periods import without_rotation
-from afdsvc.dataset.screening import screen, screening_notes, without_gaps
+from afdsvc.dataset.screening import require_sizes, screen, screening_notes, without_gaps
 from afdsvc.dataset.split import still_readings
 from afdsvc.errors import BadInput
 from afdsvc.identify.methods.hansen import settling_samples
@@ -61,6 +61,8 @@ def prepare_problem(model: Model, traces: Sequence[Trace], heldout: Sequence[Tra
         raise BadInput("no recording was handed in; expected at least one")
     if not model.inputs:
         raise BadInput(f"model '{model.name}' has no inputs; expected at least one, since a response is identified; 'explain' takes free motion")
+    for trace in (*traces, *heldout):
+        require_sizes(trace)
     notes: list[str] = []
     if model.controller is not None if screening is None else screening:
         for trace in (*traces, *heldout):
@@ -99,13 +101,20 @@ def _kept(traces: Sequence[Trace], needed: int, notes: list[str]) -> list[Trace]
 
 
 def nominal_plant(model: Model, dt: float) -> StateSpace:
-    """Return the model's plant at a sample time, inputs held; a simulator is linearised around rest."""
+    """Return the model's plant at a sample time, inputs held; a simulator is linearised around rest.
+
+    Raises `BadInput` where it grows beyond all numbers within a sample.
+    """
     plant = model.plant
     if plant is None:
         structure = model_structure(model)
         plant = structure.build(structure.values)
     if not plant.discrete:
-        return sample_zoh(plant, dt)
+        with np.errstate(all="ignore"):
+            sampled = sample_zoh(plant, dt)
+        if not all(np.isfinite(M).all() for M in (sampled.A, sampled.B)):
+            raise BadInput(f"model '{model.name}' grows beyond all numbers within a sample of {dt:g} s; expected poles and gains that samples can follow: are its units those of the recordings?")
+        return sampled
     if not np.isclose(plant.dt, dt, rtol=1e-6):
         raise BadInput(
             f"model '{model.name}' has sample_time {plant.dt} s, the recordings {dt} s; expected equal ones"

@@ -8,7 +8,7 @@ import pytest
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
-from afdsvc.dataset.glitches import Glitch, glitches
+from afdsvc.dataset.glitches import Glitch, glitches, grid
 from afdsvc.dataset.periods import fold
 from afdsvc.explain.check.check import check
 from afdsvc.explain.pipeline import explain
@@ -144,3 +144,8 @@ def test_periods_with_few_missing_samples_are_filled_by_the_others():
     left = run.Y.copy()
     left[-1] = np.inf  # a simulation that left is not a gap
     assert fold(run, left) is None
+
+
+def test_values_that_differ_by_less_than_they_are_stored_to_lie_on_no_grid():
+    assert grid(np.repeat([0.0, 1e-300, 1.0], 4)) == 0.0
+    assert grid(np.repeat([0.0, 0.5, 2.0], 4)) == 0.5

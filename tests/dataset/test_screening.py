@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.signals import Channel, Trace
-from afdsvc.dataset.screening import screen
+from afdsvc.dataset.screening import require_sizes, screen
 from afdsvc.errors import BadInput
 from afdsvc.lti.simulate import simulate
 
@@ -85,3 +85,14 @@ def test_false_refusals_are_rare(oscillators):
         except BadInput:
             refused += 1
     assert refused < 4
+
+
+@pytest.mark.parametrize("size", [1e-250, 1e250])
+def test_numbers_that_cannot_be_squared_are_refused(healthy, size):
+    require_sizes(healthy)
+    require_sizes(_changed(healthy, 2, 0.0))
+    missing = healthy.values[:, 2].copy()
+    missing[3] = np.nan
+    require_sizes(_changed(healthy, 2, missing))
+    with pytest.raises(BadInput, match=r"run.mcap: y_first has values of up to .*; expected sizes between 1e-60 and 1e\+60"):
+        require_sizes(_changed(healthy, 2, size * healthy.values[:, 2]))

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.screening import LARGEST
 from afdsvc.explain.noise.weighting import even
 from afdsvc.explain.search.problem import Point, Problem, loads, loop_known
 from afdsvc.explain.settings import Settings
@@ -31,7 +32,7 @@ def build(nominal: Nominal, runs: Sequence[Run], settings: Settings, heldout: Se
     n = nominal.plant.order
     problem = Problem(nominal, tuple(runs), scale, np.ones(n), tuple(np.zeros(n) for _ in runs), gains, even(len(scale)), settings)
     states = np.vstack([s.x for s in problem.simulated(problem.start(), STRONG)])
-    problem = replace(problem, state_scale=_positive(np.sqrt(np.mean(np.minimum(states**2, 1e200), axis=0))))
+    problem = replace(problem, state_scale=_positive(np.sqrt(np.mean(np.minimum(np.abs(states), LARGEST) ** 2, axis=0))))
     regular = not n or _regular(nominal)
     problem = replace(problem, offset_free=regular, regular=regular, loads=() if regular else loads(nominal, force, settings.load_sd))
     if not regular and all(r.W is not None for r in heldout) and _follows_in_loop(problem):
@@ -58,7 +59,9 @@ def _force(nominal: Nominal, runs: Sequence[Run]) -> Array:
 def growth(nominal: Nominal) -> float:
     """Return the factor by which the plant's slowest or fastest growing motion changes in a sample."""
     s = nominal.steps(np.zeros(len(nominal.entries)))
-    return float(np.abs(np.linalg.eigvals(np.linalg.matrix_power(s.phi, s.nsub))).max(initial=0.0))
+    with np.errstate(all="ignore"):
+        whole = np.linalg.matrix_power(s.phi, s.nsub)
+    return float(np.abs(np.linalg.eigvals(whole)).max(initial=0.0)) if np.isfinite(whole).all() else np.inf
 
 
 def _regular(nominal: Nominal) -> bool:

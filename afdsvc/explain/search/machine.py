@@ -12,6 +12,7 @@ from afdsvc.api.model import Variable
 from afdsvc.api.physics import Axis, Hypothesis, Machine, Physics, Signal, Size
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.glitches import grid
+from afdsvc.dataset.screening import LEAST
 from afdsvc.dataset.units import is_velocity
 from afdsvc.explain.search.coupling import through_mechanism
 from afdsvc.explain.search.fit import Fit
@@ -68,7 +69,7 @@ def _sizes(variables: Sequence[Variable], values: Array) -> tuple[Size, ...]:
         column = values[:, i][np.isfinite(values[:, i])]
         peak = float(np.abs(column).max(initial=0.0))
         found.append(Size(
-            i, v.name, v.unit, float(column.mean()), float(column.std()) or peak or 1.0, peak, grid(column), float(column.min()) if len(column) else 0.0,
+            i, v.name, v.unit, float(column.mean()), next((s for s in (float(column.std()), peak) if s > LEAST), 1.0), peak, grid(column), float(column.min()) if len(column) else 0.0,
             _reverses(column),
         ))
     return tuple(found)

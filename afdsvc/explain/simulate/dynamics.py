@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,27 +10,14 @@ import numpy as np
 from numba import carray, cfunc  # type: ignore[attr-defined]
 from numba.core.errors import NumbaError
 
+from afdsvc.api.dynamics import Function, array_function
 from afdsvc.api.model import Model
 from afdsvc.errors import BadInput
 from afdsvc.explain.simulate import kernel
 from afdsvc.explain.simulate.translate import Untranslatable, translated
 from afdsvc.lti.statespace import Array
 
-Function = Callable[[float, Array, Array, Array], Array]
 _CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_double, *[ctypes.c_void_p] * 4)
-
-
-class Values(dict[str, float]):
-    """Parameter values by name, ``p["mass"]`` or ``p.mass``; ``p | {"mass": 2.0}`` are the same with another mass."""
-
-    def __getattr__(self, name: str) -> float:
-        try:
-            return self[name]
-        except KeyError:
-            raise AttributeError(name) from None
-
-    def __or__(self, other: Any) -> Any:
-        return Values({**self, **other})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,8 +39,8 @@ class Program:
 def program(model: Model) -> Program:
     """Return the functions of a model with ``dynamics``; raises `BadInput` when they fail or return the wrong number of values."""
     sizes = len(model.states), len(model.inputs), len(model.outputs)
-    rate = _plain(model, "f", sizes[0])
-    output = _plain(model, "h", sizes[2])
+    rate = array_function(model, "f", sizes[0])
+    output = array_function(model, "h", sizes[2])
     found = [_reachable(model, which, function, size, sizes) for which, function, size in (("f", rate, sizes[0]), ("h", output, sizes[2]))]
     notes = tuple(note for _, note, _ in found if note)
     return Program(rate, found[0][0], found[1][0], _direct(model, output), notes, tuple(kept for _, _, kept in found))
@@ -66,32 +51,6 @@ def _direct(model: Model, output: Function) -> bool:
     x, u = rng.standard_normal(len(model.states)), rng.standard_normal(len(model.inputs))
     values = np.array([q.value for q in model.parameters.values()])
     return not np.array_equal(output(0.0, x, u, values), output(0.0, x, 0.0 * u, values), equal_nan=True)
-
-
-def _plain(model: Model, which: str, size: int) -> Function:
-    """Return f or h as a function of arrays; where it divides by zero or overflows it gives nan."""
-    function, names = getattr(model.dynamics, which), tuple(model.parameters)
-
-    def call(t: float, x: Array, u: Array, values: Array) -> Array:
-        try:
-            with np.errstate(all="ignore"), warnings.catch_warnings():
-                warnings.simplefilter("ignore", RuntimeWarning)
-                result: Array = np.asarray(function(t, x.copy(), u.copy(), Values(zip(names, values.tolist(), strict=True))), dtype=np.float64)
-        except (ArithmeticError, ValueError) as error:
-            if isinstance(error, ValueError) and "math domain" not in str(error):
-                raise _failed(model, which, error) from error
-            return np.full(size, np.nan)
-        except Exception as error:
-            raise _failed(model, which, error) from error
-        if result.size != size:
-            raise BadInput(f"model '{model.name}': {which}(t, x, u, p) returned {result.size} values; expected {size}")
-        return result.reshape(size)
-
-    return call
-
-
-def _failed(model: Model, which: str, error: Exception) -> BadInput:
-    return BadInput(f"model '{model.name}': {which}(t, x, u, p) fails with {type(error).__name__}: {error}")
 
 
 def _reachable(model: Model, which: str, plain: Function, size: int, sizes: tuple[int, int, int]) -> tuple[int, str, Any]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from afdsvc.api.dynamics import array_function
 from afdsvc.api.model import Model
 from afdsvc.api.plant import PhysicalPlant
 from afdsvc.errors import BadInput
@@ -116,18 +117,15 @@ def _quantity(name: str, quantity: object) -> FreeParameter:
 def _dynamics(model: Model) -> tuple[tuple[FreeParameter, ...], Callable[[Array], StateSpace]]:
     if not model.parameters:
         raise BadInput(f"model '{model.name}' names no [parameters]; a simulator without them cannot be fitted")
-    names = list(model.parameters)
-    n, m, dynamics = len(model.states), len(model.inputs), model.dynamics
-    if dynamics is None:
-        raise BadInput(f"model '{model.name}' has no simulator")
+    n, m = len(model.states), len(model.inputs)
+    f, h = array_function(model, "f", n), array_function(model, "h", len(model.outputs))
 
     def build(theta: Array) -> StateSpace:
-        p: Mapping[str, float] = dict(zip(names, map(float, theta), strict=True))
-        A, B = _slopes(lambda x, u: dynamics.f(0.0, x, u, p), n, m)
-        C, D = _slopes(lambda x, u: dynamics.h(0.0, x, u, p), n, m)
+        A, B = _slopes(lambda x, u: f(0.0, x, u, theta), n, m)
+        C, D = _slopes(lambda x, u: h(0.0, x, u, theta), n, m)
         return StateSpace(A, B, C, D, model.sample_time)
 
-    parameters = tuple(_quantity(name, model.parameters[name]) for name in names)
+    parameters = tuple(_quantity(name, quantity) for name, quantity in model.parameters.items())
     _require_slopes(model, build(np.array([p.value for p in parameters])))
     return parameters, build
 
@@ -148,7 +146,7 @@ def _slopes(function: Callable[[Array, Array], Array], n: int, m: int, step: flo
     def column(k: int) -> Array:
         z = np.zeros(n + m)
         z[k] = step
-        ahead, behind = (np.asarray(function(s * z[:n], s * z[n:]), dtype=np.float64) for s in (1.0, -1.0))
+        ahead, behind = (function(s * z[:n], s * z[n:]) for s in (1.0, -1.0))
         return (ahead - behind) / (2 * step)
 
     with np.errstate(all="ignore"):

@@ -13,11 +13,12 @@ from afdsvc.api.model import Model, Quantity, Variable
 from afdsvc.api.physics import Signal
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
-from afdsvc.explain.search.build import build
+from afdsvc.explain.search.build import build, growth
 from afdsvc.explain.search.problem import LOST, _residual
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.verdict.holdout import on
+from afdsvc.lti.statespace import StateSpace
 
 _spec = importlib.util.spec_from_file_location("odd_machines", Path(__file__).parents[1] / "test_odd_machines.py")
 odd = importlib.util.module_from_spec(_spec)
@@ -44,6 +45,12 @@ def test_the_size_of_a_parameter_is_its_stated_value():
     runs = prepare(model, [Trace("r", 0.1, (Channel("u_u", ""), Channel("y_y", "")), data)])
     problem = build(nominal(model, 0.1), runs, Settings(), runs)
     assert [problem.size(Signal("p", k)) for k in (0, 1)] == [1.0, 3.0]
+
+
+def test_a_plant_that_leaves_all_numbers_within_a_sample_grows_without_limit():
+    words = (Variable("u"),), (Variable("y"),), (Variable("x"),)
+    assert growth(nominal(Model("burst", *words, StateSpace.of([[1e4]], [[1.0]], [[1.0]])), 1.0)) == np.inf
+    assert growth(nominal(Model("store", *words, StateSpace.of([[-2.0]], [[1.0]], [[1.0]])), 1.0)) == pytest.approx(np.exp(-2))
 
 
 def test_missing_readings_count_for_nothing_and_a_simulation_that_left_for_as_much_as_is_lost():

@@ -8,8 +8,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from afdsvc.api.dynamics import Values
 from afdsvc.errors import BadInput
-from afdsvc.explain.simulate.dynamics import Values, program
+from afdsvc.explain.simulate.dynamics import program
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.simulate.simulator import Simulator
 

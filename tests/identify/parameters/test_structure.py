@@ -6,6 +6,7 @@ import pytest
 from afdsvc.api.model import Model, Quantity, Variable
 from afdsvc.errors import BadInput
 from afdsvc.identify.parameters.structure import model_structure, physical_structure
+from afdsvc.identify.preparation import nominal_plant
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plants.gas_bearing import gas_bearing
 
@@ -86,3 +87,8 @@ def test_what_cannot_move_is_named():
         model_structure(Model("axis", *IO, PLANT, entry_sd={"A": np.full((2, 2), 0.1)}), ["w"])
     with pytest.raises(BadInput, match="has no parameter 'stifness_hh'"):
         physical_structure(gas_bearing(0), ["stifness_hh"])
+
+
+def test_a_plant_that_samples_cannot_follow_is_refused():
+    with pytest.raises(BadInput, match="model 'axis' grows beyond all numbers within a sample of 1 s"):
+        nominal_plant(Model("axis", *IO, StateSpace.of([[0, 1], [1e8, 0]], [[0], [1]], [[1, 0]])), 1.0)
