@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import os
-import shutil
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -228,8 +229,9 @@ def test_a_recording_whose_copy_fills_the_disk_is_closed_later(tmp_path):
         def fill() -> None:
             while not list(disk.glob("*.recovering")):
                 time.sleep(0.001)
-            with (disk / "others").open("wb") as file:
-                os.posix_fallocate(file.fileno(), 0, shutil.disk_usage(disk).free - 1_000_000)
+            with (disk / "others").open("wb") as file, suppress(OSError):  # until the disk is full, to which the copy adds meanwhile
+                for start in itertools.count(0, 1_000_000):
+                    os.posix_fallocate(file.fileno(), start, 1_000_000)
 
         filler = threading.Thread(target=fill)
         filler.start()
