@@ -9,6 +9,8 @@ from scipy.signal import lfilter
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import joined, prepare
+from afdsvc.errors import BadInput
+from afdsvc.identify.pipeline import planned
 from afdsvc.lti.statespace import StateSpace
 
 DT = 1e-2
@@ -31,6 +33,14 @@ def loop(samples: int = 600, seed: int = 0) -> Trace:
         rows.append((u, y, alpha))
         x, c = 0.9 * x + 0.1 * u, 0.95 * c + y
     return Trace("r", DT, (Channel("u_force"), Channel("y_place"), Channel("alpha_force")), np.array(rows))
+
+
+def test_readings_beyond_all_sizes_are_refused_by_explain_and_identify():
+    trace = loop()
+    huge = replace(trace, values=trace.values * [1.0, 1e250, 1.0])
+    with pytest.raises(BadInput, match="r: y_place has values of up to"):
+        prepare(model(False), [huge])
+    assert "r: y_place has values of up to" in planned(model(False), [huge]).sentence
 
 
 def test_what_was_added_to_a_known_controllers_output_is_the_burst():
