@@ -12,14 +12,18 @@ from afdsvc.api.model import Model, Quantity, Variable
 from afdsvc.errors import BadInput
 
 
-def called(f, x=2.0):
+def function(f):
     class Code:
         def f(self, t, x, u, p):
             return f(x, u, p)
 
     words = (Variable("u"),), (Variable("y"),), (Variable("x"),)
     model = Model("tank", *words, None, Code(), 0.0, {"area": Quantity(4.0), "flow": Quantity(3.0)})
-    return array_function(model, "f", 1)(0.0, np.array([x]), np.array([1.0]), np.array([4.0, 3.0]))
+    return array_function(model, "f", 1)
+
+
+def called(f):
+    return function(f)(0.0, np.array([2.0]), np.array([1.0]), np.array([4.0, 3.0]))
 
 
 @pytest.mark.parametrize("f", [lambda x, u, p: [p["flow"] * x[0]], lambda x, u, p: p.flow * x[0], lambda x, u, p: np.array([[p.area + x[0]]])])
@@ -47,7 +51,7 @@ def test_code_cannot_change_what_it_is_given():
         x[0] = u[0] = p["area"] = 9.0
         return [1.0]
 
-    given = np.array([2.0])
-    assert called(greedy, given[0]).tolist() == [1.0]
-    assert given.tolist() == [2.0]
+    x, u, values = np.array([2.0]), np.array([1.0]), np.array([4.0, 3.0])
+    assert function(greedy)(0.0, x, u, values).tolist() == [1.0]
+    assert [x.tolist(), u.tolist(), values.tolist()] == [[2.0], [1.0], [4.0, 3.0]]
     assert (Values(a=1.0) | {"a": 5.0}).a == 5.0

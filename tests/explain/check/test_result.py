@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from afdsvc.api.model import Model, Quantity, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.explain.check.result import check_all
 from afdsvc.files.model.model_file import parse_model
@@ -111,3 +112,18 @@ def test_a_state_that_is_no_velocity_has_no_friction(model):
     found = check_all(other, [_recorded(model)], LIBRARY)
     assert found.offers.axes == ()
     assert "velocity" in found.offers.absent["coulomb_friction"]
+
+
+@pytest.mark.parametrize("rate", [lambda x, p: 1 / 0, lambda x, p: x**3 + p["a"], lambda x, p: np.exp(40 * x) - x, lambda x, p: -1e7 * x])
+def test_code_that_leaves_all_numbers_is_checked_without_an_exception_or_a_warning(rate):
+    class Code:
+        f = staticmethod(lambda t, x, u, p: [rate(x[0], p) + u[0]])
+        h = staticmethod(lambda t, x, u, p: [x[0]])
+
+    words = (Variable("voltage", "V"),), (Variable("speed", "rad/s"),), (Variable("speed", "rad/s"),)
+    model = Model("odd", *words, None, Code, 0.0, {"a": Quantity(1.0, "", 0.1)})
+    data = np.random.default_rng(3).standard_normal((400, 2))
+    data[:, 1] = 0.1 * np.cumsum(data[:, 1])
+    found = check_all(model, [Trace("r", 0.1, (Channel("u_voltage", "V"), Channel("y_speed", "rad/s")), data)], LIBRARY)
+    assert found.verdict in ("limited", "refused")
+    assert all(f.sentence for f in found.findings)
