@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.model import Model, Quantity, Variable
-from afdsvc.api.physics import Axis, Hypothesis, Machine, Signal, Size
+from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal, Size
 from afdsvc.dataset.experiment import Run
 from afdsvc.explain.gap.finding import Gap
 from afdsvc.explain.report.explanation import Estimate, Explanation, Named
@@ -361,6 +361,24 @@ def test_laws_are_added_to_a_simulator_that_stays_the_code_it_is(key, size, pend
     assert np.linalg.norm(mine - engine) < 0.05 * felt
     again = nominal(read_model(tmp_path / "MODEL.toml", allow_code=True), DT)
     assert Simulator(again, np.zeros((len(again.model.states), 1))).notes == ()
+
+
+def heavier(p, z, m, dt, out):
+    out[0] += p[0] * z[1] * z[1]
+
+
+def test_a_parameter_that_follows_a_state_is_written_in_continuous_time(pendulum, tmp_path):
+    nom = nominal(pendulum, DT)
+    change = Coefficient("change", "", -9.0, 9.0, 0.1, linear=True)
+    weight = Signal("p", 1)
+    h = Hypothesis("heavier", "parameter:weight", "curve", "parameter", heavier, (weight, Signal("x", 0)), (weight,), (change,), ((0.0,),))
+    e = explanation(PlacedEffect(h, np.array([3.0])), nom=nom)
+    drive = run(np.random.default_rng(3))
+    r = Run("r", DT, 0.0, 3 * drive.U[:, :1], np.zeros((N, 1)), drive.AUX, np.zeros((N, 1)), drive.aux)
+    engine, plain = (Simulator(nom, np.zeros((2, 1))).run(r, e.point.theta, np.zeros(2), x).y for x in (e.point.effects, ()))
+    file = write_improved(e, tmp_path / "MODEL.toml", AUX)[0]
+    assert read_model(file, allow_code=True).sample_time == 0.0
+    assert np.linalg.norm(stepped(file, r, 2) - engine) < 0.05 * np.linalg.norm(engine - plain)
 
 
 def test_a_parameter_that_drifts_is_written_as_it_was_fitted_in_finer_steps(pendulum, tmp_path):

@@ -81,6 +81,8 @@ def _split(text: str) -> list[list[str]]:
 def test_numbers_of_code_drift_by_name_and_not_as_forces_of_its_linearisation():
     drifts = {k for k in offered(machines()[REACTOR]) if k.startswith("parameter_drift")}
     assert {k.partition("@")[2].partition(":")[0] for k in drifts} == {"input", "output", "parameter"}
+    arm = {k for k in offered(replace(machines()[ARM], code=True)) if k.startswith("parameter_drift")}
+    assert {k.partition("@")[2].partition(":")[0] for k in arm} == {"input", "output"}
 
 
 def test_every_resonance_ends_where_its_damping_does():
