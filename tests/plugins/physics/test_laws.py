@@ -316,7 +316,7 @@ def test_an_ac_coupled_sensor_is_a_high_pass_by_law_and_matrices():
     y, memory, read = 3.0 + np.sin(20 * t) + 0.5 * t, np.zeros(3), []
     for value in y:
         out = np.zeros(1)
-        h.law(np.array([tau]), np.array([value]), memory, dt, out)
+        h.law(np.array([tau, 1.0]), np.array([value]), memory, dt, out)
         read.append(value + out[0])
     _, expected, _ = lsim(([-1 / tau], [1 / tau], [-1.0], [1.0]), y, t, X0=[y[0]])
     assert read == pytest.approx(expected, abs=1e-9)
