@@ -40,6 +40,7 @@ from afdsvc.plugins.physics.periodic_disturbance import PeriodicDisturbance
 from afdsvc.plugins.physics.quadratic_damping import QuadraticDamping
 from afdsvc.plugins.physics.quadratic_stiffness import QuadraticStiffness
 from afdsvc.plugins.physics.quantisation import Quantisation
+from afdsvc.plugins.physics.repulsion import Repulsion
 from afdsvc.plugins.physics.resonant_actuator import ResonantActuator
 from afdsvc.plugins.physics.runout import Runout
 from afdsvc.plugins.physics.saturation import Saturation
@@ -69,7 +70,7 @@ BUILT_IN = (
     CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, EncoderError, Exchange, FlexibleMode,
     GainFollowsAux, GainFollowsLevel, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, InertiaFollowsPosition, LinearStiffness, MagneticForce,
     ParameterChange, ParameterDrift, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
-    ResonantActuator, Runout, Saturation, SensorAcCoupling, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,
+    Repulsion, ResonantActuator, Runout, Saturation, SensorAcCoupling, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,
     SensorNonlinearity, SensorOffset, SensorRectification, SensorSaturation, SlewLimit, SlowMode,
     StaticNonlinearity, StiffnessFollowsAux, StribeckFriction, SupplyDroop, TransportDelay, Unbalance, VelocityCoupling, ViscousDamping, VoltageDrop,
 )

@@ -30,6 +30,7 @@ from afdsvc.plugins.physics.hysteresis import over_integral
 from afdsvc.plugins.physics.joint import spring
 from afdsvc.plugins.physics.magnetic_force import pair, single
 from afdsvc.plugins.physics.quadratic_damping import _joint as turbulent_damper
+from afdsvc.plugins.physics.repulsion import _growing as growing
 from afdsvc.plugins.physics.saturation import cut_above, cut_below, overflow, two_limits
 from afdsvc.plugins.physics.slow_mode import _exchange
 from afdsvc.plugins.physics.static_nonlinearity import outflow, outflow_about, power, signed_square, thrust
@@ -229,6 +230,8 @@ CASES = [
     Case("joint with a gap", gap, (200.0, 0.1, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 200 * (d - np.clip(d, -0.1, 0.1))), **MODES, reads=(("x", 0), ("x", 2)), tolerance=5e-3),
     Case("stop above", one_side, (300.0, 0.1, 1.0), axis(lambda q, v, u: -300 * max(q - 0.1, 0.0)), **AXIS, reads=(("x", 0),), tolerance=5e-3),
     Case("stop below", one_side, (300.0, 0.05, -1.0), axis(lambda q, v, u: 300 * max(0.05 - q, 0.0)), **AXIS, reads=(("x", 0),), tolerance=5e-3),
+    Case("repulsion above", growing, (30.0, 0.05, 0.2, 1.0), axis(lambda q, v, u: -30 * np.exp((q - 0.2) / 0.05)), **AXIS, reads=(("x", 0),)),
+    Case("repulsion below", growing, (20.0, 0.08, -0.2, -1.0), axis(lambda q, v, u: 20 * np.exp((-0.2 - q) / 0.08)), **AXIS, reads=(("x", 0),)),
     Case("play in a spring", play, (K, 0.1), axis(lambda q, v, u: K * np.clip(q, -0.1, 0.1)), **AXIS, reads=(("x", 0),), tolerance=5e-3),
     Case("play in a shaft", shaft_play, (K, 0.05, 0.02, -1.0, 0.25), shaft, **SHAFT, reads=(("x", 0), ("x", 2), ("x", 1), ("x", 3)), tolerance=5e-3),
     Case("shock absorber", shock_absorber, (9.0, 2.0, -1.0, 0.25), lambda x, u: beside(x, u, lambda v: (9.0 if v > 0 else 2.0) * v), **SHAFT, reads=(("x", 1), ("x", 3))),
