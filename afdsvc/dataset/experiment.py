@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from afdsvc.api.model import Model
 from afdsvc.api.signals import Trace
 from afdsvc.dataset.angles import turn, unwrapped
 from afdsvc.dataset.glitches import Glitch, glitches
+from afdsvc.dataset.held import interval, taken
 from afdsvc.dataset.screening import require_sizes
 from afdsvc.errors import BadInput
 from afdsvc.lti.sampling import sample_zoh
@@ -31,7 +33,8 @@ class Run:
     a controller made the input. ``clock`` is the time laws see at the first sample [s]; None: ``t0``. ``glitches`` are the readings of every
     output that were taken for such, and are missing in ``Y``. ``controller`` is the known one at the sample time.
     ``steady`` says that the outputs repeat from the first sample on, too: the machine ran with this excitation before. ``wraps`` counts the jumps by a
-    turn that were taken out of every output.
+    turn that were taken out of every output. ``every`` is how many samples a reading of each output is held, ``taken (n, p)`` the samples at which the
+    readings were taken; None where all are taken at every sample.
     """
 
     name: str
@@ -51,9 +54,20 @@ class Run:
     controller: StateSpace | None = None
     steady: bool = False
     wraps: tuple[int, ...] = ()
+    every: tuple[int, ...] = ()
+    taken: NDArray[np.intp] | None = None
 
     def __len__(self) -> int:
         return len(self.U)
+
+    def shown(self, y: Array) -> Array:
+        """Return outputs ``(n, p)`` as the sensors show them, held between readings."""
+        return y if self.taken is None else np.take_along_axis(y, self.taken, axis=0)
+
+    @property
+    def fresh(self) -> Array:
+        """The readings ``(n, p)`` of the samples at which they were taken, NaN elsewhere."""
+        return self.Y if self.taken is None else np.where(self.taken == np.arange(len(self))[:, None], self.Y, np.nan)
 
     def amplified(self, gain: Array) -> Run:
         """Return the run with inputs times ``gain (m,)``, in a loop what comes to them from outside: ``W`` and what the controller makes of references."""
@@ -69,7 +83,7 @@ class Run:
         part = replace(
             self, t0=self.t0 + start * self.dt, U=self.U[cut], Y=self.Y[cut], AUX=self.AUX[cut], REF=self.REF[cut],
             W=None if self.W is None else self.W[cut], settled=max(0, self.settled - start), clock=clock, glitches=(),
-            steady=self.steady or 0 < self.settled + self.period <= start,
+            steady=self.steady or 0 < self.settled + self.period <= start, taken=None if self.taken is None else np.maximum(self.taken[cut] - start, 0),
         )
         if start == 0 or self.W is None or self.controller is None:
             return part
@@ -151,7 +165,8 @@ def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:
     drive = _driver(trace, U, REF)
     period, settled = repetition(drive)
     u, y, aux, ref = (np.array(a, dtype=np.float64, order="C") for a in (U, Y, AUX, REF))
-    commanded = bool(trace.role("alpha").size)
+    commanded, every = bool(trace.role("alpha").size), tuple(interval(column) for column in y.T)
+    read = np.column_stack([taken(column, k) for column, k in zip(y.T, every, strict=True)]) if max(every) > 1 else None
     controller = _controller(model, trace.dt, U, Y)
     added = _recorded(model, trace) if controller is None else _outside(controller, U, Y - REF)  # it saw the glitches
     alone = tuple(glitches(column, drive, period) for column in y.T)
@@ -159,7 +174,7 @@ def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:
         y[[g.sample for g in found], j] = np.nan
     return Run(
         trace.name, trace.dt, trace.t0, u, y, aux, ref, labels, added, period, settled, commanded, glitches=alone, controller=controller,
-        steady=_steady(y, period, settled), wraps=wraps,
+        steady=_steady(y, period, settled), wraps=wraps, every=every, taken=read,
     )
 
 

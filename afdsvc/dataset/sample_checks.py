@@ -44,6 +44,12 @@ def samples(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
             if run.wraps and run.wraps[j]:
                 yield Finding("ok", "wraps", f"{run.name}: y_{v.name} is read within one turn; {run.wraps[j]} jumps by a turn are taken out")
             yield from _glitches(run, f"y_{v.name}", v.unit, alone)
+            if run.every and run.every[j] > 1:
+                yield Finding(
+                    "warning", "held readings",
+                    f"{run.name}: y_{v.name} changes at one of {run.every[j]} samples only: it is read every {run.every[j] * run.dt:.4g} s and held in "
+                    "between; the model's output is held alike",
+                )
             yield from _still(run, f"y_{v.name}", v.unit, run.Y[:, j])
             yield from _clipped(run, f"y_{v.name}", v.unit, run.Y[:, j])
             yield from _drift(run, f"y_{v.name}", v.unit, j)

@@ -82,7 +82,7 @@ def _simulated(nominal: Nominal, runs: Sequence[Run]) -> list[Array]:
     """Return what the model says the inputs cause, ``(n, p)`` for each run."""
     n, p = nominal.plant.order, nominal.plant.outputs
     simulator = Simulator(nominal, np.zeros((n, p)))
-    return [simulator.run(r, np.zeros(len(nominal.entries)), np.zeros(n), outputs_only=True).y for r in runs]
+    return [r.shown(simulator.run(r, np.zeros(len(nominal.entries)), np.zeros(n), outputs_only=True).y) for r in runs]
 
 
 def _caused(runs: Sequence[Run], simulated: Sequence[Array], j: int) -> float:

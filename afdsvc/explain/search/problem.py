@@ -93,9 +93,9 @@ class Problem:
         simulator, found = Simulator(self.nominal, self.gains[horizon], self.ramped, self.substeps), []
         read = self.closed or bool(self.gains[horizon].any())  # else the simulation reads neither outputs nor references
         for k, (run, x0) in enumerate(zip(self.runs, point.x0, strict=True)):
-            there = replace(run, Y=run.Y - point.offset, REF=run.REF - point.offset) if read else run
+            there = replace(run, Y=run.fresh - point.offset, REF=run.REF - point.offset) if read else run
             s = simulator.run(there, point.theta, x0, point.effects, closed=self.closed, begun=point.begun(k), outputs_only=outputs_only)
-            found.append(s)
+            found.append(s if run.taken is None else Simulated(run.shown(s.y), s.u, s.x))
         return found
 
     def residuals(self, point: Point, horizon: float) -> list[Array]:
@@ -136,8 +136,8 @@ class Problem:
 
 
 def loop_known(problem: Problem) -> bool:
-    """Whether the loop can be closed around the simulated plant: controller and what was added to its output are known, D is zero."""
-    known = problem.nominal.model.controller is not None and all(r.W is not None for r in problem.runs)
+    """Whether the loop can be closed around the simulated plant: controller and what was added to its output are known, it saw every sample, D is zero."""
+    known = problem.nominal.model.controller is not None and all(r.W is not None and r.taken is None for r in problem.runs)
     return known and not problem.nominal.plant.D.any()
 
 

@@ -34,9 +34,9 @@ class Repulsion:
             axis, _growing, [state(q)], physics=self.name, family="stiffness", notes={"variant": f"from {word}", "of": ""},
             parameters=[
                 force(axis, "force at the end", -most, most, 0.1 * axis.push, linear=True),
-                Coefficient("length", q.unit, 0.1 * q.rms, 2 * q.reach, 0.1 * q.rms),
+                Coefficient("length", q.unit, 0.03 * q.reach, q.reach / 3, 0.03 * q.reach),  # longer ones are springs
                 constant("end", q.unit, end), constant("side", "", side),
             ],
-            starts=[(0.0, share * q.reach, end, side) for share in (0.15, 0.5)],
+            starts=[(0.0, share * q.reach, end, side) for share in (0.1, 0.25)],
             predicts=f"a stiffness that grows towards what is {word} and is small on the other side", refuted_by="a stiffness that is the same along the way",
         )
