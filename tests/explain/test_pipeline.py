@@ -118,13 +118,21 @@ def test_physics_that_no_hypothesis_has_is_unexplained_with_the_nearest_beside_i
     assert write_improved(answer, tmp_path / "MODEL.toml", {}) == [tmp_path / "MODEL.toml"]
 
 
-def test_a_free_decay_needs_no_input(spring, recorded):
-    free = replace(spring, inputs=(), plant=replace(spring.plant, B=np.zeros((2, 0)), D=np.zeros((1, 0))))
+def silent(trace: Trace) -> Trace:
+    return replace(trace, channels=(Channel("u_force"), *trace.channels), values=np.column_stack([np.zeros(len(trace)), trace.values]))
+
+
+@pytest.mark.parametrize("inputs", ["none", "force"])
+def test_a_free_decay_needs_no_input(spring, recorded, inputs):
+    free = spring if inputs == "force" else replace(spring, inputs=(), plant=replace(spring.plant, B=np.zeros((2, 0)), D=np.zeros((1, 0))))
     *recordings, held = [recorded(seed, level, lambda q, v: -1500.0 * np.tanh(v / 0.5), decay=True, periods=1) for seed, level in enumerate(LEVELS)]
+    if inputs == "force":
+        *recordings, held = map(silent, [*recordings, held])
     answer = explain(free, recordings, [held], some("coulomb_friction", "quadratic_damping", "cubic_stiffness"))
     assert answer.named[0].physics == "coulomb_friction"
     assert answer.fit[0].after_nrmse < 0.3 * answer.fit[0].before_nrmse
-    assert "inputs none, outputs position" in answer.check[0]
+    assert any(f"inputs {inputs}" in sentence and "outputs position" in sentence for sentence in answer.check)
+    assert not any("no effect can be named" in sentence for sentence in answer.check)
 
 
 class Code:

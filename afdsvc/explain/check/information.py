@@ -27,9 +27,9 @@ VISIBLE = 0.3  # rms of what the excitation causes in the outputs, over the nois
 
 
 def information(problem: Problem, response: Caused) -> Iterator[Finding]:
-    """Yield which entries the data determine, and a stop when the excitation determines nothing; nothing for a machine without inputs."""
+    """Yield which entries the data determine, and a stop when the excitation determines nothing; nothing for a machine without inputs or at rest."""
     nominal = problem.nominal
-    if not nominal.plant.inputs:
+    if not any(r.U.any() for r in problem.runs):  # it moves by itself, or not at all
         return
     sd = noise_sd(nominal, problem.runs)
     if np.isinf(sd).all():  # dead sensors, which are findings of their own

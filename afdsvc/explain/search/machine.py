@@ -128,10 +128,10 @@ def _axis(
 
 
 def bandwidth(runs: Sequence[Run]) -> float:
-    """Return the angular frequency [rad/s] below which nearly all of the input's power lies; of the outputs without an input."""
-    power: Array = np.zeros(16385)
+    """Return the angular frequency [rad/s] below which nearly all of the input's power lies; of the outputs' where no input moves."""
+    power, driven = np.zeros(16385), any(np.ptp(r.U, axis=0).any() for r in runs)
     for r in runs:
-        signal = r.U if r.U.size else np.nan_to_num(r.Y)
+        signal = r.U if driven else np.nan_to_num(r.Y)
         n = min(len(r), 16384)
         power = power + (np.abs(np.fft.rfft((signal - signal.mean(0))[:n] * np.hanning(n)[:, None], 32768, axis=0)) ** 2).sum(1)
     share = np.cumsum(power) / max(float(np.sum(power)), 1e-300)

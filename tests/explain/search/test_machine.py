@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from afdsvc.api.model import Variable
-from afdsvc.api.signals import Trace
+from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.fit import fit
-from afdsvc.explain.search.machine import _sizes, machine
+from afdsvc.explain.search.machine import _sizes, bandwidth, machine
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
 
@@ -38,3 +38,11 @@ def test_a_sensor_that_lost_the_sign_reads_what_the_model_reverses_fitted_or_as_
     fitted, stated = (np.vstack([s.y for s in problem.simulated(point, 0.0)])[400:] for point in (base.point, problem.start()))
     assert ((fitted > 0).all(), (stated > 0).all()) == (positive, bias > 0)
     assert machine(problem, base, 0.0).outputs[0].reverses
+
+
+@pytest.mark.parametrize("bias", [0.0, 2.0])
+def test_where_no_input_moves_the_band_is_that_of_the_outputs(spring, recorded, bias):
+    """A spring at 100 rad/s that decays; the input is recorded, and at rest."""
+    trace = recorded(1, decay=True, periods=1, noise=1e-4)
+    still = replace(trace, channels=(Channel("u_force"), *trace.channels), values=np.column_stack([np.full(len(trace), bias), trace.values]))
+    assert bandwidth(prepare(spring, [still])) == pytest.approx(100, rel=0.2)
