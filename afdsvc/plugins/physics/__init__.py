@@ -36,6 +36,7 @@ from afdsvc.plugins.physics.linear_stiffness import LinearStiffness
 from afdsvc.plugins.physics.magnetic_force import MagneticForce
 from afdsvc.plugins.physics.parameter_change import ParameterChange
 from afdsvc.plugins.physics.parameter_drift import ParameterDrift
+from afdsvc.plugins.physics.parameter_follows_state import ParameterFollowsState
 from afdsvc.plugins.physics.periodic_disturbance import PeriodicDisturbance
 from afdsvc.plugins.physics.quadratic_damping import QuadraticDamping
 from afdsvc.plugins.physics.quadratic_stiffness import QuadraticStiffness
@@ -44,6 +45,7 @@ from afdsvc.plugins.physics.repulsion import Repulsion
 from afdsvc.plugins.physics.resonant_actuator import ResonantActuator
 from afdsvc.plugins.physics.runout import Runout
 from afdsvc.plugins.physics.saturation import Saturation
+from afdsvc.plugins.physics.self_heating import SelfHeating
 from afdsvc.plugins.physics.sensor_ac_coupling import SensorAcCoupling
 from afdsvc.plugins.physics.sensor_crosstalk import SensorCrosstalk
 from afdsvc.plugins.physics.sensor_drift import SensorDrift
@@ -69,8 +71,8 @@ BUILT_IN = (
     ActuatorCrosstalk, ActuatorLag, AsymmetricDamping, BackEmf, Backlash, Clearance, ClockOffset, Cogging, ColouredNoise, ConstantLoad,
     CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, EncoderError, Exchange, FlexibleMode,
     GainFollowsAux, GainFollowsLevel, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, InertiaFollowsPosition, LinearStiffness, MagneticForce,
-    ParameterChange, ParameterDrift, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
-    Repulsion, ResonantActuator, Runout, Saturation, SensorAcCoupling, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,
+    ParameterChange, ParameterDrift, ParameterFollowsState, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
+    Repulsion, ResonantActuator, Runout, Saturation, SelfHeating, SensorAcCoupling, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,
     SensorNonlinearity, SensorOffset, SensorRectification, SensorSaturation, SlewLimit, SlowMode,
     StaticNonlinearity, StiffnessFollowsAux, StribeckFriction, SupplyDroop, TransportDelay, Unbalance, VelocityCoupling, ViscousDamping, VoltageDrop,
 )

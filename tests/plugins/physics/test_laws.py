@@ -23,6 +23,7 @@ from afdsvc.plugins.physics.parameter_change import _scaled_entries, terms
 from afdsvc.plugins.physics.parameter_drift import gain as drifting_gain
 from afdsvc.plugins.physics.parameter_drift import inertia as drifting_inertia
 from afdsvc.plugins.physics.parameter_drift import terms as drifting_terms
+from afdsvc.plugins.physics.parameter_follows_state import following, levelling
 from afdsvc.plugins.physics.periodic_disturbance import oscillation
 from afdsvc.plugins.physics.quantisation import read_in_steps
 from afdsvc.plugins.physics.runout import uneven
@@ -342,6 +343,16 @@ def test_a_number_that_drifts_levels_off_and_keeps_its_sign():
         out = np.zeros(1)
         law(np.array([-9.0, tau, *constants]), np.array(signals), np.array([9.0]), 0.01, out)
         assert out[0] == pytest.approx({drifting_gain: -2.97, drifting_terms: -1.98, drifting_inertia: 198.0}[law])
+
+
+def test_a_number_that_follows_a_state_bends_or_levels_off_and_keeps_its_sign():
+    number, x = 2.0, np.array([-30.0, -1.0, 0.0, 3.0, 5.0])
+    signal = np.column_stack([np.full(5, number), x])
+    d = (x - 1.0) / 2.0
+    bent = np.maximum(0.3 * d - 0.1 * d**2, -0.9)
+    assert bent[0] == -0.9
+    assert changed(following, [0.3, -0.1, 1.0, 2.0], signal) == pytest.approx(number * bent)
+    assert changed(levelling, [-0.5, 3.0], signal) == pytest.approx(number * -0.5 * x**2 / (x**2 + 9.0))
 
 
 def test_what_follows_a_signal_may_bend():

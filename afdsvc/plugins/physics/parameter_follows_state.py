@@ -1,0 +1,81 @@
+"""A number of the model that follows a state: a core that saturates, a tank that widens, a loss that grows with the temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Size
+from afdsvc.plugins.physics.attach import at_parameter, at_state, balance, constant, decaying, state
+
+
+def following(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``(1 + c d + e d^2) z_0``, ``d = (z_1 - mean) / rms``; ``p = (c, e, mean, rms)``."""
+    d = (z[1] - p[2]) / p[3]
+    out[0] += max((p[0] + p[1] * d) * d, -0.9) * z[0]
+
+
+def levelling(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``(1 + c s / (1 + s)) z_0``, ``s = (z_1 / level)^2``: as a core saturates, for either sign; ``p = (c, level)``."""
+    s = (z[1] / p[1]) ** 2
+    out[0] += p[0] * s / (1 + s) * z[0]
+
+
+def capacity(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """The rate of change of a store divided by ``1 + c d + e d^2``, ``d = (z_0 - mean) / rms``; ``p = (c, e, mean, rms, nominal coefficients of z)``."""
+    total, d = 0.0, (z[0] - p[2]) / p[3]
+    for k in range(len(z)):
+        total += p[4 + k] * z[k]
+    change = max((p[0] + p[1] * d) * d, -0.9)
+    out[0] -= total * change / (1 + change)
+
+
+def saturating(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """`capacity` with ``1 + c s / (1 + s)``, ``s = (z_0 / level)^2``; ``p = (c, level, nominal coefficients of z)``."""
+    total, s = 0.0, (z[0] / p[1]) ** 2
+    for k in range(len(z)):
+        total += p[2 + k] * z[k]
+    change = p[0] * s / (1 + s)
+    out[0] -= total * change / (1 + change)
+
+
+class ParameterFollowsState:
+    """Every number of code that is not known exactly, by every state; of matrices the capacity of every store, by what it holds."""
+
+    name = "parameter_follows_state"
+    summary = "a number of the model, or the capacity of a store, that depends on a state"
+
+    def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
+        """Return one hypothesis per number and state, or per store."""
+        for number in machine.parameters:
+            for x in machine.states:
+                yield at_parameter(number, following, [state(x)], notes={"variant": x.name}, **self._words(x))
+                yield at_parameter(number, levelling, [state(x)], notes={"variant": f"{x.name}, levelling off", "of": x.name}, **self._words(x) | self._level(x))
+        for store, _ in decaying(machine) if not machine.code else ():
+            reads, constants = balance(machine, store)
+            if len(reads) > 1 and reads[0] == state(store):
+                yield at_state(store, capacity, reads, notes={"variant": "capacity"}, **self._words(store, constants))
+                yield at_state(
+                    store, saturating, reads, notes={"variant": "capacity, levelling off", "of": "capacity"}, **self._words(store) | self._level(store, constants)
+                )
+
+    def _words(self, x: Size, constants: Sequence[Coefficient] = ()) -> dict[str, Any]:
+        return {
+            "physics": self.name, "family": "follows state", "description": True,
+            "parameters": [
+                Coefficient("rise at the rms", "", -5.0, 5.0, 0.02, linear=True), Coefficient("bend at the rms", "", -5.0, 5.0, 0.02, linear=True),
+                constant("mean", x.unit, x.mean), constant("rms", x.unit, x.rms), *constants,
+            ],
+            "starts": [(0.0, 0.0, x.mean, x.rms, *(c.low for c in constants))],
+            "predicts": f"a residual in proportion to the part of the model that this number governs, which depends on {x.name}",
+            "refuted_by": f"a residual that is the same at every {x.name}",
+        }
+
+    def _level(self, x: Size, constants: Sequence[Coefficient] = ()) -> dict[str, Any]:
+        size = x.peak or x.rms
+        return {
+            "parameters": [
+                Coefficient("change far beyond the level", "", -0.9, 5.0, 0.02, linear=True), Coefficient("level", x.unit, 0.05 * size, 5 * size, 0.05 * size), *constants,
+            ],
+            "starts": [(0.0, share * size, *(c.low for c in constants)) for share in (0.25, 1.0)],
+        }
