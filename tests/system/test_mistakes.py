@@ -68,7 +68,7 @@ def folder(tmp_path_factory) -> Path:
         ("check MODEL.toml words.csv", ["words.csv: column 'u_voltage', row 2 holds 'off'; expected a number"]),
         ("identify MODEL.toml torn.csv", ["torn.csv: the longest stretch without a gap has 30 samples", "expected at least 50"]),
         ("check MODEL.toml nowhere.csv", ["nowhere.csv: cannot be read: No such file or directory"]),
-        ("check MODEL.toml", ["MODEL.toml: no recording is given to compare it with"]),
+        ("check MODEL.toml", ["MODEL.toml: the model '", "(from voltage to ", "; poles ", " rad/s) is in order, but no recording is given to compare it with"]),
         ("check site.toml gap.csv", ["site.toml: is a site file; expected a model (MODEL.toml)"]),
         ("design MODEL.toml", ["MODEL.toml: is a model (MODEL.toml); expected a site file"]),
         ("diagnose gap.csv", ["gap.csv: a table carries no model; give one with --model MODEL.toml (model=)"]),
