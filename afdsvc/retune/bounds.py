@@ -42,7 +42,7 @@ def sensitivity(problem: DetectionProblem, severities: Mapping[str, float], Q: S
     return largest_gain(model.select(slice(p), slice(p)) if Q is None else with_q(model, Q))
 
 
-def hypotheses(problem: DetectionProblem, found: DiagnosedFault) -> list[dict[str, float]]:
+def possible_faults(problem: DetectionProblem, found: DiagnosedFault) -> list[dict[str, float]]:
     """Return what the machine may be: damaged as diagnosed (ends and middle of the interval), healthy, or damaged as much by another fault.
 
     Machines that the running controller does not hold are left out, but for those that were diagnosed.
@@ -53,7 +53,7 @@ def hypotheses(problem: DetectionProblem, found: DiagnosedFault) -> list[dict[st
 
 
 def sensitivities(problem: DetectionProblem, found: DiagnosedFault, Q: StateSpace) -> Array:
-    """Return the sensitivities of all `hypotheses` without and with Q ``(k, 2)``, inf for an unstable loop."""
+    """Return the sensitivities of all `possible_faults` without and with Q ``(k, 2)``, inf for an unstable loop."""
 
     def peak(case: dict[str, float], q: StateSpace | None) -> float:
         try:
@@ -61,12 +61,12 @@ def sensitivities(problem: DetectionProblem, found: DiagnosedFault, Q: StateSpac
         except BadInput:
             return float("inf")
 
-    return np.array([[peak(case, q) for q in (None, Q)] for case in hypotheses(problem, found)])
+    return np.array([[peak(case, q) for q in (None, Q)] for case in possible_faults(problem, found)])
 
 
 def accepted(problem: DetectionProblem, found: DiagnosedFault, before: Array, settings: RetuneSettings) -> Array:
-    """Return the largest sensitivities ``(k,)`` of the `hypotheses` with Q; a loop that has a larger one without Q, ``before (k,)``, may keep it."""
-    largest = [settings.sensitivity if found.fault in case else max(settings.sensitivity_if_wrong) for case in hypotheses(problem, found)]
+    """Return the largest sensitivities ``(k,)`` of the `possible_faults` with Q; a loop that has a larger one without Q, ``before (k,)``, may keep it."""
+    largest = [settings.sensitivity if found.fault in case else max(settings.sensitivity_if_wrong) for case in possible_faults(problem, found)]
     return np.maximum(largest, before)
 
 
@@ -81,8 +81,8 @@ def _model(problem: DetectionProblem, severities: Mapping[str, float]) -> StateS
 
 
 def hypothetical_deviations(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, Q: StateSpace) -> Array:
-    """Return standard deviations of inputs, reported and true outputs with Q in all `hypotheses`, ``(k, m + 2 p)``."""
-    return np.array([np.sqrt(np.diag(output_covariance(with_q(signal_model(problem, cost, case), Q)))) for case in hypotheses(problem, found)])
+    """Return standard deviations of inputs, reported and true outputs with Q in all `possible_faults`, ``(k, m + 2 p)``."""
+    return np.array([np.sqrt(np.diag(output_covariance(with_q(signal_model(problem, cost, case), Q)))) for case in possible_faults(problem, found)])
 
 
 def accepted_deviations(problem: DetectionProblem, before: Array, settings: RetuneSettings) -> Array:
@@ -96,7 +96,7 @@ def accepted_deviations(problem: DetectionProblem, before: Array, settings: Retu
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Priced:
-    """A cost over models, and a price on what is beyond its bound in the loops of all `hypotheses` (exterior penalty).
+    """A cost over models, and a price on what is beyond its bound in the loops of all `possible_faults` (exterior penalty).
 
     Due are ``price`` times the integral over log frequency of ``(gain / bound - 1)^2`` for every sensitivity, and times the square of
     ``deviation / bound - 1`` for every signal.
@@ -112,7 +112,7 @@ class Priced:
     @classmethod
     def of(cls, costs: ModelSet, problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, bounds: tuple[Array, Array], price: float) -> Priced:
         """Return ``costs`` with the price on what is beyond ``bounds``: of sensitivities ``(k,)`` and of standard deviations ``(k, m + 2 p)``."""
-        cases, m, p = hypotheses(problem, found), problem.plant.inputs, problem.plant.outputs
+        cases, m, p = possible_faults(problem, found), problem.plant.inputs, problem.plant.outputs
         loops = model_set([_model(problem, case) for case in cases], np.ones(len(cases)), m, p, 1.0)
         signals = model_set([signal_model(problem, cost, case) for case in cases], np.ones(len(cases)), m, p, 1.0)
         return cls(costs, loops, signals, *bounds, price)

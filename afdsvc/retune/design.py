@@ -29,8 +29,8 @@ from afdsvc.retune.bounds import (
     Priced,
     accepted,
     accepted_deviations,
-    hypotheses,
     hypothetical_deviations,
+    possible_faults,
     sensitivities,
 )
 from afdsvc.retune.cost import ModelSet, best_controller, controlled_cost, damaged_model, h2_cost, model_set, with_q
@@ -171,7 +171,7 @@ class _Search:
         none, price, Q = _zero(problem), PRICE, None
         most = accepted(problem, found, sensitivities(problem, found, none)[:, 0], settings)
         largest = accepted_deviations(problem, hypothetical_deviations(problem, found, self.cost, none), settings)
-        wrong = np.array([found.fault not in case for case in hypotheses(problem, found)])
+        wrong = np.array([found.fault not in case for case in possible_faults(problem, found)])
 
         def beyond(Q: StateSpace) -> bool:
             return bool((sensitivities(problem, found, Q)[:, 1] > most).any() or (hypothetical_deviations(problem, found, self.cost, Q) > (1 + ROUNDING) * largest).any())

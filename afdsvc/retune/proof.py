@@ -27,7 +27,7 @@ from afdsvc.lti.norms import largest_gain, output_covariance
 from afdsvc.lti.stability import describe_pole, is_stable, worst_pole
 from afdsvc.lti.statespace import Array, StateSpace, solve_loop
 from afdsvc.lti.yjbk import youla_parameter
-from afdsvc.retune.bounds import AT_BOUND, accepted, hypotheses, sensitivities
+from afdsvc.retune.bounds import AT_BOUND, accepted, possible_faults, sensitivities
 from afdsvc.retune.cost import best_controller, deviations, signal_model, with_q
 from afdsvc.retune.design import expected, severity_grid
 from afdsvc.retune.settings import RETUNE, RetuneSettings
@@ -44,7 +44,7 @@ class Proof:
     """What was proved: see `prove`.
 
     ``rectangles`` cover severity and gain; ``cost_before``, ``cost_after`` and ``reached`` (share of the reduction that the best controller
-    of the damaged plant brings) are the worst of the interval; ``sensitivity`` of the damaged loops, of the healthy one, and the largest of those where the diagnosis is wrong (see `afdsvc.retune.bounds.hypotheses`); ``bound`` names the machine whose
+    of the damaged plant brings) are the worst of the interval; ``sensitivity`` of the damaged loops, of the healthy one, and the largest of those where the diagnosis is wrong (see `afdsvc.retune.bounds.possible_faults`); ``bound`` names the machine whose
     sensitivity is at its bound, or, where ``reached`` is below ``enough``, says why the best controller itself would be refused; "" where only the damage limits ``reached``; ``rise_seconds``
     and ``fall_seconds`` the shortest times in which the gain may rise and fall (0: one sample), ``bump_in`` and ``bump_out`` the largest
     standard deviations meanwhile, relative to the larger of those before and after; ``room_before`` and ``room`` the smallest share of a limit that noise peaks leave free without and with Q,
@@ -197,7 +197,7 @@ def _shifted(augmented: AugmentedPlant, severity: float) -> tuple[StateSpace, in
 def _sensitivities(problem: DetectionProblem, found: DiagnosedFault, Q: StateSpace, settings: RetuneSettings) -> tuple[tuple[float, float, float, float], str]:
     """Return the largest sensitivity of the damaged loops without and with Q, of the healthy one, of those where the diagnosis is wrong, and the one
     at its bound; may refuse."""
-    cases, peaks = hypotheses(problem, found), sensitivities(problem, found, Q)
+    cases, peaks = possible_faults(problem, found), sensitivities(problem, found, Q)
     most = accepted(problem, found, peaks[:, 0], settings)
     k = int(np.argmax(peaks[:, 1] / most))
     machine = ", ".join(f"'{name}' at {100 * s:.3g} %" for name, s in cases[k].items()) or "no fault at all"
@@ -232,9 +232,9 @@ def _switch(
 
 
 def judged_models(problem: DetectionProblem, found: DiagnosedFault, cost: LoopCost, count: int) -> list[StateSpace]:
-    """Return the loops in which switches are judged: ``count`` severities of the interval, and the `hypotheses` of a wrong diagnosis."""
+    """Return the loops in which switches are judged: ``count`` severities of the interval, and the `possible_faults` of a wrong diagnosis."""
     diagnosed = [{found.fault: s} for s in severity_grid(problem, found, count).tolist()]
-    wrong = [case for case in hypotheses(problem, found) if found.fault not in case]
+    wrong = [case for case in possible_faults(problem, found) if found.fault not in case]
     return [signal_model(problem, cost, case) for case in (*diagnosed, *wrong)]
 
 

@@ -31,7 +31,7 @@ from afdsvc.lti.lft import star
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.lti.yjbk import retuned_interconnection
 from afdsvc.plants.gas_bearing import FASTEST_RPM, gas_bearing
-from afdsvc.retune.bounds import hypotheses
+from afdsvc.retune.bounds import possible_faults
 from afdsvc.retune.cost import loop_cost
 from afdsvc.retune.design import design_q
 from afdsvc.retune.proof import Proof, Switch, judged_models, proved_tuning
@@ -99,7 +99,7 @@ def cases(only: str, severity: float) -> list[Case]:
         except Refused as why:
             print(f"{name} {fault}: refused: {why}", flush=True)
             continue
-        wrong = [case for case in hypotheses(problem, found) if fault not in case]
+        wrong = [case for case in possible_faults(problem, found) if fault not in case]
 
         def fixed(severities: dict[str, float], share: float, problem: DetectionProblem = problem) -> StateSpace:
             return problem.augmented.close(severities)
@@ -122,7 +122,7 @@ def _room(case: Case) -> np.ndarray:
     switch = Switch.of(judged_models(problem, case.found, case.cost, 3), Q, m, p)
     left = np.concatenate([case.limits.input, case.limits.output]) - NOISE_PEAK * switch.larger.max(axis=0)
     speeds = (0.0, 1.0) if case.turns else (0.0,)
-    plants = [case.plant(severities, s) for severities in hypotheses(problem, case.found) for s in speeds]
+    plants = [case.plant(severities, s) for severities in possible_faults(problem, case.found) for s in speeds]
     largest = np.max([_sums(G, retuned_interconnection(problem.interconnection, Q, g), m, p) for G in plants for g in (0.0, 1.0)], axis=0)
     most = np.min(0.5 * np.maximum(left, 0)[:, None] / largest, axis=0)
     return np.array([most[p + m :].min(), most[:m].min(), most[m : m + p].min()])

@@ -85,7 +85,7 @@ class Blocks:
         return self.edges[mine[0]][0], self.edges[mine[-1]][1]
 
 
-def blocks(lengths: Sequence[int], correlation: float, settings: GapSettings) -> Blocks:
+def contiguous_blocks(lengths: Sequence[int], correlation: float, settings: GapSettings) -> Blocks:
     """Return the blocks of recordings with these numbers of rows; ``correlation`` is their correlation time in rows.
 
     Blocks are as long as `GapSettings.block_times` asks where this leaves as many as are needed, else shorter.

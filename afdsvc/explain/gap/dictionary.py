@@ -19,11 +19,11 @@ from afdsvc.explain.gap.features import (
     Function,
     SignalColumn,
     first_order_lag,
-    lagged,
     level,
     mode_pole,
     poles,
     resonate,
+    shifted,
 )
 from afdsvc.explain.gap.settings import GapSettings
 from afdsvc.explain.gap.signals import Names, ResidualSignals
@@ -66,7 +66,7 @@ class Builder:
     def linear(self) -> list[Feature]:
         """Return present values, lags, low-pass filters, resonances of the simulation and others."""
         now = [Feature(s.of(np.asarray), s.now, LINEAR) for s in self.sources]
-        lags: list[tuple[SignalColumn, Function]] = [(s, partial(lagged, k=k)) for s in self.inputs or self.sources for k in (1, 2, 4, 8, 16)]
+        lags: list[tuple[SignalColumn, Function]] = [(s, partial(shifted, k=k)) for s in self.inputs or self.sources for k in (1, 2, 4, 8, 16)]
         lows: list[tuple[SignalColumn, Function]] = self.draw([(s, partial(first_order_lag, samples=c)) for s in self.sources for c in self.constants], 4)
         ours: list[tuple[SignalColumn, Function]] = self.draw([(s, partial(resonate, pole=q)) for s in self.sources for q in self.poles], 4)
         count = max(3, self.settings.bank // (4 * max(1, len(self.inputs))))

@@ -105,7 +105,7 @@ def through(z: Array, function: Function, pole: complex) -> Array:
 
 def wave(z: Array, past: Sequence[tuple[int, int]], weights: Array, phase: float) -> Array:
     """Return the cosine of a weighted sum of signals, each (column, lag)."""
-    parts = [w * lagged(z[:, column], k) for w, (column, k) in zip(weights, past, strict=True)]
+    parts = [w * shifted(z[:, column], k) for w, (column, k) in zip(weights, past, strict=True)]
     return np.asarray(np.cos(phase + np.sum(parts, axis=0)))
 
 
@@ -114,7 +114,7 @@ def time(z: Array) -> Array:
     return np.asarray(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(z)), 3)[:, 1:])
 
 
-def lagged(z: Array, k: int) -> Array:
+def shifted(z: Array, k: int) -> Array:
     """Return ``z (n,)`` lagged by ``k`` samples; before the start it holds its first value."""
     return np.concatenate([np.full(min(k, len(z)), z[0]), z[: max(len(z) - k, 0)]])
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from afdsvc.explain.gap.blocks import Blocks, bartlett_time, blocks
+from afdsvc.explain.gap.blocks import Blocks, bartlett_time, contiguous_blocks
 from afdsvc.explain.gap.dictionary import dictionary
 from afdsvc.explain.gap.features import Dictionary, Groups
 from afdsvc.explain.gap.ridge import Ridge
@@ -75,7 +75,7 @@ def pose(recordings: Sequence[ResidualSignals], names: Names, rng: Generator, se
     found = dictionary(recordings, names, rng, settings)
     phi, groups, tiers = _features(recordings, found, step)
     scale = np.where((s := phi.std(0)) > 0, s, 1.0)
-    cut = blocks([len(e) for e in thin], max(1.0, float(tau.max()) / step), settings)
+    cut = contiguous_blocks([len(e) for e in thin], max(1.0, float(tau.max()) / step), settings)
     ridge = Ridge(phi / scale * known[:, None], tiers, cut, settings)
     return FeatureRegression(recordings, residuals, found, groups, ridge, cut, [_filled(e) for e in thin], known, scale, step, tau)
 

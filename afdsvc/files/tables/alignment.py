@@ -78,7 +78,7 @@ def aligned(
     return kept, remarks
 
 
-def held(groups: Sequence[Group], where: str, dt: float) -> tuple[list[Piece], list[str]]:
+def held_pieces(groups: Sequence[Group], where: str, dt: float) -> tuple[list[Piece], list[str]]:
     """Return one piece every ``dt`` [s] of values that hold until the next one, and what was done; raises `BadInput` as `aligned` does."""
     remarks: list[str] = []
     known = [_ordered(Group(f"{g.name}, {name}", g.t[ok := np.isfinite(v)], {name: v[ok]}), where, remarks) for g in groups for name, v in g.columns.items()]

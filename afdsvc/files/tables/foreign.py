@@ -15,7 +15,7 @@ from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.units import unknown_unit
 from afdsvc.errors import BadInput
 from afdsvc.files.recording.reader import Recording
-from afdsvc.files.tables.alignment import Group, aligned, held
+from afdsvc.files.tables.alignment import Group, aligned, held_pieces
 from afdsvc.files.tables.foreign_mcap import maps, places_of, read_topics, shown
 from afdsvc.files.tables.formats import opened, read_columns
 from afdsvc.files.tables.historian import is_export, read_export
@@ -80,7 +80,7 @@ def _mapped(path: Path, groups: Sequence[Group], done: Sequence[str], mapping: D
             remarks.append(sentence)
         named.append(Group(group.name, group.t, columns))
     if mapping.resample.hold and dt:
-        pieces, aligning = held(named, str(path), dt)
+        pieces, aligning = held_pieces(named, str(path), dt)
     else:
         pieces, aligning = aligned(named, str(path), dt, mapping.resample.gap, mapping.time.regular)
     notes = {"path": str(path), PREPARED: "\n".join([*remarks, *aligning])}

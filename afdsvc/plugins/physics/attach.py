@@ -127,7 +127,7 @@ def balance(machine: Machine, moved: Size) -> tuple[list[Signal], list[Coefficie
 NONE = 1e-6  # share of the largest force on an axis below which the model has no force of a kind
 
 
-def proportional(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def in_proportion(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-k z``."""
     out[0] -= p[0] * z[0]
 
@@ -138,7 +138,7 @@ def at_missing(machine: Machine, axis: Axis, own: Size, what: str, **rest: Any) 
         return
     scale = 0.05 * axis.push / own.rms
     yield at_force(
-        axis, proportional, [state(own)], starts=[(0.0,)], linear=lambda plant, values: _resisted(plant, values, axis.rate.index, own.index),
+        axis, in_proportion, [state(own)], starts=[(0.0,)], linear=lambda plant, values: _resisted(plant, values, axis.rate.index, own.index),
         parameters=[force(axis, what, -200 * scale, 200 * scale, scale, own.unit, linear=True)], **rest,
     )
 
@@ -219,7 +219,7 @@ def orders(speed: float, dt: float) -> list[float]:
     return [float(n) for n in range(1, 1 + min(MOST, int(math.pi / (speed * dt))))]
 
 
-def periods(unit: float) -> tuple[Coefficient, Coefficient]:
+def turn_periods(unit: float) -> tuple[Coefficient, Coefficient]:
     """Return the parameters of what repeats along a way: its periods per turn, and the constant ``unit``, radians (per second) in one unit."""
     return Coefficient("periods per turn", "", 0.5, 2.0 * MOST, 1e-3), Coefficient("radians", "", unit, unit, unit, nuisance=True)
 

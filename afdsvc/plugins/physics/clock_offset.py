@@ -11,7 +11,7 @@ from afdsvc.plugins.physics.attach import at_input, at_machine
 STARTS = (0.5, 1.0, 2.5)  # samples
 
 
-def clock(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def read_late(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """The inputs ``p[0]`` later, interpolated between samples; ``z`` holds all of one sample, then all of the next."""
     n = len(out)
     early = min(p[0] / dt, len(z) // n - 1.0)
@@ -46,4 +46,4 @@ def _late(ports: Sequence[Size], machine: Machine) -> Hypothesis:
         "predicts": "a phase lead proportional to frequency at an unchanged gain: an answer before its cause",
         "refuted_by": "a lead that levels off, or comes with a gain that rises",
     }
-    return at_input(ports[0], clock, later, **parts) if len(ports) == 1 else at_machine("input", clock, [*inputs, *later], inputs, **parts)
+    return at_input(ports[0], read_late, later, **parts) if len(ports) == 1 else at_machine("input", read_late, [*inputs, *later], inputs, **parts)

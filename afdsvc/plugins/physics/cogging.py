@@ -14,12 +14,12 @@ from afdsvc.plugins.physics.attach import (
     force,
     least_wave,
     orders,
-    periods,
     placed,
     quantity,
     radians,
     radians_per_second,
     state,
+    turn_periods,
     velocity,
 )
 
@@ -68,7 +68,7 @@ class Cogging:
             size = axis.push / speed
             yield at_force(
                 axis, _turning, [velocity(axis)], memory=2, unsettled=2, lasting=True, substeps=4, physics=self.name, family="ripple",
-                parameters=[*periods(unit), force(axis, "amplitude", size, size, size)], starts=[(n, unit, size) for n in starts], **WORDS,
+                parameters=[*turn_periods(unit), force(axis, "amplitude", size, size, size)], starts=[(n, unit, size) for n in starts], **WORDS,
             )
 
     def _on(self, axis: Axis, where: Signal, way: Size, turns: bool, waves: Sequence[float] = ()) -> Iterable[Hypothesis]:

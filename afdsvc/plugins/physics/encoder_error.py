@@ -17,11 +17,11 @@ from afdsvc.plugins.physics.attach import (
     constant,
     least_wave,
     orders,
-    periods,
     placed,
     quantity,
     radians,
     radians_per_second,
+    turn_periods,
 )
 
 
@@ -35,7 +35,7 @@ def at_angle(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
         out[1] += k * (p[3] * c - p[2] * s) * z[1]
 
 
-def at_speed(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def by_speed(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """A share ``p[2] m[0]`` of the speed, which turns ``p[0]`` times as far as the shaft; one unit of speed is ``p[1]`` rad/s, ``m[2]`` the speed before."""
     angle = p[0] * p[1] * 0.5 * (m[2] + z[0]) * dt
     c, s = math.cos(angle), math.sin(angle)
@@ -71,7 +71,7 @@ class EncoderError:
                 yield at_output(port, at_angle, parameters=[wave, constant("unit", "", 1.0), *_parts(port, size)], starts=[(k, 1.0, 0.0, 0.0) for k in waves], **WORDS)
             elif (unit := radians_per_second(port.unit)) and (numbers := orders(unit * (size := max(port.rms, abs(port.mean))), machine.dt)):
                 yield at_output(
-                    port, at_speed, memory=3, unsettled=2, lasting=True, parameters=[*periods(unit), Coefficient("share", "", 1 / size, 1 / size, 1 / size)],
+                    port, by_speed, memory=3, unsettled=2, lasting=True, parameters=[*turn_periods(unit), Coefficient("share", "", 1 / size, 1 / size, 1 / size)],
                     starts=[(n, unit, 1 / size) for n in numbers], **WORDS,
                 )
         for axis, q in placed(machine):
@@ -93,7 +93,7 @@ def _of_angle(ports: Sequence[Size], machine: Machine) -> Iterator[Hypothesis]:
     angle = ports[0]
     unit, travelled, scale = radians(angle.unit), 2 * (angle.peak - abs(angle.mean)), 0.2 * float(machine.residual[angle.index])
     starts = [(float(n), unit, 0.0, 0.0) for n in range(1, MOST + 1)] if unit * travelled > 2 * math.pi else []
-    words: dict[str, Any] = {"parameters": [*periods(unit), *_parts(angle, scale)], "starts": starts, **WORDS}
+    words: dict[str, Any] = {"parameters": [*turn_periods(unit), *_parts(angle, scale)], "starts": starts, **WORDS}
     both = [Signal("y", p.index) for p in ports]
     if starts and len(ports) == 1:
         yield at_output(angle, at_angle, **words)

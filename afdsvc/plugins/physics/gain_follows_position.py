@@ -15,7 +15,7 @@ def geared(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] += p[4] * z[0] * (p[0] + p[1] * d) * d
 
 
-def converted(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def through_coil(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``b i (c d + e d^2)`` on the axis, and ``h v (c d + e d^2)`` where its velocity induces what opposes ``i``; ``p = (c, e, mean, rms, b, h)``."""
     d = (z[1] - p[2]) / p[3]
     share = (p[0] + p[1] * d) * d
@@ -39,7 +39,7 @@ class GainFollowsPosition:
             elif (coil := converter(machine, axis)) and machine.plant:
                 gain, induced = (float(machine.plant.A[i, j]) for i, j in ((axis.rate.index, coil.index), (coil.index, axis.rate.index)))
                 writes = [velocity(axis), state(coil)] if induced else [velocity(axis)]
-                yield at_state(axis.rate, converted, [state(coil), state(q), velocity(axis)], writes, notes={"variant": coil.name}, **self._words(q, gain, induced))
+                yield at_state(axis.rate, through_coil, [state(coil), state(q), velocity(axis)], writes, notes={"variant": coil.name}, **self._words(q, gain, induced))
 
     def _words(self, q: Size, *gains: float) -> dict[str, Any]:
         return {

@@ -15,14 +15,14 @@ from afdsvc.plugins.physics.parameter_change import ParameterChange
 LONGEST = 10.0  # time constant, over the length of all recordings together, that is as good as a steady drift
 
 
-def gain(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def drifting_gain(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``(1 + c) z``, ``c = rate tau (1 - exp(-t / tau))``, ``t`` since the recording began; a number keeps its sign."""
     out[0] += max(p[0] * p[1] * (1 - math.exp(-m[0] / p[1])), -0.99) * z[0]
     m[0] += dt
 
 
-def terms(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """Terms of a balance ``1 + c`` times as large, as in ``gain``; ``p[2:]`` are their nominal coefficients."""
+def drifting_terms(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """Terms of a balance ``1 + c`` times as large, as in ``drifting_gain``; ``p[2:]`` are their nominal coefficients."""
     total = 0.0
     for k in range(len(z)):
         total += p[2 + k] * z[k]
@@ -30,8 +30,8 @@ def terms(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     m[0] += dt
 
 
-def inertia(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """A mass or a capacity ``1 + c`` times as large, as in ``gain``: the rate of change divided by that; ``p[2:]`` are the nominal coefficients."""
+def drifting_inertia(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """A mass or a capacity ``1 + c`` times as large, as in ``drifting_gain``: the rate of change divided by that; ``p[2:]`` are the nominal coefficients."""
     total = 0.0
     for k in range(len(z)):
         total += p[2 + k] * z[k]
@@ -40,7 +40,7 @@ def inertia(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     m[0] += dt
 
 
-_LAWS: dict[Law, Law] = {parameter_change.gain: gain, parameter_change.terms: terms, parameter_change.inertia: inertia}
+_LAWS: dict[Law, Law] = {parameter_change.gain: drifting_gain, parameter_change.terms: drifting_terms, parameter_change.inertia: drifting_inertia}
 
 
 class ParameterDrift:
@@ -56,13 +56,13 @@ class ParameterDrift:
             if not (machine.code and h.stage == "force"):
                 yield replace(h, law=_LAWS[h.law], linear=None, notes={k: v for k, v in h.notes.items() if k != "gauge"}, **self._course(machine, h.parameters[1:]))
         for number in machine.parameters:
-            yield at_parameter(number, gain, notes={"variant": number.name, "of": number.name}, **self._course(machine))
+            yield at_parameter(number, drifting_gain, notes={"variant": number.name, "of": number.name}, **self._course(machine))
         for store, loss in decaying(machine) if not machine.code else ():
             own = [constant("nominal", "", -loss)]
-            yield at_state(store, terms, [state(store)], notes={"variant": "loss", "of": "loss"}, **self._course(machine, own))
+            yield at_state(store, drifting_terms, [state(store)], notes={"variant": "loss", "of": "loss"}, **self._course(machine, own))
             reads, constants = balance(machine, store)
             if len(reads) > 1:
-                yield at_state(store, inertia, reads, notes={"variant": "capacity", "of": "capacity"}, **self._course(machine, constants))
+                yield at_state(store, drifting_inertia, reads, notes={"variant": "capacity", "of": "capacity"}, **self._course(machine, constants))
 
     def _course(self, machine: Machine, constants: Iterable[Coefficient] = ()) -> dict[str, Any]:
         fixed, whole = tuple(constants), machine.duration

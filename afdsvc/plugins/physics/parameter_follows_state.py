@@ -9,7 +9,7 @@ from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Size
 from afdsvc.plugins.physics.attach import at_parameter, at_state, balance, constant, decaying, state
 
 
-def following(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def bending(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``(1 + c d + e d^2) z_0``, ``d = (z_1 - mean) / rms``; ``p = (c, e, mean, rms)``."""
     d = (z[1] - p[2]) / p[3]
     out[0] += max((p[0] + p[1] * d) * d, -0.9) * z[0]
@@ -49,7 +49,7 @@ class ParameterFollowsState:
         """Return one hypothesis per number and state, or per store."""
         for number in machine.parameters:
             for x in machine.states:
-                yield at_parameter(number, following, [state(x)], notes={"variant": x.name}, **self._words(x))
+                yield at_parameter(number, bending, [state(x)], notes={"variant": x.name}, **self._words(x))
                 yield at_parameter(number, levelling, [state(x)], notes={"variant": f"{x.name}, levelling off", "of": x.name}, **self._words(x) | self._level(x))
         for store, _ in decaying(machine) if not machine.code else ():
             reads, constants = balance(machine, store)

@@ -11,7 +11,7 @@ from afdsvc.plugins.physics.attach import at_force, constant, force, placed, qua
 
 
 def _growing(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``-s a exp(s (q - end) / l)``: away from the end on side s; ``p = (a, l, end, s)``, a negative where it attracts."""
+    """``-s a exp(s (q - q0) / l)``: away from the end on side s; ``p = (a, l, q0, s)``, a negative where it attracts."""
     out[0] -= p[3] * p[0] * math.exp(min(p[3] * (z[0] - p[2]) / p[1], 50.0))  # bounded: no trial overflows
 
 
@@ -29,14 +29,14 @@ class Repulsion:
                     yield self._from(axis, q, side, word)
 
     def _from(self, axis: Axis, q: Size, side: float, word: str) -> Hypothesis:
-        end, most = q.mean + side * q.reach, 100 * axis.push
+        place, most = q.mean + side * q.rms, 100 * axis.push
         return at_force(
             axis, _growing, [state(q)], physics=self.name, family="stiffness", notes={"variant": f"from {word}", "of": ""},
             parameters=[
-                force(axis, "force at the end", -most, most, 0.1 * axis.push, linear=True),
+                force(axis, "force at the rms", -most, most, 0.1 * axis.push, linear=True),
                 Coefficient("length", q.unit, 0.03 * q.reach, q.reach / 3, 0.03 * q.reach),  # longer ones are springs
-                constant("end", q.unit, end), constant("side", "", side),
+                constant("place", q.unit, place), constant("side", "", side),
             ],
-            starts=[(0.0, share * q.reach, end, side) for share in (0.1, 0.25)],
+            starts=[(0.0, share * q.reach, place, side) for share in (0.1, 0.25)],
             predicts=f"a stiffness that grows towards what is {word} and is small on the other side", refuted_by="a stiffness that is the same along the way",
         )

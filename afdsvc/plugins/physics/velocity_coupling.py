@@ -11,12 +11,12 @@ from afdsvc.api.physics import Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_force, force, velocity
 
 
-def square(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def squared_speed(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-c w^2``, ``w`` the velocity of the other axis."""
     out[0] -= p[0] * z[0] * z[0]
 
 
-def product(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def product_of_speeds(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-c v w``, ``v`` the axis' own velocity and ``w`` that of the other."""
     out[0] -= p[0] * z[0] * z[1]
 
@@ -35,10 +35,10 @@ class VelocityCoupling:
             "predicts": "a residual of one axis that grows with the square of the speed of another", "refuted_by": "a residual that is the same whether the other axis moves or stands",
         }
         for a, b in permutations(machine.axes, 2):
-            for law, first in ((square, b), (product, a)):
-                unit = f"({b.rate.unit})^2" if law is square else f"(({a.rate.unit}) ({b.rate.unit}))"
+            for law, first, word in ((squared_speed, b, "square"), (product_of_speeds, a, "product")):
+                unit = f"({b.rate.unit})^2" if law is squared_speed else f"(({a.rate.unit}) ({b.rate.unit}))"
                 scale = 0.1 * a.push / (math.hypot(first.rate.rms, first.rate.mean) * math.hypot(b.rate.rms, b.rate.mean))
                 yield at_force(
-                    a, law, [velocity(b)] if law is square else [velocity(a), velocity(b)], notes={"variant": f"{law.__name__}: {b.rate.name}", "of": b.rate.name},
+                    a, law, [velocity(b)] if law is squared_speed else [velocity(a), velocity(b)], notes={"variant": f"{word}: {b.rate.name}", "of": b.rate.name},
                     parameters=[force(a, "coupling", -200 * scale, 200 * scale, scale, unit, linear=True)], **shared,
                 )

@@ -52,11 +52,11 @@ def design_page(
     by_input = dict(zip(problem.input_names, units[0], strict=False))
     shared = units[1][0] if len(set(units[1])) == 1 else ""
     return render(
-        "design_page.html.j2", sheet=sheet, answer=answer(sheet), figures=figures, problem=problem, threshold=h, unit_of=lambda name: by_input.get(name, ""), output_unit=shared
+        "design_page.html.j2", sheet=sheet, answer=answer_line(sheet), figures=figures, problem=problem, threshold=h, unit_of=lambda name: by_input.get(name, ""), output_unit=shared
     )
 
 
-def answer(sheet: Mapping[str, Any]) -> str:
+def answer_line(sheet: Mapping[str, Any]) -> str:
     """Return what one burst finds, fault by fault, and what it does not."""
     smallest = {f["fault"]: f["smallest_detectable"] for f in sheet["faults"]}
     found = ", ".join(f"{name} from {100 * abs(size):.2g} %" for name, size in smallest.items() if size is not None)

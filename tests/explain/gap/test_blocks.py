@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from afdsvc.explain.gap.blocks import bartlett_time, blocks
+from afdsvc.explain.gap.blocks import bartlett_time, contiguous_blocks
 from afdsvc.explain.gap.settings import GapSettings
 from tests.explain.gap.machines import coloured
 
@@ -25,14 +25,14 @@ def test_an_oscillation_counts_its_envelope():
 
 @pytest.mark.parametrize(("lengths", "correlation", "folds"), [([1600], 2.0, 16), ([600, 600], 25.0, 12), ([500], 100.0, 10), ([30] * 64, 1.0, 16)])
 def test_blocks_cover_every_row_once_and_are_as_many_as_the_correlation_allows(lengths, correlation, folds):
-    found = blocks(lengths, correlation, GapSettings())
+    found = contiguous_blocks(lengths, correlation, GapSettings())
     rows = np.concatenate([found.rows(k) for k in range(found.folds)])
     assert found.folds == folds
     np.testing.assert_array_equal(np.sort(rows), np.arange(sum(lengths)))
 
 
 def test_rows_beside_a_fold_stay_in_its_recording():
-    found = blocks([400, 400], 20.0, GapSettings(folds=10))
+    found = contiguous_blocks([400, 400], 20.0, GapSettings(folds=10))
     first_of_second = int(found.fold[found.recording == 1][0])
     beside = found.neighbours(first_of_second)
     assert beside.min() >= 400
@@ -40,7 +40,7 @@ def test_rows_beside_a_fold_stay_in_its_recording():
 
 
 def test_fold_of_a_row_is_the_one_that_holds_it():
-    found = blocks([333, 500], 5.0, GapSettings())
+    found = contiguous_blocks([333, 500], 5.0, GapSettings())
     for recording, first, n in ((0, 0, 333), (1, 333, 500)):
         fold = found.fold_of(recording, np.arange(n))
         assert all(first + t in set(found.rows(int(k)).tolist()) for t, k in enumerate(fold))

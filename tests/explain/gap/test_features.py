@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from afdsvc.explain.gap.features import first_order_lag, lagged, level, mode_pole, poles, resonate
+from afdsvc.explain.gap.features import first_order_lag, level, mode_pole, poles, resonate, shifted
 from afdsvc.explain.gap.signals import ResidualSignals
 
 
 def test_a_lag_holds_the_first_value():
-    np.testing.assert_array_equal(lagged(np.array([1.0, 2, 3, 4]), 2), [1, 1, 1, 2])
-    np.testing.assert_array_equal(lagged(np.array([1.0, 2]), 5), [1, 1])
+    np.testing.assert_array_equal(shifted(np.array([1.0, 2, 3, 4]), 2), [1, 1, 1, 2])
+    np.testing.assert_array_equal(shifted(np.array([1.0, 2]), 5), [1, 1])
 
 
 def test_a_low_pass_starts_settled_and_ends_at_the_level():

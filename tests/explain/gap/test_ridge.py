@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from afdsvc.explain.gap.blocks import blocks
+from afdsvc.explain.gap.blocks import contiguous_blocks
 from afdsvc.explain.gap.ridge import Ridge
 from afdsvc.explain.gap.settings import GapSettings
 
@@ -12,7 +12,7 @@ def setup(seed=1):
     rng = np.random.default_rng(seed)
     phi = rng.normal(size=(300, 6))
     e = phi[:, :2] @ np.array([[1.0], [0.5]]) + 0.3 * rng.normal(size=(300, 1))
-    cut = blocks([180, 120], 4.0, SETTINGS)
+    cut = contiguous_blocks([180, 120], 4.0, SETTINGS)
     return Ridge(phi, np.array([0, 0, 0, 1, 1, 1]), cut, SETTINGS), phi, e, cut
 
 

@@ -12,18 +12,16 @@ from scipy.stats import norm
 
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.backlash import _play
-from afdsvc.plugins.physics.clock_offset import clock
+from afdsvc.plugins.physics.clock_offset import read_late
 from afdsvc.plugins.physics.cogging import _turning
-from afdsvc.plugins.physics.encoder_error import at_angle, at_speed
+from afdsvc.plugins.physics.encoder_error import at_angle, by_speed
 from afdsvc.plugins.physics.flexible_mode import _attach, bent_spring, masses, mode
 from afdsvc.plugins.physics.gain_follows_aux import _scaled
 from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
 from afdsvc.plugins.physics.magnetic_force import pair, single
 from afdsvc.plugins.physics.parameter_change import _scaled_entries, terms
-from afdsvc.plugins.physics.parameter_drift import gain as drifting_gain
-from afdsvc.plugins.physics.parameter_drift import inertia as drifting_inertia
-from afdsvc.plugins.physics.parameter_drift import terms as drifting_terms
-from afdsvc.plugins.physics.parameter_follows_state import following, levelling
+from afdsvc.plugins.physics.parameter_drift import drifting_gain, drifting_inertia, drifting_terms
+from afdsvc.plugins.physics.parameter_follows_state import bending, levelling
 from afdsvc.plugins.physics.periodic_disturbance import oscillation
 from afdsvc.plugins.physics.quantisation import read_in_steps
 from afdsvc.plugins.physics.runout import uneven
@@ -247,7 +245,7 @@ def test_a_late_clock_moves_all_inputs_alike(samples):
     for count, signals in ((2, z), (1, z[:, ::2])):
         m, added = np.zeros(0), np.zeros((40, count))
         for row, out in zip(signals, added, strict=True):
-            clock(np.array([samples * DT]), row, m, DT, out)
+            read_late(np.array([samples * DT]), row, m, DT, out)
         late = np.minimum(t + min(samples, 7.0), 39.0)
         expected = np.column_stack([np.interp(late, t, u[:, j]) for j in range(count)])
         np.testing.assert_allclose(u[:, :count] + added, expected, atol=1e-12)
@@ -266,7 +264,7 @@ def test_a_ripple_turns_with_the_shaft():
     for at in t:
         out = np.zeros(2)
         _turning(p, np.array([slope * (at + DT / 2)]), m, DT, out[:1])
-        at_speed(p, np.array([slope * at]), q, DT, out[1:])
+        by_speed(p, np.array([slope * at]), q, DT, out[1:])
         torque.append(out[0])
         error.append(out[1])
     assert torque == pytest.approx(wave(t + DT / 2), abs=1e-2)
@@ -351,7 +349,7 @@ def test_a_number_that_follows_a_state_bends_or_levels_off_and_keeps_its_sign():
     d = (x - 1.0) / 2.0
     bent = np.maximum(0.3 * d - 0.1 * d**2, -0.9)
     assert bent[0] == -0.9
-    assert changed(following, [0.3, -0.1, 1.0, 2.0], signal) == pytest.approx(number * bent)
+    assert changed(bending, [0.3, -0.1, 1.0, 2.0], signal) == pytest.approx(number * bent)
     assert changed(levelling, [-0.5, 3.0], signal) == pytest.approx(number * -0.5 * x**2 / (x**2 + 9.0))
 
 

@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 from afdsvc.plugins.physics.asymmetric_damping import _damper
 from afdsvc.plugins.physics.asymmetric_damping import _joint as shock_absorber
-from afdsvc.plugins.physics.attach import proportional
+from afdsvc.plugins.physics.attach import in_proportion
 from afdsvc.plugins.physics.back_emf import _coil
 from afdsvc.plugins.physics.clearance import _joint as gap
 from afdsvc.plugins.physics.clearance import _joint_play as shaft_play
@@ -24,7 +24,7 @@ from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, c
 from afdsvc.plugins.physics.cubic_damping import _cubic
 from afdsvc.plugins.physics.exchange import conducted, turbulent
 from afdsvc.plugins.physics.gain_follows_level import _orifice
-from afdsvc.plugins.physics.gain_follows_position import converted, geared
+from afdsvc.plugins.physics.gain_follows_position import geared, through_coil
 from afdsvc.plugins.physics.gravity import _in_place, _weight
 from afdsvc.plugins.physics.hysteresis import over_integral
 from afdsvc.plugins.physics.joint import spring
@@ -198,8 +198,8 @@ CASES = [
     Case("friction under what is passed on", loaded, (2.0, 0.3, 0.1, G, K), axis(lambda q, v, u: -(2 + 0.3 * abs(G * u + K * q)) * np.tanh(v / (0.1 + (2 + 0.3 * abs(G * u + K * q)) * H))), **AXIS, reads=(("x", 1), ("u", 0), ("x", 0))),
     Case("friction along the way", along, (3.0, 1.0, 2.0, 0.1, 0.2, 0.5), axis(lambda q, v, u: -(f := 3 + 2 * (q - 0.2) + 8 * (q - 0.2) ** 2) * np.tanh(v / (0.1 + f * H))), **AXIS, reads=(("x", 1), ("x", 0))),
     Case("asymmetric damping", _damper, (3.0, -1.0), axis(lambda q, v, u: -(3.0 if v > 0 else -1.0) * v), **AXIS),
-    Case("spring", proportional, (25.0,), axis(lambda q, v, u: -25.0 * q), **AXIS, reads=(("x", 0),)),
-    Case("damper", proportional, (3.0,), axis(lambda q, v, u: -3.0 * v), **AXIS),
+    Case("spring", in_proportion, (25.0,), axis(lambda q, v, u: -25.0 * q), **AXIS, reads=(("x", 0),)),
+    Case("damper", in_proportion, (3.0,), axis(lambda q, v, u: -3.0 * v), **AXIS),
     Case("dead time", coulomb, (12.0, 0.05), lambda x, u: [-D * x[0] + G * u - 12.0 * np.tanh(x[0] / (0.05 + 12.0 * H))], **SPEED, reads=(("x", 0),), tolerance=5e-3),
     Case("cubic damping", _cubic, (0.2,), axis(lambda q, v, u: -0.2 * v**3), **AXIS),
     Case("weight in degrees", _weight, (1500.0, 400.0, np.pi / 180), axis(lambda q, v, u: -1500 * np.sin(np.deg2rad(q)) - 400 * np.cos(np.deg2rad(q))), **AXIS, reads=(("x", 0),), level=60.0),
@@ -212,7 +212,7 @@ CASES = [
     Case("gain along the way", geared, (0.3, 0.1, 0.2, 0.5, G), axis(lambda q, v, u: G * u * (0.3 * (q - 0.2) / 0.5 + 0.1 * ((q - 0.2) / 0.5) ** 2)), **AXIS, reads=(("u", 0), ("x", 0))),
     Case("flow from a supply", _orifice, (12.0, G), lambda x, u: [-D * x[0] + G * u * np.sqrt(max(1 - np.sign(u) * x[0] / 12, 0.0))], **SPEED, reads=(("u", 0), ("x", 0)), tolerance=5e-3),
     Case("flow from a supply through a valve that is reversed", _orifice, (12.0, -G), lambda x, u: [-D * x[0] - G * u * np.sqrt(max(1 + np.sign(u) * x[0] / 12, 0.0))], **(SPEED | {"B": [-G]}), reads=(("u", 0), ("x", 0)), tolerance=5e-3),
-    Case("force factor of a coil", converted, (0.2, -0.15, 0.1, 0.5, 25.0, -3.0), speaker, A=[[-20, 0, -3.0], [0, 0, 1], [25.0, -K, -D]], B=[60.0, 0, 0], reads=(("x", 0), ("x", 1), ("x", 2)), writes=(2, 0)),
+    Case("force factor of a coil", through_coil, (0.2, -0.15, 0.1, 0.5, 25.0, -3.0), speaker, A=[[-20, 0, -3.0], [0, 0, 1], [25.0, -K, -D]], B=[60.0, 0, 0], reads=(("x", 0), ("x", 1), ("x", 2)), writes=(2, 0)),
     Case("bristles", presliding, (4.0, 3.0, 0.5, 0.02, 0.6), lugre, **AXIS, memory=1, hidden=(0.0,), tolerance=5e-3),
     Case("load that grows", drifting, (5.0, 2.0), lambda x, u: [-D * x[0] + G * u + 5 + 2 * x[1], 1.0], **SPEED, reads=(), memory=1, hidden=(0.0,)),
     Case("droop", droop, (0.3, 0.4, 0.8), lambda x, u: [-D * x[0] + G * u * (1 - 0.3 * x[1] / 0.8), (abs(u) - x[1]) / 0.4], **SPEED, reads=(("u", 0),), stage="input", memory=1, hidden=(0.0,), tolerance=5e-3),
