@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.signal import welch
 
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.periods import aperiodic_part
@@ -72,13 +73,7 @@ def spectra(runs: Sequence[Run], courses: Sequence[RecordingCourse], outputs: Se
 
 def density(pieces: Sequence[Array], n: int, dt: float, padded: int | None = None) -> Array:
     """Return the one-sided power density ``(padded or n) // 2 + 1`` frequencies by outputs; gaps count as zero."""
-    length = padded or n
-    window = np.hanning(n)[:, None]
-    total: Array = np.zeros((length // 2 + 1, pieces[0].shape[1]))
-    count = 0
-    for x in pieces:
-        x = np.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0)
-        for start in range(0, len(x) - n + 1, max(n // 2, 1)):
-            total += np.abs(np.fft.rfft(x[start : start + n] * window, length, axis=0)) ** 2
-            count += 1
-    return total * 2 * dt / max(count * float((window**2).sum()), 1e-300)
+    step = max(n // 2, 1)
+    known = [np.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0) for x in pieces if len(x) >= n]
+    found = [welch(x, 1 / dt, "hann", n, n - step, padded, False, axis=0)[1] for x in known]
+    return np.asarray(np.average(found, axis=0, weights=[1 + (len(x) - n) // step for x in known]))
