@@ -49,12 +49,13 @@ class ParameterFollowsState:
         """Return one hypothesis per number and state, or per store."""
         for number in machine.parameters:
             for x in machine.states:
-                yield at_parameter(number, bending, [state(x)], notes={"variant": x.name}, **self._words(x))
+                yield at_parameter(number, bending, [state(x)], notes={"variant": x.name, "of": x.name}, **self._words(x))
                 yield at_parameter(number, levelling, [state(x)], notes={"variant": f"{x.name}, levelling off", "of": x.name}, **self._words(x) | self._level(x))
         for store, _ in decaying(machine) if not machine.code else ():
-            reads, constants = balance(machine, store)
-            if len(reads) > 1 and reads[0] == state(store):
-                yield at_state(store, capacity, reads, notes={"variant": "capacity"}, **self._words(store, constants))
+            terms = sorted(zip(*balance(machine, store), strict=True), key=lambda term: term[0] != state(store))  # what it holds first
+            reads, constants = [signal for signal, _ in terms], [c for _, c in terms]
+            if len(reads) > 1:
+                yield at_state(store, capacity, reads, notes={"variant": "capacity", "of": "capacity"}, **self._words(store, constants))
                 yield at_state(
                     store, saturating, reads, notes={"variant": "capacity, levelling off", "of": "capacity"}, **self._words(store) | self._level(store, constants)
                 )
