@@ -55,6 +55,7 @@ def machine(problem: Problem, base: Fit, horizon: float, tones: Sequence[float] 
     outputs = tuple(replace(o, reverses=o.reverses or _reverses(y[np.isfinite(y[:, o.index]), o.index])) for o in read)
     ways = {Signal("x", a.position.index): [s.x[:, a.position.index] for s in made[: len(runs)]] for a in axes if a.position}
     ways |= {Signal("y", o.index): [r.Y[:, o.index] for r in runs] for o in outputs}
+    ways |= {Signal("u", u.index): [np.cumsum(r.U[:, u.index]) * r.dt for r in runs] for u in inputs if is_velocity(u.unit)}
     return Machine(
         inputs, outputs, states, axes,
         dict(zip(runs[0].aux, _sizes([Variable(a) for a in runs[0].aux], aux), strict=True)), runs[0].dt, sum(len(r) for r in runs) * runs[0].dt,

@@ -22,6 +22,7 @@ from afdsvc.plugins.physics.cross_coupled_stiffness import CrossCoupledStiffness
 from afdsvc.plugins.physics.cubic_damping import CubicDamping
 from afdsvc.plugins.physics.cubic_stiffness import CubicStiffness
 from afdsvc.plugins.physics.dead_zone import DeadZone
+from afdsvc.plugins.physics.eccentricity import Eccentricity
 from afdsvc.plugins.physics.encoder_error import EncoderError
 from afdsvc.plugins.physics.exchange import Exchange
 from afdsvc.plugins.physics.flexible_mode import FlexibleMode
@@ -36,11 +37,12 @@ from afdsvc.plugins.physics.linear_stiffness import LinearStiffness
 from afdsvc.plugins.physics.magnetic_force import MagneticForce
 from afdsvc.plugins.physics.parameter_change import ParameterChange
 from afdsvc.plugins.physics.parameter_drift import ParameterDrift
-from afdsvc.plugins.physics.parameter_follows_state import ParameterFollowsState
+from afdsvc.plugins.physics.parameter_follows_signal import ParameterFollowsSignal
 from afdsvc.plugins.physics.periodic_disturbance import PeriodicDisturbance
 from afdsvc.plugins.physics.quadratic_damping import QuadraticDamping
 from afdsvc.plugins.physics.quadratic_stiffness import QuadraticStiffness
 from afdsvc.plugins.physics.quantisation import Quantisation
+from afdsvc.plugins.physics.relaxation import Relaxation
 from afdsvc.plugins.physics.repulsion import Repulsion
 from afdsvc.plugins.physics.resonant_actuator import ResonantActuator
 from afdsvc.plugins.physics.runout import Runout
@@ -69,10 +71,10 @@ from afdsvc.plugins.physics.voltage_drop import VoltageDrop
 
 BUILT_IN = (
     ActuatorCrosstalk, ActuatorLag, AsymmetricDamping, BackEmf, Backlash, Clearance, ClockOffset, Cogging, ColouredNoise, ConstantLoad,
-    CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, EncoderError, Exchange, FlexibleMode,
+    CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, Eccentricity, EncoderError, Exchange, FlexibleMode,
     GainFollowsAux, GainFollowsLevel, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, InertiaFollowsPosition, LinearStiffness, MagneticForce,
-    ParameterChange, ParameterDrift, ParameterFollowsState, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
-    Repulsion, ResonantActuator, Runout, Saturation, SelfHeating, SensorAcCoupling, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,
+    ParameterChange, ParameterDrift, ParameterFollowsSignal, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
+    Relaxation, Repulsion, ResonantActuator, Runout, Saturation, SelfHeating, SensorAcCoupling, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,
     SensorNonlinearity, SensorOffset, SensorRectification, SensorSaturation, SlewLimit, SlowMode,
     StaticNonlinearity, StiffnessFollowsAux, StribeckFriction, SupplyDroop, TransportDelay, Unbalance, VelocityCoupling, ViscousDamping, VoltageDrop,
 )

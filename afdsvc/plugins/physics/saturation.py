@@ -59,8 +59,14 @@ def overflow(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
         out[k] += p[1] * p[1 + k] * lost
 
 
+def emptied(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """A state below the limit is brought back within one step: a tank that is empty, a flow that a check valve does not let turn back."""
+    out[0] += max(p[0] - z[0], 0.0) / dt
+
+
 class Saturation:
-    """A limit at every input, on one side or both, of every velocity, of every force that is a state, and of every store, inside the range the recordings use."""
+    """A limit at every input, on one side or both, of every velocity, of every force that is a state, and of every store, full or empty, inside the range
+    the recordings use."""
 
     name = "saturation"
     summary = "commands, speeds or levels beyond a limit are cut"
@@ -76,6 +82,7 @@ class Saturation:
                 yield at_state(store, _held, [state(store)], **self._of_state(store))
             else:
                 yield self._of_store(store, machine)
+                yield self._empty(store)
 
     def _of_state(self, size: Size) -> dict[str, Any]:
         return {
@@ -116,6 +123,14 @@ class Saturation:
             ],
             starts=[(min(store.mean + s * store.rms, 1.35 * store.peak), 0.5 if ways else 0.0, *(v for _, v in ways)) for s in (0.3, 0.8, 1.3, 2.0)],
             predicts="a level that stays at the same value whatever flows in", refuted_by="levels above the limit",
+        )
+
+    def _empty(self, store: Size) -> Hypothesis:
+        low, top = store.mean - store.reach, store.mean + store.rms
+        return at_state(
+            store, emptied, [state(store)], physics=self.name, family="limit", notes={"variant": "below"},
+            parameters=[Coefficient("lower limit", store.unit, low, top, 0.02 * store.reach)], starts=[(store.mean - s * store.rms,) for s in (0.3, 0.8, 1.3, 2.0)],
+            predicts="a level that stays at the same value whatever flows out", refuted_by="levels below the limit",
         )
 
 

@@ -13,7 +13,7 @@ from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.attach import at_state, decaying, state
 
 
-def _exchange(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def relaxing(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-c (x - s)`` with ``tau s' = x - s``: the mean over a step of held x; the store begins at rest with x."""
     if m[1] == 0.0:
         m[0], m[1] = m[0] + z[0], 1.0
@@ -22,12 +22,13 @@ def _exchange(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     m[0] = z[0] + rest * decay
 
 
-def _extend(plant: StateSpace, values: Sequence[float], i: int) -> StateSpace:
+def extended(plant: StateSpace, values: Sequence[float], i: int, j: int) -> StateSpace:
+    """Return the plant with ``-c (x_j - s)`` added to the rate of state i, ``values`` c and tau."""
     n, (rate, tau) = plant.order, values[:2]
     A = np.zeros((n + 1, n + 1))
     A[:n, :n] = plant.A
-    A[i, i] -= rate
-    A[i, n], A[n, i], A[n, n] = rate, 1 / tau, -1 / tau
+    A[i, j] -= rate
+    A[i, n], A[n, j], A[n, n] = rate, 1 / tau, -1 / tau
     return StateSpace(A, np.vstack([plant.B, np.zeros((1, plant.inputs))]), np.hstack([plant.C, np.zeros((plant.outputs, 1))]), plant.D)
 
 
@@ -43,12 +44,12 @@ class SlowMode:
             fast, slow = 0.3 / machine.bandwidth, max(3 * machine.duration, 30 / machine.bandwidth)
             most = max(50 * own, machine.bandwidth)
             yield at_state(
-                store, _exchange, [state(store)], physics=self.name, family="relaxation", memory=2, unsettled=1,
+                store, relaxing, [state(store)], physics=self.name, family="relaxation", memory=2, unsettled=1,
                 parameters=[
                     Coefficient("exchange rate", "1/s", 0.0, most, 0.05 * own, linear=True),
                     Coefficient("time constant", "s", fast, slow, 0.1 * fast),
                 ],
                 starts=[(0.0, fast ** (1 - s) * slow**s) for s in (0.2, 0.4, 0.6, 0.8)],
-                linear=lambda plant, values, i=store.index: _extend(plant, values, i),
+                linear=lambda plant, values, i=store.index: extended(plant, values, i, i),
                 predicts="a fast answer followed by a slow one to the same end value", refuted_by="an answer with one time constant",
             )

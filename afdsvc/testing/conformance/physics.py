@@ -96,7 +96,8 @@ def _structure() -> Machine:
 
 def _damper() -> Machine:
     force = [("force", "N", 300.0)]
-    return _plain([("speed", "m/s", 0.2)], force, force, ([[-50.0]], [[7e4]], [[1.0]], [[0.0]]), [], 5e-3)
+    damper = _plain([("speed", "m/s", 0.2)], force, force, ([[-50.0]], [[7e4]], [[1.0]], [[0.0]]), [], 5e-3)
+    return replace(damper, waves={Signal("u", 0): (40.0,)})
 
 
 def _shaft() -> Machine:

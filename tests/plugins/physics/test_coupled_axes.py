@@ -97,7 +97,8 @@ def test_a_force_quadratic_in_the_velocities_is_offered_for_every_pair_of_axes()
     lift, turn = machine.axes
     machine = replace(machine, axes=(lift, replace(turn, rate=replace(turn.rate, rms=1.5))))
     found = offered(machine, VelocityCoupling)
-    assert set(found) == {f"velocity_coupling@state:{a}#{law}: {b}" for a, b in (("lift_rate", "turn_rate"), ("turn_rate", "lift_rate")) for law in ("square", "product")}
+    pairs = {f"velocity_coupling@state:{a}#{law}: {b}" for a, b in (("lift_rate", "turn_rate"), ("turn_rate", "lift_rate")) for law in ("square", "product")}
+    assert set(found) == pairs | {"velocity_coupling@state:lift_rate#product: tail", "velocity_coupling@state:turn_rate#product: main"}
     for law, signals, push in (("square", [-3.0], -1.8), ("product", [5.0, -3.0], 3.0)):
         h, out = found[f"velocity_coupling@state:lift_rate#{law}: turn_rate"], np.zeros(1)
         h.law(np.array([0.2]), np.array(signals), np.zeros(0), 0.01, out)
@@ -105,4 +106,6 @@ def test_a_force_quadratic_in_the_velocities_is_offered_for_every_pair_of_axes()
         assert [s.index for s in h.reads] == ([3] if law == "square" else [1, 3])
         assert h.parameters[0].scale * 1.5 * (1.5 if law == "square" else 0.5) == pytest.approx(0.1 * 2.0)
         assert h.parameters[0].unit == ("V/(rad/s)^2" if law == "square" else "V/((rad/s) (rad/s))")
-    assert not offered(replace(arm(), axes=arm().axes[:1]), VelocityCoupling)
+    braked = found["velocity_coupling@state:lift_rate#product: tail"]
+    assert [(s.kind, s.index) for s in braked.reads] == [("x", 1), ("u", 1)]
+    assert set(offered(replace(arm(), axes=arm().axes[:1]), VelocityCoupling)) == {braked.key}

@@ -21,7 +21,7 @@ from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
 from afdsvc.plugins.physics.magnetic_force import pair, single
 from afdsvc.plugins.physics.parameter_change import _scaled_entries, terms
 from afdsvc.plugins.physics.parameter_drift import drifting_gain, drifting_inertia, drifting_terms
-from afdsvc.plugins.physics.parameter_follows_state import bending, levelling
+from afdsvc.plugins.physics.parameter_follows_signal import bending, levelling
 from afdsvc.plugins.physics.periodic_disturbance import oscillation
 from afdsvc.plugins.physics.quantisation import read_in_steps
 from afdsvc.plugins.physics.runout import uneven

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from afdsvc.api.physics import Signal
 from afdsvc.explain.search.ranking import mechanism
 from afdsvc.lti.statespace import StateSpace
-from tests.plugins.physics.test_sites import ARM, CART, COIL, MOTOR, REACTOR, TANKS, machines, offered
+from afdsvc.plugins.physics.eccentricity import out_of_round
+from tests.plugins.physics.test_sites import ARM, CART, COIL, DAMPER, MOTOR, REACTOR, TANKS, machines, offered
 
 
 def test_a_force_towards_an_end_belongs_to_lines_and_decays_within_a_third_of_the_reach():
@@ -56,12 +58,58 @@ def test_a_coil_warms_whose_state_is_a_current(unit, offers):
 
 def test_numbers_of_code_follow_states_and_of_matrices_capacities_do():
     code, tanks = (
-        {k: h for k, h in offered(machines()[m]).items() if h.physics == "parameter_follows_state"} for m in (REACTOR, TANKS)
+        {k: h for k, h in offered(machines()[m]).items() if h.physics == "parameter_follows_signal"} for m in (REACTOR, TANKS)
     )
     assert {h.site for h in code.values()} == {"parameter:volume", "parameter:rate"}
-    assert len(code) == 8
+    assert {h.reads[1] for h in code.values()} == {Signal("x", 0), Signal("x", 1), Signal("u", 0)}
+    assert len(code) == 12
     assert {h.site for h in tanks.values()} == {"state:h1", "state:h2"}
     for found in (code, tanks):
         assert len({mechanism(h) for h in found.values()}) == len(found) / 2
         assert all(h.description for h in found.values())
     assert all(h.reads[0].index == {"state:h1": 0, "state:h2": 1}[h.site] for h in tanks.values())
+
+
+@pytest.mark.parametrize("other", [False, True])
+def test_a_roll_out_of_round_repeats_along_its_way(other):
+    """Oracle: the phase is the integral of the speed, by its formula."""
+    dt, k, share = 1e-3, 7.0, 0.02
+    t = dt * np.arange(3000)
+    speed, phase = 1.5 + np.sin(2 * t), 1.5 * (t + dt / 2) + (1 - np.cos(2 * (t + dt / 2))) / 2
+    memory, found = np.array([np.cos(0.4), np.sin(0.4)]), []
+    for v in speed:
+        out = np.zeros(1)
+        out_of_round(np.array([k, share]), np.array([9.0, v] if other else [v]), memory, dt, out)
+        found.append(out[0])
+    assert found == pytest.approx(share * speed * np.cos(k * phase + 0.4), abs=5e-4)
+
+
+def test_a_wave_along_the_way_of_a_speed_is_offered_in_every_speed():
+    damper = machines()[DAMPER]
+    two = replace(damper.inputs[0], index=1, name="draw", unit="mm/s", rms=3.0), replace(damper.inputs[0], index=2, name="push", unit="N")
+    B, D = np.array([[7e4, 10.0, 1.0]]), np.zeros((1, 3))
+    machine = replace(damper, inputs=(damper.inputs[0], *two), plant=replace(damper.plant, B=B, D=D))
+    found = {k: h for k, h in offered(machine).items() if h.physics == "eccentricity"}
+    assert set(found) == {"eccentricity@input:speed", "eccentricity@input:draw#speed"}
+    assert [[(s.kind, s.index) for s in h.reads] for h in found.values()] == [[("u", 0)], [("u", 1), ("u", 0)]]
+    assert found["eccentricity@input:draw#speed"].parameters[1].unit == "(mm/s)/(m/s)"
+    assert not any(k.startswith("eccentricity") for k in offered(replace(machine, waves={})))
+
+
+def test_a_part_of_a_spring_relaxes_as_the_matrices_say():
+    """A standard solid: the law's force in sinusoidal motion against the extended plant's."""
+    h = offered(machines()[ARM])["relaxation@state:w#q"]
+    built, omega, tau, c = h.linear(machines()[ARM].plant, [30.0, 0.4]), 3.0, 0.4, 30.0
+    t = 1e-3 * np.arange(20000)
+    memory, pushes = np.zeros(2), []
+    for q in np.cos(omega * t):
+        out = np.zeros(1)
+        h.law(np.array([c, tau]), np.array([q]), memory, 1e-3, out)
+        pushes.append(out[0])
+    expected = -c * 1j * omega * tau / (1 + 1j * omega * tau)
+    settled = slice(10000, None)
+    assert np.array(pushes)[settled] == pytest.approx((expected * np.exp(1j * omega * t)).real[settled], abs=0.05)
+    s = 1j * omega
+    whole = (built.C @ np.linalg.solve(s * np.eye(3) - built.A, built.B))[0, 0]
+    assert whole == pytest.approx(50 / (s**2 + 1.5 * s + 60 - expected))
+    assert {k for k in offered(machines()[ARM]) if k.startswith("relaxation")} == {"relaxation@state:w#q", "relaxation@state:w#w"}

@@ -29,12 +29,12 @@ from afdsvc.plugins.physics.gravity import _in_place, _weight
 from afdsvc.plugins.physics.hysteresis import over_integral
 from afdsvc.plugins.physics.joint import spring
 from afdsvc.plugins.physics.magnetic_force import pair, single
-from afdsvc.plugins.physics.parameter_follows_state import capacity, saturating
+from afdsvc.plugins.physics.parameter_follows_signal import capacity, saturating
 from afdsvc.plugins.physics.quadratic_damping import _joint as turbulent_damper
 from afdsvc.plugins.physics.repulsion import _growing as growing
 from afdsvc.plugins.physics.saturation import cut_above, cut_below, overflow, two_limits
 from afdsvc.plugins.physics.self_heating import at_terminals, in_coil
-from afdsvc.plugins.physics.slow_mode import _exchange
+from afdsvc.plugins.physics.slow_mode import relaxing
 from afdsvc.plugins.physics.static_nonlinearity import outflow, outflow_about, power, signed_square, thrust
 from afdsvc.plugins.physics.stribeck_friction import presliding
 from afdsvc.plugins.physics.supply_droop import droop
@@ -223,7 +223,7 @@ CASES = [
     Case("limit below", cut_below, (-0.3,), lambda x, u: [-D * x[0] + G * max(u, -0.3)], **SPEED, reads=(("u", 0),), stage="input"),
     Case("two limits", two_limits, (0.5, -0.3), lambda x, u: [-D * x[0] + G * np.clip(u, -0.3, 0.5)], **SPEED, reads=(("u", 0),), stage="input"),
     Case("loop over a way", over_integral, (0.4, 0.05, 1.0), bouc, **SPEED, reads=(("u", 0),), stage="input", hidden=(0.0,), memory=3, tolerance=2e-2),
-    Case("second store", _exchange, (0.9, 0.6), lambda x, u: [u - 0.8 * x[0] - 0.9 * (x[0] - x[2]), 0.5 * x[0] - 0.4 * x[1], (x[0] - x[2]) / 0.6], **(TANK | {"writes": (0,)}), hidden=(1.0,), memory=2),
+    Case("second store", relaxing, (0.9, 0.6), lambda x, u: [u - 0.8 * x[0] - 0.9 * (x[0] - x[2]), 0.5 * x[0] - 0.4 * x[1], (x[0] - x[2]) / 0.6], **(TANK | {"writes": (0,)}), hidden=(1.0,), memory=2),
     Case("leak between tanks", conducted, (0.7, 0.5), lambda x, u: [u - 0.8 * x[0] - 0.7 * (x[0] - x[1]), 0.5 * x[0] - 0.4 * x[1] + 0.35 * (x[0] - x[1])], **(TANK | {"reads": (("x", 0), ("x", 1))})),
     Case("valve between tanks", turbulent, (0.7, 0.5, 0.3), lambda x, u: [u - 0.8 * x[0] - (q := 0.7 * 0.3 * np.sign(x[0] - x[1]) * np.sqrt(abs(x[0] - x[1]) / 0.3)), 0.5 * x[0] - 0.4 * x[1] + 0.5 * q], **(TANK | {"reads": (("x", 0), ("x", 1))}), tolerance=1e-2),
     Case("Torricelli", outflow, (0.5, 2.0, 0.8, 0.625), tank(lambda x: 0.8 * np.sqrt(2.0 * x)), **TANK),

@@ -1,11 +1,11 @@
-"""A number of the model that follows a state: a core that saturates, a tank that widens, a loss that grows with the temperature."""
+"""A number of the model that follows a state or an input: a core that saturates, a tank that widens, a loss that grows with a flow."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Size
+from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal, Size
 from afdsvc.plugins.physics.attach import at_parameter, at_state, balance, constant, decaying, state
 
 
@@ -39,18 +39,18 @@ def saturating(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] -= total * change / (1 + change)
 
 
-class ParameterFollowsState:
-    """Every number of code that is not known exactly, by every state; of matrices the capacity of every store, by what it holds."""
+class ParameterFollowsSignal:
+    """Every number of code that is not known exactly, by every state and input; of matrices the capacity of every store, by what it holds."""
 
-    name = "parameter_follows_state"
-    summary = "a number of the model, or the capacity of a store, that depends on a state"
+    name = "parameter_follows_signal"
+    summary = "a number of the model, or the capacity of a store, that depends on a state or an input"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per number and state, or per store."""
+        """Return two hypotheses per number and signal, or per store."""
         for number in machine.parameters:
-            for x in machine.states:
-                yield at_parameter(number, bending, [state(x)], notes={"variant": x.name, "of": x.name}, **self._words(x))
-                yield at_parameter(number, levelling, [state(x)], notes={"variant": f"{x.name}, levelling off", "of": x.name}, **self._words(x) | self._level(x))
+            for x, signal in [*((s, state(s)) for s in machine.states), *((u, Signal("u", u.index)) for u in machine.inputs)]:
+                yield at_parameter(number, bending, [signal], notes={"variant": x.name, "of": x.name}, **self._words(x))
+                yield at_parameter(number, levelling, [signal], notes={"variant": f"{x.name}, levelling off", "of": x.name}, **self._words(x) | self._level(x))
         for store, _ in decaying(machine) if not machine.code else ():
             terms = sorted(zip(*balance(machine, store), strict=True), key=lambda term: term[0] != state(store))  # what it holds first
             reads, constants = [signal for signal, _ in terms], [c for _, c in terms]
@@ -62,7 +62,7 @@ class ParameterFollowsState:
 
     def _words(self, x: Size, constants: Sequence[Coefficient] = ()) -> dict[str, Any]:
         return {
-            "physics": self.name, "family": "follows state", "description": True,
+            "physics": self.name, "family": "follows signal", "description": True,
             "parameters": [
                 Coefficient("rise at the rms", "", -5.0, 5.0, 0.02, linear=True), Coefficient("bend at the rms", "", -5.0, 5.0, 0.02, linear=True),
                 constant("mean", x.unit, x.mean), constant("rms", x.unit, x.rms), *constants,
