@@ -42,7 +42,10 @@ def mechanism(h: Hypothesis) -> tuple[str, ...]:
 
 
 def winner(reasons: Sequence[Candidate], settings: Settings, limited: str) -> Candidate:
-    """Return the mechanism with the most weight, the simplest of those within `Settings.tie`; of its shapes the simplest that fits alike."""
+    """Return the mechanism with the most weight, the simplest of those within `Settings.tie`; of its shapes the simplest that fits alike.
+
+    Where resampled blocks leave that in doubt, what gains more and is in no doubt goes before it. ``reasons`` are ordered by gain.
+    """
     votes: dict[tuple[str, ...], float] = {}
     shapes: dict[tuple[str, ...], list[Candidate]] = {}
     for c, w in zip(reasons, vote_shares(reasons, settings, limited), strict=True):
@@ -51,7 +54,15 @@ def winner(reasons: Sequence[Candidate], settings: Settings, limited: str) -> Ca
         shapes.setdefault(what, []).append(c)
     near = [k for k, v in votes.items() if v >= max(votes.values()) - settings.tie]
     firsts = [_simplest(shapes[k], settings, limited) for k in near]
-    return min(firsts, key=lambda c: (complexity(c.hypothesis), -c.evidence.gain))
+    first = min(firsts, key=lambda c: (complexity(c.hypothesis), -c.evidence.gain))
+    if _sure(first, settings):
+        return first
+    return next((c for c in reasons if c.evidence.gain > first.evidence.gain and _sure(c, settings)), first)
+
+
+def _sure(c: Candidate, settings: Settings) -> bool:
+    """Whether a candidate gains in so many resampled blocks that it can be accepted by them."""
+    return c.evidence.improves(settings.resamples) > settings.sure
 
 
 def _simplest(shapes: Sequence[Candidate], settings: Settings, limited: str) -> Candidate:

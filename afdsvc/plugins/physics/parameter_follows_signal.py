@@ -1,4 +1,4 @@
-"""A number of the model that follows a state or an input: a core that saturates, a tank that widens, a loss that grows with a flow."""
+"""A number of the model that follows a state or an input: a core that saturates, a loss that grows with a flow."""
 
 from __future__ import annotations
 
@@ -6,7 +6,15 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal, Size
-from afdsvc.plugins.physics.attach import at_parameter, at_state, balance, constant, decaying, state
+from afdsvc.plugins.physics.attach import (
+    at_parameter,
+    at_state,
+    balance,
+    constant,
+    decaying,
+    quantity,
+    state,
+)
 
 
 def bending(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -21,17 +29,8 @@ def levelling(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] += p[0] * s / (1 + s) * z[0]
 
 
-def capacity(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """The rate of change of a store divided by ``1 + c d + e d^2``, ``d = (z_0 - mean) / rms``; ``p = (c, e, mean, rms, nominal coefficients of z)``."""
-    total, d = 0.0, (z[0] - p[2]) / p[3]
-    for k in range(len(z)):
-        total += p[4 + k] * z[k]
-    change = max((p[0] + p[1] * d) * d, -0.9)
-    out[0] -= total * change / (1 + change)
-
-
 def saturating(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`capacity` with ``1 + c s / (1 + s)``, ``s = (z_0 / level)^2``; ``p = (c, level, nominal coefficients of z)``."""
+    """The rate of change of a current divided by ``1 + c s / (1 + s)``, ``s = (z_0 / level)^2``; ``p = (c, level, nominal coefficients of z)``."""
     total, s = 0.0, (z[0] / p[1]) ** 2
     for k in range(len(z)):
         total += p[2 + k] * z[k]
@@ -40,34 +39,31 @@ def saturating(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 class ParameterFollowsSignal:
-    """Every number of code that is not known exactly, by every state and input; of matrices the capacity of every store, by what it holds."""
+    """Every number of code that is not known exactly, by every state and input; of matrices the inductance of every current that is a state."""
 
     name = "parameter_follows_signal"
-    summary = "a number of the model, or the capacity of a store, that depends on a state or an input"
+    summary = "a number of the model that depends on a state or an input"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return two hypotheses per number and signal, or per store."""
+        """Return two hypotheses per number and signal, or one per current."""
         for number in machine.parameters:
             for x, signal in [*((s, state(s)) for s in machine.states), *((u, Signal("u", u.index)) for u in machine.inputs)]:
                 yield at_parameter(number, bending, [signal], notes={"variant": x.name, "of": x.name}, **self._words(x))
                 yield at_parameter(number, levelling, [signal], notes={"variant": f"{x.name}, levelling off", "of": x.name}, **self._words(x) | self._level(x))
-        for store, _ in decaying(machine) if not machine.code else ():
-            terms = sorted(zip(*balance(machine, store), strict=True), key=lambda term: term[0] != state(store))  # what it holds first
+        for coil in (x for x, _ in decaying(machine) if not machine.code and quantity(x.unit) == "current"):
+            terms = sorted(zip(*balance(machine, coil), strict=True), key=lambda term: term[0] != state(coil))  # the current first
             reads, constants = [signal for signal, _ in terms], [c for _, c in terms]
             if len(reads) > 1:
-                yield at_state(store, capacity, reads, notes={"variant": "capacity", "of": "capacity"}, **self._words(store, constants))
-                yield at_state(
-                    store, saturating, reads, notes={"variant": "capacity, levelling off", "of": "capacity"}, **self._words(store) | self._level(store, constants)
-                )
+                yield at_state(coil, saturating, reads, notes={"variant": "inductance"}, **self._words(coil) | self._level(coil, constants))
 
-    def _words(self, x: Size, constants: Sequence[Coefficient] = ()) -> dict[str, Any]:
+    def _words(self, x: Size) -> dict[str, Any]:
         return {
             "physics": self.name, "family": "follows signal", "description": True,
             "parameters": [
                 Coefficient("rise at the rms", "", -5.0, 5.0, 0.02, linear=True), Coefficient("bend at the rms", "", -5.0, 5.0, 0.02, linear=True),
-                constant("mean", x.unit, x.mean), constant("rms", x.unit, x.rms), *constants,
+                constant("mean", x.unit, x.mean), constant("rms", x.unit, x.rms),
             ],
-            "starts": [(0.0, 0.0, x.mean, x.rms, *(c.low for c in constants))],
+            "starts": [(0.0, 0.0, x.mean, x.rms)],
             "predicts": f"a residual in proportion to the part of the model that this number governs, which depends on {x.name}",
             "refuted_by": f"a residual that is the same at every {x.name}",
         }

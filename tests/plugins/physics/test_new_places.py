@@ -56,18 +56,19 @@ def test_a_coil_warms_whose_state_is_a_current(unit, offers):
         assert (found["self_heating@state:i#voltage"].parameters[0].through, found["self_heating@state:i#voltage"].parameters[0].unsigned) == ((0, 0), True)
 
 
-def test_numbers_of_code_follow_states_and_of_matrices_capacities_do():
-    code, tanks = (
-        {k: h for k, h in offered(machines()[m]).items() if h.physics == "parameter_follows_signal"} for m in (REACTOR, TANKS)
+def test_numbers_of_code_follow_signals_and_of_matrices_inductances_follow_their_current():
+    code, tanks, coil = (
+        {k: h for k, h in offered(machines()[m]).items() if h.physics == "parameter_follows_signal"} for m in (REACTOR, TANKS, COIL)
     )
     assert {h.site for h in code.values()} == {"parameter:volume", "parameter:rate"}
     assert {h.reads[1] for h in code.values()} == {Signal("x", 0), Signal("x", 1), Signal("u", 0)}
     assert len(code) == 12
-    assert {h.site for h in tanks.values()} == {"state:h1", "state:h2"}
-    for found in (code, tanks):
-        assert len({mechanism(h) for h in found.values()}) == len(found) / 2
-        assert all(h.description for h in found.values())
-    assert all(h.reads[0].index == {"state:h1": 0, "state:h2": 1}[h.site] for h in tanks.values())
+    assert len({mechanism(h) for h in code.values()}) == 6
+    assert tanks == {}
+    (h,) = coil.values()
+    assert h.reads[0] == Signal("x", 0)
+    assert [c.low for c in h.parameters[2:]] == [-1500, -1.4, 250]
+    assert all(h.description for h in [*code.values(), *coil.values()])
 
 
 @pytest.mark.parametrize("other", [False, True])

@@ -55,7 +55,7 @@ def offered(machine: Machine) -> dict:
     (REACTOR, "parameter_drift@parameter:volume#volume parameter_drift@parameter:rate#rate parameter_drift@input:jacket#actuator gain"),
     (MOTOR, "sensor_ac_coupling@output:w transport_delay@output:w#mean over a window transport_delay@input:voltage#mean over a window"),
     (CART, "linear_stiffness@state:v viscous_damping@state:v repulsion@state:v#from above repulsion@state:v#from below"),
-    (COIL, "voltage_drop@state:i#voltage self_heating@state:i#voltage parameter_follows_signal@state:i#capacity parameter_follows_signal@state:i#capacity, levelling off"),
+    (COIL, "voltage_drop@state:i#voltage self_heating@state:i#voltage parameter_follows_signal@state:i#inductance"),
     (REACTOR, "parameter_follows_signal@parameter:rate#temperature parameter_follows_signal@parameter:volume#temperature, levelling off"),
     (SHAFT, "asymmetric_damping@machine#between w1,w2 quadratic_damping@machine#between w1,w2 coulomb_friction@machine#a spring that slips between w1,w2"),
     (TWISTED, "asymmetric_damping@machine#between w1,w2 clearance@machine#play in the spring between w1,w2 coulomb_friction@machine#slip between w1,w2 cubic_stiffness@machine#between w1,w2"),
