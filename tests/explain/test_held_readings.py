@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
+from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.pipeline import explain
+from afdsvc.explain.search.build import build
+from afdsvc.explain.search.problem import loop_known
+from afdsvc.explain.settings import Settings
+from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import afdsvc_physics
 
@@ -36,11 +43,18 @@ def recording(seed: int, friction: float, model: Model) -> Trace:
     return Trace(f"r{seed}", DT, (Channel("u_voltage", "V"), Channel(f"y_{model.outputs[0].name}", model.outputs[0].unit)), np.array(rows))
 
 
-@pytest.mark.parametrize("model", [MOTOR, AXIS], ids=["motor", "axis"])
-@pytest.mark.parametrize("friction", [0.0, 10.0])
+@pytest.mark.parametrize(("model", "friction"), [(MOTOR, 10.0), (AXIS, 0.0)], ids=["motor", "axis"])
 def test_friction_is_named_where_there_is_some_and_no_delay(model, friction):
     *given, held = (recording(seed, friction, model) for seed in (1, 2, 3))
     found = explain(model, given, [held], LIBRARY, experiment=False)
     assert [n.physics for n in found.named] == ["coulomb_friction"] * (friction > 0)
     assert found.verdict == ("omitted_physics" if friction else "consistent")
     assert found.fit[0].after_nrmse < 0.05
+    assert not any("late" in sentence for sentence in found.check)
+
+
+def test_a_loop_is_not_closed_around_a_controller_that_saw_what_was_held():
+    model = replace(AXIS, controller=StateSpace.of([[0.0]], [[1.0]], [[0.0]], [[-0.8]], DT))
+    trace = recording(1, 0.0, AXIS)
+    fine = replace(trace, values=trace.values + [0.0, 1e-9] * np.random.default_rng(0).standard_normal(trace.values.shape))
+    assert [loop_known(build(nominal(model, DT), prepare(model, [t]), Settings())) for t in (trace, fine)] == [False, True]
