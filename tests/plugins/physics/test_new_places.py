@@ -71,6 +71,25 @@ def test_numbers_of_code_follow_signals_and_of_matrices_inductances_follow_their
     assert all(h.description for h in [*code.values(), *coil.values()])
 
 
+def test_an_inductance_follows_its_own_current_wherever_that_stands_and_is_left_to_the_numbers_of_code():
+    coil, order = machines()[COIL], [1, 2, 0]
+    states = tuple(replace(coil.states[k], index=i) for i, k in enumerate(order))
+    plant = StateSpace(coil.plant.A[np.ix_(order, order)], coil.plant.B[order], coil.plant.C[:, order], coil.plant.D)
+    moved = replace(coil, states=states, plant=plant, axes=(replace(coil.axes[0], position=states[0], rate=states[1]),))
+    h = offered(moved)["parameter_follows_signal@state:i#inductance"]
+    assert h.reads == (Signal("x", 2), Signal("x", 1), Signal("u", 0))
+    assert [c.low for c in h.parameters[2:]] == [-1500, -1.4, 250]
+    assert not any(k.startswith("parameter_follows") for k in offered(replace(moved, code=True)))
+
+
+def test_a_store_is_brought_back_from_below_its_limit_only():
+    h = offered(machines()[TANKS])["saturation@state:h1#below"]
+    for level, back in ((0.5, 0.2 / 0.1), (0.8, 0.0)):
+        out = np.zeros(1)
+        h.law(np.array([0.7]), np.array([level]), np.zeros(0), 0.1, out)
+        assert out[0] == pytest.approx(back)
+
+
 @pytest.mark.parametrize("other", [False, True])
 def test_a_roll_out_of_round_repeats_along_its_way(other):
     """Oracle: the phase is the integral of the speed, by its formula."""
