@@ -97,9 +97,10 @@ den = [0.08, 1]
 
 with `poles = [-12.5]` and `gain = 150` instead of `num` and `den`, or with `A = [[-12.5]]`, `B = [[150]]`, `C = [[1]]`. Results name
 numbers of the first two as coefficients (`den of speed`) and show a model that a fit moved as a ratio of polynomials; those of the third as entries
-(`A[speed, speed]`). No position is needed beside a speed: its unit says that forces act on it. Units say
+(`A[speed, speed]`). No position is needed beside a speed: its unit (`m/s`, `rad/s`, `rpm`) says that forces act on it. Units say
 more: forces that the model leaves out reach an output in `m/s^2` at once, and an angle (`deg`, `rad`, `turn`) may be read within one turn. `afdsvc init TABLE` writes a first file from a recording, `afdsvc check` compares
-one with recordings. An unknown key, a missing one or a wrong shape is one sentence with file, key, what was found and what was expected.
+one with recordings. An input acts from its row of a recording to the next; `explain` also tries straight
+lines between rows. The states that a recording begins with are fitted, of recordings held out too. An unknown key, a missing one or a wrong shape is one sentence with file, key, what was found and what was expected.
 """
 
 

@@ -107,7 +107,7 @@ def _clipped(run: Run, name: str, unit: str, x: Array) -> Iterator[Finding]:
         if share > STUCK and share > CROWDED * _share_next(x, extreme) and _visits(x, extreme) >= VISITS:
             yield Finding(
                 "warning", "saturation",
-                f"{run.name}: {100 * share:.2g} % of {name} sit at its {side} value {extreme:.6g} {unit}: it is clipped there",
+                f"{run.name}: {100 * share:.2g} % of {name} sit at its {side} value {extreme:.6g} {unit}: it is clipped there, or held or at rest",
             )
 
 
