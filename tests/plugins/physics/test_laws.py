@@ -21,7 +21,7 @@ from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
 from afdsvc.plugins.physics.magnetic_force import pair, single
 from afdsvc.plugins.physics.parameter_change import _scaled_entries, terms
 from afdsvc.plugins.physics.parameter_drift import drifting_gain, drifting_inertia, drifting_terms
-from afdsvc.plugins.physics.parameter_follows_signal import bending, levelling
+from afdsvc.plugins.physics.parameter_follows_state import levelling
 from afdsvc.plugins.physics.periodic_disturbance import oscillation
 from afdsvc.plugins.physics.quantisation import read_in_steps
 from afdsvc.plugins.physics.runout import uneven
@@ -343,13 +343,9 @@ def test_a_number_that_drifts_levels_off_and_keeps_its_sign():
         assert out[0] == pytest.approx({drifting_gain: -2.97, drifting_terms: -1.98, drifting_inertia: 198.0}[law])
 
 
-def test_a_number_that_follows_a_state_bends_or_levels_off_and_keeps_its_sign():
+def test_a_number_that_follows_a_signal_levels_off():
     number, x = 2.0, np.array([-30.0, -1.0, 0.0, 3.0, 5.0])
     signal = np.column_stack([np.full(5, number), x])
-    d = (x - 1.0) / 2.0
-    bent = np.maximum(0.3 * d - 0.1 * d**2, -0.9)
-    assert bent[0] == -0.9
-    assert changed(bending, [0.3, -0.1, 1.0, 2.0], signal) == pytest.approx(number * bent)
     assert changed(levelling, [-0.5, 3.0], signal) == pytest.approx(number * -0.5 * x**2 / (x**2 + 9.0))
 
 

@@ -55,8 +55,8 @@ def offered(machine: Machine) -> dict:
     (REACTOR, "parameter_drift@parameter:volume#volume parameter_drift@parameter:rate#rate parameter_drift@input:jacket#actuator gain"),
     (MOTOR, "sensor_ac_coupling@output:w transport_delay@output:w#mean over a window transport_delay@input:voltage#mean over a window"),
     (CART, "linear_stiffness@state:v viscous_damping@state:v repulsion@state:v#from above repulsion@state:v#from below"),
-    (COIL, "voltage_drop@state:i#voltage self_heating@state:i#voltage parameter_follows_signal@state:i#inductance"),
-    (REACTOR, "parameter_follows_signal@parameter:rate#temperature parameter_follows_signal@parameter:volume#temperature, levelling off"),
+    (COIL, "voltage_drop@state:i#voltage self_heating@state:i#voltage parameter_follows_state@state:i#inductance"),
+    (REACTOR, "parameter_follows_state@parameter:rate#temperature parameter_follows_state@parameter:volume#concentration"),
     (SHAFT, "asymmetric_damping@machine#between w1,w2 quadratic_damping@machine#between w1,w2 coulomb_friction@machine#a spring that slips between w1,w2"),
     (TWISTED, "asymmetric_damping@machine#between w1,w2 clearance@machine#play in the spring between w1,w2 coulomb_friction@machine#slip between w1,w2 cubic_stiffness@machine#between w1,w2"),
     (ROTOR, "actuator_crosstalk@state:vx#vertical actuator_crosstalk@state:vy#horizontal"),
@@ -234,7 +234,7 @@ def test_a_motor_whose_angle_is_recorded_may_cog():
 
 def test_curves_without_a_mechanism_are_marked():
     marked = {h.physics for m in machines() for h in offered(m).values() if h.description}
-    assert marked == {"static_nonlinearity", "sensor_nonlinearity", "cubic_damping", "parameter_follows_signal"}
+    assert marked == {"static_nonlinearity", "sensor_nonlinearity", "cubic_damping", "parameter_follows_state"}
     arm = offered(machines()[ARM])
     assert [arm[f"static_nonlinearity@input:torque#{v}"].description for v in ("cube", "power", "thrust", "thrust of a rotor")] == [True, True, False, False]
 

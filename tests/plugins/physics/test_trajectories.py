@@ -29,7 +29,7 @@ from afdsvc.plugins.physics.gravity import _in_place, _weight
 from afdsvc.plugins.physics.hysteresis import over_integral
 from afdsvc.plugins.physics.joint import spring
 from afdsvc.plugins.physics.magnetic_force import pair, single
-from afdsvc.plugins.physics.parameter_follows_signal import saturating
+from afdsvc.plugins.physics.parameter_follows_state import saturating
 from afdsvc.plugins.physics.quadratic_damping import _joint as turbulent_damper
 from afdsvc.plugins.physics.repulsion import _growing as growing
 from afdsvc.plugins.physics.saturation import cut_above, cut_below, overflow, two_limits

@@ -1,0 +1,61 @@
+"""A number of the model that follows a state: a core that saturates, a loss that grows with a flow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Size
+from afdsvc.plugins.physics.attach import (
+    at_parameter,
+    at_state,
+    balance,
+    decaying,
+    quantity,
+    state,
+)
+
+
+def levelling(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``(1 + c s / (1 + s)) z_0``, ``s = (z_1 / level)^2``: as a core saturates, for either sign; ``p = (c, level)``."""
+    s = (z[1] / p[1]) ** 2
+    out[0] += p[0] * s / (1 + s) * z[0]
+
+
+def saturating(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """The rate of change of a current divided by ``1 + c s / (1 + s)``, ``s = (z_0 / level)^2``; ``p = (c, level, nominal coefficients of z)``."""
+    total, s = 0.0, (z[0] / p[1]) ** 2
+    for k in range(len(z)):
+        total += p[2 + k] * z[k]
+    change = p[0] * s / (1 + s)
+    out[0] -= total * change / (1 + change)
+
+
+class ParameterFollowsState:
+    """Every number of code that is not known exactly, by the size of every state; of matrices the inductance of every current that is a state."""
+
+    name = "parameter_follows_state"
+    summary = "a number of the model that depends on the size of a state, and levels off"
+
+    def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
+        """Return one hypothesis per number and state, or per current."""
+        for number in machine.parameters:
+            for x in machine.states:
+                yield at_parameter(number, levelling, [state(x)], notes={"variant": x.name, "of": x.name}, **self._words(x))
+        for coil in (x for x, _ in decaying(machine) if not machine.code and quantity(x.unit) == "current"):
+            terms = sorted(zip(*balance(machine, coil), strict=True), key=lambda term: term[0] != state(coil))  # the current first
+            reads, constants = [signal for signal, _ in terms], [c for _, c in terms]
+            if len(reads) > 1:
+                yield at_state(coil, saturating, reads, notes={"variant": "inductance"}, **self._words(coil, constants))
+
+    def _words(self, x: Size, constants: Sequence[Coefficient] = ()) -> dict[str, Any]:
+        size = x.peak or x.rms
+        return {
+            "physics": self.name, "family": "follows state", "description": True,
+            "parameters": [
+                Coefficient("change far beyond the level", "", -0.9, 5.0, 0.02, linear=True), Coefficient("level", x.unit, 0.05 * size, 5 * size, 0.05 * size), *constants,
+            ],
+            "starts": [(0.0, share * size, *(c.low for c in constants)) for share in (0.25, 1.0)],
+            "predicts": f"a residual in proportion to the part of the model that this number governs, which depends on the size of {x.name}",
+            "refuted_by": f"a residual that is the same at every {x.name}",
+        }
