@@ -16,8 +16,8 @@ LONGEST = 10.0  # time constant, over the length of all recordings together, tha
 
 
 def drifting_gain(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``(1 + c) z``, ``c = rate tau (1 - exp(-t / tau))``, ``t`` since the recording began; a number keeps its sign."""
-    out[0] += max(p[0] * p[1] * (1 - math.exp(-m[0] / p[1])), -0.99) * z[0]
+    """``(1 + c) z``, ``c = rate tau (1 - exp(-t / tau))``, ``t`` since the recording began; a number keeps its sign and at most doubles."""
+    out[0] += min(max(p[0] * p[1] * (1 - math.exp(-m[0] / p[1])), -0.99), 1.0) * z[0]
     m[0] += dt
 
 
@@ -26,7 +26,7 @@ def drifting_terms(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     total = 0.0
     for k in range(len(z)):
         total += p[2 + k] * z[k]
-    out[0] += max(p[0] * p[1] * (1 - math.exp(-m[0] / p[1])), -0.99) * total
+    out[0] += min(max(p[0] * p[1] * (1 - math.exp(-m[0] / p[1])), -0.99), 1.0) * total
     m[0] += dt
 
 
@@ -35,7 +35,7 @@ def drifting_inertia(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     total = 0.0
     for k in range(len(z)):
         total += p[2 + k] * z[k]
-    change = max(p[0] * p[1] * (1 - math.exp(-m[0] / p[1])), -0.99)
+    change = min(max(p[0] * p[1] * (1 - math.exp(-m[0] / p[1])), -0.99), 1.0)
     out[0] -= total * change / (1 + change)
     m[0] += dt
 

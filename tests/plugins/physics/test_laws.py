@@ -325,7 +325,7 @@ def test_an_ac_coupled_sensor_is_a_high_pass_by_law_and_matrices():
     assert plant.C @ np.linalg.solve(s * np.eye(2) - plant.A, plant.B) + plant.D == pytest.approx(np.array([[(3.0 / (s + 3) + 0.5) * s * tau / (s * tau + 1)]]))
 
 
-def test_a_number_that_drifts_levels_off_and_keeps_its_sign():
+def test_a_number_that_drifts_levels_off_keeps_its_sign_and_at_most_doubles():
     """``c = rate tau (1 - exp(-t / tau))``, of a gain, of the terms of a balance, and of a mass."""
     t, tau, rate = 0.01 * np.arange(300), 0.5, -0.4
     c = rate * tau * (1 - np.exp(-t / tau))
@@ -338,9 +338,10 @@ def test_a_number_that_drifts_levels_off_and_keeps_its_sign():
             law(np.array([rate, tau, *constants]), np.array(signals), memory, 0.01, out)
             found.append(out[0])
         assert found == pytest.approx(expected, abs=1e-12)
-        out = np.zeros(1)
-        law(np.array([-9.0, tau, *constants]), np.array(signals), np.array([9.0]), 0.01, out)
-        assert out[0] == pytest.approx({drifting_gain: -2.97, drifting_terms: -1.98, drifting_inertia: 198.0}[law])
+        for rate_, ends in ((-9.0, {drifting_gain: -2.97, drifting_terms: -1.98, drifting_inertia: 198.0}), (9.0, {drifting_gain: 3.0, drifting_terms: 2.0, drifting_inertia: -1.0})):
+            out = np.zeros(1)
+            law(np.array([rate_, tau, *constants]), np.array(signals), np.array([9.0]), 0.01, out)
+            assert out[0] == pytest.approx(ends[law])
 
 
 def test_a_number_that_follows_a_signal_levels_off():
