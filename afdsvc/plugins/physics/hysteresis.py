@@ -85,7 +85,8 @@ def _forms(machine: Machine, size: Size, widths: tuple[float, ...]) -> Iterable[
 
 
 class Hysteresis:
-    """A rate-independent loop at every input, between position and force on every axis, and in a force that answers an imposed motion.
+    """A rate-independent loop at every input, between position and force on every axis, in a force that answers an imposed motion, and in a reading of what
+    a state sums up, as in the voltage of a cell that was charged or discharged.
 
     Where the input is a velocity, the loop goes over the way.
     """
@@ -114,3 +115,19 @@ class Hysteresis:
             loop = Coefficient("force", port.unit, 20 * low * f, 20 * high * f, 0.1 * f, linear=True)
             law, shape, form = next(iter(_forms(machine, u, (0.1, 0.5, 2.0))))
             yield at_output(port, law, [Signal("u", u.index)], parameters=[loop, *shape], notes={"variant": u.name}, **form, **words)
+        for port, x in _sums(machine):
+            loop = Coefficient("amplitude", port.unit, -5 * port.rms, 5 * port.rms, 0.05 * port.rms, linear=True)
+            law, shape, form = next(iter(_forms(machine, x, (0.1, 0.5, 2.0))))
+            yield at_output(port, law, [state(x)], parameters=[loop, *shape], notes={"variant": x.name}, **form, **words)
+
+
+def _sums(machine: Machine) -> Iterable[tuple[Size, Size]]:
+    """Yield every output with every state that it depends on and that only sums up what comes in, such as the charge of a cell; motion aside."""
+    moving = {s.index for a in machine.axes for s in (a.rate, a.position) if s}
+    if machine.plant is None:
+        return
+    for x in machine.states:
+        if x.index not in moving and not machine.plant.A[x.index].any():
+            for port in machine.outputs:
+                if machine.plant.C[port.index, x.index]:
+                    yield port, x

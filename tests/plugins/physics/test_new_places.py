@@ -132,3 +132,16 @@ def test_a_part_of_a_spring_relaxes_as_the_matrices_say():
     whole = (built.C @ np.linalg.solve(s * np.eye(3) - built.A, built.B))[0, 0]
     assert whole == pytest.approx(50 / (s**2 + 1.5 * s + 60 - expected))
     assert {k for k in offered(machines()[ARM]) if k.startswith("relaxation")} == {"relaxation@state:w#q", "relaxation@state:w#w"}
+
+
+def test_a_reading_of_what_a_state_sums_up_may_have_a_memory_of_the_way():
+    tanks = machines()[TANKS]
+    A, C = tanks.plant.A.copy(), np.array([[0.3, 1.0]])
+    assert not any(k.startswith("hysteresis@output") for k in offered(tanks))
+    A[0] = 0.0
+    found = {k: h for k, h in offered(replace(tanks, plant=StateSpace(A, tanks.plant.B, C, tanks.plant.D))).items() if k.startswith("hysteresis@output")}
+    (h,) = found.values()
+    assert (h.site, h.reads[1], h.notes["variant"]) == ("output:h2", Signal("x", 0), "h1")
+    assert not any(k.startswith("hysteresis@output") for k in offered(replace(tanks, plant=StateSpace(A, tanks.plant.B, np.array([[0.0, 1.0]]), tanks.plant.D))))
+    cart = machines()[CART]  # its position sums up, too, but is motion
+    assert not any(k.startswith("hysteresis@output") for k in offered(cart))
