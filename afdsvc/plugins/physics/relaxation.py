@@ -12,7 +12,10 @@ from afdsvc.plugins.physics.slow_mode import extended, relaxing
 
 
 class Relaxation:
-    """A first-order memory of every state in the force on every axis: a further part that dies away, or one that comes late."""
+    """A first-order memory of every state but its velocity in the force on every axis: a further part that dies away, or one that comes late.
+
+    A memory of the velocity is a mass that a damper holds, which `flexible_mode` has.
+    """
 
     name = "relaxation"
     summary = "a force that goes on changing after what causes it: a part of it relaxes"
@@ -23,7 +26,7 @@ class Relaxation:
             return
         fast, slow = 0.3 / machine.bandwidth, max(machine.duration, 30 / machine.bandwidth)
         for axis in machine.axes:
-            for x in (machine.states[j] for j in np.flatnonzero(machine.plant.A[axis.rate.index])):
+            for x in (machine.states[j] for j in np.flatnonzero(machine.plant.A[axis.rate.index]) if j != axis.rate.index):
                 size = abs(float(machine.plant.A[axis.rate.index, x.index]))
                 yield at_force(
                     axis, relaxing, [state(x)], physics=self.name, family="relaxation", memory=2, unsettled=1, notes={"variant": x.name},
