@@ -296,12 +296,21 @@ def test_an_effect_that_was_dropped_and_found_again_is_named_once(found):
     assert [s.accepted for s in forward._kept([step], found.start)] == [False]
 
 
-def test_what_chance_cannot_separate_on_the_beginnings_is_fitted_to_whole_recordings():
-    def tried(name, fall):
-        return Trial(Hypothesis(name, "machine", "", "force", None, (), (), (), ()), (), (fall,))
+def tried(name, *falls, shape=""):
+    return Trial(Hypothesis(name, "machine", "", "force", None, (), (), (), (), notes={"variant": shape, "of": shape}), (), falls)
 
+
+def test_what_chance_cannot_separate_on_the_beginnings_is_fitted_to_whole_recordings():
     chosen = promising([tried("a", 10.0), tried("b", 8.5), tried("c", 7.9)], 1, 4.0)
     assert [t.hypothesis.physics for t in chosen] == ["a", "b"]
+
+
+def test_shapes_of_one_law_do_not_crowd_out_others():
+    """The second number is the fall that decides; of the strongest correction half as many are added."""
+    shapes = [tried("drift", 1.0, 50.0 - k, shape=f"of {k}") for k in range(6)]
+    lag, late, last = tried("lag", 2.0, 30.0), tried("delay", 9.0, 1.0), tried("mode", 8.0, 2.0)
+    chosen = promising([*shapes, lag, late, last], 2, 4.0)
+    assert chosen == [*shapes[:2], lag, late]
 
 
 @pytest.mark.parametrize(("share", "accepted"), [(0.6, True), (0.1, False)])

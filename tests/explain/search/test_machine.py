@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.model import Variable
+from afdsvc.api.physics import Signal
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.search.build import build
@@ -46,3 +47,17 @@ def test_where_no_input_moves_the_band_is_that_of_the_outputs(spring, recorded, 
     trace = recorded(1, decay=True, periods=1, noise=1e-4)
     still = replace(trace, channels=(Channel("u_force"), *trace.channels), values=np.column_stack([np.full(len(trace), bias), trace.values]))
     assert bandwidth(prepare(spring, [still])) == pytest.approx(100, rel=0.2)
+
+
+@pytest.mark.parametrize(("unit", "found"), [("mm/s", True), ("N", False)])
+def test_waves_are_looked_for_along_the_integral_of_a_speed_that_is_an_input(spring, recorded, unit, found):
+    """The reading holds a wave of 4 rad per unit of the integral of the input."""
+    trace = recorded(1)
+    u = 5.0 + trace.values[:, 0]
+    wavy: Trace = replace(trace, values=np.column_stack([u, trace.values[:, 1] + 5.0 + 2 * np.cos(4.0 * np.cumsum(u) * trace.dt)]))
+    model = replace(spring, inputs=(replace(spring.inputs[0], unit=unit),))
+    problem = build(nominal(model, wavy.dt), prepare(model, [wavy]), Settings())
+    base = fit(problem, problem.start(), 0.0, 1.0, iterations=0)
+    waves = machine(problem, base, 0.0).waves.get(Signal("u", 0), ())
+    assert bool(waves) is found
+    assert not found or waves[0] == pytest.approx(4.0, rel=0.1)
