@@ -173,11 +173,12 @@ def exchanged_path(problem: Problem, taus: Taus, fewer: Mapping[float, Fit], pat
 
 def promising(tried: Sequence[Trial], count: int, likely: float) -> list[Trial]:
     """Return the trials that fell most at the weakest correction and those within chance of the first, half as many more of those that did
-    at the strongest, and of every mechanism among them the simplest shape. ``count`` are different laws or places: shapes of one do not crowd out others."""
+    at the strongest, and of every mechanism among them the simplest shape. The first of ``count`` different laws or places are among them, too: shapes
+    of one do not crowd out others."""
     ordered = sorted(tried, key=lambda t: -t.falls[-1])
-    first = _each_law(ordered)[:count]
+    first = [*ordered[:count], *_each_law(ordered)[:count]]
     chosen = [t for t in ordered if t in first or 2 * (ordered[0].falls[-1] - t.falls[-1]) < likely]
-    chosen += [t for t in _each_law(sorted(tried, key=lambda t: -t.falls[0]))[:count] if t not in chosen][: count // 2]
+    chosen += [t for t in sorted(tried, key=lambda t: -t.falls[0])[:count] if t not in chosen][: count // 2]
     for kind in {mechanism(t.hypothesis): None for t in chosen}:
         shapes = [t for t in tried if mechanism(t.hypothesis) == kind]
         chosen.append(min(shapes, key=lambda t: (complexity(t.hypothesis), -t.falls[-1])))
