@@ -10,19 +10,13 @@ from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal, Size
 from afdsvc.plugins.physics.attach import MOST_TERMS, at_input, at_state, constant, decaying, quantity, state
 
 
-def at_terminals(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``u - r x i``: what the added resistance takes of the voltage ``z[0]``, with ``i = p[3] u + p[4] z[1] + ...`` and ``tau x' + x = (i / I)^2``; ``p = (r, tau, I, ...)``."""
+def warming(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``- r x i``, what the added resistance takes of a voltage or of the rate of a current: ``i = p[3] z[0] + p[4] z[1] + ...``, ``tau x' + x = (i / I)^2``; ``p = (r, tau, I, ...)``."""
     i = 0.0
     for k in range(len(z)):
         i += p[3 + k] * z[k]
     m[0] += ((i / p[2]) ** 2 - m[0]) * (1 - math.exp(-dt / p[1]))
     out[0] -= p[0] * m[0] * i
-
-
-def in_coil(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`at_terminals` for a current that is a state: ``- r x i`` added to its rate of change."""
-    m[0] += ((z[0] / p[2]) ** 2 - m[0]) * (1 - math.exp(-dt / p[1]))
-    out[0] -= p[0] * m[0] * z[0]
 
 
 class SelfHeating:
@@ -40,13 +34,13 @@ class SelfHeating:
             for x, loss in decaying(machine):
                 if B[x.index, u.index] and quantity(x.unit) == "current":
                     through = (x.index, u.index)
-                    yield at_state(x, in_coil, [state(x)], notes={"variant": u.name, "of": u.name}, **self._words(machine, x, u, loss, (), through))
+                    yield at_state(x, warming, [state(x)], notes={"variant": u.name, "of": u.name}, **self._words(machine, x, u, loss, [1.0], through))
             for y in (o for o in machine.outputs if D[o.index, u.index] and quantity(o.unit) == "current"):
                 terms = [(Signal("x", j), v) for j, v in enumerate(C[y.index]) if v]
                 terms += [(Signal("u", j), v) for j, v in enumerate(D[y.index]) if v and j != u.index]
                 if len(terms) <= MOST_TERMS:
                     weights = [float(v) for v in (D[y.index, u.index], *(v for _, v in terms))]
-                    yield at_input(u, at_terminals, [s for s, _ in terms], notes={"variant": y.name}, **self._words(machine, y, u, 1 / abs(weights[0]), weights))
+                    yield at_input(u, warming, [s for s, _ in terms], notes={"variant": y.name}, **self._words(machine, y, u, 1 / abs(weights[0]), weights))
 
     def _words(
         self, machine: Machine, current: Size, voltage: Size, resistance: float, weights: Sequence[float], through: tuple[int, int] | None = None

@@ -311,6 +311,8 @@ def test_shapes_of_one_law_do_not_crowd_out_others():
     lag, late, last = tried("lag", 2.0, 30.0), tried("delay", 9.0, 1.0), tried("mode", 8.0, 2.0)
     chosen = promising([*shapes, lag, late, last], 2, 4.0)
     assert chosen == [*shapes[:2], lag, late]
+    apart = [tried("drift", 1.0, 50.0 - 10 * k, shape=f"of {k}") for k in range(3)]  # the second is beyond chance of the first
+    assert promising([*apart, lag, late], 2, 4.0) == [*apart[:2], lag, late]
 
 
 @pytest.mark.parametrize(("share", "accepted"), [(0.6, True), (0.1, False)])

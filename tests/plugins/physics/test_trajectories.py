@@ -33,7 +33,7 @@ from afdsvc.plugins.physics.parameter_follows_state import saturating
 from afdsvc.plugins.physics.quadratic_damping import _joint as turbulent_damper
 from afdsvc.plugins.physics.repulsion import _growing as growing
 from afdsvc.plugins.physics.saturation import cut_above, cut_below, overflow, two_limits
-from afdsvc.plugins.physics.self_heating import at_terminals, in_coil
+from afdsvc.plugins.physics.self_heating import warming
 from afdsvc.plugins.physics.slow_mode import relaxing
 from afdsvc.plugins.physics.static_nonlinearity import outflow, outflow_about, power, signed_square, thrust
 from afdsvc.plugins.physics.stribeck_friction import presliding
@@ -235,8 +235,8 @@ CASES = [
     Case("repulsion above", growing, (30.0, 0.05, 0.2, 1.0), axis(lambda q, v, u: -30 * np.exp((q - 0.2) / 0.05)), **AXIS, reads=(("x", 0),)),
     Case("repulsion below", growing, (20.0, 0.08, -0.2, -1.0), axis(lambda q, v, u: 20 * np.exp((-0.2 - q) / 0.08)), **AXIS, reads=(("x", 0),)),
     Case("core that saturates", saturating, (-0.5, 0.8, -D, G), lambda x, u: [(-D * x[0] + G * u) / (1 - 0.5 * x[0] ** 2 / (0.64 + x[0] ** 2))], **SPEED, reads=(("x", 0), ("u", 0)), level=0.2, tolerance=1e-2),
-    Case("coil that warms", in_coil, (3.0, 0.3, 0.8), lambda x, u: [-D * x[0] + G * u - 3.0 * x[1] * x[0], ((x[0] / 0.8) ** 2 - x[1]) / 0.3], **SPEED, reads=(("x", 0),), memory=1, hidden=(0.0,), level=0.1),
-    Case("winding that warms", at_terminals, (0.3, 0.4, 0.7, 0.5, -0.25), lambda x, u: [-D * x[0] + G * (u - 0.3 * x[1] * (i := 0.5 * u - 0.25 * x[0])), ((i / 0.7) ** 2 - x[1]) / 0.4], **SPEED, reads=(("u", 0), ("x", 0)), stage="input", memory=1, hidden=(0.0,), tolerance=1e-2),
+    Case("coil that warms", warming, (3.0, 0.3, 0.8, 1.0), lambda x, u: [-D * x[0] + G * u - 3.0 * x[1] * x[0], ((x[0] / 0.8) ** 2 - x[1]) / 0.3], **SPEED, reads=(("x", 0),), memory=1, hidden=(0.0,), level=0.1),
+    Case("winding that warms", warming, (0.3, 0.4, 0.7, 0.5, -0.25), lambda x, u: [-D * x[0] + G * (u - 0.3 * x[1] * (i := 0.5 * u - 0.25 * x[0])), ((i / 0.7) ** 2 - x[1]) / 0.4], **SPEED, reads=(("u", 0), ("x", 0)), stage="input", memory=1, hidden=(0.0,), tolerance=1e-2),
     Case("play in a spring", play, (K, 0.1), axis(lambda q, v, u: K * np.clip(q, -0.1, 0.1)), **AXIS, reads=(("x", 0),), tolerance=5e-3),
     Case("play in a shaft", shaft_play, (K, 0.05, 0.02, -1.0, 0.25), shaft, **SHAFT, reads=(("x", 0), ("x", 2), ("x", 1), ("x", 3)), tolerance=5e-3),
     Case("shock absorber", shock_absorber, (9.0, 2.0, -1.0, 0.25), lambda x, u: beside(x, u, lambda v: (9.0 if v > 0 else 2.0) * v), **SHAFT, reads=(("x", 1), ("x", 3))),
