@@ -29,22 +29,22 @@ def block_spans(lengths: Sequence[int], tau: float, settings: Settings) -> list[
 
 
 def left_out(fit: Fit, spans: list[tuple[int, int, int]], scale: Array) -> Array:
-    """Return the loss of every block when it is left out, to first order; outputs divided by ``scale``."""
+    """Return the loss of every block when it is left out, to first order, by output, ``(blocks, outputs)``; outputs divided by ``scale``."""
     losses = []
     for span in spans:
         rows, e = _block(fit, span)
         predicted = e + (fit.J[rows, : fit.shared] @ _newton(fit, span)).reshape(e.shape)
-        losses.append(float(((predicted / scale) ** 2).sum()))
+        losses.append(((predicted / scale) ** 2).sum(0))
     return np.array(losses)
 
 
 def fitted_losses(fit: Fit, spans: list[tuple[int, int, int]], scale: Array) -> Array:
-    """Return the loss of every block as it is fitted; outputs divided by ``scale``."""
-    return np.array([float(((fit.residuals[r][a:b] / scale) ** 2).sum()) for r, a, b in spans])
+    """Return the loss of every block as it is fitted, by output, ``(blocks, outputs)``; outputs divided by ``scale``."""
+    return np.array([((fit.residuals[r][a:b] / scale) ** 2).sum(0) for r, a, b in spans])
 
 
 def refitted(problem: Problem, horizon: float, fit: Fit, spans: list[tuple[int, int, int]], scale: Array) -> Array:
-    """Return the loss of every block when it is left out, simulated after one Newton step; outputs divided by ``scale``.
+    """Return the loss of every block when it is left out, simulated after one Newton step, by output, ``(blocks, outputs)``; outputs divided by ``scale``.
 
     The step is halved until the other blocks and the prior are followed better than by the whole fit; where none is, it is not taken.
     """
@@ -60,7 +60,7 @@ def refitted(problem: Problem, horizon: float, fit: Fit, spans: list[tuple[int, 
             if _others(fit, residuals, span) + c.penalty(c.pack(there)) <= whole:
                 best = residuals[r][a:b]
                 break
-        losses.append(float(((best / scale) ** 2).sum()))
+        losses.append(((best / scale) ** 2).sum(0))
     return np.array(losses)
 
 
@@ -93,8 +93,8 @@ class HypothesisEvidence:
 
     ``gains`` are twice the logarithm of the ratio of the posteriors in independent samples, less the price of the parameters, by
     horizon. ``share`` is the part of the gap closed at the decision horizon: of the loss on left-out blocks in independent samples,
-    and of the distance of the model's numbers from what is stated. ``before`` and ``after`` are the losses of the left-out blocks;
-    ``count`` the independent samples of all outputs, ``fixed`` the part of the gain that does not depend on the blocks. ``fitted``
+    and of the distance of the model's numbers from what is stated. ``before`` and ``after`` are the losses of the left-out blocks
+    by output, ``(blocks, outputs)``; ``count`` the independent samples of all outputs, ``fixed`` the part of the gain that does not depend on the blocks. ``fitted``
     are the losses of the same blocks, before and after, where they are not left out. ``noise`` is the share of the remaining
     residual power that is known to be noise, since it does not repeat with the excitation; 0 where nothing repeats.
     """
@@ -128,10 +128,10 @@ class HypothesisEvidence:
         return np.asarray(1 - np.exp(-np.clip(gain / self.count, -5.0, 50.0)))
 
     def resampled(self, drawn: NDArray[np.int64], fitted: bool = False) -> Array:
-        """Return the gain for blocks drawn with replacement, ``drawn (resamples, blocks)``, left out or ``fitted``."""
+        """Return the gain for blocks drawn with replacement, ``drawn (resamples, blocks)``, left out or ``fitted``; the noise of every output is as large as what is left."""
         before, after = self.fitted if fitted and self.fitted else (self.before, self.after)
         ratio = before[drawn].sum(1) / np.maximum(after[drawn].sum(1), 1e-300)
-        return np.asarray(self.count * np.log(ratio) + self.fixed)
+        return np.asarray(self.count * np.log(ratio).mean(-1) + self.fixed)
 
     def improves(self, resamples: int) -> float:
         """Return the share of resamplings of the blocks in which there is a gain."""

@@ -80,15 +80,15 @@ def complexity(h: Hypothesis) -> tuple[float, int]:
 def fits_alike(one: Candidate, best: Candidate, gain: float, highest: float, settings: Settings, limited: str) -> bool:
     """Whether a gain is as good as the highest: within chance, or, where the model limits, close to it in what it closes.
 
-    What is not simpler has to be close in what it leaves, too; what is simpler may leave more, since a fit that bends further closes more.
-    Where the noise is known, every hypothesis has to be close in the residual power that it leaves above the noise.
+    It has to be close in what it leaves, too; what is simpler may leave more with every parameter less, since a fit that bends further closes
+    more. Where the noise is known, every hypothesis has to be close in the residual power that it leaves above the noise.
     """
     if gain >= highest - settings.likely:
         return True
     closed, most = float(one.evidence.closing(np.array(gain))), float(best.evidence.closing(np.array(highest)))
     noise = (1 - settings.tie) * best.evidence.noise * (1 - most)
-    simpler = not noise and complexity(one.hypothesis) < complexity(best.hypothesis)
-    near = simpler or settings.alike * (1 - closed - noise) <= 1 - most - noise
+    fewer = 0.0 if noise else max(complexity(best.hypothesis)[0] - complexity(one.hypothesis)[0], 0.0)
+    near = settings.alike ** (1 + fewer) * (1 - closed - noise) <= 1 - most - noise
     return limited == "model" and closed >= (1 - settings.tie) * most and near
 
 

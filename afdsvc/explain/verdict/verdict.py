@@ -108,9 +108,10 @@ def _explained(found: Found) -> tuple[float, float]:
     """Return the part of the gap that is closed at the decision horizon, by blocks left out, and its standard deviation: that of a ratio,
     for blocks that hold more of the gap close more of it (Cochran, Sampling Techniques, 1977, equation 6.5)."""
     e = found.evidence
-    closed, part = e.before - e.after, e.explained
-    gap = closed.sum() / part if part > 0 and closed.sum() > 0 else max(e.before.sum(), 1e-300)
-    spread = np.sqrt(len(closed)) * (closed - part * e.before).std(ddof=1) if len(closed) > 1 else 0.0
+    before, part = e.before.sum(1), e.explained
+    closed = before - e.after.sum(1)
+    gap = closed.sum() / part if part > 0 and closed.sum() > 0 else max(before.sum(), 1e-300)
+    spread = np.sqrt(len(closed)) * (closed - part * before).std(ddof=1) if len(closed) > 1 else 0.0
     return part, float(spread / gap)
 
 

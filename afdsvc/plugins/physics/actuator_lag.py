@@ -10,7 +10,7 @@ import numpy as np
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.plugins.physics.attach import at_input
+from afdsvc.plugins.physics.attach import at_input, at_state, balance, state
 
 
 def _lag(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -19,6 +19,23 @@ def _lag(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     rest = m[0] - z[0]
     out[0] += rest * (1 - decay) * p[0] / dt
     m[0] = z[0] + rest * decay
+
+
+def two_lags(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """`_lag` with ``tau = p[0]`` while v rises and ``p[1]`` while it falls: a rotor without a brake, a valve closed by a spring."""
+    tau = p[0] if z[0] > m[0] else p[1]
+    decay = math.exp(-dt / tau)
+    rest = m[0] - z[0]
+    out[0] += rest * (1 - decay) * tau / dt
+    m[0] = z[0] + rest * decay
+
+
+def uneven(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """The rate of change of a state multiplied by ``1 + p[0]`` while it rises and by ``1 + p[1]`` while it falls; ``p[2:]`` are the nominal coefficients of z."""
+    rate = 0.0
+    for k in range(len(z)):
+        rate += p[2 + k] * z[k]
+    out[0] += (p[0] if rate > 0 else p[1]) * rate
 
 
 def _extend(plant: StateSpace, values: Sequence[float], column: int) -> StateSpace:
@@ -34,20 +51,32 @@ def _extend(plant: StateSpace, values: Sequence[float], column: int) -> StateSpa
 
 
 class ActuatorLag:
-    """An actuator slower than the model says, at every input."""
+    """An actuator slower than the model says, at every input, upwards and downwards alike or not; a lag that the model has may differ in the two directions, too."""
 
     name = "actuator_lag"
     summary = "a first-order low-pass between the command and what the actuator does"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per input."""
+        """Return two hypotheses per input, and one per state that does nothing but follow an input."""
         span = 1 / machine.bandwidth
+        words: dict[str, Any] = {"physics": self.name, "family": "timing", "substeps": 4}
+        uneven_words = words | {"predicts": "a lag that differs between rising and falling", "refuted_by": "the same lag in both directions"}
         for port in machine.inputs:
+            constants = [Coefficient(f"time constant{way}", "s", 1e-3 * span, 300 * span, 0.05 * span) for way in ("", " rising", " falling")]
             yield at_input(
-                port, _lag, physics=self.name, family="timing", memory=1, unsettled=1, substeps=4,
-                parameters=[Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span)],
-                starts=[(0.1 * span,), (span,), (10 * span,)],
+                port, _lag, memory=1, unsettled=1, parameters=constants[:1], starts=[(0.1 * span,), (span,), (10 * span,)],
                 linear=lambda plant, values, column=port.index: _extend(plant, values, column),
                 predicts="phase lag that saturates and gain that falls with frequency, for this input only",
-                refuted_by="a gain that stays the same where the phase falls",
+                refuted_by="a gain that stays the same where the phase falls", **words,
             )
+            yield at_input(
+                port, two_lags, memory=1, unsettled=1, parameters=constants[1:], starts=[(a * span, b * span) for a, b in ((0.3, 1.0), (1.0, 0.3), (1.0, 10.0), (10.0, 1.0))],
+                notes={"variant": "rising and falling", "of": ""}, **uneven_words,
+            )
+        for x in machine.states:
+            reads, constants = balance(machine, x)
+            if len(reads) == 2 and reads[0] == state(x) and reads[1].kind == "u":
+                yield at_state(
+                    x, uneven, reads, starts=[(0.0, 0.0, *(c.low for c in constants))], notes={"variant": "rising and falling", "of": ""},
+                    parameters=[*(Coefficient(f"change of the rate {way}", "", -0.95, 20.0, 0.02, linear=True) for way in ("rising", "falling")), *constants], **uneven_words,
+                )

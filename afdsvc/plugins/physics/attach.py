@@ -114,14 +114,15 @@ def velocity(axis: Axis) -> Signal:
 
 
 def balance(machine: Machine, moved: Size) -> tuple[list[Signal], list[Coefficient]]:
-    """Return the signals of which the model makes the rate of change of a state, and their coefficients as constants; none where there are over 14."""
+    """Return the signals of which the model makes the rate of change of a state, itself first, and their coefficients as constants; none where there are over 14."""
     if machine.plant is None:
         return [], []
     x, u = machine.plant.A[moved.index], machine.plant.B[moved.index]
-    terms = [(Signal("x", j), v) for j, v in enumerate(x) if v] + [(Signal("u", j), v) for j, v in enumerate(u) if v]
+    own = moved.index
+    terms = [(Signal("x", j), float(x[j])) for j in sorted(range(len(x)), key=lambda j: j != own) if x[j]] + [(Signal("u", j), float(v)) for j, v in enumerate(u) if v]
     if len(terms) > MOST_TERMS:
         return [], []
-    return [signal for signal, _ in terms], [constant("nominal", "", float(v)) for _, v in terms]
+    return [signal for signal, _ in terms], [constant("nominal", "", v) for _, v in terms]
 
 
 NONE = 1e-6  # share of the largest force on an axis below which the model has no force of a kind

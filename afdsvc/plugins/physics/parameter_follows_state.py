@@ -43,8 +43,7 @@ class ParameterFollowsState:
             for x in machine.states:
                 yield at_parameter(number, levelling, [state(x)], notes={"variant": x.name, "of": x.name}, **self._words(x))
         for coil in (x for x, _ in decaying(machine) if not machine.code and quantity(x.unit) == "current"):
-            terms = sorted(zip(*balance(machine, coil), strict=True), key=lambda term: term[0] != state(coil))  # the current first
-            reads, constants = [signal for signal, _ in terms], [c for _, c in terms]
+            reads, constants = balance(machine, coil)
             if len(reads) > 1:
                 yield at_state(coil, saturating, reads, notes={"variant": "inductance"}, **self._words(coil, constants))
 

@@ -31,6 +31,11 @@ def signed_square(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] += p[0] * z[0] * abs(z[0]) / p[1]
 
 
+def two_slopes(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``u + a |u|``: one gain forwards, another backwards, as of a cylinder with a rod."""
+    out[0] += p[0] * abs(z[0])
+
+
 def thrust(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """A rotor follows the input, ``tau w' + w = u``, and pushes with ``w |w| / r``: the model's gain holds at the level r."""
     rest = (m[0] - z[0]) * math.exp(-0.5 * dt / p[1])
@@ -92,6 +97,11 @@ class StaticNonlinearity:
                 port, power, parameters=[level, constant("exponent", "", 2.0)], notes=_shape("thrust"),
                 starts=[(r * port.rms, 2.0) for r in (0.3, 1.0, 3.0)], **words, **_CURVED,
             )
+            if port.reverses:
+                yield at_input(
+                    port, two_slopes, parameters=[Coefficient("asymmetry", "", -0.95, 0.95, 0.02, linear=True)], starts=[(0.0,)], notes=_shape("two slopes"),
+                    predicts="even distortion in proportion to the level", refuted_by="the same answer to both signs of the input", **words,
+                )
             span = 1 / machine.bandwidth
             yield at_input(
                 port, thrust, memory=1, unsettled=1, substeps=4, parameters=[level, Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span)],

@@ -79,7 +79,7 @@ def test_recordings_held_out_begin_with_their_own(drive):
 def test_a_borrowed_jacobian_is_the_jacobian_where_the_effect_was_added():
     p = problem(behind_a_slow_drive(6)[0])
     base = fit(p, p.start(), 0.0, 5.0)
-    (h,) = hypotheses([ActuatorLag()], machine(p, base, 0.0))
+    h = next(iter(hypotheses([ActuatorLag()], machine(p, base, 0.0))))
     point = base.point.added(PlacedEffect(h, np.array([1e-3 * TAU])))  # so fast that the numbers of the model act as before
     c = Coordinates(p, point)
     whole = jacobian(p, c, c.pack(point), 0.0, weighted(p, point, 0.0))

@@ -34,7 +34,7 @@ def arm():
     model = Model("arm", (Variable("force", "1"),), (Variable("angle", "deg"),), states, plant, entry_sd=entry_sd)
     problem = build(nominal(model, DT), prepare(model, [recording]), Settings())
     base = fit(problem, problem.start(), 0.0, TAU)
-    (lag,) = ActuatorLag().hypotheses(machine(problem, base, 0.0, [], [], "model"))
+    lag = next(iter(ActuatorLag().hypotheses(machine(problem, base, 0.0, [], [], "model"))))
     return problem, base, lag
 
 

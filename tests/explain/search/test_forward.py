@@ -228,7 +228,7 @@ def test_losses_of_left_out_blocks_are_those_of_refits_without_them():
         runs[r] = replace(runs[r], Y=hidden)
         again = fit(replace(p, runs=tuple(runs)), f.point, 0.0, 5.0)
         left = (weighted(p, again.point, 0.0)[r][a:b] / f.sd) ** 2
-        assert found[k] == pytest.approx(left.sum(), rel=0.02)
+        assert found[k] == pytest.approx(left.sum(0), rel=0.02)
 
 
 def test_a_step_that_spoils_the_other_blocks_is_not_taken():
@@ -236,7 +236,7 @@ def test_a_step_that_spoils_the_other_blocks_is_not_taken():
     f = fit(p, p.start(), 0.0, 5.0)
     spans = block_spans([len(e) for e in f.residuals], f.tau, Settings())
     away = refitted(p, 0.0, replace(f, J=-f.J), spans, f.sd)
-    assert away == pytest.approx([((f.residuals[r][a:b] / f.sd) ** 2).sum() for r, a, b in spans])
+    assert away == pytest.approx(np.array([((f.residuals[r][a:b] / f.sd) ** 2).sum(0) for r, a, b in spans]))
 
 
 def test_where_the_model_was_bent_hypotheses_begin_at_the_stated_numbers_too():
@@ -317,7 +317,7 @@ def test_shapes_of_one_law_do_not_crowd_out_others():
 
 @pytest.mark.parametrize(("share", "accepted"), [(0.6, True), (0.1, False)])
 def test_a_further_effect_counts_by_the_gap_where_noise_is_most_of_what_is_left(share, accepted):
-    before = np.full(20, 1.0)
+    before = np.full((20, 1), 1.0)
     evidence = HypothesisEvidence({0.0: 100.0}, share, before, 0.95 * before, 5000.0, 0.0)
     assert evidence.closed < Settings().further
     rounds = SimpleNamespace(problem=SimpleNamespace(settings=Settings(), regular=True), limited="model")

@@ -16,12 +16,12 @@ S = Settings()
 
 def candidate(physics: str, closed: float, parameters: int = 1, site: str = "input:u", variant: str = "", share: float = 0.5, reads: int = 1) -> Candidate:
     """Return a candidate that leaves the share ``1 - closed`` of the loss in every block."""
-    after = np.full(BLOCKS, 1 - closed)
+    after = np.full((BLOCKS, 1), 1 - closed)
     coefficients = tuple(SimpleNamespace(free=True, nuisance=False) for _ in range(parameters))
     words = {"physics": physics, "site": site, "key": f"{physics}@{site}#{variant}", "notes": {"variant": variant}}
     hypothesis = SimpleNamespace(**words, parameters=coefficients, reads=("u",) * reads)
     gain = -COUNT * np.log(1 - closed)
-    return Candidate(hypothesis, {}, HypothesisEvidence({0.0: gain}, share, np.ones(BLOCKS), after, COUNT, 0.0))
+    return Candidate(hypothesis, {}, HypothesisEvidence({0.0: gain}, share, np.ones((BLOCKS, 1)), after, COUNT, 0.0))
 
 
 def test_hypotheses_that_fit_alike_share_the_vote_and_the_simplest_goes_first():
@@ -71,8 +71,12 @@ def test_what_leaves_more_than_twice_as_much_and_is_not_simpler_does_not_fit_ali
     cubic, cogging = candidate("cubic", 0.997), candidate("cogging", 0.991)
     assert vote_shares([cubic, cogging], S, "model") == pytest.approx([1.0, 0.0])
     assert vote_shares([cubic, candidate("cogging", 0.995)], S, "model") == pytest.approx([0.5, 0.5])
-    mode, friction = candidate("mode", 0.999, 3), candidate("friction", 0.994, 1)
+
+
+def test_what_is_simpler_may_leave_twice_as_much_more_with_every_parameter_less():
+    mode, friction = candidate("mode", 0.999, 3), candidate("friction", 0.9925, 1)
     assert winner([mode, friction], S, "model") is friction
+    assert vote_shares([mode, candidate("friction", 0.9915, 1)], S, "model") == pytest.approx([1.0, 0.0])
 
 
 def test_residual_power_is_compared_above_the_noise_where_that_is_known():

@@ -16,7 +16,7 @@ from afdsvc.explain.verdict.verdict import _claims, _complete, _explained, verdi
 def candidate(physics: str) -> Candidate:
     """Return a candidate that closes nine tenths of the gap in every block."""
     hypothesis = SimpleNamespace(physics=physics, site="input:u", key=physics, title=f"{physics} (input u)", notes={}, parameters=(), reads=())
-    return Candidate(hypothesis, {}, HypothesisEvidence({0.0: 900.0}, 0.9, np.ones(20), np.full(20, 0.1), 400.0, 0.0))
+    return Candidate(hypothesis, {}, HypothesisEvidence({0.0: 900.0}, 0.9, np.ones((20, 1)), np.full((20, 1), 0.1), 400.0, 0.0))
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_the_deviation_of_the_explained_share_is_that_of_blocks_drawn_anew(floor
     share = 1 - (after - floor).sum() / gap.sum()
     drawn = rng.integers(0, 40, (4000, 40))
     expected = np.std(1 - (after - floor)[drawn].sum(1) / gap[drawn].sum(1))
-    found = SimpleNamespace(evidence=HypothesisEvidence({0.0: 100.0}, share, before, after, 400.0, 0.0))
+    found = SimpleNamespace(evidence=HypothesisEvidence({0.0: 100.0}, share, before[:, None], after[:, None], 400.0, 0.0))
     assert _explained(found) == (share, pytest.approx(expected, rel=0.15))
     assert expected < 0.01
 
@@ -87,7 +87,7 @@ def test_a_number_that_changes_with_time_may_begin_far_from_what_is_stated(chang
 
 
 def test_what_closes_next_to_nothing_of_what_can_be_explained_is_not_named():
-    found = _found([candidate("friction")], HypothesisEvidence({0.0: 12.0}, 0.02, np.ones(20), np.full(20, 0.98), 400.0, 0.0))
+    found = _found([candidate("friction")], HypothesisEvidence({0.0: 12.0}, 0.02, np.ones((20, 1)), np.full((20, 1), 0.98), 400.0, 0.0))
     answer = verdict(found, SimpleNamespace(present=True, total=0.9, sentence="a gap"), SimpleNamespace(present=True, enough=True, total=0.9, p_value=0.01, depends_on=()))
     assert (answer.verdict, answer.claims) == ("unexplained", ())
     assert any("friction (input u) closes too little" in s for s in answer.sentences)
@@ -95,7 +95,7 @@ def test_what_closes_next_to_nothing_of_what_can_be_explained_is_not_named():
 
 def test_a_look_alike_that_hardly_ever_comes_first_is_not_named():
     settings, close = Settings(), candidate("viscous")
-    worse = Candidate(close.hypothesis, {}, HypothesisEvidence({0.0: 700.0}, 0.7, np.ones(20), np.full(20, 0.17), 400.0, 0.0))
+    worse = Candidate(close.hypothesis, {}, HypothesisEvidence({0.0: 700.0}, 0.7, np.ones((20, 1)), np.full((20, 1), 0.17), 400.0, 0.0))
     step = SimpleNamespace(accepted=True, candidates=[candidate("friction"), worse], limited="model")
     assert [c.candidate.hypothesis.physics for c in _claims(step, 1, 1.0, SimpleNamespace(problem=SimpleNamespace(settings=settings)))] == ["friction"]
     step.candidates[1] = close

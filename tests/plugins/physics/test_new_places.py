@@ -11,7 +11,7 @@ from afdsvc.api.physics import Signal
 from afdsvc.explain.search.ranking import mechanism
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.eccentricity import out_of_round
-from tests.plugins.physics.test_sites import ARM, CART, COIL, DAMPER, MOTOR, REACTOR, TANKS, machines, offered
+from tests.plugins.physics.test_sites import ARM, CART, COIL, DAMPER, MOTOR, REACTOR, ROTOR, TANKS, machines, offered
 
 
 def test_a_force_towards_an_end_belongs_to_lines_and_decays_within_a_third_of_the_reach():
@@ -87,6 +87,30 @@ def test_a_store_is_brought_back_from_below_its_limit_only():
         out = np.zeros(1)
         h.law(np.array([0.7]), np.array([level]), np.zeros(0), 0.1, out)
         assert out[0] == pytest.approx(back)
+
+
+def test_inputs_of_one_unit_share_a_supply_that_sags_with_the_sum_of_both():
+    """Oracle: the formula, at once."""
+    rotor = machines()[ROTOR]
+    h = offered(rotor)["supply_droop@machine#horizontal,vertical"]
+    out, u = np.zeros(2), np.array([3.0, -1.0])
+    h.law(np.array([0.2, 1e-9, 8.0]), u, np.zeros(1), 0.01, out)
+    assert u + out == pytest.approx(u * (1 - 0.2 * 4 / 8))
+    other = replace(rotor, inputs=(rotor.inputs[0], replace(rotor.inputs[1], unit="N")))
+    assert not any(k.startswith("supply_droop@machine") for k in offered(other))
+
+
+def test_two_slopes_are_offered_to_inputs_that_take_both_signs():
+    motor = machines()[MOTOR]
+    one_way = replace(motor, inputs=(replace(motor.inputs[0], reverses=False),))
+    assert "static_nonlinearity@input:voltage#two slopes" in offered(motor)
+    assert "static_nonlinearity@input:voltage#two slopes" not in offered(one_way)
+
+
+def test_a_state_that_follows_more_than_one_input_has_no_lag_of_its_own():
+    """The current of a coil is driven by the voltage and by the motion."""
+    found = {k for k in offered(machines()[COIL]) if k.endswith("#rising and falling")}
+    assert found == {"actuator_lag@input:voltage#rising and falling"}
 
 
 @pytest.mark.parametrize("other", [False, True])
