@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Size
-from afdsvc.plugins.physics.attach import at_force, constant, force, placed, state, velocity
+from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal, Size
+from afdsvc.plugins.physics.attach import at_force, at_output, constant, force, imposed, placed, state, velocity
 from afdsvc.plugins.physics.joint import at_joint, joints
 
 PLAY = "play in the spring"
@@ -27,6 +27,11 @@ def _stop(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 def _side(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-k (q - g)`` beyond ``g`` on one side, ``p[2]``: 1 above, -1 below."""
     out[0] -= p[0] * p[2] * max(p[2] * (z[0] - p[1]), 0.0)
+
+
+def bumped(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``+k (u - g)`` beyond ``g`` on one side, ``p[2]``: the force of a stop against which a motion ``u`` is imposed."""
+    out[0] += p[0] * p[2] * max(p[2] * (z[1] - p[1]), 0.0)
 
 
 def _joint(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -56,13 +61,15 @@ def _joint_play(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 class Clearance:
-    """A spring behind a gap, on both sides or one, on every axis of motion and in joints between axes, and play in the springs of the model."""
+    """A spring behind a gap, on both sides or one, on every axis of motion and in joints between axes, on one side where a motion is imposed, and play in
+    the springs of the model."""
 
     name = "clearance"
     summary = "a spring force that begins only beyond a gap"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per axis and per joint, started at gaps between a third and nearly all of the travel."""
+        """Return hypotheses per axis, per joint and per imposed motion, started at gaps between a third and nearly all of the travel."""
+        yield from _imposed(machine)
         for axis, q in placed(machine):
             peak = q.peak
             scale = 0.1 * axis.push / q.rms
@@ -77,15 +84,8 @@ class Clearance:
                 refuted_by="distortion at levels that never reach the gap",
             )
             for side, word in ((1.0, "above"), (-1.0, "below")):
-                yield at_force(
-                    axis, _side, [state(q)], physics=self.name, family="stiffness", notes={"variant": f"stop {word}", "of": ""},
-                    parameters=[
-                        force(axis, "stiffness", 0.0, 1e4 * scale, scale, q.unit, linear=True),
-                        Coefficient("place", q.unit, q.mean - q.reach, q.mean + q.reach, 0.02 * q.reach), constant("side", "", side),
-                    ],
-                    starts=[(0.0, q.mean + side * share * q.reach, side) for share in (0.15, 0.35, 0.6, 0.8)],
-                    predicts=f"a stiffness that sets in {word} a place and nothing on the other side of it", refuted_by="distortion alike on both sides",
-                )
+                stiffness = force(axis, "stiffness", 0.0, 1e4 * scale, scale, q.unit, linear=True)
+                yield at_force(axis, _side, [state(q)], notes={"variant": f"stop {word}", "of": ""}, **_one_sided(stiffness, q, side, word))
             own = 0.0 if machine.plant is None else -float(machine.plant.A[axis.rate.index, q.index])
             if own > 0:
                 yield at_force(axis, _play, [state(q)], notes={"variant": PLAY, "of": ""}, parameters=_lost(axis, q, own), starts=_gaps(q, own), **_SLACK)
@@ -104,6 +104,26 @@ class Clearance:
                 damper = constant("damping over stiffness", "s", k.damping / k.stiffness)
                 starts = [(*s, damper.low) for s in _gaps(q, k.stiffness)]
                 yield at_joint(k, _joint_play, [*_lost(a, q, k.stiffness), damper], starts, further=[velocity(x) for x in k.axes], what=PLAY, **_SLACK)
+
+
+def _one_sided(stiffness: Coefficient, q: Size, side: float, word: str) -> dict[str, Any]:
+    """Return what a stop on one side of a way has: its numbers, where they begin, and the words."""
+    return {
+        "physics": "clearance", "family": "stiffness",
+        "parameters": [stiffness, Coefficient("place", q.unit, q.mean - q.reach, q.mean + q.reach, 0.02 * q.reach), constant("side", "", side)],
+        "starts": [(0.0, q.mean + side * share * q.reach, side) for share in (0.15, 0.35, 0.6, 0.8)],
+        "predicts": f"a stiffness that sets in {word} a place and nothing on the other side of it", "refuted_by": "distortion alike on both sides",
+    }
+
+
+def _imposed(machine: Machine) -> Iterable[Hypothesis]:
+    """Yield stops on one side of every imposed motion, in the force that answers it."""
+    for port, u, low, high in (*imposed(machine, "length"), *imposed(machine, "angle")):
+        size = port.rms / u.rms
+        stiffness = Coefficient("stiffness", f"{port.unit}/{u.unit}", 1e3 * low * size, 1e3 * high * size, 0.1 * size, linear=True)
+        for side, word in ((1.0, "above"), (-1.0, "below")):
+            notes = {"variant": f"{u.name}, stop {word}", "of": u.name}
+            yield at_output(port, bumped, [Signal("u", u.index)], notes=notes, **_one_sided(stiffness, u, side, word))
 
 
 def _lost(axis: Axis, q: Size, stiffness: float) -> list[Coefficient]:

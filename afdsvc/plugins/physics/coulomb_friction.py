@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal, Size
-from afdsvc.plugins.physics.attach import at_force, at_output, constant, force, imposed, placed, state, velocity
+from afdsvc.plugins.physics.attach import at_force, at_output, constant, converter, force, imposed, placed, state, velocity
 from afdsvc.plugins.physics.joint import Joint, at_joint, joints
 from afdsvc.plugins.physics.stribeck_friction import bristle, presliding
 
@@ -147,18 +147,22 @@ def _on(axis: Axis, machine: Machine) -> Iterable[Hypothesis]:
 
 
 def _loads(axis: Axis, machine: Machine) -> Iterable[tuple[str, list[Any], list[Coefficient]]]:
-    """Yield what may press the surfaces together: the input's force, and what is passed on between input and spring or weight."""
-    if axis.input is None:
+    """Yield what may press the surfaces together: the force of the input, or of the state that drives the axis in its place, and what is passed
+    on between it and spring or weight."""
+    if axis.input is not None:
+        name, drive, gain = "the input", [Signal("u", axis.input)], axis.gain
+    elif machine.plant is not None and (source := converter(machine, axis)):
+        name, drive, gain = source.name, [state(source)], float(machine.plant.A[axis.rate.index, source.index])
+    else:
         return
-    drive = [Signal("u", axis.input)]
-    yield "the input", drive, [constant("gain", "", axis.gain)]
+    yield name, drive, [constant("gain", "", gain)]
     if machine.plant is None:
         return
     row = machine.plant.A[axis.rate.index]
     held = [q for _, q in placed(machine) if row[q.index]]
     if held:
         yield "the transmitted force", [*drive, *(state(q) for q in held)], [
-            constant("gain", "", axis.gain), *(constant("nominal", "", -float(row[q.index])) for q in held),
+            constant("gain", "", gain), *(constant("nominal", "", -float(row[q.index])) for q in held),
         ]
 
 

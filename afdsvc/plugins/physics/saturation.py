@@ -6,8 +6,9 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal, Size
+from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal, Size
 from afdsvc.plugins.physics.attach import (
+    at_drive,
     at_force,
     at_input,
     at_state,
@@ -46,6 +47,11 @@ def cut_below(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] += max(p[0] - z[0], 0.0)
 
 
+def ceiling(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """The input of gain ``p[2]`` is held between ``-p[0] - p[1] v`` and ``p[0] - p[1] v``: a supply has less to give against the voltage that motion induces."""
+    out[0] += p[2] * (min(max(z[0], -p[0] - p[1] * z[1]), p[0] - p[1] * z[1]) - z[0])
+
+
 def _held(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """A state beyond ``+-limit`` is brought back within one step."""
     out[0] -= math.copysign(max(abs(z[0]) - p[0], 0.0), z[0]) / dt
@@ -65,7 +71,7 @@ def emptied(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 class Saturation:
-    """A limit at every input, on one side or both, of every velocity, of every force that is a state, and of every store, full or empty, inside the range
+    """A limit at every input, on one side or both, or falling with the velocity it drives, of every velocity, of every force that is a state, and of every store, full or empty, inside the range
     the recordings use."""
 
     name = "saturation"
@@ -76,6 +82,8 @@ class Saturation:
         for port in machine.inputs:
             yield from self._of_input(port)
         for axis in machine.axes:
+            if axis.input is not None:
+                yield self._falling(axis, machine)
             yield at_force(axis, _held, [velocity(axis)], **self._of_state(axis.rate))
         for store in store_states(machine):
             if quantity(store.unit) == "force":
@@ -110,6 +118,18 @@ class Saturation:
             port, two_limits, parameters=[upper, lower],
             starts=[(port.mean + a * port.rms, port.mean - b * port.rms) for a, b in ((0.9, 0.9), (0.5, 0.95), (0.95, 0.5))],
             notes={"variant": "asymmetric", "of": ""}, **words,
+        )
+
+    def _falling(self, axis: Axis, machine: Machine) -> Hypothesis:
+        port, v = machine.inputs[axis.input or 0], axis.rate
+        way = math.copysign(port.peak / v.peak, axis.gain)
+        limit = Coefficient("limit at rest", port.unit, 0.1 * port.peak, 20 * port.peak, 0.05 * port.peak)
+        fall = Coefficient("fall with the velocity", f"{port.unit}/({v.unit})", min(0.0, 20 * way), max(0.0, 20 * way), 0.05 * abs(way))
+        return at_drive(
+            axis, machine, ceiling, [Signal("u", port.index), velocity(axis)], physics=self.name, family="limit",
+            notes={"variant": f"falls with {v.name}", "of": ""}, parameters=[limit, fall, constant("gain", "", axis.gain)],
+            starts=[(a * port.peak, b * way, axis.gain) for a, b in ((1.2, 0.5), (2.0, 1.5), (4.0, 3.5))],
+            predicts="missing peaks of the input at high velocity only, while it speeds up and not while it brakes", refuted_by="the same limit at every velocity",
         )
 
     def _of_store(self, store: Size, machine: Machine) -> Hypothesis:

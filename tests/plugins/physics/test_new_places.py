@@ -107,6 +107,33 @@ def test_two_slopes_are_offered_to_inputs_that_take_both_signs():
     assert "static_nonlinearity@input:voltage#two slopes" not in offered(one_way)
 
 
+@pytest.mark.parametrize(("word", "place"), [("above", 2.0), ("below", -2.0)])
+def test_a_stop_answers_an_imposed_way_on_one_side_with_the_sign_of_the_spring(word, place):
+    """Oracle: the formula, of a spring whose force grows with the way."""
+    damper = machines()[DAMPER]
+    way = replace(damper.inputs[0], name="way", unit="mm", rms=3.0, mean=0.5)
+    plant = StateSpace(damper.plant.A, damper.plant.B, damper.plant.C, np.array([[4.0]]))
+    h = offered(replace(damper, inputs=(way,), plant=plant))[f"clearance@output:force#way, stop {word}"]
+    assert (h.parameters[0].low, h.parameters[0].high > 0) == (0.0, True)
+    beyond, within, p = 1.5 * place, 0.5 * place, np.array([7.0, place, np.sign(place)])
+    for u, pushed in ((beyond, 7.0 * (beyond - place)), (within, 0.0), (-beyond, 0.0)):
+        out = np.zeros(1)
+        h.law(p, np.array([9.0, u]), np.zeros(0), 0.1, out)
+        assert out[0] == pytest.approx(pushed)
+    assert not any("stop" in k for k in offered(damper))
+
+
+@pytest.mark.parametrize("gain", [40.0, -40.0])
+def test_a_supply_has_less_to_give_the_faster_an_axis_turns(gain):
+    motor = machines()[MOTOR]
+    turned = replace(motor, axes=(replace(motor.axes[0], gain=gain),))
+    limit, fall, own = offered(turned)["saturation@input:voltage#falls with w"].parameters
+    assert limit.low > 0
+    assert own.low == gain
+    assert (fall.high if gain > 0 else -fall.low) == pytest.approx(20 * motor.inputs[0].peak / motor.axes[0].rate.peak)
+    assert (fall.low if gain > 0 else fall.high) == 0.0
+
+
 def test_a_state_that_follows_more_than_one_input_has_no_lag_of_its_own():
     """The current of a coil is driven by the voltage and by the motion."""
     found = {k for k in offered(machines()[COIL]) if k.endswith("#rising and falling")}

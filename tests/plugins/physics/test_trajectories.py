@@ -33,7 +33,7 @@ from afdsvc.plugins.physics.magnetic_force import pair, single
 from afdsvc.plugins.physics.parameter_follows_state import saturating
 from afdsvc.plugins.physics.quadratic_damping import _joint as turbulent_damper
 from afdsvc.plugins.physics.repulsion import _growing as growing
-from afdsvc.plugins.physics.saturation import cut_above, cut_below, overflow, two_limits
+from afdsvc.plugins.physics.saturation import ceiling, cut_above, cut_below, overflow, two_limits
 from afdsvc.plugins.physics.self_heating import warming
 from afdsvc.plugins.physics.slow_mode import relaxing
 from afdsvc.plugins.physics.static_nonlinearity import outflow, outflow_about, power, signed_square, thrust, two_slopes
@@ -225,6 +225,7 @@ CASES = [
     Case("signed square", signed_square, (0.3, 1.2), lambda x, u: [-D * x[0] + G * (u + 0.3 * u * abs(u) / 1.2)], **SPEED, reads=(("u", 0),), stage="input"),
     Case("limit above", cut_above, (0.5,), lambda x, u: [-D * x[0] + G * min(u, 0.5)], **SPEED, reads=(("u", 0),), stage="input"),
     Case("limit below", cut_below, (-0.3,), lambda x, u: [-D * x[0] + G * max(u, -0.3)], **SPEED, reads=(("u", 0),), stage="input"),
+    Case("limit that falls with the speed", ceiling, (0.9, 0.4, G), lambda x, u: [-D * x[0] + G * np.clip(u, -0.9 - 0.4 * x[0], 0.9 - 0.4 * x[0])], **SPEED, reads=(("u", 0), ("x", 0)), tolerance=1e-2),
     Case("two limits", two_limits, (0.5, -0.3), lambda x, u: [-D * x[0] + G * np.clip(u, -0.3, 0.5)], **SPEED, reads=(("u", 0),), stage="input"),
     Case("loop over a way", over_integral, (0.4, 0.05, 1.0), bouc, **SPEED, reads=(("u", 0),), stage="input", hidden=(0.0,), memory=3, tolerance=2e-2),
     Case("second store", relaxing, (0.9, 0.6), lambda x, u: [u - 0.8 * x[0] - 0.9 * (x[0] - x[2]), 0.5 * x[0] - 0.4 * x[1], (x[0] - x[2]) / 0.6], **(TANK | {"writes": (0,)}), hidden=(1.0,), memory=2),
