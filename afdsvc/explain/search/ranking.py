@@ -44,7 +44,7 @@ def mechanism(h: Hypothesis) -> tuple[str, ...]:
 def winner(reasons: Sequence[Candidate], settings: Settings, limited: str) -> Candidate:
     """Return the mechanism with the most weight, the simplest of those within `Settings.tie`; of its shapes the simplest that fits alike.
 
-    Where resampled blocks leave that in doubt, what gains more and is in no doubt goes before it. ``reasons`` are ordered by gain.
+    Where resampled blocks leave that in doubt, what gains as much, within chance, and is in no doubt goes before it. ``reasons`` are ordered by gain.
     """
     votes: dict[tuple[str, ...], float] = {}
     shapes: dict[tuple[str, ...], list[Candidate]] = {}
@@ -57,7 +57,7 @@ def winner(reasons: Sequence[Candidate], settings: Settings, limited: str) -> Ca
     first = min(firsts, key=lambda c: (complexity(c.hypothesis), -c.evidence.gain))
     if _sure(first, settings):
         return first
-    return next((c for c in reasons if c.evidence.gain > first.evidence.gain and _sure(c, settings)), first)
+    return next((c for c in reasons if c.evidence.gain > first.evidence.gain - settings.likely and _sure(c, settings)), first)
 
 
 def _sure(c: Candidate, settings: Settings) -> bool:

@@ -20,6 +20,7 @@ from afdsvc.plugins.physics.attach import (
     velocity,
 )
 
+NO_LOAD = 1.1  # times the largest velocity: where a search begins with nothing left to give
 SHARP, SOFT = 1e-3, 0.4  # shares of the limit over which the corner may be rounded
 
 
@@ -128,7 +129,7 @@ class Saturation:
         return at_drive(
             axis, machine, ceiling, [Signal("u", port.index), velocity(axis)], physics=self.name, family="limit",
             notes={"variant": f"falls with {v.name}", "of": ""}, parameters=[limit, fall, constant("gain", "", axis.gain)],
-            starts=[(a * port.peak, b * way, axis.gain) for a, b in ((1.2, 0.5), (2.0, 1.5), (4.0, 3.5))],
+            starts=[(a * port.peak, a * way / NO_LOAD, axis.gain) for a in (1.2, 2.5, 6.0)],
             predicts="missing peaks of the input at high velocity only, while it speeds up and not while it brakes", refuted_by="the same limit at every velocity",
         )
 

@@ -40,16 +40,18 @@ def test_the_shapes_of_one_mechanism_share_one_vote():
     assert winner([*curves, lag], S, "model") is lag
 
 
-def test_what_gains_more_and_is_in_no_doubt_goes_before_a_first_name_that_blocks_doubt():
+def test_what_gains_as_much_and_is_in_no_doubt_goes_before_a_first_name_that_blocks_doubt():
     """A lag gets most votes, by blocks as they are fitted; left out, few blocks gain, but much."""
     lag, eddy = candidate("lag", 0.9), candidate("eddy", 0.8, 2)
-    after = np.where(np.arange(BLOCKS) < 2, 0.01, 1.2)
+    after = np.where(np.arange(BLOCKS) < 2, 0.01, 1.2)[:, None]
     doubtful = replace(lag, evidence=replace(lag.evidence, after=after, fitted=(lag.evidence.before, lag.evidence.after)))
     assert doubtful.evidence.improves(S.resamples) < S.sure < eddy.evidence.improves(S.resamples)
     assert winner([doubtful, eddy], S, "model") is doubtful  # what is in no doubt gains less
-    better = replace(eddy, evidence=replace(eddy.evidence, gains={0.0: doubtful.evidence.gain + 1}))
-    assert winner([better, doubtful], S, "model") is better
-    assert winner([replace(better, evidence=replace(better.evidence, after=after)), doubtful], S, "model") is doubtful
+    less = replace(eddy, evidence=replace(eddy.evidence, gains={0.0: doubtful.evidence.gain - S.likely - 0.1}))
+    assert winner([doubtful, less], S, "model") is doubtful
+    better = replace(eddy, evidence=replace(eddy.evidence, gains={0.0: doubtful.evidence.gain - S.likely + 0.1}))
+    assert winner([doubtful, better], S, "model") is better
+    assert winner([doubtful, replace(better, evidence=replace(better.evidence, after=after))], S, "model") is doubtful
 
 
 def test_a_hypothesis_that_is_never_best_is_not_first_however_simple():
