@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
-from afdsvc.plugins.physics.attach import at_input, at_machine, constant
+from afdsvc.plugins.physics.attach import MOST_TERMS, at_input, at_machine, constant
 
 
 def droop(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -33,7 +33,7 @@ class SupplyDroop:
             yield at_input(port, droop, **self._words(port.unit, port.rms, fast, slow))
         for unit in dict.fromkeys(u.unit for u in machine.inputs):
             fed = [u for u in machine.inputs if u.unit == unit]
-            if len(fed) > 1:
+            if 1 < len(fed) <= MOST_TERMS:
                 ports = [Signal("u", u.index) for u in fed]
                 yield at_machine("input", droop, ports, ports, notes={"variant": ",".join(u.name for u in fed)}, **self._words(unit, sum(u.rms for u in fed), fast, slow))
 

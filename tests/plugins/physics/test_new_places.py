@@ -11,6 +11,7 @@ from afdsvc.api.physics import Signal
 from afdsvc.explain.search.ranking import mechanism
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.eccentricity import out_of_round
+from afdsvc.plugins.physics.supply_droop import SupplyDroop
 from tests.plugins.physics.test_sites import ARM, CART, COIL, DAMPER, MOTOR, REACTOR, ROTOR, TANKS, machines, offered
 
 
@@ -96,8 +97,10 @@ def test_inputs_of_one_unit_share_a_supply_that_sags_with_the_sum_of_both():
     out, u = np.zeros(2), np.array([3.0, -1.0])
     h.law(np.array([0.2, 1e-9, 8.0]), u, np.zeros(1), 0.01, out)
     assert u + out == pytest.approx(u * (1 - 0.2 * 4 / 8))
-    other = replace(rotor, inputs=(rotor.inputs[0], replace(rotor.inputs[1], unit="N")))
-    assert not any(k.startswith("supply_droop@machine") for k in offered(other))
+    other, many = (rotor.inputs[0], replace(rotor.inputs[1], unit="N")), tuple(replace(rotor.inputs[0], name=f"valve {k}") for k in range(15))
+    for inputs in (other, many):  # of another unit; more than one law can read
+        found = {x.key for x in SupplyDroop().hypotheses(replace(rotor, inputs=inputs))}
+        assert not any(k.startswith("supply_droop@machine") for k in found)
 
 
 def test_two_slopes_are_offered_to_inputs_that_take_both_signs():
