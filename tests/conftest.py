@@ -20,7 +20,7 @@ from afdsvc.plugins.manager import Plugins, load
 from afdsvc.service.clock import FastClock
 
 # Files of few and long tests, first what compiles for the others; a long file that comes last leaves every other worker idle.
-LONG = ("testing", "explain", "compatibility", "system", "app", "trial")
+LONG = ("testing", "explain", "compatibility", "system", "app", "trial", "service", "retune", "transport")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -34,8 +34,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """Return one worker more than there are processors: tests of services wait for their clocks."""
-    return (os.cpu_count() or 1) + 1
+    """Return two workers more than there are processors: tests of services wait for their clocks."""
+    return (os.cpu_count() or 1) + 2
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

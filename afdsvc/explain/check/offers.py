@@ -55,6 +55,7 @@ def _lacks(physics: Physics, machine: Machine) -> str:
         "a state that is a velocity (rate_of, or a unit such as rad/s)": axes,
         f"recorded signals such as {', '.join(f'aux_{name}' for name in RECORDED)}": _with_aux(machine),
         "a tone or a peak in the residual, which shows after the fit": replace(machine, tones=tone, peaks=tone),
+        "a state that decays by itself and is no velocity, such as a current, a temperature or a level": replace(machine, axes=()),
         "a second axis of motion": replace(axes, axes=axes.axes[:1] * 2),
         "a second output": replace(machine, outputs=machine.outputs[:1] * 2, residual=np.repeat(machine.residual[:1], 2)),
         "an axis of motion and a recorded aux_speed": _with_aux(replace(axes, axes=axes.axes[:1] * 2)),

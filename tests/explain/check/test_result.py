@@ -51,6 +51,8 @@ def test_a_model_that_fits_is_ready(model):
     assert found.offers.axes == ("velocity speed [rad/s], its position is not in the model, driven by voltage",)
     assert found.offers.tried["coulomb_friction"] == ("state:speed",)
     assert "aux_speed" in found.offers.absent["unbalance"]
+    assert "decays by itself and is no velocity" in found.offers.absent["slow_mode"]
+    assert "a second axis" in found.offers.absent["gyroscopic_coupling"]
     assert found.offers.absent["clearance"] == "a state that is a position, and its velocity (rate_of)"
     assert any(f.sentence.startswith("the recordings fix 2 of 2 uncertain numbers of the model: their") for f in found.findings)
     assert found.plan.method == "auto"
