@@ -130,7 +130,9 @@ def test_a_stop_answers_an_imposed_way_on_one_side_with_the_sign_of_the_spring(w
 def test_a_supply_has_less_to_give_the_faster_an_axis_turns(gain):
     motor = machines()[MOTOR]
     turned = replace(motor, axes=(replace(motor.axes[0], gain=gain),))
-    limit, fall, own = offered(turned)["saturation@input:voltage#falls with w"].parameters
+    h = offered(turned)["saturation@input:voltage#falls with w"]
+    limit, fall, own = h.parameters
+    assert [abs(s[0] / s[1]) for s in h.starts] == pytest.approx([1.1 * motor.axes[0].rate.peak] * 3)  # nothing is left to give there
     assert limit.low > 0
     assert own.low == gain
     assert (fall.high if gain > 0 else -fall.low) == pytest.approx(20 * motor.inputs[0].peak / motor.axes[0].rate.peak)
@@ -138,9 +140,18 @@ def test_a_supply_has_less_to_give_the_faster_an_axis_turns(gain):
 
 
 def test_a_state_that_follows_more_than_one_input_has_no_lag_of_its_own():
-    """The current of a coil is driven by the voltage and by the motion."""
-    found = {k for k in offered(machines()[COIL]) if k.endswith("#rising and falling")}
-    assert found == {"actuator_lag@input:voltage#rising and falling"}
+    """The current of a coil is driven by the voltage and by the motion, the second tank by the first."""
+    coil, tanks, two = ({k.split("@")[1] for k in offered(m) if k.endswith("#rising and falling")} for m in (machines()[COIL], machines()[TANKS], measured_current()))
+    assert coil == {"input:voltage#rising and falling"}
+    assert tanks == {"input:pump#rising and falling", "state:h1#rising and falling"}
+    assert two == {"input:voltage#rising and falling", "input:bias#rising and falling"}
+
+
+def test_friction_under_a_load_reads_the_current_with_the_force_it_has():
+    coil = machines()[COIL]
+    h = offered(coil)["coulomb_friction@state:v#grows with i"]
+    assert h.reads[1] == Signal("x", coil.states[0].index)
+    assert h.parameters[3].low == coil.plant.A[coil.axes[0].rate.index, coil.states[0].index] != 0
 
 
 @pytest.mark.parametrize("other", [False, True])
