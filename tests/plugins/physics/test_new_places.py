@@ -94,6 +94,7 @@ def test_inputs_of_one_unit_share_a_supply_that_sags_with_the_sum_of_both():
     """Oracle: the formula, at once."""
     rotor = machines()[ROTOR]
     h = offered(rotor)["supply_droop@machine#horizontal,vertical"]
+    assert h.parameters[2].low == pytest.approx(sum(u.rms for u in rotor.inputs))
     out, u = np.zeros(2), np.array([3.0, -1.0])
     h.law(np.array([0.2, 1e-9, 8.0]), u, np.zeros(1), 0.01, out)
     assert u + out == pytest.approx(u * (1 - 0.2 * 4 / 8))
