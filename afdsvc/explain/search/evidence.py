@@ -128,7 +128,7 @@ class HypothesisEvidence:
         return np.asarray(1 - np.exp(-np.clip(gain / self.count, -5.0, 50.0)))
 
     def resampled(self, drawn: NDArray[np.int64], fitted: bool = False) -> Array:
-        """Return the gain for blocks drawn with replacement, ``drawn (resamples, blocks)``, left out or ``fitted``; the noise of every output is as large as what is left."""
+        """Return the gain for blocks drawn with replacement, ``drawn (resamples, blocks)``, left out or ``fitted``; the noise variance of every output is estimated from its own residual."""
         before, after = self.fitted if fitted and self.fitted else (self.before, self.after)
         ratio = before[drawn].sum(1) / np.maximum(after[drawn].sum(1), 1e-300)
         return np.asarray(self.count * np.log(ratio).mean(-1) + self.fixed)

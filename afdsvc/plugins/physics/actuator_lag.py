@@ -13,17 +13,9 @@ from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.attach import at_input, at_state, balance, state
 
 
-def _lag(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``tau v' + v = u``: the mean of v over the step replaces u."""
-    decay = math.exp(-dt / p[0])
-    rest = m[0] - z[0]
-    out[0] += rest * (1 - decay) * p[0] / dt
-    m[0] = z[0] + rest * decay
-
-
-def two_lags(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`_lag` with ``tau = p[0]`` while v rises and ``p[1]`` while it falls: a rotor without a brake, a valve closed by a spring."""
-    tau = p[0] if z[0] > m[0] else p[1]
+def lag(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``tau v' + v = u``, ``tau`` the first of p while v rises and the last while it falls: the mean of v over the step replaces u."""
+    tau = p[0] if z[0] > m[0] else p[len(p) - 1]
     decay = math.exp(-dt / tau)
     rest = m[0] - z[0]
     out[0] += rest * (1 - decay) * tau / dt
@@ -31,7 +23,10 @@ def two_lags(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 def uneven(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """The rate of change of a state multiplied by ``1 + p[0]`` while it rises and by ``1 + p[1]`` while it falls; ``p[2:]`` are the nominal coefficients of z."""
+    """The rate of change of a state multiplied by ``1 + p[0]`` while it rises and by ``1 + p[1]`` while it falls: a rotor without a brake.
+
+    ``p[2:]`` are the nominal coefficients of z.
+    """
     rate = 0.0
     for k in range(len(z)):
         rate += p[2 + k] * z[k]
@@ -64,13 +59,13 @@ class ActuatorLag:
         for port in machine.inputs:
             constants = [Coefficient(f"time constant{way}", "s", 1e-3 * span, 300 * span, 0.05 * span) for way in ("", " rising", " falling")]
             yield at_input(
-                port, _lag, memory=1, unsettled=1, parameters=constants[:1], starts=[(0.1 * span,), (span,), (10 * span,)],
+                port, lag, memory=1, unsettled=1, parameters=constants[:1], starts=[(0.1 * span,), (span,), (10 * span,)],
                 linear=lambda plant, values, column=port.index: _extend(plant, values, column),
                 predicts="phase lag that saturates and gain that falls with frequency, for this input only",
                 refuted_by="a gain that stays the same where the phase falls", **words,
             )
             yield at_input(
-                port, two_lags, memory=1, unsettled=1, parameters=constants[1:], starts=[(a * span, b * span) for a, b in ((0.3, 1.0), (1.0, 0.3), (1.0, 10.0), (10.0, 1.0))],
+                port, lag, memory=1, unsettled=1, parameters=constants[1:], starts=[(a * span, b * span) for a, b in ((0.3, 1.0), (1.0, 0.3), (1.0, 10.0), (10.0, 1.0))],
                 notes={"variant": "rising and falling", "of": ""}, **uneven_words,
             )
         for x in machine.states:
