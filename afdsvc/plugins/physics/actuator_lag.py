@@ -13,7 +13,7 @@ from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.attach import at_input, at_state, balance, state
 
 
-def lag(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def low_pass(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``tau v' + v = u``, ``tau`` the first of p while v rises and the last while it falls: the mean of v over the step replaces u."""
     tau = p[0] if z[0] > m[0] else p[len(p) - 1]
     decay = math.exp(-dt / tau)
@@ -22,7 +22,7 @@ def lag(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     m[0] = z[0] + rest * decay
 
 
-def uneven(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def direction_dependent(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """The rate of change of a state multiplied by ``1 + p[0]`` while it rises and by ``1 + p[1]`` while it falls: a rotor without a brake.
 
     ``p[2:]`` are the nominal coefficients of z.
@@ -59,19 +59,19 @@ class ActuatorLag:
         for port in machine.inputs:
             constants = [Coefficient(f"time constant{way}", "s", 1e-3 * span, 300 * span, 0.05 * span) for way in ("", " rising", " falling")]
             yield at_input(
-                port, lag, memory=1, unsettled=1, parameters=constants[:1], starts=[(0.1 * span,), (span,), (10 * span,)],
+                port, low_pass, memory=1, unsettled=1, parameters=constants[:1], starts=[(0.1 * span,), (span,), (10 * span,)],
                 linear=lambda plant, values, column=port.index: _extend(plant, values, column),
                 predicts="phase lag that saturates and gain that falls with frequency, for this input only",
                 refuted_by="a gain that stays the same where the phase falls", **words,
             )
             yield at_input(
-                port, lag, memory=1, unsettled=1, parameters=constants[1:], starts=[(a * span, b * span) for a, b in ((0.3, 1.0), (1.0, 0.3), (1.0, 10.0), (10.0, 1.0))],
+                port, low_pass, memory=1, unsettled=1, parameters=constants[1:], starts=[(a * span, b * span) for a, b in ((0.3, 1.0), (1.0, 0.3), (1.0, 10.0), (10.0, 1.0))],
                 notes={"variant": "rising and falling", "of": ""}, **uneven_words,
             )
         for x in machine.states:
             reads, constants = balance(machine, x)
             if len(reads) == 2 and reads[0] == state(x) and reads[1].kind == "u":
                 yield at_state(
-                    x, uneven, reads, starts=[(0.0, 0.0, *(c.low for c in constants))], notes={"variant": "rising and falling", "of": ""},
+                    x, direction_dependent, reads, starts=[(0.0, 0.0, *(c.low for c in constants))], notes={"variant": "rising and falling", "of": ""},
                     parameters=[*(Coefficient(f"change of the rate {way}", "", -0.95, 20.0, 0.02, linear=True) for way in ("rising", "falling")), *constants], **uneven_words,
                 )

@@ -8,7 +8,7 @@ import numpy as np
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_force, force, state
-from afdsvc.plugins.physics.slow_mode import extended, relaxing
+from afdsvc.plugins.physics.slow_mode import relaxing, with_store
 
 
 class Relaxation:
@@ -34,6 +34,6 @@ class Relaxation:
                         force(axis, "relaxing part", -5 * size, 5 * size, 0.05 * size, x.unit, linear=True), Coefficient("time constant", "s", fast, slow, 0.1 * fast),
                     ],
                     starts=[(0.0, fast ** (1 - s) * slow**s) for s in (0.2, 0.4, 0.6, 0.8)],
-                    linear=lambda plant, values, i=axis.rate.index, j=x.index: extended(plant, values, i, j),
+                    linear=lambda plant, values, i=axis.rate.index, j=x.index: with_store(plant, values, i, j),
                     predicts=f"a force that answers a step of {x.name} at once and then changes to its end value", refuted_by="a force that depends on the present motion only",
                 )

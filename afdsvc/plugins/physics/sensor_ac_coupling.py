@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_output, constant
-from afdsvc.plugins.physics.sensor_lag import extended, lagged
+from afdsvc.plugins.physics.sensor_lag import lagged, with_sensor_lag
 
 
 class SensorAcCoupling:
@@ -23,6 +23,6 @@ class SensorAcCoupling:
                 port, lagged, physics=self.name, family="timing", memory=3, unsettled=1,
                 parameters=[Coefficient("time constant", "s", fast, slow, 0.1 * fast), constant("high-pass", "", 1.0)],
                 starts=[(fast ** (1 - s) * slow**s, 1.0) for s in (0.25, 0.5, 0.75)],
-                linear=lambda plant, values, row=port.index: extended(plant, values, row, high=True),
+                linear=lambda plant, values, row=port.index: with_sensor_lag(plant, values, row, high=True),
                 predicts="phase lead and loss of gain towards low frequency in this output, whatever drives it", refuted_by="a reading that holds a constant value",
             )

@@ -24,7 +24,7 @@ def lagged(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] -= m[0] if len(p) > 1 else z[0] - m[0]
 
 
-def extended(plant: StateSpace, values: Sequence[float], row: int, high: bool = False) -> StateSpace:
+def with_sensor_lag(plant: StateSpace, values: Sequence[float], row: int, high: bool = False) -> StateSpace:
     """Return the plant with a lag of ``values[0]`` at an output, or with a high-pass."""
     n = plant.order
     pole = 1 / values[0]
@@ -52,7 +52,7 @@ class SensorLag:
                 port, lagged, physics=self.name, family="timing", memory=3, unsettled=1,
                 parameters=[Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span)],
                 starts=[(0.1 * span,), (span,), (10 * span,)],
-                linear=lambda plant, values, row=port.index: extended(plant, values, row),
+                linear=lambda plant, values, row=port.index: with_sensor_lag(plant, values, row),
                 predicts="phase lag and loss of gain towards high frequency in this output, whatever drives it",
                 refuted_by="the same lag in every output from one input (then it is the actuator)",
             )

@@ -22,7 +22,7 @@ def relaxing(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     m[0] = z[0] + rest * decay
 
 
-def extended(plant: StateSpace, values: Sequence[float], i: int, j: int) -> StateSpace:
+def with_store(plant: StateSpace, values: Sequence[float], i: int, j: int) -> StateSpace:
     """Return the plant with ``-c (x_j - s)`` added to the rate of state i, ``values`` c and tau."""
     n, (rate, tau) = plant.order, values[:2]
     A = np.zeros((n + 1, n + 1))
@@ -50,6 +50,6 @@ class SlowMode:
                     Coefficient("time constant", "s", fast, slow, 0.1 * fast),
                 ],
                 starts=[(0.0, fast ** (1 - s) * slow**s) for s in (0.2, 0.4, 0.6, 0.8)],
-                linear=lambda plant, values, i=store.index: extended(plant, values, i, i),
+                linear=lambda plant, values, i=store.index: with_store(plant, values, i, i),
                 predicts="a fast answer followed by a slow one to the same end value", refuted_by="an answer with one time constant",
             )

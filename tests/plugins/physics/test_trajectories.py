@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from afdsvc.plugins.physics.actuator_lag import lag, uneven
+from afdsvc.plugins.physics.actuator_lag import direction_dependent, low_pass
 from afdsvc.plugins.physics.asymmetric_damping import _damper
 from afdsvc.plugins.physics.asymmetric_damping import _joint as shock_absorber
 from afdsvc.plugins.physics.attach import in_proportion
@@ -217,8 +217,8 @@ CASES = [
     Case("bristles", presliding, (4.0, 3.0, 0.5, 0.02, 0.6), lugre, **AXIS, memory=1, hidden=(0.0,), tolerance=5e-3),
     Case("load that grows", drifting, (5.0, 2.0), lambda x, u: [-D * x[0] + G * u + 5 + 2 * x[1], 1.0], **SPEED, reads=(), memory=1, hidden=(0.0,)),
     Case("droop", droop, (0.3, 0.4, 0.8), lambda x, u: [-D * x[0] + G * u * (1 - 0.3 * x[1] / 0.8), (abs(u) - x[1]) / 0.4], **SPEED, reads=(("u", 0),), stage="input", memory=1, hidden=(0.0,), tolerance=5e-3),
-    Case("lag that falls slowly", lag, (0.05, 0.4), lambda x, u: [-D * x[0] + G * x[1], (u - x[1]) / (0.05 if u > x[1] else 0.4)], **SPEED, reads=(("u", 0),), stage="input", memory=1, hidden=(0.0,)),
-    Case("speed that falls slowly", uneven, (0.5, -0.6, -D, G), lambda x, u: [(r := -D * x[0] + G * u) * (1.5 if r > 0 else 0.4)], **SPEED, reads=(("x", 0), ("u", 0)), tolerance=5e-3),
+    Case("lag that falls slowly", low_pass, (0.05, 0.4), lambda x, u: [-D * x[0] + G * x[1], (u - x[1]) / (0.05 if u > x[1] else 0.4)], **SPEED, reads=(("u", 0),), stage="input", memory=1, hidden=(0.0,)),
+    Case("speed that falls slowly", direction_dependent, (0.5, -0.6, -D, G), lambda x, u: [(r := -D * x[0] + G * u) * (1.5 if r > 0 else 0.4)], **SPEED, reads=(("x", 0), ("u", 0)), tolerance=5e-3),
     Case("two slopes", two_slopes, (0.3,), lambda x, u: [-D * x[0] + G * (u + 0.3 * abs(u))], **SPEED, reads=(("u", 0),), stage="input"),
     Case("rotor with a thrust", thrust, (1.2, 0.05), lambda x, u: [-D * x[0] + G * x[1] * abs(x[1]) / 1.2, (u - x[1]) / 0.05], **SPEED, reads=(("u", 0),), stage="input", memory=1, hidden=(0.0,)),
     Case("thrust", power, (1.2, 2.0), lambda x, u: [-D * x[0] + G * u * abs(u) / 1.2], **SPEED, reads=(("u", 0),), stage="input"),
