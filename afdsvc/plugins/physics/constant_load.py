@@ -30,7 +30,7 @@ _DRIFT: dict[str, Any] = {
 
 
 class ConstantLoad:
-    """Weight, preload or offset, constant or drifting: on every axis, and on every input that drives no axis at once."""
+    """Weight, preload or offset, constant or drifting: on every axis, and on every input that drives no axis at once. Without inputs none drifts (see `ParameterDrift`)."""
 
     name = "constant_load"
     summary = "a constant force, such as weight, preload or an amplifier offset"
@@ -43,7 +43,8 @@ class ConstantLoad:
             size = force(axis, "force", -400 * f, 400 * f, f, linear=True)
             rate = force(axis, "rate", -400 * f / machine.duration, 400 * f / machine.duration, f / machine.duration, "s", linear=True)
             yield at_force(axis, _load, [], parameters=[size], starts=[(0.0,)], **words, **_STEADY)
-            yield at_force(axis, drifting, [], parameters=[size, rate], starts=[(0.0, 0.0)], **words, **_DRIFT)
+            if machine.inputs:
+                yield at_force(axis, drifting, [], parameters=[size, rate], starts=[(0.0, 0.0)], **words, **_DRIFT)
         driven = {axis.input for axis in machine.axes}
         for port in machine.inputs:
             if port.index not in driven:

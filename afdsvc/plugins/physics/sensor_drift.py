@@ -16,14 +16,14 @@ def drift(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 class SensorDrift:
-    """A slow drift of every output, to second order in time: what warms up levels off."""
+    """A slow drift of every output, to second order in time: what warms up levels off. None of a machine without inputs (see `ParameterDrift`)."""
 
     name = "sensor_drift"
     summary = "a reading that moves away slowly, steadily or levelling off"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per output."""
-        for port in machine.outputs:
+        for port in machine.outputs if machine.inputs else ():
             scale = (0.1 * machine.residual[port.index] + 1e-3 * port.rms) / machine.duration
             yield at_output(
                 port, drift, physics=self.name, family="offset", memory=1, starts=[(0.0, 0.0), (0.0, 1 / machine.duration)],

@@ -212,3 +212,15 @@ def test_a_reading_of_what_a_state_sums_up_may_have_a_memory_of_the_way():
     cart = machines()[CART]  # its velocity sums up forces, but is motion
     cart = replace(cart, plant=replace(cart.plant, C=np.array([[0.0, 1.0]])))
     assert not any(k.startswith("hysteresis@output") for k in offered(cart))
+
+
+@pytest.mark.parametrize("driven", [True, False])
+def test_nothing_drifts_in_a_free_decay(driven):
+    cart = machines()[CART]
+    if not driven:
+        n, p = len(cart.plant.A), len(cart.plant.C)
+        plant = StateSpace(cart.plant.A, np.zeros((n, 0)), cart.plant.C, np.zeros((p, 0)))
+        cart = replace(cart, inputs=(), plant=plant, axes=tuple(replace(a, input=None) for a in cart.axes))
+    kinds = {(h.physics, h.notes.get("variant", "")) for h in offered(cart).values()}
+    assert {("sensor_drift", "") in kinds, ("constant_load", "drifting") in kinds, "parameter_drift" in {name for name, _ in kinds}} == {driven}
+    assert ("constant_load", "") in kinds
