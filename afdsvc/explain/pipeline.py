@@ -35,6 +35,7 @@ from afdsvc.explain.verdict.holdout import HeldOutVerdict, checked_on_holdout, d
 from afdsvc.explain.verdict.verdict import DOUBT, verdict
 
 SAME = 1e-4  # power of the difference of two residuals, over that of one: 1 % of its rms
+MOST_MISSED = 0.5  # share of the variance of the recordings held out above which what is missed is not taken for noise, unless its size is known
 ATTEMPTS = 3  # searches, each without the first names that the recordings held out have not confirmed
 SEED = 20261122  # of the surrogates and of the resampled blocks: the same recordings give the same answer
 
@@ -131,14 +132,20 @@ def _searched(
 
 
 def _consistent_there(answer: HeldOutVerdict, problem: Problem, horizon: float, heldout: Sequence[Run], remainder: Remainder) -> HeldOutVerdict:
-    """Return the answer, not consistent where a flexible model predicts what is missed of the recordings held out; short ones are not tested."""
+    """Return the answer, not consistent where the recordings held out contradict it: the model misses more than half of their variance, or a
+    flexible model predicts what it misses; short ones are not tested."""
+    if answer.verdict.claims or answer.verdict.verdict not in ("consistent", "parameter_change"):
+        return answer
+    play = player(problem, horizon)
+    missed = float(np.mean(play.nrmse(heldout, answer.final.point))) ** 2
+    if missed > MOST_MISSED and not problem.weighting.measured:
+        return _contradicted(answer, f"the model misses {100 * missed:.0f} % of the variance of the recordings held out: noise that large would hide any law")
     if answer.verdict.verdict != "consistent":
         return answer
     samples = sum(map(len, heldout))
     if samples < LEAST_SAMPLES:
         said = f"the recordings held out have {samples} samples; a test of what is missed there needs at least {LEAST_SAMPLES}"
         return replace(answer, verdict=replace(answer.verdict, sentences=(*answer.verdict.sentences, said)))
-    play = player(problem, horizon)
     there, point, _ = play.begun(heldout, answer.final.point)
     if rms(there.residuals(point, play.horizon)).max() < problem.settings.rounding:
         return answer
@@ -146,7 +153,11 @@ def _consistent_there(answer: HeldOutVerdict, problem: Problem, horizon: float, 
     if not gap.present or gap.total < DOUBT:
         return answer
     said = f"on the recordings held out a flexible model predicts {100 * gap.total:.0f} % of the residual's power ({p_value_text(gap.p_value)}): they show what those fitted do not"
-    return replace(answer, verdict=replace(answer.verdict, verdict="unexplained", sentences=(*answer.verdict.sentences, said)))
+    return _contradicted(answer, said)
+
+
+def _contradicted(answer: HeldOutVerdict, why: str) -> HeldOutVerdict:
+    return replace(answer, verdict=replace(answer.verdict, verdict="unexplained", sentences=(*answer.verdict.sentences, why)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

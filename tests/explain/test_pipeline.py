@@ -97,6 +97,14 @@ def test_a_machine_that_differs_in_what_is_held_out_only_is_not_consistent(sprin
     assert any(s.startswith("on the recordings held out a flexible model predicts") for s in answer.sentences)
 
 
+@pytest.mark.parametrize(("periods", "noise", "verdict"), [(1, 2.0, "unexplained"), (1, 0.5, "consistent"), (4, 2.0, "consistent")])
+def test_a_model_that_misses_most_of_the_variance_is_consistent_only_with_known_noise(spring, recorded, periods, noise, verdict):
+    recordings = [recorded(seed, noise=noise, periods=periods) for seed in range(3)]
+    answer = explain(spring, recordings[:2], recordings[2:], some("cubic_stiffness"))
+    assert (answer.verdict, answer.named) == (verdict, ())
+    assert any("% of the variance of the recordings held out" in s for s in answer.sentences) is (verdict == "unexplained")
+
+
 def test_without_a_hypothesis_a_gap_is_unexplained(spring, four):
     answer = explain(spring, four[:3], four[3:], [])
     assert (answer.verdict, answer.named, answer.candidates) == ("unexplained", (), ())
