@@ -16,9 +16,8 @@ from afdsvc.app.ask import ask_service
 from afdsvc.errors import AfdsvcError
 from afdsvc.files.recording.reader import Recording
 from afdsvc.files.site import read_site
-from afdsvc.service import operator_requests
 from afdsvc.transport.zenoh_session import Transport
-from afdsvc.wire import codec
+from afdsvc.wire import codec, requests
 from afdsvc.wire.keys import Keys
 from afdsvc.wire.messages import BurstStop, Lease
 from benchmarks.soak.testbed import CLOCKS, SmallDisk, Testbed, ip
@@ -228,7 +227,7 @@ class Disturbances:
             until = time.monotonic() + self.rng.uniform(2, 6)
             while time.monotonic() < until:
                 with suppress(AfdsvcError):
-                    operator_requests.ask(lambda payload: stranger.ask(Keys("soak").command(), payload, 2.0), "history", "eve")
+                    requests.ask(lambda payload: stranger.ask(Keys("soak").command(), payload, 2.0), "history", "eve")
 
     def identify(self) -> None:
         """Ask for an identification burst, whose design is long work."""
