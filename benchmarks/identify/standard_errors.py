@@ -21,6 +21,7 @@ from afdsvc.identify.methods.greybox import fit_greybox  # noqa: E402
 from afdsvc.identify.parameters.structure import physical_structure  # noqa: E402
 from afdsvc.lti.simulate import simulate  # noqa: E402
 from afdsvc.lti.statespace import StateSpace  # noqa: E402
+from afdsvc.lti.yjbk import closed_loop  # noqa: E402
 
 FREE = [n for n in PLANT.parameters if n != "mass"]
 TRUTH = np.array([PLANT.parameters[n].value for n in FREE])
@@ -41,13 +42,11 @@ def one(seed: int, process: bool) -> np.ndarray:
 
 
 def _with_process_noise(fact, record: InputOutputData, rng: np.random.Generator) -> InputOutputData:
-    from monte_carlo import run_disturbance
-
     w = np.zeros((len(record), 6))
     w[:, 2:4] = PROCESS * rng.standard_normal((len(record), 2))
     d, _ = simulate(StateSpace(TRUE.A, np.eye(6), TRUE.C, np.zeros((2, 6)), TRUE.dt), w)
-    extra = run_disturbance(fact, TRUE, d)
-    return InputOutputData.of(record.u + extra.u, record.y + extra.y, record.dt)
+    extra, _ = simulate(closed_loop(fact, TRUE).system, np.hstack([d, np.zeros((len(d), 6))]))
+    return InputOutputData.of(record.u + extra[:, 4:6], record.y + extra[:, 2:4], record.dt)
 
 
 def study(runs: int) -> None:
