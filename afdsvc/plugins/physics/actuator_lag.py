@@ -10,7 +10,7 @@ import numpy as np
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.plugins.physics.attach import at_input, at_state, balance, state
+from afdsvc.plugins.physics.attach import at_input, at_state, following
 
 
 def low_pass(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -68,10 +68,8 @@ class ActuatorLag:
                 port, low_pass, memory=1, unsettled=1, parameters=constants[1:], starts=[(a * span, b * span) for a, b in ((0.3, 1.0), (1.0, 0.3), (1.0, 10.0), (10.0, 1.0))],
                 notes={"variant": "rising and falling", "of": ""}, **uneven_words,
             )
-        for x in machine.states:
-            reads, constants = balance(machine, x)
-            if len(reads) == 2 and reads[0] == state(x) and reads[1].kind == "u":
-                yield at_state(
-                    x, direction_dependent, reads, starts=[(0.0, 0.0, *(c.low for c in constants))], notes={"variant": "rising and falling", "of": ""},
-                    parameters=[*(Coefficient(f"change of the rate {way}", "", -0.95, 20.0, 0.02, linear=True) for way in ("rising", "falling")), *constants], **uneven_words,
-                )
+        for x, reads, constants in following(machine):
+            yield at_state(
+                x, direction_dependent, reads, starts=[(0.0, 0.0, *(c.low for c in constants))], notes={"variant": "rising and falling", "of": ""},
+                parameters=[*(Coefficient(f"change of the rate {way}", "", -0.95, 20.0, 0.02, linear=True) for way in ("rising", "falling")), *constants], **uneven_words,
+            )

@@ -125,6 +125,14 @@ def balance(machine: Machine, moved: Size) -> tuple[list[Signal], list[Coefficie
     return [signal for signal, _ in terms], [constant("nominal", "", v) for _, v in terms]
 
 
+def following(machine: Machine) -> Iterator[tuple[Size, list[Signal], list[Coefficient]]]:
+    """Yield every state that does nothing but follow an input, with what `balance` returns."""
+    for x in machine.states:
+        reads, constants = balance(machine, x)
+        if len(reads) == 2 and reads[0] == state(x) and reads[1].kind == "u":
+            yield x, reads, constants
+
+
 NONE = 1e-6  # share of the largest force on an axis below which the model has no force of a kind
 
 

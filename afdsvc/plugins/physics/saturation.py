@@ -21,6 +21,7 @@ from afdsvc.plugins.physics.attach import (
 )
 
 NO_LOAD = 1.1  # times the largest velocity: where a search begins with nothing left to give
+SERVO = 0.1  # difference from one of the gain at rest up to which a position follows an input
 SHARP, SOFT = 1e-3, 0.4  # shares of the limit over which the corner may be rounded
 
 
@@ -53,6 +54,12 @@ def ceiling(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] += p[2] * (min(max(z[0], -p[0] - p[1] * z[1]), p[0] - p[1] * z[1]) - z[0])
 
 
+def largest_error(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """Of the error ``u + p[3] q``, multiplied by ``p[2]``, what lies between ``-p[1]`` and ``p[0]`` drives: the motor inside a servo has no more to give."""
+    error = z[0] + p[3] * z[1]
+    out[0] += p[2] * (min(max(error, -p[1]), p[0]) - error)
+
+
 def _held(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """A state beyond ``+-limit`` is brought back within one step."""
     out[0] -= math.copysign(max(abs(z[0]) - p[0], 0.0), z[0]) / dt
@@ -72,7 +79,7 @@ def emptied(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 class Saturation:
-    """A limit at every input, on one side or both, or falling with the velocity it drives, of every velocity, of every force that is a state, and of every store, full or empty, inside the range
+    """A limit at every input, on one side or both, or falling with the velocity it drives, of the error of a servo, of every velocity, of every force that is a state, and of every store, full or empty, inside the range
     the recordings use."""
 
     name = "saturation"
@@ -85,6 +92,7 @@ class Saturation:
         for axis in machine.axes:
             if axis.input is not None:
                 yield self._falling(axis, machine)
+                yield from self._inside_a_servo(axis, machine)
             yield at_force(axis, _held, [velocity(axis)], **self._of_state(axis.rate))
         for store in store_states(machine):
             if quantity(store.unit) == "force":
@@ -131,6 +139,19 @@ class Saturation:
             notes={"variant": f"falls with {v.name}", "of": ""}, parameters=[limit, fall, constant("gain", "", axis.gain)],
             starts=[(a * port.peak, a * way / NO_LOAD, axis.gain) for a in (1.2, 2.5, 6.0)],
             predicts="missing peaks of the input at high velocity only, while it speeds up and not while it brakes", refuted_by="the same limit at every velocity",
+        )
+
+    def _inside_a_servo(self, axis: Axis, machine: Machine) -> Iterable[Hypothesis]:
+        port, q = machine.inputs[axis.input or 0], axis.position
+        spring = 0.0 if q is None or machine.plant is None else float(machine.plant.A[axis.rate.index, q.index])
+        if q is None or not spring or abs(axis.gain + spring) > SERVO * abs(axis.gain):
+            return
+        weight = spring / axis.gain
+        yield at_drive(
+            axis, machine, largest_error, [Signal("u", port.index), state(q)], physics=self.name, family="limit", notes={"variant": "of the error", "of": ""},
+            parameters=[*(Coefficient(f"largest error {way}", port.unit, 1e-3 * port.peak, 2 * port.peak, 0.02 * port.peak) for way in ("above", "below")), constant("gain", "", axis.gain), constant("weight", "", weight)],
+            starts=[(share * port.peak, share * port.peak, axis.gain, weight) for share in (0.03, 0.1, 0.3, 0.8)],
+            predicts="steps of any height are followed at the same speed", refuted_by="steps that take the same time at every height",
         )
 
     def _of_store(self, store: Size, machine: Machine) -> Hypothesis:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
-from afdsvc.plugins.physics.attach import at_input
+from afdsvc.plugins.physics.attach import at_input, at_state, following
 
 
 def _slew(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -22,23 +22,39 @@ def _slew(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     m[0] += moved
 
 
+def limited(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """The rate of change of a state, ``p[2:] z``, held between ``-p[1]`` and ``p[0]``."""
+    rate = 0.0
+    for k in range(len(z)):
+        rate += p[2 + k] * z[k]
+    out[0] += min(max(rate, -p[1]), p[0]) - rate
+
+
 class SlewLimit:
-    """A rate limit at every input, upwards and downwards."""
+    """A rate limit at every input, upwards and downwards, and of every state that does nothing but follow an input."""
 
     name = "slew_limit"
     summary = "an input that can change no faster than a rate"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per input, with rates from a tenth of the excitation's up to those that no step of it reaches but
-        that take a part of the step."""
+        that take a part of the step, and one per state that follows an input."""
+        words: dict[str, Any] = {
+            "physics": self.name, "family": "rate", "predicts": "lag and lost amplitude at high frequency and high level only", "refuted_by": "the same lag at every level",
+        }
         for port in machine.inputs:
             rate, jump = port.rms * machine.bandwidth, port.rms / machine.dt
             yield at_input(
-                port, _slew, physics=self.name, family="rate", memory=2, unsettled=1,
+                port, _slew, memory=2, unsettled=1, **words,
                 parameters=[
                     Coefficient(name, f"{port.unit}/s", 1e-3 * rate, max(6 * rate, 20 * jump), 0.02 * rate) for name in ("rate", "falling rate")
                 ],
                 starts=[(s, s) for s in (0.1 * rate, 0.4 * rate, 1.0 * rate, 2.2 * rate, 3.5 * rate, 5 * jump)],
-                predicts="lag and lost amplitude at high frequency and high level only",
-                refuted_by="the same lag at every level",
+            )
+        for x, reads, constants in following(machine):
+            rate = x.rms * machine.bandwidth
+            yield at_state(
+                x, limited, reads, **words,
+                parameters=[*(Coefficient(name, f"{x.unit}/s", 1e-3 * rate, 20 * rate, 0.02 * rate) for name in ("rate", "falling rate")), *constants],
+                starts=[(s * rate, s * rate, *(c.low for c in constants)) for s in (0.1, 0.3, 0.8, 1.5)],
             )

@@ -146,6 +146,24 @@ def test_a_state_that_follows_more_than_one_input_has_no_lag_of_its_own():
     assert coil == {"input:voltage#rising and falling"}
     assert tanks == {"input:pump#rising and falling", "state:h1#rising and falling"}
     assert two == {"input:voltage#rising and falling", "input:bias#rising and falling"}
+    rates = {k.split("@")[1] for m in (machines()[COIL], machines()[TANKS], measured_current()) for k in offered(m) if k.startswith("slew_limit@state")}
+    assert rates == {"state:h1"}
+
+
+@pytest.mark.parametrize(("weight", "offers"), [(-0.95, True), (-1.05, True), (-1.2, False), (-0.8, False), (1.0, False)])
+def test_the_error_of_a_servo_is_limited_where_a_position_follows_its_input(weight, offers):
+    arm = machines()[ARM]
+    gain = arm.axes[0].gain
+    A = arm.plant.A.copy()
+    A[arm.axes[0].rate.index, arm.axes[0].position.index] = weight * gain
+    found = offered(replace(arm, plant=StateSpace(A, arm.plant.B, arm.plant.C, arm.plant.D)))
+    key = "saturation@input:torque#of the error"
+    assert (key in found) is offers
+    if offers:
+        h = found[key]
+        assert [(s.kind, s.index) for s in h.reads] == [("u", 0), ("x", arm.axes[0].position.index)]
+        assert [c.low for c in h.parameters[2:]] == pytest.approx([gain, weight])
+        assert all(0 < c.low < s < c.high for start in h.starts for c, s in zip(h.parameters[:2], start[:2], strict=True))
 
 
 def test_friction_under_a_load_reads_the_current_with_the_force_it_has():

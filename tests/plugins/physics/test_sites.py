@@ -50,7 +50,7 @@ def offered(machine: Machine) -> dict:
     (ROTOR, "clock_offset@machine clock_offset@input:horizontal clock_offset@input:vertical"),
     (SHAFT, "clearance@machine#play in the spring between w1,w2 clearance@machine#between w1,w2 cubic_stiffness@machine#between w1,w2"),
     (MOTOR, "static_nonlinearity@input:voltage#two slopes actuator_lag@input:voltage#rising and falling actuator_lag@state:w#rising and falling"),
-    (MOTOR, "saturation@input:voltage#falls with w"),
+    (MOTOR, "saturation@input:voltage#falls with w slew_limit@input:voltage slew_limit@state:w"),
     (COIL, "coulomb_friction@state:v#grows with i"),
     (ROTOR, "supply_droop@machine#horizontal,vertical supply_droop@input:horizontal supply_droop@input:vertical"),
     (TANKS, "exchange@machine#between h1,h2 exchange@machine#turbulent, between h1,h2"),

@@ -33,8 +33,9 @@ from afdsvc.plugins.physics.magnetic_force import pair, single
 from afdsvc.plugins.physics.parameter_follows_state import saturating
 from afdsvc.plugins.physics.quadratic_damping import _joint as turbulent_damper
 from afdsvc.plugins.physics.repulsion import _growing as growing
-from afdsvc.plugins.physics.saturation import ceiling, cut_above, cut_below, overflow, two_limits
+from afdsvc.plugins.physics.saturation import ceiling, cut_above, cut_below, largest_error, overflow, two_limits
 from afdsvc.plugins.physics.self_heating import warming
+from afdsvc.plugins.physics.slew_limit import limited
 from afdsvc.plugins.physics.slow_mode import relaxing
 from afdsvc.plugins.physics.static_nonlinearity import outflow, outflow_about, power, signed_square, thrust, two_slopes
 from afdsvc.plugins.physics.stribeck_friction import presliding
@@ -219,6 +220,7 @@ CASES = [
     Case("droop", droop, (0.3, 0.4, 0.8), lambda x, u: [-D * x[0] + G * u * (1 - 0.3 * x[1] / 0.8), (abs(u) - x[1]) / 0.4], **SPEED, reads=(("u", 0),), stage="input", memory=1, hidden=(0.0,), tolerance=5e-3),
     Case("lag that falls slowly", low_pass, (0.05, 0.4), lambda x, u: [-D * x[0] + G * x[1], (u - x[1]) / (0.05 if u > x[1] else 0.4)], **SPEED, reads=(("u", 0),), stage="input", memory=1, hidden=(0.0,)),
     Case("speed that falls slowly", direction_dependent, (0.5, -0.6, -D, G), lambda x, u: [(r := -D * x[0] + G * u) * (1.5 if r > 0 else 0.4)], **SPEED, reads=(("x", 0), ("u", 0)), tolerance=5e-3),
+    Case("speed that changes at most so fast", limited, (12.0, 7.0, -D, G), lambda x, u: [np.clip(-D * x[0] + G * u, -7, 12)], **SPEED, reads=(("x", 0), ("u", 0)), tolerance=5e-3),
     Case("two slopes", two_slopes, (0.3,), lambda x, u: [-D * x[0] + G * (u + 0.3 * abs(u))], **SPEED, reads=(("u", 0),), stage="input"),
     Case("rotor with a thrust", thrust, (1.2, 0.05), lambda x, u: [-D * x[0] + G * x[1] * abs(x[1]) / 1.2, (u - x[1]) / 0.05], **SPEED, reads=(("u", 0),), stage="input", memory=1, hidden=(0.0,)),
     Case("thrust", power, (1.2, 2.0), lambda x, u: [-D * x[0] + G * u * abs(u) / 1.2], **SPEED, reads=(("u", 0),), stage="input"),
@@ -226,6 +228,7 @@ CASES = [
     Case("limit above", cut_above, (0.5,), lambda x, u: [-D * x[0] + G * min(u, 0.5)], **SPEED, reads=(("u", 0),), stage="input"),
     Case("limit below", cut_below, (-0.3,), lambda x, u: [-D * x[0] + G * max(u, -0.3)], **SPEED, reads=(("u", 0),), stage="input"),
     Case("limit that falls with the speed", ceiling, (0.9, 0.4, G), lambda x, u: [-D * x[0] + G * np.clip(u, -0.9 - 0.4 * x[0], 0.9 - 0.4 * x[0])], **SPEED, reads=(("u", 0), ("x", 0)), tolerance=1e-2),
+    Case("limits of the error", largest_error, (0.4, 0.7, K, -0.95), lambda x, u: [x[1], K * np.clip(u - 0.95 * x[0], -0.7, 0.4) - D * x[1]], A=[[0, 1], [-0.95 * K, -D]], B=[0, K], reads=(("u", 0), ("x", 0)), tolerance=5e-3),
     Case("two limits", two_limits, (0.5, -0.3), lambda x, u: [-D * x[0] + G * np.clip(u, -0.3, 0.5)], **SPEED, reads=(("u", 0),), stage="input"),
     Case("loop over a way", over_integral, (0.4, 0.05, 1.0), bouc, **SPEED, reads=(("u", 0),), stage="input", hidden=(0.0,), memory=3, tolerance=2e-2),
     Case("second store", relaxing, (0.9, 0.6), lambda x, u: [u - 0.8 * x[0] - 0.9 * (x[0] - x[2]), 0.5 * x[0] - 0.4 * x[1], (x[0] - x[2]) / 0.6], **(TANK | {"writes": (0,)}), hidden=(1.0,), memory=2),
