@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -14,7 +15,6 @@ from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.glitches import grid
 from afdsvc.dataset.screening import LEAST
 from afdsvc.dataset.units import is_velocity
-from afdsvc.explain.search.coupling import through_mechanism
 from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import is_constant
@@ -24,6 +24,8 @@ from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.stats.waves import wave_numbers
 
 SIDE, SIDES = 0.05, (1, 99)  # of a signal's peak, from which on it is on a side; percentiles of its values that are compared with that
+MOVED = 0.05  # of what pushes an axis, from which on a signal moves it, too
+ALIKE = 0.1  # relative difference of what two signals do to the axes, up to which they act alike
 EXCITED = 0.99  # share of the input's power below the bandwidth
 
 
@@ -138,3 +140,46 @@ def bandwidth(runs: Sequence[Run]) -> float:
     share = np.cumsum(power) / max(float(np.sum(power)), 1e-300)
     k = int(np.searchsorted(share, EXCITED)) + 1
     return float(min(k, 16384) * 2 * np.pi / (32768 * runs[0].dt))
+
+
+def through_mechanism(h: Hypothesis, machine: Machine) -> list[Hypothesis]:
+    """Return the shape of a force as it moves all axes of a mechanism; none where no input moves several.
+
+    What one force does to all axes is known by what the model's own forces do: of a damper or a spring of the same axis (its velocity or its position in
+    the model's matrix), or of the input where it acts alike, or where the axis has neither. Of code only inputs are followed: what a state does there is
+    more than a force.
+    """
+    axis = next((a for a in machine.axes if h.stage == "force" and [s.index for s in h.writes] == [a.rate.index]), None)
+    if axis is None or axis.input is None or machine.plant is None:
+        return []
+    port, A = machine.inputs[axis.input], machine.plant.A
+    pushed = machine.plant.B[:, port.index] * math.hypot(port.rms, port.mean)
+    if not _moves_others(pushed, axis, machine):
+        return []
+    own = next((s for s in _own(h, axis) if A[axis.rate.index, s.index]), None)
+    if own is None or np.allclose(_shares(A[:, own.index], axis, machine), _shares(pushed, axis, machine), rtol=ALIKE):
+        return [_along(h, Signal("u", port.index), port.name)]
+    column = A[:, own.index] * (axis.push / A[axis.rate.index, own.index])
+    return [_along(h, own, machine.states[own.index].name)] if not machine.code and _moves_others(column, axis, machine) else []
+
+
+def _own(h: Hypothesis, axis: Axis) -> list[Signal]:
+    """Return velocity and position of an axis, first the one that the law reads."""
+    both = [Signal("x", s.index) for s in (axis.rate, axis.position) if s]
+    return sorted(both, key=lambda s: s not in h.reads)
+
+
+def _moves_others(column: Array, axis: Axis, machine: Machine) -> bool:
+    """Whether accelerations are a share of what pushes any other axis."""
+    return any(abs(column[a.rate.index]) > MOVED * a.push for a in machine.axes if a is not axis)
+
+
+def _shares(column: Array, axis: Axis, machine: Machine) -> Array:
+    """Return what acts on every axis, that on ``axis`` being 1."""
+    return np.asarray(column[[a.rate.index for a in machine.axes]] / column[axis.rate.index])
+
+
+def _along(h: Hypothesis, signal: Signal, name: str) -> Hypothesis:
+    variant = h.notes.get("variant", "")
+    notes = {**h.notes, "variant": f"{variant}; as {name} acts" if variant else f"as {name} acts", "of": h.notes.get("of", variant)}
+    return replace(h, along=signal, linear=None, notes=notes)

@@ -5,7 +5,7 @@ import pytest
 
 from afdsvc.errors import BadInput
 from afdsvc.explain.gap.decision import gap_test
-from afdsvc.explain.gap.prediction import projected
+from afdsvc.explain.gap.regression import projected
 from afdsvc.explain.gap.settings import GapSettings
 from afdsvc.explain.gap.signals import ResidualSignals
 from tests.explain.gap.machines import coloured, speed, steps
