@@ -200,7 +200,8 @@ class Machine:
     ("noise"), or the model ("model"): the form of a law then shows beyond its first approximation. ``deflections`` are the differences of
     two positions, by the numbers of their states, that a spring of the model couples. ``waves`` are the wave numbers [rad per unit] with which the
     residual repeats best along positions (of kind "x") and along readings of them ("y"). Of ``code`` the plant is the linearisation, and ``parameters``
-    are its numbers that are not known exactly, ``mean`` their values and ``rms`` the standard deviations stated.
+    are its numbers that are not known exactly, ``mean`` their values and ``rms`` the standard deviations stated. ``driven`` says whether an input goes on
+    changing in the second half of a recording: where none does, time and amplitude are one.
     """
 
     inputs: tuple[Size, ...]
@@ -220,6 +221,7 @@ class Machine:
     waves: Mapping[Signal, Sequence[float]] = field(default_factory=dict)
     code: bool = False
     parameters: tuple[Size, ...] = ()
+    driven: bool = True
 
 
 class Physics(Protocol):

@@ -63,6 +63,7 @@ def machine(problem: Problem, base: Fit, horizon: float, tones: Sequence[float] 
         dict(zip(runs[0].aux, _sizes([Variable(a) for a in runs[0].aux], aux), strict=True)), runs[0].dt, sum(len(r) for r in runs) * runs[0].dt,
         bandwidth(runs), smooth, np.sqrt((e**2).mean(0)), tuple(tones), tuple(peaks), "noise" if limited == "noise" else "model",
         _deflections(axes, smooth, x), {signal: wave_numbers(way, residuals) for signal, way in ways.items()}, problem.nominal.python, _parameters(problem.nominal),
+        any((r.U[len(r) // 2 :].std(0) > SIDE * r.U.std(0)).any() for r in runs),
     )
 
 

@@ -45,14 +45,14 @@ _LAWS: dict[Law, Law] = {parameter_change.gain: drifting_gain, parameter_change.
 
 class ParameterDrift:
     """Gain of every input and output; of code every parameter that is not known exactly, of matrices stiffness, damping and mass of every axis, and
-    loss and capacity of every store. Of a machine without inputs nothing is offered: while it only decays, time and amplitude are one."""
+    loss and capacity of every store. Nothing is offered while a machine only decays, without inputs or after a step: time and amplitude are one."""
 
     name = "parameter_drift"
     summary = "a number of the model that changes slowly with time, steadily or levelling off"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per number and place."""
-        if not machine.inputs:
+        if not (machine.inputs and machine.driven):
             return
         for h in ParameterChange().hypotheses(machine):
             if not (machine.code and h.stage == "force"):

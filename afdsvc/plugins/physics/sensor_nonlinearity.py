@@ -16,7 +16,7 @@ def _curve(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 class SensorNonlinearity:
-    """A curved characteristic at every output."""
+    """A curved characteristic at every output; in the range of the readings the slope of either term is at most that of the sensor: a reading that turns back is no sensor's."""
 
     name = "sensor_nonlinearity"
     summary = "a reading that is a smooth curve of the motion"
@@ -25,11 +25,12 @@ class SensorNonlinearity:
         """Return one hypothesis per output."""
         for port in machine.outputs:
             r = max(port.rms, 1e-300)
+            top = max(port.peak / r, 1.0)
             yield at_output(
                 port, _curve, physics=self.name, family="sensor curve",
                 parameters=[
-                    Coefficient("quadratic share", "", -10.0, 10.0, 0.02, linear=True),
-                    Coefficient("cubic share", "", -10.0, 10.0, 0.02, linear=True),
+                    Coefficient("quadratic share", "", -1 / (2 * top), 1 / (2 * top), 0.05 / top, linear=True),
+                    Coefficient("cubic share", "", -1 / (3 * top**2), 1 / (3 * top**2), 0.05 / top**2, linear=True),
                     Coefficient("reference", port.unit, r, r, r, nuisance=True),
                 ],
                 starts=[(0.0, 0.0, r)], description=True,

@@ -61,3 +61,15 @@ def test_waves_are_looked_for_along_the_integral_of_a_speed_that_is_an_input(spr
     waves = machine(problem, base, 0.0).waves.get(Signal("u", 0), ())
     assert bool(waves) is found
     assert not found or waves[0] == pytest.approx(4.0, rel=0.1)
+
+
+@pytest.mark.parametrize(("parts", "driven"), [((1.0,), True), ((0.0,), False), ((0.02,), False), ((0.0, 0.1), True)])
+def test_a_machine_is_driven_where_an_input_goes_on_changing_in_some_recording(spring, recorded, parts, driven):
+    traces = []
+    for k, part in enumerate(parts):
+        trace = recorded(k)
+        values = trace.values.copy()
+        values[len(values) // 2 :, 0] = 3.0 + part * values[len(values) // 2 :, 0]
+        traces.append(replace(trace, values=values))
+    problem = build(nominal(spring, traces[0].dt), prepare(spring, traces), Settings())
+    assert machine(problem, fit(problem, problem.start(), 0.0, 1.0, iterations=0), 0.0).driven is driven

@@ -232,13 +232,30 @@ def test_a_reading_of_what_a_state_sums_up_may_have_a_memory_of_the_way():
     assert not any(k.startswith("hysteresis@output") for k in offered(cart))
 
 
-@pytest.mark.parametrize("driven", [True, False])
-def test_nothing_drifts_in_a_free_decay(driven):
+def test_nothing_drifts_in_a_free_decay_and_no_number_where_nothing_goes_on_changing():
     cart = machines()[CART]
-    if not driven:
-        n, p = len(cart.plant.A), len(cart.plant.C)
-        plant = StateSpace(cart.plant.A, np.zeros((n, 0)), cart.plant.C, np.zeros((p, 0)))
-        cart = replace(cart, inputs=(), plant=plant, axes=tuple(replace(a, input=None) for a in cart.axes))
-    kinds = {(h.physics, h.notes.get("variant", "")) for h in offered(cart).values()}
-    assert {("sensor_drift", "") in kinds, ("constant_load", "drifting") in kinds, "parameter_drift" in {name for name, _ in kinds}} == {driven}
-    assert ("constant_load", "") in kinds
+    n, p = len(cart.plant.A), len(cart.plant.C)
+    plant = StateSpace(cart.plant.A, np.zeros((n, 0)), cart.plant.C, np.zeros((p, 0)))
+    free = replace(cart, inputs=(), plant=plant, axes=tuple(replace(a, input=None) for a in cart.axes))
+    for machine, signals, numbers in ((cart, True, True), (replace(cart, driven=False), True, False), (free, False, False)):
+        kinds = {(h.physics, h.notes.get("variant", "")) for h in offered(machine).values()}
+        assert {("sensor_drift", "") in kinds, ("constant_load", "drifting") in kinds} == {signals}
+        assert ("parameter_drift" in {name for name, _ in kinds}) is numbers
+        assert ("constant_load", "") in kinds
+
+
+@pytest.mark.parametrize(("mean", "rms", "peak"), [(0.0, 1.0, 3.0), (50.0, 2.0, 57.0), (0.0, 1.0, 0.5)])
+def test_the_slope_of_a_sensor_changes_by_itself_at_most_in_the_range_of_its_readings(mean, rms, peak):
+    cart = machines()[CART]
+    h = offered(replace(cart, outputs=(replace(cart.outputs[0], mean=mean, rms=rms, peak=peak),)))[f"sensor_nonlinearity@output:{cart.outputs[0].name}"]
+    square, cube, size = h.parameters
+    y, d = np.linspace(-peak, peak, 101), 1e-6 * peak
+    for most in ((square.high, 0.0), (square.low, 0.0), (0.0, cube.high), (0.0, cube.low)):
+        slope = []
+        for now in y:
+            low, high = np.zeros(1), np.zeros(1)
+            h.law(np.array([*most, size.low]), np.array([now - d]), np.zeros(0), 0.1, low)
+            h.law(np.array([*most, size.low]), np.array([now + d]), np.zeros(0), 0.1, high)
+            slope.append((high[0] - low[0]) / (2 * d))
+        assert np.abs(slope).max() <= 1 + 1e-5
+        assert np.abs(slope).max() > 0.2
