@@ -16,7 +16,7 @@ def _curve(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 class SensorNonlinearity:
-    """A curved characteristic at every output; in the range of the readings the slope of either term is at most that of the sensor: a reading that turns back is no sensor's."""
+    """A curved characteristic at every output; neither term is larger than the reading itself at its peak."""
 
     name = "sensor_nonlinearity"
     summary = "a reading that is a smooth curve of the motion"
@@ -29,8 +29,8 @@ class SensorNonlinearity:
             yield at_output(
                 port, _curve, physics=self.name, family="sensor curve",
                 parameters=[
-                    Coefficient("quadratic share", "", -1 / (2 * top), 1 / (2 * top), 0.05 / top, linear=True),
-                    Coefficient("cubic share", "", -1 / (3 * top**2), 1 / (3 * top**2), 0.05 / top**2, linear=True),
+                    Coefficient("quadratic share", "", -1 / top, 1 / top, 0.05 / top, linear=True),
+                    Coefficient("cubic share", "", -1 / top**2, 1 / top**2, 0.05 / top**2, linear=True),
                     Coefficient("reference", port.unit, r, r, r, nuisance=True),
                 ],
                 starts=[(0.0, 0.0, r)], description=True,
