@@ -289,7 +289,7 @@ class RigAgent:
             raise Refused(f"{reason}, before the first sample")
         with port.arm(limits) as drive:
             drive.play(request.burst)
-            self._event(EventKind.BURST_STARTED, f"asked by {request.asked_by}", request.burst.name)
+            self._event(EventKind.BURST_STARTED, request.asked_by, request.burst.name)
             while drive.playing:
                 if self.emergency.is_set():
                     return EMERGENCY  # leaving the block cuts alpha off in the next sample

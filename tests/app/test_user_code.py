@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import py_compile
 from hashlib import sha256
+from importlib.util import cache_from_source
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from afdsvc.app.diagnose import diagnose_recordings
 from afdsvc.app.review import fault_planes
 from afdsvc.cli import app
 from afdsvc.errors import BadInput
+from afdsvc.files.allowed_code import allow
 from afdsvc.files.model.model_file import read_model
 from afdsvc.files.model.stepped import TRUSTED
 from afdsvc.files.recording.mcap_file import Header
@@ -83,7 +86,7 @@ def test_a_recordings_site_opens_neither_driver_nor_model(folder):
 def test_a_model_inside_a_recording_is_not_trusted_where_the_recording_lies(folder, monkeypatch):
     monkeypatch.setenv(TRUSTED, str(folder))
     path = recording(folder, {"axis": (folder / "evil.toml").read_text()})
-    with pytest.raises(BadInput, match="expected permission to run code"):
+    with pytest.raises(BadInput, match=r"expected permission to run code: --allow-code.*give it the model as a file \(--model\)$"):
         diagnose_recordings([path])
     assert not (folder / "ran").exists()
 
@@ -114,6 +117,18 @@ def test_permission_is_remembered_for_one_file_as_it_was(folder, monkeypatch):
     assert CliRunner().invoke(app, ["allow-code", str(code), "--forget"]).exit_code == 0
     with pytest.raises(BadInput, match="expected permission to run code"):
         read_model(folder / "evil.toml")
+
+
+def test_compiled_code_beside_a_permitted_file_does_not_run(folder, monkeypatch):
+    """Python's own loader prefers a .pyc that says its source is not to be compared with it."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder / "state"))
+    allow(folder / "evil.py")
+    (folder / "other.py").write_text(CODE.replace('"ran"', '"other"'))
+    compiled = cache_from_source(str(folder / "evil.py"))
+    py_compile.compile(str(folder / "other.py"), compiled, dfile=str(folder / "evil.py"), invalidation_mode=py_compile.PycInvalidationMode.UNCHECKED_HASH)
+    read_model(folder / "evil.toml")
+    assert (folder / "ran").exists()
+    assert not (folder / "other").exists()
 
 
 def test_a_driver_that_is_user_code_is_opened_only_with_permission(folder):

@@ -126,7 +126,7 @@ def test_a_burst_never_outlives_who_asked_for_it(settings, bearing, plugins, how
                 hub.announce(KEYS.service_alive())
                 time.sleep(0.1)
             assert ear.ask(sine(5.0), lease=0.6 if how == "lease" else 5.0).accepted
-            ear.wait(EventKind.BURST_STARTED)
+            assert ear.wait(EventKind.BURST_STARTED).cause == "test"
             time.sleep(0.2)
             if how == "vanish":
                 hub._keep[-1].undeclare()

@@ -182,10 +182,10 @@ def refuse_code(reference: str, source: str, allow_code: bool, key: str = "") ->
     kind = "compiled code" if reference.endswith(".fmu") else "Python code"
     where = key or f"{source}: key 'dynamics'"
     seal, remembered = (f" (SHA-256 {sha256_of(code)})", f", 'afdsvc allow-code {code}'") if code.is_file() else ("", "")
-    raise BadInput(
-        f"{where} is '{reference}', {kind}{seal} that would run on this computer; "
-        f"expected permission to run code: --allow-code (allow_code=True){remembered}, or a folder named in {TRUSTED}"
-    )
+    others = f"{remembered}, or a folder named in {TRUSTED}"
+    if not key and not Path(source).is_file():
+        others = "; 'diagnose' never runs the code of a model inside a recording: give it the model as a file (--model)"
+    raise BadInput(f"{where} is '{reference}', {kind}{seal} that would run on this computer; expected permission to run code: --allow-code (allow_code=True){others}")
 
 
 def load_code(reference: str, folder: Path, key: str) -> Any:
@@ -241,12 +241,12 @@ def _run(path: Path, where: str) -> ModuleType:
         raise BadInput(f"{where}, which does not exist")
     label = f"afdsvc_model_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}"
     spec = importlib.util.spec_from_file_location(label, path)
-    if spec is None or spec.loader is None:
+    if spec is None:
         raise BadInput(f"{where}, which is not a Python file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[label] = module  # dataclasses and pickles look their module up here
     try:
-        spec.loader.exec_module(module)
+        exec(compile(path.read_bytes(), str(path), "exec", dont_inherit=True), module.__dict__)  # the file that is permitted, not compiled code beside it
     except Exception as error:
         del sys.modules[label]
         raise BadInput(f"{where}, which fails with {type(error).__name__}: {error}") from error
