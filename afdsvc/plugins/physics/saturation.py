@@ -79,8 +79,8 @@ def emptied(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 class Saturation:
-    """A limit at every input, on one side or both, or falling with the velocity it drives, of the error of a servo, of every velocity, of every force that is a state, and of every store, full or empty, inside the range
-    the recordings use."""
+    """A limit at every input, on one side or both, or falling with the velocity it drives; of the error of a servo, of every velocity, of every force that is a state,
+    and of every store, full or empty. All lie inside the range the recordings use."""
 
     name = "saturation"
     summary = "commands, speeds or levels beyond a limit are cut"
@@ -149,7 +149,10 @@ class Saturation:
         weight = spring / axis.gain
         yield at_drive(
             axis, machine, largest_error, [Signal("u", port.index), state(q)], physics=self.name, family="limit", notes={"variant": "of the error", "of": ""},
-            parameters=[*(Coefficient(f"largest error {way}", port.unit, 1e-3 * port.peak, 2 * port.peak, 0.02 * port.peak) for way in ("above", "below")), constant("gain", "", axis.gain), constant("weight", "", weight)],
+            parameters=[
+                *(Coefficient(f"largest error {way}", port.unit, 1e-3 * port.peak, 2 * port.peak, 0.02 * port.peak) for way in ("above", "below")),
+                constant("gain", "", axis.gain), constant("weight", "", weight),
+            ],
             starts=[(share * port.peak, share * port.peak, axis.gain, weight) for share in (0.03, 0.1, 0.3, 0.8)],
             predicts="steps of any height are followed at the same speed", refuted_by="steps that take the same time at every height",
         )
