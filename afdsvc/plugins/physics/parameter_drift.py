@@ -52,7 +52,7 @@ class ParameterDrift:
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per number and place."""
-        if not (machine.inputs and machine.driven):
+        if not machine.driven:
             return
         for h in ParameterChange().hypotheses(machine):
             if not (machine.code and h.stage == "force"):

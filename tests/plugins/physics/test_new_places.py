@@ -236,7 +236,7 @@ def test_nothing_drifts_in_a_free_decay_and_no_number_where_nothing_goes_on_chan
     cart = machines()[CART]
     n, p = len(cart.plant.A), len(cart.plant.C)
     plant = StateSpace(cart.plant.A, np.zeros((n, 0)), cart.plant.C, np.zeros((p, 0)))
-    free = replace(cart, inputs=(), plant=plant, axes=tuple(replace(a, input=None) for a in cart.axes))
+    free = replace(cart, inputs=(), driven=False, plant=plant, axes=tuple(replace(a, input=None) for a in cart.axes))
     for machine, signals, numbers in ((cart, True, True), (replace(cart, driven=False), True, False), (free, False, False)):
         kinds = {(h.physics, h.notes.get("variant", "")) for h in offered(machine).values()}
         assert {("sensor_drift", "") in kinds, ("constant_load", "drifting") in kinds} == {signals}
