@@ -33,8 +33,8 @@ class Signal:
     """One signal a law reads or writes: its kind, and its number among its kind.
 
     Kinds to read: ``u`` input as it acts (after earlier effects), ``x`` state, ``y`` output, ``aux`` auxiliary signal,
-    ``t`` time in s, ``p`` parameter of a model that is Python code. Kinds to write: ``u`` (stage "input"), ``x`` meaning the rate of change of that state
-    ("force"), ``y`` ("output"), ``p`` ("parameter", once per sample). At the last two the input read is the one held during the sample before.
+    ``t`` time in s (recordings whose clocks overlap follow each other in the order given), ``p`` parameter of a model that is
+    Python code. Kinds to write: ``u`` (stage "input"), ``x`` meaning the rate of change of that state ("force"), ``y`` ("output"), ``p`` ("parameter", once per sample). At the last two the input read is the one held during the sample before.
 
     ``ahead`` reads an input as many samples later (`MOST_AHEAD` at most), as recorded: for errors of the recording, such as a clock that is late. A law that
     does so comes before the other laws at inputs, is no part of the machine, and does nothing in a loop that is closed in simulation.
@@ -55,7 +55,8 @@ class Coefficient:
     Where a fit ends at the upper end of the range of a ``decisive`` one, such as the damping of a resonance, something else is there, and the
     hypothesis is not compared. ``through = (state, input)`` says that the value is stated divided by that entry of B, in the ``unit`` given: a force
     where the law works with the acceleration it causes. ``unsigned`` divides by the size of the entry: what opposes the motion is positive
-    although the input acts against the axis.
+    although the input acts against the axis. ``later`` is the value with which the improved model has it, where that is not the fitted one: of a
+    change at a moment, one that has come.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Coefficient:
     decisive: bool = False
     through: tuple[int, int] | None = None
     unsigned: bool = False
+    later: float | None = None
 
     def per(self, B: Array) -> float:
         """Return what the law's value is divided by where it is stated, for the matrix ``B (n, m)`` of the plant.
@@ -201,7 +203,8 @@ class Machine:
     two positions, by the numbers of their states, that a spring of the model couples. ``waves`` are the wave numbers [rad per unit] with which the
     residual repeats best along positions (of kind "x") and along readings of them ("y"). Of ``code`` the plant is the linearisation, and ``parameters``
     are its numbers that are not known exactly, ``mean`` their values and ``rms`` the standard deviations stated. ``driven`` says whether an input goes on
-    changing in the second half of a recording: where none does, time and amplitude are one.
+    changing in the second half of a recording: where none does, time and amplitude are one. ``span`` is the time [s] at which the first recording begins
+    and at which the last one ends, on the clock that laws read.
     """
 
     inputs: tuple[Size, ...]
@@ -222,6 +225,7 @@ class Machine:
     code: bool = False
     parameters: tuple[Size, ...] = ()
     driven: bool = True
+    span: tuple[float, float] = (0.0, 1.0)
 
 
 class Physics(Protocol):

@@ -65,6 +65,11 @@ class Run:
         return y if self.taken is None else np.take_along_axis(y, self.taken, axis=0)
 
     @property
+    def begins(self) -> float:
+        """The time that laws see at the first sample [s]."""
+        return self.t0 if self.clock is None else self.clock
+
+    @property
     def fresh(self) -> Array:
         """The readings ``(n, p)`` of the samples at which they were taken, NaN elsewhere."""
         return self.Y if self.taken is None else np.where(self.taken == np.arange(len(self))[:, None], self.Y, np.nan)
@@ -103,7 +108,16 @@ def prepare(model: Model, traces: Sequence[Trace]) -> list[Run]:
     for trace in traces:
         require_sizes(trace)
     labels = tuple(sorted({c.label for t in traces for c in t.channels if c.role == "aux"}))
-    return [_run(model, trace, labels) for trace in traces]
+    return _on_one_clock([_run(model, trace, labels) for trace in traces])
+
+
+def _on_one_clock(runs: Sequence[Run]) -> list[Run]:
+    """Return the runs in the time that laws see: their own, where it is later than the end of the run before, else from there on."""
+    found: list[Run] = []
+    for r in runs:
+        end = -np.inf if not found else found[-1].begins + len(found[-1]) * r.dt
+        found.append(replace(r, clock=r.t0 if r.t0 > end - r.dt / 2 else end))
+    return found
 
 
 def joined(traces: Sequence[Trace]) -> list[Trace]:

@@ -29,7 +29,7 @@ class Settings:
     independent : float
         Independent samples a weighted residual must be worth to count as noise that limits.
     screened : int
-        Samples that hypotheses are screened and first fitted on, the beginning of every recording; those that keep their promise are
+        Samples that hypotheses are screened and first fitted on, the beginnings of four recordings; those that keep their promise are
         fitted to whole recordings.
     refined, polished : int
         Hypotheses that are fitted with all numbers of the model after the linear screen, and those passed through all horizons; more

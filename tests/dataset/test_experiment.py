@@ -129,3 +129,11 @@ def test_recordings_that_all_begin_and_end_at_rest_stay_apart():
     shape = np.sin(np.pi * np.linspace(0, 1, 900))[:, None] ** 2
     rested = [replace(t, values=t.values * shape) for t in moves]
     assert len(joined(rested)) == 2
+
+
+@pytest.mark.parametrize(("begin", "seen"), [((0.0, 0.0, 0.0), (0.0, 6.0, 12.0)), ((5.0, 20.0, 0.0), (5.0, 20.0, 26.0)), ((0.0, 6.0, 12.0), (0.0, 6.0, 12.0))])
+def test_laws_see_recordings_one_after_the_other(begin, seen):
+    runs = prepare(model(False), [replace(loop(), t0=t) for t in begin])
+    assert [r.begins for r in runs] == pytest.approx(seen)
+    assert runs[1].span(100, 200).begins == pytest.approx(seen[1] + 100 * DT)
+    assert [r.t0 for r in runs] == list(begin)

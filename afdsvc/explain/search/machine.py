@@ -63,7 +63,7 @@ def machine(problem: Problem, base: Fit, horizon: float, tones: Sequence[float] 
         dict(zip(runs[0].aux, _sizes([Variable(a) for a in runs[0].aux], aux), strict=True)), runs[0].dt, sum(len(r) for r in runs) * runs[0].dt,
         bandwidth(runs), smooth, np.sqrt((e**2).mean(0)), tuple(tones), tuple(peaks), "noise" if limited == "noise" else "model",
         _deflections(axes, smooth, x), {signal: wave_numbers(way, residuals) for signal, way in ways.items()}, problem.nominal.python, _parameters(problem.nominal),
-        any((r.U[len(r) // 2 :].std(0) > SIDE * r.U.std(0)).any() for r in runs),
+        any((r.U[len(r) // 2 :].std(0) > SIDE * r.U.std(0)).any() for r in runs), (runs[0].begins, runs[-1].begins + len(runs[-1]) * runs[-1].dt),
     )
 
 
@@ -117,9 +117,7 @@ def _axes(variables: Sequence[Variable], states: Sequence[Size], inputs: Sequenc
     return found
 
 
-def _axis(
-    name: str, position: Size | None, rate: Size, inputs: Sequence[Size], plant: StateSpace, x: Array, located: Sequence[int]
-) -> Axis:
+def _axis(name: str, position: Size | None, rate: Size, inputs: Sequence[Size], plant: StateSpace, x: Array, located: Sequence[int]) -> Axis:
     i = rate.index
     springs, others = x[:, located] @ plant.A[i, located], np.delete(x * plant.A[i], located, axis=1)  # springs between positions that wander cancel
     by_state = np.sqrt(np.nanmean(np.column_stack([springs, others]) ** 2, axis=0))

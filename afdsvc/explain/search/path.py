@@ -106,9 +106,7 @@ def added_path(problem: Problem, base: Mapping[float, Fit], taus: Taus, tried: T
     return path
 
 
-def whole_path(
-    problem: Problem, taus: Taus, rough: Mapping[float, Fit], base: Mapping[float, Fit] | None = None, enough: float = ENOUGH
-) -> dict[float, Fit]:
+def whole_path(problem: Problem, taus: Taus, rough: Mapping[float, Fit], base: Mapping[float, Fit] | None = None, enough: float = ENOUGH) -> dict[float, Fit]:
     """Return the fits to whole recordings that begin where those to their beginnings are, at the horizons that decide.
 
     ``base`` are fits to whole recordings without the last effect.

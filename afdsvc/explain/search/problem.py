@@ -20,6 +20,7 @@ from afdsvc.explain.simulate.simulator import Simulated, Simulator
 from afdsvc.lti.statespace import Array
 
 LOST = 1e3  # residual, in rms of the output, where a simulation has left
+FEW = 4  # recordings that stand for all of them where these are long
 _V, _M = types.float64[::1], types.float64[:, ::1]
 
 
@@ -130,9 +131,12 @@ class Problem:
         return max(1, int(np.sqrt(self.settings.screened / max(1, sum(len(r) for r in self.runs)))))
 
     def beginning(self) -> Problem:
-        """Return the problem on the beginnings of the recordings, `Settings.screened` samples in all; itself where they are no longer."""
-        share = self.settings.screened / max(1, sum(len(r) for r in self.runs))
-        return self if share >= 1 else self.of([r.span(0, max(1, int(share * len(r)))) for r in self.runs], self.x0)
+        """Return the problem on `Settings.screened` samples, itself where it has no more: the beginnings of `FEW` recordings, evenly spread, the first sample of the others."""
+        lengths = np.array([len(r) for r in self.runs])
+        few = np.unique(np.linspace(0, len(lengths) - 1, FEW).astype(int))
+        parts = np.ones_like(lengths)
+        parts[few] = np.maximum(1, lengths[few] * min(1.0, self.settings.screened / max(1, lengths[few].sum())))
+        return self if lengths.sum() <= self.settings.screened else self.of([r.span(0, int(n)) for r, n in zip(self.runs, parts, strict=True)], self.x0)
 
 
 def loop_known(problem: Problem) -> bool:

@@ -93,7 +93,7 @@ class Simulator:
         gx, along = self._along(plant, steps, placed) if len(placed.along) else (steps.gx, NOWHERE)
         gain = np.zeros_like(self.gain) if free or closed else self.gain
         kernel.simulate_compiled(
-            closed, self.ramped and not closed, self._direct(plant), steps.nsub, run.dt, run.t0 if run.clock is None else run.clock,
+            closed, self.ramped and not closed, self._direct(plant), steps.nsub, run.dt, run.begins,
             steps.phi, steps.gam, gx, steps.phih, steps.gamh, contiguous(plant.C), contiguous(plant.D), self.nominal.felt, contiguous(gain),
             placed.forced, placed.middle, *self._code(theta), *K, U, run.Y, run.REF, run.AUX,
             np.array(x0, dtype=np.float64), placed.laws, placed.plan, placed.par, memory, along, y, u, x,

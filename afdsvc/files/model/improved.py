@@ -29,7 +29,7 @@ def write_improved(explanation: Explanation, path: Path, aux: Mapping[str, float
     unknown loads, tones from outside and clocks out of step belong to the recordings and are not written. ``aux`` holds the mean of every auxiliary signal of the
     recordings, sorted by name as the laws count them.
     """
-    effects = tuple(e for e in explanation.point.effects if not _of_recordings(e.hypothesis))
+    effects = tuple(_later(e) for e in explanation.point.effects if not _of_recordings(e.hypothesis))
     explanation = replace(explanation, point=replace(explanation.point, effects=effects))
     nominal, point = explanation.nominal, explanation.point
     if nominal.python and not point.effects:
@@ -48,6 +48,11 @@ def write_improved(explanation: Explanation, path: Path, aux: Mapping[str, float
 
 def _of_recordings(h: Hypothesis) -> bool:
     return h.family == NUISANCE or h.lasting or any(s.ahead for s in h.reads)
+
+
+def _later(effect: PlacedEffect) -> PlacedEffect:
+    values = [v if c.later is None else c.later for v, c in zip(effect.values, effect.hypothesis.parameters, strict=True)]
+    return replace(effect, values=np.array(values))
 
 
 def linear_plant(nominal: Nominal, point: Point) -> StateSpace | None:

@@ -38,6 +38,7 @@ from afdsvc.plugins.physics.magnetic_force import MagneticForce
 from afdsvc.plugins.physics.parameter_change import ParameterChange
 from afdsvc.plugins.physics.parameter_drift import ParameterDrift
 from afdsvc.plugins.physics.parameter_follows_state import ParameterFollowsState
+from afdsvc.plugins.physics.parameter_step import ParameterStep
 from afdsvc.plugins.physics.periodic_disturbance import PeriodicDisturbance
 from afdsvc.plugins.physics.quadratic_damping import QuadraticDamping
 from afdsvc.plugins.physics.quadratic_stiffness import QuadraticStiffness
@@ -73,7 +74,7 @@ BUILT_IN = (
     ActuatorCrosstalk, ActuatorLag, AsymmetricDamping, BackEmf, Backlash, Clearance, ClockOffset, Cogging, ColouredNoise, ConstantLoad,
     CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, Eccentricity, EncoderError, Exchange, FlexibleMode,
     GainFollowsAux, GainFollowsLevel, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, InertiaFollowsPosition, LinearStiffness, MagneticForce,
-    ParameterChange, ParameterDrift, ParameterFollowsState, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
+    ParameterChange, ParameterDrift, ParameterFollowsState, ParameterStep, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
     Relaxation, Repulsion, ResonantActuator, Runout, Saturation, SelfHeating, SensorAcCoupling, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,
     SensorNonlinearity, SensorOffset, SensorRectification, SensorSaturation, SlewLimit, SlowMode,
     StaticNonlinearity, StiffnessFollowsAux, StribeckFriction, SupplyDroop, TransportDelay, Unbalance, VelocityCoupling, ViscousDamping, VoltageDrop,

@@ -187,6 +187,18 @@ class Pole:
 """
 
 
+def test_a_parameter_that_changed_at_a_moment_is_written_as_it_is_after_it(pendulum, tmp_path):
+    nom = nominal(pendulum, DT)
+    h = next(h for physics in afdsvc_physics() for h in physics.hypotheses(swinging(nom.plant)) if h.key == "parameter_step@parameter:weight#weight")
+    e = explanation(PlacedEffect(h, np.array([-0.4, 0.5 * N * DT, 0.2, 1.0])), nom=nom)
+    drive = run(np.random.default_rng(3))
+    r = Run("r", DT, 0.0, 3 * drive.U[:, :1], np.zeros((N, 1)), drive.AUX, np.zeros((N, 1)), drive.aux)
+    engine, later = (Simulator(nom, np.zeros((2, 1))).run(x, e.point.theta, np.zeros(2), e.point.effects).y for x in (r, replace(r, clock=N * DT)))
+    mine = stepped(write_improved(e, tmp_path / "MODEL.toml", AUX)[0], r)
+    assert np.linalg.norm(mine - later) < 1e-6 * np.linalg.norm(later)
+    assert np.linalg.norm(engine - later) > 0.01 * np.linalg.norm(later)
+
+
 @pytest.mark.parametrize("key", ["cubic_stiffness@state:v", "coulomb_friction@state:v", "hysteresis@state:v"])
 @pytest.mark.parametrize("along", [Signal("u", 0), Signal("x", 0), None])
 def test_a_force_along_a_signal_is_written_as_it_was_fitted(key, along, tmp_path):

@@ -22,6 +22,7 @@ from afdsvc.plugins.physics.magnetic_force import pair, single
 from afdsvc.plugins.physics.parameter_change import _scaled_entries, terms
 from afdsvc.plugins.physics.parameter_drift import drifting_gain, drifting_inertia, drifting_terms
 from afdsvc.plugins.physics.parameter_follows_state import levelling
+from afdsvc.plugins.physics.parameter_step import stepping, stepping_inertia
 from afdsvc.plugins.physics.periodic_disturbance import oscillation
 from afdsvc.plugins.physics.quantisation import read_in_steps
 from afdsvc.plugins.physics.runout import uneven
@@ -430,3 +431,15 @@ def test_a_drive_that_starts_at_a_threshold_is_odd_and_meets_the_levels_gain():
     assert np.abs(driven[np.abs(u) <= 2]).max() == 0.0
     assert np.allclose(driven, -driven[::-1])
     assert np.allclose(driven[u > 2], np.sqrt(4 * (u[u > 2] - 2)))
+
+
+def test_a_number_that_changes_at_one_moment_is_as_stated_before_and_keeps_its_new_value():
+    change, moment, takes = -0.4, 10.0, 2.0
+    for t, reached in ((0.0, 0.0), (9.0, 0.0), (9.5, 0.15625), (10.0, 0.5), (10.5, 0.84375), (11.0, 1.0), (1e9, 1.0)):
+        c = change * reached
+        for law, constants, signals, expected in (
+            (stepping, [1.0], [3.0], 3.0 * c), (stepping, [2.0, -1.0], [3.0, 4.0], 2.0 * c), (stepping_inertia, [2.0, -1.0], [3.0, 4.0], 2.0 / (1 + c) - 2.0),
+        ):
+            out = np.zeros(1)
+            law(np.array([change, moment, takes, *constants]), np.array([*signals, t]), np.zeros(0), 0.01, out)
+            assert out[0] == pytest.approx(expected, abs=1e-12)

@@ -56,6 +56,8 @@ def offered(machine: Machine) -> dict:
     (TANKS, "exchange@machine#between h1,h2 exchange@machine#turbulent, between h1,h2"),
     (ARM, "parameter_drift@state:w#mass parameter_drift@state:w#damping parameter_drift@input:torque#actuator gain parameter_drift@output:q#sensor gain"),
     (TANKS, "parameter_drift@state:h1#loss parameter_drift@state:h2#capacity"),
+    (ARM, "parameter_step@state:w#mass parameter_step@state:w#damping parameter_step@input:torque#actuator gain parameter_step@output:q#sensor gain"),
+    (REACTOR, "parameter_step@parameter:volume#volume parameter_step@parameter:rate#rate parameter_step@input:jacket#actuator gain"),
     (REACTOR, "parameter_drift@parameter:volume#volume parameter_drift@parameter:rate#rate parameter_drift@input:jacket#actuator gain"),
     (MOTOR, "sensor_ac_coupling@output:w transport_delay@output:w#mean over a window transport_delay@input:voltage#mean over a window"),
     (CART, "linear_stiffness@state:v viscous_damping@state:v repulsion@state:v#from above repulsion@state:v#from below"),
@@ -83,10 +85,11 @@ def _split(text: str) -> list[list[str]]:
     return words
 
 
-def test_numbers_of_code_drift_by_name_and_not_as_forces_of_its_linearisation():
-    drifts = {k for k in offered(machines()[REACTOR]) if k.startswith("parameter_drift")}
+@pytest.mark.parametrize("physics", ["parameter_drift", "parameter_step"])
+def test_numbers_of_code_change_by_name_and_not_as_forces_of_its_linearisation(physics):
+    drifts = {k for k in offered(machines()[REACTOR]) if k.startswith(physics)}
     assert {k.partition("@")[2].partition(":")[0] for k in drifts} == {"input", "output", "parameter"}
-    arm = {k for k in offered(replace(machines()[ARM], code=True)) if k.startswith("parameter_drift")}
+    arm = {k for k in offered(replace(machines()[ARM], code=True)) if k.startswith(physics)}
     assert {k.partition("@")[2].partition(":")[0] for k in arm} == {"input", "output"}
 
 

@@ -1,0 +1,79 @@
+"""Parameter step: a number of the model that changes at one moment, as where a part fails, and keeps its new value."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
+from afdsvc.plugins.physics.attach import at_parameter, constant
+from afdsvc.plugins.physics.parameter_change import ParameterChange, inertia
+
+TIME = Signal("t")
+MOMENTS = (0.25, 0.5, 0.75)  # of the time that the recordings span, where fits begin: changes that take a quarter of it cover all of it
+FIXED = 3  # constants of the model come after the change, its moment and how long it takes
+
+
+def stepping(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """Terms ``1 + p[0]`` times as large after the moment ``p[1]``; the change takes ``p[2]`` seconds. ``p[3:]`` are coefficients, time comes last in ``z``."""
+    share = min(max((z[-1] - p[1]) / p[2] + 0.5, 0.0), 1.0)
+    total = 0.0
+    for k in range(len(z) - 1):
+        total += p[3 + k] * z[k]
+    out[0] += p[0] * share * share * (3 - 2 * share) * total
+
+
+def stepping_inertia(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """A mass ``1 + p[0]`` times as large after the moment ``p[1]``: every acceleration divided by that, otherwise as in ``stepping``."""
+    share = min(max((z[-1] - p[1]) / p[2] + 0.5, 0.0), 1.0)
+    change = p[0] * share * share * (3 - 2 * share)
+    total = 0.0
+    for k in range(len(z) - 1):
+        total += p[3 + k] * z[k]
+    out[0] -= total * change / (1 + change)
+
+
+class ParameterStep:
+    """Gain of every input and output; of code every parameter that is not known exactly, of matrices stiffness, damping and mass of every axis.
+
+    Nothing is offered where no input goes on changing: time and amplitude are one. The improved model has the number as it is after the change.
+    """
+
+    name = "parameter_step"
+    summary = "a number of the model that changes at one moment and keeps its new value"
+
+    def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
+        """Return one hypothesis per number and place."""
+        if not machine.driven:
+            return
+        for h in ParameterChange().hypotheses(machine):
+            if machine.code and h.stage == "force":
+                continue
+            constants = h.parameters[1:] or (constant("nominal", "", 1.0),)
+            notes = {k: v for k, v in h.notes.items() if k != "gauge"}
+            law = stepping_inertia if h.law is inertia else stepping
+            yield replace(h, law=law, reads=(*h.reads, TIME), notes=notes, linear=_after(h), **self._course(machine, h.parameters[0], constants))
+        for number in machine.parameters:
+            change, one = Coefficient("change", "", -0.999, 30.0, 0.02, linear=True), constant("nominal", "", 1.0)
+            yield at_parameter(number, stepping, [TIME], notes={"variant": number.name, "of": number.name}, **self._course(machine, change, (one,)))
+
+    def _course(self, machine: Machine, change: Coefficient, constants: Sequence[Coefficient]) -> dict[str, Any]:
+        begin, end = machine.span
+        whole = end - begin
+        return {
+            "physics": self.name, "family": "drift",
+            "parameters": (
+                change, Coefficient("moment", "s", begin - machine.dt, end, 0.1 * whole, later=-1e300), Coefficient("time it takes", "s", machine.dt, whole, 0.1 * whole, nuisance=True),
+                *constants,
+            ),
+            "starts": tuple((0.0, begin + share * whole, whole / 4, *(c.low for c in constants)) for share in MOMENTS),
+            "predicts": "a residual that begins at one moment, in proportion to the part of the model that this number governs",
+            "refuted_by": "a residual that is the same at the beginning and at the end",
+        }
+
+
+def _after(h: Hypothesis) -> Any:
+    """Return how a plant is built with a change as it is after its moment."""
+    build, own = h.linear, len(h.parameters) - 1
+    return build and (lambda plant, values: build(plant, (values[0], *values[FIXED : FIXED + own])))
