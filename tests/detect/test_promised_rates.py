@@ -161,6 +161,16 @@ def test_rare_alarms_of_the_cusum():
     assert found == pytest.approx(1e-4, abs=2.58 * error + 0.05e-4)
 
 
+@pytest.mark.parametrize("seconds", [0.1, 0.34, 0.6, 1.1])
+def test_the_boundary_of_the_cusum_counts_every_block_of_the_burst(seconds):
+    """Blocks beyond those the boundary was computed for would raise more alarms than promised."""
+    problem = unstable_problem()
+    burst = default_burst(problem, Limits(np.array([50.0]), np.array([50.0]), np.array([50.0])), seconds, 0.4)
+    plan = ActiveCusum(problem).plan(burst, problem.plant.dt)
+    first, last = window(burst)
+    assert len(plan.waves) == (last - first) // plan.cusum.block > 0
+
+
 @pytest.mark.long
 @pytest.mark.timeout(3000)
 @pytest.mark.parametrize("machine", list(MACHINES))

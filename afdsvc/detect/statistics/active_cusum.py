@@ -30,7 +30,7 @@ from afdsvc.detect.thresholds.power import required_deflection
 from afdsvc.lti.statespace import Array
 
 SHORTEST = 5e-3  # seconds of a block
-BLOCKS = 40  # at most, of a burst
+BLOCKS = 40  # of a burst, where its samples divide by that; fewer of short ones
 UNSEEN = 1e-3  # deflection of a wave over the whole burst below which the fault is left out
 DOUBLINGS = 3  # deflections looked for, each twice the one before
 SURE = 0.99  # probability with which the smallest would be found at the end of the burst
@@ -149,8 +149,8 @@ class ActiveCusum:
 def _blocks(burst: Burst, ordered: Sequence[Line], dt: float) -> tuple[int, Array]:
     """Return the samples of a block, and R of every block ``(blocks, 2 L, 2 L)``: a wave of coefficients c adds R c."""
     first, last = window(burst)
-    count = max(1, min(BLOCKS, int((last - first) * dt / SHORTEST)))
-    block = max((last - first) // count, 1)
+    block = max((last - first) // max(1, min(BLOCKS, int((last - first) * dt / SHORTEST))), 1)
+    count = max((last - first) // block, 1)  # all that are full, which may be more
     basis = Basis(tuple(line.omega for line in ordered))
     empty = BasisSums.empty(basis, 1)
     grams = [empty.add(basis, first + k * block, dt, np.zeros((block, 1))).G for k in range(count)]
