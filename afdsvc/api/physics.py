@@ -204,7 +204,7 @@ class Machine:
     residual repeats best along positions (of kind "x") and along readings of them ("y"). Of ``code`` the plant is the linearisation, and ``parameters``
     are its numbers that are not known exactly, ``mean`` their values and ``rms`` the standard deviations stated. ``driven`` says whether an input goes on
     changing in the second half of a recording: where none does, time and amplitude are one. ``span`` is the time [s] at which the first recording begins
-    and at which the last one ends, on the clock that laws read.
+    and at which the last one ends, on the clock that laws read; None: from zero on, ``duration`` long.
     """
 
     inputs: tuple[Size, ...]
@@ -225,7 +225,7 @@ class Machine:
     code: bool = False
     parameters: tuple[Size, ...] = ()
     driven: bool = True
-    span: tuple[float, float] = (0.0, 1.0)
+    span: tuple[float, float] | None = None
 
 
 class Physics(Protocol):

@@ -189,7 +189,7 @@ def _seen(problem: Problem, path: dict[float, Fit], limited: str) -> Machine:
     last = list(path)[-1]
     residuals = problem.residuals(path[last].point, last)
     found = peaks(problem.runs, residuals, 2 * bandwidth(problem.runs))
-    lines = [t.omega for t in tones(problem.runs, residuals)] if limited == "noise" else []
+    lines = [t.omega for t in tones(problem.runs, residuals)]
     return machine(problem, path[last], last, lines, found, limited)
 
 

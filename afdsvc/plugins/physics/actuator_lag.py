@@ -33,7 +33,8 @@ def direction_dependent(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] += (p[0] if rate > 0 else p[1]) * rate
 
 
-def _extend(plant: StateSpace, values: Sequence[float], column: int) -> StateSpace:
+def behind_lag(plant: StateSpace, values: Sequence[float], column: int) -> StateSpace:
+    """Return the plant with a lag of the time constant ``values[0]`` before an input; its output is the last state."""
     n, m = plant.order, plant.inputs
     pole = 1 / values[0]
     A = np.block([[plant.A, plant.B[:, [column]]], [np.zeros((1, n)), np.array([[-pole]])]])
@@ -60,7 +61,7 @@ class ActuatorLag:
             constants = [Coefficient(f"time constant{way}", "s", 1e-3 * span, 300 * span, 0.05 * span) for way in ("", " rising", " falling")]
             yield at_input(
                 port, low_pass, memory=1, unsettled=1, parameters=constants[:1], starts=[(0.1 * span,), (span,), (10 * span,)],
-                linear=lambda plant, values, column=port.index: _extend(plant, values, column),
+                linear=lambda plant, values, column=port.index: behind_lag(plant, values, column),
                 predicts="phase lag that saturates and gain that falls with frequency, for this input only",
                 refuted_by="a gain that stays the same where the phase falls", **words,
             )

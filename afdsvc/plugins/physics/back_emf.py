@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine
+from afdsvc.lti.statespace import StateSpace
+from afdsvc.plugins.physics.actuator_lag import behind_lag
 from afdsvc.plugins.physics.attach import at_input, constant, velocity
 
 
@@ -19,6 +21,15 @@ def _coil(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     decay, rest = math.exp(-dt / p[0]), m[0] - goal
     out[0] += goal + rest * (1 - decay) * p[0] / dt - z[0] + p[2] * z[1]
     m[0] = goal + rest * decay
+
+
+def _coupled(plant: StateSpace, values: Sequence[float], port: int, speed: int) -> StateSpace:
+    lagging = behind_lag(plant, values, port)
+    A, C = lagging.A.copy(), lagging.C.copy()
+    A[:-1, speed] += values[2] * A[:-1, -1]
+    C[:, speed] += values[2] * C[:, -1]
+    A[-1, speed] -= values[1] / values[0]
+    return StateSpace(A, lagging.B, C, lagging.D)
 
 
 class BackEmf:
@@ -50,5 +61,6 @@ class BackEmf:
             port, _coil, [velocity(axis)], physics=self.name, family="timing", memory=1, unsettled=1, substeps=4, notes=notes,
             parameters=[Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span), voltage, constant("in the model", unit, induced)],
             starts=[(s * span, e, induced) for s in (0.1, 1.0, 10.0) for e in first],
+            linear=lambda plant, values: _coupled(plant, values, port.index, axis.rate.index),
             predicts="a lag of the force whose size depends on whether the axis may move", refuted_by="the same lag with the axis held and free",
         )

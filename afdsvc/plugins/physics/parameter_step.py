@@ -12,6 +12,8 @@ from afdsvc.plugins.physics.parameter_change import ParameterChange, inertia
 
 TIME = Signal("t")
 MOMENTS = (0.25, 0.5, 0.75)  # of the time that the recordings span, where fits begin: changes that take a quarter of it cover all of it
+LEAST, MOST = -0.99, 1.0  # a number keeps its sign and at most doubles, as one that drifts
+SIDES = 0.1  # of that time, at least, on either side of the moment: a change at the very beginning or end stands for the start of a recording, or its end
 FIXED = 3  # constants of the model come after the change, its moment and how long it takes
 
 
@@ -53,18 +55,19 @@ class ParameterStep:
             constants = h.parameters[1:] or (constant("nominal", "", 1.0),)
             notes = {k: v for k, v in h.notes.items() if k != "gauge"}
             law = stepping_inertia if h.law is inertia else stepping
-            yield replace(h, law=law, reads=(*h.reads, TIME), notes=notes, linear=_after(h), **self._course(machine, h.parameters[0], constants))
+            change = replace(h.parameters[0], low=max(h.parameters[0].low, LEAST), high=MOST)
+            yield replace(h, law=law, reads=(*h.reads, TIME), notes=notes, linear=_after(h), **self._course(machine, change, constants))
         for number in machine.parameters:
-            change, one = Coefficient("change", "", -0.999, 30.0, 0.02, linear=True), constant("nominal", "", 1.0)
+            change, one = Coefficient("change", "", LEAST, MOST, 0.02, linear=True), constant("nominal", "", 1.0)
             yield at_parameter(number, stepping, [TIME], notes={"variant": number.name, "of": number.name}, **self._course(machine, change, (one,)))
 
     def _course(self, machine: Machine, change: Coefficient, constants: Sequence[Coefficient]) -> dict[str, Any]:
-        begin, end = machine.span
+        begin, end = machine.span or (0.0, machine.duration)
         whole = end - begin
         return {
             "physics": self.name, "family": "drift",
             "parameters": (
-                change, Coefficient("moment", "s", begin - machine.dt, end, 0.1 * whole, later=-1e300), Coefficient("time it takes", "s", machine.dt, whole, 0.1 * whole, nuisance=True),
+                change, Coefficient("moment", "s", begin + SIDES * whole, end - SIDES * whole, 0.1 * whole, later=-1e300), Coefficient("time it takes", "s", machine.dt, whole, 0.1 * whole, nuisance=True),
                 *constants,
             ),
             "starts": tuple((0.0, begin + share * whole, whole / 4, *(c.low for c in constants)) for share in MOMENTS),

@@ -13,6 +13,7 @@ from afdsvc.plugins.physics.attach import (
     at_input,
     at_state,
     constant,
+    decaying,
     downstream,
     quantity,
     state,
@@ -73,6 +74,11 @@ def overflow(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
         out[k] += p[1] * p[1 + k] * lost
 
 
+def relieved(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """What is above ``limit`` leaves at the rate ``p[1]``: a valve that opens there, or an overflow that is narrow."""
+    out[0] -= max(z[0] - p[0], 0.0) * (1 - math.exp(-p[1] * dt)) / dt
+
+
 def emptied(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """A state below the limit is brought back within one step: a tank that is empty, a flow that a check valve does not let turn back."""
     out[0] += max(p[0] - z[0], 0.0) / dt
@@ -80,7 +86,7 @@ def emptied(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 class Saturation:
     """A limit at every input, on one side or both, or falling with the velocity it drives; of the error of a servo, of every velocity, of every force that is a state,
-    and of every store, full or empty. All lie inside the range the recordings use."""
+    and of every store, full, relieved or empty. All lie inside the range the recordings use."""
 
     name = "saturation"
     summary = "commands, speeds or levels beyond a limit are cut"
@@ -99,6 +105,7 @@ class Saturation:
                 yield at_state(store, _held, [state(store)], **self._of_state(store))
             else:
                 yield self._of_store(store, machine)
+                yield self._relieved(store, machine)
                 yield self._empty(store)
 
     def _of_state(self, size: Size) -> dict[str, Any]:
@@ -162,12 +169,20 @@ class Saturation:
         return at_state(
             store, overflow, [state(store)], [state(store), *(Signal("x", i) for i, _ in ways)], physics=self.name, family="limit",
             parameters=[
-                Coefficient("limit", store.unit, store.mean - store.rms, 1.4 * store.peak, 0.02 * store.peak),
-                Coefficient("share passed on", "", 0.0, 1.0, 0.1, nuisance=True) if ways else constant("share passed on", "", 0.0),
+                _full(store), Coefficient("share passed on", "", 0.0, 1.0, 0.1, nuisance=True) if ways else constant("share passed on", "", 0.0),
                 *(constant("per unit lost", "", v) for _, v in ways),
             ],
-            starts=[(min(store.mean + s * store.rms, 1.35 * store.peak), 0.5 if ways else 0.0, *(v for _, v in ways)) for s in (0.3, 0.8, 1.3, 2.0)],
+            starts=[(_part(store, s), 0.5 if ways else 0.0, *(v for _, v in ways)) for s in (0.3, 0.8, 1.3, 2.0)],
             predicts="a level that stays at the same value whatever flows in", refuted_by="levels above the limit",
+        )
+
+    def _relieved(self, store: Size, machine: Machine) -> Hypothesis:
+        own = next(rate for s, rate in decaying(machine) if s.index == store.index)
+        return at_state(
+            store, relieved, [state(store)], physics=self.name, family="limit", notes={"variant": "gradual", "of": ""},
+            parameters=[_full(store), Coefficient("rate of what is above", "1/s", 0.01 * own, 1 / machine.dt, own)],
+            starts=[(_part(store, s), 3 * own) for s in (0.0, 0.5, 1.0, 1.5)],
+            predicts="a level that is harder to raise above a value", refuted_by="a level that is raised alike everywhere",
         )
 
     def _empty(self, store: Size) -> Hypothesis:
@@ -181,3 +196,12 @@ class Saturation:
 
 def _limit(size: Size) -> Coefficient:
     return Coefficient("limit", size.unit, 0.02 * size.peak, 1.4 * size.peak, 0.02 * size.peak)
+
+
+def _full(store: Size) -> Coefficient:
+    return Coefficient("limit", store.unit, store.mean - store.rms, 1.4 * store.peak, 0.02 * store.peak)
+
+
+def _part(store: Size, share: float) -> float:
+    """Return the mean and a share of the rms, inside the range of `_full`."""
+    return min(store.mean + share * store.rms, 1.35 * store.peak)

@@ -11,6 +11,7 @@ from scipy.signal import lsim
 from scipy.stats import norm
 
 from afdsvc.lti.statespace import StateSpace
+from afdsvc.plugins.physics.back_emf import BackEmf
 from afdsvc.plugins.physics.backlash import _play
 from afdsvc.plugins.physics.clock_offset import read_late
 from afdsvc.plugins.physics.cogging import _turning
@@ -443,3 +444,14 @@ def test_a_number_that_changes_at_one_moment_is_as_stated_before_and_keeps_its_n
             out = np.zeros(1)
             law(np.array([change, moment, takes, *constants]), np.array([*signals, t]), np.zeros(0), 0.01, out)
             assert out[0] == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize(("damping", "induced"), [(1.5, 0.0), (1.5 + 1.25 * 0.5, 0.5)])
+def test_a_coil_in_matrices_is_the_motor_with_its_current(damping, induced):
+    """Inertia 0.2, friction 0.3, torque constant 0.5, 2 ohm, 0.06 H; the model knows no current, and induction as damping or not at all."""
+    h = next(iter(BackEmf().hypotheses(machines()[2])))
+    found = h.linear(StateSpace.of([[-damping]], [[1.25]], [[1.0]]), [0.03, 0.5, induced])
+    motor = StateSpace.of([[-1.5, 2.5], [-0.5 / 0.06, -2 / 0.06]], [[0.0], [1 / 0.06]], [[1.0, 0.0]])
+    for s in (0.3j, 5j, 80j):
+        given, true = (g.C @ np.linalg.solve(s * np.eye(2) - g.A, g.B) + g.D for g in (found, motor))
+        assert given == pytest.approx(true, rel=1e-12)

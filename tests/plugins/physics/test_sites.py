@@ -36,6 +36,7 @@ def offered(machine: Machine) -> dict:
     (ARM, "gravity@state:w gravity@state:w#sine in place of a line cogging@state:w gain_follows_position@input:torque#w"),
     (ARM, "coulomb_friction@state:w#along the way coulomb_friction@state:w#grows with the transmitted force"),
     (MAGNET, "magnetic_force@state:v magnetic_force@state:v#pair"),
+    (TANKS, "saturation@state:h1#gradual saturation@state:h2#gradual"),
     (TANKS, "saturation@state:h1 saturation@state:h2 slow_mode@state:h1 static_nonlinearity@state:h1#outflow"),
     (TANKS, "static_nonlinearity@state:h2#outflow about a level constant_load@input:pump static_nonlinearity@input:pump#thrust"),
     (TANKS, "gain_follows_level@state:h1#pump gain_follows_level@state:h1#pump, flow from a supply"),
