@@ -38,6 +38,7 @@ from afdsvc.wire.messages import BurstRequest, RetuneRequest
 Through = Literal["alpha", "input", "setpoint"]
 Samples = TypeVar("Samples", Trace, Block)
 STILL = 100  # samples that references rest for before a burst is looked for in them
+PASSIVE = "passive_"  # names of detectors that watch between bursts begin so
 CALIBRATED = 2 / 3  # of the quiet samples before the first burst
 
 
@@ -76,7 +77,8 @@ def evidence_of(machine: Commissioned, blocks: Iterable[Block], bursts: Iterable
 
 
 class OfflineDiagnosis:
-    """A machine's pipeline over blocks: evidence, remarks, the spans of bursts as (name, first sample, samples, dt), the session."""
+    """A machine's pipeline over blocks: evidence, remarks, the spans of bursts as (name, first sample, samples, dt), the session; whether a passive
+    detector had quiet data to judge, even where it had nothing to say."""
 
     def __init__(self, machine: Commissioned, plugins: Plugins) -> None:
         self.machine, self.stream = machine, pipeline_of(machine, plugins)
@@ -85,12 +87,16 @@ class OfflineDiagnosis:
         self.spans: list[tuple[str, int, int, float]] = []
         self.session = ""
         self.seconds = 0.0
+        self.watched = False
 
     def take(self, block: Block) -> None:
         """Judge a block."""
         outcome = self.stream.step(block)
         self.evidence += outcome.evidence
         self.remarks += [f.message for f in outcome.findings]
+        ready = self.stream.ready_at
+        if not block.burst and outcome.residual is not None and ready is not None and block.k0 + len(block) > ready:
+            self.watched = any(d.kind.startswith(PASSIVE) for d in self.machine.config.detectors)
         self.follow(block)
 
     def follow(self, block: Block) -> None:
@@ -315,7 +321,7 @@ def document(
     notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return one recording's part of ``diagnose --json``; ``notes`` say what was done to its data."""
-    verdict, tested = conclude(replayed.evidence), bool(replayed.evidence)
+    verdict, tested = conclude(replayed.evidence), bool(replayed.evidence) or replayed.watched
     return {
         "recording": name,
         "machine": machine,

@@ -144,3 +144,13 @@ def test_a_watched_machine_has_the_controller_and_the_noise_its_model_states(plu
     other = parse_model(model_text().replace(f"D = {rows(np.zeros((2, 2)))}", f"D = {rows(1e3 * np.ones((2, 2)))}"), "model.toml")
     with pytest.raises(BadInput, match=r"\[controller\].*state the controller that ran"):
         commissioning.commission(config, plugins, commissioning.RecordedMachine(other, TRUTH.dt, columns))
+
+
+@pytest.mark.parametrize(("detectors", "samples", "tested"), [((), 9000, True), (("regression",), 9000, False), ((), 500, False)])
+def test_a_healthy_machine_without_a_burst_is_tested_where_a_passive_detector_had_quiet_data(tables, tmp_path, detectors, samples, tested):
+    run = TRUTH.run(np.random.default_rng(5), np.zeros((samples, 2)), np.zeros(4))
+    columns = {f"{role}_{name}": run[role][:, i] for role, names in (("u", "ab"), ("y", "cd")) for i, name in enumerate(names)}
+    np.savez(tmp_path / "quiet.npz", t=TRUTH.dt * np.arange(samples), **columns)
+    (found,) = diagnose_recordings([tmp_path / "quiet.npz"], tables / "stated.toml", detectors=detectors)["recordings"]
+    assert (found["passive"], found["verdict"]["fault"], found["verdict"]["trustworthy"]) == ([], None, tested)
+    assert found["verdict"]["reason"].startswith("nothing was tested") is not tested

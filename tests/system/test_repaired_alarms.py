@@ -53,7 +53,7 @@ def files(tmp_path_factory) -> tuple[Path, Path, Path]:
     write_model(spring(), nominal)
     tables = [record(folder / f"r{k}.npz", level, k, 5) for k, level in enumerate((1.0, 0.5, 0.75))]
     document = explain_files(nominal, tables, [record(folder / "held.npz", 0.8, 7, 5)], ExplainOptions(folder / "out", jobs=1))
-    print([(n["physics"], n["site"], n["weight"], n["parameters"]) for n in document["named"]], document["fit"])
+    assert document["named"][0]["physics"] == "actuator_lag"
     return nominal, Path(document["model"]), record(folder / "long.npz", 0.9, 11, 40)
 
 

@@ -409,9 +409,9 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
                 for j in range(m):
                     s[j] = mean[j]
             elif shaped and sub > 0:
-                for j in range(m):
-                    mean[j] = u[j]
-                    s[j] = u[j]
+                mean[:] = u
+                s[:m] = u
+                s[m : m + n] = x
                 _apply(INPUT, laws, plan, par, mem, s, work, h, mean, 0)
             f[:] = 0.0
             if kind == LINEAR:

@@ -270,7 +270,7 @@ def _sampled(parts: Parts) -> list[str]:
             *([f"aux = np.array([{values}])"] if used else []), f"now, state, memory, before = t, np.copy(x[:{n}]), np.copy(x[{n}:{n + k}]), np.copy(x[{n + k}:])",
             "seen, acting = np.copy(state), np.copy(u)", *numbers, *(inputs if parts.direct else []), f"y = {_output(parts, 'state', 'now')}", *felt, *outputs,
             *([] if parts.direct else inputs), "for k in range(SUBSTEPS):",
-            *_indented([*(["if k > 0:", *_indented(["acting = np.copy(u)", *inputs], 1)] if inputs else []), *_step(parts, read), "now += STEP"], 1),
+            *_indented([*(["if k > 0:", *_indented(["seen, acting = np.copy(state), np.copy(u)", *inputs], 1)] if inputs else []), *_step(parts, read), "now += STEP"], 1),
             "return y, np.concatenate((state, memory, acting))",
         ], 2),
     ]

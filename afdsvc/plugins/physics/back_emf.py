@@ -15,11 +15,13 @@ from afdsvc.plugins.physics.attach import at_input, constant, velocity
 def _coil(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``tau w' + w = u - e v``; w replaces ``u``, or ``u - h v`` where the model has a damping ``b h`` by induction. ``p = (tau, e, h)``.
 
-    Exact for input and velocity held over the step; the mean of w is what acts.
+    Exact for an input and a velocity held over the step, that of its middle by extrapolation; the mean of w is what acts.
     """
-    goal = z[0] - p[1] * z[1]
+    middle = z[1] + 0.5 * (z[1] - m[1]) * m[2]
+    m[1], m[2] = z[1], 1.0
+    goal = z[0] - p[1] * middle
     decay, rest = math.exp(-dt / p[0]), m[0] - goal
-    out[0] += goal + rest * (1 - decay) * p[0] / dt - z[0] + p[2] * z[1]
+    out[0] += goal + rest * (1 - decay) * p[0] / dt - z[0] + p[2] * middle
     m[0] = goal + rest * decay
 
 
@@ -58,7 +60,7 @@ class BackEmf:
         voltage = constant("induced per speed", unit, induced) if induced else Coefficient("induced per speed", unit, low, high, abs(scale))
         first = (induced,) if induced else (scale, 10 * scale)
         return at_input(
-            port, _coil, [velocity(axis)], physics=self.name, family="timing", memory=1, unsettled=1, substeps=4, notes=notes,
+            port, _coil, [velocity(axis)], physics=self.name, family="timing", memory=3, unsettled=1, substeps=4, notes=notes,
             parameters=[Coefficient("time constant", "s", 1e-3 * span, 300 * span, 0.05 * span), voltage, constant("in the model", unit, induced)],
             starts=[(s * span, e, induced) for s in (0.1, 1.0, 10.0) for e in first],
             linear=lambda plant, values: _coupled(plant, values, port.index, axis.rate.index),

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import cont2discrete
 
 from afdsvc.api.physics import MOST_AHEAD, MOST_SIGNALS
 from afdsvc.errors import BadInput
@@ -102,6 +103,30 @@ def test_linear_plant_with_three_effects(model, recording, excitation, effect):
     error = [np.abs(play(model(AXIS), recording(excitation), [0, 0], e).y[:, 0] - expected).max() for e in (effects, finer(effects))]
     assert error[0] < 3e-3 * np.ptp(expected)
     assert error[1] < error[0] / 10  # second order: four sub-steps
+
+
+def coil(p, z, m, dt, out):
+    """``tau w' + w = u - e v`` in place of u, v that of the middle of the step."""
+    goal, decay = z[0] - p[1] * (z[1] + 0.5 * (z[1] - m[1])), math.exp(-dt / p[0])
+    out[0] += goal + (m[0] - goal) * (1 - decay) * p[0] / dt - z[0]
+    m[0], m[1] = goal + (m[0] - goal) * decay, z[1]
+
+
+def test_what_acts_within_a_sample_reads_the_states_of_its_substep(model, recording, excitation, effect):
+    """A coil whose induced voltage stiffens and damps the axis, against the machine with the coil as a state."""
+    tau, e = 0.02, 0.05
+    A, B = np.zeros((3, 3)), np.array([[0.0], [0.0], [1 / tau]])
+    A[:2, :2], A[:2, 2], A[2] = AXIS.A, AXIS.B[:, 0], [0, -e / tau, -1 / tau]
+    Ad, Bd, *_ = cont2discrete((A, B, np.eye(3), np.zeros((3, 1))), 0.01)
+    states = [np.zeros(3)]
+    for u in excitation[:-1]:
+        states.append(Ad @ states[-1] + Bd @ u)
+    expected, induced = np.array(states)[:, 0], effect(coil, "input", [("u", 0), ("x", 1)], [("u", 0)], [tau, e], memory=2)
+    errors = [
+        np.abs(play(model(AXIS), recording(excitation), [0, 0], [replace(induced, hypothesis=replace(induced.hypothesis, substeps=k))]).y[:, 0] - expected).max() for k in (4, 16)
+    ]
+    assert errors[0] < 2e-3 * np.ptp(expected)
+    assert errors[1] < errors[0] / 10  # second order
 
 
 def finer(effects):

@@ -71,7 +71,7 @@ def inputs(case: Case) -> np.ndarray:
 
 
 def stepped(case: Case) -> np.ndarray:
-    """The machine by exact steps, forces taken at the predicted middle of the step and held over it."""
+    """The machine by exact steps, forces taken at the predicted middle of the step and held over it, inputs at its beginning."""
     A, B = np.array(case.A, float), np.array(case.B, float)
     n = len(A)
     whole = np.zeros((2 * n + 1, 2 * n + 1))
@@ -82,7 +82,8 @@ def stepped(case: Case) -> np.ndarray:
     for u in inputs(case):
         seen.append(x)
         middle, out = half[:n, :n] @ x + half[:n, n] * u, np.zeros(len(case.writes))
-        case.law(p, np.array([{"x": middle, "u": [u]}[kind][i] for kind, i in case.reads]), m, H, out)
+        felt = x if case.stage == "input" else middle
+        case.law(p, np.array([{"x": felt, "u": [u]}[kind][i] for kind, i in case.reads]), m, H, out)
         acting, push = u, np.zeros(n)
         if case.stage == "input":
             acting = u + out[0]
@@ -208,8 +209,8 @@ CASES = [
     Case("pendulum for a spring", _in_place, (K, -K, 1.0), lambda x, u: [x[1], -K * np.sin(x[0]) - D * x[1] + G * u], **AXIS, reads=(("x", 0),)),
     Case("one magnet", single, (2.0, 1.3, G, 1.0, 0.0, 0.0), magnet, **BENT),
     Case("two magnets", pair, (2.0, 1.3, G, 1.0, 0.0, 0.0), magnets, A=[[0, 1], [-3 * K + G * 2.0 / 1.3, -D]], B=[0, G], reads=(("u", 0), ("x", 0)), level=0.6),
-    Case("coil", _coil, (0.03, 0.5, 0.0), motor, A=[[-1.5]], B=[MOTOR_GAIN], reads=(("u", 0), ("x", 0)), writes=(0,), stage="input", memory=1, hidden=(0.0,), level=5.0),
-    Case("coil of a motor with its damping", _coil, (0.03, 0.5, 0.5), motor, A=[[-1.5 - 0.5 * MOTOR_GAIN]], B=[MOTOR_GAIN], reads=(("u", 0), ("x", 0)), writes=(0,), stage="input", memory=1, hidden=(0.0,), level=5.0),
+    Case("coil", _coil, (0.03, 0.5, 0.0), motor, A=[[-1.5]], B=[MOTOR_GAIN], reads=(("u", 0), ("x", 0)), writes=(0,), stage="input", memory=3, hidden=(0.0,), level=5.0),
+    Case("coil of a motor with its damping", _coil, (0.03, 0.5, 0.5), motor, A=[[-1.5 - 0.5 * MOTOR_GAIN]], B=[MOTOR_GAIN], reads=(("u", 0), ("x", 0)), writes=(0,), stage="input", memory=3, hidden=(0.0,), level=5.0),
     Case("cogging", _ripple, (7.0, 3.0, -2.0), axis(lambda q, v, u: 3 * np.cos(7 * q) - 2 * np.sin(7 * q)), **AXIS, reads=(("x", 0),)),
     Case("gain along the way", geared, (0.3, 0.1, 0.2, 0.5, G), axis(lambda q, v, u: G * u * (0.3 * (q - 0.2) / 0.5 + 0.1 * ((q - 0.2) / 0.5) ** 2)), **AXIS, reads=(("u", 0), ("x", 0))),
     Case("flow from a supply", _orifice, (12.0, G), lambda x, u: [-D * x[0] + G * u * np.sqrt(max(1 - np.sign(u) * x[0] / 12, 0.0))], **SPEED, reads=(("u", 0), ("x", 0)), tolerance=5e-3),
